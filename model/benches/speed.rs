@@ -105,16 +105,17 @@ fn handle() -> f64 {
         let start = Instant::now();
         for (task, table) in tasks.iter_mut().zip(&tables) {
             let request = Request::Arrive { port, arguments: [0; 8], time_out: None };
-            task.handle(table, Input::Request(request), &mut sent);
+            task.handle(table, task.now(), &Input::Request(request), &mut sent);
             handled += 1;
         }
         while let Some(packet) = sent.0.pop() {
             let to = packet.destination.index();
-            tasks[to].handle(&tables[to], Input::Packet(packet), &mut sent);
+            let task = &mut tasks[to];
+            task.handle(&tables[to], task.now(), &Input::Packet(packet), &mut sent);
             handled += 1;
         }
         for (task, table) in tasks.iter_mut().zip(&tables) {
-            task.handle(table, Input::Advance(Ticks(1)), &mut sent);
+            task.handle(table, task.now() + Ticks(1), &Input::Time, &mut sent);
             handled += 1;
         }
         spent += start.elapsed();

@@ -388,10 +388,10 @@ impl World {
                 return Ok(());
             }
             self.places[to].known[from.index()] = flight.life;
-            self.step(to, NodeInput::PeerRestarted(from))?;
+            self.step(to, Ticks::ZERO, NodeInput::PeerRestarted(from))?;
         }
         let charge = Ticks(u64::from(self.scenario.delay.unwrap_or(0)) + u64::from(extra));
-        self.step(to, NodeInput::Packet { from, packet: flight.packet, charge })
+        self.step(to, Ticks::ZERO, NodeInput::Packet { from, packet: flight.packet, charge })
     }
 
     fn act(&mut self, i: usize) -> Result<(), Violation> {
@@ -411,7 +411,7 @@ impl World {
             }
             Behaviour::Receiver => Request::Get { port: None, source: None, time_out: None },
         };
-        self.step(i, NodeInput::Request(TaskId::from_index(i), request))
+        self.step(i, Ticks::ZERO, NodeInput::Request(TaskId::from_index(i), request))
     }
 
     fn answer(&mut self, i: usize) -> Result<(), Violation> {
@@ -421,15 +421,15 @@ impl World {
         let asked = self.ghosts[to.source.index()].left;
         let back = self.next_sequence(to.source.index()).steps_from(to.id.sequence).saturating_sub(1);
         let contents = question(asked.saturating_add(u8::try_from(back).unwrap_or(u8::MAX)));
-        self.step(i, NodeInput::Request(TaskId::from_index(i), Request::Reply { to, contents }))
+        self.step(i, Ticks::ZERO, NodeInput::Request(TaskId::from_index(i), Request::Reply { to, contents }))
     }
 
     fn next_sequence(&self, i: usize) -> Seq24 {
         self.task(i).next_sequence()
     }
 
-    /// Steps one node and lets the judge look at what came of it.
-    fn step(&mut self, i: usize, input: NodeInput) -> Result<(), Violation> {
+    /// Steps one node after so much time and lets the judge look at what came of it.
+    fn step(&mut self, i: usize, elapsed: Ticks, input: NodeInput) -> Result<(), Violation> {
         let task = TaskId::from_index(i);
         self.ghosts[i].waits_in = match self.task(i).state() {
             TaskState::Waiting { round, .. } => Some(round),
@@ -438,7 +438,7 @@ impl World {
         let takes_turns = self.takes_turns();
         let mut effects = std::mem::take(&mut self.effects);
         let Place { node, life, .. } = &mut self.places[i];
-        node.step(input, &mut effects);
+        node.step(node.now() + elapsed, input, &mut effects);
         for packet in effects.sent.drain(..) {
             if self.scenario.watch == Watch::Stale
                 && packet.kind == Kind::Send

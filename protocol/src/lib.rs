@@ -60,6 +60,6 @@ pub use rules::Rules;
 pub use state::{Decode, Encode, Frame, Overflow, Pass, Walk, mark};
 pub use table::{CellTable, NodeTable, Party, Port};
 pub use task::{Coming, CommTask, Input, Outbox, invariants};
-pub use ticks::Ticks;
+pub use ticks::{Instant, Ticks};
 pub use timer::Timer;
 pub use transit::{RouteOutbox, Transit};

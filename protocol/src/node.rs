@@ -3,27 +3,30 @@
 //! Single-threaded drivers call [`Node::step`]; the threaded runtime takes a node apart and puts every part behind its
 //! own lock. Both call the same pure functions of [`route`](crate::route).
 
+mod work;
+
 use crate::ids::{Incarnation, MessageId, NodeId, TaskId};
 use crate::observe::{Event, Observation, Reason};
 use crate::packet::Packet;
 use crate::request::{Request, Signal, TimeId};
 use crate::route::{self, Arrival, Departure};
 use crate::rules::JobRequest;
-use crate::state::{Walk, same_variant};
+use crate::state::Walk;
 use crate::table::NodeTable;
 use crate::task::{CommTask, Input, Outbox};
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 use crate::timer::Timer;
 use crate::transit::{RouteOutbox, Transit};
 use alloc::boxed::Box;
 use alloc::collections::VecDeque;
 use serde::{Deserialize, Serialize};
+use work::Work;
 
-/// Everything that can happen to a node.
+/// Everything that can happen to a node, each at a time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum NodeInput {
-    /// So much time has passed since the last input.
-    Advance(Ticks),
+    /// Nothing but the time at which it comes.
+    Time,
     /// A task asks for something.
     Request(TaskId, Request),
     /// A packet came in over a link.
@@ -73,64 +76,12 @@ pub struct Parts {
 #[derive(Clone, Debug)]
 pub struct Node {
     parts: Parts,
+    /// The time of the last input. That of each part runs with it, and may show something else.
+    now: Instant,
     /// For each task of the cell, where it stands among those of this node, if it is one of them.
     places: Box<[u16]>,
     /// Effects within the node that are not carried out yet. Empty between steps.
     work: VecDeque<Work>,
-}
-
-#[derive(Clone, Copy, Debug)]
-enum Work {
-    Route(Packet),
-    Task(TaskId, Input),
-    Arm(TaskId, TimeId, u8, Ticks),
-    Disarm(TaskId, TimeId),
-}
-
-/// The kinds of effects that a state can have.
-const WORKS: [Work; 7] = [
-    Work::Route(Packet::BLANK),
-    Work::Task(TaskId(0), Input::Packet(Packet::BLANK)),
-    Work::Task(TaskId(0), Input::Unsent(MessageId::BLANK)),
-    Work::Task(TaskId(0), Input::TimeOut { id: TimeId(0), turn: 0 }),
-    Work::Arm(TaskId(0), TimeId(0), 0, Ticks::ZERO),
-    Work::Disarm(TaskId(0), TimeId(0)),
-    Work::Task(TaskId(0), Input::PeerRestarted(NodeId(0))),
-];
-
-impl Work {
-    fn is_like(&self, other: &Self) -> bool {
-        match (self, other) {
-            (Self::Task(_, a), Self::Task(_, b)) => same_variant(a, b),
-            (a, b) => same_variant(a, b),
-        }
-    }
-
-    fn walk<W: Walk>(&mut self, w: &mut W) {
-        w.one_of(&WORKS, self, Self::is_like);
-        let task = match self {
-            // It says itself from whom it is.
-            Self::Route(packet) => &mut { packet.source },
-            Self::Task(task, _) | Self::Arm(task, ..) | Self::Disarm(task, _) => task,
-        };
-        w.small(&mut task.0);
-        let task = *task;
-        // One thread drives a packed node: no word of an earlier start of a delay can still be on its way.
-        match self {
-            Self::Route(packet) | Self::Task(_, Input::Packet(packet)) => packet.walk(w),
-            Self::Task(_, Input::Unsent(id)) => {
-                w.byte(&mut id.incarnation.0);
-                w.sequence(task, &mut id.sequence);
-            }
-            Self::Task(_, Input::TimeOut { id, turn: _ }) | Self::Disarm(_, id) => w.byte(&mut id.0),
-            Self::Arm(_, id, _, length) => {
-                w.byte(&mut id.0);
-                length.0 = w.count(usize::try_from(length.0).unwrap_or(usize::MAX)) as u64;
-            }
-            Self::Task(_, Input::PeerRestarted(node)) => w.small(&mut node.0),
-            Self::Task(_, Input::Advance(_) | Input::Request(_)) => {}
-        }
-    }
 }
 
 /// How many effects of one input a node has room for without allocating: every copy of a message to 64 members, and
@@ -156,7 +107,7 @@ impl Node {
         for (place, task) in (0_u16..).zip(&parts.tasks) {
             places[task.task().index()] = place;
         }
-        Self { parts, places, work: VecDeque::with_capacity(room) }
+        Self { parts, now: Instant::START, places, work: VecDeque::with_capacity(room) }
     }
 
     /// Its parts.
@@ -182,16 +133,23 @@ impl Node {
         self.parts.tasks.get(usize::from(*self.places.get(task.index())?))
     }
 
-    /// Takes one input and carries out everything that follows from it within the node.
-    pub fn step(&mut self, input: NodeInput, out: &mut impl NodeOutbox) {
-        self.begin(input, out);
+    /// The time of the last input that the node has taken.
+    #[must_use]
+    pub const fn now(&self) -> Instant {
+        self.now
+    }
+
+    /// Takes one input at `now`, after what the time until then has made due, and carries out everything that follows from it
+    /// within the node. A `now` before the last one is no time (D42).
+    pub fn step(&mut self, now: Instant, input: NodeInput, out: &mut impl NodeOutbox) {
+        self.begin(now, input, out);
         while let Some(work) = self.work.pop_front() {
             // Nobody looks between the steps here: a packet that nothing waits before needs no place in the row.
             if let Work::Route(packet) = work
                 && self.work.is_empty()
                 && let Departure::Local(task) = route::departing(&self.parts.table, &packet)
             {
-                self.hand_to(task, Input::Packet(packet), out);
+                self.hand_to(task, &Input::Packet(packet), out);
             } else {
                 self.carry_out(work, out);
             }
@@ -201,10 +159,13 @@ impl Node {
 
     /// Takes one input and leaves what follows from it within the node to [`proceed`](Self::proceed): for a checker
     /// that looks between the steps (D39). Time passes at once for all parts.
-    pub fn begin(&mut self, input: NodeInput, out: &mut impl NodeOutbox) {
+    pub fn begin(&mut self, now: Instant, input: NodeInput, out: &mut impl NodeOutbox) {
+        if now > self.now || matches!(input, NodeInput::Time) {
+            self.pass(now, out);
+        }
         match input {
-            NodeInput::Advance(elapsed) => self.advance(elapsed, out),
-            NodeInput::Request(task, request) => self.hand_to(task, Input::Request(request), out),
+            NodeInput::Time => {}
+            NodeInput::Request(task, request) => self.hand_to(task, &Input::Request(request), out),
             NodeInput::Packet { from, packet, charge } => self.arrive(from, packet, charge, out),
             NodeInput::PeerRestarted(node) => {
                 for i in 0..self.parts.tasks.len() {
@@ -257,11 +218,13 @@ impl Node {
         }
     }
 
-    /// How long from the last [`NodeInput::Advance`] until time alone makes this node act.
+    /// How long until time alone makes this node act; `None`: it never does.
     #[must_use]
-    pub fn next_expiry(&self) -> Option<Ticks> {
-        let tasks = self.parts.tasks.iter().filter_map(CommTask::next_expiry);
-        tasks.chain(self.parts.transit.next_expiry()).chain(self.parts.timer.next_expiry()).min()
+    pub fn time_left(&self) -> Option<Ticks> {
+        let Parts { table: _, tasks, transit, timer } = &self.parts;
+        let tasks = tasks.iter().map(|task| task.next_deadline() - task.now());
+        let others = [transit.next_deadline() - transit.now(), timer.next_deadline() - timer.now()];
+        tasks.chain(others).filter(|&left| left != Ticks::FAR).min()
     }
 
     /// Sends what waits, most urgent first, as far as the links take it (§5.2.3).
@@ -271,24 +234,30 @@ impl Node {
         }
     }
 
-    fn advance(&mut self, elapsed: Ticks, out: &mut impl NodeOutbox) {
+    fn pass(&mut self, now: Instant, out: &mut impl NodeOutbox) {
         if !self.counts() {
             return;
         }
+        let elapsed = now - self.now;
+        self.now += elapsed;
         // The transit buffer first: a task whose time_out ends now must know whether its packet ever left.
-        self.with_transit(out, |transit, table, effects| transit.advance(table, elapsed, effects));
+        self.with_transit(out, |transit, table, effects| {
+            transit.advance(table, transit.now() + elapsed, effects);
+        });
         while let Some(work) = self.work.pop_front() {
             self.carry_out(work, out);
         }
         // All tasks before what any of them sends: a message between two of them must not age by the time before it.
-        for i in 0..self.parts.tasks.len() {
-            self.work.push_back(Work::Task(self.parts.tasks[i].task(), Input::Advance(elapsed)));
+        let Parts { table, tasks, .. } = &mut self.parts;
+        for task in tasks {
+            let effects = &mut TaskEffects { task: task.task(), work: &mut self.work, out };
+            task.handle(table, task.now() + elapsed, &Input::Time, effects);
         }
         while let Some(work) = self.work.pop_front() {
             self.carry_out(work, out);
         }
-        let work = &mut self.work;
-        self.parts.timer.advance(elapsed, |task, id, turn| {
+        let (timer, work) = (&mut self.parts.timer, &mut self.work);
+        timer.advance(timer.now() + elapsed, |task, id, turn| {
             work.push_back(Work::Task(task, Input::TimeOut { id, turn }));
         });
     }
@@ -301,15 +270,16 @@ impl Node {
         }
     }
 
-    fn hand_to(&mut self, task: TaskId, input: Input, out: &mut impl NodeOutbox) {
+    fn hand_to(&mut self, task: TaskId, input: &Input, out: &mut impl NodeOutbox) {
         let Some(&place) = self.places.get(task.index()) else { return };
         let Some(comm_task) = self.parts.tasks.get_mut(usize::from(place)) else { return };
-        comm_task.handle(&self.parts.table, input, &mut TaskEffects { task, work: &mut self.work, out });
+        let effects = &mut TaskEffects { task, work: &mut self.work, out };
+        comm_task.handle(&self.parts.table, comm_task.now(), input, effects);
     }
 
     fn carry_out(&mut self, work: Work, out: &mut impl NodeOutbox) {
         match work {
-            Work::Task(task, input) => self.hand_to(task, input, out),
+            Work::Task(task, input) => self.hand_to(task, &input, out),
             Work::Route(packet) => match route::departing(&self.parts.table, &packet) {
                 Departure::Local(task) => self.work.push_back(Work::Task(task, Input::Packet(packet))),
                 Departure::Link(_) | Departure::Unroutable => {

@@ -8,7 +8,7 @@ mod words;
 
 pub use words::Words;
 
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 use alloc::boxed::Box;
 use alloc::vec;
 use alloc::vec::Vec;
@@ -28,7 +28,7 @@ pub trait Entry {
     /// Its urgency, an instant in the upper half: the least is served first. No two entries of a queue have the same.
     fn key(&self) -> u128;
     /// When it is to be looked at again.
-    fn due(&self, side: &Self::Side) -> Ticks;
+    fn due(&self, side: &Self::Side) -> Instant;
     /// Whether it makes room before those that do not, however urgent.
     fn yields(&self) -> bool;
 }
@@ -74,14 +74,14 @@ fn urgency<T: Entry>(entries: &[Option<T>], slot: Slot) -> u128 {
     entries[usize::from(slot)].as_ref().map_or(u128::MAX, Entry::key)
 }
 
-fn due<T: Entry>(entries: &[Option<T>], sides: &[T::Side], slot: Slot) -> (Ticks, u128) {
+fn due<T: Entry>(entries: &[Option<T>], sides: &[T::Side], slot: Slot) -> (Instant, u128) {
     let (entry, side) = (entries[usize::from(slot)].as_ref(), &sides[usize::from(slot)]);
-    entry.map_or((Ticks::FAR, u128::MAX), |entry| (entry.due(side), entry.key()))
+    entry.map_or((Instant::NEVER, u128::MAX), |entry| (entry.due(side), entry.key()))
 }
 
 /// The instant in a key.
-fn instant(key: u128) -> Ticks {
-    Ticks((key >> 64) as u64)
+fn instant(key: u128) -> Instant {
+    Instant((key >> 64) as u64)
 }
 
 impl<S: Copy + Default> Order<S> {
@@ -271,9 +271,9 @@ impl<T: Entry> Queue<T> {
     }
 
     /// When the first of them is due: never, where there is none, or the queue is not watched.
-    pub fn next_due(&self) -> Ticks {
-        let Some(watch) = self.watching() else { return Ticks::FAR };
-        watch.due.first().map_or(Ticks::FAR, |slot| due(&self.entries, &watch.sides, slot).0)
+    pub fn next_due(&self) -> Instant {
+        let Some(watch) = self.watching() else { return Instant::NEVER };
+        watch.due.first().map_or(Instant::NEVER, |slot| due(&self.entries, &watch.sides, slot).0)
     }
 
     fn named(&self, slot: Option<Slot>) -> Option<(Slot, &T)> {
@@ -303,7 +303,7 @@ impl<T: Entry> Queue<T> {
     }
 
     /// Takes out the entry that is due first, if it is by `now`.
-    pub fn pop_due(&mut self, now: Ticks) -> Option<T> {
+    pub fn pop_due(&mut self, now: Instant) -> Option<T> {
         let slot = self.watching()?.due.first()?;
         if self.next_due() <= now { self.remove(slot) } else { None }
     }
@@ -316,7 +316,7 @@ impl<T: Entry> Queue<T> {
     }
 
     /// The entries of a watched queue that are due by `now`, in no particular order. Costs as many steps as there are of them.
-    pub fn all_due(&self, now: Ticks) -> impl Iterator<Item = (Slot, &T)> {
+    pub fn all_due(&self, now: Instant) -> impl Iterator<Item = (Slot, &T)> {
         let due_by = move |watch: &Watch<T::Side>, slot| due(&self.entries, &watch.sides, slot).0 <= now;
         let all = self.watching().map(|watch| watch.due.upper(move |slot| due_by(watch, slot)));
         all.into_iter().flatten().filter_map(|slot| self.named(Some(slot)))
@@ -435,11 +435,11 @@ mod tests {
     }
 
     impl Entry for Item {
-        type Side = Ticks;
+        type Side = Instant;
         fn key(&self) -> u128 {
             self.key
         }
-        fn due(&self, side: &Ticks) -> Ticks {
+        fn due(&self, side: &Instant) -> Instant {
             *side
         }
         fn yields(&self) -> bool {
@@ -454,7 +454,7 @@ mod tests {
         let all = model.iter().map(|&(slot, item, _)| (slot, item));
         prop_assert_eq!(named(queue.first()), all.clone().min_by_key(|(_, i)| i.key));
         prop_assert_eq!(named(queue.last()), all.clone().max_by_key(|(_, i)| (i.yields, i.key)));
-        let due = model.iter().map(|&(_, _, due)| Ticks(due)).min().unwrap_or(Ticks::FAR);
+        let due = model.iter().map(|&(_, _, due)| Instant(due)).min().unwrap_or(Instant::NEVER);
         prop_assert_eq!(queue.next_due(), due);
         prop_assert!(queue.is_in_order());
         let mut sorted: Vec<_> = all.collect();
@@ -462,7 +462,7 @@ mod tests {
         let found: Vec<_> = queue.sorted().into_iter().map(|(slot, item)| (slot, *item)).collect();
         prop_assert_eq!(&found, &sorted);
         for now in [0, 2, 5, 9] {
-            let mut found: Vec<_> = queue.all_due(Ticks(now)).map(|(slot, _)| slot).collect();
+            let mut found: Vec<_> = queue.all_due(Instant(now)).map(|(slot, _)| slot).collect();
             found.sort_unstable();
             let mut all: Vec<_> =
                 model.iter().filter(|(_, _, due)| *due <= now).map(|&(slot, ..)| slot).collect();
@@ -484,7 +484,7 @@ mod tests {
                 let item = Item { key: (u128::from(instant) << 64) | n as u128, yields };
                 let nth = model.get(usize::from(a) % 20).copied();
                 match (what, nth) {
-                    (0..=3, _) => match queue.push_with(item, Ticks(at)) {
+                    (0..=3, _) => match queue.push_with(item, Instant(at)) {
                         Ok(slot) => model.push((slot, item, at)),
                         Err(back) => prop_assert!(back == item && model.len() == 20),
                     },
@@ -495,13 +495,13 @@ mod tests {
                         model.retain(|&entry| Some(entry) != first);
                     }
                     (5, _) => {
-                        let popped = queue.pop_due(Ticks(4));
+                        let popped = queue.pop_due(Instant(4));
                         let first = model.iter().filter(|(_, _, due)| *due <= 4).min_by_key(|(_, i, due)| (*due, i.key));
                         prop_assert_eq!(popped, first.map(|&(_, item, _)| item));
                         model.retain(|&(_, item, _)| Some(item) != popped);
                     }
                     (6, _) => {
-                        queue.change_all(|item, due| (item.key, *due) = (item.key ^ (0xff << 64), Ticks(due.0 ^ 3)));
+                        queue.change_all(|item, due| (item.key, *due) = (item.key ^ (0xff << 64), Instant(due.0 ^ 3)));
                         model.iter_mut().for_each(|(_, item, due)| (item.key, *due) = (item.key ^ (0xff << 64), *due ^ 3));
                     }
                     (7, Some((slot, old, _))) => {
@@ -510,7 +510,7 @@ mod tests {
                         model.retain(|&(s, ..)| s != slot);
                     }
                     (_, Some((slot, ..))) => {
-                        queue.change(slot, |old, due| (*old, *due) = (item, Ticks(at)));
+                        queue.change(slot, |old, due| (*old, *due) = (item, Instant(at)));
                         let changed = model.iter_mut().filter(|(s, ..)| *s == slot);
                         changed.for_each(|(_, old, due)| (*old, *due) = (item, at));
                     }

@@ -1,20 +1,20 @@
-//! Durations and local instants in machine ticks.
+//! Time in machine ticks: lengths, and instants on the clock of one node.
 
 use core::fmt;
 use core::ops::{Add, AddAssign, Sub};
 use serde::{Deserialize, Serialize};
 
-/// A length of time, or an instant on one communication task's own elapsed-ticks counter.
+/// A length of time.
 ///
 /// The machine does not know how long a tick is. The runtime gives microseconds, the model checker gives the cell's
-/// `tick` (D42). Instants of two tasks are never compared: there is no global clock (§5.1).
+/// `tick` (D42).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Ticks(pub u64);
 
 impl Ticks {
     /// No time at all.
     pub const ZERO: Self = Self(0);
-    /// Later than every instant that a machine reaches.
+    /// Longer than every other length.
     pub const FAR: Self = Self(u64::MAX);
 
     /// `self - other`, or zero where `other` is longer. [`Ticks::FAR`] stays what it is: never is always never.
@@ -30,7 +30,7 @@ impl Ticks {
     }
 }
 
-/// Saturating: an instant past the counter's end stays [`Ticks::FAR`]. `rebase` keeps real counters far below it.
+/// Saturating: a length past the end is [`Ticks::FAR`].
 impl Add for Ticks {
     type Output = Self;
     fn add(self, other: Self) -> Self {
@@ -52,7 +52,57 @@ impl Sub for Ticks {
     }
 }
 
+/// A moment on the clock of one node, which begins with [`Instant::START`].
+///
+/// Instants are compared, moved by a length, and told apart by one: `later - earlier` is how long there is between them. Those
+/// of two nodes are never compared, because there is no global clock (§5.1).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct Instant(pub u64);
+
+impl Instant {
+    /// The beginning of the clock.
+    pub const START: Self = Self(0);
+    /// Later than every moment that a clock comes to.
+    pub const NEVER: Self = Self(u64::MAX);
+}
+
+/// Saturating: a moment past the end of the clock is [`Instant::NEVER`].
+impl Add<Ticks> for Instant {
+    type Output = Self;
+    fn add(self, length: Ticks) -> Self {
+        Self(self.0.saturating_add(length.0))
+    }
+}
+
+impl AddAssign<Ticks> for Instant {
+    fn add_assign(&mut self, length: Ticks) {
+        *self = *self + length;
+    }
+}
+
+/// The moment so much earlier, or the beginning. [`Instant::NEVER`] stays what it is.
+impl Sub<Ticks> for Instant {
+    type Output = Self;
+    fn sub(self, length: Ticks) -> Self {
+        Self(Ticks(self.0).saturating_sub(length).0)
+    }
+}
+
+/// How long from an earlier moment to this one: no time at all from a later one, and [`Ticks::FAR`] to [`Instant::NEVER`].
+impl Sub for Instant {
+    type Output = Ticks;
+    fn sub(self, earlier: Self) -> Ticks {
+        Ticks(self.0).saturating_sub(Ticks(earlier.0))
+    }
+}
+
 impl fmt::Display for Ticks {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.0)
+    }
+}
+
+impl fmt::Display for Instant {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}", self.0)
     }

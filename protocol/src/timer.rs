@@ -4,91 +4,21 @@
 //! busy task. The communication tasks' own time_outs need no entry here (D41). Arming and cancelling cost O(log n),
 //! but O(1) where it is soon cancelled (D123), k entries that end cost O(k log n), and waiting costs nothing.
 
+mod entries;
+
 use crate::ids::TaskId;
 use crate::index::Index;
 use crate::queue::{self, Queue};
 use crate::request::TimeId;
-use crate::state::{Clock, Pass, Walk};
-use crate::ticks::Ticks;
+use crate::state::{Pass, Walk, restart};
+use crate::ticks::{Instant, Ticks};
 use alloc::vec::Vec;
-
-#[derive(Clone, Copy, Debug)]
-struct Entry {
-    owner: TaskId,
-    id: TimeId,
-    turn: u8,
-    expires: Ticks,
-    /// Of entries that end together the one armed first goes first.
-    armed: u64,
-}
-
-impl queue::Entry for Entry {
-    type Side = ();
-
-    fn key(&self) -> u128 {
-        (u128::from(self.expires.0) << 64) | u128::from(self.armed)
-    }
-
-    fn due(&self, (): &()) -> Ticks {
-        self.expires
-    }
-
-    fn yields(&self) -> bool {
-        false
-    }
-}
-
-/// How many entries have no place in the order yet.
-const FRESH: usize = 4;
-/// No entry's name.
-const NOBODY: u32 = u32::MAX;
-
-/// The entries armed last, in no order: most are taken back soon, and never need a place among all others (D123).
-#[derive(Clone, Debug)]
-struct Fresh {
-    names: [u32; FRESH],
-    /// Where nobody stands: one that never ends.
-    entries: [Entry; FRESH],
-    /// Whose turn it is to make room.
-    next: u8,
-}
-
-impl Fresh {
-    const HOLE: Entry =
-        Entry { owner: TaskId(0), id: TimeId(0), turn: 0, expires: Ticks::FAR, armed: u64::MAX };
-    const NONE: Self = Self { names: [NOBODY; FRESH], entries: [Self::HOLE; FRESH], next: 0 };
-
-    fn find(&self, name: u32) -> Option<usize> {
-        self.names.iter().position(|&known| known == name)
-    }
-
-    fn put(&mut self, at: usize, entry: Entry) {
-        (self.names[at], self.entries[at]) = (name(entry.owner, entry.id), entry);
-    }
-
-    fn remove(&mut self, at: usize) -> Entry {
-        self.names[at] = NOBODY;
-        core::mem::replace(&mut self.entries[at], Self::HOLE)
-    }
-
-    /// When the first of them is over.
-    fn end(&self) -> Ticks {
-        self.entries.iter().map(|entry| entry.expires).fold(Ticks::FAR, Ticks::min)
-    }
-
-    fn first(&self) -> Option<(usize, &Entry)> {
-        self.iter().min_by_key(|(_, entry)| queue::Entry::key(*entry))
-    }
-
-    fn iter(&self) -> impl Iterator<Item = (usize, &Entry)> {
-        self.entries.iter().enumerate().filter(|&(at, _)| self.names[at] != NOBODY)
-    }
-}
+use entries::{Entry, FRESH, Fresh, NOBODY, name};
 
 /// The Timer: `{src_id, id, length}` entries, earliest first.
 #[derive(Clone, Debug)]
 pub struct Timer {
-    now: Ticks,
+    now: Instant,
     armed: u64,
     fresh: Fresh,
     queue: Queue<Entry>,
@@ -101,7 +31,7 @@ impl Timer {
     #[must_use]
     pub fn new(capacity: u16) -> Self {
         let (queue, index) = (Queue::new(capacity), Index::new(capacity));
-        Self { now: Ticks::ZERO, armed: 0, fresh: Fresh::NONE, queue, index }
+        Self { now: Instant::START, armed: 0, fresh: Fresh::NONE, queue, index }
     }
 
     /// Starts an entry; one of the same owner and id is replaced. False when the Timer is full. `turn` comes back with
@@ -177,9 +107,9 @@ impl Timer {
         true
     }
 
-    /// Time passes: names every entry that is over, earliest first, and removes it.
-    pub fn advance(&mut self, elapsed: Ticks, mut due: impl FnMut(TaskId, TimeId, u8)) {
-        self.now += elapsed;
+    /// It is `now`, unless it was later before: names every entry that is over, earliest first, and removes it.
+    pub fn advance(&mut self, now: Instant, mut due: impl FnMut(TaskId, TimeId, u8)) {
+        self.now = self.now.max(now);
         while let Some(entry) = self.pop_over() {
             due(entry.owner, entry.id, entry.turn);
         }
@@ -199,18 +129,22 @@ impl Timer {
         Some(entry)
     }
 
-    /// How long from the last `advance` until an entry is over.
+    /// The time of the last `advance`.
     #[must_use]
-    pub fn next_expiry(&self) -> Option<Ticks> {
-        let settled = self.queue.first().map(|(_, entry)| entry.expires);
-        let fresh = self.fresh.first().map(|(_, entry)| entry.expires);
-        settled.into_iter().chain(fresh).min().map(|end| end - self.now)
+    pub const fn now(&self) -> Instant {
+        self.now
+    }
+
+    /// When the first entry is over.
+    #[must_use]
+    pub fn next_deadline(&self) -> Instant {
+        self.queue.first().map_or(Instant::NEVER, |(_, entry)| entry.expires).min(self.fresh.end())
     }
 
     /// The internal clock goes back to zero; behaviour does not change.
     pub fn rebase(&mut self) {
         let now = self.now;
-        self.walk(&mut Clock(|instant| instant - now));
+        self.walk(&mut restart(now));
     }
 
     fn sorted(&self) -> Vec<&Entry> {
@@ -255,29 +189,9 @@ impl Timer {
         for _ in 0..w.count(0) {
             let mut entry = Fresh::HOLE;
             entry.walk(w);
-            self.arm(entry.owner, entry.id, entry.turn, entry.expires);
+            self.arm(entry.owner, entry.id, entry.turn, entry.expires - self.now);
         }
     }
-}
-
-impl Entry {
-    fn walk<W: Walk>(&mut self, w: &mut W) {
-        let Self {
-            owner,
-            id,
-            // One thread drives a packed node: no word of an earlier start can still be on its way.
-            turn: _,
-            expires,
-            armed: _,
-        } = self;
-        w.small(&mut owner.0);
-        w.byte(&mut id.0);
-        w.instant(expires);
-    }
-}
-
-fn name(owner: TaskId, id: TimeId) -> u32 {
-    (u32::from(owner.0) << 8) | u32::from(id.0)
 }
 
 #[cfg(test)]
@@ -293,15 +207,15 @@ mod tests {
         assert!(timer.arm(TaskId(2), TimeId(0), 0, Ticks(3)));
         assert!(timer.arm(TaskId(1), TimeId(1), 0, Ticks(3)));
         assert!(!timer.arm(TaskId(9), TimeId(9), 0, Ticks(1)), "full");
-        assert_eq!(timer.next_expiry(), Some(Ticks(3)));
+        assert_eq!(timer.next_deadline(), Instant(3));
         let mut over = Vec::new();
-        timer.advance(Ticks(2), |owner, id, _| over.push((owner, id)));
+        timer.advance(Instant(2), |owner, id, _| over.push((owner, id)));
         assert_eq!(over, []);
-        assert_eq!(timer.next_expiry(), Some(Ticks(1)));
+        assert_eq!(timer.next_deadline(), Instant(3));
         timer.rebase();
-        timer.advance(Ticks(9), |owner, id, _| over.push((owner, id)));
+        timer.advance(timer.now() + Ticks(9), |owner, id, _| over.push((owner, id)));
         assert_eq!(over, [(TaskId(2), TimeId(0)), (TaskId(1), TimeId(1)), (TaskId(1), TimeId(0))]);
-        assert_eq!(timer.next_expiry(), None);
+        assert_eq!(timer.next_deadline(), Instant::NEVER);
     }
 
     #[test]
@@ -310,14 +224,14 @@ mod tests {
         timer.arm(TaskId(1), TimeId(0), 7, Ticks(5));
         timer.arm(TaskId(1), TimeId(1), 8, Ticks(5));
         let mut over = Vec::new();
-        timer.advance(Ticks(4), |_, id, turn| over.push((id, turn)));
+        timer.advance(Instant(4), |_, id, turn| over.push((id, turn)));
         assert!(timer.put(TaskId(1), TimeId(1), Ticks::ZERO) && !timer.put(TaskId(2), TimeId(1), Ticks(1)));
-        timer.advance(Ticks::ZERO, |_, id, turn| over.push((id, turn)));
+        timer.advance(timer.now(), |_, id, turn| over.push((id, turn)));
         assert_eq!(over, [(TimeId(1), 8)]);
         assert!(timer.put(TaskId(1), TimeId(0), Ticks(3)));
-        timer.advance(Ticks(2), |_, id, turn| over.push((id, turn)));
+        timer.advance(timer.now() + Ticks(2), |_, id, turn| over.push((id, turn)));
         assert_eq!(over.len(), 1);
-        timer.advance(Ticks(1), |_, id, turn| over.push((id, turn)));
+        timer.advance(timer.now() + Ticks(1), |_, id, turn| over.push((id, turn)));
         assert_eq!(over, [(TimeId(1), 8), (TimeId(0), 7)]);
         assert!(!timer.put(TaskId(1), TimeId(0), Ticks::ZERO));
     }
@@ -328,7 +242,7 @@ mod tests {
         for (owner, id, length) in [(1, 0, 9), (2, 7, 5000), (3, 255, 9)] {
             timer.arm(TaskId(owner), TimeId(id), 0, Ticks(length));
         }
-        timer.advance(Ticks(3), |_, _, _| {});
+        timer.advance(Instant(3), |_, _, _| {});
         let bytes = encoded(&mut timer).unwrap();
         let mut back = Timer::new(4);
         back.arm(TaskId(9), TimeId(9), 0, Ticks(1));
@@ -372,7 +286,7 @@ mod tests {
                     (6, _) => timer.rebase(),
                     _ => {
                         let (mut over, mut expected) = (Vec::new(), Vec::new());
-                        timer.advance(length, |owner, _, _| over.push(owner));
+                        timer.advance(timer.now() + length, |owner, _, _| over.push(owner));
                         model.sort_unstable();
                         model.retain(|&(left, _, owner)| {
                             if left <= length {
@@ -386,7 +300,8 @@ mod tests {
                 }
                 model.sort_unstable();
                 let left: Vec<_> = model.iter().map(|&(left, _, owner)| (owner, TimeId(1), left)).collect();
-                prop_assert_eq!(timer.next_expiry(), left.first().map(|&(_, _, left)| left));
+                let next = left.first().map_or(Instant::NEVER, |&(_, _, left)| timer.now() + left);
+                prop_assert_eq!(timer.next_deadline(), next);
                 prop_assert_eq!(timer.entries(), left);
             }
         }
@@ -400,6 +315,6 @@ mod tests {
         assert_eq!(timer.entries(), [(TaskId(1), TimeId(0), Ticks(9))]);
         assert!(timer.disarm(TaskId(1), TimeId(0)));
         assert!(!timer.disarm(TaskId(1), TimeId(0)));
-        assert_eq!(timer.next_expiry(), None);
+        assert_eq!(timer.next_deadline(), Instant::NEVER);
     }
 }

@@ -13,9 +13,9 @@ use crate::packet::{Class, Control, Kind, Packet};
 use crate::queue::{Entry, Queue, Slot};
 use crate::route::{self, Departure};
 use crate::rules::{Eviction, TimeStamp};
-use crate::state::{Clock, Pass, Walk};
+use crate::state::{Pass, Walk, restart};
 use crate::table::NodeTable;
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 use alloc::vec::Vec;
 
 /// Where the effects of the transit buffer go.
@@ -33,9 +33,9 @@ pub trait RouteOutbox {
 #[derive(Clone, Copy, Debug)]
 struct Waiting {
     packet: Packet,
-    expires: Ticks,
+    expires: Instant,
     /// When it can arrive no more: the bounds of the links ahead are taken from its life (D20).
-    leave_by: Ticks,
+    leave_by: Instant,
     arrival: u64,
     next: NodeId,
 }
@@ -49,7 +49,7 @@ impl Entry for Waiting {
         (u128::from(self.expires.0) << 64) | (class << 63) | u128::from(self.arrival & (u64::MAX >> 1))
     }
 
-    fn due(&self, (): &()) -> Ticks {
+    fn due(&self, (): &()) -> Instant {
         self.leave_by
     }
 
@@ -64,7 +64,7 @@ const WORDS: u16 = 4;
 /// The transit buffer of one node.
 #[derive(Clone, Debug)]
 pub struct Transit {
-    now: Ticks,
+    now: Instant,
     arrivals: u64,
     queue: Queue<Waiting>,
     /// Words of a refusal on their way to the source.
@@ -78,7 +78,7 @@ impl Transit {
     #[must_use]
     pub fn new(capacity: u16) -> Self {
         Self {
-            now: Ticks::ZERO,
+            now: Instant::START,
             arrivals: 0,
             queue: Queue::watched(capacity),
             words: Queue::watched(capacity.min(WORDS)),
@@ -184,14 +184,15 @@ impl Transit {
         let answers = matches!(packet.kind, Kind::Reply | Kind::Response);
         let late = (answers && !table.rules().refuse_late_replies)
             || table.rules().time_stamp == TimeStamp::Absolute;
-        let leave_by = if late || expires == Ticks::FAR { expires } else { expires - way };
+        let leave_by = if late || expires == Instant::NEVER { expires } else { expires - way };
         let arrival = self.arrivals;
         self.arrivals += 1;
         Waiting { packet, expires, leave_by, arrival, next }
     }
 
-    /// Time passes; what can arrive in time no more is dropped.
-    pub fn advance(&mut self, table: &NodeTable, elapsed: Ticks, out: &mut impl RouteOutbox) {
+    /// It is `now`, unless it was later before: what can arrive in time no more is dropped.
+    pub fn advance(&mut self, table: &NodeTable, now: Instant, out: &mut impl RouteOutbox) {
+        let elapsed = now - self.now;
         self.now += elapsed;
         if !table.rules().charge_residence {
             for queue in [&mut self.queue, &mut self.words] {
@@ -228,16 +229,22 @@ impl Transit {
         Some((waiting.next, waiting.left(self.now)))
     }
 
-    /// How long from the last `advance` until a packet can arrive in time no more.
+    /// The time of the last `advance`.
     #[must_use]
-    pub fn next_expiry(&self) -> Option<Ticks> {
-        (!self.is_empty()).then(|| self.queue.next_due().min(self.words.next_due()) - self.now)
+    pub const fn now(&self) -> Instant {
+        self.now
+    }
+
+    /// When the first packet can arrive in time no more.
+    #[must_use]
+    pub fn next_deadline(&self) -> Instant {
+        self.queue.next_due().min(self.words.next_due())
     }
 
     /// The internal clock goes back to zero; behaviour does not change.
     pub fn rebase(&mut self, table: &NodeTable) {
         let now = self.now;
-        self.walk(table, &mut Clock(|instant| instant - now));
+        self.walk(table, &mut restart(now));
     }
 
     /// The waiting messages, most urgent first, with what remains of each.
@@ -364,13 +371,13 @@ impl Waiting {
     }
 
     /// The packet with its residence charged.
-    fn left(&self, now: Ticks) -> Packet {
+    fn left(&self, now: Instant) -> Packet {
         Packet { remaining: self.expires - now, ..self.packet }
     }
 }
 
 /// The most urgent entry whose link is ready.
-fn open(queue: &Queue<Waiting>, ready: &mut impl FnMut(NodeId) -> bool) -> Option<(Ticks, Slot)> {
+fn open(queue: &Queue<Waiting>, ready: &mut impl FnMut(NodeId) -> bool) -> Option<(Instant, Slot)> {
     let (slot, first) = queue.first()?;
     if ready(first.next) {
         return Some((first.expires, slot));

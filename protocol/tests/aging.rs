@@ -1,7 +1,7 @@
 //! Rejection by rank and its end (R61 to R63, D4, D58, D59): a message is turned away a bounded number of times, and no
 //! port is passed over for ever.
 
-use crate::support::{Solo, get, handle, order, send, send_for};
+use crate::support::{NextExpiry, Solo, get, handle, order, send, send_for};
 use imrs_protocol::aging::Service;
 use imrs_protocol::rules::Aging;
 use imrs_protocol::*;

@@ -65,12 +65,18 @@ impl Pair {
 
     /// Steps one node and delivers everything that follows.
     fn step(&mut self, at: NodeId, input: NodeInput) {
-        self.nodes[at.index()].step(input, &mut self.room);
+        self.step_after(0, at, input);
+    }
+
+    fn step_after(&mut self, ticks: u64, at: NodeId, input: NodeInput) {
+        let node = &mut self.nodes[at.index()];
+        node.step(node.now() + Ticks(ticks), input, &mut self.room);
         while let Some(slot) = self.room.packets.iter_mut().find(|slot| slot.is_some()) {
             let (to, packet) = slot.take().expect("some");
             let from = NodeId::from_index(1 - to.index());
             let input = NodeInput::Packet { from, packet, charge: Ticks(1) };
-            self.nodes[to.index()].step(input, &mut self.room);
+            let node = &mut self.nodes[to.index()];
+            node.step(node.now(), input, &mut self.room);
         }
     }
 
@@ -79,8 +85,8 @@ impl Pair {
     }
 
     fn pass(&mut self, ticks: u64) {
-        self.step(N0, NodeInput::Advance(Ticks(ticks)));
-        self.step(N1, NodeInput::Advance(Ticks(ticks)));
+        self.step_after(ticks, N0, NodeInput::Time);
+        self.step_after(ticks, N1, NodeInput::Time);
     }
 
     fn told(&mut self, wanted: impl Fn(&Signal) -> bool) -> Signal {

@@ -1,6 +1,6 @@
 //! The bounded_buffer of a port (§5.1.1) and the service order (R68, D14), expiry (D23) and eviction (D60).
 
-use crate::support::{Solo, get, get_on, send, send_for};
+use crate::support::{NextExpiry, Solo, get, get_on, send, send_for};
 use imrs_protocol::*;
 use proptest::prelude::*;
 use std::sync::Arc;

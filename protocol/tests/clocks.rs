@@ -1,5 +1,6 @@
 //! No clock shows (D37): messages carry what is left, so how long a node has been running changes nothing.
 
+use crate::support::NextExpiry;
 use crate::support::plan::plans;
 use crate::support::world::{World, ops};
 use imrs_protocol::*;
@@ -26,6 +27,22 @@ proptest! {
         for task in 0..plain.tasks.len() {
             prop_assert_eq!(other.tasks[task].next_expiry(), plain.tasks[task].next_expiry());
             prop_assert_eq!(other.bytes(task), plain.bytes(task));
+        }
+    }
+
+    /// An input that comes later is the time until then, and then the input.
+    #[test]
+    fn time_comes_before_what_it_comes_with(plan in plans(), ops in ops(), lags: [u8; 8]) {
+        let mut together = World::new(&plan.build(), true);
+        let mut apart = together.clone();
+        apart.splits = true;
+        for (i, &op) in ops.iter().enumerate() {
+            let lag = u64::from(lags[i % lags.len()] % 16);
+            (together.lag, apart.lag) = (lag, lag);
+            prop_assert_eq!(together.step(op), apart.step(op));
+            for task in 0..apart.tasks.len() {
+                prop_assert_eq!(together.bytes(task), apart.bytes(task));
+            }
         }
     }
 }

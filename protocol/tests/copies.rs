@@ -1,7 +1,7 @@
 //! Copies of one command that were charged differently on their way (D5, D20, D52): nothing runs twice, and nothing is lost
 //! while a copy of it has time left.
 
-use crate::support::{Solo, contents, get, reply, send};
+use crate::support::{NextExpiry, Solo, contents, get, reply, send};
 use imrs_protocol::*;
 use std::sync::Arc;
 

@@ -1,7 +1,7 @@
 //! Messages and answers of several packets (D28): whole before their one deadline, or not at all.
 
 use crate::support::net::Net;
-use crate::support::{Effects, Solo, contents, get, reply, send, send_for};
+use crate::support::{Effects, NextExpiry, Solo, contents, get, reply, send, send_for};
 use imrs_protocol::*;
 use std::sync::Arc;
 

@@ -2,10 +2,12 @@
 //! what it does from then on.
 
 use crate::support::Effects;
+use crate::support::NextExpiry;
 use crate::support::bytes::checksum;
 use crate::support::packing::{repack, without_arguments};
 use crate::support::plan::{Plan, plans};
-use crate::support::world::{Op, Shift, World, lively, ops};
+use crate::support::shift::Shift;
+use crate::support::world::{Op, World, lively, ops};
 use imrs_protocol::*;
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
@@ -96,7 +98,7 @@ proptest! {
         }
     }
 
-    /// `Advance(a + b)` is `Advance(a); Advance(b)` when `a` ends before the next expiry: nothing happens in between.
+    /// To let `a + b` pass is to let `a` pass and then `b` where `a` ends before the next expiry: nothing happens in between.
     #[test]
     fn time_may_be_given_in_pieces(plan in plans(), ops in ops(), cut: u64) {
         let mut plain = World::new(&plan.build(), true);
@@ -108,9 +110,9 @@ proptest! {
             let expected = plain.step(op);
             let found = if quiet > 0 {
                 let piece = cut.rotate_left(u32::try_from(i).unwrap()) % (quiet + 1);
-                let before = other.input(task, Input::Advance(Ticks(piece)));
+                let before = other.pass(task, piece);
                 prop_assert!(before == Effects::default(), "{:?} before the next expiry", before);
-                other.input(task, Input::Advance(Ticks(elapsed - piece)))
+                other.pass(task, elapsed - piece)
             } else {
                 other.step(op)
             };
@@ -131,15 +133,15 @@ proptest! {
                 let mut ahead = world.clone();
                 match ahead.tasks[task].next_expiry() {
                     None => {
-                        let never = ahead.input(task, Input::Advance(Ticks(1_000_000)));
+                        let never = ahead.pass(task, 1_000_000);
                         prop_assert!(never == Effects::default(), "{:?}", never);
                     }
                     Some(due) => {
                         if due.0 > 0 {
-                            let early = ahead.input(task, Input::Advance(Ticks(due.0 - 1)));
+                            let early = ahead.pass(task, due.0 - 1);
                             prop_assert!(early == Effects::default(), "{:?}", early);
                         }
-                        let on_time = ahead.input(task, Input::Advance(Ticks(u64::from(due.0 > 0))));
+                        let on_time = ahead.pass(task, u64::from(due.0 > 0));
                         let residence = ahead.tables[task].rules().charge_residence;
                         prop_assert!(!residence || on_time != Effects::default(), "nothing after {}", due);
                     }
@@ -171,8 +173,7 @@ proptest! {
         let late = u64::MAX - back;
         for task in 0..plain.tasks.len() {
             // What is due already, a wait of no length, is due wherever the counter stands.
-            let now = Input::Advance(Ticks::ZERO);
-            prop_assert_eq!(other.input(task, now), plain.input(task, now));
+            prop_assert_eq!(other.pass(task, 0), plain.pass(task, 0));
         }
         for (task, table) in other.tasks.iter_mut().zip(&other.tables) {
             task.bury();
@@ -181,7 +182,7 @@ proptest! {
             let mut out = Effects::default();
             // Under the reading without residence, time that passes is given back to what waits.
             if table.rules().charge_residence {
-                task.handle(table, Input::Advance(Ticks(late)), &mut out);
+                task.handle(table, Instant(late), &Input::Time, &mut out);
             } else {
                 task.walk(table, &mut Earlier(late));
             }
@@ -375,7 +376,7 @@ struct Later(u64);
 impl Walk for Later {
     const PASS: Pass = Pass::Change;
 
-    fn instant(&mut self, instant: &mut Ticks) {
+    fn instant(&mut self, instant: &mut Instant) {
         *instant += Ticks(self.0);
     }
 }
@@ -385,8 +386,8 @@ struct Earlier(u64);
 impl Walk for Earlier {
     const PASS: Pass = Pass::Change;
 
-    fn instant(&mut self, instant: &mut Ticks) {
-        if *instant != Ticks::FAR {
+    fn instant(&mut self, instant: &mut Instant) {
+        if *instant != Instant::NEVER {
             *instant = *instant - Ticks(self.0);
         }
     }

@@ -1,7 +1,7 @@
 //! Work-coupled tasks (R8; D30, D61): the echoed lease, the fence, the take-over, epochs.
 
 use crate::support::net::Net;
-use crate::support::{self, Solo, get_on, send};
+use crate::support::{self, NextExpiry, Solo, get_on, send};
 use imrs_protocol::rules::{LeaseRule, Rules};
 use imrs_protocol::*;
 use std::sync::Arc;

@@ -1,7 +1,7 @@
 //! Work-coupled tasks whose partners restart, and tasks that wait for the lease (R8; D30, D49, D61).
 
 use crate::support::net::Net;
-use crate::support::{self, Solo, order};
+use crate::support::{self, NextExpiry, Solo, order};
 use imrs_protocol::*;
 use std::sync::Arc;
 
@@ -54,8 +54,8 @@ impl Couple {
     /// The standby sends its next beat, the primary answers; what the primary was told of it.
     fn beat(&mut self) -> (Packet, Vec<String>) {
         let due = self.s.task.next_expiry().expect("a beat is to be sent");
-        self.p.input(Input::Advance(due));
-        let beat = self.s.input(Input::Advance(due)).packets[0];
+        self.p.pass(due.0);
+        let beat = self.s.pass(due.0).packets[0];
         let out = self.p.hear(beat);
         self.s.hear(out.packets[0]);
         (beat, out.signals.iter().map(support::signal).collect())
@@ -164,7 +164,7 @@ fn beats_and_answers_cut_short_mean_nothing() {
     let out = couple.p.hear(Packet { id, contents: Contents::new(&[1, 0]).expect("short"), ..second });
     assert!(out.packets.is_empty() && out.signals.is_empty(), "{out:?}");
     let due = couple.s.task.next_expiry().expect("a beat is to be sent");
-    let beat = couple.s.input(Input::Advance(due)).packets[0];
+    let beat = couple.s.pass(due.0).packets[0];
     let answer = couple.p.hear(beat).packets[0];
     let before = couple.s.task.next_expiry();
     couple.s.hear(Packet { contents: Contents::EMPTY, ..answer });

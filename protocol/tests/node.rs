@@ -1,7 +1,7 @@
 //! The node (§5.1, D38): routing through relays, the insertion rule, charges, and the parts' common time.
 
 use crate::support::net::Net;
-use crate::support::{get, reply, send, send_for};
+use crate::support::{NextExpiry, get, reply, send, send_for};
 use imrs_protocol::*;
 use std::sync::Arc;
 
@@ -81,7 +81,7 @@ fn residence_in_a_relay_is_charged() {
     net.ask(X, send(BEAT, Z, 1));
     net.run(12);
     net.busy.clear();
-    net.step(N1, NodeInput::Advance(Ticks::ZERO));
+    net.pass(N1, 0);
     let left = net.transcript().pop().expect("the packet leaves the relay");
     assert_eq!(left, "12 N1>N2 SEND T0>T2 #0 [1] for 18");
 }
@@ -193,13 +193,13 @@ fn all_parts_of_a_node_have_one_time() {
     net.ask(X, Request::Delay { id: TimeId(1), length: Ticks(7) });
     net.ask(Y, get(8));
     assert_eq!(net.nodes[0].next_expiry(), Some(Ticks(7)));
-    net.step(N0, NodeInput::Advance(Ticks(7)));
+    net.pass(N0, 7);
     assert_eq!(net.heard(X), ["accepted 1", "time_out 1"]);
     assert_eq!(net.nodes[0].next_expiry(), Some(Ticks(1)));
-    net.step(N0, NodeInput::Advance(Ticks(1)));
+    net.pass(N0, 1);
     assert_eq!(net.heard(Y), ["nothing"]);
     assert_eq!(net.nodes[0].next_expiry(), Some(Ticks(1)));
-    net.step(N0, NodeInput::Advance(Ticks(1)));
+    net.pass(N0, 1);
     assert_eq!(net.count(Event::Discarded(Reason::ExpiredInTransit)), 1);
     assert_eq!(net.nodes[0].next_expiry(), None);
 }
@@ -209,7 +209,7 @@ fn a_late_node_still_knows_that_a_command_never_left() {
     let mut net = Net::new(cell());
     net.busy = vec![N1];
     net.ask(X, send(MOVE, Z, 1));
-    net.step(N0, NodeInput::Advance(Ticks(500)));
+    net.pass(N0, 500);
     assert_eq!(net.heard(X), ["TimedOutUnsent"]);
 }
 

@@ -1,6 +1,6 @@
 //! Interruption and `order` (R15 to R17, D15, D16): which handler runs, when, and what the interrupted thread is told.
 
-use crate::support::{Solo, arrive, contents, get, get_on, handle, order, reply, send, send_for};
+use crate::support::{NextExpiry, Solo, arrive, contents, get, get_on, handle, order, reply, send, send_for};
 use imrs_protocol::*;
 use std::sync::Arc;
 

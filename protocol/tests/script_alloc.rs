@@ -72,12 +72,14 @@ fn scripts_allocate_nothing() {
     let programs = [(ROBOT, Arc::new(robot(port))), (ARM, Arc::new(arm(port)))];
     let mut node = ScriptedNode::new(node, programs).expect("checked programs");
     let mut room = Room::default();
-    node.step(HostInput::Begin, &mut room);
+    let mut now = Instant::START;
+    node.step(now, HostInput::Begin, &mut room);
     let before = allocations();
     for tick in 0..500 {
-        node.step(HostInput::Node(NodeInput::Advance(Ticks(1))), &mut room);
+        now += Ticks(1);
+        node.step(now, HostInput::Node(NodeInput::Time), &mut room);
         for (task, level) in std::mem::take(&mut room.actions).into_iter().flatten() {
-            node.step(HostInput::Acted { task, level, ok: true, value: tick }, &mut room);
+            node.step(now, HostInput::Acted { task, level, ok: true, value: tick }, &mut room);
         }
     }
     assert_eq!(allocations() - before, 0, "allocations after `new`");

@@ -1,7 +1,7 @@
 //! SEND, GET and REPLY between tasks (§4.1, §4.2, §5.2.1): class 1, and class 2 with each of its outcomes.
 
 use crate::support::net::Net;
-use crate::support::{self, Solo, arrive, contents, get, reply, send, send_all, send_for};
+use crate::support::{self, NextExpiry, Solo, arrive, contents, get, reply, send, send_all, send_for};
 use imrs_protocol::*;
 use std::sync::Arc;
 

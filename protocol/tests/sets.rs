@@ -1,7 +1,7 @@
 //! Class-2 messages to several tasks at once (R26, R40, D12): one set of answers, with a mark for each.
 
 use crate::support::net::Net;
-use crate::support::{Solo, contents, get, handle, reply, send, send_all};
+use crate::support::{NextExpiry, Solo, contents, get, handle, reply, send, send_all};
 use imrs_protocol::*;
 use std::sync::Arc;
 

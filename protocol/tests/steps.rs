@@ -2,7 +2,8 @@
 //! as the rest does (D51).
 
 use crate::support::{
-    arrive, get, get_on, packet as packet_in_words, reply, send, send_for, signal as signal_in_words,
+    NextExpiry, arrive, get, get_on, packet as packet_in_words, reply, send, send_for,
+    signal as signal_in_words,
 };
 use imrs_protocol::*;
 use std::sync::Arc;
@@ -137,9 +138,13 @@ impl Steps {
     /// Takes one input. After every step a node that was packed and read back must go on as this one does. Returns what
     /// happened, and how many steps it took.
     fn take(&mut self, input: NodeInput, open: bool) -> (Outside, usize) {
+        self.take_after(0, input, open)
+    }
+
+    fn take_after(&mut self, ticks: u64, input: NodeInput, open: bool) -> (Outside, usize) {
         let mut out = Outside { open, ..Outside::default() };
         let mut before = self.clone();
-        self.0.begin(input, &mut out);
+        self.0.begin(self.0.now() + Ticks(ticks), input, &mut out);
         let mut steps = 0;
         loop {
             let [mut plain, mut read] =
@@ -167,7 +172,7 @@ impl Steps {
     }
 
     fn pass(&mut self, ticks: u64) -> Vec<String> {
-        self.take(NodeInput::Advance(Ticks(ticks)), true).0.words
+        self.take_after(ticks, NodeInput::Time, true).0.words
     }
 }
 
@@ -245,7 +250,7 @@ fn delays_may_be_looked_at_on_the_way_to_the_timer_and_back() {
     assert_eq!((out.words, steps), (vec!["T0: cancelled".into()], 1), "the disarming");
     assert_eq!(node.0.next_expiry(), None);
     // A length that no byte holds is told, not cut.
-    node.0.begin(NodeInput::Request(X, delay(300)), &mut Outside::default());
+    node.0.begin(Instant::START, NodeInput::Request(X, delay(300)), &mut Outside::default());
     let (rounds, sequences) = node.bases();
     let frame = Frame { rounds: &rounds, sequences: &sequences, lives: true };
     assert_eq!(Encode::bytes(&frame, |w| node.0.walk_work(w)), Err(Overflow));

@@ -1,7 +1,7 @@
 //! The Timer of a node (Figure 3, §5.1.2) and the delays of its tasks.
 
 use crate::support::net::Net;
-use crate::support::{self, Solo, get};
+use crate::support::{self, NextExpiry, Solo, get};
 use imrs_protocol::*;
 use proptest::prelude::*;
 
@@ -57,7 +57,7 @@ fn a_delay_of_no_length_ends_with_the_next_look_at_the_clock() {
     let mut net = Net::new(cell());
     net.ask(X, delay(1, 0));
     assert_eq!(net.nodes[0].next_expiry(), Some(Ticks::ZERO));
-    net.step(NodeId(0), NodeInput::Advance(Ticks::ZERO));
+    net.pass(NodeId(0), 0);
     assert_eq!(net.heard(X), ["time_out 1"]);
 }
 
@@ -130,7 +130,7 @@ proptest! {
                 }
                 _ => {
                     let mut over = Vec::new();
-                    timer.advance(Ticks(length), |task, id, _| over.push((task, id)));
+                    timer.advance(timer.now() + Ticks(length), |task, id, _| over.push((task, id)));
                     prop_assert_eq!(over, figure.pass(length));
                     if id.0 == 0 {
                         timer.rebase();
@@ -150,7 +150,7 @@ fn the_timer_says_which_start_of_an_entry_is_over() {
     timer.arm(Y, TimeId(1), 8, Ticks(6));
     timer.arm(X, TimeId(1), 4, Ticks(9));
     let mut over = Vec::new();
-    timer.advance(Ticks(20), |task, id, turn| over.push((task, id, turn)));
+    timer.advance(Instant(20), |task, id, turn| over.push((task, id, turn)));
     assert_eq!(over, [(Y, TimeId(1), 8), (X, TimeId(1), 4)], "the first start of X is no more");
 }
 

@@ -1,6 +1,7 @@
 //! The transit buffer of a node (§5.1.1, §5.2.3; D19, D60).
 
 use crate::support;
+use crate::support::NextExpiry;
 use imrs_protocol::rules::Eviction;
 use imrs_protocol::*;
 use proptest::prelude::*;
@@ -96,7 +97,7 @@ impl Rig {
 
     fn advance(&mut self, ticks: u64) -> Out {
         let mut out = Out::default();
-        self.transit.advance(&self.table, Ticks(ticks), &mut out);
+        self.transit.advance(&self.table, self.transit.now() + Ticks(ticks), &mut out);
         out
     }
 
@@ -237,9 +238,9 @@ fn each_goes_as_long_as_its_own_way_lets_it() {
         let packet = Packet { destination: to, ..status(number, life) };
         transit.offer(&table, packet, &mut out);
     }
-    transit.advance(&table, Ticks(2), &mut out);
+    transit.advance(&table, Instant(2), &mut out);
     assert_eq!(out.drops, [(Reason::ExpiredInTransit, 3)], "its way takes nine");
-    transit.advance(&table, Ticks(1), &mut out);
+    transit.advance(&table, Instant(3), &mut out);
     assert_eq!(out.drops[1..], [(Reason::ExpiredInTransit, 1)]);
     assert_eq!(transit.next(|_| true).map(|(_, p)| (p.id.sequence.get(), p.remaining)), Some((2, Ticks(7))));
 }
@@ -275,8 +276,7 @@ proptest! {
     /// clock may go back to zero at any moment.
     #[test]
     fn no_command_goes_for_space_while_status_is_held(steps in steps(), capacity in 1..5_u16, mask: u64) {
-        let mut rig = Rig::new(capacity);
-        let mut rebased = Rig::new(capacity);
+        let (mut rig, mut rebased) = (Rig::new(capacity), Rig::new(capacity));
         for (number, step) in steps.into_iter().enumerate() {
             let number = u32::try_from(number).unwrap();
             if mask >> (number % 64) & 1 == 1 {

@@ -1,7 +1,7 @@
 //! The literal and naive readings of the paper's rules: each still does what it is there to show the fault of.
 
 use crate::support::net::Net;
-use crate::support::{Solo, arrive, get, reply, send};
+use crate::support::{NextExpiry, Solo, arrive, get, reply, send};
 use imrs_protocol::rules::{JobRequest, Memory, TimeStamp};
 use imrs_protocol::*;
 use std::sync::Arc;
@@ -43,7 +43,7 @@ fn left_after_waiting(charged: bool) -> (Option<String>, Vec<String>) {
     net.ask(X, send(BEAT, Z, 1));
     net.run(10);
     net.busy.clear();
-    net.step(N0, NodeInput::Advance(Ticks::ZERO));
+    net.pass(N0, 0);
     let sent = net.transcript().pop();
     net.run(12);
     net.ask(Z, get(0));

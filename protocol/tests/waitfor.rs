@@ -1,7 +1,7 @@
 //! `waitfor`: the n-way rendezvous with confirmation (§4.3; D1 to D3, D54, D55).
 
 use crate::support::net::Net;
-use crate::support::{Effects, Solo, arrive};
+use crate::support::{Effects, NextExpiry, Solo, arrive};
 use imrs_protocol::rules::Confirmation;
 use imrs_protocol::*;
 use std::sync::Arc;

@@ -196,10 +196,16 @@ fn a_broken_invariant_is_told_with_what_breaks_it() {
     assert!(told.iter().all(|words| words.contains("P1")), "{told:#?}");
     told.push(Violation::MemoryTooShort(A, id).to_string());
     assert!(told.last().is_some_and(|words| words.contains("T0")), "{told:#?}");
-    told.extend([Violation::Overdue(Ticks(77)), Violation::PastLease(Ticks(77))].map(|v| v.to_string()));
+    told.extend([Violation::Overdue(Instant(77)), Violation::PastLease(Instant(77))].map(|v| v.to_string()));
     assert!(told[told.len() - 2..].iter().all(|words| words.contains("77")), "{told:#?}");
     told.extend(
-        [Violation::Levels(4), Violation::WrongCall, Violation::OutOfOrder(PortId(3))].map(|v| v.to_string()),
+        [
+            Violation::Levels(4),
+            Violation::WrongCall,
+            Violation::WrongDeadline,
+            Violation::OutOfOrder(PortId(3)),
+        ]
+        .map(|v| v.to_string()),
     );
     let all = told.len();
     told.sort();

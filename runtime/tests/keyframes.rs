@@ -144,8 +144,7 @@ fn a_machine_read_back_from_its_keyframe_behaves_bit_equal() {
             let step = entry.recorded.expect("a whole step").step;
             let mut out = [All::default(), All::default()];
             for (machine, out) in [&mut original, &mut copy].into_iter().zip(&mut out) {
-                machine.handle(&node, Input::Advance(step.elapsed), out);
-                machine.handle(&node, step.input, out);
+                machine.handle(&node, machine.now() + step.elapsed, &step.input, out);
             }
             assert_eq!(out[0], out[1]);
             // Read back after every single step: exact, so both go on alike.
@@ -153,8 +152,8 @@ fn a_machine_read_back_from_its_keyframe_behaves_bit_equal() {
             copy = postcard::from_bytes(&bytes).unwrap();
             assert_eq!(postcard::to_allocvec(&copy).unwrap(), bytes);
             assert_eq!(
-                (copy.next_expiry(), copy.view(&node, 8)),
-                (original.next_expiry(), original.view(&node, 8))
+                (copy.next_deadline(), copy.view(&node, 8)),
+                (original.next_deadline(), original.view(&node, 8))
             );
         }
     }
@@ -373,7 +372,7 @@ fn a_state_of_a_machine_with_other_buffers_is_refused() {
             contents: imrs_protocol::Contents::EMPTY,
             seal: Seal::NONE,
         };
-        machine.handle(&wide, Input::Packet(packet), &mut All::default());
+        machine.handle(&wide, machine.now(), &Input::Packet(packet), &mut All::default());
     }
     let state = postcard::to_allocvec(&machine).unwrap();
     let resumed = |table: &NodeTable| {
@@ -390,7 +389,7 @@ fn a_state_of_a_machine_with_other_buffers_is_refused() {
 fn a_last_record_that_does_not_fit_is_told() {
     let here = NodeTable::new(table(cell(&[0], Ticks(0))), NodeId(0));
     let start = OutputDigest::START;
-    let time = Step { elapsed: Ticks(1), input: Input::Advance(Ticks::ZERO) };
+    let time = Step { elapsed: Ticks(1), input: Input::Time };
     let closed = |gap: u64, inputs: u64, outputs: OutputDigest| {
         let mut replay = Replay::new(&here, A, LIFE, false);
         replay.step(Recorded { step: time, digest: start });

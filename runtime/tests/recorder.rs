@@ -222,7 +222,7 @@ fn request() -> impl Strategy<Value = Request> {
 
 fn input() -> impl Strategy<Value = Input> {
     prop_oneof![
-        ticks().prop_map(Input::Advance),
+        Just(Input::Time),
         request().prop_map(Input::Request),
         packet().prop_map(Input::Packet),
         any::<(u8, u8)>().prop_map(|(id, turn)| Input::TimeOut { id: TimeId(id), turn }),
@@ -293,7 +293,7 @@ fn a_task_has_one_log_and_that_of_another_node_none() {
     assert!(Arc::clone(&recorder).log(A).is_none() && Arc::clone(&recorder).log(TaskId(7)).is_none());
 }
 
-const TICK: Step = Step { elapsed: Ticks(1), input: Input::Advance(Ticks::ZERO) };
+const TICK: Step = Step { elapsed: Ticks(1), input: Input::Time };
 
 /// The same steps until one is lost. How many were taken.
 fn fill(recorder: &FileRecorder, log: &mut dyn Log) -> u64 {

@@ -78,7 +78,7 @@ const fn is_message(packet: &Packet) -> bool {
 }
 
 const fn is_time(input: &Input) -> bool {
-    matches!(input, Input::Advance(_) | Input::TimeOut { .. })
+    matches!(input, Input::Time | Input::TimeOut { .. })
 }
 
 /// Changes the input at a place.
@@ -127,7 +127,7 @@ fn early_time_out(records: &mut Vec<Record>) -> Option<usize> {
     change(records, at, |elapsed, input, _| {
         *elapsed = Ticks(elapsed.0 / 2);
         // The machine reckons by itself; that the Timer says so does not make it so.
-        *input = Input::Advance(Ticks::ZERO);
+        *input = Input::Time;
     })
 }
 

@@ -4,7 +4,7 @@ use super::{CRATES, ROOT, read};
 use imrs_model::{Options, Silent, verify};
 use imrs_monitor::query::Filter;
 use imrs_protocol::{
-    Cell, CellTable, Contents, Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Outcome,
+    Cell, CellTable, Contents, Incarnation, Instant, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Outcome,
     PACKET_BYTES, Packet, PortDecl, Request, Signal, Target, TaskId, Ticks, Usage,
 };
 use imrs_wire::envelope::{Datagram, Digests, Envelope, EnvelopeError, Purpose, Session, open};
@@ -59,8 +59,8 @@ fn the_example_of_the_protocol_runs() -> Result<(), Box<dyn Error>> {
     // Time is an input: nobody answers, and the command's time_out ends.
     let contents = Contents::new(b"how many?").ok_or("too long")?;
     let question = Request::Send { port: ask, to: Target::One(answerer), contents, time_out: None };
-    node.step(NodeInput::Request(asker, question), &mut told);
-    node.step(NodeInput::Advance(Ticks(500_000)), &mut told);
+    node.step(Instant::START, NodeInput::Request(asker, question), &mut told);
+    node.step(Instant(500_000), NodeInput::Time, &mut told);
     assert_eq!(told.signals, [(asker, Signal::Outcome(Outcome::TimedOutUnknown))]);
     Ok(())
 }

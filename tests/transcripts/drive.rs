@@ -184,7 +184,7 @@ impl Drive {
                 if *busy {
                     self.between.busy.push((*from, *to));
                 } else {
-                    self.input(*from, NodeInput::Advance(Ticks::ZERO))?;
+                    self.input(*from, NodeInput::Time)?;
                 }
             }
             Step::Look(what) => {
@@ -197,8 +197,17 @@ impl Drive {
     }
 
     fn input(&mut self, node: NodeId, input: NodeInput) -> Result<(), String> {
+        self.input_after(Ticks::ZERO, node, input)
+    }
+
+    /// So much time passes for a node.
+    fn pass(&mut self, node: NodeId, ticks: Ticks) -> Result<(), String> {
+        self.input_after(ticks, node, NodeInput::Time)
+    }
+
+    fn input_after(&mut self, ticks: Ticks, node: NodeId, input: NodeInput) -> Result<(), String> {
         let at = &mut self.nodes[node.index()];
-        at.step(input, &mut Wires { node, between: &mut self.between });
+        at.step(at.now() + ticks, input, &mut Wires { node, between: &mut self.between });
         let parts = at.parts();
         for task in &parts.tasks {
             invariants::check(task, &parts.table)
@@ -227,7 +236,7 @@ impl Drive {
         self.between.now += 1;
         for i in 0..self.nodes.len() {
             if matches!(self.lives[i].0, Life::Up) {
-                self.input(NodeId::from_index(i), NodeInput::Advance(Ticks(1)))?;
+                self.pass(NodeId::from_index(i), Ticks(1))?;
             }
         }
         self.arrivals()
@@ -270,7 +279,7 @@ impl Drive {
             return Err("it does not stand still".into());
         };
         self.lives[node.index()].0 = Life::Up;
-        self.input(node, NodeInput::Advance(Ticks(self.between.now - since)))?;
+        self.pass(node, Ticks(self.between.now - since))?;
         self.arrivals()
     }
 

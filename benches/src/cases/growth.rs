@@ -176,7 +176,7 @@ impl NodeOutbox for Taken {
 fn send(node: &mut Node, port: PortId, life: u64) {
     let contents = Contents::new(&cells::FULL).expect("12 bytes fit");
     let request = Request::Send { port, to: Target::All, contents, time_out: Some(Ticks(life)) };
-    node.step(NodeInput::Request(A, request), &mut Taken(None));
+    node.step(node.now(), NodeInput::Request(A, request), &mut Taken(None));
 }
 
 fn filled(table: &Arc<CellTable>, ports: usize, each: u16) -> Node {
@@ -197,7 +197,7 @@ fn get_over_ports(effort: Effort, table: &Arc<CellTable>, ports: usize) -> Sampl
     let mut number = 0_u64;
     each(effort.of(20_000), GROUP, || {
         let mut taken = Taken(None);
-        node.step(NodeInput::Request(B, get), &mut taken);
+        node.step(node.now(), NodeInput::Request(B, get), &mut taken);
         number += 1;
         let life = 40_000_000 + number * 7_919 % 10_000_000;
         send(&mut node, taken.0.expect("a message waits in every port"), life);
@@ -206,7 +206,7 @@ fn get_over_ports(effort: Effort, table: &Arc<CellTable>, ports: usize) -> Sampl
 
 fn tick(effort: Effort, table: &Arc<CellTable>, waiting: u16) -> Sample {
     let mut node = filled(table, 1, waiting);
-    each(effort.of(200_000), GROUP, || node.step(NodeInput::Advance(Ticks(1)), &mut Taken(None)))
+    each(effort.of(200_000), GROUP, || node.step(node.now() + Ticks(1), NodeInput::Time, &mut Taken(None)))
 }
 
 fn bytes_of(table: &Arc<CellTable>) -> Option<i64> {

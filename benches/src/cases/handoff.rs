@@ -214,12 +214,12 @@ impl NodeOutbox for Told {
 pub fn machine_round_trip(node: &mut Node, port: PortId, contents: Contents) {
     let mut told = Told::default();
     let get = Request::Get { port: Some(port), source: None, time_out: None };
-    node.step(NodeInput::Request(B, get), &mut told);
+    node.step(node.now(), NodeInput::Request(B, get), &mut told);
     let send = Request::Send { port, to: Target::All, contents, time_out: None };
-    node.step(NodeInput::Request(A, send), &mut told);
+    node.step(node.now(), NodeInput::Request(A, send), &mut told);
     let Some(Signal::Message(message)) = told.0[1] else { panic!("B was told {:?}", told.0[1]) };
     let reply = Request::Reply { to: message.from, contents: message.contents };
-    node.step(NodeInput::Request(B, reply), &mut told);
+    node.step(node.now(), NodeInput::Request(B, reply), &mut told);
     assert!(matches!(told.0[0], Some(Signal::Outcome(_))), "A was told {:?}", told.0[0]);
 }
 

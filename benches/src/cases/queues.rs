@@ -30,8 +30,8 @@ impl Entry for Waiting {
     fn key(&self) -> u128 {
         u128::from(self.deadline) << 64 | u128::from(self.number)
     }
-    fn due(&self, (): &()) -> Ticks {
-        Ticks(self.deadline)
+    fn due(&self, (): &()) -> imrs_protocol::Instant {
+        imrs_protocol::Instant(self.deadline)
     }
     fn yields(&self) -> bool {
         false

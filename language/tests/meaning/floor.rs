@@ -97,7 +97,7 @@ impl Floor {
             return;
         }
         self.out.from = node;
-        self.nodes[node.index()].step(input, &mut self.out);
+        self.nodes[node.index()].step(Instant(self.out.now), input, &mut self.out);
         for (from, to, packet) in std::mem::take(&mut self.out.ready) {
             let bound = self.table.link_bound(from, to).expect("a link").0;
             self.out.flying.push((self.out.now + bound, from, to, packet));
@@ -118,7 +118,7 @@ impl Floor {
         for _ in 0..ticks {
             self.out.now += 1;
             for node in 0..self.nodes.len() {
-                self.drive(NodeId::from_index(node), HostInput::Node(NodeInput::Advance(Ticks(1))));
+                self.drive(NodeId::from_index(node), HostInput::Node(NodeInput::Time));
             }
             self.end_actions();
             while let Some(at) = self.out.flying.iter().position(|&(due, ..)| due <= self.out.now) {

@@ -7,7 +7,7 @@ use crate::floor::script::ScriptTurn;
 use crate::state::Violation;
 use imrs_protocol::script::{Activity, Address, End, Op, Outcomes, Program, ScriptInput, Term, Trigger};
 
-use imrs_protocol::{CellTable, Outcome, Packet, PortId, Signal, Target, TaskId, Usage};
+use imrs_protocol::{CellTable, Instant, Outcome, Packet, PortId, Signal, Target, TaskId, Usage};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Something that a move showed to be wrong.
@@ -270,7 +270,7 @@ fn waits_for_good(course: &Course, task: usize) -> bool {
         && station
             .node
             .task(TaskId::from_index(task))
-            .is_some_and(|machine| machine.next_expiry().is_none() && machine.epoch().is_none())
+            .is_some_and(|machine| machine.next_deadline() == Instant::NEVER && machine.epoch().is_none())
 }
 
 /// Whether a packet is on its way to a task, or a timer of it runs.

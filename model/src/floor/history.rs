@@ -234,14 +234,14 @@ impl History {
         }
     }
 
-    /// Before a node does this.
-    pub fn begin(&mut self, node: usize, input: &NodeInput) {
+    /// Before a node takes this, after so much time.
+    pub fn begin(&mut self, node: usize, elapsed: Ticks, input: &NodeInput) {
+        self.clocks[node] += elapsed.0;
         self.arriving = None;
         for task in &mut self.tasks {
             (task.get, task.rejected) = (None, None);
         }
         match *input {
-            NodeInput::Advance(ticks) => self.clocks[node] += ticks.0,
             NodeInput::Packet { packet, .. } => self.arriving = Some((packet.source, packet.id)),
             NodeInput::Request(task, ref request) => {
                 let listed = &mut self.tasks[task.index()];
@@ -251,7 +251,7 @@ impl History {
                     _ => {}
                 }
             }
-            NodeInput::PeerRestarted(_) => {}
+            NodeInput::Time | NodeInput::PeerRestarted(_) => {}
         }
     }
 

@@ -434,17 +434,17 @@ impl Floor {
     pub(crate) fn step(&mut self, i: usize, input: NodeInput) -> Result<(), Violation> {
         let owed = std::mem::take(&mut self.stations[i].owed);
         if let Some(history) = &mut self.history {
-            history.begin(i, &input);
+            history.begin(i, Ticks::ZERO, &input);
         }
         if owed > 0 {
-            self.drive(i, |node, out| node.step(NodeInput::Advance(Ticks(u64::from(owed))), out))?;
+            self.drive_on(i, Ticks(u64::from(owed)))?;
         }
-        if self.plan.fused || matches!(input, NodeInput::Advance(_)) {
-            self.drive(i, |node, out| node.step(input, out))
+        if self.plan.fused {
+            self.drive(i, |node, out| node.step(node.now(), input, out))
         } else {
             self.drive(i, |node, out| {
                 // What the input itself does is one step; what follows from it within the node are others.
-                node.begin(input, out);
+                node.begin(node.now(), input, out);
                 if !node.is_busy() {
                     node.flush(out);
                 }

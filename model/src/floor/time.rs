@@ -66,7 +66,7 @@ impl Floor {
 
     /// Whether time alone changes nothing any more.
     fn is_over(&self) -> bool {
-        let waits = |node: &Node| node.next_expiry().is_some();
+        let waits = |node: &Node| node.time_left().is_some();
         self.crossings.is_empty()
             && !self.stations.iter().any(|s| s.up && waits(&s.node))
             && self
@@ -105,10 +105,23 @@ impl Floor {
             if ticks != 1 {
                 self.faults.drift -= 1;
             }
-            let owed = std::mem::take(&mut self.stations[i].owed);
-            self.step(i, NodeInput::Advance(Ticks(ticks + u64::from(owed))))?;
+            self.pass(i, Ticks(ticks))?;
         }
         self.judge_waits()
+    }
+
+    /// So much time passes for a node, and what it is late by.
+    pub(crate) fn pass(&mut self, i: usize, ticks: Ticks) -> Result<(), Violation> {
+        let owed = std::mem::take(&mut self.stations[i].owed);
+        let ticks = ticks + Ticks(u64::from(owed));
+        if let Some(history) = &mut self.history {
+            history.begin(i, ticks, &NodeInput::Time);
+        }
+        self.drive_on(i, ticks)
+    }
+
+    pub(super) fn drive_on(&mut self, i: usize, ticks: Ticks) -> Result<(), Violation> {
+        self.drive(i, |node, out| node.step(node.now() + ticks, NodeInput::Time, out))
     }
 
     pub(crate) fn crash(&mut self, i: usize) {

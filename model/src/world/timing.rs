@@ -20,7 +20,7 @@ impl World {
                 self.owed[i] = true;
             } else if self.places[i].up {
                 let elapsed = Ticks(1 + u64::from(std::mem::take(&mut self.owed[i])));
-                self.step(i, NodeInput::Advance(elapsed))?;
+                self.step(i, elapsed, NodeInput::Time)?;
                 self.keep_clock(i);
             }
             self.count_tick(i)?;
@@ -57,7 +57,7 @@ impl World {
     /// Before anything else enters a node its clock is read.
     pub(super) fn catch_up(&mut self, i: usize) -> Result<(), Violation> {
         if std::mem::take(&mut self.owed[i]) && self.places[i].up {
-            self.step(i, NodeInput::Advance(Ticks(1)))?;
+            self.step(i, Ticks(1), NodeInput::Time)?;
             self.keep_clock(i);
         }
         Ok(())

@@ -151,7 +151,7 @@ impl ReferenceModel {
         match action {
             Action::Tick => {
                 state.flights.iter_mut().for_each(|flight| flight.age += 1);
-                (0..state.tasks.len()).try_for_each(|i| self.step(state, i, NodeInput::Advance(Ticks(1))))
+                (0..state.tasks.len()).try_for_each(|i| self.step(state, i, 1, NodeInput::Time))
             }
             Action::Deliver(at) | Action::Duplicate(at) => {
                 let packet = state.flights[usize::from(at)].packet;
@@ -162,7 +162,7 @@ impl ReferenceModel {
                 }
                 let charge = Ticks(u64::from(self.scenario.delay.unwrap_or(0)));
                 let from = NodeId::from_index(packet.source.index());
-                self.step(state, packet.destination.index(), NodeInput::Packet { from, packet, charge })
+                self.step(state, packet.destination.index(), 0, NodeInput::Packet { from, packet, charge })
             }
             Action::Lose(at) => {
                 state.flights.remove(usize::from(at));
@@ -172,7 +172,7 @@ impl ReferenceModel {
             Action::Act(i) => {
                 let i = usize::from(i);
                 let request = self.request(state, i);
-                self.step(state, i, NodeInput::Request(TaskId::from_index(i), request))
+                self.step(state, i, 0, NodeInput::Request(TaskId::from_index(i), request))
             }
             Action::Answer(i) => {
                 let i = usize::from(i);
@@ -181,11 +181,8 @@ impl ReferenceModel {
                 let back = asker.next_sequence().steps_from(to.id.sequence) - 1;
                 let asked = u32::from(state.memories[to.source.index()].left) + back;
                 let contents = Contents::new(&[u8::try_from(asked).unwrap()]).unwrap();
-                self.step(
-                    state,
-                    i,
-                    NodeInput::Request(TaskId::from_index(i), Request::Reply { to, contents }),
-                )
+                let reply = Request::Reply { to, contents };
+                self.step(state, i, 0, NodeInput::Request(TaskId::from_index(i), reply))
             }
             Action::Crash(_)
             | Action::Restart(_)
@@ -212,7 +209,7 @@ impl ReferenceModel {
         }
     }
 
-    fn step(&self, state: &mut Reference, i: usize, input: NodeInput) -> Result<(), Violation> {
+    fn step(&self, state: &mut Reference, i: usize, ticks: u64, input: NodeInput) -> Result<(), Violation> {
         let waited_in = match state.tasks[i].state() {
             TaskState::Waiting { round, .. } => Some(round),
             _ => None,
@@ -221,7 +218,8 @@ impl ReferenceModel {
         {
             let mut nodes = self.nodes.lock().unwrap();
             std::mem::swap(&mut nodes[i].parts_mut().tasks[0], &mut state.tasks[i]);
-            nodes[i].step(input, &mut seen);
+            let now = nodes[i].now() + Ticks(ticks);
+            nodes[i].step(now, input, &mut seen);
             std::mem::swap(&mut nodes[i].parts_mut().tasks[0], &mut state.tasks[i]);
         }
         state.flights.extend(seen.sent.into_iter().map(|packet| Flight { packet, age: 0 }));

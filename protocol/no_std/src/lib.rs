@@ -38,5 +38,5 @@ impl Outbox for Silence {
 
 /// Lets a tick pass, so that the machine is built in.
 pub fn tick(task: &mut CommTask, table: &NodeTable) {
-    task.handle(table, Input::Advance(Ticks(1)), &mut Silence);
+    task.handle(table, task.now() + Ticks(1), &Input::Time, &mut Silence);
 }

@@ -1,7 +1,7 @@
 //! An order of small numbers by an instant each.
 
 use super::{Slot, narrow};
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 use alloc::boxed::Box;
 use alloc::vec;
 use serde::{Deserialize, Serialize};
@@ -36,7 +36,7 @@ pub struct Words {
 }
 
 /// A number's word.
-fn word(instant: Ticks, slot: Slot) -> u64 {
+fn word(instant: Instant, slot: Slot) -> u64 {
     const LAST: u64 = (1 << (u64::BITS - NUMBER_BITS)) - 5;
     (instant.0.min(LAST) << NUMBER_BITS) | u64::from(slot)
 }
@@ -178,7 +178,7 @@ impl Words {
 
     /// Puts a number that does not stand here.
     #[inline]
-    pub fn push<K: Ord>(&mut self, number: Slot, instant: Ticks, key: impl Fn(Slot) -> K) {
+    pub fn push<K: Ord>(&mut self, number: Slot, instant: Instant, key: impl Fn(Slot) -> K) {
         let at = ROOT + self.len();
         self.len += 1;
         self.sift_up(at, word(instant, number), &key);
@@ -219,14 +219,14 @@ impl Words {
     }
 
     /// A number has another instant or another key now.
-    pub fn moved<K: Ord>(&mut self, number: Slot, instant: Ticks, key: impl Fn(Slot) -> K) {
+    pub fn moved<K: Ord>(&mut self, number: Slot, instant: Instant, key: impl Fn(Slot) -> K) {
         if let Some(place) = self.place_of(number) {
             self.settle(place, word(instant, number), &key);
         }
     }
 
     /// Puts a number, moves it or takes it out, so that it stands here where it has an instant.
-    pub fn set<K: Ord>(&mut self, number: Slot, instant: Option<Ticks>, key: impl Fn(Slot) -> K) {
+    pub fn set<K: Ord>(&mut self, number: Slot, instant: Option<Instant>, key: impl Fn(Slot) -> K) {
         match (self.place_of(number), instant) {
             (Some(place), Some(instant)) => self.settle(place, word(instant, number), &key),
             (Some(place), None) => self.remove_at(place, &key),
@@ -242,7 +242,7 @@ impl Words {
     }
 
     /// All instants have changed.
-    pub fn order<K: Ord>(&mut self, instant: impl Fn(Slot) -> Ticks, key: impl Fn(Slot) -> K) {
+    pub fn order<K: Ord>(&mut self, instant: impl Fn(Slot) -> Instant, key: impl Fn(Slot) -> K) {
         for at in (ROOT..ROOT + self.len()).rev() {
             let number = self.word_at(at).map_or(0, slot);
             self.sift_down(at, word(instant(number), number), &key);
@@ -250,7 +250,7 @@ impl Words {
     }
 
     /// Whether every number stands where its instant and its key say.
-    pub fn is_in_order<K: Ord>(&self, instant: impl Fn(Slot) -> Ticks, key: impl Fn(Slot) -> K) -> bool {
+    pub fn is_in_order<K: Ord>(&self, instant: impl Fn(Slot) -> Instant, key: impl Fn(Slot) -> K) -> bool {
         let above = |at: usize| if at > ROOT { self.word_at(parent(at)) } else { None };
         let stands = |(at, found): (usize, u64)| {
             found == word(instant(slot(found)), slot(found))
@@ -325,14 +325,14 @@ mod tests {
 
     #[test]
     fn a_word_where_nothing_should_stand_is_no_order() {
-        let (instant, key) = (|_: Slot| Ticks(7), |slot: Slot| slot);
+        let (instant, key) = (|_: Slot| Instant(7), |slot: Slot| slot);
         let mut words = Words::new(4);
-        words.push(0, Ticks(7), key);
+        words.push(0, Instant(7), key);
         assert!(words.is_in_order(instant, key));
-        words.put(ROOT + 1, word(Ticks(7), 1));
+        words.put(ROOT + 1, word(Instant(7), 1));
         assert!(!words.is_in_order(instant, key), "behind the last one");
         let mut words = Words::new(4);
-        words.put(0, word(Ticks(7), 1));
+        words.put(0, word(Instant(7), 1));
         assert!(!words.is_in_order(instant, key), "before the first place");
     }
 }

@@ -9,7 +9,7 @@ use crate::node::{Node, NodeInput, NodeOutbox};
 use crate::observe::Observation;
 use crate::packet::{Contents, Packet};
 use crate::request::{Call, ReplyTo, Request, Signal};
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 use alloc::boxed::Box;
 use alloc::collections::VecDeque;
 use alloc::sync::Arc;
@@ -161,12 +161,6 @@ impl ScriptedNode {
         }
     }
 
-    /// How long from the last [`NodeInput::Advance`] until time alone makes the node act.
-    #[must_use]
-    pub fn next_expiry(&self) -> Option<Ticks> {
-        self.node.next_expiry()
-    }
-
     /// Whether a script waits for the driver's choice.
     #[must_use]
     pub fn chooses(&self) -> Option<(TaskId, u16)> {
@@ -180,13 +174,21 @@ impl ScriptedNode {
         })
     }
 
-    /// Takes one input and runs everything that follows from it within the node, until every script waits.
-    pub fn step(&mut self, input: HostInput, out: &mut impl HostOutbox) {
+    /// Takes one input at `now`, after what the time until then has made due, and runs everything that follows from it within
+    /// the node, until every script waits.
+    pub fn step(&mut self, now: Instant, input: HostInput, out: &mut impl HostOutbox) {
+        if now > self.node.now() && input != HostInput::Node(NodeInput::Time) {
+            self.go_on(now, HostInput::Node(NodeInput::Time), out);
+        }
+        self.go_on(now, input, out);
+    }
+
+    fn go_on(&mut self, now: Instant, input: HostInput, out: &mut impl HostOutbox) {
         match input {
             HostInput::Begin => {
                 self.inputs.extend(self.scripts.iter().map(|hosted| (hosted.task, ScriptInput::Begin)));
             }
-            HostInput::Node(input) => self.drive(input, out),
+            HostInput::Node(input) => self.drive(now, input, out),
             HostInput::Acted { task, level, ok, value } => {
                 self.inputs.push_back((task, ScriptInput::Acted { level, ok, value }));
             }
@@ -244,12 +246,13 @@ impl ScriptedNode {
     fn ask(&mut self, task: TaskId, out: &mut impl HostOutbox) {
         while let Some(request) = self.requests.pop_front() {
             out.asked(task, &request);
-            self.drive(NodeInput::Request(task, request), out);
+            self.drive(self.node.now(), NodeInput::Request(task, request), out);
         }
     }
 
-    fn drive(&mut self, input: NodeInput, out: &mut impl HostOutbox) {
-        self.node.step(input, &mut NodeEffects { scripts: &self.scripts, inputs: &mut self.inputs, out });
+    fn drive(&mut self, now: Instant, input: NodeInput, out: &mut impl HostOutbox) {
+        let effects = &mut NodeEffects { scripts: &self.scripts, inputs: &mut self.inputs, out };
+        self.node.step(now, input, effects);
     }
 }
 

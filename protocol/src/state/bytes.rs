@@ -2,7 +2,7 @@
 
 use super::{Pass, Walk};
 use crate::ids::{PortId, Round, Seq24, TaskId};
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 use alloc::vec::Vec;
 use core::fmt;
 
@@ -43,7 +43,7 @@ impl core::error::Error for Overflow {}
 pub struct Encode<'a> {
     out: &'a mut Vec<u8>,
     frame: Frame<'a>,
-    now: Ticks,
+    now: Instant,
     overflows: bool,
 }
 
@@ -57,7 +57,7 @@ impl<'a> Encode<'a> {
         frame: &Frame<'a>,
         walk: impl FnOnce(&mut Self),
     ) -> Result<(), Overflow> {
-        let mut pass = Self { out, frame: *frame, now: Ticks::ZERO, overflows: false };
+        let mut pass = Self { out, frame: *frame, now: Instant::START, overflows: false };
         walk(&mut pass);
         if pass.overflows { Err(Overflow) } else { Ok(()) }
     }
@@ -86,12 +86,12 @@ impl Walk for Encode<'_> {
     const PASS: Pass = Pass::Encode;
 
     #[inline]
-    fn clock(&mut self, now: &mut Ticks) {
+    fn clock(&mut self, now: &mut Instant) {
         self.now = *now;
     }
 
     #[inline]
-    fn instant(&mut self, instant: &mut Ticks) {
+    fn instant(&mut self, instant: &mut Instant) {
         let mut left = *instant - self.now;
         self.length(&mut left);
     }
@@ -165,13 +165,15 @@ impl Walk for Decode<'_> {
     const PASS: Pass = Pass::Decode;
 
     #[inline]
-    fn clock(&mut self, now: &mut Ticks) {
-        *now = Ticks::ZERO;
+    fn clock(&mut self, now: &mut Instant) {
+        *now = Instant::START;
     }
 
     #[inline]
-    fn instant(&mut self, instant: &mut Ticks) {
-        self.length(instant);
+    fn instant(&mut self, instant: &mut Instant) {
+        let mut left = Ticks::ZERO;
+        self.length(&mut left);
+        *instant = Instant::START + left;
     }
 
     #[inline]

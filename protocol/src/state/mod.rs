@@ -18,7 +18,7 @@ pub use bytes::{Decode, Encode, Frame, Overflow};
 
 use crate::ids::{Incarnation, MessageId, PortId, Round, Seq24, TaskId};
 use crate::packet::{CONTENTS_BYTES, Contents};
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 use alloc::vec::Vec;
 
 /// What a pass does.
@@ -44,12 +44,12 @@ pub trait Walk {
     const PACKS: bool = matches!(Self::PASS, Pass::Encode | Pass::Decode);
 
     /// The clock that the instants behind it are on.
-    fn clock(&mut self, now: &mut Ticks) {
+    fn clock(&mut self, now: &mut Instant) {
         let _ = now;
     }
 
     /// An instant on that clock.
-    fn instant(&mut self, instant: &mut Ticks) {
+    fn instant(&mut self, instant: &mut Instant) {
         let _ = instant;
     }
 
@@ -325,14 +325,19 @@ pub(crate) fn same_variant<T>(a: &T, b: &T) -> bool {
 /// Moves a clock, and every instant on it.
 pub(crate) struct Clock<F>(pub F);
 
-impl<F: FnMut(Ticks) -> Ticks> Walk for Clock<F> {
+/// Back to its beginning. What was over before comes to lie there.
+pub(crate) fn restart(now: Instant) -> Clock<impl FnMut(Instant) -> Instant> {
+    Clock(move |instant| Instant::START + (instant - now))
+}
+
+impl<F: FnMut(Instant) -> Instant> Walk for Clock<F> {
     const PASS: Pass = Pass::Change;
 
-    fn clock(&mut self, now: &mut Ticks) {
+    fn clock(&mut self, now: &mut Instant) {
         *now = self.0(*now);
     }
 
-    fn instant(&mut self, instant: &mut Ticks) {
+    fn instant(&mut self, instant: &mut Instant) {
         *instant = self.0(*instant);
     }
 }

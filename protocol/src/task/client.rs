@@ -26,7 +26,7 @@ use crate::observe::Event;
 use crate::packet::{Contents, Packet};
 use crate::request::{Answers, Fault, Outcome, Target};
 use crate::table::{NodeTable, Party, Port};
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 use alloc::boxed::Box;
 use desk::{Answer, Desk, Phase};
 use serde::{Deserialize, Serialize};
@@ -124,7 +124,7 @@ impl Client {
     }
 
     /// When time alone makes a desk act.
-    pub fn due(&self, desk: u16) -> Ticks {
+    pub fn due(&self, desk: u16) -> Instant {
         self.desks[usize::from(desk)].due()
     }
 
@@ -164,7 +164,7 @@ impl Client {
     }
 
     /// The port of a desk, who has not answered there, and until when they may.
-    pub fn wait_at(&self, desk: u16) -> (PortId, Option<TaskId>, Ticks) {
+    pub fn wait_at(&self, desk: u16) -> (PortId, Option<TaskId>, Instant) {
         let desk = &self.desks[usize::from(desk)];
         (desk.port, desk.open().next().map(|asked| asked.task), desk.deadline)
     }
@@ -199,7 +199,7 @@ impl Client {
         let desk = &mut self.desks[at];
         let Some(port) = step.table.port(desk.port) else { return };
         desk.copies_left = desk.copies_left.saturating_sub(1);
-        desk.copy_at = if desk.copies_left > 0 { step.now() + port.decl.resend } else { Ticks::FAR };
+        desk.copy_at = if desk.copies_left > 0 { step.now() + port.decl.resend } else { Instant::NEVER };
         let left = desk.deadline - step.now();
         let fragments = desk.parts.fragments().unwrap_or(1);
         let stamp = step.stamp(left);

@@ -8,7 +8,7 @@ use crate::observe::Observation;
 use crate::packet::Packet;
 use crate::request::{Signal, TimeId};
 use crate::table::{CellTable, NodeTable};
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 use alloc::sync::Arc;
 use alloc::vec::Vec;
 
@@ -81,7 +81,7 @@ impl Fixture {
     }
 
     /// At an instant.
-    pub fn at(&mut self, now: Ticks) -> Step<'_, Effects> {
+    pub fn at(&mut self, now: Instant) -> Step<'_, Effects> {
         self.own.now = now;
         Step { table: &self.table, own: &mut self.own, out: &mut self.effects }
     }

@@ -4,7 +4,7 @@
 use crate::ids::{Incarnation, MessageId, TaskId};
 use crate::packet::{Contents, Packet};
 use crate::state::Walk;
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 use alloc::boxed::Box;
 use alloc::vec;
 use serde::{Deserialize, Serialize};
@@ -123,7 +123,7 @@ pub(crate) struct Assembly {
     /// How many there are, once the last one is here.
     pub fragments: Option<u8>,
     /// When the least life of those here ends; of a command, with the way back taken off.
-    pub expires: Ticks,
+    pub expires: Instant,
     pub contents: Box<[Contents]>,
 }
 
@@ -153,7 +153,7 @@ impl Assembly {
 
     /// Forgets everything and waits for the fragments of `id`.
     pub fn begin(&mut self, id: MessageId) {
-        (self.id, self.have, self.fragments, self.expires) = (id, 0, None, Ticks::FAR);
+        (self.id, self.have, self.fragments, self.expires) = (id, 0, None, Instant::NEVER);
     }
 
     /// Forgets the fragments of `id`. Whether there were some.
@@ -166,7 +166,7 @@ impl Assembly {
     }
 
     /// Puts a fragment that fits the room.
-    pub fn put(&mut self, packet: &Packet, expires: Ticks) -> Progress {
+    pub fn put(&mut self, packet: &Packet, expires: Instant) -> Progress {
         if self.have == 0 && self.fragments.is_none() && packet.fragment == 0 && !packet.more {
             let Some(slot) = self.contents.first_mut() else { return Progress::Broken };
             *slot = packet.contents;
@@ -220,7 +220,7 @@ impl Assembly {
         w.word(&mut self.have);
         self.walk_fragments(w);
         if W::READS {
-            (self.id, self.expires) = (MessageId::default(), Ticks::FAR);
+            (self.id, self.expires) = (MessageId::default(), Instant::NEVER);
         }
     }
 
@@ -253,6 +253,7 @@ fn is_within(have: u16, most: usize) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ticks::Ticks;
     use proptest::prelude::*;
 
     proptest! {
@@ -268,7 +269,7 @@ mod tests {
                 here |= 1 << index;
                 let whole = here.trailing_ones() == u32::from(fragments);
                 let expected = if again { Progress::Again } else if whole { Progress::Whole(fragments) } else { Progress::Waits };
-                prop_assert_eq!(assembly.put(&packet, Ticks(50 + u64::from(index))), expected);
+                prop_assert_eq!(assembly.put(&packet, Instant(50 + u64::from(index))), expected);
                 prop_assert_eq!(assembly.get(index).map(|c| c.as_bytes()[0]), Some(index));
             }
         }
@@ -289,15 +290,15 @@ mod tests {
         ] {
             let mut assembly = Assembly::new(4);
             assembly.begin(MessageId::default());
-            assert_eq!(assembly.put(&fragment(first.0, first.1), Ticks(9)), Progress::Waits);
+            assert_eq!(assembly.put(&fragment(first.0, first.1), Instant(9)), Progress::Waits);
             assert_eq!(
-                assembly.put(&fragment(second.0, second.1), Ticks(9)),
+                assembly.put(&fragment(second.0, second.1), Instant(9)),
                 Progress::Broken,
                 "{first:?} {second:?}"
             );
             assert!(!assembly.is_open());
         }
-        assert_eq!(Assembly::new(2).put(&fragment(2, false), Ticks(9)), Progress::Broken, "no room");
+        assert_eq!(Assembly::new(2).put(&fragment(2, false), Instant(9)), Progress::Broken, "no room");
     }
 
     #[test]

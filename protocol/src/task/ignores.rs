@@ -45,6 +45,7 @@ impl CommTask {
 
     /// Forgets the CONFIRM that is still to be sent: for a checker that knows that everybody would ignore it.
     pub fn settle(&mut self, port: PortId) {
+        self.due = None;
         if let Some(meeting) = self.own.meeting(port) {
             self.machines.meetings.settle(meeting);
         }

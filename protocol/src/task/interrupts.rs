@@ -23,7 +23,7 @@ use super::wait::{Finished, Pending};
 use crate::ids::{PortId, TaskId};
 use crate::request::{Fault, ServiceOrder};
 use crate::table::NodeTable;
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 use alloc::boxed::Box;
 use serde::{Deserialize, Serialize};
 use timers::Timers;
@@ -177,8 +177,8 @@ impl Interrupts {
     }
 
     /// Until when messages are due to be offered: in a plain GET all are.
-    pub fn due_by(&self, now: Ticks) -> Ticks {
-        if self.is_idle_get() { Ticks::FAR } else { now }
+    pub fn due_by(&self, now: Instant) -> Instant {
+        if self.is_idle_get() { Instant::NEVER } else { now }
     }
 
     /// Whose turn it is that was rejected so often, and so early.

@@ -11,5 +11,8 @@ use crate::table::NodeTable;
 /// # Errors
 /// The first violation found.
 pub fn check(task: &CommTask, table: &NodeTable) -> Result<(), Violation> {
+    if task.due.is_some_and(|due| due != task.machines.due()) {
+        return Err(Violation::WrongDeadline);
+    }
     task.machines.check(table, &task.own)
 }

@@ -38,7 +38,7 @@ use crate::observe::{Event, Observation};
 use crate::packet::{CONTENTS_BYTES, Contents, Kind, Packet};
 use crate::request::{Call, Fault, PUBLISHED_BYTES};
 use crate::table::{NodeTable, Port};
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 use serde::{Deserialize, Serialize};
 
 /// How many answers whose echo may still come are remembered.
@@ -50,7 +50,7 @@ enum Post {
     /// It does not act: it waits to be given the lease, or to take over.
     Waits,
     /// It acts until this instant, unless the lease is renewed.
-    Leased(Ticks),
+    Leased(Instant),
     /// It acts after a take-over, and nobody can take over from it.
     Alone,
     /// It does not act any more in this life.
@@ -62,7 +62,7 @@ enum Post {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Answered {
     beat: Seq24,
-    until: Ticks,
+    until: Instant,
 }
 
 /// One task's side of a couple.
@@ -88,9 +88,9 @@ pub(crate) struct Lease {
     /// The newest own beat that was answered: the next one echoes it, while that can renew anything.
     echo: Option<Answered>,
     /// When the next beat is sent.
-    beat_at: Ticks,
+    beat_at: Instant,
     /// When this task takes over if no answer comes.
-    takeover_at: Ticks,
+    takeover_at: Instant,
     /// What the answers carry, and what the partner's carried last.
     published: Contents,
     said: Contents,
@@ -126,8 +126,8 @@ impl Lease {
             answered: [None; ANSWERS],
             newest: None,
             echo: None,
-            beat_at: if primary && !decl.mutual { Ticks::FAR } else { Ticks::ZERO },
-            takeover_at: if armed { decl.takeover } else { Ticks::FAR },
+            beat_at: if primary && !decl.mutual { Instant::NEVER } else { Instant::START },
+            takeover_at: if armed { Instant::START + decl.takeover } else { Instant::NEVER },
             published: Contents::EMPTY,
             said: Contents::EMPTY,
             call: None,
@@ -140,11 +140,11 @@ impl Lease {
     }
 
     /// The earliest instant at which time alone makes this task act.
-    pub fn due(&self) -> Ticks {
+    pub fn due(&self) -> Instant {
         match self.post {
             Post::Waits => self.beat_at.min(self.takeover_at),
             Post::Leased(until) => until,
-            Post::Alone | Post::Passive => Ticks::FAR,
+            Post::Alone | Post::Passive => Instant::NEVER,
         }
     }
 
@@ -165,7 +165,7 @@ impl Lease {
     }
 
     /// How long the task may act without hearing from its partner, where that ends by itself.
-    pub fn left(&self, now: Ticks) -> Option<Ticks> {
+    pub fn left(&self, now: Instant) -> Option<Ticks> {
         match self.post {
             Post::Leased(until) => Some(until - now),
             Post::Waits | Post::Alone | Post::Passive => None,
@@ -260,7 +260,7 @@ impl Lease {
         match self.post {
             Post::Leased(until) if until <= step.now() => {
                 self.stop(if couple.mutual { Post::Waits } else { Post::Passive });
-                self.beat_at = if couple.mutual { step.now() } else { Ticks::FAR };
+                self.beat_at = if couple.mutual { step.now() } else { Instant::NEVER };
                 self.call = Some(Call::Fenced);
             }
             Post::Waits if self.takeover_at <= step.now() => {
@@ -293,8 +293,8 @@ impl Lease {
 
     fn stand(&mut self, post: Post) {
         self.post = post;
-        self.takeover_at = Ticks::FAR;
-        self.beat_at = Ticks::FAR;
+        self.takeover_at = Instant::NEVER;
+        self.beat_at = Instant::NEVER;
         self.echo = None;
     }
 
@@ -324,7 +324,7 @@ impl Lease {
     }
 
     /// Drops what can never matter again.
-    pub fn bury(&mut self, now: Ticks) {
+    pub fn bury(&mut self, now: Instant) {
         for answered in &mut self.answered {
             *answered = answered.filter(|a| a.until > now && self.post != Post::Passive);
         }

@@ -15,7 +15,7 @@ use crate::observe::{Event, Observation, Reason};
 use crate::packet::{Kind, Packet};
 use crate::request::{Call, Fault, Outcome, Signal, TimeId};
 use crate::table::NodeTable;
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 use serde::{Deserialize, Serialize};
 
 /// The parts of a communication task. Each owns its state.
@@ -138,12 +138,12 @@ impl Machines {
     }
 
     /// The lowest desk from one on that has something to do.
-    fn due_desk(&self, from: u16, now: Ticks) -> Option<u16> {
+    fn due_desk(&self, from: u16, now: Instant) -> Option<u16> {
         self.interrupts.open_desks().filter(|&desk| desk >= from && self.client.due(desk) <= now).min()
     }
 
     /// When time alone makes the task act.
-    pub fn due(&self) -> Ticks {
+    pub fn due(&self) -> Instant {
         let wait = match self.interrupts.pending() {
             Pending::Get { deadline, .. } => deadline,
             Pending::Reply(desk) => self.client.due(desk),
@@ -152,19 +152,19 @@ impl Machines {
             | Pending::Delay(..)
             | Pending::Work
             | Pending::Lease
-            | Pending::Boundary => Ticks::FAR,
+            | Pending::Boundary => Instant::NEVER,
         };
         // When the first rejected message is to be offered again, where that could matter.
         let offered = self.server.has_offers() && self.is_interruptible();
-        let offer = if offered { self.server.next_offer() } else { Ticks::FAR };
-        let lease = self.lease.as_ref().map_or(Ticks::FAR, Lease::due);
+        let offer = if offered { self.server.next_offer() } else { Instant::NEVER };
+        let lease = self.lease.as_ref().map_or(Instant::NEVER, Lease::due);
         let waits = wait.min(offer).min(lease).min(self.server.next_end()).min(self.meetings.next_act());
         // Of the waits of interrupted threads only those for answers can end here: a GET goes on when its thread does, and
         // waitfors and the lease are counted above.
         if self.interrupts.depth() == 0 {
             waits
         } else {
-            self.interrupts.open_desks().map(|desk| self.client.due(desk)).fold(waits, Ticks::min)
+            self.interrupts.open_desks().map(|desk| self.client.due(desk)).fold(waits, Instant::min)
         }
     }
 

@@ -1,7 +1,7 @@
 //! The communication task `T_ic` (§5): the port manipulator of one task.
 //!
 //! It is a pure state machine. [`CommTask::handle`] takes one input and fills an outbox; it reads no clock, takes no
-//! lock, allocates nothing and accepts every input in every state. Time reaches it only as [`Input::Advance`]. The
+//! lock, allocates nothing and accepts every input in every state. Each input comes with the time at which it comes. The
 //! drivers (the model checker, the threaded runtime, the simulator, the validator) differ in where inputs come from.
 //!
 //! It is made of five parts, each of which owns its state and can be read by itself:
@@ -46,7 +46,7 @@ use crate::ids::{Incarnation, MessageId, NodeId, PortId, TaskId};
 use crate::packet::{Contents, Packet};
 use crate::request::{ReplyTo, Request, TimeId};
 use crate::table::NodeTable;
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 use interrupts::DEPTH;
 use lease::Lease;
 use machines::Machines;
@@ -58,8 +58,8 @@ use wait::Pending;
 /// Everything that can happen to a communication task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Input {
-    /// So much time has passed since the last input. What became due meanwhile happens once, with less remaining.
-    Advance(Ticks),
+    /// Nothing but the time at which it comes.
+    Time,
     /// Its task asks for something.
     Request(Request),
     /// A packet for its task arrived; the way is already taken from its remaining time.
@@ -84,6 +84,9 @@ pub enum Input {
 pub struct CommTask {
     own: Own,
     machines: Machines,
+    /// When time alone next makes the task act; `None` where that is to be looked up. Derived from the rest.
+    #[serde(skip)]
+    due: Option<Instant>,
 }
 
 impl CommTask {
@@ -98,7 +101,7 @@ impl CommTask {
     pub fn new(table: &NodeTable, task: TaskId, incarnation: Incarnation, restarted: bool) -> Self {
         let own = Own::new(table, task, incarnation, restarted);
         let machines = Machines::new(table, &own);
-        Self { own, machines }
+        Self { own, machines, due: None }
     }
 
     /// The task it belongs to.
@@ -113,22 +116,30 @@ impl CommTask {
         self.own.incarnation
     }
 
-    /// Takes one input and fills the outbox. Total: no input in any state panics. The task gets at most one signal of it.
-    pub fn handle(&mut self, table: &NodeTable, input: Input, out: &mut impl Outbox) {
-        self.handle_at(table, &input, out);
-    }
-
-    /// The same with an input that stays where it is: inputs are long, and drivers keep them until they are taken.
-    pub fn handle_at(&mut self, table: &NodeTable, input: &Input, out: &mut impl Outbox) {
+    /// Takes one input at `now` and fills the outbox: first comes what the time since the last input has made due, each once
+    /// and with less remaining, then the input. A `now` before the last one is no time (D42). Total: no input in any state
+    /// panics. The task gets at most one signal of the time, and one of the input.
+    pub fn handle(&mut self, table: &NodeTable, now: Instant, input: &Input, out: &mut impl Outbox) {
+        let only_time = matches!(input, Input::Time);
+        let passes = now > self.own.now;
+        if passes {
+            self.pass(table, now);
+        }
+        if (passes || only_time) && self.next_deadline() <= self.own.now {
+            let step = &mut Step { table, own: &mut self.own, out };
+            self.machines.advance(step);
+            self.machines.offer_to_waiting(step);
+            self.due = Some(self.machines.due());
+        }
+        if only_time {
+            return;
+        }
         // What was asked meanwhile by a thread that waits is answered: it gets no second signal.
         let answered = matches!(input, Input::Request(_)) && !self.is_idle();
-        if let Input::Advance(elapsed) = input {
-            self.pass_time(table, *elapsed);
-        }
-        let Self { own, machines } = self;
+        let Self { own, machines, due } = self;
         let step = &mut Step { table, own, out };
         match input {
-            Input::Advance(_) => machines.advance(step),
+            Input::Time => {}
             Input::Request(request) => machines.request(step, request),
             Input::Packet(packet) => machines.packet(step, packet),
             Input::TimeOut { id, turn } => machines.time_is_over(step, (*id, *turn)),
@@ -138,27 +149,28 @@ impl CommTask {
         if !answered {
             machines.offer_to_waiting(step);
         }
+        *due = Some(machines.due());
     }
 
-    /// How long from the last [`Input::Advance`] until time alone makes this task act; `None`: never.
+    /// The time of the last input, on the task's own clock.
     #[must_use]
-    pub fn next_expiry(&self) -> Option<Ticks> {
-        let due = self.machines.due();
-        (due != Ticks::FAR).then(|| due - self.own.now)
+    pub const fn now(&self) -> Instant {
+        self.own.now
     }
 
-    /// Lets time pass that ends before [`next_expiry`](Self::next_expiry): all that [`Input::Advance`] does then. For
-    /// drivers that know when that is.
-    pub fn pass(&mut self, table: &NodeTable, elapsed: Ticks) {
-        debug_assert!(self.next_expiry().is_none_or(|left| elapsed < left), "something is due by then");
-        self.pass_time(table, elapsed);
+    /// When time alone next makes this task act: until then an [`Input::Time`] does nothing.
+    #[must_use]
+    pub fn next_deadline(&self) -> Instant {
+        self.due.unwrap_or_else(|| self.machines.due())
     }
 
     /// The task's clock goes on.
-    fn pass_time(&mut self, table: &NodeTable, elapsed: Ticks) {
-        self.own.now += elapsed;
+    fn pass(&mut self, table: &NodeTable, now: Instant) {
+        let elapsed = now - self.own.now;
+        self.own.now = now;
         if !table.rules().charge_residence {
             self.machines.server.give_back(&self.own, elapsed);
+            self.due = None;
         }
     }
 
@@ -226,7 +238,7 @@ impl CommTask {
         self.machines.lease.as_ref().map(Lease::epoch)
     }
 
-    /// How long from the last [`Input::Advance`] this task may act without hearing from its partner: what is left
+    /// How long from [`now`](Self::now) this task may act without hearing from its partner: what is left
     /// of its lease. `None` where no lease ends by itself: the task is in no couple, acts alone after a take-over, or does not act.
     ///
     /// A driver that was stopped asks whether the lease is over that it has not looked at since.

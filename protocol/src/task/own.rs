@@ -8,7 +8,7 @@ use crate::packet::{Class, Contents};
 use crate::request::{Fault, ServiceOrder, Signal};
 use crate::state::Walk;
 use crate::table::{NodeTable, Port};
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 use alloc::boxed::Box;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
@@ -59,10 +59,10 @@ pub(crate) struct Own {
     pub incarnation: Incarnation,
     pub restarted: bool,
     /// Ticks since `new` or the last `rebase`; every instant of the task is on this counter.
-    pub now: Ticks,
+    pub now: Instant,
     pub next_sequence: Seq24,
     /// Until when a restarted task cannot know what its earlier life ran (D49).
-    pub quarantine_until: Ticks,
+    pub quarantine_until: Instant,
     /// What the task said outranks what (D16).
     pub order: ServiceOrder,
     /// Ascending by port.
@@ -98,9 +98,13 @@ impl Own {
             task,
             incarnation,
             restarted,
-            now: Ticks::ZERO,
+            now: Instant::START,
             next_sequence: Seq24::default(),
-            quarantine_until: if restarted { table.quarantine(task) } else { Ticks::ZERO },
+            quarantine_until: if restarted {
+                Instant::START + table.quarantine(task)
+            } else {
+                Instant::START
+            },
             order: ServiceOrder::default(),
             endpoints: endpoints.into(),
         }
@@ -216,7 +220,7 @@ impl Own {
             w.byte(&mut self.incarnation.0);
             w.flag(&mut self.restarted);
         } else if W::READS {
-            self.quarantine_until = Ticks::ZERO;
+            self.quarantine_until = Instant::START;
         }
     }
 

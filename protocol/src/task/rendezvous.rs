@@ -33,7 +33,7 @@ use crate::observe::{Event, Observation};
 use crate::request::ReleasedBy;
 use crate::rules::Confirmation;
 use crate::table::Port;
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 use alloc::boxed::Box;
 use serde::{Deserialize, Serialize};
 
@@ -42,7 +42,7 @@ use serde::{Deserialize, Serialize};
 struct Arrived {
     round: Round,
     /// When the sender's patience ends, on this task's counter: an arrival lives no longer than its sender waits (D3).
-    expires: Ticks,
+    expires: Instant,
     arguments: [u8; 8],
 }
 
@@ -74,14 +74,14 @@ pub(crate) struct Rendezvous {
     /// The round this task last released.
     released: Option<Round>,
     /// While waiting: when this task's patience ends.
-    deadline: Option<Ticks>,
+    deadline: Option<Instant>,
     /// While waiting: when the arrival is announced again.
-    resend_at: Ticks,
+    resend_at: Instant,
     /// All parties of the port, owner first; the own entry stays empty.
     members: Box<[Member]>,
     /// How many more copies of the CONFIRM of `released` are to be sent, and when the next one.
     copies_left: u8,
-    copy_at: Ticks,
+    copy_at: Instant,
     /// Released by a CONFIRM without all arrivals; confirms when it has them (`EveryComplete`).
     owes_confirm: bool,
     /// What this task tells the others.
@@ -98,7 +98,7 @@ struct At<'a, 'b, O> {
 }
 
 impl<O: Outbox> At<'_, '_, O> {
-    fn now(&self) -> Ticks {
+    fn now(&self) -> Instant {
         self.step.own.now
     }
 
@@ -116,18 +116,18 @@ impl Rendezvous {
             fresh: Round::default(),
             released: None,
             deadline: None,
-            resend_at: Ticks::FAR,
+            resend_at: Instant::NEVER,
             members: (0..parties).map(|_| Member::default()).collect(),
             copies_left: 0,
-            copy_at: Ticks::FAR,
+            copy_at: Instant::NEVER,
             owes_confirm: false,
             arguments: [0; 8],
         }
     }
 
     /// The earliest instant at which time alone makes this task act.
-    fn due(&self) -> Ticks {
-        self.deadline.unwrap_or(Ticks::FAR).min(self.resend_at).min(self.copy_at)
+    fn due(&self) -> Instant {
+        self.deadline.unwrap_or(Instant::NEVER).min(self.resend_at).min(self.copy_at)
     }
 
     /// The task reaches the waitfor.
@@ -161,7 +161,7 @@ impl Rendezvous {
             missing |= u64::from(member.told.is_none() && at.port.parties[i].task != at.step.own.task) << i;
         }
         self.deadline = None;
-        self.resend_at = Ticks::FAR;
+        self.resend_at = Instant::NEVER;
         self.note(Event::GaveUp, at.step.own.task, Ticks::ZERO, at);
         if at.step.table.rules().aborts {
             for i in 0..self.members.len() {
@@ -175,7 +175,8 @@ impl Rendezvous {
     fn advance(&mut self, at: &mut At<'_, '_, impl Outbox>) {
         if self.copy_at <= at.now() {
             self.copies_left = self.copies_left.saturating_sub(1);
-            self.copy_at = if self.copies_left == 0 { Ticks::FAR } else { at.now() + at.port.decl.resend };
+            self.copy_at =
+                if self.copies_left == 0 { Instant::NEVER } else { at.now() + at.port.decl.resend };
             if let Some(round) = self.released {
                 at.counters().resent += 1;
                 self.confirm(at, round, true);
@@ -201,7 +202,7 @@ impl Rendezvous {
 
     /// Goes on to a round. What the circle of rounds would show as fresh again one day is forgotten: a bar before this
     /// round, a release half the circle ago, and an arrival whose patience ended before this task came.
-    fn enter(&mut self, round: Round, now: Ticks) {
+    fn enter(&mut self, round: Round, now: Instant) {
         self.announced = round;
         self.released = self.released.filter(|released| !released.is_newer_than(round));
         for member in &mut self.members {
@@ -222,11 +223,11 @@ impl Rendezvous {
         self.announce(at, false);
     }
 
-    fn left(&self, now: Ticks) -> Ticks {
+    fn left(&self, now: Instant) -> Ticks {
         self.deadline.unwrap_or(now) - now
     }
 
-    fn is_here(&self, member: &Member, now: Ticks) -> bool {
+    fn is_here(&self, member: &Member, now: Instant) -> bool {
         member.arrived.is_some_and(|a| a.round == self.announced && a.expires > now)
     }
 
@@ -260,9 +261,9 @@ impl Rendezvous {
         self.keep_told(at.now());
         self.released = Some(round);
         self.deadline = None;
-        self.resend_at = Ticks::FAR;
+        self.resend_at = Instant::NEVER;
         self.copies_left = 0;
-        self.copy_at = Ticks::FAR;
+        self.copy_at = Instant::NEVER;
         for member in &mut self.members {
             member.reborn = false;
         }
@@ -293,13 +294,13 @@ impl Rendezvous {
     }
 
     /// A member's arrival in this task's round; one whose patience ended just before was here all the same.
-    fn came(&self, member: &Member, now: Ticks) -> Option<Arrived> {
+    fn came(&self, member: &Member, now: Instant) -> Option<Arrived> {
         let is_over = |arrived: &Arrived| !self.numbered && arrived.expires <= now;
         member.arrived.filter(|arrived| arrived.round == self.announced && !is_over(arrived))
     }
 
     /// What the members brought to the round that this task leaves now.
-    fn keep_told(&mut self, now: Ticks) {
+    fn keep_told(&mut self, now: Instant) {
         for i in 0..self.members.len() {
             self.members[i].told = self.came(&self.members[i], now).map(|arrived| arrived.arguments);
         }

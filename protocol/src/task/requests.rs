@@ -10,7 +10,7 @@ use crate::ids::{PortId, TaskId};
 use crate::mapping;
 use crate::packet::Contents;
 use crate::request::{Fault, ReplyTo, Request, Signal, Target};
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 
 /// Answered at once, or not before something else happens.
 type Done = Result<Option<Signal>, Fault>;
@@ -118,7 +118,7 @@ impl Machines {
         if time_out == Some(Ticks::ZERO) {
             return Ok(Some(Signal::Nothing));
         }
-        let deadline = time_out.map_or(Ticks::FAR, |t| step.now() + t);
+        let deadline = time_out.map_or(Instant::NEVER, |t| step.now() + t);
         self.interrupts.wait(Pending::Get { port, source, deadline });
         Ok(None)
     }

@@ -41,7 +41,7 @@ use crate::packet::{Class, Contents, Control, Packet};
 use crate::queue::Slot;
 use crate::rules::{Memory, TimeStamp};
 use crate::table::{NodeTable, Party, Port};
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 use alloc::boxed::Box;
 use alloc::vec::Vec;
 use epochs::Guard;
@@ -153,7 +153,7 @@ impl Server {
     ) -> Option<Arrival> {
         let remaining = match step.table.rules().time_stamp {
             TimeStamp::Remaining => packet.remaining,
-            TimeStamp::Absolute => packet.remaining - step.now(),
+            TimeStamp::Absolute => (Instant::START + packet.remaining) - step.now(),
         };
         let way_back = step.table.bound_between(step.own.task, packet.source);
         let reserved = match packet.class {
@@ -333,7 +333,7 @@ impl Server {
     }
 
     /// Drops what can never matter again.
-    pub fn bury(&mut self, now: Ticks) {
+    pub fn bury(&mut self, now: Instant) {
         for guard in &mut self.guards {
             guard.bury(now);
         }

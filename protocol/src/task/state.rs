@@ -3,7 +3,7 @@
 
 use super::{CommTask, Lease, Machines, Pending};
 use crate::ids::{PortId, Seq24, TaskId};
-use crate::state::{Clock, Walk};
+use crate::state::{Clock, Pass, Walk, restart};
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
 
@@ -26,8 +26,11 @@ impl CommTask {
     ///
     /// A pass that changes it keeps the order of instants; one that reads must read bytes of the same task.
     pub fn walk<W: Walk>(&mut self, table: &NodeTable, w: &mut W) {
-        let Self { own, machines } = self;
+        let Self { own, machines, due } = self;
         let Machines { client, server, interrupts, meetings, lease } = machines;
+        if matches!(W::PASS, Pass::Decode | Pass::Change) {
+            *due = None;
+        }
         // In the order of packed bytes (D51): a checker sorts equal members by their bytes, so another order would pick others
         // and change the numbers of states.
         own.walk(w);
@@ -50,7 +53,7 @@ impl CommTask {
     pub fn rebase(&mut self, table: &NodeTable) {
         self.bury();
         let now = self.own.now;
-        self.walk(table, &mut Clock(|instant| instant - now));
+        self.walk(table, &mut restart(now));
     }
 
     /// Moves the internal clock `ahead`, and every instant with it; behaviour does not change, however far, because
@@ -61,6 +64,7 @@ impl CommTask {
 
     /// Drops what can never matter again, so that equal futures have equal states. Behaviour does not change.
     pub fn bury(&mut self) {
+        self.due = None;
         let now = self.own.now;
         self.own.quarantine_until = self.own.quarantine_until.max(now);
         let Machines { client: _, server, interrupts: _, meetings, lease } = &mut self.machines;
@@ -116,7 +120,20 @@ impl CommTask {
 mod tests {
     use super::*;
     use crate::ids::Incarnation;
-    use crate::task::fixture::{A, Fixture, LIFT, MOVE};
+    use crate::task::fixture::{A, B, Fixture, LIFT, MOVE};
+    use crate::task::invariants::{Violation, check};
+    use crate::ticks::Instant;
+
+    #[test]
+    fn a_deadline_that_is_kept_and_is_not_the_next_one_is_found() {
+        let table = Fixture::new(B).table;
+        let mut task = CommTask::new(&table, B, Incarnation(0), false);
+        assert_eq!(task.next_deadline(), Instant::START, "its first beat");
+        task.due = Some(Instant::START);
+        assert_eq!(check(&task, &table), Ok(()));
+        task.due = Some(Instant(1));
+        assert_eq!(check(&task, &table), Err(Violation::WrongDeadline));
+    }
 
     /// Bytes that anybody may have written: what an input would work on must be there.
     #[test]
@@ -127,7 +144,7 @@ mod tests {
             task.machines.interrupts.wait(wait);
             task.is_whole(&table)
         };
-        let get = |port| Pending::Get { port, source: None, deadline: Ticks::FAR };
+        let get = |port| Pending::Get { port, source: None, deadline: Instant::NEVER };
         assert!(waiting(get(None)) && waiting(Pending::Reply(0)) && waiting(Pending::Meeting(0)));
         assert!(waiting(Pending::Lease) && waiting(Pending::Work));
         // A asks on one of these ports, and meets B on the other: it receives on neither.

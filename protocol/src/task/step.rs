@@ -8,7 +8,7 @@ use crate::packet::Packet;
 use crate::request::{Signal, TimeId};
 use crate::rules::TimeStamp;
 use crate::table::NodeTable;
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 
 /// Where the effects of [`CommTask::handle`](crate::CommTask::handle) go. They are carried out after it returned.
 pub trait Outbox {
@@ -34,7 +34,7 @@ pub(crate) struct Step<'a, O> {
 }
 
 impl<O: Outbox> Step<'_, O> {
-    pub fn now(&self) -> Ticks {
+    pub fn now(&self) -> Instant {
         self.own.now
     }
 
@@ -67,7 +67,7 @@ impl<O: Outbox> Step<'_, O> {
     pub fn stamp(&self, life: Ticks) -> Ticks {
         match self.table.rules().time_stamp {
             TimeStamp::Remaining => life,
-            TimeStamp::Absolute => self.own.now + life,
+            TimeStamp::Absolute => (self.own.now + life) - Instant::START,
         }
     }
 

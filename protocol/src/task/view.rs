@@ -6,7 +6,7 @@ use crate::observe::{PortView, QueueView, TaskState, TaskView};
 use crate::table::NodeTable;
 use crate::task::own::Endpoint;
 use crate::task::wait::Pending;
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 use alloc::vec::Vec;
 
 impl CommTask {
@@ -47,7 +47,7 @@ impl CommTask {
         match self.machines.interrupts.pending() {
             Pending::Nothing | Pending::Work | Pending::Lease | Pending::Boundary => TaskState::Running,
             Pending::Get { port, deadline, .. } => {
-                TaskState::Receiving { port, remaining: (deadline != Ticks::FAR).then(|| deadline - now) }
+                TaskState::Receiving { port, remaining: (deadline != Instant::NEVER).then(|| deadline - now) }
             }
             Pending::Reply(desk) => {
                 let (port, from, deadline) = self.machines.client.wait_at(desk);

@@ -2,7 +2,7 @@
 
 use crate::ids::{MessageId, PortId, Round, TaskId};
 use crate::request::TimeId;
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 use core::fmt;
 
 /// An invariant that does not hold.
@@ -19,7 +19,7 @@ pub enum Violation {
     /// The memory of a command ends before its sender's wait, or its execution budget ends after it (D6, D18).
     MemoryTooShort(TaskId, MessageId),
     /// The task waits past its deadline.
-    Overdue(Ticks),
+    Overdue(Instant),
     /// The task waits for an answer that nobody was asked for, or for one under another life's id; or the other way round.
     WaitsForNothing(PortId),
     /// The task waits at a `waitfor` that does not know of it, or the other way round.
@@ -48,11 +48,13 @@ pub enum Violation {
     /// A message that is not whole has no time left, or is held where messages take one packet (D28).
     HoldsFragments(PortId, TaskId),
     /// The task acts past its lease, or has not taken over when it should have (D61).
-    PastLease(Ticks),
+    PastLease(Instant),
     /// What the task is to be told of its lease is not so.
     WrongCall,
     /// An order that is kept over what waits is not what a look at all of it says.
     OutOfOrder(PortId),
+    /// The next deadline that is kept is not what a look at all parts says.
+    WrongDeadline,
 }
 
 impl fmt::Display for Violation {
@@ -108,6 +110,7 @@ impl fmt::Display for Violation {
                 write!(f, "the lease, or the wait for it, should have ended at {until}")
             }
             Self::OutOfOrder(port) => write!(f, "what waits at port {port} is not in order"),
+            Self::WrongDeadline => f.write_str("the next deadline that is kept is not the next one"),
             Self::WrongCall => f.write_str("what the task is to be told of its lease is not so"),
             Self::HoldsFragments(port, source) => {
                 write!(f, "port {port} holds fragments of {source} that cannot become a message")

@@ -2,7 +2,7 @@
 
 use crate::ids::{PortId, Round, TaskId};
 use crate::request::{Outcome, ReleasedBy, TimeId};
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 use serde::{Deserialize, Serialize};
 
 /// What a thread of the task waits for: one outstanding communication (R93).
@@ -12,7 +12,7 @@ pub(crate) enum Pending {
     Get {
         port: Option<PortId>,
         source: Option<TaskId>,
-        deadline: Ticks,
+        deadline: Instant,
     },
     /// The answers to the request at this desk; its deadline stands there.
     Reply(u16),

@@ -46,14 +46,14 @@ fn a_driver_may_ignore_what_scripts_say_of_themselves() {
     let mut node =
         ScriptedNode::new(Node::new(table, Incarnation(0), false, 4), programs).expect("checked programs");
     let mut out = Quiet::default();
-    node.step(HostInput::Begin, &mut out);
+    node.step(Instant::START, HostInput::Begin, &mut out);
     assert_eq!(out.ended, [B], "it ends, and leaves the command unanswered");
-    assert_eq!(node.next_expiry(), Some(Ticks(9)), "the sender waits for the answer");
-    node.step(HostInput::Node(NodeInput::Advance(Ticks(9))), &mut out);
-    assert_eq!(node.next_expiry(), Some(Ticks(4)), "then it delays");
-    node.step(HostInput::Node(NodeInput::Advance(Ticks(4))), &mut out);
+    assert_eq!(node.node().time_left(), Some(Ticks(9)), "the sender waits for the answer");
+    node.step(Instant(9), HostInput::Node(NodeInput::Time), &mut out);
+    assert_eq!(node.node().time_left(), Some(Ticks(4)), "then it delays");
+    node.step(Instant(13), HostInput::Node(NodeInput::Time), &mut out);
     assert_eq!((out.ended, out.cut), (vec![B, A], 0));
-    assert_eq!(node.next_expiry(), None);
+    assert_eq!(node.node().time_left(), None);
 }
 
 #[test]

@@ -91,7 +91,7 @@ impl Floor {
 
     fn drive(&mut self, node: NodeId, input: HostInput) {
         self.out.from = node;
-        self.nodes[node.index()].step(input, &mut self.out);
+        self.nodes[node.index()].step(Instant(self.out.now), input, &mut self.out);
         let parts = self.nodes[node.index()].node().parts();
         for task in &parts.tasks {
             invariants::check(task, &parts.table).unwrap_or_else(|violation| panic!("{violation}"));
@@ -129,7 +129,7 @@ impl Floor {
         for _ in 0..ticks {
             self.out.now += 1;
             for node in 0..self.nodes.len() {
-                self.drive(NodeId::from_index(node), HostInput::Node(NodeInput::Advance(Ticks(1))));
+                self.drive(NodeId::from_index(node), HostInput::Node(NodeInput::Time));
             }
             self.end_actions();
             while let Some(at) = self.out.flying.iter().position(|&(due, ..)| due <= self.out.now) {

@@ -2,6 +2,7 @@
 //! (`tests/fuzzing.rs`). Any bytes mean something, and more bytes only continue what fewer begin.
 
 use super::Effects;
+use super::NextExpiry;
 use super::packing::{repack, without_arguments};
 use super::plan::Plan;
 use super::world::World;
@@ -65,7 +66,6 @@ pub fn inputs(data: &[u8]) {
             assert_eq!(found, expected, "{op:?} after a rebase");
         }
         next_expiry_is_exact(&world, task);
-        passing_is_advancing(&world, task, u64::from(d));
         assert_eq!(other.bytes(task), world.bytes(task), "packed state of T{task}");
     }
 }
@@ -74,31 +74,17 @@ pub fn inputs(data: &[u8]) {
 fn next_expiry_is_exact(world: &World, task: usize) {
     let mut ahead = world.clone();
     let Some(due) = ahead.tasks[task].next_expiry() else {
-        let never = ahead.input(task, Input::Advance(Ticks(1_000_000)));
+        let never = ahead.pass(task, 1_000_000);
         assert!(never == Effects::default(), "{never:?} without a next expiry");
         return;
     };
     if due.0 > 0 {
-        let early = ahead.input(task, Input::Advance(Ticks(due.0 - 1)));
+        let early = ahead.pass(task, due.0 - 1);
         assert!(early == Effects::default(), "{early:?} before {due}");
     }
-    let on_time = ahead.input(task, Input::Advance(Ticks(u64::from(due.0 > 0))));
+    let on_time = ahead.pass(task, u64::from(due.0 > 0));
     let residence = ahead.tables[task].rules().charge_residence;
     assert!(!residence || on_time != Effects::default(), "nothing after {due}");
-}
-
-/// Before the next expiry, time that a driver lets pass leaves what an `Advance` leaves.
-fn passing_is_advancing(world: &World, task: usize, length: u64) {
-    let (mut passed, mut advanced) = (world.clone(), world.clone());
-    let due = world.tasks[task].next_expiry().map_or(u64::MAX, |due| due.0);
-    if due == 0 {
-        return;
-    }
-    let elapsed = Ticks(length % due);
-    passed.tasks[task].pass(&world.tables[task], elapsed);
-    advanced.input(task, Input::Advance(elapsed));
-    let whole = |world: &World| format!("{:?}", world.tasks[task]);
-    assert_eq!(whole(&passed), whole(&advanced), "after {elapsed} of {due}");
 }
 
 /// Reads packets from `data`: any bytes are a packet or an error, what was a packet is one again, no flipped bit goes

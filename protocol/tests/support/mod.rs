@@ -5,11 +5,12 @@ pub mod bytes;
 pub mod net;
 pub mod packing;
 pub mod plan;
+pub mod shift;
 pub mod world;
 
 use imrs_protocol::*;
+use shift::Shift;
 use std::sync::Arc;
-use world::Shift;
 
 /// Everything that one input caused, in order.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -93,8 +94,14 @@ impl Solo {
     }
 
     pub fn input(&mut self, input: Input) -> Effects {
+        self.input_after(0, input)
+    }
+
+    /// So much later than the last input.
+    fn input_after(&mut self, ticks: u64, input: Input) -> Effects {
+        let now = self.task.now() + Ticks(ticks);
         let mut out = Effects::default();
-        self.task.handle(&self.table, input, &mut out);
+        self.task.handle(&self.table, now, &input, &mut out);
         if let Err(violation) = invariants::check(&self.task, &self.table) {
             panic!("after {input:?}: {violation}");
         }
@@ -112,7 +119,7 @@ impl Solo {
     }
 
     pub fn pass(&mut self, ticks: u64) -> Effects {
-        self.input(Input::Advance(Ticks(ticks)))
+        self.input_after(ticks, Input::Time)
     }
 
     /// Packs the state, reads it back and goes on from there.
@@ -132,6 +139,39 @@ impl Solo {
         let port = view.ports.into_iter().find(|p| p.port == port).expect("a port of the task");
         port.queue.iter().map(|entry| (entry.source, entry.remaining.0)).collect()
     }
+}
+
+/// How long until time alone makes something act.
+pub trait NextExpiry {
+    fn next_expiry(&self) -> Option<Ticks>;
+}
+
+impl NextExpiry for CommTask {
+    fn next_expiry(&self) -> Option<Ticks> {
+        until(self.next_deadline(), self.now())
+    }
+}
+
+impl NextExpiry for Transit {
+    fn next_expiry(&self) -> Option<Ticks> {
+        until(self.next_deadline(), self.now())
+    }
+}
+
+impl NextExpiry for Timer {
+    fn next_expiry(&self) -> Option<Ticks> {
+        until(self.next_deadline(), self.now())
+    }
+}
+
+impl NextExpiry for Node {
+    fn next_expiry(&self) -> Option<Ticks> {
+        self.time_left()
+    }
+}
+
+fn until(deadline: Instant, now: Instant) -> Option<Ticks> {
+    (deadline != Instant::NEVER).then(|| deadline - now)
 }
 
 /// The state has the same canonical bytes after it was read back from them, where it fits them at all; and the state that was

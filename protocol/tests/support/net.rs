@@ -116,6 +116,15 @@ impl Net {
     }
 
     pub fn step(&mut self, node: NodeId, input: NodeInput) {
+        self.step_after(node, 0, input);
+    }
+
+    /// So many ticks pass for one node.
+    pub fn pass(&mut self, node: NodeId, ticks: u64) {
+        self.step_after(node, ticks, NodeInput::Time);
+    }
+
+    fn step_after(&mut self, node: NodeId, ticks: u64, input: NodeInput) {
         let mut wires = Wires {
             from: node,
             now: self.now,
@@ -127,7 +136,8 @@ impl Net {
             signals: &mut self.signals,
             observations: &mut self.observations,
         };
-        self.nodes[node.index()].step(input, &mut wires);
+        let stepped = &mut self.nodes[node.index()];
+        stepped.step(stepped.now() + Ticks(ticks), input, &mut wires);
         let parts = self.nodes[node.index()].parts();
         for task in &parts.tasks {
             if let Err(violation) = invariants::check(task, &parts.table) {
@@ -141,7 +151,7 @@ impl Net {
         for _ in 0..ticks {
             self.now += 1;
             for node in 0..self.nodes.len() {
-                self.step(NodeId::from_index(node), NodeInput::Advance(Ticks(1)));
+                self.pass(NodeId::from_index(node), 1);
             }
             let now = self.now;
             let (arrived, flying) = self.flying.drain(..).partition(|flight| flight.due <= now);

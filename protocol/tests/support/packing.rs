@@ -1,7 +1,8 @@
 //! Packed states read back: what they keep and what they leave out.
 
 use super::Effects;
-use super::world::{Shift, World};
+use super::shift::Shift;
+use super::world::World;
 use imrs_protocol::*;
 
 /// Packs a task, reads it back into itself and gives its ids their world's place again. A state that does not fit its

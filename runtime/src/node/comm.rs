@@ -1,6 +1,6 @@
 //! A communication task behind its lock, with its clock, its recorder and its observations.
 
-use crate::clock::{self, FAR, Micros};
+use crate::clock::{self, Micros};
 use crate::node::effects::{Effect, Effects, Stamped};
 use crate::node::failstop::guarded;
 use crate::observe::ring::Ring;
@@ -10,13 +10,10 @@ use crate::sync::alarm::{Alarm, Cover};
 use crate::sync::handoff::{Rest, Station};
 use imrs_protocol::script::Program;
 use imrs_protocol::{
-    Class, CommTask, Delivery, Event, Input, Kind, NodeTable, Observation, Outbox, Packet, PortId, QueueView,
-    Reason, Signal, TaskId, TaskView, Ticks, TimeId,
+    Class, CommTask, Delivery, Event, Input, Instant, Kind, NodeTable, Observation, Outbox, Packet, PortId,
+    QueueView, Reason, Signal, TaskId, TaskView, Ticks, TimeId,
 };
 use std::sync::Arc;
-
-/// After so long (19 hours) the machine's own clock is put back to zero, long before anything could wrap.
-const REBASE_AFTER: Micros = 1 << 36;
 
 pub(crate) struct Comm {
     machine: CommTask,
@@ -25,11 +22,8 @@ pub(crate) struct Comm {
     cover: Cover,
     /// Whether the task is one of a couple: then no input is taken at an earlier time than that at which it is taken in.
     coupled: bool,
-    /// When the machine last advanced.
-    last: Micros,
-    /// When it next does something by itself; unknown from its next input on.
-    due: Option<Micros>,
-    rebased: Micros,
+    /// When the machine's own clock began.
+    started: Micros,
     /// Where its steps go, if it is recorded.
     log: Option<Box<dyn Log>>,
     /// Whether the log wants the machine's state before the next step.
@@ -58,9 +52,7 @@ impl Comm {
             wants_keyframe,
             alarm,
             cover: Cover::new(slot),
-            last: now,
-            due: None,
-            rebased: now,
+            started: now,
             log,
             digest: OutputDigest::START,
             ring: Ring::new(),
@@ -97,20 +89,18 @@ impl Comm {
         let epoch = self.machine.epoch().filter(|_| self.machine.is_active())?;
         Some(HeldLease {
             epoch,
-            until: self.machine.lease_left().map(|left| self.last.saturating_add(left.0)),
+            until: self.machine.lease_left().map(|left| self.now().saturating_add(left.0)),
         })
     }
 
-    /// Lets time pass until `now`; an earlier one is no time.
-    pub fn pass(&mut self, now: Micros) -> Ticks {
-        let elapsed = Ticks(now.saturating_sub(self.last));
-        self.last += elapsed.0;
-        elapsed
+    /// How long until `now`; an earlier one is no time.
+    pub const fn elapsed(&self, now: Micros) -> Ticks {
+        Ticks(now.saturating_sub(self.now()))
     }
 
     /// Whether nothing comes of the time until `now` but that it has passed.
     pub fn is_idle_until(&self, now: Micros) -> bool {
-        self.due.is_some_and(|due| now < due)
+        now < self.due()
     }
 
     /// Whether the task is one of a couple.
@@ -120,7 +110,7 @@ impl Comm {
 
     /// Whether the task holds a lease that is over by `now`, and nobody has told the machine so.
     pub fn is_overdue(&self, now: Micros) -> bool {
-        self.machine.lease_left().is_some_and(|left| self.last.saturating_add(left.0) <= now)
+        self.machine.lease_left().is_some_and(|left| self.now().saturating_add(left.0) <= now)
     }
 
     pub const fn machine(&self) -> &CommTask {
@@ -129,7 +119,7 @@ impl Comm {
 
     /// The time of the machine.
     pub const fn now(&self) -> Micros {
-        self.last
+        self.started + self.machine.now().0
     }
 
     /// The machine takes one step; what it answers goes to `answers`.
@@ -140,7 +130,7 @@ impl Comm {
             log.keyframe(&self.machine, self.digest);
         }
         let mut out = Out {
-            at: self.last,
+            at: self.now() + step.elapsed.0,
             task: self.machine.task(),
             effects,
             answers,
@@ -149,27 +139,10 @@ impl Comm {
         };
         let digest = self.log.is_some().then_some(&mut self.digest);
         let out = &mut Digesting { digest, out: &mut out };
-        if !step.elapsed.is_zero() {
-            match self.due.filter(|&due| self.last < due) {
-                // The same as the `Advance`, which would find nothing to do.
-                Some(due) => {
-                    self.machine.pass(&self.table, step.elapsed);
-                    self.due = self.table.rules().charge_residence.then_some(due);
-                }
-                None => {
-                    self.due = None;
-                    self.machine.handle_at(&self.table, &Input::Advance(step.elapsed), out);
-                }
-            }
-        }
-        if step.has_input() {
-            self.due = None;
-            self.machine.handle_at(&self.table, &step.input, out);
-        }
+        self.machine.handle(&self.table, self.machine.now() + step.elapsed, &step.input, out);
         if let Some(log) = &mut self.log {
             self.wants_keyframe = log.step(step, self.digest);
         }
-        self.rebase_in_time();
     }
 
     /// Where what happens here is written down, and what a script may look at meanwhile.
@@ -179,12 +152,12 @@ impl Comm {
 
     /// The machine's state with so many waiting messages of each port, and when it was so.
     pub fn view(&self, queue_limit: impl Fn(PortId) -> usize) -> (TaskView, Micros) {
-        (self.machine.view_of(&self.table, queue_limit), self.last)
+        (self.machine.view_of(&self.table, queue_limit), self.now())
     }
 
     /// What waits at a port, and when it was so.
     pub fn queue(&self, port: PortId, limit: usize) -> Option<(QueueView, Micros)> {
-        Some((self.machine.queue_view(port, limit)?, self.last))
+        Some((self.machine.queue_view(port, limit)?, self.now()))
     }
 
     pub fn discards(&self) -> &[u64; Reason::ALL.len()] {
@@ -199,7 +172,7 @@ impl Comm {
     pub fn expired_in_hand(&mut self, message: &Delivery) {
         self.discards[Reason::Expired as usize] += 1;
         self.ring.push(
-            self.last,
+            self.now(),
             Observation {
                 event: Event::Discarded(Reason::Expired),
                 port: message.from.port,
@@ -211,9 +184,8 @@ impl Comm {
     }
 
     /// When the machine next does something by itself.
-    fn due(&mut self) -> Micros {
-        let (machine, last) = (&self.machine, self.last);
-        *self.due.get_or_insert_with(|| machine.next_expiry().map_or(FAR, |left| last.saturating_add(left.0)))
+    fn due(&self) -> Micros {
+        self.started.saturating_add(self.machine.next_deadline().0)
     }
 
     fn take(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Mail> {
@@ -224,23 +196,16 @@ impl Comm {
         // The thread that brings it may have been stopped since it looked at the clock, and with it its node: a lease that has
         // ended meanwhile ends before anything else comes of the input (D153).
         let at = if self.coupled { stamped.at.max(clock::now()) } else { stamped.at };
-        let elapsed = self.pass(at);
-        let late = self.last.saturating_sub(stamped.at);
+        let elapsed = self.elapsed(at);
+        let at = self.now() + elapsed.0;
         let mut input = stamped.input;
         if let Input::Packet(packet) = &mut input {
             // Another thread was faster: what the packet waited for this one is taken from its life, too.
-            packet.remaining = packet.remaining - Ticks(late);
+            packet.remaining = packet.remaining - (Instant(at) - Instant(stamped.at));
         }
-        let (mut mail, at) = (None, self.last);
+        let mut mail = None;
         self.run(&Step { elapsed, input }, &mut |signal| mail = Some(Mail { signal, at }), effects);
         mail
-    }
-
-    fn rebase_in_time(&mut self) {
-        if self.last - self.rebased > REBASE_AFTER {
-            self.machine.rebase(&self.table);
-            self.rebased = self.last;
-        }
     }
 }
 

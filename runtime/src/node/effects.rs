@@ -186,7 +186,7 @@ mod tests {
     use super::*;
 
     fn numbered(at: Micros) -> Stamped {
-        Stamped { at, input: Input::Advance(Ticks::ZERO) }
+        Stamped { at, input: Input::Time }
     }
 
     /// Puts as many in for each place as it says, and takes all out.

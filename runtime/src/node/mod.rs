@@ -228,7 +228,7 @@ impl Node {
             self.timers.advance(now, effects);
             self.carry_out(effects);
         }
-        let stamped = Stamped { at: now, input: Input::Advance(Ticks::ZERO) };
+        let stamped = Stamped { at: now, input: Input::Time };
         let next = |mail: &Mail| more(mail).map(|next| Stamped { at: now, input: Input::Request(next) });
         let entry = self.members.list[place].handoff.come_back_and(stamped, next, effects);
         self.carry_out(effects);
@@ -262,7 +262,7 @@ impl Node {
         self.carry_out(effects);
         for (slot, member) in self.members.list.iter().enumerate() {
             if self.alarm.slot(slot) <= now {
-                let stamped = Stamped { at: now, input: Input::Advance(Ticks::ZERO) };
+                let stamped = Stamped { at: now, input: Input::Time };
                 member.handoff.deliver_now(stamped, effects);
                 self.carry_out(effects);
             }

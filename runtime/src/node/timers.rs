@@ -1,11 +1,11 @@
 //! The paper's Timer (Figure 3) behind its lock. It serves the `delay`s of the tasks; their time_outs are the
 //! communication tasks' own (D41).
 
-use crate::clock::{FAR, Micros};
+use crate::clock::Micros;
 use crate::node::effects::{Effect, Effects, Stamped};
 use crate::sync::alarm::Alarm;
 use crate::sync::{Mutex, lock};
-use imrs_protocol::{CommTask, Input, TaskId, Ticks, TimeId, Timer};
+use imrs_protocol::{CommTask, Input, Instant, TaskId, Ticks, TimeId, Timer};
 use std::sync::Arc;
 
 pub(crate) struct Timers {
@@ -19,14 +19,15 @@ struct State {
     attended: Timer,
     /// Those that no thread sleeps for: the Timer thread looks after them. Apart, so that its next one costs no search.
     unattended: Timer,
-    last: Micros,
 }
 
 impl Timers {
     /// `timer` is empty and has room for the entries of all `tasks` tasks of the node.
     pub fn new(timer: Timer, tasks: usize, alarm: Arc<Alarm>, slot: usize, now: Micros) -> Self {
         let room = u16::try_from(tasks.saturating_mul(CommTask::ENTRIES)).unwrap_or(u16::MAX);
-        let state = State { attended: timer, unattended: Timer::new(room), last: now };
+        let mut state = State { attended: timer, unattended: Timer::new(room) };
+        // Nothing is armed: its clock begins.
+        state.advance(now, &mut Effects::of_an_onlooker());
         Self { alarm, slot, state: Mutex::new(state) }
     }
 
@@ -41,12 +42,12 @@ impl Timers {
         let mut state = lock(&self.state);
         state.advance(at, effects);
         // Time that passed here since the task asked is not added to its delay.
-        let length = length - Ticks(state.last.saturating_sub(at));
+        let length = length - (state.now() - Instant(at));
         state.disarm(owner, id);
         let timer = if effects.waiter == Some(owner) { &mut state.attended } else { &mut state.unattended };
         if !timer.arm(owner, id, turn, length) {
             // A full Timer ends the delay at once rather than never.
-            let stamped = Stamped { at: state.last, input: Input::TimeOut { id, turn } };
+            let stamped = Stamped { at: state.now().0, input: Input::TimeOut { id, turn } };
             effects.queue.push_back(Effect::Feed(owner, stamped));
         }
         self.publish(&state);
@@ -72,22 +73,24 @@ impl Timers {
         let mut entries = state.attended.entries();
         entries.extend(state.unattended.entries());
         entries.sort_by_key(|&(_, _, left)| left);
-        (entries, state.last)
+        (entries, state.now().0)
     }
 
     fn publish(&self, state: &State) {
-        let next = state.unattended.next_expiry();
-        self.alarm.publish(self.slot, next.map_or(FAR, |left| state.last.saturating_add(left.0)));
+        self.alarm.publish(self.slot, state.unattended.next_deadline().0);
     }
 }
 
 impl State {
+    fn now(&self) -> Instant {
+        self.unattended.now()
+    }
+
     fn advance(&mut self, now: Micros, effects: &mut Effects) {
-        let elapsed = now.saturating_sub(self.last);
-        self.last += elapsed;
+        let now = self.now().max(Instant(now));
         for timer in [&mut self.attended, &mut self.unattended] {
-            timer.advance(Ticks(elapsed), |owner, id, turn| {
-                let stamped = Stamped { at: self.last, input: Input::TimeOut { id, turn } };
+            timer.advance(now, |owner, id, turn| {
+                let stamped = Stamped { at: now.0, input: Input::TimeOut { id, turn } };
                 effects.queue.push_back(Effect::Feed(owner, stamped));
             });
         }

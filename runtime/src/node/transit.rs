@@ -4,7 +4,7 @@
 //! urgency is kept up to the link, packets for one neighbour leave together when many are waiting, and nobody waits
 //! for a system call of another.
 
-use crate::clock::{self, FAR, Micros};
+use crate::clock::{self, Micros};
 use crate::link::Link;
 use crate::node::effects::{Effect, Effects, Stamped};
 use crate::node::member::Members;
@@ -13,12 +13,11 @@ use crate::sync::alarm::Alarm;
 use crate::sync::turn::Turn;
 use crate::sync::{AtomicU64, Mutex, Ordering, lock};
 use imrs_protocol::{
-    Input, MessageId, NodeId, NodeTable, Observation, Packet, RouteOutbox, TaskId, Ticks, Transit,
+    Input, Instant, MessageId, NodeId, NodeTable, Observation, Packet, RouteOutbox, TaskId, Ticks, Transit,
     TransitView,
 };
 use imrs_wire::envelope::MAX_PACKETS;
 use std::sync::Arc;
-use std::time::Instant;
 
 pub(crate) struct Dispatch {
     table: NodeTable,
@@ -35,7 +34,6 @@ pub(crate) struct Dispatch {
 
 struct Buffer {
     transit: Transit,
-    last: Micros,
     ring: Ring,
 }
 
@@ -61,13 +59,16 @@ impl Dispatch {
         let room = (usize::from(transit.view().capacity) / 4).max(MAX_PACKETS);
         let at_once = link.as_ref().map_or(MAX_PACKETS, |link| link.at_once()).min(room);
         let batch = |&next: &NodeId| Batch { next, packets: Vec::with_capacity(at_once), most: 0 };
+        let mut buffer = Buffer { transit, ring: Ring::new() };
+        // Nothing waits: its clock begins.
+        buffer.advance(&table, now, &members, &mut Effects::of_an_onlooker());
         Self {
             link,
             at_once,
             slot: members.list.len(),
             members,
             alarm,
-            buffer: Mutex::new(Buffer { transit, last: now, ring: Ring::new() }),
+            buffer: Mutex::new(buffer),
             sender: Turn::new(neighbours.iter().map(batch).collect()),
             sent: neighbours.iter().map(|&next| (next, AtomicU64::new(0))).collect(),
             table,
@@ -122,7 +123,7 @@ impl Dispatch {
     /// The buffer's state, and when it was so.
     pub fn view(&self) -> (TransitView, Micros) {
         let buffer = lock(&self.buffer);
-        (buffer.transit.view(), buffer.last)
+        (buffer.transit.view(), buffer.now())
     }
 
     /// How many packets went to each neighbour.
@@ -158,7 +159,7 @@ impl Dispatch {
             }
             let full = batch.packets.len() == self.at_once;
             // This order: if the node is stopped between the two clocks, the packets come out too old, never too young.
-            let at = Instant::now();
+            let at = std::time::Instant::now();
             let then = clock::now().max(popped);
             let waited = Ticks(then - popped);
             batch.packets.iter_mut().for_each(|packet| packet.remaining = packet.remaining - waited);
@@ -204,12 +205,11 @@ impl Dispatch {
         }
         batches.iter_mut().for_each(Batch::sort);
         self.publish(&buffer);
-        buffer.last
+        buffer.now()
     }
 
     fn publish(&self, buffer: &Buffer) {
-        let due = buffer.transit.next_expiry().map_or(FAR, |left| buffer.last.saturating_add(left.0));
-        self.alarm.publish(self.slot, due);
+        self.alarm.publish(self.slot, buffer.transit.next_deadline().0);
     }
 }
 
@@ -234,6 +234,11 @@ impl Batch {
 }
 
 impl Buffer {
+    /// Up to when what waits has been looked at.
+    const fn now(&self) -> Micros {
+        self.transit.now().0
+    }
+
     /// A packet whose remaining time was true at `at`, as it is now.
     fn charged(
         &mut self,
@@ -243,10 +248,10 @@ impl Buffer {
         members: &Members,
         effects: &mut Effects,
     ) -> Packet {
-        if at > self.last {
+        if at > self.now() {
             self.advance(table, at, members, effects);
         }
-        Packet { remaining: packet.remaining - Ticks(self.last.saturating_sub(at)), ..packet }
+        Packet { remaining: packet.remaining - (self.transit.now() - Instant(at)), ..packet }
     }
 
     fn pass(
@@ -257,19 +262,17 @@ impl Buffer {
         members: &Members,
         effects: &mut Effects,
     ) -> Option<(NodeId, Packet)> {
-        let mut out = Out { at: self.last, ring: &mut self.ring, members, effects };
+        let mut out = Out { at: self.now(), ring: &mut self.ring, members, effects };
         self.transit.pass(table, packet, ready, &mut out)
     }
 
     fn advance(&mut self, table: &NodeTable, now: Micros, members: &Members, effects: &mut Effects) {
-        let elapsed = now.saturating_sub(self.last);
-        self.last += elapsed;
-        let mut out = Out { at: self.last, ring: &mut self.ring, members, effects };
-        self.transit.advance(table, Ticks(elapsed), &mut out);
+        let mut out = Out { at: self.now().max(now), ring: &mut self.ring, members, effects };
+        self.transit.advance(table, Instant(now), &mut out);
     }
 
     fn offer(&mut self, table: &NodeTable, packet: Packet, members: &Members, effects: &mut Effects) {
-        let mut out = Out { at: self.last, ring: &mut self.ring, members, effects };
+        let mut out = Out { at: self.now(), ring: &mut self.ring, members, effects };
         self.transit.offer(table, packet, &mut out);
     }
 }

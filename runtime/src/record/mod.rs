@@ -117,16 +117,8 @@ impl<O: Outbox> Outbox for Digesting<'_, O> {
 }
 
 impl Step {
-    /// What the machine takes: first the time passes, then the input comes. A running node does the same, but for time in
-    /// which nothing is due (D124).
-    pub(crate) fn parts(self) -> impl Iterator<Item = Input> {
-        let time = (!self.elapsed.is_zero()).then_some(Input::Advance(self.elapsed));
-        let input = self.has_input().then_some(self.input);
-        time.into_iter().chain(input)
-    }
-
     /// Whether anything comes besides time.
     pub(crate) const fn has_input(&self) -> bool {
-        !matches!(self.input, Input::Advance(Ticks::ZERO))
+        !matches!(self.input, Input::Time)
     }
 }

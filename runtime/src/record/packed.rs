@@ -63,7 +63,7 @@ pub(super) fn step(fill: &mut Fill, step: &Step, outputs: u64, crowded: impl FnO
     let Ok(elapsed) = u32::try_from(step.elapsed.0) else { return long(fill, step, outputs, crowded) };
     let head = |tag, more: u64| u64::from(elapsed) << 32 | more << 8 | tag;
     match step.input {
-        Input::Advance(Ticks::ZERO) => one(fill, [head(TIME, 0), outputs, 0, 0, 0, 0, 0, 0], crowded),
+        Input::Time => one(fill, [head(TIME, 0), outputs, 0, 0, 0, 0, 0, 0], crowded),
         Input::Packet(ref packet) => {
             let Packet { kind, class, more, resent, urgent, hops, fragment, .. } = *packet;
             let Packet { destination, source, port, id, remaining, ref contents, .. } = *packet;
@@ -172,7 +172,7 @@ fn read(words: Words, mut next: impl FnMut() -> Option<Words>) -> Option<Entry> 
     let [head, digest, a, b, time, first, last, _] = words;
     let more = head >> 8 & 0xff_ffff;
     let input = match head & 0xff {
-        TIME => Input::Advance(Ticks::ZERO),
+        TIME => Input::Time,
         PACKET => Input::Packet(packet(more, a, b, time, contents(a >> 48, first, last)?)),
         SEND => {
             let to = match more & 3 {

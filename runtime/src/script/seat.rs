@@ -84,11 +84,11 @@ impl Seat {
     /// Input comes to the communication task.
     pub fn take(&mut self, comm: &mut Comm, stamped: Stamped, effects: &mut Effects) {
         let mut input = stamped.input;
-        let only_time = input == Input::Advance(Ticks::ZERO);
+        let only_time = matches!(input, Input::Time);
         let turn = time(comm, effects);
         // One step for the time and the input, where nobody wants to see what is between.
         let elapsed = if !only_time && self.side.watch.is_none() && comm.is_idle_until(turn) {
-            comm.pass(turn)
+            comm.elapsed(turn)
         } else {
             self.let_time_pass(comm, effects);
             Ticks::ZERO
@@ -98,7 +98,7 @@ impl Seat {
         }
         if let Input::Packet(packet) = &mut input {
             // What it waited for this step is taken from its life.
-            packet.remaining = packet.remaining - Ticks(comm.now().saturating_sub(stamped.at));
+            packet.remaining = packet.remaining - Ticks((comm.now() + elapsed.0).saturating_sub(stamped.at));
         }
         self.step(comm, Step { elapsed, input }, effects);
         self.hear(comm, effects);
@@ -142,7 +142,7 @@ impl Seat {
             self.side.cut_short(u8::try_from(level).unwrap_or(u8::MAX), effects);
         }
         self.side.record(comm, ScriptStep::Stopped);
-        let elapsed = comm.pass(clock::next());
+        let elapsed = comm.elapsed(clock::next());
         self.step(comm, Step { elapsed, input: Input::Request(Request::Cancel) }, effects);
         self.signals.clear();
     }
@@ -150,9 +150,9 @@ impl Seat {
     /// The time comes first, as a step of its own. To the next whole microsecond: what is asked in this step is never
     /// stamped before its turn began.
     fn let_time_pass(&mut self, comm: &mut Comm, effects: &mut Effects) -> u64 {
-        let elapsed = comm.pass(time(comm, effects));
+        let elapsed = comm.elapsed(time(comm, effects));
         if !elapsed.is_zero() {
-            self.step(comm, Step { elapsed, input: Input::Advance(Ticks::ZERO) }, effects);
+            self.step(comm, Step { elapsed, input: Input::Time }, effects);
             self.hear(comm, effects);
             self.show(comm);
         }

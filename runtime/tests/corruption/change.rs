@@ -94,9 +94,11 @@ fn alter(record: &mut Record, change: Change, random: &mut fastrand::Rng) {
 
 fn alter_input(input: &mut Input, random: &mut fastrand::Rng) {
     match input {
+        Input::Time => {
+            *input = Input::TimeOut { id: imrs_protocol::TimeId(random.u8(..4)), turn: random.u8(..2) }
+        }
         Input::Packet(packet) => alter_packet(packet, random),
         Input::Request(request) => alter_request(request, random),
-        Input::Advance(ticks) => ticks.0 += random.u64(1..50_000),
         Input::TimeOut { id, turn } if random.bool() => (id.0, *turn) = (id.0 ^ 1, *turn),
         Input::TimeOut { turn, .. } => *turn = turn.wrapping_add(random.u8(1..)),
         Input::Unsent(id) => id.sequence = Seq24::new(id.sequence.get() ^ 1),

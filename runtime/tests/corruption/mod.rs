@@ -73,8 +73,7 @@ impl Observable {
 }
 
 fn again(machine: &mut CommTask, table: &NodeTable, elapsed: Ticks, input: Input, out: &mut Outputs) {
-    machine.handle(table, Input::Advance(elapsed), out);
-    machine.handle(table, input, out);
+    machine.handle(table, machine.now() + elapsed, &input, out);
 }
 
 #[derive(Default)]

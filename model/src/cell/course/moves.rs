@@ -186,7 +186,7 @@ impl Course {
         });
         let up = || (0..floor.stations.len()).filter(|&i| floor.stations[i].up);
         let awake = || up().filter(|&i| !self.is_asleep(i));
-        let nodes = awake().filter_map(|i| floor.stations[i].node.next_expiry()).map(|t| t.0);
+        let nodes = awake().filter_map(|i| floor.stations[i].node.time_left()).map(|t| t.0);
         let paused = up().filter(|&i| self.is_asleep(i)).flat_map(|i| self.events_asleep(i));
         let ends = (0..floor.bodies.len()).filter_map(|task| self.next_end(task));
         // What is due is looked at when its last tick is over.

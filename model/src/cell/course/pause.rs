@@ -20,8 +20,8 @@ use crate::cell::plan::Pause;
 use crate::floor::Floor;
 use crate::floor::script::{Actor, Running};
 use crate::state::Violation;
+use imrs_protocol::Ticks;
 use imrs_protocol::script::Op;
-use imrs_protocol::{NodeInput, Ticks};
 
 /// A node that is paused. How long it has slept is in the floor: see [`Station::asleep`](crate::floor::Station::asleep).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -99,7 +99,7 @@ impl Course {
 
     /// Whether a node does something by itself when so many ticks pass.
     fn notices(&self, node: usize, ticks: u32) -> bool {
-        let due = self.floor.stations[node].node.next_expiry().map(|due| due.0);
+        let due = self.floor.stations[node].node.time_left().map(|due| due.0);
         let begins = self.next_begin(node);
         due.into_iter().chain(begins).any(|due| due <= u64::from(ticks))
     }
@@ -172,12 +172,12 @@ impl Course {
 
     /// A node notices that so many ticks have passed, of which its clock has counted so many.
     pub fn notice(&mut self, node: usize, ticks: u32, counted: u32) -> Result<(), Violation> {
-        let due = self.floor.stations[node].node.next_expiry();
+        let due = self.floor.stations[node].node.time_left();
         if due.is_some_and(|due| due.0 <= u64::from(counted)) {
             self.beside.acted |= bit(node);
         }
         if counted > 0 {
-            self.floor.step(node, NodeInput::Advance(Ticks(u64::from(counted))))?;
+            self.floor.pass(node, Ticks(u64::from(counted)))?;
         }
         self.floor.run_scripts()?;
         self.hold_back_on(node, ticks)
@@ -210,7 +210,7 @@ impl Course {
         let slept = u64::from(self.floor.slept(node).unwrap_or(0));
         let left = self.beside.asleep[node].as_ref().map(|asleep| asleep.left);
         let machines = &self.floor.stations[node].node;
-        let due = machines.next_expiry();
+        let due = machines.time_left();
         let leases = machines.parts().tasks.iter().filter_map(imrs_protocol::CommTask::lease_left);
         let own = leases.chain(due).filter_map(move |due| due.0.checked_sub(slept)).filter(|left| *left > 0);
         own.chain(left.filter(|left| *left > 0).map(|left| u64::from(self.to_next_step(left))))

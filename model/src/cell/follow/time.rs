@@ -16,7 +16,7 @@ const TIED: usize = 8;
 impl Follower {
     /// The ticks until time alone makes a node act.
     pub(super) fn expiry(&self, node: usize) -> Option<u64> {
-        self.course.floor.stations[node].node.next_expiry().map(|ticks| ticks.0.max(1))
+        self.course.floor.stations[node].node.time_left().map(|ticks| ticks.0.max(1))
     }
 
     pub(super) fn count(&mut self, node: usize, ticks: u64) -> Result<(), No> {
@@ -24,7 +24,7 @@ impl Follower {
             return Ok(());
         }
         self.clocks[node] += ticks;
-        let step = self.course.floor.step(node, NodeInput::Advance(Ticks(ticks)));
+        let step = self.course.floor.pass(node, Ticks(ticks));
         step.map_err(|violation| No::Never(violation.text().into()))?;
         self.made(node)
     }
@@ -32,7 +32,8 @@ impl Follower {
     /// Whether so much time shows anything at a node.
     pub(super) fn shows(&self, node: usize, ticks: u64) -> bool {
         let mut look = Look(false);
-        self.course.floor.stations[node].node.clone().step(NodeInput::Advance(Ticks(ticks)), &mut look);
+        let mut node = self.course.floor.stations[node].node.clone();
+        node.step(node.now() + Ticks(ticks), NodeInput::Time, &mut look);
         look.0
     }
 
@@ -195,7 +196,7 @@ impl Follower {
         for (of, id, _) in rest.parts().timer.entries() {
             rest.parts_mut().timer.disarm(of, id);
         }
-        rest.next_expiry().map(|ticks| ticks.0)
+        rest.time_left().map(|ticks| ticks.0)
     }
 
     /// Timers that end within so many ticks end right after these: the run shows later when.
@@ -221,7 +222,7 @@ impl Follower {
     fn end_now(&mut self, node: usize, (of, id): Timer) -> Result<(), No> {
         self.put_off.remove(&(of, id));
         self.course.floor.stations[node].node.parts_mut().timer.put(of, id, Ticks::ZERO);
-        let step = self.course.floor.step(node, NodeInput::Advance(Ticks::ZERO));
+        let step = self.course.floor.pass(node, Ticks::ZERO);
         step.map_err(|violation| No::Never(violation.text().into()))?;
         self.made(node)
     }

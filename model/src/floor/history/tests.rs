@@ -33,12 +33,12 @@ impl Bench {
     }
 
     fn ask(&mut self, request: Request) -> &mut Self {
-        self.history.begin(0, &NodeInput::Request(READER, request));
+        self.history.begin(0, Ticks::ZERO, &NodeInput::Request(READER, request));
         self
     }
 
     fn wait(&mut self, ticks: u64) -> &mut Self {
-        self.history.begin(0, &NodeInput::Advance(Ticks(ticks)));
+        self.history.begin(0, Ticks(ticks), &NodeInput::Time);
         self
     }
 

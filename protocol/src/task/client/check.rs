@@ -7,7 +7,7 @@ use crate::task::interrupts::Interrupts;
 use crate::task::own::{Own, index};
 use crate::task::violation::Violation;
 use crate::task::wait::{Finished, Pending};
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 
 impl Client {
     /// Whether a thread waits at each desk that is open, and each is due in time.
@@ -39,7 +39,7 @@ impl Desk {
             return Err(Violation::WaitsForNothing(self.port));
         }
         let due = self.copy_at < own.now;
-        let idle = self.copies_left == 0 && self.copy_at != Ticks::FAR;
+        let idle = self.copies_left == 0 && self.copy_at != Instant::NEVER;
         if due || idle { Err(Violation::ResendInstant(self.port)) } else { Ok(()) }
     }
 }

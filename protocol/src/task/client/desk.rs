@@ -7,7 +7,7 @@ use crate::request::Answers;
 use crate::table::Port;
 use crate::task::fragments::{Assembly, Parts, Progress};
 use crate::task::own::are_alike;
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 use alloc::boxed::Box;
 use serde::{Deserialize, Serialize};
 
@@ -60,10 +60,10 @@ pub(super) struct Desk {
     pub phase: Phase,
     /// Whether several tasks were asked.
     pub set: bool,
-    pub deadline: Ticks,
+    pub deadline: Instant,
     /// How often the request may still be sent again, and when next (D5).
     pub copies_left: u8,
-    pub copy_at: Ticks,
+    pub copy_at: Instant,
     pub contents: Contents,
     pub parts: Parts,
     /// All tasks that may be asked, in the order of the parties.
@@ -87,7 +87,7 @@ impl Asked {
             self.contents.begin(MessageId::default());
         }
         self.by = (!whole).then_some(by);
-        Ok(self.contents.put(packet, Ticks::FAR))
+        Ok(self.contents.put(packet, Instant::NEVER))
     }
 }
 
@@ -108,9 +108,9 @@ impl Desk {
             endpoint,
             phase: Phase::Closed,
             set: false,
-            deadline: Ticks::FAR,
+            deadline: Instant::NEVER,
             copies_left: 0,
-            copy_at: Ticks::FAR,
+            copy_at: Instant::NEVER,
             contents: Contents::EMPTY,
             parts: Parts::new(port.decl.fragments),
             asked: port.peers(own).map(asked).collect(),
@@ -118,10 +118,10 @@ impl Desk {
     }
 
     /// When time alone makes this desk act.
-    pub fn due(&self) -> Ticks {
+    pub fn due(&self) -> Instant {
         match self.phase {
             Phase::Open => self.deadline.min(self.copy_at),
-            Phase::Closed | Phase::Ended => Ticks::FAR,
+            Phase::Closed | Phase::Ended => Instant::NEVER,
         }
     }
 
@@ -170,11 +170,11 @@ impl Desk {
         set: bool,
         retries: u8,
         (port, life, contents): (&Port, Ticks, Contents),
-        now: Ticks,
+        now: Instant,
     ) {
         (self.phase, self.set, self.deadline, self.contents) = (Phase::Open, set, now + life, contents);
         self.copies_left = retries;
-        self.copy_at = if retries > 0 { now + port.decl.resend } else { Ticks::FAR };
+        self.copy_at = if retries > 0 { now + port.decl.resend } else { Instant::NEVER };
     }
 
     /// Whether it has the port of a new one, and room for the same answers.
@@ -189,7 +189,7 @@ impl Desk {
 
     /// Nothing is outstanding.
     pub fn settle(&mut self) {
-        (self.deadline, self.copy_at, self.copies_left) = (Ticks::FAR, Ticks::FAR, 0);
+        (self.deadline, self.copy_at, self.copies_left) = (Instant::NEVER, Instant::NEVER, 0);
         self.contents = Contents::EMPTY;
         self.parts.clear();
     }

@@ -16,7 +16,7 @@ fn asked() -> (Fixture, Client, Interrupts) {
     let table = bench.table.clone();
     let (port, party) = mapping::own_end(&table, MOVE, A).unwrap();
     let message = (port, Ticks(20), Contents::new(b"go").unwrap());
-    let sent = client.send(&mut bench.at(Ticks(10)), (party, Target::One(B)), message);
+    let sent = client.send(&mut bench.at(Instant(10)), (party, Target::One(B)), message);
     let Ok(Sent::Asked(desk)) = sent else { panic!("it asks") };
     threads.wait(Pending::Reply(desk));
     assert_eq!(client.check(&bench.own, &threads), Ok(()));
@@ -35,12 +35,12 @@ fn an_answer_ends_the_wait_once() {
     let (mut bench, mut client, mut threads) = asked();
     let answer = answer(&mut bench);
     assert_eq!(client.outstanding().collect::<Vec<_>>(), [(MOVE, B, answer.id)]);
-    let ended = client.answer(&mut bench.at(Ticks(12)), 0, &answer).expect("an end");
+    let ended = client.answer(&mut bench.at(Instant(12)), 0, &answer).expect("an end");
     assert_eq!(ended.wait, Some(Pending::Reply(0)));
     assert_eq!(ended.finished, Finished::Outcome(Outcome::Reply(answer.contents)));
     threads.end_wait();
     assert_eq!(client.check(&bench.own, &threads), Ok(()));
-    assert!(client.answer(&mut bench.at(Ticks(13)), 0, &answer).is_none());
+    assert!(client.answer(&mut bench.at(Instant(13)), 0, &answer).is_none());
     assert_eq!(bench.effects.observed.last().unwrap().event, Event::Discarded(Reason::Unexpected));
 }
 
@@ -52,7 +52,7 @@ fn copies_carry_the_same_id_and_what_is_left_until_the_deadline_ends_the_wait() 
     let mut end = None;
     for _ in 0..9 {
         let due = client.due(0);
-        if due == Ticks::FAR {
+        if due == Instant::NEVER {
             break;
         }
         end = client.advance(&mut bench.at(due), 0).map(|ended| (due, ended.finished)).or(end);
@@ -60,7 +60,7 @@ fn copies_carry_the_same_id_and_what_is_left_until_the_deadline_ends_the_wait() 
     }
     let left: Vec<_> = copies.iter().map(|copy| (copy.id, copy.resent, copy.remaining)).collect();
     assert_eq!(left, [(first.id, true, Ticks(16)), (first.id, true, Ticks(12))]);
-    assert_eq!(end, Some((Ticks(30), Finished::Outcome(Outcome::TimedOutUnknown))));
+    assert_eq!(end, Some((Instant(30), Finished::Outcome(Outcome::TimedOutUnknown))));
 }
 
 #[test]
@@ -68,30 +68,30 @@ fn a_request_of_which_no_packet_left_the_node_did_not_run() {
     let (mut bench, mut client, _) = asked();
     let id = bench.packets()[0].id;
     client.unsent(id);
-    let ended = client.advance(&mut bench.at(Ticks(30)), 0).expect("an end");
+    let ended = client.advance(&mut bench.at(Instant(30)), 0).expect("an end");
     assert_eq!(ended.finished, Finished::Outcome(Outcome::TimedOutUnsent));
 }
 
 #[test]
 fn a_node_that_starts_again_answers_no_more() {
     let (mut bench, mut client, _) = asked();
-    let ended = client.restarted(&mut bench.at(Ticks(11)), NodeId(0)).expect("an end");
+    let ended = client.restarted(&mut bench.at(Instant(11)), NodeId(0)).expect("an end");
     assert_eq!(ended.finished, Finished::Outcome(Outcome::PeerRestarted));
-    assert!(client.restarted(&mut bench.at(Ticks(11)), NodeId(0)).is_none());
+    assert!(client.restarted(&mut bench.at(Instant(11)), NodeId(0)).is_none());
 }
 
 #[test]
 fn a_planted_fault_is_found() {
     let planted = |change: fn(&mut Desk)| {
         let (mut bench, mut client, threads) = asked();
-        bench.own.now = Ticks(13);
+        bench.own.now = Instant(13);
         change(&mut client.desks[0]);
         client.check(&bench.own, &threads)
     };
     use crate::ids::Seq24;
     assert_eq!(planted(|_| ()), Ok(()));
-    assert_eq!(planted(|d| d.deadline = Ticks(12)), Err(Violation::Overdue(Ticks(12))));
-    assert_eq!(planted(|d| d.copy_at = Ticks(12)), Err(Violation::ResendInstant(MOVE)));
+    assert_eq!(planted(|d| d.deadline = Instant(12)), Err(Violation::Overdue(Instant(12))));
+    assert_eq!(planted(|d| d.copy_at = Instant(12)), Err(Violation::ResendInstant(MOVE)));
     assert_eq!(planted(|d| d.copies_left = 0), Err(Violation::ResendInstant(MOVE)));
     assert_eq!(planted(|d| d.phase = Phase::Closed), Err(Violation::WaitsForNothing(MOVE)));
     assert_eq!(planted(|d| d.phase = Phase::Ended), Err(Violation::WaitsForNothing(MOVE)));

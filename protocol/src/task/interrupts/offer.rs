@@ -3,12 +3,12 @@
 use crate::ids::PortId;
 use crate::packet::Class;
 use crate::queue::Slot;
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 
 /// Something that may interrupt the current thread, in the order of service: the lesser key first.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Offer {
-    pub key: (Turn, u8, Ticks, Class, PortId, u128),
+    pub key: (Turn, u8, Instant, Class, PortId, u128),
     pub what: What,
 }
 
@@ -38,7 +38,7 @@ pub(crate) enum What {
 impl Offer {
     /// Word of the lease: it outranks everything.
     pub const LEASE: Self =
-        Self { key: (Turn::Lease, 0, Ticks::ZERO, Class::Command, PortId(0), 0), what: What::Lease };
+        Self { key: (Turn::Lease, 0, Instant::START, Class::Command, PortId(0), 0), what: What::Lease };
 }
 
 /// How many rejections make a message of this rank outrank the task's own thread (D58).

@@ -3,9 +3,10 @@ use super::*;
 use crate::request::{Outcome, TimeId};
 use crate::task::fixture::{B, Fixture};
 use crate::task::violation::Violation;
+use crate::ticks::Ticks;
 use alloc::format;
 
-const GET: Pending = Pending::Get { port: None, source: None, deadline: Ticks::FAR };
+const GET: Pending = Pending::Get { port: None, source: None, deadline: Instant::NEVER };
 const ANSWERED: Finished = Finished::Outcome(Outcome::Refused);
 
 #[test]
@@ -46,8 +47,8 @@ fn what_a_timer_s_earlier_start_says_is_stale() {
     let mut bench = Fixture::new(B);
     let mut threads = Interrupts::default();
     let id = TimeId(3);
-    threads.start(id, Ticks(5), bench.at(Ticks(1)).out).unwrap();
-    threads.start(id, Ticks(7), bench.at(Ticks(2)).out).unwrap();
+    threads.start(id, Ticks(5), bench.at(Instant(1)).out).unwrap();
+    threads.start(id, Ticks(7), bench.at(Instant(2)).out).unwrap();
     assert_eq!(bench.effects.armed, [(id, 0, Ticks(5)), (id, 1, Ticks(7))]);
     assert!(!threads.time_is_over(id, 0));
     assert!(!threads.has_ended_timer());
@@ -57,14 +58,14 @@ fn what_a_timer_s_earlier_start_says_is_stale() {
     let offer = threads.first_timer(&bench.table, &bench.own).expect("an offer");
     let What::Timer(at) = offer.what else { panic!("a timer") };
     assert_eq!(threads.take_timer(at), id);
-    threads.stop(id, bench.at(Ticks(9)).out);
+    threads.stop(id, bench.at(Instant(9)).out);
     assert!(bench.effects.disarmed.is_empty(), "it was over");
 }
 
 /// What `check` says after a fault was planted.
 fn planted(fault: impl FnOnce(&mut Interrupts)) -> Violation {
     let mut bench = Fixture::new(B);
-    bench.own.now = Ticks(10);
+    bench.own.now = Instant(10);
     let mut threads = Interrupts::default();
     threads.wait(Pending::Work);
     assert_eq!(threads.check(&bench.table, &bench.own, false), Ok(()));
@@ -83,8 +84,8 @@ fn a_planted_fault_is_found() {
         t.running = Level { rank: 2, ..Level::NEW };
     });
     assert_eq!(two, Violation::Levels(2));
-    let late = planted(|t| t.wait(Pending::Get { port: None, source: None, deadline: Ticks(9) }));
-    assert_eq!(late, Violation::Overdue(Ticks(9)));
+    let late = planted(|t| t.wait(Pending::Get { port: None, source: None, deadline: Instant(9) }));
+    assert_eq!(late, Violation::Overdue(Instant(9)));
     let started = Some(Started { id: TimeId(7), turn: 0 });
     let named = planted(|t| t.timers.slots = [started; TIMERS]);
     let over = planted(|t| {

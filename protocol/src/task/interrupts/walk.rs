@@ -7,7 +7,7 @@ use crate::packet::Contents;
 use crate::request::{Outcome, Ranked, ReleasedBy, ServiceOrder, TimeId};
 use crate::state::{Walk, mark, same_option, same_variant};
 use crate::task::wait::{Finished, Pending};
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 
 /// The first byte: how many levels the `order` names, and what else there is.
 const LEVELS: u8 = 0x0f;
@@ -170,7 +170,7 @@ impl Pending {
         if W::READS {
             let code = u8::try_from(code).unwrap_or(0);
             *self = match code {
-                1 => Self::Get { port: None, source: None, deadline: Ticks::ZERO },
+                1 => Self::Get { port: None, source: None, deadline: Instant::START },
                 2 => Self::Delay(TimeId(0), 0),
                 3 => Self::Work,
                 4 => Self::Boundary,

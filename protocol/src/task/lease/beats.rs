@@ -9,7 +9,7 @@ use crate::request::PUBLISHED_BYTES;
 use crate::rules::LeaseRule;
 use crate::table::Port;
 use crate::task::step::{Outbox, Step};
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 
 impl Lease {
     pub(super) fn beat(&mut self, step: &mut Step<'_, impl Outbox>, couple: &CoupleDecl) {
@@ -129,9 +129,9 @@ impl Lease {
             self.said = Contents::new(bytes.get(ECHO_BYTES..).unwrap_or(&[])).unwrap_or_default();
         }
         // An older answer was sent earlier than the newest one, so it may only put the take-over off.
-        let may = !couple.mutual || mode == LEASED || self.takeover_at != Ticks::FAR;
+        let may = !couple.mutual || mode == LEASED || self.takeover_at != Instant::NEVER;
         self.takeover_at = if mode == ALONE && newest {
-            Ticks::FAR
+            Instant::NEVER
         } else if may {
             step.now() + couple.takeover
         } else {

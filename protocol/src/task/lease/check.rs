@@ -3,18 +3,18 @@
 use super::{Lease, Post};
 use crate::request::Call;
 use crate::task::violation::Violation;
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 
 impl Lease {
     /// Nobody acts past its lease, and whoever acts does so in an epoch (D61).
     ///
     /// # Errors
     /// The first violation found.
-    pub(in crate::task) fn check(&self, now: Ticks) -> Result<(), Violation> {
+    pub(in crate::task) fn check(&self, now: Instant) -> Result<(), Violation> {
         let until = match self.post {
             Post::Leased(until) => until,
             Post::Waits => self.takeover_at,
-            Post::Alone | Post::Passive => Ticks::FAR,
+            Post::Alone | Post::Passive => Instant::NEVER,
         };
         if until <= now {
             return Err(Violation::PastLease(until));

@@ -6,13 +6,13 @@ use crate::task::violation::Violation;
 fn side(task: TaskId) -> (Fixture, Lease) {
     let mut bench = Fixture::new(task);
     let mut lease = Lease::new(&bench.table, &bench.own).expect("a couple");
-    assert_eq!(lease.advance(&mut bench.at(Ticks(5))), None);
-    assert_eq!(lease.check(Ticks(5)), Ok(()));
+    assert_eq!(lease.advance(&mut bench.at(Instant(5))), None);
+    assert_eq!(lease.check(Instant(5)), Ok(()));
     (bench, lease)
 }
 
 /// Hands what one side sent to the other.
-fn carry(from: &mut Fixture, (to, lease): (&mut Fixture, &mut Lease), now: Ticks) -> Option<u8> {
+fn carry(from: &mut Fixture, (to, lease): (&mut Fixture, &mut Lease), now: Instant) -> Option<u8> {
     let table = to.table.clone();
     let port = table.port(ALIVE).unwrap();
     let packets = from.packets();
@@ -22,17 +22,17 @@ fn carry(from: &mut Fixture, (to, lease): (&mut Fixture, &mut Lease), now: Ticks
 #[test]
 fn an_echo_of_an_answer_gives_the_lease_and_silence_ends_it() {
     let ((mut a, mut primary), (mut b, mut standby)) = (side(A), side(B));
-    assert_eq!(carry(&mut b, (&mut a, &mut primary), Ticks(6)), None, "a beat is no echo");
-    assert_eq!(carry(&mut a, (&mut b, &mut standby), Ticks(7)), None);
-    assert_eq!(standby.advance(&mut b.at(Ticks(9))), None);
+    assert_eq!(carry(&mut b, (&mut a, &mut primary), Instant(6)), None, "a beat is no echo");
+    assert_eq!(carry(&mut a, (&mut b, &mut standby), Instant(7)), None);
+    assert_eq!(standby.advance(&mut b.at(Instant(9))), None);
     // An epoch that no earlier life of the partner can know, and an odd one.
-    assert_eq!(carry(&mut b, (&mut a, &mut primary), Ticks(10)), Some(3));
+    assert_eq!(carry(&mut b, (&mut a, &mut primary), Instant(10)), Some(3));
     // It counts from the answer, at 6.
-    assert_eq!((primary.acts(), primary.left(Ticks(10))), (true, Some(Ticks(10))));
-    assert_eq!(primary.advance(&mut a.at(Ticks(20))), None);
+    assert_eq!((primary.acts(), primary.left(Instant(10))), (true, Some(Ticks(10))));
+    assert_eq!(primary.advance(&mut a.at(Instant(20))), None);
     assert_eq!((primary.acts(), primary.take_call()), (false, Some(Call::Fenced)));
     let takeover = standby.due_to_take_over();
-    assert!(takeover > Ticks(20), "not while the other may act: {takeover}");
+    assert!(takeover > Instant(20), "not while the other may act: {takeover}");
     assert_eq!(standby.advance(&mut b.at(takeover)), Some(4));
     assert_eq!(standby.take_call(), Some(Call::TakeOver(4)));
 }
@@ -54,11 +54,11 @@ fn a_planted_fault_is_found() {
     let planted = |of: TaskId, change: fn(&mut Lease)| {
         let (_, mut lease) = side(of);
         change(&mut lease);
-        lease.check(Ticks(5))
+        lease.check(Instant(5))
     };
-    assert_eq!(planted(A, |l| l.post = Post::Leased(Ticks(5))), Err(Violation::PastLease(Ticks(5))));
-    assert_eq!(planted(A, |l| l.post = Post::Leased(Ticks(6))), Ok(()));
-    assert_eq!(planted(B, |l| l.takeover_at = Ticks(4)), Err(Violation::PastLease(Ticks(4))));
+    assert_eq!(planted(A, |l| l.post = Post::Leased(Instant(5))), Err(Violation::PastLease(Instant(5))));
+    assert_eq!(planted(A, |l| l.post = Post::Leased(Instant(6))), Ok(()));
+    assert_eq!(planted(B, |l| l.takeover_at = Instant(4)), Err(Violation::PastLease(Instant(4))));
     let wrong = Err(Violation::WrongCall);
     assert_eq!(planted(B, |l| l.call = Some(Call::TakeOver(0))), wrong);
     assert_eq!(planted(B, |l| (l.post, l.call) = (Post::Alone, Some(Call::Fenced))), wrong);
@@ -68,7 +68,7 @@ fn a_planted_fault_is_found() {
 }
 
 impl Lease {
-    fn due_to_take_over(&self) -> Ticks {
+    fn due_to_take_over(&self) -> Instant {
         self.takeover_at
     }
 }

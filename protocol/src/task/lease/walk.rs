@@ -4,7 +4,7 @@ use super::{Answered, Lease, Post};
 use crate::ids::{Incarnation, Seq24, TaskId};
 use crate::request::Call;
 use crate::state::{Walk, mark};
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 
 /// The first byte: the post, then what else there is.
 const POST: u8 = 0x03;
@@ -55,11 +55,11 @@ impl Lease {
             *proposed = first & PROPOSED != 0;
             *post = match first & POST {
                 0 => Post::Waits,
-                1 => Post::Leased(Ticks::ZERO),
+                1 => Post::Leased(Instant::START),
                 2 => Post::Alone,
                 _ => Post::Passive,
             };
-            (*beat_at, *takeover_at) = (Ticks::FAR, Ticks::FAR);
+            (*beat_at, *takeover_at) = (Instant::NEVER, Instant::NEVER);
             *guessed = false;
         }
         // A take-over is into the epoch that the task stands in.
@@ -108,7 +108,7 @@ impl Lease {
 }
 
 impl Answered {
-    const BLANK: Self = Self { beat: Seq24::new(0), until: Ticks::ZERO };
+    const BLANK: Self = Self { beat: Seq24::new(0), until: Instant::START };
 
     fn walk<W: Walk>(&mut self, source: TaskId, w: &mut W) {
         let Self { beat, until } = self;

@@ -7,7 +7,7 @@ use crate::task::interrupts::Interrupts;
 use crate::task::own::{Own, index};
 use crate::task::violation::Violation;
 use crate::task::wait::Pending;
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 
 impl Meetings {
     /// Whether a thread waits where there is a deadline, each waitfor is sound, and they are in order.
@@ -23,7 +23,7 @@ impl Meetings {
         }
         let act = |at: u16| (self.list[usize::from(at)].due(), at);
         let mut meetings = self.list.iter().enumerate().map(|(at, meeting)| (index(at), meeting));
-        let wrong = meetings.find(|&(at, _)| self.next.has(at) != (act(at).0 != Ticks::FAR));
+        let wrong = meetings.find(|&(at, _)| self.next.has(at) != (act(at).0 != Instant::NEVER));
         let right = self.next.is_in_order(|at| act(at).0, act);
         let wrong = wrong.map(|(_, meeting)| meeting).or(self.list.first().filter(|_| !right));
         wrong.map_or(Ok(()), |meeting| Err(Violation::OutOfOrder(meeting.port)))
@@ -35,14 +35,14 @@ impl Rendezvous {
     ///
     /// # Errors
     /// The first violation found.
-    pub(super) fn check(&self, table: &NodeTable, now: Ticks) -> Result<(), Violation> {
+    pub(super) fn check(&self, table: &NodeTable, now: Instant) -> Result<(), Violation> {
         let period = table.port(self.port).map_or(Ticks::FAR, |port| port.decl.resend);
         let resend_at = match self.deadline {
             Some(deadline) if deadline < now => return Err(Violation::Overdue(deadline)),
             Some(deadline) => Self::resend_instant(deadline, now, period),
-            None => Ticks::FAR,
+            None => Instant::NEVER,
         };
-        let copies = self.copy_at >= now && (self.copies_left > 0 || self.copy_at == Ticks::FAR);
+        let copies = self.copy_at >= now && (self.copies_left > 0 || self.copy_at == Instant::NEVER);
         if self.resend_at != resend_at || !copies {
             return Err(Violation::ResendInstant(self.port));
         }
@@ -65,7 +65,7 @@ impl Rendezvous {
     }
 
     /// Drops what can never matter again.
-    pub(super) fn bury(&mut self, now: Ticks) {
+    pub(super) fn bury(&mut self, now: Instant) {
         if !self.fresh.is_newer_than(self.announced) {
             self.fresh = self.announced;
         }
@@ -96,9 +96,9 @@ impl Rendezvous {
     }
 
     /// When the arrival is announced again: whole periods before the deadline, later than now (D55).
-    pub(super) fn resend_instant(deadline: Ticks, now: Ticks, period: Ticks) -> Ticks {
+    pub(super) fn resend_instant(deadline: Instant, now: Instant, period: Ticks) -> Instant {
         let period = period.0.max(1);
         let more = (deadline - now).0.saturating_sub(1) / period;
-        if more == 0 { Ticks::FAR } else { deadline - Ticks(more * period) }
+        if more == 0 { Instant::NEVER } else { deadline - Ticks(more * period) }
     }
 }

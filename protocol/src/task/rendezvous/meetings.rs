@@ -9,7 +9,7 @@ use crate::table::NodeTable;
 use crate::task::own::{Own, Role, are_alike, index};
 use crate::task::step::{Outbox, Step};
 use crate::task::wait::{Ended, Finished, Pending};
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 use alloc::boxed::Box;
 use serde::{Deserialize, Serialize};
 
@@ -110,7 +110,7 @@ impl Meetings {
     pub fn settle(&mut self, meeting: u16) {
         let rendezvous = &mut self.list[usize::from(meeting)];
         rendezvous.owes_confirm = false;
-        (rendezvous.copies_left, rendezvous.copy_at) = (0, Ticks::FAR);
+        (rendezvous.copies_left, rendezvous.copy_at) = (0, Instant::NEVER);
         self.touch(meeting);
     }
 
@@ -120,22 +120,22 @@ impl Meetings {
     }
 
     /// Drops what can never matter again.
-    pub fn bury(&mut self, now: Ticks) {
+    pub fn bury(&mut self, now: Instant) {
         for rendezvous in &mut self.list {
             rendezvous.bury(now);
         }
     }
 
     /// When one of them acts next.
-    pub fn next_act(&self) -> Ticks {
-        self.next.first().map_or(Ticks::FAR, |at| self.list[usize::from(at)].due())
+    pub fn next_act(&self) -> Instant {
+        self.next.first().map_or(Instant::NEVER, |at| self.list[usize::from(at)].due())
     }
 
     /// Finds a waitfor's place in the order.
     fn touch(&mut self, at: u16) {
         let list = &self.list;
         let act = |at: u16| (list[usize::from(at)].due(), at);
-        self.next.set(at, Some(act(at).0).filter(|&due| due != Ticks::FAR), act);
+        self.next.set(at, Some(act(at).0).filter(|&due| due != Instant::NEVER), act);
     }
 
     /// Finds all places again.

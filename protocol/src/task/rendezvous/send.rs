@@ -5,7 +5,7 @@ use crate::ids::{Incarnation, MessageId, Round, Seq24};
 use crate::observe::Event;
 use crate::packet::{Class, Kind, Meeting, Packet};
 use crate::task::step::Outbox;
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 
 impl Rendezvous {
     pub(super) fn confirm_if_owed(&mut self, at: &mut At<'_, '_, impl Outbox>) {
@@ -19,7 +19,7 @@ impl Rendezvous {
     /// Sends the CONFIRM now and leaves `losses` more copies to be sent while the task already runs (D55).
     pub(super) fn confirm_with_copies(&mut self, at: &mut At<'_, '_, impl Outbox>, round: Round) {
         self.copies_left = at.port.decl.losses;
-        self.copy_at = if self.copies_left == 0 { Ticks::FAR } else { at.now() + at.port.decl.resend };
+        self.copy_at = if self.copies_left == 0 { Instant::NEVER } else { at.now() + at.port.decl.resend };
         self.confirm(at, round, false);
     }
 

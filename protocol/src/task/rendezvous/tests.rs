@@ -11,7 +11,7 @@ fn waiting(task: TaskId) -> (Fixture, Meetings, Interrupts) {
     let mut bench = Fixture::new(task);
     let (mut meetings, mut threads) = (Meetings::new(&bench.table, &bench.own), Interrupts::default());
     threads.wait(Pending::Meeting(0));
-    assert_eq!(meetings.reach(&mut bench.at(Ticks(10)), 0, ([task.0 as u8; 8], Ticks(30))), None);
+    assert_eq!(meetings.reach(&mut bench.at(Instant(10)), 0, ([task.0 as u8; 8], Ticks(30))), None);
     assert_eq!(meetings.check(&bench.table, &bench.own, &threads), Ok(()));
     (bench, meetings, threads)
 }
@@ -26,11 +26,11 @@ fn both_are_released_in_one_round_by_each_other_s_arrival() {
     let (mut b, mut of_b, _) = waiting(B);
     let (from_a, from_b) = (a.packets()[0], b.packets()[0]);
     let released = ended(Finished::Released { port: LIFT, round: Round(1), by: ReleasedBy::AllArrived });
-    assert_eq!(of_a.hear(&mut a.at(Ticks(12)), 0, &from_b), Some(released));
-    assert_eq!(of_b.hear(&mut b.at(Ticks(13)), 0, &from_a), Some(released));
+    assert_eq!(of_a.hear(&mut a.at(Instant(12)), 0, &from_b), Some(released));
+    assert_eq!(of_b.hear(&mut b.at(Instant(13)), 0, &from_a), Some(released));
     let port = a.table.port(LIFT).unwrap();
     assert_eq!(of_a.at(0).told(port, B), Some([1; 8]));
-    assert_eq!(of_a.hear(&mut a.at(Ticks(14)), 0, &from_b), None, "a copy of it is answered, no more");
+    assert_eq!(of_a.hear(&mut a.at(Instant(14)), 0, &from_b), None, "a copy of it is answered, no more");
     assert_eq!(a.packets().last().unwrap().kind, Kind::Confirm);
 }
 
@@ -38,14 +38,14 @@ fn both_are_released_in_one_round_by_each_other_s_arrival() {
 fn a_confirm_of_the_round_releases_and_one_of_another_does_not() {
     let (mut a, mut of_a, _) = waiting(A);
     let (mut b, mut of_b, _) = waiting(B);
-    of_b.hear(&mut b.at(Ticks(12)), 0, &a.packets()[0]);
+    of_b.hear(&mut b.at(Instant(12)), 0, &a.packets()[0]);
     let confirm = *b.packets().iter().find(|packet| packet.kind == Kind::Confirm).expect("a CONFIRM");
     let other = Meeting { round: Round(7), released: Round(7), arguments: [0; 8] };
     let wrong = Packet { contents: other.to_contents(), ..confirm };
-    assert_eq!(of_a.hear(&mut a.at(Ticks(13)), 0, &wrong), None);
+    assert_eq!(of_a.hear(&mut a.at(Instant(13)), 0, &wrong), None);
     let by = ReleasedBy::Confirm(B);
     let released = ended(Finished::Released { port: LIFT, round: Round(1), by });
-    assert_eq!(of_a.hear(&mut a.at(Ticks(13)), 0, &confirm), Some(released));
+    assert_eq!(of_a.hear(&mut a.at(Instant(13)), 0, &confirm), Some(released));
 }
 
 #[test]
@@ -55,12 +55,12 @@ fn whose_patience_ends_tells_the_others_and_who_was_missing() {
     let mut end = None;
     while end.is_none() {
         let due = of_a.next_act();
-        assert!(due <= Ticks(40));
+        assert!(due <= Instant(40));
         end = of_a.advance(&mut a.at(due), 0).and_then(|(_, ended)| Some((due, ended?)));
     }
     // B owns the port: it is the first of its parties.
     let gave_up = ended(Finished::GaveUp { port: LIFT, round: Round(1), missing: 1 });
-    assert_eq!(end, Some((Ticks(40), gave_up)));
+    assert_eq!(end, Some((Instant(40), gave_up)));
     assert_eq!(a.packets().last().unwrap().kind, Kind::Abort);
 }
 
@@ -76,15 +76,15 @@ fn a_planted_fault_is_found() {
     let differ = Violation::MeetingAndWaitDiffer(LIFT);
     assert_eq!(meetings.check(&bench.table, &bench.own, &threads), Err(differ));
     assert_eq!(planted(|m| m.deadline = None), differ);
-    assert_eq!(planted(|m| m.deadline = Some(Ticks(9))), Violation::Overdue(Ticks(9)));
-    assert_eq!(planted(|m| m.resend_at = Ticks(15)), Violation::ResendInstant(LIFT));
-    assert_eq!(planted(|m| m.copy_at = Ticks(15)), Violation::ResendInstant(LIFT));
+    assert_eq!(planted(|m| m.deadline = Some(Instant(9))), Violation::Overdue(Instant(9)));
+    assert_eq!(planted(|m| m.resend_at = Instant(15)), Violation::ResendInstant(LIFT));
+    assert_eq!(planted(|m| m.copy_at = Instant(15)), Violation::ResendInstant(LIFT));
     assert_eq!(planted(|m| m.fresh = Round(0)), Violation::Rounds(LIFT));
     assert_eq!(planted(|m| m.released = Some(Round(2))), Violation::Rounds(LIFT));
     assert_eq!(planted(|m| m.owes_confirm = true), Violation::OwesConfirm(LIFT));
-    assert_eq!(planted(|m| (m.copies_left, m.copy_at) = (1, Ticks(12))), Violation::OutOfOrder(LIFT));
+    assert_eq!(planted(|m| (m.copies_left, m.copy_at) = (1, Instant(12))), Violation::OutOfOrder(LIFT));
     let barred = planted(|m| {
-        m.members[1].arrived = Some(Arrived { round: Round(1), expires: Ticks(50), arguments: [0; 8] });
+        m.members[1].arrived = Some(Arrived { round: Round(1), expires: Instant(50), arguments: [0; 8] });
         m.members[1].barred = Some(Round(1));
     });
     assert_eq!(barred, Violation::HoldsBarred(LIFT, A, Round(1)));

@@ -5,7 +5,7 @@ use crate::ids::{Incarnation, Round, TaskId};
 use crate::observe::{MeetingState, MeetingView, MemberView, TaskState};
 use crate::table::{Party, Port};
 use crate::task::own::Own;
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 use alloc::vec::Vec;
 
 impl Rendezvous {
@@ -35,7 +35,7 @@ impl Rendezvous {
     }
 
     /// What the task is doing while it waits here.
-    pub fn state(&self, now: Ticks) -> TaskState {
+    pub fn state(&self, now: Instant) -> TaskState {
         TaskState::Waiting { port: self.port, round: self.announced, remaining: self.left(now) }
     }
 

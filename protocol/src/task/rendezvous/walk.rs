@@ -5,7 +5,7 @@ use crate::ids::{PortId, Round};
 use crate::state::{Pass, Walk};
 use crate::table::NodeTable;
 use crate::task::interrupts::Interrupts;
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 
 impl Meetings {
     pub fn walk<W: Walk>(&mut self, table: &NodeTable, threads: &Interrupts, w: &mut W) {
@@ -46,7 +46,7 @@ impl Rendezvous {
         ]);
         *owes_confirm = owes;
         w.round(port, announced);
-        if let Some(deadline) = w.some(deadline, waits, Ticks::ZERO) {
+        if let Some(deadline) = w.some(deadline, waits, Instant::START) {
             w.instant(deadline);
         }
         if let Some(released) = w.some(released, is_released, Round::default()) {
@@ -58,7 +58,7 @@ impl Rendezvous {
             *fresh = *announced;
         }
         if W::READS {
-            (*copies_left, *copy_at, *arguments) = (0, Ticks::FAR, [0; 8]);
+            (*copies_left, *copy_at, *arguments) = (0, Instant::NEVER, [0; 8]);
         }
         if copies {
             w.byte(copies_left);
@@ -69,8 +69,8 @@ impl Rendezvous {
         }
         if W::READS {
             let period = table.port(port).map_or(Ticks::FAR, |port| port.decl.resend);
-            let again = |deadline| Self::resend_instant(deadline, Ticks::ZERO, period);
-            *resend_at = deadline.map_or(Ticks::FAR, again);
+            let again = |deadline| Self::resend_instant(deadline, Instant::START, period);
+            *resend_at = deadline.map_or(Instant::NEVER, again);
         } else if !W::PACKS {
             w.instant(resend_at);
         }
@@ -85,7 +85,7 @@ impl Member {
         let [has_arrived, is_barred, is_reborn, has_brought, has_told] =
             w.flags([arrived.is_some(), barred.is_some(), *reborn, brought, unread && told.is_some()]);
         *reborn = is_reborn;
-        let blank = Arrived { round: Round::default(), expires: Ticks::ZERO, arguments: [0; 8] };
+        let blank = Arrived { round: Round::default(), expires: Instant::START, arguments: [0; 8] };
         if let Some(Arrived { round, expires, arguments }) = w.some(arrived, has_arrived, blank) {
             w.round(port, round);
             w.instant(expires);

@@ -10,12 +10,12 @@ use crate::packet::{Class, Control, Packet};
 use crate::request::ReplyTo;
 use crate::table::Port;
 use crate::task::step::{Outbox, Step};
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 
 impl Server {
     /// A copy of a command that waits: what a link charges is only a bound (D20), so the one that has most time left says
     /// best when the sender's wait ends. Of a long message the first whole copy counts.
-    pub(super) fn prolong(&mut self, (inbox, source): Way, packet: &Packet, reserved: Ticks, now: Ticks) {
+    pub(super) fn prolong(&mut self, (inbox, source): Way, packet: &Packet, reserved: Ticks, now: Instant) {
         let sender_until = now + packet.remaining;
         let expires = sender_until - reserved;
         let inbox = &mut self.inboxes[inbox];

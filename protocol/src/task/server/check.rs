@@ -10,7 +10,7 @@ use crate::table::{NodeTable, Port};
 use crate::task::interrupts::cap;
 use crate::task::own::Own;
 use crate::task::violation::Violation;
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 
 impl Server {
     /// `open`: whether the running thread can be interrupted.
@@ -62,7 +62,7 @@ impl Inbox {
         Ok(())
     }
 
-    fn remembers(&self, held: &Held, now: Ticks) -> bool {
+    fn remembers(&self, held: &Held, now: Instant) -> bool {
         let command = self.source(held.source).and_then(|at| self.sources[at].command());
         command.is_some_and(|c| c.id == held.id() && c.fate == Fate::Held && c.until > now)
     }

@@ -13,7 +13,7 @@ use crate::rules::{Aging, Memory};
 use crate::table::Port;
 use crate::task::own::Own;
 use crate::task::step::{Outbox, Step};
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 
 impl Server {
     /// Takes out the most urgent message of what is asked for: of an inbox, or of all without a handler; of a source, or of
@@ -125,7 +125,7 @@ impl Server {
     }
 
     /// Whether a reply to this message would still go out.
-    pub fn can_answer(&self, inbox: u16, to: &ReplyTo, now: Ticks) -> bool {
+    pub fn can_answer(&self, inbox: u16, to: &ReplyTo, now: Instant) -> bool {
         let inbox = &self.inboxes[usize::from(inbox)];
         inbox.source(to.source).is_some_and(|source| inbox.answerable(source, *to, now).is_ok())
     }
@@ -141,7 +141,7 @@ impl Server {
 
 impl Inbox {
     /// What is left of the wait of the sender of a message that can still be answered.
-    fn answerable(&self, source: usize, to: ReplyTo, now: Ticks) -> Result<Ticks, Fault> {
+    fn answerable(&self, source: usize, to: ReplyTo, now: Instant) -> Result<Ticks, Fault> {
         // What is not remembered any more is over, and so is its sender's wait.
         let known = self.sources[source].command().filter(|c| c.until > now);
         let Some(remembered) = known else { return Err(Fault::Late) };

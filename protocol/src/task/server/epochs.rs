@@ -8,7 +8,7 @@ use crate::state::Walk;
 use crate::table::Port;
 use crate::task::lease::is_newer_epoch;
 use crate::task::step::{Outbox, Step};
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 use serde::{Deserialize, Serialize};
 
 /// What a receiver of commands that are given under a lease remembers of the couple, whichever of its ports they come
@@ -18,17 +18,17 @@ pub(super) struct Guard {
     /// The couple's position in the cell.
     pub couple: u8,
     epoch: u8,
-    until: Ticks,
+    until: Instant,
 }
 
 impl Guard {
     pub const fn new(couple: u8) -> Self {
-        Self { couple, epoch: 0, until: Ticks::ZERO }
+        Self { couple, epoch: 0, until: Instant::START }
     }
 
     /// Whether a command of this epoch is taken. Whoever acted in an older epoch was fenced before the newer one began,
     /// so what it sent is over by `until`.
-    fn admit(&mut self, epoch: u8, now: Ticks, until: Ticks) -> bool {
+    fn admit(&mut self, epoch: u8, now: Instant, until: Instant) -> bool {
         if self.until > now && is_newer_epoch(self.epoch, epoch) {
             return false;
         }
@@ -37,7 +37,7 @@ impl Guard {
     }
 
     /// Forgets an epoch of which nothing can come any more.
-    pub fn bury(&mut self, now: Ticks) {
+    pub fn bury(&mut self, now: Instant) {
         if self.until <= now {
             *self = Self { until: now, ..Self::new(self.couple) };
         }

@@ -11,7 +11,7 @@ use crate::packet::Class;
 use crate::queue::Words;
 use crate::request::ServiceOrder;
 use crate::task::own::{Own, index};
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 use serde::{Deserialize, Serialize};
 
 /// The orders.
@@ -30,10 +30,10 @@ pub(super) struct Heads {
 }
 
 /// D14: what decides between the heads of two ports.
-fn urgency(inboxes: &[Inbox], order: &ServiceOrder, at: u16) -> (Ticks, Class, u8, PortId) {
+fn urgency(inboxes: &[Inbox], order: &ServiceOrder, at: u16) -> (Instant, Class, u8, PortId) {
     let inbox = &inboxes[usize::from(at)];
     let head = inbox.queue.first();
-    head.map_or((Ticks::FAR, Class::Status, u8::MAX, inbox.port), |(_, held)| {
+    head.map_or((Instant::NEVER, Class::Status, u8::MAX, inbox.port), |(_, held)| {
         (held.expires, held.class, order.rank(inbox.port, held.source), inbox.port)
     })
 }
@@ -45,11 +45,11 @@ fn age(inboxes: &[Inbox], at: u16) -> (u64, Class, PortId) {
     (inbox.since, class, inbox.port)
 }
 
-fn next_due(inboxes: &[Inbox], at: u16) -> (Ticks, u16) {
+fn next_due(inboxes: &[Inbox], at: u16) -> (Instant, u16) {
     (inboxes[usize::from(at)].queue.next_due(), at)
 }
 
-fn end(inboxes: &[Inbox], at: u16) -> (Ticks, u16) {
+fn end(inboxes: &[Inbox], at: u16) -> (Instant, u16) {
     (inboxes[usize::from(at)].due(), at)
 }
 
@@ -80,14 +80,14 @@ impl Heads {
         let head = inbox.queue.first().map(|(_, held)| held.expires);
         let open = head.filter(|_| !inbox.handled);
         self.urgent.set(at, open, |at| urgency(inboxes, order, at));
-        self.eldest.set(at, open.map(|_| Ticks(inbox.since)), |at| age(inboxes, at));
+        self.eldest.set(at, open.map(|_| Instant(inbox.since)), |at| age(inboxes, at));
         if self.offers.capacity() > 0 {
             let offered = head.filter(|_| inbox.handled).map(|_| inbox.queue.next_due());
             self.offers.set(at, offered, |at| next_due(inboxes, at));
         }
         if self.ends.capacity() > 0 {
             let special = inbox.handled || inbox.is_long();
-            let ends = Some(inbox.due()).filter(|&due| special && due != Ticks::FAR);
+            let ends = Some(inbox.due()).filter(|&due| special && due != Instant::NEVER);
             self.ends.set(at, ends, |at| end(inboxes, at));
         }
     }
@@ -110,7 +110,7 @@ impl Heads {
         let is = |at: u16, inbox: &Inbox| {
             let waits = inbox.queue.len() > 0;
             let open = waits && !inbox.handled;
-            let ends = (inbox.handled || inbox.is_long()) && inbox.due() != Ticks::FAR;
+            let ends = (inbox.handled || inbox.is_long()) && inbox.due() != Instant::NEVER;
             self.urgent.has(at) == open
                 && self.eldest.has(at) == open
                 && self.offers.has(at) == (waits && inbox.handled)
@@ -126,7 +126,7 @@ impl Heads {
         let offer = |at| next_due(inboxes, at);
         let end = |at| end(inboxes, at);
         let right = self.urgent.is_in_order(|at| urgent(at).0, urgent)
-            && self.eldest.is_in_order(|at| Ticks(age(at).0), age)
+            && self.eldest.is_in_order(|at| Instant(age(at).0), age)
             && self.offers.is_in_order(|at| offer(at).0, offer)
             && self.ends.is_in_order(|at| end(at).0, end);
         inboxes.first().filter(|_| !right).map(|inbox| inbox.port)
@@ -162,8 +162,8 @@ impl Server {
     }
 
     /// When the first rejected message is to be offered again, whoever could be interrupted.
-    pub fn next_offer(&self) -> Ticks {
-        self.heads.offers.first().map_or(Ticks::FAR, |at| next_due(&self.inboxes, at).0)
+    pub fn next_offer(&self) -> Instant {
+        self.heads.offers.first().map_or(Instant::NEVER, |at| next_due(&self.inboxes, at).0)
     }
 
     /// Whether something waits on a port with a handler.
@@ -172,16 +172,16 @@ impl Server {
     }
 
     /// An inbox where something has no time left.
-    pub(super) fn expired(&self, now: Ticks) -> Option<usize> {
+    pub(super) fn expired(&self, now: Instant) -> Option<usize> {
         let is_over = |&at: &usize| self.inboxes[at].due() <= now;
         let first = |order: &Words| order.first().map(usize::from).filter(is_over);
         first(&self.heads.urgent).or_else(|| first(&self.heads.ends))
     }
 
     /// When time alone makes something expire.
-    pub fn next_end(&self) -> Ticks {
+    pub fn next_end(&self) -> Instant {
         let first =
-            |order: &Words| order.first().map_or(Ticks::FAR, |at| self.inboxes[usize::from(at)].due());
+            |order: &Words| order.first().map_or(Instant::NEVER, |at| self.inboxes[usize::from(at)].due());
         first(&self.heads.urgent).min(first(&self.heads.ends))
     }
 }

@@ -8,7 +8,7 @@ use crate::queue::{Entry, Queue, Slot};
 use crate::table::Port;
 use crate::task::fragments::{Assembly, Parts};
 use crate::task::own::are_alike;
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 use alloc::boxed::Box;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
@@ -21,7 +21,7 @@ pub(crate) struct Held {
     pub sequence: Seq24,
     pub class: Class,
     /// When its life here ends, on this task's counter; of a command, with the way back taken off (D18).
-    pub expires: Ticks,
+    pub expires: Instant,
     pub contents: Contents,
     /// How many packets it takes; those after the first one lie in the inbox (D28).
     pub fragments: u8,
@@ -44,7 +44,7 @@ pub(crate) struct Aged {
     pub rejections: u8,
     pub rejected_first: u64,
     /// Before this instant it is not offered again.
-    pub not_before: Ticks,
+    pub not_before: Instant,
 }
 
 /// The order of service within a port (D14): least time_out first, then commands, then the lower source, then the earlier
@@ -59,7 +59,7 @@ impl Entry for Held {
         (u128::from(self.expires.0) << 64) | (class << 63) | (source << 47) | arrival
     }
 
-    fn due(&self, aged: &Aged) -> Ticks {
+    fn due(&self, aged: &Aged) -> Instant {
         aged.not_before
     }
 
@@ -256,10 +256,10 @@ impl Inbox {
     }
 
     /// When time alone makes something of this port expire.
-    pub fn due(&self) -> Ticks {
-        let first = self.queue.first().map_or(Ticks::FAR, |(_, held)| held.expires);
+    pub fn due(&self) -> Instant {
+        let first = self.queue.first().map_or(Instant::NEVER, |(_, held)| held.expires);
         let Some(long) = &self.long else { return first };
-        long.assemblies.iter().filter(|a| a.is_open()).map(|a| a.expires).fold(first, Ticks::min)
+        long.assemblies.iter().filter(|a| a.is_open()).map(|a| a.expires).fold(first, Instant::min)
     }
 
     /// Offers a message (D60): of status messages the one with most time left goes, the newcomer included; a command

@@ -3,7 +3,7 @@
 use crate::cell::PortDecl;
 use crate::ids::{MessageId, Seq24, TaskId};
 use crate::packet::{Class, Contents};
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 use serde::{Deserialize, Serialize};
 
 /// What became of a class-2 message.
@@ -15,7 +15,7 @@ pub(super) enum Fate {
     /// charges is only a bound (D20). Nothing ran, so that copy is as good as the first.
     Lapsed,
     /// The task has it and has not answered. Its execution budget ends at this instant.
-    Delivered(Ticks),
+    Delivered(Instant),
     /// It was refused; a copy is refused again.
     Refused,
     /// It was answered; a copy gets the same answer.
@@ -29,9 +29,9 @@ pub(super) struct Remembered {
     pub id: MessageId,
     pub fate: Fate,
     /// When the sender's wait ends at the latest, on this task's counter.
-    pub sender_until: Ticks,
+    pub sender_until: Instant,
     /// When no copy can arrive any more: the life and the link bound have passed.
-    pub until: Ticks,
+    pub until: Instant,
 }
 
 /// The class-1 messages of one source that were seen: the newest and the 64 numbers before it.
@@ -45,12 +45,12 @@ pub(super) struct Window {
     /// Bit `i`: the message `i + 1` before the newest was seen.
     pub seen: u64,
     /// When no copy of any of them can arrive any more: then they are forgotten, before their numbers come again (D6).
-    pub until: Ticks,
+    pub until: Instant,
 }
 
 impl Window {
     /// Takes note of a message whose copies are gone by `until`; false where it was seen, or is too old to tell.
-    pub fn admit(&mut self, sequence: Seq24, now: Ticks, until: Ticks) -> bool {
+    pub fn admit(&mut self, sequence: Seq24, now: Instant, until: Instant) -> bool {
         if self.until <= now {
             *self = Self::default();
         }
@@ -61,7 +61,7 @@ impl Window {
     }
 
     /// Whether a message was seen, or is too old to tell.
-    pub fn has(&self, sequence: Seq24, now: Ticks) -> bool {
+    pub fn has(&self, sequence: Seq24, now: Instant) -> bool {
         let newest = self.newest.filter(|_| self.until > now);
         newest.is_some_and(|newest| {
             !sequence.is_newer_than(newest) && {
@@ -153,7 +153,7 @@ impl Source {
     }
 
     /// Takes note of a class-1 message whose copies are gone by `until`.
-    pub fn admit(&mut self, sequence: Seq24, now: Ticks, until: Ticks) {
+    pub fn admit(&mut self, sequence: Seq24, now: Instant, until: Instant) {
         match &mut self.memory {
             Memory::Status(window) => {
                 window.admit(sequence, now, until);
@@ -171,7 +171,7 @@ impl Source {
     }
 
     /// Drops what can never matter again.
-    pub fn bury(&mut self, now: Ticks) {
+    pub fn bury(&mut self, now: Instant) {
         match &mut self.memory {
             Memory::Command(command) => *command = command.filter(|c| c.until > now),
             Memory::Status(window) if window.until <= now => *window = Window::default(),
@@ -203,7 +203,7 @@ impl Source {
     }
 
     /// Looks a message of the present life up.
-    pub fn look_up(&self, id: MessageId, now: Ticks) -> Seen {
+    pub fn look_up(&self, id: MessageId, now: Instant) -> Seen {
         let command = match &self.memory {
             Memory::Status(window) if window.has(id.sequence, now) => return Seen::Older,
             Memory::Status(_) => return Seen::New,
@@ -234,8 +234,8 @@ mod tests {
             let mut seen = BTreeSet::new();
             let mut newest = None;
             for offset in offsets {
-                let had = window.has(Seq24::new(base).plus(offset), Ticks(1));
-                let admitted = window.admit(Seq24::new(base).plus(offset), Ticks(1), Ticks(9));
+                let had = window.has(Seq24::new(base).plus(offset), Instant(1));
+                let admitted = window.admit(Seq24::new(base).plus(offset), Instant(1), Instant(9));
                 let recent = newest.is_none_or(|n| offset + 64 >= n);
                 prop_assert_eq!(admitted, recent && !seen.contains(&offset));
                 prop_assert_eq!(had, !admitted);

@@ -19,7 +19,7 @@ fn command(bench: &Fixture, remaining: Ticks) -> Packet {
 fn hear(bench: &mut Fixture, server: &mut Server, threads: &Interrupts, packet: &Packet) -> Option<Arrival> {
     let table = bench.table.clone();
     let port = table.port(MOVE).unwrap();
-    server.hear(&mut bench.at(Ticks(10)), (threads, false), (port, port.party(A).unwrap(), 0), packet)
+    server.hear(&mut bench.at(Instant(10)), (threads, false), (port, port.party(A).unwrap(), 0), packet)
 }
 
 /// A command of A waits at B.
@@ -35,17 +35,17 @@ fn holding() -> (Fixture, Server) {
 #[test]
 fn a_command_is_taken_once_and_a_copy_gets_the_same_answer() {
     let (mut bench, mut server) = holding();
-    let (inbox, held) = server.next(&bench.at(Ticks(12)), None, None).expect("a message");
-    let delivery = server.deliver(&mut bench.at(Ticks(12)), inbox, &held);
+    let (inbox, held) = server.next(&bench.at(Instant(12)), None, None).expect("a message");
+    let delivery = server.deliver(&mut bench.at(Instant(12)), inbox, &held);
     assert_eq!((delivery.budget, delivery.contents.as_bytes()), (Ticks(18), &b"go"[..]));
-    assert!(server.next(&bench.at(Ticks(12)), None, None).is_none());
+    assert!(server.next(&bench.at(Instant(12)), None, None).is_none());
     let copy = command(&bench, Ticks(19));
     assert!(hear(&mut bench, &mut server, &Interrupts::default(), &copy).is_none());
     assert!(bench.packets().is_empty(), "it is not answered yet");
     let done = Contents::new(b"done").unwrap();
-    let left = server.reply(&mut bench.at(Ticks(13)), (0, 0), delivery.from, done);
+    let left = server.reply(&mut bench.at(Instant(13)), (0, 0), delivery.from, done);
     assert_eq!(left, Ok(Ticks(17)));
-    let again = server.reply(&mut bench.at(Ticks(13)), (0, 0), delivery.from, done);
+    let again = server.reply(&mut bench.at(Instant(13)), (0, 0), delivery.from, done);
     assert_eq!(again, Err(crate::request::Fault::NothingToAnswer));
     assert!(hear(&mut bench, &mut server, &Interrupts::default(), &copy).is_none());
     assert_eq!(bench.packets()[0].contents, done);
@@ -55,20 +55,20 @@ fn a_command_is_taken_once_and_a_copy_gets_the_same_answer() {
 fn who_waits_gets_a_message_as_it_arrives() {
     let (mut bench, mut threads) = (Fixture::new(B), Interrupts::default());
     let mut server = Server::new(&bench.table, &bench.own);
-    threads.wait(Pending::Get { port: None, source: None, deadline: Ticks::FAR });
+    threads.wait(Pending::Get { port: None, source: None, deadline: Instant::NEVER });
     let packet = command(&bench, Ticks(20));
     let arrival = hear(&mut bench, &mut server, &threads, &packet).expect("a message");
     assert!(!arrival.interrupts);
-    assert_eq!((arrival.inbox, arrival.held.expires), (0, Ticks(30)));
+    assert_eq!((arrival.inbox, arrival.held.expires), (0, Instant(30)));
 }
 
 #[test]
 fn what_has_no_time_left_is_dropped() {
     let (mut bench, mut server) = holding();
-    assert_eq!(server.next_end(), Ticks(30));
-    server.advance(&mut bench.at(Ticks(30)));
+    assert_eq!(server.next_end(), Instant(30));
+    server.advance(&mut bench.at(Instant(30)));
     assert_eq!(bench.effects.observed.last().unwrap().event, Event::Discarded(Reason::Expired));
-    assert!(server.next(&bench.at(Ticks(30)), None, None).is_none());
+    assert!(server.next(&bench.at(Instant(30)), None, None).is_none());
     let late = command(&bench, Ticks::ZERO);
     assert!(hear(&mut bench, &mut server, &Interrupts::default(), &late).is_none());
     assert_eq!(bench.effects.observed.last().unwrap().event, Event::Discarded(Reason::ExpiredOnTheWay));
@@ -87,7 +87,7 @@ fn a_planted_fault_in_a_buffer_or_memory_is_found() {
     let inbox = |server: &mut Server, change: fn(&mut Held)| {
         server.inboxes[0].queue.change_all(|held, _| change(held));
     };
-    assert_eq!(planted(|s| inbox(s, |h| h.expires = Ticks(10))), Violation::HoldsExpired(MOVE, A, id));
+    assert_eq!(planted(|s| inbox(s, |h| h.expires = Instant(10))), Violation::HoldsExpired(MOVE, A, id));
     assert_eq!(planted(|s| inbox(s, |h| h.class = Class::Status)), Violation::HoldsForeign(MOVE, A, id));
     let forgotten = planted(|s| s.inboxes[0].sources[0].remember(None));
     assert_eq!(forgotten, Violation::NotRemembered(MOVE, A, id));
@@ -96,8 +96,8 @@ fn a_planted_fault_in_a_buffer_or_memory_is_found() {
     };
     let not_remembered = Violation::NotRemembered(MOVE, A, id);
     assert_eq!(planted(|s| memory(s, |c| c.fate = Fate::Refused)), not_remembered);
-    assert_eq!(planted(|s| memory(s, |c| c.until = Ticks(10))), not_remembered);
-    assert_eq!(planted(|s| memory(s, |c| c.until = Ticks(15))), Violation::MemoryTooShort(A, id));
+    assert_eq!(planted(|s| memory(s, |c| c.until = Instant(10))), not_remembered);
+    assert_eq!(planted(|s| memory(s, |c| c.until = Instant(15))), Violation::MemoryTooShort(A, id));
 }
 
 #[test]
@@ -116,13 +116,13 @@ fn a_planted_fault_on_a_port_with_a_handler_is_found() {
         s.inboxes[0].queue.change_all(|_, aged| change(aged));
     };
     let id = MessageId::default();
-    let offered = planted(|s| holds(s, |h| h.not_before = Ticks(10)));
+    let offered = planted(|s| holds(s, |h| h.not_before = Instant(10)));
     assert_eq!(offered, Violation::NotOffered(MOVE, A, id));
-    let often = planted(|s| holds(s, |h| (h.rejections, h.not_before) = (9, Ticks(11))));
+    let often = planted(|s| holds(s, |h| (h.rejections, h.not_before) = (9, Instant(11))));
     assert_eq!(often, Violation::RejectedTooOften(MOVE, A, id));
-    let twice = planted(|s| holds(s, |h| (h.rejections, h.not_before) = (2, Ticks(11))));
+    let twice = planted(|s| holds(s, |h| (h.rejections, h.not_before) = (2, Instant(11))));
     assert_eq!(twice, often, "no rank stands above it");
-    let long = planted(|s| holds(s, |h| (h.rejections, h.not_before) = (1, Ticks(12))));
+    let long = planted(|s| holds(s, |h| (h.rejections, h.not_before) = (1, Instant(12))));
     assert_eq!(long, Violation::RejectedTooLong(MOVE, A, id));
     let parts = planted(|s| {
         let mut long = PortDecl::new("move", A, Usage::Send, &[B], Ticks(20));

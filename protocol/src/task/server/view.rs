@@ -5,18 +5,18 @@ use crate::observe::{HeldView, QueueEntry, QueueView};
 use crate::queue::Slot;
 use crate::task::interrupts::cap;
 use crate::task::own::{Own, index};
-use crate::ticks::Ticks;
+use crate::ticks::{Instant, Ticks};
 use alloc::vec::Vec;
 
 impl Server {
     /// How many messages wait at an inbox, and how long the most urgent one has left.
-    pub fn waiting(&self, inbox: u16, now: Ticks) -> (u16, Option<Ticks>) {
+    pub fn waiting(&self, inbox: u16, now: Instant) -> (u16, Option<Ticks>) {
         let queue = &self.inboxes[usize::from(inbox)].queue;
         (index(queue.len()), queue.first().map(|(_, held)| held.expires - now))
     }
 
     /// What waits at an inbox, most urgent first, as far as `limit`.
-    pub fn entries(&self, inbox: u16, limit: usize, now: Ticks) -> Vec<QueueEntry> {
+    pub fn entries(&self, inbox: u16, limit: usize, now: Instant) -> Vec<QueueEntry> {
         let waiting = self.inboxes[usize::from(inbox)].queue.sorted();
         waiting.iter().take(limit).map(|(_, held)| held.entry(now)).collect()
     }
@@ -46,7 +46,7 @@ impl Server {
 }
 
 impl Held {
-    fn entry(&self, now: Ticks) -> QueueEntry {
+    fn entry(&self, now: Instant) -> QueueEntry {
         let remaining = self.expires - now;
         QueueEntry { source: self.source, id: self.id(), class: self.class, remaining }
     }

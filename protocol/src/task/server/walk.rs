@@ -10,7 +10,7 @@ use crate::state::{Pass, Walk, mark, same_option};
 use crate::table::{NodeTable, Port};
 use crate::task::fragments::Parts;
 use crate::task::own::Own;
-use crate::ticks::Ticks;
+use crate::ticks::Instant;
 use alloc::vec::Vec;
 
 /// The first byte of an inbox: how many messages wait, and what else there is.
@@ -21,7 +21,7 @@ const HANDLED: u8 = 0x80;
 const FATES: [Option<Fate>; 6] = [
     None,
     Some(Fate::Held),
-    Some(Fate::Delivered(Ticks::ZERO)),
+    Some(Fate::Delivered(Instant::START)),
     Some(Fate::Refused),
     Some(Fate::Answered(Contents::EMPTY)),
     Some(Fate::Lapsed),
@@ -149,7 +149,7 @@ impl Inbox {
     fn walk<W: Walk>(
         &mut self,
         form: Form,
-        (now, served): (Ticks, u64),
+        (now, served): (Instant, u64),
         waiting: Vec<Waiting>,
         counters: &mut Counters<'_>,
         w: &mut W,
@@ -172,7 +172,7 @@ impl Inbox {
     fn walk_waiting<W: Walk>(
         &mut self,
         form: Form,
-        (now, served): (Ticks, u64),
+        (now, served): (Instant, u64),
         waiting: Vec<Waiting>,
         counters: &mut Counters<'_>,
         w: &mut W,
@@ -210,7 +210,7 @@ impl Inbox {
     /// Reads a message that waits.
     fn take_in<W: Walk>(&mut self, form: Form, counters: &mut Counters<'_>, w: &mut W) {
         let (mut held, mut aged) = (Held::BLANK, Aged::default());
-        held.walk(&mut aged, Ticks::ZERO, form, w);
+        held.walk(&mut aged, Instant::START, form, w);
         if !form.ranks_arrivals {
             held.arrival = *counters.arrivals;
         }
@@ -239,13 +239,13 @@ impl Held {
         incarnation: Incarnation(0),
         sequence: Seq24::new(0),
         class: Class::Command,
-        expires: Ticks::ZERO,
+        expires: Instant::START,
         contents: Contents::EMPTY,
         fragments: 1,
         arrival: 0,
     };
 
-    fn walk<W: Walk>(&mut self, aged: &mut Aged, now: Ticks, form: Form, w: &mut W) {
+    fn walk<W: Walk>(&mut self, aged: &mut Aged, now: Instant, form: Form, w: &mut W) {
         let Self { source, incarnation, sequence, class, expires, contents, fragments, arrival } = self;
         let Aged { rejections, rejected_first, not_before } = aged;
         w.small(&mut source.0);
@@ -314,8 +314,12 @@ fn walk_command<W: Walk>(
     }
     let mut known = command.map(|command| command.fate);
     w.one_of(&FATES, &mut known, same_option);
-    let blank =
-        |fate| Remembered { id: MessageId::default(), fate, sender_until: Ticks::ZERO, until: Ticks::ZERO };
+    let blank = |fate| Remembered {
+        id: MessageId::default(),
+        fate,
+        sender_until: Instant::START,
+        until: Instant::START,
+    };
     if W::READS {
         *command = known.map(blank);
     }

@@ -70,7 +70,7 @@ impl Caller {
         }
         let (at, input) = match request {
             Some(request) => (clock::next(), Input::Request(request)),
-            None => (clock::now(), Input::Advance(Ticks::ZERO)),
+            None => (clock::now(), Input::Time),
         };
         let entry = self.node.look_in(self.place, Stamped { at, input }, &mut self.effects);
         self.stopped = entry.stopped;

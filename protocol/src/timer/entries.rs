@@ -1,0 +1,100 @@
+//! The entries of a Timer, and those of them that were armed last.
+
+use crate::ids::TaskId;
+use crate::queue;
+use crate::request::TimeId;
+use crate::state::Walk;
+use crate::ticks::Instant;
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Entry {
+    pub owner: TaskId,
+    pub id: TimeId,
+    pub turn: u8,
+    pub expires: Instant,
+    /// Of entries that end together the one armed first goes first.
+    pub armed: u64,
+}
+
+impl queue::Entry for Entry {
+    type Side = ();
+
+    fn key(&self) -> u128 {
+        (u128::from(self.expires.0) << 64) | u128::from(self.armed)
+    }
+
+    fn due(&self, (): &()) -> Instant {
+        self.expires
+    }
+
+    fn yields(&self) -> bool {
+        false
+    }
+}
+
+impl Entry {
+    pub fn walk<W: Walk>(&mut self, w: &mut W) {
+        let Self {
+            owner,
+            id,
+            // One thread drives a packed node: no word of an earlier start can still be on its way.
+            turn: _,
+            expires,
+            armed: _,
+        } = self;
+        w.small(&mut owner.0);
+        w.byte(&mut id.0);
+        w.instant(expires);
+    }
+}
+
+pub(super) fn name(owner: TaskId, id: TimeId) -> u32 {
+    (u32::from(owner.0) << 8) | u32::from(id.0)
+}
+
+/// How many entries have no place in the order yet.
+pub(super) const FRESH: usize = 4;
+/// No entry's name.
+pub(super) const NOBODY: u32 = u32::MAX;
+
+/// The entries armed last, in no order: most are taken back soon, and never need a place among all others (D123).
+#[derive(Clone, Debug)]
+pub(super) struct Fresh {
+    pub names: [u32; FRESH],
+    /// Where nobody stands: one that never ends.
+    pub entries: [Entry; FRESH],
+    /// Whose turn it is to make room.
+    pub next: u8,
+}
+
+impl Fresh {
+    pub const HOLE: Entry =
+        Entry { owner: TaskId(0), id: TimeId(0), turn: 0, expires: Instant::NEVER, armed: u64::MAX };
+    pub const NONE: Self = Self { names: [NOBODY; FRESH], entries: [Self::HOLE; FRESH], next: 0 };
+
+    pub fn find(&self, name: u32) -> Option<usize> {
+        self.names.iter().position(|&known| known == name)
+    }
+
+    pub fn put(&mut self, at: usize, entry: Entry) {
+        (self.names[at], self.entries[at]) = (name(entry.owner, entry.id), entry);
+    }
+
+    pub fn remove(&mut self, at: usize) -> Entry {
+        self.names[at] = NOBODY;
+        core::mem::replace(&mut self.entries[at], Self::HOLE)
+    }
+
+    /// When the first of them is over.
+    pub fn end(&self) -> Instant {
+        self.entries.iter().map(|entry| entry.expires).fold(Instant::NEVER, Instant::min)
+    }
+
+    pub fn first(&self) -> Option<(usize, &Entry)> {
+        self.iter().min_by_key(|(_, entry)| queue::Entry::key(*entry))
+    }
+
+    pub fn iter(&self) -> impl Iterator<Item = (usize, &Entry)> {
+        self.entries.iter().enumerate().filter(|&(at, _)| self.names[at] != NOBODY)
+    }
+}
