@@ -35,9 +35,11 @@ pub struct Words {
     len: u16,
 }
 
+/// From here on all instants are one.
+const LAST: u64 = (1 << (u64::BITS - NUMBER_BITS)) - 5;
+
 /// A number's word.
 fn word(instant: Instant, slot: Slot) -> u64 {
-    const LAST: u64 = (1 << (u64::BITS - NUMBER_BITS)) - 5;
     (instant.0.min(LAST) << NUMBER_BITS) | u64::from(slot)
 }
 
@@ -110,6 +112,16 @@ impl Words {
     /// The number that stands first.
     pub fn first(&self) -> Option<Slot> {
         self.word_at(ROOT).filter(|&word| !is_nothing(word)).map(slot)
+    }
+
+    /// The instant of the number that stands first, or never; `exact` gives one that is too far ahead for a word.
+    #[inline]
+    pub fn first_instant(&self, exact: impl FnOnce(Slot) -> Instant) -> Instant {
+        match self.word_at(ROOT) {
+            Some(word) if word >> NUMBER_BITS < LAST => Instant(word >> NUMBER_BITS),
+            Some(word) if !is_nothing(word) => exact(slot(word)),
+            Some(_) | None => Instant::NEVER,
+        }
     }
 
     /// All numbers in no particular order.

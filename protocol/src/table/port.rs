@@ -68,6 +68,10 @@ impl Port {
 
     /// The ends of both, where it may.
     pub(crate) fn admitted(&self, source: TaskId, task: TaskId) -> Option<(&Party, &Party)> {
+        if let [owner, user] = &*self.parties {
+            let ends = if source == owner.task { (owner, user) } else { (user, owner) };
+            return ((ends.0.task, ends.1.task) == (source, task)).then_some(ends);
+        }
         let of_owner = source == self.decl.owner || task == self.decl.owner;
         let may = source != task && (of_owner || self.decl.usage == Usage::Waitfor);
         if may { Some((self.party(source)?, self.party(task)?)) } else { None }

@@ -154,6 +154,11 @@ impl Machines {
             | Pending::Lease
             | Pending::Boundary => Instant::NEVER,
         };
+        // As of most tasks between two inputs: nothing else can be due.
+        let quiet = self.server.is_empty() && self.meetings.are_quiet() && self.lease.is_none();
+        if quiet && self.interrupts.depth() == 0 {
+            return wait;
+        }
         // When the first rejected message is to be offered again, where that could matter.
         let offered = self.server.has_offers() && self.is_interruptible();
         let offer = if offered { self.server.next_offer() } else { Instant::NEVER };

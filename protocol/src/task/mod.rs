@@ -121,18 +121,11 @@ impl CommTask {
     /// panics. The task gets at most one signal of the time, and one of the input.
     pub fn handle(&mut self, table: &NodeTable, now: Instant, input: &Input, out: &mut impl Outbox) {
         let only_time = matches!(input, Input::Time);
-        let passes = now > self.own.now;
-        if passes {
-            self.pass(table, now);
-        }
-        if (passes || only_time) && self.next_deadline() <= self.own.now {
-            let step = &mut Step { table, own: &mut self.own, out };
-            self.machines.advance(step);
-            self.machines.offer_to_waiting(step);
-            self.due = Some(self.machines.due());
-        }
-        if only_time {
-            return;
+        if only_time || now > self.own.now {
+            self.pass(table, now, out);
+            if only_time {
+                return;
+            }
         }
         // What was asked meanwhile by a thread that waits is answered: it gets no second signal.
         let answered = matches!(input, Input::Request(_)) && !self.is_idle();
@@ -164,13 +157,20 @@ impl CommTask {
         self.due.unwrap_or_else(|| self.machines.due())
     }
 
-    /// The task's clock goes on.
-    fn pass(&mut self, table: &NodeTable, now: Instant) {
+    /// The task's clock goes on, and what is due happens.
+    #[inline(never)]
+    fn pass(&mut self, table: &NodeTable, now: Instant, out: &mut impl Outbox) {
         let elapsed = now - self.own.now;
-        self.own.now = now;
+        self.own.now += elapsed;
         if !table.rules().charge_residence {
             self.machines.server.give_back(&self.own, elapsed);
             self.due = None;
+        }
+        if self.next_deadline() <= self.own.now {
+            let step = &mut Step { table, own: &mut self.own, out };
+            self.machines.advance(step);
+            self.machines.offer_to_waiting(step);
+            self.due = Some(self.machines.due());
         }
     }
 

@@ -103,7 +103,7 @@ fn older_versions_are_refused_by_their_numbers() {
         let digit = |d: u8| u8::try_from(char::from(d).to_digit(16).unwrap()).unwrap();
         let bytes: Vec<u8> = digits.chunks(2).map(|d| digit(d[0]) << 4 | digit(d[1])).collect();
         let refusal = RecordingReader::new(bytes.as_slice()).unwrap_err().to_string();
-        assert_eq!(refusal, format!("at byte 0: a recording of version {version}, this program reads 9"));
+        assert_eq!(refusal, format!("at byte 0: a recording of version {version}, this program reads 10"));
     }
 }
 
@@ -185,8 +185,8 @@ fn other_files_and_versions_are_refused() {
     let refusal = |bytes: &[u8]| RecordingReader::new(bytes).unwrap_err().to_string();
     assert_eq!(refusal(b"\x7fELF and a lot more"), "at byte 0: not a recording");
     let mut newer = written(&[]);
-    newer[8] = 10;
-    assert_eq!(refusal(&newer), "at byte 0: a recording of version 10, this program reads 9");
+    newer[8] = 11;
+    assert_eq!(refusal(&newer), "at byte 0: a recording of version 11, this program reads 10");
 }
 
 #[test]

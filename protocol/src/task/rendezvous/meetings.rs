@@ -126,9 +126,14 @@ impl Meetings {
         }
     }
 
+    /// Whether none of them acts by itself.
+    pub fn are_quiet(&self) -> bool {
+        self.next.len() == 0
+    }
+
     /// When one of them acts next.
     pub fn next_act(&self) -> Instant {
-        self.next.first().map_or(Instant::NEVER, |at| self.list[usize::from(at)].due())
+        self.next.first_instant(|at| self.list[usize::from(at)].due())
     }
 
     /// Finds a waitfor's place in the order.

@@ -163,7 +163,7 @@ impl Server {
 
     /// When the first rejected message is to be offered again, whoever could be interrupted.
     pub fn next_offer(&self) -> Instant {
-        self.heads.offers.first().map_or(Instant::NEVER, |at| next_due(&self.inboxes, at).0)
+        self.heads.offers.first_instant(|at| next_due(&self.inboxes, at).0)
     }
 
     /// Whether something waits on a port with a handler.
@@ -178,10 +178,15 @@ impl Server {
         first(&self.heads.urgent).or_else(|| first(&self.heads.ends))
     }
 
+    /// Whether nothing waits, and no fragments do.
+    pub fn is_empty(&self) -> bool {
+        let Heads { urgent, eldest: _, offers, ends } = &self.heads;
+        urgent.len() + offers.len() + ends.len() == 0
+    }
+
     /// When time alone makes something expire.
     pub fn next_end(&self) -> Instant {
-        let first =
-            |order: &Words| order.first().map_or(Instant::NEVER, |at| self.inboxes[usize::from(at)].due());
+        let first = |order: &Words| order.first_instant(|at| self.inboxes[usize::from(at)].due());
         first(&self.heads.urgent).min(first(&self.heads.ends))
     }
 }
