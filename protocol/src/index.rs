@@ -90,6 +90,7 @@ impl Index {
         found
     }
 
+    #[cfg(feature = "checker")]
     pub fn clear(&mut self) {
         self.places.fill(EMPTY);
     }

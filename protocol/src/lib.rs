@@ -35,6 +35,7 @@ mod request;
 pub mod route;
 pub mod rules;
 pub mod script;
+#[cfg(feature = "checker")]
 mod state;
 mod table;
 mod ticks;
@@ -57,9 +58,12 @@ pub use request::{
     ServiceOrder, Signal, Target, TimeId,
 };
 pub use rules::Rules;
+#[cfg(feature = "checker")]
 pub use state::{Decode, Encode, Frame, Overflow, Pass, Walk, mark};
 pub use table::{CellTable, NodeTable, Party, Port};
-pub use task::{Coming, CommTask, Input, Outbox, invariants};
+#[cfg(feature = "checker")]
+pub use task::Coming;
+pub use task::{CommTask, Input, Outbox, invariants};
 pub use ticks::{Instant, Ticks};
 pub use timer::Timer;
 pub use transit::{RouteOutbox, Transit};

@@ -3,6 +3,8 @@
 //! Single-threaded drivers call [`Node::step`]; the threaded runtime takes a node apart and puts every part behind its
 //! own lock. Both call the same pure functions of [`route`](crate::route).
 
+#[cfg(feature = "checker")]
+mod walk;
 mod work;
 
 use crate::ids::{Incarnation, MessageId, NodeId, TaskId};
@@ -11,7 +13,6 @@ use crate::packet::Packet;
 use crate::request::{Request, Signal, TimeId};
 use crate::route::{self, Arrival, Departure};
 use crate::rules::JobRequest;
-use crate::state::Walk;
 use crate::table::NodeTable;
 use crate::task::{CommTask, Input, Outbox};
 use crate::ticks::{Instant, Ticks};
@@ -195,17 +196,6 @@ impl Node {
             Work::Route(packet) | Work::Task(_, Input::Packet(packet)) => Some(packet),
             Work::Task(..) | Work::Arm(..) | Work::Disarm(..) => None,
         })
-    }
-
-    /// Walks the effects that are not carried out yet. An input that [`begin`](Self::begin) was given and
-    /// [`proceed`](Self::proceed) has not handed on has no packed form.
-    pub fn walk_work<W: Walk>(&mut self, w: &mut W) {
-        let count = w.count(self.work.len());
-        if W::READS {
-            self.work.clear();
-            self.work.resize(count, Work::Route(Packet::BLANK));
-        }
-        self.work.iter_mut().for_each(|work| work.walk(w));
     }
 
     /// Whether the clock counts (D22). Under the blocking reading of Figure 3 the Timer waits for the answer of every

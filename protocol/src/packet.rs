@@ -21,6 +21,8 @@ use core::num::NonZeroU32;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
+mod blank;
+#[cfg(feature = "checker")]
 mod walk;
 
 /// The size of every packet, in bytes.

@@ -5,12 +5,13 @@
 //! but O(1) where it is soon cancelled (D123), k entries that end cost O(k log n), and waiting costs nothing.
 
 mod entries;
+#[cfg(feature = "checker")]
+mod walk;
 
 use crate::ids::TaskId;
 use crate::index::Index;
 use crate::queue::{self, Queue};
 use crate::request::TimeId;
-use crate::state::{Pass, Walk, restart};
 use crate::ticks::{Instant, Ticks};
 use alloc::vec::Vec;
 use entries::{Entry, FRESH, Fresh, NOBODY, name};
@@ -141,12 +142,6 @@ impl Timer {
         self.queue.first().map_or(Instant::NEVER, |(_, entry)| entry.expires).min(self.fresh.end())
     }
 
-    /// The internal clock goes back to zero; behaviour does not change.
-    pub fn rebase(&mut self) {
-        let now = self.now;
-        self.walk(&mut restart(now));
-    }
-
     fn sorted(&self) -> Vec<&Entry> {
         let all = self.queue.iter().map(|(_, entry)| entry);
         let mut all: Vec<_> = all.chain(self.fresh.iter().map(|(_, entry)| entry)).collect();
@@ -158,39 +153,6 @@ impl Timer {
     #[must_use]
     pub fn entries(&self) -> Vec<(TaskId, TimeId, Ticks)> {
         self.sorted().into_iter().map(|e| (e.owner, e.id, e.expires - self.now)).collect()
-    }
-
-    /// Walks the entries, earliest first.
-    pub fn walk<W: Walk>(&mut self, w: &mut W) {
-        w.clock(&mut self.now);
-        let Self {
-            now: _,
-            // Only the order of arming matters: that in which entries are packed.
-            armed,
-            fresh,
-            queue,
-            // Rebuilt by arming.
-            index,
-        } = self;
-        if W::PASS == Pass::Change {
-            let named = fresh.entries.iter_mut().zip(&fresh.names).filter(|&(_, &name)| name != NOBODY);
-            named.for_each(|(entry, _)| entry.walk(w));
-            return queue.change_all(|entry, ()| entry.walk(w));
-        }
-        if !W::READS {
-            let mut entries: Vec<Entry> = self.sorted().into_iter().copied().collect();
-            w.count(entries.len());
-            return entries.iter_mut().for_each(|entry| entry.walk(w));
-        }
-        *armed = 0;
-        *fresh = Fresh::NONE;
-        queue.clear();
-        index.clear();
-        for _ in 0..w.count(0) {
-            let mut entry = Fresh::HOLE;
-            entry.walk(w);
-            self.arm(entry.owner, entry.id, entry.turn, entry.expires - self.now);
-        }
     }
 }
 

@@ -6,6 +6,9 @@
 //! The words of a refusal (D19) wait in places of their own: where they had to find room among the messages, a full
 //! buffer could never say that it is full, or would drop one command to tell of another (D79).
 
+#[cfg(feature = "checker")]
+mod walk;
+
 use crate::ids::{MessageId, NodeId, TaskId};
 use crate::mapping;
 use crate::observe::{Event, Observation, Reason, TransitView};
@@ -13,7 +16,6 @@ use crate::packet::{Class, Control, Kind, Packet};
 use crate::queue::{Entry, Queue, Slot};
 use crate::route::{self, Departure};
 use crate::rules::{Eviction, TimeStamp};
-use crate::state::{Pass, Walk, restart};
 use crate::table::NodeTable;
 use crate::ticks::{Instant, Ticks};
 use alloc::vec::Vec;
@@ -241,12 +243,6 @@ impl Transit {
         self.queue.next_due().min(self.words.next_due())
     }
 
-    /// The internal clock goes back to zero; behaviour does not change.
-    pub fn rebase(&mut self, table: &NodeTable) {
-        let now = self.now;
-        self.walk(table, &mut restart(now));
-    }
-
     /// The waiting messages, most urgent first, with what remains of each.
     #[must_use]
     pub fn waiting(&self) -> Vec<Packet> {
@@ -257,58 +253,6 @@ impl Transit {
     #[must_use]
     pub fn words(&self) -> Vec<Packet> {
         self.words.sorted().into_iter().map(|(_, w)| w.left(self.now)).collect()
-    }
-
-    /// Walks what waits, the most urgent first. Packed it is packets with what is left of each, and where it is read their way
-    /// says the rest.
-    pub fn walk<W: Walk>(&mut self, table: &NodeTable, w: &mut W) {
-        w.clock(&mut self.now);
-        let Self {
-            now,
-            // Only the order of arrival matters: that in which they are packed.
-            arrivals,
-            queue,
-            words,
-            // Only counted.
-            forwarded: _,
-            discarded: _,
-        } = self;
-        if W::PASS == Pass::Change {
-            return [queue, words]
-                .into_iter()
-                .for_each(|queue| queue.change_all(|waiting, ()| waiting.walk(w)));
-        }
-        let mut waiting: Vec<Packet> = Vec::new();
-        if W::READS {
-            *arrivals = 0;
-            queue.clear();
-            words.clear();
-        } else {
-            let both = queue.sorted().into_iter().chain(words.sorted());
-            waiting.extend(both.map(|(_, waiting)| waiting.left(*now)));
-        }
-        // Seven bits of messages, and one that says whether words follow.
-        let messages = u8::try_from(queue.len()).ok().filter(|&messages| messages < WITH_WORDS);
-        if messages.is_none() {
-            w.overflows();
-        }
-        let head = w.put(messages.unwrap_or(0) | if words.len() > 0 { WITH_WORDS } else { 0 });
-        let words = if head & WITH_WORDS != 0 { w.count(words.len()) } else { 0 };
-        waiting.iter_mut().for_each(|packet| packet.walk(w));
-        if W::READS {
-            let messages = usize::from(head & !WITH_WORDS);
-            (0..messages + words).for_each(|i| self.take_in(table, i < messages, w));
-        }
-    }
-
-    /// Reads a packet that waits.
-    fn take_in<W: Walk>(&mut self, table: &NodeTable, is_message: bool, w: &mut W) {
-        let mut packet = Packet::BLANK;
-        packet.walk(w);
-        let Departure::Link(next) = route::departing(table, &packet) else { return };
-        let waiting = self.waits(table, packet, next);
-        let queue = if is_message { &mut self.queue } else { &mut self.words };
-        let _ = queue.push(waiting);
     }
 
     /// How the buffer looks to a monitor.
@@ -352,24 +296,7 @@ impl Transit {
     }
 }
 
-/// Set in the first packed byte where words of a refusal wait.
-const WITH_WORDS: u8 = 0x80;
-
 impl Waiting {
-    fn walk<W: Walk>(&mut self, w: &mut W) {
-        let Self {
-            packet,
-            expires,
-            leave_by,
-            // The order of arrival is that of the entries, and where a packet goes is its way.
-            arrival: _,
-            next: _,
-        } = self;
-        packet.walk(w);
-        w.instant(expires);
-        w.instant(leave_by);
-    }
-
     /// The packet with its residence charged.
     fn left(&self, now: Instant) -> Packet {
         Packet { remaining: self.expires - now, ..self.packet }

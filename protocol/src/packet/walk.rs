@@ -1,9 +1,8 @@
 //! The fields of a packet that a future depends on.
 
-use super::{Class, Contents, Kind, MAX_HOPS, Meeting, Packet, Seal};
-use crate::ids::{MessageId, PortId, TaskId};
+use super::{Class, Kind, Meeting, Packet};
+use crate::ids::TaskId;
 use crate::state::{Pass, Walk, mark};
-use crate::ticks::Ticks;
 
 /// The first byte: the kind, and these.
 const KIND: u8 = 0x07;
@@ -17,24 +16,6 @@ const BRINGS: u8 = 0x40;
 const MOST_TASKS: u16 = 15;
 
 impl Packet {
-    /// A packet that says nothing: to be read.
-    pub const BLANK: Self = Self {
-        kind: Kind::Send,
-        class: Class::Command,
-        more: false,
-        resent: false,
-        urgent: false,
-        hops: MAX_HOPS,
-        fragment: 0,
-        destination: TaskId(0),
-        source: TaskId(0),
-        port: PortId(0),
-        id: MessageId::BLANK,
-        remaining: Ticks::ZERO,
-        contents: Contents::EMPTY,
-        seal: Seal::NONE,
-    };
-
     /// The task whose sequence the packet's id counts in: an answer carries the request's id (D47). On a port with
     /// usage `reply` that is the destination, too (D11).
     #[must_use]
@@ -137,8 +118,10 @@ impl Kind {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ids::{Incarnation, Round, Seq24};
+    use crate::ids::{Incarnation, MessageId, PortId, Round, Seq24};
+    use crate::packet::Contents;
     use crate::state::{Decode, Encode, Frame, Overflow};
+    use crate::ticks::Ticks;
     use alloc::vec::Vec;
     use proptest::prelude::*;
 

@@ -154,6 +154,7 @@ impl ScriptedNode {
 
     /// Has every script forget the messages that it can answer no more, so that equal futures have equal states. What
     /// the scripts do does not change.
+    #[cfg(feature = "checker")]
     pub fn bury(&mut self) {
         for Hosted { task, script, .. } in &mut self.scripts {
             let communication = self.node.task(*task);

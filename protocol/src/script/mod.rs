@@ -14,6 +14,7 @@ mod host;
 mod program;
 mod turn;
 mod value;
+#[cfg(feature = "checker")]
 mod walk;
 
 pub use builder::{Label, ProgramBuilder};

@@ -15,6 +15,7 @@
 mod answers;
 mod check;
 mod desk;
+#[cfg(feature = "checker")]
 mod walk;
 
 use super::own::{Own, Role, are_alike};

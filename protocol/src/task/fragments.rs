@@ -1,9 +1,11 @@
 //! Messages and answers longer than one packet (D28): fragments that share one id, whole before their one deadline or
 //! not at all.
 
-use crate::ids::{Incarnation, MessageId, TaskId};
+#[cfg(feature = "checker")]
+mod walk;
+
+use crate::ids::MessageId;
 use crate::packet::{Contents, Packet};
-use crate::state::Walk;
 use crate::ticks::Instant;
 use alloc::boxed::Box;
 use alloc::vec;
@@ -33,6 +35,7 @@ impl Parts {
         self.0.as_ref().map_or(0, |room| room.parts.len())
     }
 
+    #[cfg(feature = "checker")]
     pub fn has_room(&self) -> bool {
         self.0.is_some()
     }
@@ -93,24 +96,6 @@ impl Parts {
     /// Whether what was read from a file has the room of a new one, and fits in it.
     pub fn has_room_of(&self, new: &Self) -> bool {
         self.room() == new.room() && is_within(self.have(), self.room())
-    }
-
-    pub fn walk<W: Walk>(&mut self, w: &mut W) {
-        if !W::PACKS {
-            return;
-        }
-        let mut have = self.have();
-        w.word(&mut have);
-        if W::READS {
-            self.clear();
-        }
-        for i in (1..=15).filter(|i| have & (1 << (i - 1)) != 0) {
-            let mut contents = self.get(i).copied().unwrap_or(Contents::EMPTY);
-            w.contents(&mut contents);
-            if W::READS {
-                self.put(i, contents);
-            }
-        }
     }
 }
 
@@ -214,35 +199,6 @@ impl Assembly {
         let known = self.fragments.is_none_or(|fragments| usize::from(fragments) <= most.max(1));
         most == new.contents.len() && is_within(self.have, most) && known
     }
-
-    /// Walks an answer that is coming in; the desk says whose it is, and until when.
-    pub fn walk_answer<W: Walk>(&mut self, w: &mut W) {
-        w.word(&mut self.have);
-        self.walk_fragments(w);
-        if W::READS {
-            (self.id, self.expires) = (MessageId::default(), Instant::NEVER);
-        }
-    }
-
-    /// Walks a message of `source` that is coming in.
-    pub fn walk_message<W: Walk>(&mut self, source: TaskId, w: &mut W) {
-        w.word(&mut self.have);
-        if self.is_open() {
-            self.walk_fragments(w);
-            w.id(source, Incarnation(0), &mut self.id);
-            w.instant(&mut self.expires);
-        }
-    }
-
-    fn walk_fragments<W: Walk>(&mut self, w: &mut W) {
-        let Self { id: _, have, fragments, expires: _, contents } = self;
-        let known = w.put(fragments.unwrap_or(0));
-        if W::READS {
-            *fragments = Some(known).filter(|&fragments| fragments > 0);
-        }
-        let here = contents.iter_mut().enumerate().filter(|(i, _)| *have & (1 << i) != 0);
-        here.for_each(|(_, contents)| w.contents(contents));
-    }
 }
 
 /// Whether all bits of `have` are below `most`.
@@ -253,6 +209,7 @@ fn is_within(have: u16, most: usize) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ids::TaskId;
     use crate::ticks::Ticks;
     use proptest::prelude::*;
 

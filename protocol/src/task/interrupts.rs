@@ -14,6 +14,7 @@
 mod check;
 mod offer;
 mod timers;
+#[cfg(feature = "checker")]
 mod walk;
 
 pub(crate) use offer::{Offer, Turn, What, cap};

@@ -28,6 +28,7 @@
 
 mod beats;
 mod check;
+#[cfg(feature = "checker")]
 mod walk;
 
 use super::own::{Own, Role, couple_of};
@@ -155,6 +156,7 @@ impl Lease {
     }
 
     /// The couple that it is a side of.
+    #[cfg(feature = "checker")]
     pub const fn couple(&self) -> u8 {
         self.couple
     }
@@ -321,18 +323,6 @@ impl Lease {
     /// Whether a state that was read is of the same side as a new one.
     pub fn is_like(&self, new: &Self) -> bool {
         (self.couple, self.primary, self.partner) == (new.couple, new.primary, new.partner)
-    }
-
-    /// Drops what can never matter again.
-    pub fn bury(&mut self, now: Instant) {
-        for answered in &mut self.answered {
-            *answered = answered.filter(|a| a.until > now && self.post != Post::Passive);
-        }
-        self.answered.sort_by_key(Option::is_none);
-        if self.post == Post::Passive {
-            self.newest = None;
-        }
-        self.echo = self.echo.filter(|echo| echo.until > now);
     }
 }
 

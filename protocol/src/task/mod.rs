@@ -23,6 +23,7 @@ mod counts;
 #[cfg(test)]
 mod fixture;
 mod fragments;
+#[cfg(feature = "checker")]
 mod ignores;
 mod interrupts;
 pub mod invariants;
@@ -37,10 +38,13 @@ mod step;
 mod view;
 mod violation;
 mod wait;
+#[cfg(feature = "checker")]
+mod walk;
 
 pub(crate) use fragments::Parts;
-pub use state::Coming;
 pub use step::Outbox;
+#[cfg(feature = "checker")]
+pub use walk::Coming;
 
 use crate::ids::{Incarnation, MessageId, NodeId, PortId, TaskId};
 use crate::packet::{Contents, Packet};

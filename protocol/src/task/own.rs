@@ -1,12 +1,14 @@
 //! What all parts of a communication task share: who the task is, its clock, its order of service and its ports.
 
+#[cfg(feature = "checker")]
+mod walk;
+
 use super::counts::Counts;
 use super::fragments::Parts;
 use crate::cell::{CoupleDecl, Usage};
 use crate::ids::{Incarnation, PortId, Seq24, TaskId};
 use crate::packet::{Class, Contents};
 use crate::request::{Fault, ServiceOrder, Signal};
-use crate::state::Walk;
 use crate::table::{NodeTable, Port};
 use crate::ticks::Instant;
 use alloc::boxed::Box;
@@ -195,40 +197,6 @@ impl Own {
     /// How often a port may be passed over before it goes first (D58).
     pub fn bypass_limit(&self) -> u16 {
         index(self.endpoints.len() + self.order.ranked().len()).max(4)
-    }
-
-    /// Walks the clock. The order of service is packed with the threads; life and staged fragments are walked apart, below.
-    pub fn walk<W: Walk>(&mut self, w: &mut W) {
-        let Self {
-            task,
-            incarnation: _,
-            restarted: _,
-            now,
-            next_sequence,
-            quarantine_until: _,
-            order: _,
-            endpoints: _,
-        } = self;
-        w.clock(now);
-        w.next_sequence(*task, next_sequence);
-    }
-
-    /// Walks the life.
-    pub fn walk_life<W: Walk>(&mut self, w: &mut W) {
-        if w.lives() {
-            w.instant(&mut self.quarantine_until);
-            w.byte(&mut self.incarnation.0);
-            w.flag(&mut self.restarted);
-        } else if W::READS {
-            self.quarantine_until = Instant::START;
-        }
-    }
-
-    /// Walks the fragments that are staged; what else an endpoint has is declared, or counted for monitors alone.
-    pub fn walk_staged<W: Walk>(&mut self, w: &mut W) {
-        for endpoint in self.endpoints.iter_mut().filter(|endpoint| endpoint.staged.has_room()) {
-            endpoint.staged.walk(w);
-        }
     }
 
     /// Whether it has the ports of another.

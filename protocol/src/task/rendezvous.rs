@@ -17,10 +17,12 @@
 
 mod check;
 mod hear;
+#[cfg(feature = "checker")]
 mod ignores;
 mod meetings;
 mod send;
 mod view;
+#[cfg(feature = "checker")]
 mod walk;
 
 pub(crate) use meetings::Meetings;

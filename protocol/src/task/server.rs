@@ -28,13 +28,14 @@ mod inbox;
 mod memory;
 mod offers;
 mod view;
+#[cfg(feature = "checker")]
 mod walk;
 
 use super::fragments::Parts;
 use super::interrupts::Interrupts;
 use super::own::{Own, Role, are_alike};
 use super::step::{Outbox, Step};
-use crate::ids::{Incarnation, PortId, Seq24, TaskId};
+use crate::ids::{Incarnation, PortId, TaskId};
 use crate::mapping;
 use crate::observe::{Event, Reason};
 use crate::packet::{Class, Contents, Control, Packet};
@@ -330,30 +331,6 @@ impl Server {
             self.heads.watch(&self.inboxes);
         }
         self.touch(own, inbox);
-    }
-
-    /// Drops what can never matter again.
-    pub fn bury(&mut self, now: Instant) {
-        for guard in &mut self.guards {
-            guard.bury(now);
-        }
-        for inbox in &mut self.inboxes {
-            for source in &mut inbox.sources {
-                source.bury(now);
-            }
-        }
-    }
-
-    /// Forgets the messages that were taken where no copy of them can come any more; `copies` are those that may still come
-    /// from a source on a port.
-    pub fn bury_seen<I: Iterator<Item = Seq24>>(&mut self, copies: impl Fn(PortId, TaskId) -> I) {
-        for inbox in &mut self.inboxes {
-            let port = inbox.port;
-            for source in &mut inbox.sources {
-                let task = source.task;
-                source.bury_seen(|| copies(port, task));
-            }
-        }
     }
 
     /// Whether a state that was read has the inboxes of a new one.

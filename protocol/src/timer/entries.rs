@@ -3,7 +3,6 @@
 use crate::ids::TaskId;
 use crate::queue;
 use crate::request::TimeId;
-use crate::state::Walk;
 use crate::ticks::Instant;
 
 #[derive(Clone, Copy, Debug)]
@@ -29,22 +28,6 @@ impl queue::Entry for Entry {
 
     fn yields(&self) -> bool {
         false
-    }
-}
-
-impl Entry {
-    pub fn walk<W: Walk>(&mut self, w: &mut W) {
-        let Self {
-            owner,
-            id,
-            // One thread drives a packed node: no word of an earlier start can still be on its way.
-            turn: _,
-            expires,
-            armed: _,
-        } = self;
-        w.small(&mut owner.0);
-        w.byte(&mut id.0);
-        w.instant(expires);
     }
 }
 

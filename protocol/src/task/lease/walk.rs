@@ -116,3 +116,17 @@ impl Answered {
         w.instant(until);
     }
 }
+
+impl Lease {
+    /// Drops what can never matter again.
+    pub fn bury(&mut self, now: Instant) {
+        for answered in &mut self.answered {
+            *answered = answered.filter(|a| a.until > now && self.post != Post::Passive);
+        }
+        self.answered.sort_by_key(Option::is_none);
+        if self.post == Post::Passive {
+            self.newest = None;
+        }
+        self.echo = self.echo.filter(|echo| echo.until > now);
+    }
+}

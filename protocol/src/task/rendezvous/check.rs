@@ -1,7 +1,6 @@
 //! What holds of a rendezvous between two inputs, and what of it is dead.
 
-use super::{Arrived, Meetings, Rendezvous};
-use crate::ids::Round;
+use super::{Meetings, Rendezvous};
 use crate::table::NodeTable;
 use crate::task::interrupts::Interrupts;
 use crate::task::own::{Own, index};
@@ -62,37 +61,6 @@ impl Rendezvous {
             }
         }
         Ok(())
-    }
-
-    /// Drops what can never matter again.
-    pub(super) fn bury(&mut self, now: Instant) {
-        if !self.fresh.is_newer_than(self.announced) {
-            self.fresh = self.announced;
-        }
-        let waiting = self.deadline.is_some();
-        if !waiting {
-            self.arguments = [0; 8];
-        }
-        let Self { announced, released, owes_confirm: owes, numbered, .. } = *self;
-        // An arrival counts in the round waited in and in fresher ones, and in the released one for an owed CONFIRM.
-        let counts = |round: Round| {
-            !numbered
-                || round.is_newer_than(announced)
-                || (waiting && round == announced)
-                || (owes && released == Some(round))
-        };
-        for member in &mut self.members {
-            // Even when its patience has ended, a partner that came to this round was not the one that was missing.
-            let came = |a: &Arrived| numbered && waiting && a.round == announced;
-            member.arrived = member.arrived.filter(|a| came(a) || (a.expires > now && counts(a.round)));
-            if let Some(arrived) = &mut member.arrived {
-                arrived.expires = arrived.expires.max(now);
-            }
-            member.barred = member.barred.filter(|&barred| counts(barred));
-            if !waiting {
-                member.confirmed = false;
-            }
-        }
     }
 
     /// When the arrival is announced again: whole periods before the deadline, later than now (D55).

@@ -1,11 +1,22 @@
 //! Which packets no future of a rendezvous can notice (a reduction for the model checker).
 
-use super::Rendezvous;
-use crate::ids::Round;
+use super::{Meetings, Rendezvous};
+use crate::ids::{Incarnation, Round, TaskId};
 use crate::packet::{Kind, Packet};
-use crate::table::NodeTable;
+use crate::table::{NodeTable, Port};
+use crate::ticks::Instant;
 
 impl Rendezvous {
+    /// The life in which this task last heard a member.
+    pub fn heard_in(&self, port: &Port, member: TaskId) -> Option<Incarnation> {
+        self.members[port.party_index(member)?].life
+    }
+
+    /// The round whose CONFIRM this task still has to send, or to send again.
+    pub fn owes(&self) -> Option<Round> {
+        self.released.filter(|_| self.owes_confirm || self.copies_left > 0)
+    }
+
     /// Whether the task will never again wait in `round`.
     pub fn never_again(&self, round: Round) -> bool {
         self.numbered && self.is_over(round)
@@ -27,5 +38,15 @@ impl Rendezvous {
             Kind::Arrive => over && !hint && (over_there || !table.rules().answer_late_arrivals),
             Kind::Send | Kind::Query | Kind::Reply | Kind::Response | Kind::Control => false,
         }
+    }
+}
+
+impl Meetings {
+    /// Forgets the CONFIRM that is still to be sent at one.
+    pub fn settle(&mut self, meeting: u16) {
+        let rendezvous = &mut self.list[usize::from(meeting)];
+        rendezvous.owes_confirm = false;
+        (rendezvous.copies_left, rendezvous.copy_at) = (0, Instant::NEVER);
+        self.touch(meeting);
     }
 }

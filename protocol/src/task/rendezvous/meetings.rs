@@ -106,24 +106,9 @@ impl Meetings {
         &self.list[usize::from(meeting)]
     }
 
-    /// Forgets the CONFIRM that is still to be sent at one.
-    pub fn settle(&mut self, meeting: u16) {
-        let rendezvous = &mut self.list[usize::from(meeting)];
-        rendezvous.owes_confirm = false;
-        (rendezvous.copies_left, rendezvous.copy_at) = (0, Instant::NEVER);
-        self.touch(meeting);
-    }
-
     /// How they look to a monitor.
     pub fn view(&self, table: &NodeTable, own: &Own) -> impl Iterator<Item = MeetingView> {
         self.list.iter().filter_map(|rendezvous| Some(rendezvous.view(own, table.port(rendezvous.port)?)))
-    }
-
-    /// Drops what can never matter again.
-    pub fn bury(&mut self, now: Instant) {
-        for rendezvous in &mut self.list {
-            rendezvous.bury(now);
-        }
     }
 
     /// Whether none of them acts by itself.
@@ -137,16 +122,10 @@ impl Meetings {
     }
 
     /// Finds a waitfor's place in the order.
-    fn touch(&mut self, at: u16) {
+    pub(super) fn touch(&mut self, at: u16) {
         let list = &self.list;
         let act = |at: u16| (list[usize::from(at)].due(), at);
         self.next.set(at, Some(act(at).0).filter(|&due| due != Instant::NEVER), act);
-    }
-
-    /// Finds all places again.
-    pub(super) fn touch_all(&mut self) {
-        self.next.clear();
-        (0..index(self.list.len())).for_each(|at| self.touch(at));
     }
 
     /// Whether there is such a waitfor.

@@ -1,7 +1,7 @@
 //! How a rendezvous looks from outside.
 
 use super::{Member, Rendezvous};
-use crate::ids::{Incarnation, Round, TaskId};
+use crate::ids::{Round, TaskId};
 use crate::observe::{MeetingState, MeetingView, MemberView, TaskState};
 use crate::table::{Party, Port};
 use crate::task::own::Own;
@@ -22,16 +22,6 @@ impl Rendezvous {
     /// What another member brought to the round that this task left last; none where it was not heard there.
     pub fn told(&self, port: &Port, of: TaskId) -> Option<[u8; 8]> {
         self.members.get(port.party_index(of)?)?.told
-    }
-
-    /// The life in which this task last heard a member.
-    pub fn heard_in(&self, port: &Port, member: TaskId) -> Option<Incarnation> {
-        self.members[port.party_index(member)?].life
-    }
-
-    /// The round whose CONFIRM this task still has to send, or to send again.
-    pub fn owes(&self) -> Option<Round> {
-        self.released.filter(|_| self.owes_confirm || self.copies_left > 0)
     }
 
     /// What the task is doing while it waits here.

@@ -5,6 +5,7 @@ use crate::ids::{PortId, Round};
 use crate::state::{Pass, Walk};
 use crate::table::NodeTable;
 use crate::task::interrupts::Interrupts;
+use crate::task::own::index;
 use crate::ticks::{Instant, Ticks};
 
 impl Meetings {
@@ -104,5 +105,53 @@ impl Member {
             // Only the count of confirmations that are shown depends on it.
             *confirmed = false;
         }
+    }
+}
+
+impl Rendezvous {
+    /// Drops what can never matter again.
+    pub(super) fn bury(&mut self, now: Instant) {
+        if !self.fresh.is_newer_than(self.announced) {
+            self.fresh = self.announced;
+        }
+        let waiting = self.deadline.is_some();
+        if !waiting {
+            self.arguments = [0; 8];
+        }
+        let Self { announced, released, owes_confirm: owes, numbered, .. } = *self;
+        // An arrival counts in the round waited in and in fresher ones, and in the released one for an owed CONFIRM.
+        let counts = |round: Round| {
+            !numbered
+                || round.is_newer_than(announced)
+                || (waiting && round == announced)
+                || (owes && released == Some(round))
+        };
+        for member in &mut self.members {
+            // Even when its patience has ended, a partner that came to this round was not the one that was missing.
+            let came = |a: &Arrived| numbered && waiting && a.round == announced;
+            member.arrived = member.arrived.filter(|a| came(a) || (a.expires > now && counts(a.round)));
+            if let Some(arrived) = &mut member.arrived {
+                arrived.expires = arrived.expires.max(now);
+            }
+            member.barred = member.barred.filter(|&barred| counts(barred));
+            if !waiting {
+                member.confirmed = false;
+            }
+        }
+    }
+}
+
+impl Meetings {
+    /// Drops what can never matter again.
+    pub fn bury(&mut self, now: Instant) {
+        for rendezvous in &mut self.list {
+            rendezvous.bury(now);
+        }
+    }
+
+    /// Finds all places again.
+    pub(super) fn touch_all(&mut self) {
+        self.next.clear();
+        (0..index(self.list.len())).for_each(|at| self.touch(at));
     }
 }

@@ -4,7 +4,6 @@
 use super::{Held, Server, Way, discard};
 use crate::observe::Reason;
 use crate::packet::{Contents, Packet};
-use crate::state::Walk;
 use crate::table::Port;
 use crate::task::lease::is_newer_epoch;
 use crate::task::step::{Outbox, Step};
@@ -37,13 +36,15 @@ impl Guard {
     }
 
     /// Forgets an epoch of which nothing can come any more.
+    #[cfg(feature = "checker")]
     pub fn bury(&mut self, now: Instant) {
         if self.until <= now {
             *self = Self { until: now, ..Self::new(self.couple) };
         }
     }
 
-    pub fn walk<W: Walk>(&mut self, w: &mut W) {
+    #[cfg(feature = "checker")]
+    pub fn walk<W: crate::state::Walk>(&mut self, w: &mut W) {
         let Self { couple, epoch, until } = self;
         w.epoch(*couple, epoch);
         w.instant(until);

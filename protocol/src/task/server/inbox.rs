@@ -197,6 +197,7 @@ impl Inbox {
     }
 
     /// See [`body`](Self::body).
+    #[cfg(feature = "checker")]
     pub fn body_mut(&mut self, slot: Slot) -> Option<&mut Parts> {
         self.long.as_mut()?.bodies.get_mut(usize::from(slot))
     }

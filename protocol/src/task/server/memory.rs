@@ -171,6 +171,7 @@ impl Source {
     }
 
     /// Drops what can never matter again.
+    #[cfg(feature = "checker")]
     pub fn bury(&mut self, now: Instant) {
         match &mut self.memory {
             Memory::Command(command) => *command = command.filter(|c| c.until > now),
@@ -181,6 +182,7 @@ impl Source {
 
     /// Forgets the messages that were taken where no copy of them can come any more. `copies` are the numbers of those that
     /// may still come.
+    #[cfg(feature = "checker")]
     pub fn bury_seen<I: Iterator<Item = Seq24>>(&mut self, copies: impl Fn() -> I) {
         // One that is newer than all that was seen is taken, remembered or not.
         let may_come = |newest: Seq24| copies().any(|copy| !copy.is_newer_than(newest));

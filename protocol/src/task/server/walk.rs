@@ -338,3 +338,29 @@ fn walk_command<W: Walk>(
         Fate::Held | Fate::Lapsed | Fate::Refused => {}
     }
 }
+
+impl Server {
+    /// Drops what can never matter again.
+    pub fn bury(&mut self, now: Instant) {
+        for guard in &mut self.guards {
+            guard.bury(now);
+        }
+        for inbox in &mut self.inboxes {
+            for source in &mut inbox.sources {
+                source.bury(now);
+            }
+        }
+    }
+
+    /// Forgets the messages that were taken where no copy of them can come any more; `copies` are those that may still come
+    /// from a source on a port.
+    pub fn bury_seen<I: Iterator<Item = Seq24>>(&mut self, copies: impl Fn(PortId, TaskId) -> I) {
+        for inbox in &mut self.inboxes {
+            let port = inbox.port;
+            for source in &mut inbox.sources {
+                let task = source.task;
+                source.bury_seen(|| copies(port, task));
+            }
+        }
+    }
+}

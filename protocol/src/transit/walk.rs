@@ -1,0 +1,87 @@
+//! The fields of a transit buffer.
+
+use super::{Transit, Waiting};
+use crate::packet::Packet;
+use crate::route::{self, Departure};
+use crate::state::{Pass, Walk, restart};
+use crate::table::NodeTable;
+use alloc::vec::Vec;
+
+/// Set in the first packed byte where words of a refusal wait.
+const WITH_WORDS: u8 = 0x80;
+
+impl Transit {
+    /// The internal clock goes back to zero; behaviour does not change.
+    pub fn rebase(&mut self, table: &NodeTable) {
+        let now = self.now;
+        self.walk(table, &mut restart(now));
+    }
+
+    /// Walks what waits, the most urgent first. Packed it is packets with what is left of each, and where it is read their way
+    /// says the rest.
+    pub fn walk<W: Walk>(&mut self, table: &NodeTable, w: &mut W) {
+        w.clock(&mut self.now);
+        let Self {
+            now,
+            // Only the order of arrival matters: that in which they are packed.
+            arrivals,
+            queue,
+            words,
+            // Only counted.
+            forwarded: _,
+            discarded: _,
+        } = self;
+        if W::PASS == Pass::Change {
+            return [queue, words]
+                .into_iter()
+                .for_each(|queue| queue.change_all(|waiting, ()| waiting.walk(w)));
+        }
+        let mut waiting: Vec<Packet> = Vec::new();
+        if W::READS {
+            *arrivals = 0;
+            queue.clear();
+            words.clear();
+        } else {
+            let both = queue.sorted().into_iter().chain(words.sorted());
+            waiting.extend(both.map(|(_, waiting)| waiting.left(*now)));
+        }
+        // Seven bits of messages, and one that says whether words follow.
+        let messages = u8::try_from(queue.len()).ok().filter(|&messages| messages < WITH_WORDS);
+        if messages.is_none() {
+            w.overflows();
+        }
+        let head = w.put(messages.unwrap_or(0) | if words.len() > 0 { WITH_WORDS } else { 0 });
+        let words = if head & WITH_WORDS != 0 { w.count(words.len()) } else { 0 };
+        waiting.iter_mut().for_each(|packet| packet.walk(w));
+        if W::READS {
+            let messages = usize::from(head & !WITH_WORDS);
+            (0..messages + words).for_each(|i| self.take_in(table, i < messages, w));
+        }
+    }
+
+    /// Reads a packet that waits.
+    fn take_in<W: Walk>(&mut self, table: &NodeTable, is_message: bool, w: &mut W) {
+        let mut packet = Packet::BLANK;
+        packet.walk(w);
+        let Departure::Link(next) = route::departing(table, &packet) else { return };
+        let waiting = self.waits(table, packet, next);
+        let queue = if is_message { &mut self.queue } else { &mut self.words };
+        let _ = queue.push(waiting);
+    }
+}
+
+impl Waiting {
+    fn walk<W: Walk>(&mut self, w: &mut W) {
+        let Self {
+            packet,
+            expires,
+            leave_by,
+            // The order of arrival is that of the entries, and where a packet goes is its way.
+            arrival: _,
+            next: _,
+        } = self;
+        packet.walk(w);
+        w.instant(expires);
+        w.instant(leave_by);
+    }
+}
