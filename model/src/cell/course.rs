@@ -227,7 +227,7 @@ impl Course {
     /// The variables of a task, bit by bit, that nobody reads any more.
     pub fn dead_variables(&self, task: usize) -> u64 {
         let actor = self.floor.bodies[task].actor.as_ref();
-        self.dead.get(task).zip(actor).map_or(0, |(dead, actor)| dead.at(actor.script.own_position()))
+        self.dead.get(task).zip(actor).map_or(0, |(dead, actor)| dead.at(actor.script.position_at(0)))
     }
 
     /// Forgets the variables that nobody reads any more.

@@ -91,7 +91,7 @@ impl Reader {
         let script = &course.floor.bodies.get(task)?.actor.as_ref()?.script;
         let at = match level {
             _ if level == script.depth() => script.position(),
-            0 => script.own_position()?,
+            0 => script.position_at(0)?,
             _ => return None,
         };
         course.plan.legend.line(task, at)

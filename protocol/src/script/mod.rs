@@ -385,12 +385,6 @@ impl Script {
         }
     }
 
-    /// The operation that the task's own thread waits in, below the handlers that run; `None` when it has ended.
-    #[must_use]
-    pub fn own_position(&self) -> Option<Address> {
-        self.position_at(0)
-    }
-
     /// The operation that a thread waits in: the task's own at level 0, above it the handlers that run. `None` where there is none.
     #[must_use]
     pub fn position_at(&self, level: u8) -> Option<Address> {
