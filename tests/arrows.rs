@@ -59,8 +59,13 @@ fn the_rooms_import_each_other_only_along_the_arrows() {
             let both = (package.as_str(), name.as_str());
             // With what robots leave out.
             let itself = ("imrs-protocol", "imrs-protocol");
-            [("imrs-model", "imrs-language"), ("imrs-macros", "imrs-runtime"), ("imrs", "imrs-macros"), itself]
-                .contains(&both)
+            [
+                ("imrs-model", "imrs-language"),
+                ("imrs-macros", "imrs-runtime"),
+                ("imrs", "imrs-macros"),
+                itself,
+            ]
+            .contains(&both)
         };
         let dev = dev.iter().filter(|name| !tested_with(name));
         for name in normal.iter().chain(dev).filter(|name| imports.contains_key(*name)) {
