@@ -4,6 +4,8 @@
 use super::{Held, Server, Way, discard};
 use crate::observe::Reason;
 use crate::packet::{Contents, Packet};
+#[cfg(feature = "checker")]
+use crate::state::Walk;
 use crate::table::Port;
 use crate::task::lease::is_newer_epoch;
 use crate::task::step::{Outbox, Step};
@@ -44,7 +46,7 @@ impl Guard {
     }
 
     #[cfg(feature = "checker")]
-    pub fn walk<W: crate::state::Walk>(&mut self, w: &mut W) {
+    pub fn walk<W: Walk>(&mut self, w: &mut W) {
         let Self { couple, epoch, until } = self;
         w.epoch(*couple, epoch);
         w.instant(until);
