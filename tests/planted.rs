@@ -7,7 +7,7 @@ use std::path::Path;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 /// Fewer say too little about the claims.
-const FEWEST: usize = 20;
+const FEWEST: usize = 80;
 
 struct Fault {
     title: String,

@@ -74,7 +74,7 @@
 //!         break *outcome;
 //!     }
 //!     // Sleep until a packet comes, or time alone makes a node act: here, be there.
-//!     let due = nodes.iter().filter_map(|(_, node, _)| Some(now + node.time_left()?));
+//!     let due = nodes.iter().filter_map(|(_, node, _)| Some(node.now() + node.time_left()?));
 //!     now = due.chain(flying.iter().map(|flight| flight.0)).min().expect("a command ends");
 //!     for (_, node, out) in &mut nodes {
 //!         node.step(now, NodeInput::Time, out);

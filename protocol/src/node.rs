@@ -77,7 +77,7 @@ pub struct Parts {
 #[derive(Clone, Debug)]
 pub struct Node {
     parts: Parts,
-    /// The time of the last input. That of each part runs with it, and may show something else.
+    /// The time of the last input. The clocks of its parts run with it, while they count, and may show something else.
     now: Instant,
     /// For each task of the cell, where it stands among those of this node, if it is one of them.
     places: Box<[u16]>,
@@ -161,11 +161,11 @@ impl Node {
     /// Takes one input and leaves what follows from it within the node to [`proceed`](Self::proceed): for a checker
     /// that looks between the steps (D39). Time passes at once for all parts.
     pub fn begin(&mut self, now: Instant, input: NodeInput, out: &mut impl NodeOutbox) {
-        if now > self.now || matches!(input, NodeInput::Time) {
-            self.pass(now, out);
+        if now > self.now && input != NodeInput::Time {
+            self.step(now, NodeInput::Time, out);
         }
         match input {
-            NodeInput::Time => {}
+            NodeInput::Time => self.pass(now, out),
             NodeInput::Request(task, request) => self.hand_to(task, &Input::Request(request), out),
             NodeInput::Packet { from, packet, charge } => self.arrive(from, packet, charge, out),
             NodeInput::PeerRestarted(node) => {
@@ -208,7 +208,7 @@ impl Node {
         }
     }
 
-    /// How long until time alone makes this node act; `None`: it never does.
+    /// How long from [`now`](Self::now) until time alone makes this node act; `None`: it never does.
     #[must_use]
     pub fn time_left(&self) -> Option<Ticks> {
         let Parts { table: _, tasks, transit, timer } = &self.parts;
@@ -225,11 +225,11 @@ impl Node {
     }
 
     fn pass(&mut self, now: Instant, out: &mut impl NodeOutbox) {
+        let elapsed = now - self.now;
+        self.now += elapsed;
         if !self.counts() {
             return;
         }
-        let elapsed = now - self.now;
-        self.now += elapsed;
         // The transit buffer first: a task whose time_out ends now must know whether its packet ever left.
         self.with_transit(out, |transit, table, effects| {
             transit.advance(table, transit.now() + elapsed, effects);

@@ -1,4 +1,4 @@
-//! Time in machine ticks: lengths, and instants on the clock of one node.
+//! Time in machine ticks: lengths, and instants on one clock.
 
 use core::fmt;
 use core::ops::{Add, AddAssign, Sub};
@@ -52,10 +52,11 @@ impl Sub for Ticks {
     }
 }
 
-/// A moment on the clock of one node, which begins with [`Instant::START`].
+/// A moment on the clock of one machine (a communication task, a transit buffer, a Timer, a node), which begins with
+/// [`Instant::START`].
 ///
 /// Instants are compared, moved by a length, and told apart by one: `later - earlier` is how long there is between them. Those
-/// of two nodes are never compared, because there is no global clock (§5.1).
+/// of two clocks are never compared: there is no global clock (§5.1), and what goes from one machine to another is a length.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Instant(pub u64);
 

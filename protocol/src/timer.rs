@@ -96,6 +96,7 @@ impl Timer {
     /// Lets an entry end after so long from now, whatever it was armed for; of no time: with the next `advance`, be that of
     /// none, too. For a checker of what a node did: counted in ticks, what ends within one may end in another order than
     /// it was armed in, and a node may notice late. False when there is none.
+    #[cfg(feature = "checker")]
     pub fn put(&mut self, owner: TaskId, id: TimeId, left: Ticks) -> bool {
         let (name, expires) = (name(owner, id), self.now + left);
         if let Some(at) = self.fresh.find(name) {

@@ -2,7 +2,7 @@
 
 use crate::support::NextExpiry;
 use crate::support::plan::plans;
-use crate::support::world::{World, ops};
+use crate::support::world::{World, lively, ops};
 use imrs_protocol::*;
 use proptest::prelude::*;
 
@@ -27,6 +27,22 @@ proptest! {
         for task in 0..plain.tasks.len() {
             prop_assert_eq!(other.tasks[task].next_expiry(), plain.tasks[task].next_expiry());
             prop_assert_eq!(other.bytes(task), plain.bytes(task));
+        }
+    }
+
+    /// Where no deadline has come, a look at everything finds nothing to do: none is kept too late.
+    #[test]
+    fn nothing_is_to_be_done_before_the_next_deadline(plan in plans(), ops in lively(), lags: [u8; 8]) {
+        let mut plain = World::new(&plan.build(), true);
+        let mut looking = plain.clone();
+        (plain.splits, looking.splits, looking.looks_around) = (true, true, true);
+        for (i, &op) in ops.iter().enumerate() {
+            let lag = u64::from(lags[i % lags.len()] % 16);
+            (plain.lag, looking.lag) = (lag, lag);
+            prop_assert_eq!(looking.step(op), plain.step(op));
+            for task in 0..plain.tasks.len() {
+                prop_assert_eq!(looking.bytes(task), plain.bytes(task));
+            }
         }
     }
 

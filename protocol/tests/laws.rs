@@ -103,6 +103,7 @@ proptest! {
     fn time_may_be_given_in_pieces(plan in plans(), ops in ops(), cut: u64) {
         let mut plain = World::new(&plan.build(), true);
         let mut other = plain.clone();
+        other.looks_around = true;
         for (i, &op) in ops.iter().enumerate() {
             let task = usize::from(op.1) % plain.tasks.len();
             let elapsed = match op.0 % 16 { 0 | 1 => u64::from(op.2 % 12), 12 => u64::from(op.2 % 90), _ => 0 };
@@ -131,6 +132,7 @@ proptest! {
             world.step(op);
             for task in 0..world.tasks.len() {
                 let mut ahead = world.clone();
+                ahead.looks_around = true;
                 match ahead.tasks[task].next_expiry() {
                     None => {
                         let never = ahead.pass(task, 1_000_000);

@@ -31,6 +31,14 @@ fn delays_of_tasks_end_each_at_its_time() {
 }
 
 #[test]
+fn what_is_over_by_then_comes_before_what_comes_then() {
+    let mut net = Net::new(cell());
+    net.ask(X, delay(1, 5));
+    net.step_after(NodeId(0), 6, NodeInput::Request(Y, Request::Order(ServiceOrder::default())));
+    assert_eq!(net.transcript(), ["0 T0: time_out 1", "0 T1: accepted 0"]);
+}
+
+#[test]
 fn a_task_asks_for_nothing_else_while_it_delays() {
     let mut net = Net::new(cell());
     net.ask(X, delay(1, 5));

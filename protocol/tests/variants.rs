@@ -106,6 +106,7 @@ fn a_timer_that_waits_for_a_busy_task_stops_the_clock_of_its_node() {
         net.ask(Y, Request::Delay { id: TimeId(1), length: Ticks(5) });
         net.ask(X, Request::Work);
         net.run(20);
+        assert_eq!(net.nodes[0].now(), Instant(20), "what its parts did not count is over for good");
         let while_x_works = net.heard(Y);
         net.ask(X, Request::Done);
         net.ask(X, get(9));

@@ -434,7 +434,7 @@ impl Floor {
     pub(crate) fn step(&mut self, i: usize, input: NodeInput) -> Result<(), Violation> {
         let owed = std::mem::take(&mut self.stations[i].owed);
         if let Some(history) = &mut self.history {
-            history.begin(i, Ticks::ZERO, &input);
+            history.begin(i, Ticks(u64::from(owed)), &input);
         }
         if owed > 0 {
             self.drive_on(i, Ticks(u64::from(owed)))?;

@@ -171,11 +171,16 @@ impl CommTask {
             self.due = None;
         }
         if self.next_deadline() <= self.own.now {
-            let step = &mut Step { table, own: &mut self.own, out };
-            self.machines.advance(step);
-            self.machines.offer_to_waiting(step);
-            self.due = Some(self.machines.due());
+            self.act(table, out);
         }
+    }
+
+    /// What time alone makes the task do.
+    fn act(&mut self, table: &NodeTable, out: &mut impl Outbox) {
+        let step = &mut Step { table, own: &mut self.own, out };
+        self.machines.advance(step);
+        self.machines.offer_to_waiting(step);
+        self.due = Some(self.machines.due());
     }
 
     /// Whether the thread that runs, the task's own or a handler, has no outstanding request.

@@ -60,7 +60,7 @@ pub(crate) struct Own {
     pub task: TaskId,
     pub incarnation: Incarnation,
     pub restarted: bool,
-    /// Ticks since `new` or the last `rebase`; every instant of the task is on this counter.
+    /// The clock that every instant of the task is on.
     pub now: Instant,
     pub next_sequence: Seq24,
     /// Until when a restarted task cannot know what its earlier life ran (D49).

@@ -1,6 +1,7 @@
 //! The whole state of a communication task for a checker: its one walk (D165), the moves of its clock, and what of it is dead.
 
 use super::lease::Lease;
+use super::step::Outbox;
 use super::{CommTask, Machines};
 use crate::ids::{PortId, Seq24, TaskId};
 use crate::state::{Clock, Pass, Walk, restart};
@@ -46,6 +47,11 @@ impl CommTask {
             lease.walk(own.task, w);
         }
         server.walk_guards(w);
+    }
+
+    /// Looks for what time alone makes the task do, whether its deadline has come or not: where it has not, nothing comes of it.
+    pub fn look_around(&mut self, table: &NodeTable, out: &mut impl Outbox) {
+        self.act(table, out);
     }
 
     /// Sets the internal clock back to zero; behaviour does not change. Dead state is dropped first, so that no

@@ -73,6 +73,7 @@ pub fn inputs(data: &[u8]) {
 /// One tick before the next expiry nothing happens, then something does.
 fn next_expiry_is_exact(world: &World, task: usize) {
     let mut ahead = world.clone();
+    ahead.looks_around = true;
     let Some(due) = ahead.tasks[task].next_expiry() else {
         let never = ahead.pass(task, 1_000_000);
         assert!(never == Effects::default(), "{never:?} without a next expiry");

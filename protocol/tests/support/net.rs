@@ -124,7 +124,8 @@ impl Net {
         self.step_after(node, ticks, NodeInput::Time);
     }
 
-    fn step_after(&mut self, node: NodeId, ticks: u64, input: NodeInput) {
+    /// An input so many ticks after the last one.
+    pub fn step_after(&mut self, node: NodeId, ticks: u64, input: NodeInput) {
         let mut wires = Wires {
             from: node,
             now: self.now,

@@ -39,6 +39,8 @@ pub struct World {
     pub lag: u64,
     /// Whether they come as an input of their own.
     pub splits: bool,
+    /// Whether whatever time alone could bring about is looked at, due or not.
+    pub looks_around: bool,
 }
 
 impl World {
@@ -59,6 +61,7 @@ impl World {
             restarts,
             lag: 0,
             splits: false,
+            looks_around: false,
         }
     }
 
@@ -112,6 +115,11 @@ impl World {
         let most = if ticks > 0 { 2 } else { 1 };
         if self.splits && ticks > 0 {
             self.tasks[task].handle(&self.tables[task], now, &Input::Time, &mut out);
+        }
+        if self.looks_around && (ticks > 0 || matches!(input, Input::Time)) {
+            // Nothing may come of it: what is due has just happened.
+            self.tasks[task].handle(&self.tables[task], now, &Input::Time, &mut out);
+            self.tasks[task].look_around(&self.tables[task], &mut out);
         }
         self.tasks[task].handle(&self.tables[task], now, &input, &mut out);
         if let Err(violation) = invariants::check(&self.tasks[task], &self.tables[task]) {

@@ -10,8 +10,8 @@ use crate::sync::alarm::{Alarm, Cover};
 use crate::sync::handoff::{Rest, Station};
 use imrs_protocol::script::Program;
 use imrs_protocol::{
-    Class, CommTask, Delivery, Event, Input, Instant, Kind, NodeTable, Observation, Outbox, Packet, PortId,
-    QueueView, Reason, Signal, TaskId, TaskView, Ticks, TimeId,
+    Class, CommTask, Delivery, Event, Input, Kind, NodeTable, Observation, Outbox, Packet, PortId, QueueView,
+    Reason, Signal, TaskId, TaskView, Ticks, TimeId,
 };
 use std::sync::Arc;
 
@@ -201,7 +201,7 @@ impl Comm {
         let mut input = stamped.input;
         if let Input::Packet(packet) = &mut input {
             // Another thread was faster: what the packet waited for this one is taken from its life, too.
-            packet.remaining = packet.remaining - (Instant(at) - Instant(stamped.at));
+            packet.remaining = packet.remaining - Ticks(at.saturating_sub(stamped.at));
         }
         let mut mail = None;
         self.run(&Step { elapsed, input }, &mut |signal| mail = Some(Mail { signal, at }), effects);

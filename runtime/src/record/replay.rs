@@ -341,7 +341,7 @@ impl<'t> Replay<'t> {
     }
 }
 
-/// Runs one step as the runtime does, and looks at both states that the machine comes to.
+/// Runs one step: what the time brings about, then the input (the runtime gives both at once), and looks at both states.
 fn run_checked(
     (machine, table): (&mut CommTask, &NodeTable),
     step: Step,

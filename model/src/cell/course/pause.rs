@@ -3,7 +3,7 @@
 //! ```text
 //!   a step is due at the node --Pause--> asleep: packets wait at the end of their links, actions go on, nothing is noticed
 //!                                           |
-//!                                          Wake: time first (one late Advance: leases and deadlines), then what waits,
+//!                                          Wake: time first (all of it at once: leases and deadlines), then what waits,
 //!                                                charged with its wait; then actions that ended meanwhile
 //! ```
 //!

@@ -1,4 +1,4 @@
-//! What holds of a rendezvous between two inputs, and what of it is dead.
+//! What holds of a rendezvous between two inputs.
 
 use super::{Meetings, Rendezvous};
 use crate::table::NodeTable;

@@ -1,7 +1,7 @@
 //! The orders over a task's inboxes: which one is served next, and where time alone does something first (D108).
 //!
 //! Each is a heap of positions. After every change of an inbox [`Server::touch`] finds its places again, so that a GET over
-//! all ports (§5.2.1) and [`CommTask::next_expiry`](crate::CommTask::next_expiry) look at the first ones only, however many
+//! all ports (§5.2.1) and [`CommTask::next_deadline`](crate::CommTask::next_deadline) look at the first ones only, however many
 //! ports there are.
 
 use super::Server;
@@ -80,6 +80,7 @@ impl Heads {
         let head = inbox.queue.first().map(|(_, held)| held.expires);
         let open = head.filter(|_| !inbox.handled);
         self.urgent.set(at, open, |at| urgency(inboxes, order, at));
+        // Counts of messages served, ordered as instants are.
         self.eldest.set(at, open.map(|_| Instant(inbox.since)), |at| age(inboxes, at));
         if self.offers.capacity() > 0 {
             let offered = head.filter(|_| inbox.handled).map(|_| inbox.queue.next_due());
