@@ -273,7 +273,7 @@ impl<T: Entry> Queue<T> {
     /// When the first of them is due: never, where there is none, or the queue is not watched.
     pub fn next_due(&self) -> Instant {
         let Some(watch) = self.watching() else { return Instant::NEVER };
-        watch.due.first().map_or(Instant::NEVER, |slot| due(&self.entries, &watch.sides, slot).0)
+        watch.due.first_instant(|slot| due(&self.entries, &watch.sides, slot).0)
     }
 
     fn named(&self, slot: Option<Slot>) -> Option<(Slot, &T)> {

@@ -2,7 +2,7 @@
 
 use crate::support::NextExpiry;
 use crate::support::plan::plans;
-use crate::support::world::{World, lively, ops};
+use crate::support::world::{Op, World, lively, ops};
 use imrs_protocol::*;
 use proptest::prelude::*;
 
@@ -36,29 +36,29 @@ proptest! {
         let mut plain = World::new(&plan.build(), true);
         let mut looking = plain.clone();
         (plain.splits, looking.splits, looking.looks_around) = (true, true, true);
-        for (i, &op) in ops.iter().enumerate() {
-            let lag = u64::from(lags[i % lags.len()] % 16);
-            (plain.lag, looking.lag) = (lag, lag);
-            prop_assert_eq!(looking.step(op), plain.step(op));
-            for task in 0..plain.tasks.len() {
-                prop_assert_eq!(looking.bytes(task), plain.bytes(task));
-            }
-        }
+        alike_with_lags([plain, looking], &ops, lags)?;
     }
 
     /// An input that comes later is the time until then, and then the input.
     #[test]
     fn time_comes_before_what_it_comes_with(plan in plans(), ops in ops(), lags: [u8; 8]) {
-        let mut together = World::new(&plan.build(), true);
+        let together = World::new(&plan.build(), true);
         let mut apart = together.clone();
         apart.splits = true;
-        for (i, &op) in ops.iter().enumerate() {
-            let lag = u64::from(lags[i % lags.len()] % 16);
-            (together.lag, apart.lag) = (lag, lag);
-            prop_assert_eq!(together.step(op), apart.step(op));
-            for task in 0..apart.tasks.len() {
-                prop_assert_eq!(together.bytes(task), apart.bytes(task));
-            }
+        alike_with_lags([together, apart], &ops, lags)?;
+    }
+}
+
+/// Two worlds do the same where some time passes before each of these.
+fn alike_with_lags(mut worlds: [World; 2], ops: &[Op], lags: [u8; 8]) -> Result<(), TestCaseError> {
+    let [one, other] = &mut worlds;
+    for (i, &op) in ops.iter().enumerate() {
+        let lag = u64::from(lags[i % lags.len()] % 16);
+        (one.lag, other.lag) = (lag, lag);
+        prop_assert_eq!(one.step(op), other.step(op));
+        for task in 0..one.tasks.len() {
+            prop_assert_eq!(one.bytes(task), other.bytes(task));
         }
     }
+    Ok(())
 }

@@ -180,19 +180,13 @@ impl Steps {
 fn from_z(kind: Kind, to: TaskId, port: PortId, contents: Contents) -> NodeInput {
     let packet = Packet {
         kind,
-        class: Class::Command,
-        more: false,
-        resent: false,
-        urgent: false,
-        hops: MAX_HOPS,
-        fragment: 0,
         destination: to,
         source: Z,
         port,
         id: MessageId { incarnation: Incarnation(0), sequence: Seq24::new(8) },
         remaining: Ticks(20),
         contents,
-        seal: Seal::NONE,
+        ..Packet::BLANK
     };
     NodeInput::Packet { from: N1, packet, charge: Ticks(2) }
 }

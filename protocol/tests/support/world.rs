@@ -113,12 +113,12 @@ impl World {
         let mut out = Effects::default();
         let now = self.tasks[task].now() + Ticks(ticks);
         let most = if ticks > 0 { 2 } else { 1 };
-        if self.splits && ticks > 0 {
+        let passes = ticks > 0 || matches!(input, Input::Time);
+        if passes && (self.splits || self.looks_around) {
             self.tasks[task].handle(&self.tables[task], now, &Input::Time, &mut out);
         }
-        if self.looks_around && (ticks > 0 || matches!(input, Input::Time)) {
+        if passes && self.looks_around {
             // Nothing may come of it: what is due has just happened.
-            self.tasks[task].handle(&self.tables[task], now, &Input::Time, &mut out);
             self.tasks[task].look_around(&self.tables[task], &mut out);
         }
         self.tasks[task].handle(&self.tables[task], now, &input, &mut out);
