@@ -2,9 +2,9 @@
 //! where the others are. Monitors of version 1.0 see none of it.
 
 use crate::common::monitor::{Folder, Monitor, NEW, OLD, node, socket, want};
-use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, network, on, table};
+use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, network, on, one_node, table};
 use imrs_protocol::script::ProgramBuilder;
-use imrs_protocol::{Event, Incarnation, PortId, Ticks};
+use imrs_protocol::{Cell, Event, Incarnation, PortDecl, PortId, Ticks, Usage};
 use imrs_runtime::Runtime;
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::observer::{AddressBook, Observer, Place, Showing};
@@ -196,6 +196,38 @@ fn the_process_and_its_clock_are_told() {
     assert!(vitals.memory > 100_000 && vitals.threads >= 4 && vitals.cpu_us > 0, "{vitals:?}");
     let lateness = vitals.timer;
     assert!(lateness.p50_us <= lateness.p99_us && lateness.p99_us <= lateness.max_us, "{lateness:?}");
+}
+
+/// A node of so many tasks that the next state is due by the time one is told, as any is on a machine that is busy enough.
+#[test]
+fn a_state_that_takes_longer_than_its_period_leaves_the_rest_its_turn() {
+    const TASKS: usize = 24_000;
+    let folder = Folder::new("large");
+    let mut cell = Cell::new("large", Ticks(1));
+    let n0 = cell.node("n0");
+    let names: Vec<String> = (0..TASKS).map(|number| format!("t{number}")).collect();
+    names.iter().for_each(|name| _ = cell.task(name, n0));
+    cell.port(PortDecl::new("news", A, Usage::Send, &[B], LONG_TICKS));
+    let mut builder = one_node(&table(cell));
+    for name in &names {
+        builder = builder.async_task(name, |_| async { Ok(()) });
+    }
+    let runtime = builder.start().unwrap();
+    let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
+    let mut monitor = Monitor::unix(socket(&observer));
+    assert!(matches!(monitor.hello(NEW), Handshake::Hello(_)));
+    assert!(matches!(monitor.next(), ServerFrame::Table(_)));
+    monitor.say(&ClientFrame::Want(Want { watched: vec![(B, PortId(0))], vitals_us: 100_000, ..want() }));
+    let (mut states, mut vitals) = (0, 0);
+    monitor.until(&mut Snapshot::default(), |frame, _| {
+        states += usize::from(matches!(frame, ServerFrame::Delta(_)));
+        vitals += usize::from(matches!(frame, ServerFrame::Vitals(_)));
+        (states >= 3 && vitals >= 3).then_some(())
+    });
+    assert!(
+        states < 1_000,
+        "the state keeps what is due every 100 ms from being told: {states} of it came first"
+    );
 }
 
 #[test]

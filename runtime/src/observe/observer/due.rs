@@ -37,6 +37,25 @@ pub(super) struct Subscription {
     more: Option<More>,
 }
 
+/// What a monitor is told. Of what is due since the same instant the earlier one here goes first: who waits for the state knows
+/// of the others and of what is held back by then.
+#[derive(Clone, Copy)]
+enum What {
+    Places,
+    HeldBack,
+    Detail,
+    State,
+    Events,
+    Vitals,
+}
+
+impl What {
+    /// Whether it takes one of the frames that the monitor has asked for.
+    const fn has_a_price(self) -> bool {
+        !matches!(self, Self::Places | Self::HeldBack)
+    }
+}
+
 /// Events on their way to one monitor.
 struct Following {
     next: Instant,
@@ -117,25 +136,27 @@ impl Subscription {
         }
     }
 
-    /// When something is to be told, where there is credit.
-    pub fn due(&self) -> Option<Instant> {
-        if self.credit == 0 {
-            return None;
-        }
-        let mut due = self.next_snapshot;
-        if let Some(events) = &self.events {
-            due = due.min(events.next);
-        }
-        if let Some(more) = &self.more {
-            due = due.min(more.places.1);
-            due = more.held_back.map_or(due, |(_, at)| due.min(at));
-            due = more.detail.map_or(due, |since| due.min(since));
-            due = more.vitals.map_or(due, |(_, at)| due.min(at));
-        }
-        Some(due)
+    /// When each kind of frame is to be told next, if at all.
+    fn dues(&self) -> [(Option<Instant>, What); 6] {
+        let more = self.more.as_ref();
+        [
+            (more.map(|more| more.places.1), What::Places),
+            (more.and_then(|more| more.held_back).map(|(_, at)| at), What::HeldBack),
+            (more.and_then(|more| more.detail), What::Detail),
+            (Some(self.next_snapshot), What::State),
+            (self.events.as_ref().map(|events| events.next), What::Events),
+            (more.and_then(|more| more.vitals).map(|(_, at)| at), What::Vitals),
+        ]
     }
 
-    /// At most one frame: while it is on its way, nothing else is made.
+    /// When something is to be told, where there is credit.
+    pub fn due(&self) -> Option<Instant> {
+        let due = self.dues().into_iter().filter_map(|(at, _)| at).min();
+        due.filter(|_| self.credit > 0)
+    }
+
+    /// At most one frame: while it is on its way, nothing else is made. What has been due for longest goes first, or on a busy
+    /// machine the state, whose period is the shortest, would keep all else from being told.
     pub fn push(
         &mut self,
         showing: &Showing,
@@ -145,21 +166,28 @@ impl Subscription {
         if self.credit == 0 {
             return Ok(());
         }
-        if let Some(frame) = self.places(showing, now).or_else(|| self.held_back(showing, now)) {
-            // Before the state, so that who waits for that knows of the others and of what is held back; and without a price.
-            return writer.push(&frame);
+        let mut dues = self.dues();
+        dues.sort_by_key(|(at, _)| *at);
+        for (_, what) in dues.into_iter().filter(|(at, _)| at.is_some_and(|at| at <= now)) {
+            let frame = match what {
+                What::State => {
+                    self.next_snapshot = now + self.period;
+                    self.push_snapshot(showing, now, writer)?;
+                    self.credit -= 1;
+                    return Ok(());
+                }
+                What::Places => self.places(showing, now),
+                What::HeldBack => self.held_back(showing, now),
+                What::Detail => self.detail(showing),
+                What::Events => self.events(now),
+                What::Vitals => self.vitals(showing, now),
+            };
+            if let Some(frame) = frame {
+                writer.push(&frame)?;
+                self.credit -= u16::from(what.has_a_price());
+                return Ok(());
+            }
         }
-        if let Some(frame) = self.detail(showing) {
-            writer.push(&frame)?;
-        } else if self.next_snapshot <= now {
-            self.next_snapshot = now + self.period;
-            self.push_snapshot(showing, now, writer)?;
-        } else if let Some(frame) = self.events(now).or_else(|| self.vitals(showing, now)) {
-            writer.push(&frame)?;
-        } else {
-            return Ok(());
-        }
-        self.credit -= 1;
         Ok(())
     }
 
