@@ -3,6 +3,7 @@
 //! The checker catches panics of the machine and reports them as findings, and the runtime reports a task that panics as crashed. While a
 //! finding is shrunk, the same line may panic in thousands of runs.
 
+use crate::exit::says_exhausted;
 use crate::output::harmless;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
@@ -15,7 +16,7 @@ type Place = (Option<String>, Option<String>);
 
 /// What has panicked in this process.
 pub struct Panics {
-    /// Whether nothing has.
+    /// Whether nothing has, but for want of memory, descriptors or threads.
     sound: Arc<AtomicBool>,
     counts: Mutex<BTreeMap<Place, u64>>,
 }
@@ -25,7 +26,10 @@ pub fn report() -> Arc<Panics> {
     let panics = Arc::new(Panics { sound: Arc::new(AtomicBool::new(true)), counts: Mutex::default() });
     let (default, own) = (std::panic::take_hook(), Arc::clone(&panics));
     std::panic::set_hook(Box::new(move |panic| {
-        own.sound.store(false, Ordering::SeqCst);
+        // Not where the system has nothing left: writing that down may need the memory that there is none of.
+        if !panic.payload_as_str().is_some_and(says_exhausted) {
+            own.sound.store(false, Ordering::SeqCst);
+        }
         let place = place(panic);
         match own.count(&place) {
             1 => default(panic),
@@ -108,6 +112,27 @@ mod tests {
             assert!(ended.is_err());
         }
         eprintln!("untold: {:?}", panics.untold());
+    }
+
+    /// No test of its own: a program that finds no room for what it wants to say of a panic.
+    #[test]
+    fn a_panic_that_cannot_be_written_down() {
+        let Ok(says) = std::env::var("IMRS_PANICS_OF") else { return };
+        let panics = report();
+        crate::end_without_memory(panics.sound());
+        assert!(std::panic::catch_unwind(|| panic!("{says}")).is_err());
+        std::process::abort();
+    }
+
+    #[test]
+    fn an_abort_after_a_panic_is_a_fault_unless_the_system_had_nothing_left() {
+        let code = |says: &str| {
+            let mut program = Command::new(std::env::current_exe().expect("this program"));
+            program.args(["--exact", "panics::tests::a_panic_that_cannot_be_written_down"]);
+            program.env("IMRS_PANICS_OF", says).output().expect("it runs").status.code()
+        };
+        let spawn = "failed to spawn thread: Os { code: 11, kind: WouldBlock, message: \"try again\" }";
+        assert_eq!((code(spawn), code("a fault")), (Some(71), None));
     }
 
     #[test]
