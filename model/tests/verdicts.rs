@@ -36,7 +36,53 @@ fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
     };
     assert_eq!(kinds(&waits("na", "nb")), [Kind::Check]);
     assert_eq!(kinds(&waits("nb", "na")), [Kind::Check]);
-    assert_eq!(kinds(&waits("na", "na")), [], "a node does one thing after the other");
+    // On one node, too: which of two tasks goes on first is the threads' choice.
+    assert_eq!(kinds(&waits("na", "na")), [Kind::Check]);
+}
+
+/// Of two tasks of a node that have something to do in one tick either goes on first, whichever the cell declares first.
+#[test]
+fn of_two_tasks_of_a_node_either_goes_on_first() {
+    let gate = [
+        "task a on na\nvar x: bool;\nbegin x := true; delay 5 msec; x := false; end a;\n",
+        "task b on na\nvar y: bool;\nbegin delay 5 msec; y := true; end b;\n",
+    ];
+    for tasks in [gate, [gate[1], gate[0]]] {
+        let text = format!("{ONE}{}check c: never a.x and b.y;\n", tasks.concat());
+        assert_eq!(kinds(&text), [Kind::Check], "{text}");
+    }
+    // What one of them says comes first, too, and leads to every statement.
+    let says = |name: &str, port: &str| {
+        format!(
+            "task {name} on na\nport {port}() usage = send user_list = {{c}} time_out = 50 msec;\nbegin delay 5 msec; send {port}(); end {name};\n"
+        )
+    };
+    let hears = "task c on na\nuse_port p() usage = receive; use_port q() usage = receive;\nvar first: int8;\nbegin\n\
+        on receive p() do if first = 0 then first := 1; end; end;\non receive q() do if first = 0 then first := 2; end; end;\n\
+        delay 20 msec;\nend c;\ncheck c1: never c.first = 1;\ncheck c2: never c.first = 2;\n";
+    assert_eq!(
+        kinds(&format!("{ONE}{}{}{hears}", says("a", "p"), says("b", "q"))),
+        [Kind::Check, Kind::Check]
+    );
+}
+
+/// Each of two tasks of a node says that it goes in unless it has heard so of the other: both may have spoken before either hears.
+#[test]
+fn what_two_tasks_of_a_node_send_each_other_may_cross() {
+    let enters = |name: &str, (own, other): (&str, &str), takes: &str| {
+        let peer = if name == "a" { "b" } else { "a" };
+        format!(
+            "task {name} on na\nport {own}() usage = send user_list = {{{peer}}} time_out = 50 msec; use_port {other}() usage = receive;\n\
+             var inside, heard: bool;\nbegin\non receive {other}() do heard := true; end;\norder {other} > self;\n\
+             run look takes {takes};\nif not heard then send {own}(); inside := true; run work takes 3 msec; inside := false; end;\nend {name};\n"
+        )
+    };
+    let zone = |takes: &str| {
+        let tasks = [enters("a", ("p", "q"), "5 msec"), enters("b", ("q", "p"), takes)].concat();
+        kinds(&format!("{ONE}{tasks}check apart: never a.inside and b.inside;\n")).contains(&Kind::Check)
+    };
+    assert!(zone("5 msec"));
+    assert!(!zone("6 msec"), "what was said a tick ago was heard");
 }
 
 #[test]

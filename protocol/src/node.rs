@@ -4,6 +4,8 @@
 //! own lock. Both call the same pure functions of [`route`](crate::route).
 
 #[cfg(feature = "checker")]
+mod orders;
+#[cfg(feature = "checker")]
 mod walk;
 mod work;
 
@@ -194,6 +196,8 @@ impl Node {
     pub fn work_packets(&self) -> impl Iterator<Item = &Packet> {
         self.work.iter().filter_map(|work| match work {
             Work::Route(packet) | Work::Task(_, Input::Packet(packet)) => Some(packet),
+            #[cfg(feature = "checker")]
+            Work::Pass(..) => None,
             Work::Task(..) | Work::Arm(..) | Work::Disarm(..) => None,
         })
     }
@@ -225,31 +229,44 @@ impl Node {
     }
 
     fn pass(&mut self, now: Instant, out: &mut impl NodeOutbox) {
-        let elapsed = now - self.now;
-        self.now += elapsed;
-        if !self.counts() {
-            return;
-        }
-        // The transit buffer first: a task whose time_out ends now must know whether its packet ever left.
-        self.with_transit(out, |transit, table, effects| {
-            transit.advance(table, transit.now() + elapsed, effects);
-        });
-        while let Some(work) = self.work.pop_front() {
-            self.carry_out(work, out);
-        }
+        let Some(elapsed) = self.begin_time(now, out) else { return };
         // All tasks before what any of them sends: a message between two of them must not age by the time before it.
         let Parts { table, tasks, .. } = &mut self.parts;
         for task in tasks {
             let effects = &mut TaskEffects { task: task.task(), work: &mut self.work, out };
             task.handle(table, task.now() + elapsed, &Input::Time, effects);
         }
-        while let Some(work) = self.work.pop_front() {
-            self.carry_out(work, out);
+        self.empty(out);
+        self.pass_in_timer(elapsed);
+    }
+
+    /// Time passes for the node and in its transit buffer. `None` where it does not count.
+    fn begin_time(&mut self, now: Instant, out: &mut impl NodeOutbox) -> Option<Ticks> {
+        let elapsed = now - self.now;
+        self.now += elapsed;
+        if !self.counts() {
+            return None;
         }
+        // The transit buffer first: a task whose time_out ends now must know whether its packet ever left.
+        self.with_transit(out, |transit, table, effects| {
+            transit.advance(table, transit.now() + elapsed, effects);
+        });
+        self.empty(out);
+        Some(elapsed)
+    }
+
+    fn pass_in_timer(&mut self, elapsed: Ticks) {
         let (timer, work) = (&mut self.parts.timer, &mut self.work);
         timer.advance(timer.now() + elapsed, |task, id, turn| {
             work.push_back(Work::Task(task, Input::TimeOut { id, turn }));
         });
+    }
+
+    /// Carries out the effects that there are, and what follows from them.
+    fn empty(&mut self, out: &mut impl NodeOutbox) {
+        while let Some(work) = self.work.pop_front() {
+            self.carry_out(work, out);
+        }
     }
 
     fn arrive(&mut self, from: NodeId, packet: Packet, charge: Ticks, out: &mut impl NodeOutbox) {
@@ -261,15 +278,22 @@ impl Node {
     }
 
     fn hand_to(&mut self, task: TaskId, input: &Input, out: &mut impl NodeOutbox) {
+        self.hand_after(Ticks::ZERO, task, input, out);
+    }
+
+    /// Hands an input to a task, after so much time of its own clock.
+    fn hand_after(&mut self, elapsed: Ticks, task: TaskId, input: &Input, out: &mut impl NodeOutbox) {
         let Some(&place) = self.places.get(task.index()) else { return };
         let Some(comm_task) = self.parts.tasks.get_mut(usize::from(place)) else { return };
         let effects = &mut TaskEffects { task, work: &mut self.work, out };
-        comm_task.handle(&self.parts.table, comm_task.now(), input, effects);
+        comm_task.handle(&self.parts.table, comm_task.now() + elapsed, input, effects);
     }
 
     fn carry_out(&mut self, work: Work, out: &mut impl NodeOutbox) {
         match work {
             Work::Task(task, input) => self.hand_to(task, &input, out),
+            #[cfg(feature = "checker")]
+            Work::Pass(task, elapsed) => self.hand_after(elapsed, task, &Input::Time, out),
             Work::Route(packet) => match route::departing(&self.parts.table, &packet) {
                 Departure::Local(task) => self.work.push_back(Work::Task(task, Input::Packet(packet))),
                 Departure::Link(_) | Departure::Unroutable => {

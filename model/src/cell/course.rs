@@ -48,6 +48,8 @@ pub enum CellMove {
     Takes(u8, u8, u32),
     /// What comes next on this link is still on its way.
     Stay(u8),
+    /// A task of this node takes the input that waits in the node at this position.
+    Take(u8, u8),
     /// A script gets its choice.
     Choose(u8, u16),
     /// Declared crash number so happens.
@@ -86,6 +88,7 @@ impl CellMove {
             | Self::GoOn(..)
             | Self::Takes(..)
             | Self::Stay(_)
+            | Self::Take(..)
             | Self::Choose(..)
             | Self::Restart(_)
             | Self::Wake(_) => false,
@@ -172,6 +175,7 @@ impl Course {
         });
         let mut floor = FloorPlan::new(Arc::clone(&plan.table), tasks.collect());
         floor.way = Way::Exact;
+        floor.orders = true;
         floor.keeps_seen = plan.everything;
         floor.history = history;
         floor.transit = plan.transit;
@@ -263,7 +267,10 @@ impl Course {
         self.broken.clear();
         if let Some(node) = self.node_of(step) {
             self.beside.acted |= bit(node);
-            self.stir();
+            // What it comes from did so already.
+            if !matches!(step, CellMove::Take(..)) {
+                self.stir();
+            }
         }
         let result = self.carry_out(step).and_then(|()| self.floor.run_scripts());
         if let Err(violation) = result {
@@ -290,7 +297,9 @@ impl Course {
             CellMove::Acted(task, ..) | CellMove::Choose(task, _) => {
                 Some(self.floor.station_of(usize::from(task)))
             }
-            CellMove::Restart(node) | CellMove::Wake(node) => Some(usize::from(node)),
+            CellMove::Restart(node) | CellMove::Wake(node) | CellMove::Take(node, _) => {
+                Some(usize::from(node))
+            }
             CellMove::Pass
             | CellMove::Drift(..)
             | CellMove::Lose(_)
@@ -386,6 +395,7 @@ impl Course {
                 self.beside.slow |= bit(usize::from(link));
                 Ok(())
             }
+            CellMove::Take(node, at) => floor.take(usize::from(node), usize::from(at)),
             CellMove::Choose(task, choice) => {
                 floor.leave(usize::from(task), ScriptInput::Chosen(choice));
                 Ok(())

@@ -165,7 +165,8 @@ impl Reader {
                 let values = values.and_then(|contents| legend.values(seen.port, false, contents.as_bytes()));
                 let handler = program(course, task)
                     .and_then(|program| legend.handler(program, task, Trigger::Message(seen.port)));
-                return (handler.or_else(|| legend.line(task, before?)), values);
+                let at = self.taken_at(course, task, seen.port).or(before);
+                return (handler.or_else(|| legend.line(task, at?)), values);
             }
             Event::Rejected => before,
             Event::Resumed => Some(position(course, task)),
@@ -223,6 +224,14 @@ impl Reader {
         let (at, told) = doing.next()?;
         *told += 1;
         Some(at)
+    }
+
+    /// The statement of this step, or the one before it, that takes what comes on a port: the last one.
+    fn taken_at(&self, course: &Course, task: usize, on: PortId) -> Option<Address> {
+        let program = program(course, task)?;
+        let takes = |op: &Op| matches!(op, Op::Get { port, .. } if port.is_none_or(|port| port == on));
+        let begun = self.step.begun.get(task)?.iter().rev().map(|&(at, _)| at);
+        begun.into_iter().find(|&at| operations(program, at).any(takes))
     }
 
     /// The port on which the statement of an operation sends.

@@ -6,15 +6,15 @@
 //! repeats there is told where a task waits for others in it: a camera that goes on by itself is at no standstill.
 
 use super::course::{CellMove, Course};
-use super::judge::{Shown, name, position};
+use super::judge::{Shown, name};
 use super::plan::{CellFaults, CellPlan};
 use super::seen::Mark;
 use super::story;
 use super::verdict::{Finding, Kind, Phase};
 use crate::floor::script::ScriptTurn;
 use imrs_protocol::Signal;
-use imrs_protocol::script::ScriptInput;
-use std::collections::{BTreeSet, HashMap, HashSet};
+use imrs_protocol::script::{Address, ScriptInput};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
 /// So many states of a standstill are walked through to tell what repeats in it.
@@ -123,11 +123,14 @@ pub(super) fn tell(
     // What scripts did on the way there is no part of it.
     course.floor.turns.iter_mut().for_each(Vec::clear);
     let mut known = HashSet::new();
-    let mut asks = BTreeSet::new();
+    // Which state leads to which, and by which step a task was told something, at this statement.
+    let mut leads: HashMap<u64, Vec<u64>> = HashMap::new();
+    let mut told = BTreeSet::new();
     let mut open = vec![(course.store().ok()?, true)];
     let mut all = Vec::new();
     while let Some((state, first)) = open.pop() {
-        if !known.insert(Mark::of(course.split(&state)).core()) {
+        let from = Mark::of(course.split(&state)).core();
+        if !known.insert(from) {
             continue;
         }
         if known.len() > MOST_STATES {
@@ -143,23 +146,34 @@ pub(super) fn tell(
             if course.progresses(step) != Some(false) {
                 return None;
             }
-            for turn in course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default() {
+            let turns = course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
+            let shown = first && at == 0;
+            if shown {
+                moves.push(step);
+            }
+            let next = course.store().ok()?;
+            let to = Mark::of(course.split(&next)).core();
+            leads.entry(from).or_default().push(to);
+            for turn in turns {
                 if let ScriptInput::Signal(signal) = turn.input
                     && is_an_answer(&signal)
                     // What a task outside the cell goes on with is not known.
                     && !plan.outside.contains(&turn.task)
                 {
-                    asks.insert(turn.task);
+                    told.insert((turn.task, turn.at, from, to));
                 }
             }
-            let shown = first && at == 0;
-            if shown {
-                moves.push(step);
-            }
-            open.push((course.store().ok()?, shown));
+            open.push((next, shown));
         }
     }
-    let tasks: Vec<usize> = asks.into_iter().collect();
+    // What is told once, on the way into what repeats, is no part of it.
+    let mut asks: BTreeMap<usize, Address> = BTreeMap::new();
+    for (task, at, from, to) in told {
+        if !asks.contains_key(&task) && comes_to(&leads, to, from) {
+            asks.insert(task, at);
+        }
+    }
+    let tasks: Vec<usize> = asks.keys().copied().collect();
     let names: Vec<&str> = tasks.iter().map(|&task| name(&plan.table, task)).collect();
     let cause = match &names[..] {
         [] => {
@@ -171,14 +185,22 @@ pub(super) fn tell(
             format!("{} and {last} go on for ever, and nothing comes further any more", all.join(", "))
         }
     };
-    let mut course = Course::new(plan, faults);
-    if !moves.iter().all(|&step| course.survives(step)) {
-        return None;
-    }
-    let (task, address) = (tasks.first().copied(), tasks.first().map(|&task| position(&course, task)));
+    let (task, address) = asks.first_key_value().map(|(&task, &at)| (task, at)).unzip();
     let shown =
         Shown { task, address, others: tasks[1..].to_vec(), ..Shown::whole(Kind::Standstill, &cause) };
     Some(story::finding(plan, (phase, hypothesis), faults, moves, &shown))
+}
+
+/// Whether one state leads to another, by one step or more.
+fn comes_to(leads: &HashMap<u64, Vec<u64>>, from: u64, to: u64) -> bool {
+    let (mut open, mut seen) = (vec![from], HashSet::from([from]));
+    while let Some(state) = open.pop() {
+        if state == to {
+            return true;
+        }
+        open.extend(leads.get(&state).into_iter().flatten().filter(|&&next| seen.insert(next)));
+    }
+    false
 }
 
 /// Whether a task is told what became of something that it asked of others.

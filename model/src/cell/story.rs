@@ -218,6 +218,7 @@ fn packet(course: &Course, step: CellMove, lanes: &Lanes) -> Option<Arrow> {
         | CellMove::GoOn(..)
         | CellMove::Takes(..)
         | CellMove::Stay(_)
+        | CellMove::Take(..)
         | CellMove::Choose(..)
         | CellMove::Crash(_)
         | CellMove::Restart(_)
@@ -271,7 +272,8 @@ fn describe(course: &Course, step: CellMove) -> Option<(Lane, String)> {
         | CellMove::Mend(..)
         | CellMove::GoOn(..)
         | CellMove::Takes(..)
-        | CellMove::Stay(_) => return None,
+        | CellMove::Stay(_)
+        | CellMove::Take(..) => return None,
     })
 }
 

@@ -276,6 +276,7 @@ const fn takes_away(step: CellMove) -> Option<u8> {
         | CellMove::GoOn(..)
         | CellMove::Takes(..)
         | CellMove::Stay(_)
+        | CellMove::Take(..)
         | CellMove::Choose(..)
         | CellMove::Crash(_)
         | CellMove::Restart(_)

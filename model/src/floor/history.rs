@@ -13,8 +13,8 @@ use super::plan::FloorPlan;
 use super::{Effect, Station};
 use crate::state::Violation;
 use imrs_protocol::{
-    CellTable, Class, CommTask, Event, HeldView, Incarnation, MessageId, NodeInput, Observation, Packet,
-    PortId, Reason, Request, ServiceOrder, TaskId, Ticks,
+    CellTable, Class, CommTask, Event, HeldView, Incarnation, Input, MessageId, NodeInput, Observation,
+    Packet, PortId, Reason, Request, ServiceOrder, TaskId, Ticks,
 };
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -237,10 +237,7 @@ impl History {
     /// Before a node takes this, after so much time.
     pub fn begin(&mut self, node: usize, elapsed: Ticks, input: &NodeInput) {
         self.clocks[node] += elapsed.0;
-        self.arriving = None;
-        for task in &mut self.tasks {
-            (task.get, task.rejected) = (None, None);
-        }
+        self.begin_anew();
         match *input {
             NodeInput::Packet { packet, .. } => self.arriving = Some((packet.source, packet.id)),
             NodeInput::Request(task, ref request) => {
@@ -253,6 +250,26 @@ impl History {
             }
             NodeInput::Time | NodeInput::PeerRestarted(_) => {}
         }
+    }
+
+    /// Before a task takes this.
+    pub fn begin_input(&mut self, input: &Input) {
+        self.begin_anew();
+        if let Input::Packet(packet) = input {
+            self.arriving = Some((packet.source, packet.id));
+        }
+    }
+
+    fn begin_anew(&mut self) {
+        self.arriving = None;
+        for task in &mut self.tasks {
+            (task.get, task.rejected) = (None, None);
+        }
+    }
+
+    /// What its node's clock has counted, as far as a task has noticed.
+    fn now(&self, node: usize, station: &Station, task: TaskId) -> u64 {
+        self.clocks[node] - station.node.late(task).0
     }
 
     /// After a node did something with these effects.
@@ -273,7 +290,12 @@ impl History {
                 Effect::Seen(_, None, _) | Effect::Sent(..) | Effect::Told(..) => {}
             }
         }
-        station.node.parts().tasks.iter().try_for_each(|task| self.compare(node, task))
+        station
+            .node
+            .parts()
+            .tasks
+            .iter()
+            .try_for_each(|task| self.compare(self.now(node, station, task.task()), task))
     }
 
     fn seen(
@@ -284,7 +306,7 @@ impl History {
         observation: &Observation,
     ) -> Result<(), Violation> {
         let &Observation { event, port, peer, number, remaining } = observation;
-        let (now, events, steps) = (self.clocks[node], self.events, self.steps);
+        let (now, events, steps) = (self.now(node, station, task), self.events, self.steps);
         let plan = Arc::clone(&self.plan);
         let arriving = self.arriving.filter(|(source, id)| (*source, id.sequence.get()) == (peer, number));
         let incarnation = arriving.map_or(station.life, |(_, id)| id.incarnation);
@@ -400,8 +422,8 @@ impl History {
     }
 
     /// The buffers of a task are what its list says, and are taken over as they are.
-    fn compare(&mut self, node: usize, task: &CommTask) -> Result<(), Violation> {
-        let (now, table) = (self.clocks[node], &self.plan.cell);
+    fn compare(&mut self, now: u64, task: &CommTask) -> Result<(), Violation> {
+        let table = &self.plan.cell;
         let listed = &mut self.tasks[task.task().index()];
         let reordered = std::mem::take(&mut listed.reordered);
         for buffer in &mut listed.buffers {

@@ -10,6 +10,7 @@ mod history;
 mod judge;
 mod moves;
 mod order;
+mod orders;
 pub mod plan;
 mod predicates;
 pub(crate) mod script;
@@ -185,7 +186,9 @@ impl Floor {
             floor.history = Some(Box::new(History::new(plan, &floor.stations)));
         }
         let tasks = (0..floor.bodies.len()).filter(|&task| !floor.leaves_out(task)).collect::<Vec<_>>();
-        let begun = tasks.into_iter().try_for_each(|task| floor.begin(task));
+        // A node lets its scripts begin one after the other, each with what it brings about.
+        let begun =
+            tasks.into_iter().try_for_each(|task| floor.begin(task).and_then(|()| floor.settle_within()));
         floor.violation = begun.err();
         floor
     }
@@ -439,7 +442,9 @@ impl Floor {
         if owed > 0 {
             self.drive_on(i, Ticks(u64::from(owed)))?;
         }
-        if self.plan.fused {
+        if self.plan.orders {
+            self.step_in_order(i, input)
+        } else if self.plan.fused {
             self.drive(i, |node, out| node.step(node.now(), input, out))
         } else {
             self.drive(i, |node, out| {

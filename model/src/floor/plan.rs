@@ -266,6 +266,8 @@ pub struct FloorPlan {
     pub checks: Vec<Vec<Term>>,
     /// Whether what follows from a step within its node, and what a task in a hurry does next, belong to the step.
     pub fused: bool,
+    /// Whether what the tasks of a node do at one time waits for whoever chooses its order: a cell's search (D170).
+    pub(crate) orders: bool,
     /// Whether states keep which messages were taken although no copy of them can come any more.
     pub keeps_seen: bool,
     /// Whether the floor is followed from its start and never loaded: what came before is judged, too.
@@ -297,6 +299,7 @@ impl FloorPlan {
             watches: Vec::new(),
             checks: Vec::new(),
             fused: true,
+            orders: false,
             keeps_seen: true,
             history: false,
             jumps: true,

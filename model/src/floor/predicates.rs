@@ -153,10 +153,12 @@ impl Floor {
     /// Whether a task acts: its node is up, and it has its lease where it needs one. The lease of a task whose node is
     /// paused ends on time, although the task does not know it yet: what drives its robot stops it then (D149).
     pub(crate) fn is_active(&self, task: TaskId) -> bool {
-        let slept = self.stations.get(self.station_of(task.index())).and_then(|station| station.asleep);
+        let Some(station) = self.stations.get(self.station_of(task.index())) else { return false };
+        // The time that has passed without the machine, in a pause or as the first thing that it will notice in this tick.
+        let unnoticed = u64::from(station.asleep.unwrap_or(0)) + station.node.late(task).0;
         self.machine(task).is_some_and(|machine| {
-            let over = |slept: u32| machine.lease_left().is_some_and(|left| left.0 <= u64::from(slept));
-            machine.is_active() && !slept.is_some_and(over)
+            let over = machine.lease_left().is_some_and(|left| left.0 <= unnoticed);
+            machine.is_active() && !(over && unnoticed > 0)
         })
     }
 

@@ -114,7 +114,7 @@ impl Station {
         }
         parts.transit.walk(table, w);
         parts.timer.walk(w);
-        if !plan.fused {
+        if !plan.fused || plan.orders {
             node.walk_work(w);
         }
     }

@@ -10,7 +10,7 @@ use crate::task::Input;
 use crate::ticks::Ticks;
 
 /// The kinds of effects that a state can have.
-const WORKS: [Work; 7] = [
+const WORKS: [Work; 8] = [
     Work::Route(Packet::BLANK),
     Work::Task(TaskId(0), Input::Packet(Packet::BLANK)),
     Work::Task(TaskId(0), Input::Unsent(MessageId::BLANK)),
@@ -18,6 +18,7 @@ const WORKS: [Work; 7] = [
     Work::Arm(TaskId(0), TimeId(0), 0, Ticks::ZERO),
     Work::Disarm(TaskId(0), TimeId(0)),
     Work::Task(TaskId(0), Input::PeerRestarted(NodeId(0))),
+    Work::Pass(TaskId(0), Ticks::ZERO),
 ];
 
 impl Node {
@@ -46,7 +47,7 @@ impl Work {
         let task = match self {
             // It says itself from whom it is.
             Self::Route(packet) => &mut { packet.source },
-            Self::Task(task, _) | Self::Arm(task, ..) | Self::Disarm(task, _) => task,
+            Self::Task(task, _) | Self::Pass(task, _) | Self::Arm(task, ..) | Self::Disarm(task, _) => task,
         };
         w.small(&mut task.0);
         let task = *task;
@@ -60,10 +61,15 @@ impl Work {
             Self::Task(_, Input::TimeOut { id, turn: _ }) | Self::Disarm(_, id) => w.byte(&mut id.0),
             Self::Arm(_, id, _, length) => {
                 w.byte(&mut id.0);
-                length.0 = w.count(usize::try_from(length.0).unwrap_or(usize::MAX)) as u64;
+                walk_ticks(length, w);
             }
+            Self::Pass(_, elapsed) => walk_ticks(elapsed, w),
             Self::Task(_, Input::PeerRestarted(node)) => w.small(&mut node.0),
             Self::Task(_, Input::Time | Input::Request(_)) => {}
         }
     }
+}
+
+fn walk_ticks<W: Walk>(ticks: &mut Ticks, w: &mut W) {
+    ticks.0 = w.count(usize::try_from(ticks.0).unwrap_or(usize::MAX)) as u64;
 }

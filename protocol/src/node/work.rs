@@ -10,6 +10,9 @@ use crate::ticks::Ticks;
 pub(super) enum Work {
     Route(Packet),
     Task(TaskId, Input),
+    /// So much time has passed that a task has not noticed.
+    #[cfg(feature = "checker")]
+    Pass(TaskId, Ticks),
     Arm(TaskId, TimeId, u8, Ticks),
     Disarm(TaskId, TimeId),
 }

@@ -177,7 +177,7 @@ impl Course {
             self.beside.acted |= bit(node);
         }
         if counted > 0 {
-            self.floor.pass(node, Ticks(u64::from(counted)))?;
+            self.floor.let_pass(node, Ticks(u64::from(counted)))?;
         }
         self.floor.run_scripts()?;
         self.hold_back_on(node, ticks)

@@ -159,12 +159,18 @@ impl<'a> Driver<'a> {
         }
         let mut ready: Vec<Who> = Vec::new();
         let mut seen: Vec<Who> = Vec::new();
+        let is_busy = moves.iter().any(|step| matches!(step, CellMove::Take(..)));
         for &step in moves {
             let Some(who) = who(course, step).filter(|who| !seen.contains(who)) else { continue };
             seen.push(who);
+            // When an action ends is asked when nothing waits within the node.
+            if is_busy && matches!(who, Who::Action(..)) {
+                continue;
+            }
             let waits = match who {
                 Who::Action(task, level) => self.goes_on(course, moves, (task, level)),
                 Who::Line(link) => self.stays(course, moves, link),
+                Who::Input(..) => None,
             };
             if waits.is_some() {
                 return waits;
@@ -174,11 +180,13 @@ impl<'a> Driver<'a> {
         let node = match *ready.first()? {
             Who::Action(task, _) => course.floor.station_of(usize::from(task)),
             Who::Line(link) => course.floor.links[link].1.index(),
+            Who::Input(node, _) => usize::from(node),
         };
         let first = self.draw(self.tasks + self.lines.len() + node, ready.len(), Spread::Even);
         match *ready.get(first as usize)? {
             Who::Action(task, level) => self.ends(moves, (task, level)),
             Who::Line(link) => self.comes(course, moves, link),
+            Who::Input(node, at) => Some(CellMove::Take(node, at)),
         }
     }
 
@@ -405,6 +413,7 @@ impl<'a> Driver<'a> {
             | CellMove::GoOn(..)
             | CellMove::Takes(..)
             | CellMove::Stay(_)
+            | CellMove::Take(..)
             | CellMove::Choose(..)
             | CellMove::Wake(_) => {}
         }
@@ -468,12 +477,15 @@ enum Who {
     Action(u8, u8),
     /// The packets at the end of a directed link.
     Line(usize),
+    /// An input that waits in a node, at this position.
+    Input(u8, u8),
 }
 
 fn who(course: &Course, step: CellMove) -> Option<Who> {
     match step {
         CellMove::Acted(task, level, ..) | CellMove::GoOn(task, level) => Some(Who::Action(task, level)),
         CellMove::Stay(link) => Some(Who::Line(usize::from(link))),
+        CellMove::Take(node, at) => Some(Who::Input(node, at)),
         CellMove::Deliver(i)
         | CellMove::Lose(i)
         | CellMove::Duplicate(i)

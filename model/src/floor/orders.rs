@@ -1,0 +1,75 @@
+//! What the tasks of a node do at one time, in the order that somebody else chooses (D170).
+
+use super::Floor;
+use crate::state::Violation;
+use imrs_protocol::{NodeInput, TaskId, Ticks};
+
+impl Floor {
+    /// So much time passes for a node. What its tasks do at it waits.
+    pub(crate) fn let_pass(&mut self, i: usize, ticks: Ticks) -> Result<(), Violation> {
+        if let Some(history) = &mut self.history {
+            history.begin(i, ticks, &NodeInput::Time);
+        }
+        self.drive(i, |node, out| {
+            node.let_pass(node.now() + ticks, out);
+            node.file(out);
+            node.flush(out);
+        })
+    }
+
+    /// A node takes an input, and leaves to others what comes of it for its tasks.
+    pub(super) fn step_in_order(&mut self, i: usize, input: NodeInput) -> Result<(), Violation> {
+        self.drive(i, |node, out| {
+            let before = node.inputs();
+            node.begin(node.now(), input, out);
+            node.file(out);
+            // A packet that comes in for a task for which nothing else waits is taken as it comes.
+            if let NodeInput::Packet { .. } = input
+                && let Some(last) = node.open().last().filter(|&last| last >= before)
+            {
+                node.take(last, out);
+                node.file(out);
+            }
+            node.flush(out);
+        })
+    }
+
+    /// Takes what waits in any node, in its order.
+    pub(super) fn settle_within(&mut self) -> Result<(), Violation> {
+        for i in 0..self.stations.len() {
+            for _ in 0..super::FUSED {
+                let Some(at) = self.next_inputs(i).next() else { break };
+                self.take(i, at)?;
+                self.run_scripts()?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether inputs of tasks wait in a node.
+    pub(crate) fn is_busy(&self, i: usize) -> bool {
+        self.stations[i].up && self.stations[i].node.is_busy()
+    }
+
+    /// The positions of the inputs of a node's tasks that may be taken next.
+    pub(crate) fn next_inputs(&self, i: usize) -> impl Iterator<Item = usize> {
+        self.stations[i].node.open()
+    }
+
+    /// Whether a task has noticed all the time that has passed at its node.
+    pub(crate) fn notices_all(&self, i: usize, task: usize) -> bool {
+        self.stations[i].node.late(TaskId::from_index(task)) == Ticks::ZERO
+    }
+
+    /// A task of a node takes an input that waits.
+    pub(crate) fn take(&mut self, i: usize, at: usize) -> Result<(), Violation> {
+        if let (Some(history), Some((_, input))) = (&mut self.history, self.stations[i].node.waiting(at)) {
+            history.begin_input(&input);
+        }
+        self.drive(i, |node, out| {
+            node.take(at, out);
+            node.file(out);
+            node.flush(out);
+        })
+    }
+}
