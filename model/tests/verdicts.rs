@@ -44,8 +44,8 @@ fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
 #[test]
 fn of_two_tasks_of_a_node_either_goes_on_first() {
     let gate = [
-        "task a on na\nvar x: bool;\nbegin x := true; delay 5 msec; x := false; end a;\n",
-        "task b on na\nvar y: bool;\nbegin delay 5 msec; y := true; end b;\n",
+        "task a on na\nvar x: bool;\nbegin x := true; delay 400 msec; x := false; end a;\n",
+        "task b on na\nvar y: bool;\nbegin delay 400 msec; y := true; end b;\n",
     ];
     for tasks in [gate, [gate[1], gate[0]]] {
         let text = format!("{ONE}{}check c: never a.x and b.y;\n", tasks.concat());

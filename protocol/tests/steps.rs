@@ -258,3 +258,53 @@ fn word_of_a_restart_may_be_looked_at_between_two_tasks() {
     let (out, steps) = node.take(NodeInput::PeerRestarted(N1), true);
     assert_eq!((out.words, steps), (vec!["T0: PeerRestarted".into(), "T1: PeerRestarted".into()], 2));
 }
+
+/// What time makes two tasks do may be taken in either order, and looked at in between (D170).
+#[test]
+fn what_tasks_do_at_one_time_may_be_taken_in_either_order() {
+    let mut node = Steps::new(4);
+    let delay = Request::Delay { id: TimeId(3), length: Ticks(300) };
+    node.0.step(Instant::START, NodeInput::Request(X, delay), &mut Outside::default());
+    node.ask(Y, get(300));
+    let mut before = node.clone();
+    let mut out = Outside { open: true, ..Outside::default() };
+    node.0.let_pass(node.0.now() + Ticks(300), &mut out);
+    node.0.file(&mut out);
+    assert_eq!((&out.words[..], node.0.inputs()), (&[][..], 2), "nobody has taken anything");
+    assert_eq!(
+        (node.0.late(X), node.0.late(Y)),
+        (Ticks::ZERO, Ticks(300)),
+        "the Timer's word is no time of X"
+    );
+    let (told, over) = ("T0: time_out 3", "T1: nothing");
+    for order in [[told, over], [over, told]] {
+        let mut node = node.read_back(before.clone());
+        let mut out = Outside { open: true, ..Outside::default() };
+        for words in order {
+            let task = if words == told { X } else { Y };
+            let at = node.0.open().find(|&at| node.0.waiting(at).is_some_and(|(of, _)| of == task));
+            node.0.take(at.expect("it waits"), &mut out);
+            node.0.file(&mut out);
+            before = node.read_back(before);
+        }
+        assert_eq!(out.words, order);
+        assert_eq!((node.0.is_busy(), node.0.late(Y)), (false, Ticks::ZERO));
+    }
+}
+
+/// Of one task nothing that others bring is taken before the time that it has not noticed.
+#[test]
+fn a_task_takes_what_came_first_first() {
+    let mut node = Steps::new(4);
+    node.ask(Y, get(5));
+    let mut out = Outside { open: true, ..Outside::default() };
+    node.0.let_pass(node.0.now() + Ticks(5), &mut out);
+    node.0.begin(node.0.now(), NodeInput::Request(X, send(MOVE, Y, 7)), &mut out);
+    node.0.file(&mut out);
+    let waits: Vec<_> = (0..2).filter_map(|at| node.0.waiting(at)).collect();
+    assert!(matches!(waits[..], [(Y, Input::Time), (Y, Input::Packet(_))]), "{waits:?}");
+    assert_eq!(node.0.open().collect::<Vec<_>>(), [0]);
+    node.0.take(0, &mut out);
+    node.0.take(0, &mut out);
+    assert_eq!(out.words, ["T1: nothing"], "the command is for the next that Y asks for");
+}

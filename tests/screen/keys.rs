@@ -124,6 +124,8 @@ fn a_screen_is_written_as_text_and_a_recording_exported() {
         let said = run_in(demo.dir(), &["export", recorded, "--to", form, "--out", &out]);
         assert_eq!(said.code, Some(0), "{said:?}");
         let bytes = std::fs::read(&out).expect("the export");
-        assert!(bytes.starts_with(begin) && bytes.len() > 1000, "{form}: {} bytes", bytes.len());
+        // Little may have happened in the seconds that were recorded.
+        let text = String::from_utf8_lossy(&bytes);
+        assert!(bytes.starts_with(begin) && bytes.len() > 500 && text.contains("armL"), "{form}: {text}");
     }
 }

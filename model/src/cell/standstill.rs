@@ -122,62 +122,13 @@ pub(super) fn tell(
     }
     // What scripts did on the way there is no part of it.
     course.floor.turns.iter_mut().for_each(Vec::clear);
-    let mut known = HashSet::new();
-    // Which state leads to which, and by which step a task was told something, at this statement.
-    let mut leads: HashMap<u64, Vec<u64>> = HashMap::new();
-    let mut told = BTreeSet::new();
-    let mut open = vec![(course.store().ok()?, true)];
-    let mut all = Vec::new();
-    while let Some((state, first)) = open.pop() {
-        let from = Mark::of(course.split(&state)).core();
-        if !known.insert(from) {
-            continue;
-        }
-        if known.len() > MOST_STATES {
-            return None;
-        }
-        course.load(&state);
-        all.clear();
-        course.moves(&mut all);
-        all.retain(|&step| !is_outside(step));
-        // The chart shows one round: the first move of each state.
-        for (at, &step) in all.iter().enumerate().rev() {
-            course.load(&state);
-            if course.progresses(step) != Some(false) {
-                return None;
-            }
-            let turns = course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
-            let shown = first && at == 0;
-            if shown {
-                moves.push(step);
-            }
-            let next = course.store().ok()?;
-            let to = Mark::of(course.split(&next)).core();
-            leads.entry(from).or_default().push(to);
-            for turn in turns {
-                if let ScriptInput::Signal(signal) = turn.input
-                    && is_an_answer(&signal)
-                    // What a task outside the cell goes on with is not known.
-                    && !plan.outside.contains(&turn.task)
-                {
-                    told.insert((turn.task, turn.at, from, to));
-                }
-            }
-            open.push((next, shown));
-        }
-    }
-    // What is told once, on the way into what repeats, is no part of it.
-    let mut asks: BTreeMap<usize, Address> = BTreeMap::new();
-    for (task, at, from, to) in told {
-        if !asks.contains_key(&task) && comes_to(&leads, to, from) {
-            asks.insert(task, at);
-        }
-    }
+    let seen = Round::walk(&mut course, &mut moves)?;
+    let asks = seen.asks();
     let tasks: Vec<usize> = asks.keys().copied().collect();
     let names: Vec<&str> = tasks.iter().map(|&task| name(&plan.table, task)).collect();
     let cause = match &names[..] {
         [] => {
-            idle.extend(known);
+            idle.extend(seen.known);
             return None;
         }
         [one] => format!("{one} goes on for ever, and nothing comes further any more"),
@@ -189,6 +140,70 @@ pub(super) fn tell(
     let shown =
         Shown { task, address, others: tasks[1..].to_vec(), ..Shown::whole(Kind::Standstill, &cause) };
     Some(story::finding(plan, (phase, hypothesis), faults, moves, &shown))
+}
+
+/// The states of a standstill, by their cores' fingerprints.
+#[derive(Default)]
+struct Round {
+    known: HashSet<u64>,
+    leads: HashMap<u64, Vec<u64>>,
+    /// Who was told what became of something, at which statement, and between which states.
+    told: BTreeSet<(usize, Address, u64, u64)>,
+}
+
+impl Round {
+    /// Walks through all of it. The chart shows one round: to `moves` the first one of each state is added.
+    fn walk(course: &mut Course, moves: &mut Vec<CellMove>) -> Option<Self> {
+        let mut round = Self::default();
+        let mut open = vec![(course.store().ok()?, true)];
+        let mut all = Vec::new();
+        while let Some((state, first)) = open.pop() {
+            let from = Mark::of(course.split(&state)).core();
+            if !round.known.insert(from) {
+                continue;
+            }
+            if round.known.len() > MOST_STATES {
+                return None;
+            }
+            course.load(&state);
+            all.clear();
+            course.moves(&mut all);
+            all.retain(|&step| !is_outside(step));
+            for (at, &step) in all.iter().enumerate().rev() {
+                course.load(&state);
+                if course.progresses(step) != Some(false) {
+                    return None;
+                }
+                let turns = course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
+                let next = course.store().ok()?;
+                let to = Mark::of(course.split(&next)).core();
+                round.leads.entry(from).or_default().push(to);
+                // What a task outside the cell goes on with is not known.
+                let told = turns
+                    .iter()
+                    .filter(|turn| is_answered(turn) && !course.plan.outside.contains(&turn.task));
+                round.told.extend(told.map(|turn| (turn.task, turn.at, from, to)));
+                let shown = first && at == 0;
+                if shown {
+                    moves.push(step);
+                }
+                open.push((next, shown));
+            }
+        }
+        Some(round)
+    }
+
+    /// The tasks that are told again and again what became of something, each with the statement. What is told once, on the way
+    /// into what repeats, is no part of it.
+    fn asks(&self) -> BTreeMap<usize, Address> {
+        let mut asks = BTreeMap::new();
+        for &(task, at, from, to) in &self.told {
+            if !asks.contains_key(&task) && comes_to(&self.leads, to, from) {
+                asks.insert(task, at);
+            }
+        }
+        asks
+    }
 }
 
 /// Whether one state leads to another, by one step or more.
@@ -203,19 +218,24 @@ fn comes_to(leads: &HashMap<u64, Vec<u64>>, from: u64, to: u64) -> bool {
     false
 }
 
-/// Whether a task is told what became of something that it asked of others.
-const fn is_an_answer(signal: &Signal) -> bool {
-    match signal {
-        Signal::Outcome(_) | Signal::Answers { .. } | Signal::GaveUp { .. } => true,
-        Signal::Accepted(_)
-        | Signal::Nothing
-        | Signal::Fault(_)
-        | Signal::Interrupt(_)
-        | Signal::Granted(_)
-        | Signal::Message(_)
-        | Signal::Released { .. }
-        | Signal::TimeOut(_)
-        | Signal::Cancelled => false,
+/// Whether a script is told what became of something that it asked of others.
+const fn is_answered(turn: &ScriptTurn) -> bool {
+    match turn.input {
+        ScriptInput::Signal(Signal::Outcome(_) | Signal::Answers { .. } | Signal::GaveUp { .. }) => true,
+        ScriptInput::Signal(
+            Signal::Accepted(_)
+            | Signal::Nothing
+            | Signal::Fault(_)
+            | Signal::Interrupt(_)
+            | Signal::Granted(_)
+            | Signal::Message(_)
+            | Signal::Released { .. }
+            | Signal::TimeOut(_)
+            | Signal::Cancelled,
+        )
+        | ScriptInput::Begin
+        | ScriptInput::Acted { .. }
+        | ScriptInput::Chosen(_) => false,
     }
 }
 

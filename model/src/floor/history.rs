@@ -9,18 +9,17 @@
 //! - Only what is over expires, and the buffer holds what the list holds, in its order.
 //! - A packet that leaves a node is the same after its 32 bytes, but for what their clock rounds down.
 
+mod buffer;
+
 use super::plan::FloorPlan;
 use super::{Effect, Station};
 use crate::state::Violation;
+use buffer::{Buffer, Waiting, buffers, cap};
 use imrs_protocol::{
-    CellTable, Class, CommTask, Event, HeldView, Incarnation, Input, MessageId, NodeInput, Observation,
-    Packet, PortId, Reason, Request, ServiceOrder, TaskId, Ticks,
+    CellTable, Class, CommTask, Event, HeldView, Input, MessageId, NodeInput, Observation, Packet, PortId,
+    Reason, Request, ServiceOrder, TaskId, Ticks,
 };
-use std::collections::BTreeSet;
 use std::sync::Arc;
-
-/// How far back a class-1 message may be and still be told from one that was seen.
-const WINDOW: u32 = 64;
 
 /// The plain lists of a floor.
 #[derive(Clone, Debug)]
@@ -51,87 +50,6 @@ struct Listed {
     capped_last: bool,
 }
 
-#[derive(Clone, Debug)]
-struct Buffer {
-    port: PortId,
-    handled: bool,
-    /// How often it was passed over, and how often it may be.
-    bypassed: (u16, u16),
-    waiting: Vec<Waiting>,
-    /// The messages that were taken in, and those that were handed over, of the present incarnation of each source.
-    taken: BTreeSet<(TaskId, u32)>,
-    heard: BTreeSet<(TaskId, u32)>,
-    /// Commands that expired here: a copy of one counts as the first, one of an earlier command does not.
-    lapsed: BTreeSet<(TaskId, u32)>,
-    incarnations: Vec<(TaskId, Incarnation)>,
-}
-
-#[derive(Clone, Copy, Debug)]
-struct Waiting {
-    source: TaskId,
-    number: u32,
-    class: Class,
-    /// On its node's clock, as `not_before`.
-    expires: u64,
-    not_before: u64,
-    arrival: u64,
-    rejections: u8,
-    first_rejected: u64,
-    /// A copy came in this step, or a penalty: both may lengthen its life.
-    prolonged: bool,
-}
-
-impl Waiting {
-    /// The order of service within a port (D14): plainly, as the machine's key says it.
-    const fn urgency(&self) -> (u64, Class, TaskId, u64) {
-        (self.expires, self.class, self.source, self.arrival)
-    }
-
-    /// All that one step rejects is rejected first alike.
-    fn reject(&mut self, order: &ServiceOrder, port: PortId, step: u64) {
-        if self.rejections == 0 {
-            self.first_rejected = step;
-        }
-        self.rejections = (self.rejections + 1).min(cap(order, port, self.source));
-    }
-}
-
-impl Buffer {
-    fn position(&self, source: TaskId, number: u32) -> Option<usize> {
-        self.waiting.iter().position(|one| (one.source, one.number) == (source, number))
-    }
-
-    /// A message of this incarnation of its source comes: what was known of an earlier one no longer counts.
-    fn enter(&mut self, source: TaskId, incarnation: Incarnation) {
-        match self.incarnations.iter_mut().find(|(task, _)| *task == source) {
-            None => self.incarnations.push((source, incarnation)),
-            Some((_, known)) if *known == incarnation => {}
-            Some((_, known)) => {
-                *known = incarnation;
-                self.taken.retain(|(task, _)| *task != source);
-                self.heard.retain(|(task, _)| *task != source);
-                self.lapsed.retain(|(task, _)| *task != source);
-            }
-        }
-    }
-
-    /// Whether the machine may call this message one that it has seen.
-    fn knows(&self, source: TaskId, number: u32, class: Class) -> bool {
-        self.taken.contains(&(source, number))
-            || self.taken.union(&self.lapsed).filter(|(task, _)| *task == source).any(|&(_, newer)| {
-                match class {
-                    Class::Command => newer > number,
-                    Class::Status => newer > number + WINDOW,
-                }
-            })
-    }
-}
-
-/// How many rejections make a message outrank the task's own thread (D58).
-fn cap(order: &ServiceOrder, port: PortId, source: TaskId) -> u8 {
-    order.rank(port, source).max(1)
-}
-
 /// Whether a packet comes out of its bytes as it went in. The search hands packets over as they are: only here are they
 /// encoded, as on a real link.
 fn survives(packet: &Packet, table: &CellTable) -> bool {
@@ -144,22 +62,6 @@ fn survives(packet: &Packet, table: &CellTable) -> bool {
     let cut = packet.remaining.0 >> 42 > 0;
     let exact = back.remaining <= packet.remaining && (cut || lost <= packet.remaining.0 >> 23 | 9);
     exact && Packet { remaining: packet.remaining, ..back } == *packet
-}
-
-fn buffers(table: &CellTable, task: &CommTask) -> Vec<Buffer> {
-    let of_port = |&port: &PortId| {
-        task.queue_view(port, 0).map(|view| Buffer {
-            port,
-            handled: view.handled,
-            bypassed: (0, view.bypass_limit),
-            waiting: Vec::new(),
-            taken: BTreeSet::new(),
-            heard: BTreeSet::new(),
-            lapsed: BTreeSet::new(),
-            incarnations: Vec::new(),
-        })
-    };
-    table.ports_of(task.task()).iter().filter_map(of_port).collect()
 }
 
 impl Listed {

@@ -13,6 +13,7 @@ mod order;
 mod orders;
 pub mod plan;
 mod predicates;
+mod room;
 pub(crate) mod script;
 mod search;
 mod time;
@@ -119,6 +120,8 @@ pub(crate) struct Floor {
     pub behind: Vec<u8>,
     /// What scripts did, where somebody judges it who goes on after a script's end.
     pub turns: Option<Vec<script::ScriptTurn>>,
+    /// Whether what a node's tasks do at one time waits for who chooses the order (D170).
+    orders: bool,
     /// What came before, where the run is followed from its start.
     history: Option<Box<History>>,
 }
@@ -180,7 +183,7 @@ impl Floor {
 
     /// A floor whose scripts are judged by somebody else, and go on after an end.
     pub(crate) fn of_cell(plan: &Arc<FloorPlan>) -> Self {
-        let mut floor = Self::waiting(plan);
+        let mut floor = Self { orders: true, ..Self::waiting(plan) };
         let decided = plan.cell.cell().rules == Rules::default();
         if plan.history && decided {
             floor.history = Some(Box::new(History::new(plan, &floor.stations)));
@@ -255,6 +258,7 @@ impl Floor {
             inputs: VecDeque::new(),
             behind: vec![0; plan.cell.ports().len()],
             turns: None,
+            orders: false,
             history: None,
             links,
             plan: Arc::clone(plan),
@@ -442,7 +446,7 @@ impl Floor {
         if owed > 0 {
             self.drive_on(i, Ticks(u64::from(owed)))?;
         }
-        if self.plan.orders {
+        if self.orders {
             self.step_in_order(i, input)
         } else if self.plan.fused {
             self.drive(i, |node, out| node.step(node.now(), input, out))
@@ -510,35 +514,6 @@ impl Floor {
             Effect::Told(task, signal) => self.told(task.index(), signal),
             Effect::Seen(_, at, observation) => self.seen(*at, observation),
         }
-    }
-
-    /// How many packets each link of a node still takes.
-    fn open(&self, i: usize) -> Vec<(NodeId, u8)> {
-        let links = self.links.iter().enumerate().filter(|(_, (from, ..))| from.index() == i);
-        let left = |(at, &(_, to, _)): (usize, &(NodeId, NodeId, u8))| {
-            let room = self.plan.room.map_or(u8::MAX, |room| room.saturating_sub(self.used[at]));
-            (to, if self.plan.pressure { room.min(self.space(to)) } else { room })
-        };
-        links.map(left).collect()
-    }
-
-    /// How many more packets the buffer of a node surely has room for.
-    fn space(&self, to: NodeId) -> u8 {
-        let held = self.stations[to.index()].node.parts().transit.len();
-        let coming = self.crossings.iter().filter(|c| self.links[usize::from(c.link)].1 == to).count();
-        small(usize::from(self.plan.transit).saturating_sub(held + coming))
-    }
-
-    fn flush(&mut self) -> Result<(), Violation> {
-        if !self.plan.pressure {
-            return Ok(());
-        }
-        for i in 0..self.stations.len() {
-            if self.stations[i].up && !self.stations[i].node.parts().transit.is_empty() {
-                self.drive(i, |node, out| node.flush(out))?;
-            }
-        }
-        Ok(())
     }
 }
 

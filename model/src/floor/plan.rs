@@ -266,8 +266,6 @@ pub struct FloorPlan {
     pub checks: Vec<Vec<Term>>,
     /// Whether what follows from a step within its node, and what a task in a hurry does next, belong to the step.
     pub fused: bool,
-    /// Whether what the tasks of a node do at one time waits for whoever chooses its order: a cell's search (D170).
-    pub(crate) orders: bool,
     /// Whether states keep which messages were taken although no copy of them can come any more.
     pub keeps_seen: bool,
     /// Whether the floor is followed from its start and never loaded: what came before is judged, too.
@@ -276,8 +274,7 @@ pub struct FloorPlan {
     pub jumps: bool,
     /// For each node, how far its clock is ahead.
     pub clocks: Vec<u64>,
-    /// The epoch that couples and their actuators begin at: even. A node that starts again begins where the machine lets
-    /// it.
+    /// The epoch that couples and their actuators begin at: even. A node that starts again does where the machine lets it.
     pub epoch: u8,
     /// Nodes, bit by bit, that are left out: they are down for ever, and nothing of them or of their tasks is packed.
     pub(crate) left_out: u64,
@@ -299,7 +296,6 @@ impl FloorPlan {
             watches: Vec::new(),
             checks: Vec::new(),
             fused: true,
-            orders: false,
             keeps_seen: true,
             history: false,
             jumps: true,
@@ -363,7 +359,7 @@ impl FloorPlan {
     pub(crate) fn stale(&self) -> Option<u8> {
         self.watches
             .iter()
-            .find_map(|w| if let FloorWatch::Stale { slack } = w { Some(*slack) } else { None })
+            .find_map(|w| if let FloorWatch::Stale { slack } = *w { Some(slack) } else { None })
     }
 
     /// Whether the true times to live of messages are kept, and how much longer than declared.
@@ -375,7 +371,7 @@ impl FloorPlan {
     pub(crate) fn waits(&self) -> Option<u8> {
         self.watches
             .iter()
-            .find_map(|w| if let FloorWatch::Waits { slack } = w { Some(*slack) } else { None })
+            .find_map(|w| if let FloorWatch::Waits { slack } = *w { Some(slack) } else { None })
     }
 
     pub(crate) fn fair(&self) -> Option<(TaskId, u8, u8)> {

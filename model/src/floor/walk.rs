@@ -48,6 +48,7 @@ impl Floor {
             arriving: _,
             inputs: _,
             turns,
+            orders,
         } = self;
         faults.walk(&plan.faults, w);
         if plan.room.is_some() {
@@ -57,7 +58,7 @@ impl Floor {
             w.raw(behind);
         }
         for (i, station) in stations.iter_mut().enumerate().filter(|(i, _)| !plan.leaves_out(*i)) {
-            station.walk(plan, plan.clocks[i], w);
+            station.walk(plan, plan.clocks[i], *orders, w);
         }
         for (task, body) in bodies.iter_mut().enumerate() {
             if !plan.leaves_out_task(TaskId::from_index(task)) {
@@ -85,7 +86,7 @@ impl Faults {
 }
 
 impl Station {
-    fn walk<W: Walk>(&mut self, plan: &FloorPlan, ahead: u64, w: &mut W) {
+    fn walk<W: Walk>(&mut self, plan: &FloorPlan, ahead: u64, orders: bool, w: &mut W) {
         let Self {
             node,
             table,
@@ -114,7 +115,7 @@ impl Station {
         }
         parts.transit.walk(table, w);
         parts.timer.walk(w);
-        if !plan.fused || plan.orders {
+        if !plan.fused || orders {
             node.walk_work(w);
         }
     }

@@ -61,15 +61,15 @@ impl Work {
             Self::Task(_, Input::TimeOut { id, turn: _ }) | Self::Disarm(_, id) => w.byte(&mut id.0),
             Self::Arm(_, id, _, length) => {
                 w.byte(&mut id.0);
-                walk_ticks(length, w);
+                length.0 = w.count(usize::try_from(length.0).unwrap_or(usize::MAX)) as u64;
             }
-            Self::Pass(_, elapsed) => walk_ticks(elapsed, w),
+            Self::Pass(_, elapsed) => {
+                let mut ticks = u32::try_from(elapsed.0).unwrap_or(u32::MAX);
+                w.number(&mut ticks);
+                *elapsed = Ticks(ticks.into());
+            }
             Self::Task(_, Input::PeerRestarted(node)) => w.small(&mut node.0),
             Self::Task(_, Input::Time | Input::Request(_)) => {}
         }
     }
-}
-
-fn walk_ticks<W: Walk>(ticks: &mut Ticks, w: &mut W) {
-    ticks.0 = w.count(usize::try_from(ticks.0).unwrap_or(usize::MAX)) as u64;
 }

@@ -29,7 +29,6 @@ use super::plan::{CellFaults, CellPlan, Conduct};
 pub(super) use words::plain;
 use words::{alike, named, port_name, said};
 
-use crate::floor::plan::FloorPlan;
 use crate::floor::script::Running;
 use crate::floor::{Crossing, Effect, Floor};
 use imrs_protocol::script::{Address, ScriptInput};
@@ -162,9 +161,8 @@ fn groups(course: &Course, run: &Run, task: usize) -> Vec<Group> {
 impl Follower {
     pub fn new(plan: &Arc<CellPlan>, run: &Run) -> Self {
         let mut course = Course::new(plan, &CellFaults::default());
-        // The run says the order.
-        let floor = FloorPlan { orders: false, ..FloorPlan::clone(&course.floor.plan) };
-        course.floor = Floor::waiting(&Arc::new(floor));
+        // The run says the order in which its tasks go on.
+        course.floor = Floor::waiting(&Arc::clone(&course.floor.plan));
         course.floor.keep_log = true;
         let (nodes, tasks) = (course.floor.stations.len(), plan.tasks.len());
         let groups: Vec<_> = (0..tasks).map(|task| groups(&course, run, task)).collect();

@@ -1,6 +1,7 @@
 //! Which move comes next in a run: what the faults name, and otherwise what is chosen.
 
 use super::schedule::{Chooser, Fault, Tape, in_order};
+use super::who::{Who, is_of_a_turn, who};
 use crate::cell::course::{CellMove, Course, OPEN, UNUSED};
 use crate::floor::script::Running;
 use imrs_protocol::{NodeId, TaskId};
@@ -468,56 +469,4 @@ enum Cut {
     Begins(u8, usize),
     /// It takes the packet, too.
     Lasts,
-}
-
-/// Who may act in a tick.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Who {
-    /// An action: task and thread.
-    Action(u8, u8),
-    /// The packets at the end of a directed link.
-    Line(usize),
-    /// An input that waits in a node, at this position.
-    Input(u8, u8),
-}
-
-fn who(course: &Course, step: CellMove) -> Option<Who> {
-    match step {
-        CellMove::Acted(task, level, ..) | CellMove::GoOn(task, level) => Some(Who::Action(task, level)),
-        CellMove::Stay(link) => Some(Who::Line(usize::from(link))),
-        CellMove::Take(node, at) => Some(Who::Input(node, at)),
-        CellMove::Deliver(i)
-        | CellMove::Lose(i)
-        | CellMove::Duplicate(i)
-        | CellMove::Cut(i, _)
-        | CellMove::Vanish(i)
-        | CellMove::Mend(i, _) => {
-            course.floor.crossings.get(usize::from(i)).map(|crossing| Who::Line(usize::from(crossing.link)))
-        }
-        CellMove::Pass
-        | CellMove::Drift(..)
-        | CellMove::Takes(..)
-        | CellMove::Choose(..)
-        | CellMove::Crash(_)
-        | CellMove::Restart(_)
-        | CellMove::Pause(..)
-        | CellMove::PauseBefore(..)
-        | CellMove::PauseNext(..)
-        | CellMove::Wake(_) => None,
-    }
-}
-
-/// Whether a move is one of a node with something to do in this tick.
-const fn is_of_a_turn(step: CellMove) -> bool {
-    !matches!(
-        step,
-        CellMove::Pass
-            | CellMove::Drift(..)
-            | CellMove::Crash(_)
-            | CellMove::Restart(_)
-            | CellMove::Pause(..)
-            | CellMove::PauseBefore(..)
-            | CellMove::PauseNext(..)
-            | CellMove::Wake(_)
-    )
 }

@@ -17,6 +17,7 @@ mod driver;
 mod run;
 mod schedule;
 mod shrink;
+mod who;
 
 pub use run::Ended;
 pub use schedule::{Chooser, Fault, MOST_FAULTS, Schedule, Tape};

@@ -3,7 +3,7 @@
 use super::*;
 use crate::floor::Floor;
 use crate::floor::plan::{Errand, TaskPlan};
-use imrs_protocol::{Cell, Contents, Kind, NodeId, PortDecl, Ranked, Seal, Seq24, Usage};
+use imrs_protocol::{Cell, Contents, Incarnation, Kind, NodeId, PortDecl, Ranked, Seal, Seq24, Usage};
 
 const WRITER: TaskId = TaskId(0);
 const OTHER: TaskId = TaskId(1);

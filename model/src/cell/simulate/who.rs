@@ -1,0 +1,55 @@
+//! Who makes a step.
+
+use crate::cell::course::{CellMove, Course};
+
+/// Who may act in a tick.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum Who {
+    /// An action: task and thread.
+    Action(u8, u8),
+    /// The packets at the end of a directed link.
+    Line(usize),
+    /// An input that waits in a node, at this position.
+    Input(u8, u8),
+}
+
+pub(super) fn who(course: &Course, step: CellMove) -> Option<Who> {
+    match step {
+        CellMove::Acted(task, level, ..) | CellMove::GoOn(task, level) => Some(Who::Action(task, level)),
+        CellMove::Stay(link) => Some(Who::Line(usize::from(link))),
+        CellMove::Take(node, at) => Some(Who::Input(node, at)),
+        CellMove::Deliver(i)
+        | CellMove::Lose(i)
+        | CellMove::Duplicate(i)
+        | CellMove::Cut(i, _)
+        | CellMove::Vanish(i)
+        | CellMove::Mend(i, _) => {
+            course.floor.crossings.get(usize::from(i)).map(|crossing| Who::Line(usize::from(crossing.link)))
+        }
+        CellMove::Pass
+        | CellMove::Drift(..)
+        | CellMove::Takes(..)
+        | CellMove::Choose(..)
+        | CellMove::Crash(_)
+        | CellMove::Restart(_)
+        | CellMove::Pause(..)
+        | CellMove::PauseBefore(..)
+        | CellMove::PauseNext(..)
+        | CellMove::Wake(_) => None,
+    }
+}
+
+/// Whether a move is one of a node with something to do in this tick.
+pub(super) const fn is_of_a_turn(step: CellMove) -> bool {
+    !matches!(
+        step,
+        CellMove::Pass
+            | CellMove::Drift(..)
+            | CellMove::Crash(_)
+            | CellMove::Restart(_)
+            | CellMove::Pause(..)
+            | CellMove::PauseBefore(..)
+            | CellMove::PauseNext(..)
+            | CellMove::Wake(_)
+    )
+}

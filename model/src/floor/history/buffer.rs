@@ -1,0 +1,104 @@
+//! A buffer of a task as a plain list.
+
+use imrs_protocol::{CellTable, Class, CommTask, Incarnation, PortId, ServiceOrder, TaskId};
+use std::collections::BTreeSet;
+
+/// How far back a class-1 message may be and still be told from one that was seen.
+const WINDOW: u32 = 64;
+
+#[derive(Clone, Debug)]
+pub(super) struct Buffer {
+    pub port: PortId,
+    pub handled: bool,
+    /// How often it was passed over, and how often it may be.
+    pub bypassed: (u16, u16),
+    pub waiting: Vec<Waiting>,
+    /// The messages that were taken in, and those that were handed over, of the present incarnation of each source.
+    pub taken: BTreeSet<(TaskId, u32)>,
+    pub heard: BTreeSet<(TaskId, u32)>,
+    /// Commands that expired here: a copy of one counts as the first, one of an earlier command does not.
+    pub lapsed: BTreeSet<(TaskId, u32)>,
+    pub incarnations: Vec<(TaskId, Incarnation)>,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Waiting {
+    pub source: TaskId,
+    pub number: u32,
+    pub class: Class,
+    /// On its node's clock, as `not_before`.
+    pub expires: u64,
+    pub not_before: u64,
+    pub arrival: u64,
+    pub rejections: u8,
+    pub first_rejected: u64,
+    /// A copy came in this step, or a penalty: both may lengthen its life.
+    pub prolonged: bool,
+}
+
+impl Waiting {
+    /// The order of service within a port (D14): plainly, as the machine's key says it.
+    pub const fn urgency(&self) -> (u64, Class, TaskId, u64) {
+        (self.expires, self.class, self.source, self.arrival)
+    }
+
+    /// All that one step rejects is rejected first alike.
+    pub fn reject(&mut self, order: &ServiceOrder, port: PortId, step: u64) {
+        if self.rejections == 0 {
+            self.first_rejected = step;
+        }
+        self.rejections = (self.rejections + 1).min(cap(order, port, self.source));
+    }
+}
+
+impl Buffer {
+    pub fn position(&self, source: TaskId, number: u32) -> Option<usize> {
+        self.waiting.iter().position(|one| (one.source, one.number) == (source, number))
+    }
+
+    /// A message of this incarnation of its source comes: what was known of an earlier one no longer counts.
+    pub fn enter(&mut self, source: TaskId, incarnation: Incarnation) {
+        match self.incarnations.iter_mut().find(|(task, _)| *task == source) {
+            None => self.incarnations.push((source, incarnation)),
+            Some((_, known)) if *known == incarnation => {}
+            Some((_, known)) => {
+                *known = incarnation;
+                self.taken.retain(|(task, _)| *task != source);
+                self.heard.retain(|(task, _)| *task != source);
+                self.lapsed.retain(|(task, _)| *task != source);
+            }
+        }
+    }
+
+    /// Whether the machine may call this message one that it has seen.
+    pub fn knows(&self, source: TaskId, number: u32, class: Class) -> bool {
+        self.taken.contains(&(source, number))
+            || self.taken.union(&self.lapsed).filter(|(task, _)| *task == source).any(|&(_, newer)| {
+                match class {
+                    Class::Command => newer > number,
+                    Class::Status => newer > number + WINDOW,
+                }
+            })
+    }
+}
+
+/// How many rejections make a message outrank the task's own thread (D58).
+pub(super) fn cap(order: &ServiceOrder, port: PortId, source: TaskId) -> u8 {
+    order.rank(port, source).max(1)
+}
+
+pub(super) fn buffers(table: &CellTable, task: &CommTask) -> Vec<Buffer> {
+    let of_port = |&port: &PortId| {
+        task.queue_view(port, 0).map(|view| Buffer {
+            port,
+            handled: view.handled,
+            bypassed: (0, view.bypass_limit),
+            waiting: Vec::new(),
+            taken: BTreeSet::new(),
+            heard: BTreeSet::new(),
+            lapsed: BTreeSet::new(),
+            incarnations: Vec::new(),
+        })
+    };
+    table.ports_of(task.task()).iter().filter_map(of_port).collect()
+}
