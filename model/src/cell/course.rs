@@ -204,6 +204,7 @@ impl Course {
         }
         // As the packed state has them: positions mean the same in a state that was never packed.
         self.floor.crossings.sort_by_key(|crossing| crossing.link);
+        self.floor.sort_inputs();
         self.settle();
         self.look();
     }

@@ -46,6 +46,11 @@ impl Floor {
         Ok(())
     }
 
+    /// Puts what waits into the one order that packed states and runs that were never packed share.
+    pub(crate) fn sort_inputs(&mut self) {
+        self.stations.iter_mut().filter(|station| station.up).for_each(|station| station.node.sort_inputs());
+    }
+
     /// Whether inputs of tasks wait in a node.
     pub(crate) fn is_busy(&self, i: usize) -> bool {
         self.stations[i].up && self.stations[i].node.is_busy()

@@ -52,9 +52,15 @@ impl Node {
         self.work = inputs;
     }
 
+    /// Sorts the inputs that wait by their tasks: only the order of those of one task matters.
+    pub fn sort_inputs(&mut self) {
+        let task = |work: &Work| work.taker().map_or(0, |task| task.0);
+        self.work.make_contiguous().sort_by_key(task);
+    }
+
     /// The positions of the inputs that may be taken next: of each task the first one. What time makes it do comes first.
     pub fn open(&self) -> impl Iterator<Item = usize> {
-        let task_at = |at: usize| self.waiting(at).map(|(task, _)| task);
+        let task_at = |at: usize| self.work[at].taker();
         (0..self.work.len()).filter(move |&at| (0..at).all(|earlier| task_at(earlier) != task_at(at)))
     }
 
@@ -67,11 +73,9 @@ impl Node {
     /// The task that takes the input at a position, and what that is.
     #[must_use]
     pub fn waiting(&self, at: usize) -> Option<(TaskId, Input)> {
-        match *self.work.get(at)? {
-            Work::Pass(task, _) => Some((task, Input::Time)),
-            Work::Task(task, input) => Some((task, input)),
-            Work::Route(_) | Work::Arm(..) | Work::Disarm(..) => None,
-        }
+        let work = self.work.get(at)?;
+        let input = if let Work::Task(_, input) = work { *input } else { Input::Time };
+        Some((work.taker()?, input))
     }
 
     /// How much time has passed that a task has not noticed.
@@ -93,6 +97,14 @@ impl Node {
 }
 
 impl Work {
+    /// The task that takes it as an input.
+    const fn taker(&self) -> Option<TaskId> {
+        match self {
+            Self::Task(task, _) | Self::Pass(task, _) => Some(*task),
+            Self::Route(_) | Self::Arm(..) | Self::Disarm(..) => None,
+        }
+    }
+
     /// Whether it is the Timer's word of a task's delay or timer.
     fn is_word_of(&self, task: TaskId, id: TimeId) -> bool {
         matches!(*self, Self::Task(of, Input::TimeOut { id: word, .. }) if (of, word) == (task, id))
