@@ -16,7 +16,7 @@ type Place = (Option<String>, Option<String>);
 
 /// What has panicked in this process.
 pub struct Panics {
-    /// Whether nothing has, but for want of memory, descriptors or threads.
+    /// False once something panicked for another reason than want of memory, descriptors or threads.
     sound: Arc<AtomicBool>,
     counts: Mutex<BTreeMap<Place, u64>>,
 }

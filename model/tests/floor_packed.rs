@@ -155,6 +155,8 @@ fn reachable(plan: &Arc<FloorPlan>) -> (FloorModel, HashSet<Packed>) {
     (model, seen)
 }
 
+/// The steps commute: whatever order the tasks of a node take their inputs in, where nothing waits any more the floor is in a state
+/// that whole steps lead to.
 #[test]
 fn fused_and_unfused_steps_reach_the_same_quiescent_states() {
     let (_, fused) = reachable(&neighbours(true));

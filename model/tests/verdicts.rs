@@ -85,6 +85,53 @@ fn what_two_tasks_of_a_node_send_each_other_may_cross() {
     assert!(!zone("6 msec"), "what was said a tick ago was heard");
 }
 
+/// A message comes before or after what its receiver does by itself in the same tick: a delay or timer that ends, an action that
+/// ends well or fails.
+#[test]
+fn a_message_of_a_tick_comes_before_or_after_what_its_receiver_does_by_itself() {
+    let ends = |wait: &str, faults: &str| {
+        let timer = if wait.contains("start t") { " var t: timer;" } else { "" };
+        let text = format!(
+            "{ONE}task a on na\nport m() usage = send user_list = {{e}} time_out = 50 msec;\nbegin delay 5 msec; send m(); end a;\n\
+             task e on na\nuse_port m() usage = receive;\nvar heard, before, after: bool;{timer}\nbegin\non receive m() do heard := true; end;\n\
+             {wait}\nend e;\n{faults}check not_before: never e.before;\ncheck not_after: never e.after;\n"
+        );
+        kinds(&text).into_iter().filter(|kind| *kind == Kind::Check).count()
+    };
+    let told = "if heard then before := true; else after := true; end;";
+    assert_eq!(ends(&format!("order m > self; delay 5 msec; {told}"), ""), 2);
+    assert_eq!(ends(&format!("order m > self; run look takes 5 msec; {told}"), ""), 2);
+    let timer = format!("on expiry t do {told} end; order m > timers > self; start t 5 msec; delay 20 msec;");
+    assert_eq!(ends(&timer, ""), 2);
+    let fails = format!("order m > self; run look takes 5 msec on failed do {told} end; delay 20 msec;");
+    assert_eq!(ends(&fails, "faults fail 1;\n"), 2);
+    assert_eq!(ends(&format!("order m > self; delay 6 msec; {told}"), ""), 1, "a tick later it was heard");
+    assert_eq!(ends(&format!("order m > self; delay 4 msec; {told}"), ""), 1);
+}
+
+/// A script that was held back begins before or after what another one does in the same tick.
+#[test]
+fn a_script_that_was_held_back_begins_before_or_after_the_others() {
+    let x = "task x on na\nport p() usage = send user_list = {z} time_out = 10 msec class = 2;\nvar begun: bool;\nbegin begun := true; delay 500 msec;\n\
+        send p() on time_out do skip; end on refused do skip; end; end x;\n";
+    let z = "task z on nb\nuse_port p() usage = receive;\nbegin order p > self; on receive p() do reply(); end; delay 100 msec; end z;\n";
+    let broken = |delay: u8, x_first: bool| {
+        let y = format!(
+            "task y on na\nvar done: bool;\nbegin delay {delay} msec; done := true; delay 30 msec; end y;\n"
+        );
+        let tasks = if x_first { format!("{x}{y}") } else { format!("{y}{x}") };
+        let check = "faults crash na;\ncheck after: never y.done and not x.begun;\n";
+        kinds(&format!("{TWO}{tasks}{z}{check}")).contains(&Kind::Check)
+    };
+    for x_first in [true, false] {
+        assert_eq!(
+            [10, 11, 12].map(|delay| broken(delay, x_first)),
+            [true, true, false],
+            "x first: {x_first}"
+        );
+    }
+}
+
 #[test]
 fn two_checks_that_one_step_breaks_are_two_findings() {
     let text = format!(

@@ -160,8 +160,8 @@ impl Node {
         self.flush(out);
     }
 
-    /// Takes one input and leaves what follows from it within the node to [`proceed`](Self::proceed): for a checker
-    /// that looks between the steps (D39). Time passes at once for all parts.
+    /// Takes one input and leaves what follows from it within the node to others: for a checker that looks between the steps
+    /// (D39), see `orders`. Time passes at once for all parts.
     pub fn begin(&mut self, now: Instant, input: NodeInput, out: &mut impl NodeOutbox) {
         if now > self.now && input != NodeInput::Time {
             self.step(now, NodeInput::Time, out);
@@ -177,13 +177,6 @@ impl Node {
                 }
             }
         }
-    }
-
-    /// Carries out the next effect within the node. False when there is none: then [`flush`](Self::flush).
-    pub fn proceed(&mut self, out: &mut impl NodeOutbox) -> bool {
-        let Some(work) = self.work.pop_front() else { return false };
-        self.carry_out(work, out);
-        true
     }
 
     /// Whether effects within the node are not carried out yet.

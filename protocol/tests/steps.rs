@@ -145,19 +145,20 @@ impl Steps {
         let mut out = Outside { open, ..Outside::default() };
         let mut before = self.clone();
         self.0.begin(self.0.now() + Ticks(ticks), input, &mut out);
+        self.0.file(&mut out);
         let mut steps = 0;
         loop {
             let [mut plain, mut read] =
                 [(self.clone(), String::new()), (self.read_back(before), String::new())];
             for (node, words) in [&mut plain, &mut read] {
                 let mut out = Outside { open, ..Outside::default() };
-                while node.0.proceed(&mut out) {}
+                while node.next(&mut out) {}
                 node.0.flush(&mut out);
                 *words = out.words.join("\n");
             }
             assert_eq!(read.1, plain.1, "after {steps} steps of {input:?}");
             before = self.clone();
-            if !self.0.proceed(&mut out) {
+            if !self.next(&mut out) {
                 break;
             }
             steps += 1;
@@ -165,6 +166,14 @@ impl Steps {
         assert!(!self.0.is_busy());
         self.0.flush(&mut out);
         (out, steps)
+    }
+
+    /// A task takes the first input that waits; false where none does.
+    fn next(&mut self, out: &mut Outside) -> bool {
+        let waits = self.0.is_busy();
+        self.0.take(0, out);
+        self.0.file(out);
+        waits
     }
 
     fn ask(&mut self, task: TaskId, request: Request) -> Vec<String> {
@@ -196,11 +205,7 @@ fn a_command_between_two_tasks_of_a_node_may_be_looked_at_on_its_way() {
     let mut node = Steps::new(4);
     node.ask(Y, get(20));
     let (out, steps) = node.take(NodeInput::Request(X, send(MOVE, Y, 7)), true);
-    assert_eq!(
-        (out.words, steps),
-        (vec!["T1: message [7] from T0 for 30".into()], 2),
-        "routed, then delivered"
-    );
+    assert_eq!((out.words, steps), (vec!["T1: message [7] from T0 for 30".into()], 1), "the delivery");
     let [Signal::Message(command)] = out.told[..] else { panic!("{:?}", out.told) };
     assert_eq!(node.ask(Y, reply(&command, 3)), ["T1: accepted 1", "T0: reply [3]"]);
     let (out, _) = node.take(from_z(Kind::Send, Y, MOVE, Contents::EMPTY), true);
@@ -233,21 +238,38 @@ fn a_packet_that_never_left_may_be_looked_at_on_its_way_back() {
 }
 
 #[test]
-fn delays_may_be_looked_at_on_the_way_to_the_timer_and_back() {
+fn delays_are_with_the_timer_at_once_and_its_word_may_be_looked_at_on_its_way() {
     let mut node = Steps::new(4);
     let delay = |length| Request::Delay { id: TimeId(3), length: Ticks(length) };
     let (_, steps) = node.take(NodeInput::Request(X, delay(9)), true);
-    assert_eq!(steps, 1, "the arming");
+    assert_eq!(steps, 0, "nobody else takes the arming");
     node.ask(Y, delay(5));
     assert_eq!(node.pass(5), ["T1: time_out 3"]);
     let (out, steps) = node.take(NodeInput::Request(X, Request::Cancel), true);
-    assert_eq!((out.words, steps), (vec!["T0: cancelled".into()], 1), "the disarming");
+    assert_eq!((out.words, steps), (vec!["T0: cancelled".into()], 0), "nor the disarming");
     assert_eq!(node.0.next_expiry(), None);
-    // A length that no byte holds is told, not cut.
+    // What is not filed yet is told, not left out.
     node.0.begin(Instant::START, NodeInput::Request(X, delay(300)), &mut Outside::default());
     let (rounds, sequences) = node.bases();
     let frame = Frame { rounds: &rounds, sequences: &sequences, lives: true };
     assert_eq!(Encode::bytes(&frame, |w| node.0.walk_work(w)), Err(Overflow));
+}
+
+/// The Timer's word waits while its task takes the delay back, or begins it anew: then it says nothing any more.
+#[test]
+fn word_of_an_earlier_start_is_thrown_away() {
+    let start = Request::Start { id: TimeId(1), length: Ticks(5) };
+    for (again, expected) in [(Request::Stop { id: TimeId(1) }, 0), (start, 1)] {
+        let mut node = Steps::new(4);
+        node.ask(X, start);
+        let mut out = Outside::default();
+        node.0.let_pass(node.0.now() + Ticks(5), &mut out);
+        assert_eq!(node.0.inputs(), 1, "the word");
+        node.0.begin(node.0.now(), NodeInput::Request(X, again), &mut out);
+        node.0.file(&mut out);
+        assert_eq!(node.0.inputs(), 0, "{again:?}");
+        assert_eq!(node.0.next_expiry().into_iter().count(), expected, "{again:?}");
+    }
 }
 
 #[test]

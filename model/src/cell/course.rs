@@ -52,6 +52,8 @@ pub(super) struct Beside {
     pub slow: u64,
     /// For each node, in how many ticks the last of its scripts begins: they are held back after a restart (D94).
     pub held_back: Vec<Option<u32>>,
+    /// For each node, after how many ticks some of them are about to begin; zero where none is.
+    pub begins: Vec<u32>,
     /// The nodes that did something in this tick, bit by bit: those that may crash now. A crash between two steps of a
     /// node and one right after the first of them are the same to everybody. And those that crashed in this tick.
     pub acted: u64,
@@ -130,6 +132,7 @@ impl Course {
             stays: Vec::new(),
             slow: 0,
             held_back: vec![None; plan.table.cell().nodes.len()],
+            begins: vec![0; plan.table.cell().nodes.len()],
             acted: u64::MAX,
         };
         let mut course = Self {
@@ -193,8 +196,8 @@ impl Course {
         self.broken.clear();
         if let Some(node) = self.node_of(step) {
             self.beside.acted |= bit(node);
-            // What it comes from did so already.
-            if !matches!(step, CellMove::Take(..)) {
+            // The move that brought the input has stirred already, and so did the time that lets scripts begin.
+            if !matches!(step, CellMove::Take(..) | CellMove::Begin(_)) {
                 self.stir();
             }
         }
@@ -224,9 +227,10 @@ impl Course {
             CellMove::Acted(task, ..) | CellMove::Choose(task, _) => {
                 Some(self.floor.station_of(usize::from(task)))
             }
-            CellMove::Restart(node) | CellMove::Wake(node) | CellMove::Take(node, _) => {
-                Some(usize::from(node))
-            }
+            CellMove::Restart(node)
+            | CellMove::Wake(node)
+            | CellMove::Begin(node)
+            | CellMove::Take(node, _) => Some(usize::from(node)),
             CellMove::Pass
             | CellMove::Drift(..)
             | CellMove::Lose(_)
@@ -316,6 +320,7 @@ impl Course {
                 Ok(())
             }
             CellMove::Take(node, at) => floor.take(usize::from(node), usize::from(at)),
+            CellMove::Begin(node) => self.begin_now(usize::from(node)),
             CellMove::Choose(task, choice) => {
                 floor.leave(usize::from(task), ScriptInput::Chosen(choice));
                 Ok(())
@@ -327,6 +332,7 @@ impl Course {
                 floor.crash(node);
                 self.forget_pause(node);
                 self.beside.held_back[node] = None;
+                self.beside.begins[node] = 0;
                 // It may come back at once.
                 self.beside.acted |= bit(node);
                 Ok(())

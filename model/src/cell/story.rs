@@ -219,6 +219,7 @@ fn packet(course: &Course, step: CellMove, lanes: &Lanes) -> Option<Arrow> {
         | CellMove::Takes(..)
         | CellMove::Stay(_)
         | CellMove::Take(..)
+        | CellMove::Begin(_)
         | CellMove::Choose(..)
         | CellMove::Crash(_)
         | CellMove::Restart(_)
@@ -273,6 +274,7 @@ fn describe(course: &Course, step: CellMove) -> Option<(Lane, String)> {
         | CellMove::GoOn(..)
         | CellMove::Takes(..)
         | CellMove::Stay(_)
+        | CellMove::Begin(_)
         | CellMove::Take(..) => return None,
     })
 }

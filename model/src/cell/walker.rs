@@ -277,6 +277,7 @@ const fn takes_away(step: CellMove) -> Option<u8> {
         | CellMove::Takes(..)
         | CellMove::Stay(_)
         | CellMove::Take(..)
+        | CellMove::Begin(_)
         | CellMove::Choose(..)
         | CellMove::Crash(_)
         | CellMove::Restart(_)

@@ -54,8 +54,8 @@ pub enum Move {
     Crash(u8),
     /// It starts again, in its next life.
     Restart(u8),
-    /// The next effect within the node is carried out (unfused).
-    Proceed(u8),
+    /// A task of the node takes the input that waits at this position (unfused).
+    Take(u8, u8),
     /// The script gets its choice.
     Choose(u8, u8),
     /// The action that this thread of the script began ends.
@@ -190,8 +190,7 @@ impl Floor {
         }
         let tasks = (0..floor.bodies.len()).filter(|&task| !floor.leaves_out(task)).collect::<Vec<_>>();
         // A node lets its scripts begin one after the other, each with what it brings about.
-        let begun =
-            tasks.into_iter().try_for_each(|task| floor.begin(task).and_then(|()| floor.settle_within()));
+        let begun = tasks.into_iter().try_for_each(|task| floor.begin_whole(task));
         floor.violation = begun.err();
         floor
     }
@@ -258,7 +257,7 @@ impl Floor {
             inputs: VecDeque::new(),
             behind: vec![0; plan.cell.ports().len()],
             turns: None,
-            orders: false,
+            orders: !plan.fused,
             history: None,
             links,
             plan: Arc::clone(plan),
@@ -302,6 +301,7 @@ impl Floor {
     pub fn apply(&mut self, step: Move) {
         let moved = self.carry_out(step).and_then(|()| self.run_scripts());
         let result = moved.and_then(|()| self.settle()).and_then(|()| self.judge_state());
+        self.sort_inputs();
         if let Err(violation) = result {
             self.violation = Some(violation);
         }
@@ -345,7 +345,7 @@ impl Floor {
                 self.note_restart(usize::from(i));
                 self.restart(usize::from(i))
             }
-            Move::Proceed(i) => self.proceed(usize::from(i)),
+            Move::Take(i, at) => self.take(usize::from(i), usize::from(at)),
             Move::Choose(task, choice) => {
                 self.leave(usize::from(task), ScriptInput::Chosen(u16::from(choice)));
                 Ok(())
@@ -447,27 +447,9 @@ impl Floor {
             self.drive_on(i, Ticks(u64::from(owed)))?;
         }
         if self.orders {
-            self.step_in_order(i, input)
-        } else if self.plan.fused {
-            self.drive(i, |node, out| node.step(node.now(), input, out))
-        } else {
-            self.drive(i, |node, out| {
-                // What the input itself does is one step; what follows from it within the node are others.
-                node.begin(node.now(), input, out);
-                if !node.is_busy() {
-                    node.flush(out);
-                }
-            })
+            return self.step_in_order(i, input);
         }
-    }
-
-    fn proceed(&mut self, i: usize) -> Result<(), Violation> {
-        self.drive(i, |node, out| {
-            node.proceed(out);
-            if !node.is_busy() {
-                node.flush(out);
-            }
-        })
+        self.drive(i, |node, out| node.step(node.now(), input, out))
     }
 
     fn drive(&mut self, i: usize, work: impl FnOnce(&mut Node, &mut Wires<'_>)) -> Result<(), Violation> {

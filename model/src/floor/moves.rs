@@ -16,10 +16,13 @@ impl Floor {
             }
             return;
         }
-        let busy = |i: usize| self.stations[i].node.is_busy();
-        moves.extend((0..self.stations.len()).filter(|&i| busy(i)).map(|i| Move::Proceed(small(i))));
+        let busy = |i: usize| self.is_busy(i);
+        for i in (0..self.stations.len()).filter(|&i| busy(i)) {
+            moves.extend(self.next_inputs(i).map(|at| Move::Take(small(i), small(at))));
+        }
         for task in 0..self.bodies.len() {
-            if self.stations[self.station_of(task)].up {
+            let at = self.station_of(task);
+            if self.stations[at].up && self.notices_all(at, task) {
                 self.go_on(task, moves);
             }
         }

@@ -1,15 +1,14 @@
 //! What the tasks of a node do at one time, in the order that somebody else chooses (D170).
 
 use super::Floor;
+use super::plan::FloorPlan;
 use crate::state::Violation;
 use imrs_protocol::{NodeInput, TaskId, Ticks};
+use std::sync::Arc;
 
 impl Floor {
     /// So much time passes for a node. What its tasks do at it waits.
-    pub(crate) fn let_pass(&mut self, i: usize, ticks: Ticks) -> Result<(), Violation> {
-        if let Some(history) = &mut self.history {
-            history.begin(i, ticks, &NodeInput::Time);
-        }
+    pub(super) fn let_time_pass(&mut self, i: usize, ticks: Ticks) -> Result<(), Violation> {
         self.drive(i, |node, out| {
             node.let_pass(node.now() + ticks, out);
             node.file(out);
@@ -34,16 +33,23 @@ impl Floor {
         })
     }
 
-    /// Takes what waits in any node, in its order.
-    pub(super) fn settle_within(&mut self) -> Result<(), Violation> {
-        for i in 0..self.stations.len() {
-            for _ in 0..super::FUSED {
-                let Some(at) = self.next_inputs(i).next() else { break };
-                self.take(i, at)?;
-                self.run_scripts()?;
-            }
+    /// Lets a script begin, with all that this brings about within its node: one thread does it.
+    pub(crate) fn begin_whole(&mut self, task: usize) -> Result<(), Violation> {
+        let i = self.station_of(task);
+        let before = self.stations[i].node.inputs();
+        self.begin(task)?;
+        for _ in 0..super::FUSED {
+            let Some(at) = self.next_inputs(i).find(|&at| at >= before) else { return Ok(()) };
+            self.take(i, at)?;
+            self.run_scripts()?;
         }
-        Ok(())
+        Err(Violation::Zeno)
+    }
+
+    /// From here on what follows from a step within its node belongs to the step.
+    pub(super) fn fuse(&mut self) {
+        self.plan = Arc::new(FloorPlan { fused: true, ..(*self.plan).clone() });
+        self.orders = false;
     }
 
     /// Puts what waits into the one order that packed states and runs that were never packed share.

@@ -57,7 +57,7 @@ impl FloorModel {
         self.0.with(|floor| {
             floor.load(state);
             let mut fused = floor.clone();
-            fused.plan = Arc::new(FloorPlan { fused: true, ..(*floor.plan).clone() });
+            fused.fuse();
             fused.store()
         })
     }

@@ -117,7 +117,7 @@ impl Floor {
         if let Some(history) = &mut self.history {
             history.begin(i, ticks, &NodeInput::Time);
         }
-        self.drive_on(i, ticks)
+        if self.orders { self.let_time_pass(i, ticks) } else { self.drive_on(i, ticks) }
     }
 
     pub(super) fn drive_on(&mut self, i: usize, ticks: Ticks) -> Result<(), Violation> {

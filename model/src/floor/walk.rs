@@ -115,7 +115,7 @@ impl Station {
         }
         parts.transit.walk(table, w);
         parts.timer.walk(w);
-        if !plan.fused || orders {
+        if orders {
             node.walk_work(w);
         }
     }

@@ -15,6 +15,17 @@ use crate::task::Input;
 use crate::ticks::{Instant, Ticks};
 use alloc::collections::VecDeque;
 
+/// Who brings an input to a task.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Kind {
+    /// The time that the task has not noticed.
+    Time,
+    /// The Timer's word.
+    Timer,
+    /// Another task, or the node.
+    Others,
+}
+
 impl Node {
     /// Time passes as by [`NodeInput::Time`](super::NodeInput::Time), but what it makes tasks do waits.
     pub fn let_pass(&mut self, now: Instant, out: &mut impl NodeOutbox) {
@@ -52,16 +63,21 @@ impl Node {
         self.work = inputs;
     }
 
-    /// Sorts the inputs that wait by their tasks: only the order of those of one task matters.
+    /// Sorts the inputs that wait by their tasks and kinds: only the order of those of one kind of one task matters.
     pub fn sort_inputs(&mut self) {
-        let task = |work: &Work| work.taker().map_or(0, |task| task.0);
-        self.work.make_contiguous().sort_by_key(task);
+        self.work.make_contiguous().sort_by_key(Work::stream);
     }
 
-    /// The positions of the inputs that may be taken next: of each task the first one. What time makes it do comes first.
+    /// The positions of the inputs that may be taken next. A task first notices the time. Then the Timer's words come to it in
+    /// their order, and what others bring in theirs: of those two either may be first.
     pub fn open(&self) -> impl Iterator<Item = usize> {
-        let task_at = |at: usize| self.work[at].taker();
-        (0..self.work.len()).filter(move |&at| (0..at).all(|earlier| task_at(earlier) != task_at(at)))
+        let is_open = |&at: &usize| {
+            let (task, kind) = self.work[at].stream();
+            let earlier = self.work.iter().take(at).any(|other| other.stream() == (task, kind));
+            !earlier
+                && (kind == Kind::Time || !self.work.iter().any(|other| other.stream() == (task, Kind::Time)))
+        };
+        (0..self.work.len()).filter(is_open)
     }
 
     /// How many inputs of tasks wait, once all else is [filed](Self::file).
@@ -73,9 +89,11 @@ impl Node {
     /// The task that takes the input at a position, and what that is.
     #[must_use]
     pub fn waiting(&self, at: usize) -> Option<(TaskId, Input)> {
-        let work = self.work.get(at)?;
-        let input = if let Work::Task(_, input) = work { *input } else { Input::Time };
-        Some((work.taker()?, input))
+        match *self.work.get(at)? {
+            Work::Pass(task, _) => Some((task, Input::Time)),
+            Work::Task(task, input) => Some((task, input)),
+            Work::Route(_) | Work::Arm(..) | Work::Disarm(..) => None,
+        }
     }
 
     /// How much time has passed that a task has not noticed.
@@ -97,11 +115,13 @@ impl Node {
 }
 
 impl Work {
-    /// The task that takes it as an input.
-    const fn taker(&self) -> Option<TaskId> {
+    /// The task that takes it, and what kind of input it is.
+    const fn stream(&self) -> (Option<TaskId>, Kind) {
         match self {
-            Self::Task(task, _) | Self::Pass(task, _) => Some(*task),
-            Self::Route(_) | Self::Arm(..) | Self::Disarm(..) => None,
+            Self::Pass(task, _) => (Some(*task), Kind::Time),
+            Self::Task(task, Input::TimeOut { .. }) => (Some(*task), Kind::Timer),
+            Self::Task(task, _) => (Some(*task), Kind::Others),
+            Self::Route(_) | Self::Arm(..) | Self::Disarm(..) => (None, Kind::Others),
         }
     }
 

@@ -116,6 +116,7 @@ impl Beside {
             stays,
             slow,
             held_back,
+            begins,
             acted,
         } = self;
         w.byte_if(had.loss > 0, loss);
@@ -133,6 +134,7 @@ impl Beside {
             let mut left = held_back[node.index()].unwrap_or(0);
             w.number(&mut left);
             held_back[node.index()] = Some(left).filter(|left| *left > 0);
+            w.number(&mut begins[node.index()]);
         }
         for (node, asleep) in asleep.iter_mut().enumerate() {
             let slept = &mut floor.stations[node].asleep;

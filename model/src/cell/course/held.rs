@@ -9,7 +9,7 @@ impl Course {
     /// A node came back: those scripts begin that are not held back.
     pub fn begin_again(&mut self, node: usize) -> Result<(), Violation> {
         self.beside.held_back[node] = Some(self.longest_held(node)).filter(|longest| *longest > 0);
-        self.begin_held(node, |held| held == 0).map(drop)
+        self.begin_held(node, |held| held == 0)
     }
 
     /// In how many ticks the next script of a node begins that is held back.
@@ -19,24 +19,44 @@ impl Course {
         later.min().map(|held| u64::from(held - passed))
     }
 
-    /// So many ticks pass for a node.
-    pub fn hold_back_on(&mut self, node: usize, ticks: u32) -> Result<(), Violation> {
+    /// So many ticks pass for a node. Scripts that may begin by then do so by a step of their own.
+    pub fn hold_back_on(&mut self, node: usize, ticks: u32) {
+        let Some(left) = self.beside.held_back[node] else { return };
+        let longest = self.longest_held(node);
+        let (before, passed) = (longest - left, longest - left.saturating_sub(ticks));
+        let held = |task| before < self.held(task) && self.held(task) <= passed;
+        if self.here(node).any(held) {
+            self.beside.begins[node] = ticks;
+            self.beside.acted |= bit(node);
+        } else {
+            self.beside.held_back[node] = Some(longest - passed).filter(|left| *left > 0);
+        }
+    }
+
+    /// Whether scripts of a node are to begin in this tick.
+    pub fn begins_now(&self, node: usize) -> bool {
+        self.beside.begins[node] > 0
+    }
+
+    /// Whether they may: no task of theirs has something to notice before that.
+    pub fn may_begin(&self, node: usize) -> bool {
+        self.begins_now(node) && self.here(node).all(|task| self.floor.notices_all(node, task))
+    }
+
+    /// The scripts of a node begin that were held back until now.
+    pub fn begin_now(&mut self, node: usize) -> Result<(), Violation> {
+        let ticks = std::mem::take(&mut self.beside.begins[node]);
         let Some(left) = self.beside.held_back[node] else { return Ok(()) };
         let (longest, after) = (self.longest_held(node), left.saturating_sub(ticks));
         self.beside.held_back[node] = Some(after).filter(|after| *after > 0);
         let (before, passed) = (longest - left, longest - after);
-        if self.begin_held(node, |held| before < held && held <= passed)? {
-            self.beside.acted |= bit(node);
-        }
-        Ok(())
+        self.begin_held(node, |held| before < held && held <= passed)
     }
 
-    /// Begins the scripts of a node that are held back for so long. Whether there are any.
-    fn begin_held(&mut self, node: usize, due: impl Fn(u32) -> bool) -> Result<bool, Violation> {
+    /// Begins the scripts of a node that are held back for so long, one after the other, each with what it brings about.
+    fn begin_held(&mut self, node: usize, due: impl Fn(u32) -> bool) -> Result<(), Violation> {
         let tasks: Vec<usize> = self.here(node).filter(|&task| due(self.held(task))).collect();
-        let any = !tasks.is_empty();
-        tasks.into_iter().try_for_each(|task| self.floor.begin(task))?;
-        Ok(any)
+        tasks.into_iter().try_for_each(|task| self.floor.begin_whole(task))
     }
 
     fn longest_held(&self, node: usize) -> u32 {

@@ -64,9 +64,7 @@ impl Course {
                 return;
             }
         }
-        if floor.is_busy(node) {
-            return self.turn_within(node, moves);
-        }
+        let busy = floor.is_busy(node) || self.begins_now(node);
         for task in tasks() {
             let Some(actor) = &floor.bodies[task].actor else { continue };
             for action in &actor.running {
@@ -100,6 +98,9 @@ impl Course {
                 None | Some(_) => {}
             }
         }
+        if busy {
+            return self.turn_within(node, moves);
+        }
         if comes && !up && !self.plan.everything {
             moves.push(CellMove::Restart(small(node)));
         }
@@ -108,29 +109,23 @@ impl Course {
         }
     }
 
-    /// What may happen at a node in which inputs of tasks wait (D170): any task takes its first one, an action ends, a packet
-    /// arrives that must in this tick. What else may become of actions and packets is asked when nothing waits any more.
+    /// What may happen at a node in which inputs of tasks wait, or scripts are about to begin (D170). Of the other moves those stay
+    /// that bring a task something. That an action or a packet goes on, or that a packet vanishes, changes nothing for who waits: it
+    /// is asked when nobody does.
     fn turn_within(&self, node: usize, moves: &mut Vec<CellMove>) {
         let floor = &self.floor;
-        moves.extend(floor.next_inputs(node).map(|at| CellMove::Take(small(node), small(at))));
         // Of a task that has not noticed the time nothing else comes before that.
         let knows = |task: usize| floor.notices_all(node, task);
-        for task in (0..floor.bodies.len()).filter(|&task| floor.station_of(task) == node && knows(task)) {
-            let Some(actor) = &floor.bodies[task].actor else { continue };
-            for action in actor.running.iter().filter(|action| self.may_end(task, action)) {
-                self.well(task, action, moves);
-            }
-        }
-        for (i, crossing) in floor.crossings.iter().enumerate() {
-            let (_, to, bound) = floor.links[usize::from(crossing.link)];
-            let comes = to.index() == node && crossing.age >= u32::from(bound) && !floor.is_behind(i);
-            if comes
-                && knows(crossing.packet.destination.index())
-                && self.cut_of(crossing.link, OPEN).is_none()
-            {
-                moves.push(CellMove::Deliver(small(i)));
-            }
-        }
+        let comes = |i: u8| knows(floor.crossings[usize::from(i)].packet.destination.index());
+        let mut others = std::mem::take(moves);
+        others.retain(|&step| match step {
+            CellMove::Acted(task, ..) => knows(usize::from(task)),
+            CellMove::Deliver(i) | CellMove::Duplicate(i) | CellMove::Mend(i, _) => comes(i),
+            _ => false,
+        });
+        moves.extend(floor.next_inputs(node).map(|at| CellMove::Take(small(node), small(at))));
+        moves.extend(self.may_begin(node).then_some(CellMove::Begin(small(node))));
+        moves.append(&mut others);
     }
 
     /// A link that is cut carries nothing, in no order.
@@ -151,28 +146,18 @@ impl Course {
     }
 
     fn ends(&self, task: usize, action: &Running, moves: &mut Vec<CellMove>) {
-        if !self.may_end(task, action) {
+        if action.least > 0 || self.beside.stays.contains(&(small(task), action.level)) {
             return;
         }
-        self.well(task, action, moves);
         let (task, level) = (small(task), action.level);
+        let values = self.values(usize::from(task), action.action).len().max(1);
+        moves.extend((0..values).map(|value| CellMove::Acted(task, level, true, small(value))));
         if self.beside.fail > 0 {
             moves.push(CellMove::Acted(task, level, false, 0));
         }
         if action.most > 0 {
             moves.push(CellMove::GoOn(task, level));
         }
-    }
-
-    fn may_end(&self, task: usize, action: &Running) -> bool {
-        action.least == 0 && !self.beside.stays.contains(&(small(task), action.level))
-    }
-
-    /// An action ends well, with any of its values.
-    fn well(&self, task: usize, action: &Running, moves: &mut Vec<CellMove>) {
-        let values = self.values(task, action.action).len().max(1);
-        let ended = |value| CellMove::Acted(small(task), action.level, true, small(value));
-        moves.extend((0..values).map(ended));
     }
 
     fn values(&self, task: usize, action: u16) -> &[i32] {

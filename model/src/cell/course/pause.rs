@@ -177,10 +177,10 @@ impl Course {
             self.beside.acted |= bit(node);
         }
         if counted > 0 {
-            self.floor.let_pass(node, Ticks(u64::from(counted)))?;
+            self.floor.pass(node, Ticks(u64::from(counted)))?;
         }
-        self.floor.run_scripts()?;
-        self.hold_back_on(node, ticks)
+        self.hold_back_on(node, ticks);
+        Ok(())
     }
 
     /// Time passes for actions, whether their nodes notice or not, but not for those that have not really begun.

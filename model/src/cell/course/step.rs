@@ -31,6 +31,8 @@ pub enum CellMove {
     Stay(u8),
     /// A task of this node takes the input that waits in the node at this position.
     Take(u8, u8),
+    /// The scripts of this node begin that were held back until now.
+    Begin(u8),
     /// A script gets its choice.
     Choose(u8, u16),
     /// Declared crash number so happens.
@@ -70,6 +72,7 @@ impl CellMove {
             | Self::Takes(..)
             | Self::Stay(_)
             | Self::Take(..)
+            | Self::Begin(_)
             | Self::Choose(..)
             | Self::Restart(_)
             | Self::Wake(_) => false,

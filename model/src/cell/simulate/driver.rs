@@ -160,18 +160,17 @@ impl<'a> Driver<'a> {
         }
         let mut ready: Vec<Who> = Vec::new();
         let mut seen: Vec<Who> = Vec::new();
-        let is_busy = moves.iter().any(|step| matches!(step, CellMove::Take(..)));
+        let is_busy = moves.iter().any(|step| matches!(step, CellMove::Take(..) | CellMove::Begin(_)));
         for &step in moves {
             let Some(who) = who(course, step).filter(|who| !seen.contains(who)) else { continue };
             seen.push(who);
-            // When an action ends is asked when nothing waits within the node.
-            if is_busy && matches!(who, Who::Action(..)) {
+            if is_busy && !self.comes_now(course, who) {
                 continue;
             }
             let waits = match who {
                 Who::Action(task, level) => self.goes_on(course, moves, (task, level)),
                 Who::Line(link) => self.stays(course, moves, link),
-                Who::Input(..) => None,
+                Who::Input(_) => None,
             };
             if waits.is_some() {
                 return waits;
@@ -181,13 +180,46 @@ impl<'a> Driver<'a> {
         let node = match *ready.first()? {
             Who::Action(task, _) => course.floor.station_of(usize::from(task)),
             Who::Line(link) => course.floor.links[link].1.index(),
-            Who::Input(node, _) => usize::from(node),
+            Who::Input(CellMove::Take(node, _) | CellMove::Begin(node)) => usize::from(node),
+            Who::Input(_) => return None,
         };
         let first = self.draw(self.tasks + self.lines.len() + node, ready.len(), Spread::Even);
         match *ready.get(first as usize)? {
             Who::Action(task, level) => self.ends(moves, (task, level)),
             Who::Line(link) => self.comes(course, moves, link),
-            Who::Input(node, at) => Some(CellMove::Take(node, at)),
+            Who::Input(step) => Some(step),
+        }
+    }
+
+    /// Whether somebody makes a step while inputs wait in a node: an action whose end was chosen for now, a packet to which
+    /// nothing happens. What else becomes of both is asked when nothing waits.
+    fn comes_now(&self, course: &Course, who: Who) -> bool {
+        match who {
+            Who::Input(_) => true,
+            Who::Action(task, level) => {
+                let actor = course.floor.bodies[usize::from(task)].actor.as_ref();
+                let running = actor.and_then(|actor| actor.runs(level));
+                running.is_some_and(|running| {
+                    let latest = course.passed + u64::from(running.most);
+                    let chosen = |of: &Chosen| {
+                        (of.task, of.level, of.action, of.latest, of.left)
+                            == (task, level, running.action, latest, 0)
+                    };
+                    running.most == 0 || self.actions.iter().any(chosen)
+                })
+            }
+            Who::Line(link) => {
+                let (from, to, _) = course.floor.links[link];
+                let next = self.lines[link].arrived + 1;
+                let is = |fault: &Fault| match *fault {
+                    Fault::Lose { link, nth } | Fault::Copy { link, nth } => {
+                        link == (from, to) && nth == next
+                    }
+                    Fault::Overtake { link, nth } => link == (from, to) && nth <= next,
+                    _ => false,
+                };
+                self.named(is).is_none() && self.cut(course, link).is_none()
+            }
         }
     }
 
@@ -415,6 +447,7 @@ impl<'a> Driver<'a> {
             | CellMove::Takes(..)
             | CellMove::Stay(_)
             | CellMove::Take(..)
+            | CellMove::Begin(_)
             | CellMove::Choose(..)
             | CellMove::Wake(_) => {}
         }

@@ -9,15 +9,15 @@ pub(super) enum Who {
     Action(u8, u8),
     /// The packets at the end of a directed link.
     Line(usize),
-    /// An input that waits in a node, at this position.
-    Input(u8, u8),
+    /// A task that takes an input, or scripts that begin.
+    Input(CellMove),
 }
 
 pub(super) fn who(course: &Course, step: CellMove) -> Option<Who> {
     match step {
         CellMove::Acted(task, level, ..) | CellMove::GoOn(task, level) => Some(Who::Action(task, level)),
         CellMove::Stay(link) => Some(Who::Line(usize::from(link))),
-        CellMove::Take(node, at) => Some(Who::Input(node, at)),
+        CellMove::Take(..) | CellMove::Begin(_) => Some(Who::Input(step)),
         CellMove::Deliver(i)
         | CellMove::Lose(i)
         | CellMove::Duplicate(i)

@@ -116,7 +116,9 @@ impl Subscription {
             places: (Places::default(), now),
             held_back: hears_held_back.then_some((false, now)),
         });
-        let vitals = every(wanted.vitals_us, LEAST_VITALS).map(|every| (every, now));
+        // What is due stays due, however often the monitor asks anew.
+        let at = more.vitals.map_or(now, |(_, at)| at.min(now));
+        let vitals = every(wanted.vitals_us, LEAST_VITALS).map(|every| (every, at));
         let whole = every(wanted.whole_us, period).map(|every| (every, now + every));
         Self {
             period,
@@ -128,7 +130,7 @@ impl Subscription {
         }
     }
 
-    /// A whole snapshot is asked for.
+    /// A whole snapshot is asked for: the next state is one. What was due before goes first.
     pub fn whole(&mut self, now: Instant) {
         if let Some(more) = &mut self.more {
             more.told = None;
@@ -302,8 +304,9 @@ fn following(
     now: Instant,
 ) -> Option<Following> {
     let filter = wanted?;
+    let next = before.as_ref().map_or(now, |before| before.next.min(now));
     let observations = before.map_or_else(|| showing.node.observe(), |before| before.observations);
-    Some(Following { next: now, observations, filter })
+    Some(Following { next, observations, filter })
 }
 
 /// The node's clock, for who compares it with its own.
