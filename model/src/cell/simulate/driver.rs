@@ -1,10 +1,12 @@
 //! Which move comes next in a run: what the faults name, and otherwise what is chosen.
 
+mod who;
+
 use super::schedule::{Chooser, Fault, Tape, in_order};
-use super::who::{Who, is_of_a_turn, who};
 use crate::cell::course::{CellMove, Course, OPEN, UNUSED};
 use crate::floor::script::Running;
 use imrs_protocol::{NodeId, TaskId};
+use who::{Who, is_of_a_turn, who};
 
 /// Where choices come from.
 #[derive(Clone, Copy, Debug)]

@@ -17,7 +17,6 @@ mod driver;
 mod run;
 mod schedule;
 mod shrink;
-mod who;
 
 pub use run::Ended;
 pub use schedule::{Chooser, Fault, MOST_FAULTS, Schedule, Tape};
