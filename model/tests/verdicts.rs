@@ -132,6 +132,62 @@ fn a_script_that_was_held_back_begins_before_or_after_the_others() {
     }
 }
 
+/// Two scripts that were held back equally long begin one after the other: others go on between them, and a time_out of a task that
+/// has nothing to do with them comes before or after.
+#[test]
+fn scripts_that_were_held_back_begin_one_by_one() {
+    let held = |name: &str, port: &str, (hello, say): (&str, &str)| {
+        format!(
+            "task {name} on na\nport {port}() usage = send user_list = {{z}} time_out = 10 msec class = 2;{hello}\nvar begun: bool;\n\
+             begin {say}begun := true; delay 500 msec;\nsend {port}() on time_out do skip; end on refused do skip; end; end {name};\n"
+        )
+    };
+    let hello = (" port hello() usage = send user_list = {y} time_out = 10 msec;", "send hello(); ");
+    let (x, v) = (held("x", "p", hello), held("v", "r", ("", "")));
+    // It knows by whether it hears `hello` that this is not its first life.
+    let y = |ports: &str, then: &str| {
+        format!(
+            "task y on na\nuse_port hello() usage = receive;{ports}\nvar second, done: bool;\nbegin\n\
+             receive hello() within 1 msec on time_out do second := true; end;\n{then} done := true; delay 500 msec; end y;\n"
+        )
+    };
+    let z = "task z on nb\nuse_port p() usage = receive; use_port r() usage = receive;\nbegin order p > r > self;\n\
+        on receive p() do reply(); end; on receive r() do reply(); end; delay 800 msec; end z;\nfaults crash na;\n";
+    let broken = |tasks: &[&str], check: &str| {
+        kinds(&format!("{TWO}{}{z}check c: never {check};\n", tasks.concat())).contains(&Kind::Check)
+    };
+    let delays = y("", "delay 10 msec;");
+    let between = "x.begun and y.second and y.done and not v.begun";
+    assert!(broken(&[&x, &v, &delays], between), "the delay of y ends between the two");
+    assert!(!broken(&[&v, &x, &delays], between), "v begins first");
+    assert!(broken(&[&v, &x, &delays], "v.begun and y.second and not x.begun"));
+    let ask = " port q() usage = send user_list = {w} time_out = 10 msec class = 2;";
+    let times_out = y(ask, "send q() on time_out do skip; end on refused do skip; end;");
+    let w =
+        "task w on na\nuse_port q() usage = receive;\nbegin delay 300 msec; receive q(); reply(); end w;\n";
+    assert!(broken(&[&x, &v, &times_out, w], "x.begun and y.second and not y.done"));
+    assert!(broken(&[&x, &v, &times_out, w], "y.second and y.done and not x.begun"));
+}
+
+/// A packet that is lost lets the next one of its link arrive in the same tick, before or after what a task does by itself.
+#[test]
+fn a_packet_behind_one_that_is_lost_comes_among_what_tasks_do_by_themselves() {
+    let cell = |faults: &str| {
+        format!(
+            "{TWO}task s on nb\nport p() usage = send user_list = {{b}} time_out = 50 msec; port q() usage = send user_list = {{c}} time_out = 50 msec;\n\
+             begin delay 4 msec; send p(); send q(); delay 100 msec; end s;\n\
+             task b on na\nuse_port p() usage = receive;\nvar got: bool;\nbegin receive p(); got := true; delay 100 msec; end b;\n\
+             task c on na\nuse_port q() usage = receive;\nvar got: bool;\nbegin receive q(); got := true; delay 100 msec; end c;\n\
+             task d on na\nvar done: bool;\nbegin delay 5 msec; done := true; delay 100 msec; end d;\n\
+             {faults}check c1: never c.got and not b.got and not d.done;\n"
+        )
+    };
+    for faults in ["faults loss 1;\n", "faults cut na -- nb;\n"] {
+        assert!(kinds(&cell(faults)).contains(&Kind::Check), "{faults}");
+    }
+    assert!(!kinds(&cell("")).contains(&Kind::Check));
+}
+
 #[test]
 fn two_checks_that_one_step_breaks_are_two_findings() {
     let text = format!(

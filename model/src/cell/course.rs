@@ -15,6 +15,7 @@ use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use crate::floor::Floor;
 use crate::floor::plan::{Errand, Faults, FloorPlan, TaskPlan, Way};
 use crate::state::{Packed, Violation};
+use held::Begins;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::{Activity, ScriptInput, eval};
 use liveness::Dead;
@@ -52,8 +53,8 @@ pub(super) struct Beside {
     pub slow: u64,
     /// For each node, in how many ticks the last of its scripts begins: they are held back after a restart (D94).
     pub held_back: Vec<Option<u32>>,
-    /// For each node, after how many ticks some of them are about to begin; zero where none is.
-    pub begins: Vec<u32>,
+    /// For each node, those that are to begin in this tick.
+    pub begins: Vec<Begins>,
     /// The nodes that did something in this tick, bit by bit: those that may crash now. A crash between two steps of a
     /// node and one right after the first of them are the same to everybody. And those that crashed in this tick.
     pub acted: u64,
@@ -132,7 +133,7 @@ impl Course {
             stays: Vec::new(),
             slow: 0,
             held_back: vec![None; plan.table.cell().nodes.len()],
-            begins: vec![0; plan.table.cell().nodes.len()],
+            begins: vec![Begins::default(); plan.table.cell().nodes.len()],
             acted: u64::MAX,
         };
         let mut course = Self {
@@ -320,7 +321,7 @@ impl Course {
                 Ok(())
             }
             CellMove::Take(node, at) => floor.take(usize::from(node), usize::from(at)),
-            CellMove::Begin(node) => self.begin_now(usize::from(node)),
+            CellMove::Begin(node) => self.begin_next(usize::from(node)),
             CellMove::Choose(task, choice) => {
                 floor.leave(usize::from(task), ScriptInput::Chosen(choice));
                 Ok(())
@@ -332,7 +333,7 @@ impl Course {
                 floor.crash(node);
                 self.forget_pause(node);
                 self.beside.held_back[node] = None;
-                self.beside.begins[node] = 0;
+                self.beside.begins[node] = Begins::default();
                 // It may come back at once.
                 self.beside.acted |= bit(node);
                 Ok(())
@@ -341,7 +342,8 @@ impl Course {
                 let at = usize::from(node);
                 floor.note_restart(at);
                 floor.restart_behind(at)?;
-                self.begin_again(at)
+                self.begin_again(at);
+                Ok(())
             }
         }
     }

@@ -134,7 +134,7 @@ impl Beside {
             let mut left = held_back[node.index()].unwrap_or(0);
             w.number(&mut left);
             held_back[node.index()] = Some(left).filter(|left| *left > 0);
-            w.number(&mut begins[node.index()]);
+            begins[node.index()].walk(w);
         }
         for (node, asleep) in asleep.iter_mut().enumerate() {
             let slept = &mut floor.stations[node].asleep;

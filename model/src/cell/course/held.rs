@@ -3,13 +3,31 @@
 
 use super::{Course, bit};
 use crate::state::Violation;
-use imrs_protocol::TaskId;
+use imrs_protocol::{TaskId, Walk};
+
+/// Scripts of a node that are to begin in this tick: those that are held back for `from..to`, of which so many have begun.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(in crate::cell) struct Begins {
+    from: u32,
+    to: u32,
+    begun: u8,
+}
+
+impl Begins {
+    pub fn walk<W: Walk>(&mut self, w: &mut W) {
+        let Self { from, to, begun } = self;
+        w.number(from);
+        w.number(to);
+        w.byte(begun);
+    }
+}
 
 impl Course {
-    /// A node came back: those scripts begin that are not held back.
-    pub fn begin_again(&mut self, node: usize) -> Result<(), Violation> {
+    /// A node came back: those scripts are to begin that are not held back.
+    pub fn begin_again(&mut self, node: usize) {
         self.beside.held_back[node] = Some(self.longest_held(node)).filter(|longest| *longest > 0);
-        self.begin_held(node, |held| held == 0)
+        self.beside.begins[node] = Begins { from: 0, to: 1, begun: 0 };
+        self.end_beginning(node);
     }
 
     /// In how many ticks the next script of a node begins that is held back.
@@ -19,44 +37,44 @@ impl Course {
         later.min().map(|held| u64::from(held - passed))
     }
 
-    /// So many ticks pass for a node. Scripts that may begin by then do so by a step of their own.
+    /// So many ticks pass for a node. Scripts that may begin by then do so one by one, by steps of their own.
     pub fn hold_back_on(&mut self, node: usize, ticks: u32) {
         let Some(left) = self.beside.held_back[node] else { return };
         let longest = self.longest_held(node);
         let (before, passed) = (longest - left, longest - left.saturating_sub(ticks));
-        let held = |task| before < self.held(task) && self.held(task) <= passed;
-        if self.here(node).any(held) {
-            self.beside.begins[node] = ticks;
+        self.beside.begins[node] = Begins { from: before + 1, to: passed + 1, begun: 0 };
+        if self.begins_next(node).is_some() {
             self.beside.acted |= bit(node);
-        } else {
-            self.beside.held_back[node] = Some(longest - passed).filter(|left| *left > 0);
         }
+        self.end_beginning(node);
     }
 
-    /// Whether scripts of a node are to begin in this tick.
-    pub fn begins_now(&self, node: usize) -> bool {
-        self.beside.begins[node] > 0
+    /// The task whose script begins next at a node in this tick.
+    pub fn begins_next(&self, node: usize) -> Option<usize> {
+        let Begins { from, to, begun } = self.beside.begins[node];
+        self.here(node).filter(|&task| (from..to).contains(&self.held(task))).nth(usize::from(begun))
     }
 
-    /// Whether they may: no task of theirs has something to notice before that.
+    /// Whether it may: its task first notices the time.
     pub fn may_begin(&self, node: usize) -> bool {
-        self.begins_now(node) && self.here(node).all(|task| self.floor.notices_all(node, task))
+        self.begins_next(node).is_some_and(|task| self.floor.notices_all(node, task))
     }
 
-    /// The scripts of a node begin that were held back until now.
-    pub fn begin_now(&mut self, node: usize) -> Result<(), Violation> {
-        let ticks = std::mem::take(&mut self.beside.begins[node]);
-        let Some(left) = self.beside.held_back[node] else { return Ok(()) };
-        let (longest, after) = (self.longest_held(node), left.saturating_sub(ticks));
-        self.beside.held_back[node] = Some(after).filter(|after| *after > 0);
-        let (before, passed) = (longest - left, longest - after);
-        self.begin_held(node, |held| before < held && held <= passed)
+    /// The next script of a node begins, with what that brings about.
+    pub fn begin_next(&mut self, node: usize) -> Result<(), Violation> {
+        let Some(task) = self.begins_next(node) else { return Ok(()) };
+        self.beside.begins[node].begun += 1;
+        self.end_beginning(node);
+        self.floor.begin_whole(task)
     }
 
-    /// Begins the scripts of a node that are held back for so long, one after the other, each with what it brings about.
-    fn begin_held(&mut self, node: usize, due: impl Fn(u32) -> bool) -> Result<(), Violation> {
-        let tasks: Vec<usize> = self.here(node).filter(|&task| due(self.held(task))).collect();
-        tasks.into_iter().try_for_each(|task| self.floor.begin_whole(task))
+    /// When the last of them has begun, the node is that much further.
+    fn end_beginning(&mut self, node: usize) {
+        if self.begins_next(node).is_none() {
+            let passed = std::mem::take(&mut self.beside.begins[node]).to.saturating_sub(1);
+            let longest = self.longest_held(node);
+            self.beside.held_back[node] = Some(longest.saturating_sub(passed)).filter(|left| *left > 0);
+        }
     }
 
     fn longest_held(&self, node: usize) -> u32 {

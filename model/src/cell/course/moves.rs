@@ -13,6 +13,14 @@ impl Floor {
     }
 }
 
+impl Floor {
+    /// Whether another packet is on its link behind a packet.
+    pub(in crate::cell) fn is_followed(&self, packet: usize) -> bool {
+        let link = self.crossings.get(packet).map(|crossing| crossing.link);
+        self.crossings.iter().skip(packet + 1).any(|other| Some(other.link) == link)
+    }
+}
+
 impl Course {
     /// What may happen next: the first node with something to do in this tick does it; when none has, time passes.
     pub fn moves(&self, moves: &mut Vec<CellMove>) {
@@ -64,7 +72,7 @@ impl Course {
                 return;
             }
         }
-        let busy = floor.is_busy(node) || self.begins_now(node);
+        let busy = floor.is_busy(node) || self.begins_next(node).is_some();
         for task in tasks() {
             let Some(actor) = &floor.bodies[task].actor else { continue };
             for action in &actor.running {
@@ -110,8 +118,8 @@ impl Course {
     }
 
     /// What may happen at a node in which inputs of tasks wait, or scripts are about to begin (D170). Of the other moves those stay
-    /// that bring a task something. That an action or a packet goes on, or that a packet vanishes, changes nothing for who waits: it
-    /// is asked when nobody does.
+    /// that bring a task something, or let another packet do so. That an action or a packet goes on, or that a packet vanishes behind
+    /// which there is no other, changes nothing for who waits: it is asked when nobody does.
     fn turn_within(&self, node: usize, moves: &mut Vec<CellMove>) {
         let floor = &self.floor;
         // Of a task that has not noticed the time nothing else comes before that.
@@ -121,6 +129,9 @@ impl Course {
         others.retain(|&step| match step {
             CellMove::Acted(task, ..) => knows(usize::from(task)),
             CellMove::Deliver(i) | CellMove::Duplicate(i) | CellMove::Mend(i, _) => comes(i),
+            CellMove::Lose(i) | CellMove::Cut(i, _) | CellMove::Vanish(i) => {
+                floor.is_followed(usize::from(i))
+            }
             _ => false,
         });
         moves.extend(floor.next_inputs(node).map(|at| CellMove::Take(small(node), small(at))));

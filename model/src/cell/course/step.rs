@@ -31,7 +31,7 @@ pub enum CellMove {
     Stay(u8),
     /// A task of this node takes the input that waits in the node at this position.
     Take(u8, u8),
-    /// The scripts of this node begin that were held back until now.
+    /// The next of the scripts of this node begins that are to begin now.
     Begin(u8),
     /// A script gets its choice.
     Choose(u8, u16),

@@ -194,7 +194,7 @@ impl<'a> Driver<'a> {
     }
 
     /// Whether somebody makes a step while inputs wait in a node: an action whose end was chosen for now, a packet to which
-    /// nothing happens. What else becomes of both is asked when nothing waits.
+    /// nothing happens or behind which there is another. What else becomes of both is asked when nothing waits.
     fn comes_now(&self, course: &Course, who: Who) -> bool {
         match who {
             Who::Input(_) => true,
@@ -220,7 +220,10 @@ impl<'a> Driver<'a> {
                     Fault::Overtake { link, nth } => link == (from, to) && nth <= next,
                     _ => false,
                 };
-                self.named(is).is_none() && self.cut(course, link).is_none()
+                let first =
+                    course.floor.crossings.iter().position(|crossing| usize::from(crossing.link) == link);
+                first.is_some_and(|first| course.floor.is_followed(first))
+                    || (self.named(is).is_none() && self.cut(course, link).is_none())
             }
         }
     }
