@@ -86,7 +86,7 @@ Examples:
         verbatim_doc_comment,
         after_help = "\
 A plan:
-  version = 1
+  version = 2
   [[fault]]
   lose = 3                   # also: copy, overtake
   link = \"nl -> nr\"

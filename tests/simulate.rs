@@ -183,7 +183,7 @@ fn a_cell_that_is_refused_is_answered_in_json() {
 
 #[test]
 fn faults_of_a_file_happen_in_every_run() {
-    let plan = "version = 1\n[[fault]]\nlose = 1\nlink = \"n2 -> n1\"\n";
+    let plan = "version = 2\n[[fault]]\nlose = 1\nlink = \"n2 -> n1\"\n";
     let (_folder, plan) = file("one.toml", plan);
     let answer = json(&["simulate", TWICE, "--plan", &plan, "--seeds", "20", "--seed", "1"]);
     assert_eq!(
@@ -270,7 +270,7 @@ fn the_command_of_a_finding_shows_it_again() {
 #[test]
 fn a_fault_of_a_file_that_happens_in_no_run_is_named() {
     let plan =
-        "version = 1\n[[fault]]\nlose = 9\nlink = \"n2 -> n1\"\n[[fault]]\ncopy = 1\nlink = \"n1 -> n2\"\n";
+        "version = 2\n[[fault]]\nlose = 9\nlink = \"n2 -> n1\"\n[[fault]]\ncopy = 1\nlink = \"n1 -> n2\"\n";
     let (_folder, plan) = file("never.toml", plan);
     let args = ["simulate", TWICE, "--plan", &plan, "--seeds", "5", "--seed", "1"];
     let said = run(&args);
@@ -282,28 +282,28 @@ fn a_fault_of_a_file_that_happens_in_no_run_is_named() {
 #[test]
 fn a_broken_plan_says_what_is_wrong_with_it() {
     let cases = [
-        ("version = 2\n", "version 2: this imrs reads version 1"),
+        ("version = 1\n", "version 1: this imrs reads version 2"),
         ("[[fault]]\n", "missing field `version`"),
-        ("version = 1\n[[fault]]\nloose = 1\n", "unknown field `loose`"),
-        ("version = 1\n[[fault]]\nlink = \"n1 -> n2\"\n", "fault 1: it says 0 of lose, copy,"),
-        ("version = 1\n[[fault]]\nlose = 1\ncopy = 1\nlink = \"n1 -> n2\"\n", "fault 1: it says 2 of lose,"),
-        ("version = 1\n[[fault]]\nlose = 1\n", "fault 1: `lose` needs `link`"),
-        ("version = 1\n[[fault]]\nlose = 0\nlink = \"n1 -> n2\"\n", "fault 1: `lose` counts from 1"),
-        ("version = 1\n[[fault]]\nlose = 1\nlink = \"n1 -> n9\"\n", "no node `n9`"),
-        ("version = 1\n[[fault]]\nlose = 1\nlink = \"n1 -> n1\"\n", "no link joins n1 and n1"),
-        ("version = 1\n[[fault]]\nlose = 1\nlink = \"n1 -> n2\"\nat = \"1s\"\n", "`lose` has no `at`"),
-        ("version = 1\n[[fault]]\nstop = \"n1\"\nat = \"soon\"\n", "write a number and a unit"),
-        ("version = 1\n[[fault]]\nstop = \"n1\"\nat = \"1500us\"\n", "the tick of the cell is 1ms"),
+        ("version = 2\n[[fault]]\nloose = 1\n", "unknown field `loose`"),
+        ("version = 2\n[[fault]]\nlink = \"n1 -> n2\"\n", "fault 1: it says 0 of lose, copy,"),
+        ("version = 2\n[[fault]]\nlose = 1\ncopy = 1\nlink = \"n1 -> n2\"\n", "fault 1: it says 2 of lose,"),
+        ("version = 2\n[[fault]]\nlose = 1\n", "fault 1: `lose` needs `link`"),
+        ("version = 2\n[[fault]]\nlose = 0\nlink = \"n1 -> n2\"\n", "fault 1: `lose` counts from 1"),
+        ("version = 2\n[[fault]]\nlose = 1\nlink = \"n1 -> n9\"\n", "no node `n9`"),
+        ("version = 2\n[[fault]]\nlose = 1\nlink = \"n1 -> n1\"\n", "no link joins n1 and n1"),
+        ("version = 2\n[[fault]]\nlose = 1\nlink = \"n1 -> n2\"\nat = \"1s\"\n", "`lose` has no `at`"),
+        ("version = 2\n[[fault]]\nstop = \"n1\"\nat = \"soon\"\n", "write a number and a unit"),
+        ("version = 2\n[[fault]]\nstop = \"n1\"\nat = \"1500us\"\n", "the tick of the cell is 1ms"),
         (
-            "version = 1\n[[fault]]\ndrift = \"n1\"\nat = \"1s\"\ntick = \"slow\"\n",
+            "version = 2\n[[fault]]\ndrift = \"n1\"\nat = \"1s\"\ntick = \"slow\"\n",
             "write \"twice\" or \"missed\"",
         ),
-        ("version = 1\n[[fault]]\nfail = 1\ntask = \"robo\"\n", "no task `robo`: did you mean `robot`?"),
-        ("version = 1\n[choices.task]\nrobo = [1]\n", "no task `robo`"),
-        ("version = 1\n[choices.node]\nn1 = [-1]\n", "invalid value"),
-        ("version = 1\n[choices.node]\nn1 = [1]\nn1 = [2]\n", "duplicate key"),
+        ("version = 2\n[[fault]]\nfail = 1\ntask = \"robo\"\n", "no task `robo`: did you mean `robot`?"),
+        ("version = 2\n[choices.task]\nrobo = [1]\n", "no task `robo`"),
+        ("version = 2\n[choices.node]\nn1 = [-1]\n", "invalid value"),
+        ("version = 2\n[choices.node]\nn1 = [1]\nn1 = [2]\n", "duplicate key"),
         (
-            "version = 1\n[choices.link]\n\"n1 -> n2\" = [1]\n\"n1->n2\" = [2]\n",
+            "version = 2\n[choices.link]\n\"n1 -> n2\" = [1]\n\"n1->n2\" = [2]\n",
             "choices.link has `n1 -> n2` twice: write it once",
         ),
         ("not a plan", "TOML parse error"),

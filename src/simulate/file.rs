@@ -10,8 +10,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
-/// The version of the file format.
-const VERSION: u32 = 1;
+/// The version of the file format. In version 1 a node's choices did not count the inputs that wait in it (D170).
+const VERSION: u32 = 2;
 /// A longer file is no plan.
 const LONGEST: u64 = 16 << 20;
 
@@ -133,7 +133,10 @@ pub(super) fn text(schedule: &Schedule, command: &str, names: &Names<'_>) -> Str
 impl Names<'_> {
     fn plan(&self, file: File) -> Result<Plan, String> {
         if file.version != VERSION {
-            return Err(format!("version {}: this imrs reads version {VERSION}", file.version));
+            return Err(format!(
+                "version {}: this imrs reads version {VERSION}; write that where it has no choices of nodes, or save it anew",
+                file.version
+            ));
         }
         let own = &self.table.cell().name;
         if let Some(cell) = file.cell.filter(|cell| cell != own) {
