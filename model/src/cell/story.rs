@@ -206,29 +206,15 @@ enum Lane {
 type Arrow = ((usize, usize), imrs_protocol::Packet, &'static str);
 
 fn packet(course: &Course, step: CellMove, lanes: &Lanes) -> Option<Arrow> {
-    let (i, fate) = match step {
-        CellMove::Deliver(i) if course.floor.is_behind(usize::from(i)) => (i, "OVERTAKES"),
-        CellMove::Deliver(i) | CellMove::Mend(i, _) => (i, ""),
-        CellMove::Lose(i) => (i, "LOST"),
-        CellMove::Duplicate(i) => (i, "TWICE"),
-        CellMove::Cut(i, _) | CellMove::Vanish(i) => (i, "CUT OFF"),
-        CellMove::Pass
-        | CellMove::Drift(..)
-        | CellMove::Acted(..)
-        | CellMove::GoOn(..)
-        | CellMove::Takes(..)
-        | CellMove::Stay(_)
-        | CellMove::Take(..)
-        | CellMove::Begin(_)
-        | CellMove::Choose(..)
-        | CellMove::Crash(_)
-        | CellMove::Restart(_)
-        | CellMove::Pause(..)
-        | CellMove::PauseBefore(..)
-        | CellMove::PauseNext(..)
-        | CellMove::Wake(_) => return None,
+    let i = usize::from(step.packet()?);
+    let fate = match step {
+        CellMove::Deliver(_) if course.floor.is_behind(i) => "OVERTAKES",
+        CellMove::Lose(_) => "LOST",
+        CellMove::Duplicate(_) => "TWICE",
+        CellMove::Cut(..) | CellMove::Vanish(_) => "CUT OFF",
+        _ => "",
     };
-    let crossing = course.floor.crossings.get(usize::from(i))?;
+    let crossing = course.floor.crossings.get(i)?;
     let (from, to, _) = course.floor.links[usize::from(crossing.link)];
     let packet = crossing.packet;
     Some(((lanes.lane(from, packet.source), lanes.lane(to, packet.destination)), packet, fate))

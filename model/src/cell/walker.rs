@@ -266,24 +266,7 @@ impl Walker {
 /// The packet that a move takes off its link without an arrival.
 const fn takes_away(step: CellMove) -> Option<u8> {
     match step {
-        CellMove::Lose(i) | CellMove::Cut(i, _) | CellMove::Vanish(i) => Some(i),
-        CellMove::Pass
-        | CellMove::Drift(..)
-        | CellMove::Deliver(_)
-        | CellMove::Duplicate(_)
-        | CellMove::Mend(..)
-        | CellMove::Acted(..)
-        | CellMove::GoOn(..)
-        | CellMove::Takes(..)
-        | CellMove::Stay(_)
-        | CellMove::Take(..)
-        | CellMove::Begin(_)
-        | CellMove::Choose(..)
-        | CellMove::Crash(_)
-        | CellMove::Restart(_)
-        | CellMove::Pause(..)
-        | CellMove::PauseBefore(..)
-        | CellMove::PauseNext(..)
-        | CellMove::Wake(_) => None,
+        CellMove::Lose(_) | CellMove::Cut(..) | CellMove::Vanish(_) => step.packet(),
+        _ => None,
     }
 }

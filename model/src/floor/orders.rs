@@ -1,16 +1,25 @@
 //! What the tasks of a node do at one time, in the order that somebody else chooses (D170).
 
-use super::Floor;
 use super::plan::FloorPlan;
+use super::{Floor, Wires};
 use crate::state::Violation;
-use imrs_protocol::{NodeInput, TaskId, Ticks};
+use imrs_protocol::{Node, NodeInput, TaskId, Ticks};
 use std::sync::Arc;
 
 impl Floor {
     /// So much time passes for a node. What its tasks do at it waits.
     pub(super) fn let_time_pass(&mut self, i: usize, ticks: Ticks) -> Result<(), Violation> {
+        self.drive_in_order(i, |node, out| node.let_pass(node.now() + ticks, out))
+    }
+
+    /// Drives a node. What comes of it for its tasks waits.
+    fn drive_in_order(
+        &mut self,
+        i: usize,
+        work: impl FnOnce(&mut Node, &mut Wires<'_>),
+    ) -> Result<(), Violation> {
         self.drive(i, |node, out| {
-            node.let_pass(node.now() + ticks, out);
+            work(node, out);
             node.file(out);
             node.flush(out);
         })
@@ -18,7 +27,7 @@ impl Floor {
 
     /// A node takes an input, and leaves to others what comes of it for its tasks.
     pub(super) fn step_in_order(&mut self, i: usize, input: NodeInput) -> Result<(), Violation> {
-        self.drive(i, |node, out| {
+        self.drive_in_order(i, |node, out| {
             let before = node.inputs();
             node.begin(node.now(), input, out);
             node.file(out);
@@ -27,9 +36,7 @@ impl Floor {
                 && let Some(last) = node.open().last().filter(|&last| last >= before)
             {
                 node.take(last, out);
-                node.file(out);
             }
-            node.flush(out);
         })
     }
 
@@ -77,10 +84,6 @@ impl Floor {
         if let (Some(history), Some((_, input))) = (&mut self.history, self.stations[i].node.waiting(at)) {
             history.begin_input(&input);
         }
-        self.drive(i, |node, out| {
-            node.take(at, out);
-            node.file(out);
-            node.flush(out);
-        })
+        self.drive_in_order(i, |node, out| node.take(at, out))
     }
 }

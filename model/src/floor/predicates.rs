@@ -157,8 +157,7 @@ impl Floor {
         // The time that has passed without the machine, in a pause or as the first thing that it will notice in this tick.
         let unnoticed = u64::from(station.asleep.unwrap_or(0)) + station.node.late(task).0;
         self.machine(task).is_some_and(|machine| {
-            let over = machine.lease_left().is_some_and(|left| left.0 <= unnoticed);
-            machine.is_active() && !(over && unnoticed > 0)
+            machine.is_active() && machine.lease_left().is_none_or(|left| left.0 > unnoticed)
         })
     }
 

@@ -167,21 +167,12 @@ impl Floor {
 
     /// Runs scripts until all of them wait: who began goes on, so that nothing comes between its steps.
     pub(crate) fn run_scripts(&mut self) -> Result<(), Violation> {
+        let mut last = None;
         for _ in 0..super::FUSED {
-            if !self.run_one()? {
-                return Ok(());
-            }
-        }
-        Err(Violation::Zeno)
-    }
-
-    /// Runs the script that has something to take until it waits. False where none has.
-    pub(crate) fn run_one(&mut self) -> Result<bool, Violation> {
-        let Some(&(first, _)) = self.inputs.front() else { return Ok(false) };
-        for _ in 0..super::FUSED {
-            let Some(at) = self.inputs.iter().position(|&(task, _)| task == first) else { return Ok(true) };
-            let Some((task, input)) = self.inputs.remove(at) else { return Ok(true) };
+            let own = self.inputs.iter().position(|&(task, _)| Some(task) == last);
+            let Some((task, input)) = self.inputs.remove(own.unwrap_or(0)) else { return Ok(()) };
             self.run_script(task, input)?;
+            last = Some(task);
         }
         Err(Violation::Zeno)
     }

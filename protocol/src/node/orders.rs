@@ -10,7 +10,6 @@ use super::work::Work;
 use super::{Node, NodeOutbox};
 use crate::ids::TaskId;
 use crate::request::TimeId;
-use crate::route::{self, Departure};
 use crate::task::Input;
 use crate::ticks::{Instant, Ticks};
 use alloc::collections::VecDeque;
@@ -49,10 +48,8 @@ impl Node {
         while let Some(work) = self.work.pop_front() {
             match work {
                 Work::Task(..) | Work::Pass(..) => inputs.push_back(work),
-                Work::Route(packet) => match route::departing(&self.parts.table, &packet) {
-                    Departure::Local(task) => inputs.push_back(Work::Task(task, Input::Packet(packet))),
-                    Departure::Link(_) | Departure::Unroutable => self.carry_out(work, out),
-                },
+                // For a task of this node it comes back as its input.
+                Work::Route(_) => self.carry_out(work, out),
                 Work::Arm(task, id, ..) | Work::Disarm(task, id) => {
                     // The Timer's word of an earlier start says nothing to the task any more: a packed state has no such word.
                     inputs.retain(|input| !input.is_word_of(task, id));

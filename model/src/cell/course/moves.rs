@@ -11,9 +11,7 @@ impl Floor {
         let link = self.crossings.get(packet).map(|crossing| crossing.link);
         self.crossings.iter().take(packet).any(|other| Some(other.link) == link)
     }
-}
 
-impl Floor {
     /// Whether another packet is on its link behind a packet.
     pub(in crate::cell) fn is_followed(&self, packet: usize) -> bool {
         let link = self.crossings.get(packet).map(|crossing| crossing.link);
@@ -125,8 +123,7 @@ impl Course {
         // Of a task that has not noticed the time nothing else comes before that.
         let knows = |task: usize| floor.notices_all(node, task);
         let comes = |i: u8| knows(floor.crossings[usize::from(i)].packet.destination.index());
-        let mut others = std::mem::take(moves);
-        others.retain(|&step| match step {
+        moves.retain(|&step| match step {
             CellMove::Acted(task, ..) => knows(usize::from(task)),
             CellMove::Deliver(i) | CellMove::Duplicate(i) | CellMove::Mend(i, _) => comes(i),
             CellMove::Lose(i) | CellMove::Cut(i, _) | CellMove::Vanish(i) => {
@@ -134,9 +131,8 @@ impl Course {
             }
             _ => false,
         });
-        moves.extend(floor.next_inputs(node).map(|at| CellMove::Take(small(node), small(at))));
-        moves.extend(self.may_begin(node).then_some(CellMove::Begin(small(node))));
-        moves.append(&mut others);
+        let takes = floor.next_inputs(node).map(|at| CellMove::Take(small(node), small(at)));
+        moves.splice(..0, takes.chain(self.may_begin(node).then_some(CellMove::Begin(small(node)))));
     }
 
     /// A link that is cut carries nothing, in no order.

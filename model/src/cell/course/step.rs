@@ -78,4 +78,32 @@ impl CellMove {
             | Self::Wake(_) => false,
         }
     }
+
+    /// The packet that it is about.
+    #[must_use]
+    pub const fn packet(self) -> Option<u8> {
+        match self {
+            Self::Deliver(i)
+            | Self::Lose(i)
+            | Self::Duplicate(i)
+            | Self::Cut(i, _)
+            | Self::Vanish(i)
+            | Self::Mend(i, _) => Some(i),
+            Self::Pass
+            | Self::Drift(..)
+            | Self::Acted(..)
+            | Self::GoOn(..)
+            | Self::Takes(..)
+            | Self::Stay(_)
+            | Self::Take(..)
+            | Self::Begin(_)
+            | Self::Choose(..)
+            | Self::Crash(_)
+            | Self::Restart(_)
+            | Self::Pause(..)
+            | Self::PauseBefore(..)
+            | Self::PauseNext(..)
+            | Self::Wake(_) => None,
+        }
+    }
 }

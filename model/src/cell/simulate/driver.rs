@@ -44,6 +44,19 @@ struct Chosen {
     left: u32,
 }
 
+impl Chosen {
+    /// Whether it was chosen for this action of a thread.
+    fn is_of(&self, course: &Course, (task, level): (u8, u8), running: &Running) -> bool {
+        (self.task, self.level, self.action, self.latest)
+            == (task, level, running.action, latest(course, running))
+    }
+}
+
+/// When an action ends at the latest.
+fn latest(course: &Course, running: &Running) -> u64 {
+    if running.most == Running::FOREVER { u64::MAX } else { course.passed + u64::from(running.most) }
+}
+
 /// A directed link.
 #[derive(Clone, Copy, Default)]
 struct Line {
@@ -200,32 +213,28 @@ impl<'a> Driver<'a> {
             Who::Input(_) => true,
             Who::Action(task, level) => {
                 let actor = course.floor.bodies[usize::from(task)].actor.as_ref();
-                let running = actor.and_then(|actor| actor.runs(level));
-                running.is_some_and(|running| {
-                    let latest = course.passed + u64::from(running.most);
-                    let chosen = |of: &Chosen| {
-                        (of.task, of.level, of.action, of.latest, of.left)
-                            == (task, level, running.action, latest, 0)
-                    };
-                    running.most == 0 || self.actions.iter().any(chosen)
+                actor.and_then(|actor| actor.runs(level)).is_some_and(|running| {
+                    let chosen = self.actions.iter().find(|of| of.is_of(course, (task, level), running));
+                    running.most == 0 || chosen.is_some_and(|chosen| chosen.left == 0)
                 })
             }
             Who::Line(link) => {
-                let (from, to, _) = course.floor.links[link];
-                let next = self.lines[link].arrived + 1;
-                let is = |fault: &Fault| match *fault {
-                    Fault::Lose { link, nth } | Fault::Copy { link, nth } => {
-                        link == (from, to) && nth == next
-                    }
-                    Fault::Overtake { link, nth } => link == (from, to) && nth <= next,
-                    _ => false,
-                };
-                let first =
-                    course.floor.crossings.iter().position(|crossing| usize::from(crossing.link) == link);
-                first.is_some_and(|first| course.floor.is_followed(first))
-                    || (self.named(is).is_none() && self.cut(course, link).is_none())
+                let mut on = (0..course.floor.crossings.len())
+                    .filter(|&at| usize::from(course.floor.crossings[at].link) == link);
+                on.next().is_some_and(|first| course.floor.is_followed(first)) || !self.is_named(course, link)
             }
         }
+    }
+
+    /// Whether a fault is named that happens to the next packet of a link at its bound: it is lost, doubled or cut off.
+    fn is_named(&self, course: &Course, link: usize) -> bool {
+        let (from, to, _) = course.floor.links[link];
+        let next = self.lines[link].arrived + 1;
+        let is = |fault: &Fault| match *fault {
+            Fault::Lose { link, nth } | Fault::Copy { link, nth } => link == (from, to) && nth == next,
+            _ => false,
+        };
+        self.named(is).is_some() || self.cut(course, link).is_some()
     }
 
     /// How an action ends.
@@ -252,10 +261,8 @@ impl<'a> Driver<'a> {
             return None;
         }
         let endless = running.most == Running::FOREVER;
-        let latest = if endless { u64::MAX } else { course.passed + u64::from(running.most) };
-        let known =
-            |of: &Chosen| (of.task, of.level, of.action, of.latest) == (task, level, running.action, latest);
-        if let Some(chosen) = self.actions.iter_mut().find(|chosen| known(chosen)) {
+        let known = self.actions.iter_mut().find(|chosen| chosen.is_of(course, (task, level), &running));
+        if let Some(chosen) = known {
             chosen.left = chosen.left.checked_sub(1)?;
             return Some(CellMove::GoOn(task, level));
         }
@@ -270,7 +277,7 @@ impl<'a> Driver<'a> {
             task,
             level,
             action: running.action,
-            latest,
+            latest: latest(course, &running),
             left: left.saturating_sub(1),
         });
         match number {
@@ -287,16 +294,10 @@ impl<'a> Driver<'a> {
         if !moves.contains(&stays) {
             return None;
         }
-        let (from, to, bound) = course.floor.links[link];
-        let bound = u32::from(bound);
+        let bound = u32::from(course.floor.links[link].2);
         let next = self.lines[link].arrived + 1;
-        let is = |fault: &Fault| match *fault {
-            Fault::Lose { link, nth } | Fault::Copy { link, nth } => link == (from, to) && nth == next,
-            _ => false,
-        };
-        // A packet is lost, doubled or cut off at the link's bound.
-        let at_bound = self.named(is).is_some() || self.cut(course, link).is_some();
-        (at_bound || first.age < self.arrives(link, next, (first.age, bound))).then_some(stays)
+        (self.is_named(course, link) || first.age < self.arrives(link, next, (first.age, bound)))
+            .then_some(stays)
     }
 
     /// The move of the first packet of a link: it arrives, or a fault happens to it.

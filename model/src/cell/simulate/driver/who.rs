@@ -13,29 +13,16 @@ pub(super) enum Who {
     Input(CellMove),
 }
 
+/// Who makes a step, if it is one that somebody makes in a tick.
 pub(super) fn who(course: &Course, step: CellMove) -> Option<Who> {
     match step {
         CellMove::Acted(task, level, ..) | CellMove::GoOn(task, level) => Some(Who::Action(task, level)),
         CellMove::Stay(link) => Some(Who::Line(usize::from(link))),
         CellMove::Take(..) | CellMove::Begin(_) => Some(Who::Input(step)),
-        CellMove::Deliver(i)
-        | CellMove::Lose(i)
-        | CellMove::Duplicate(i)
-        | CellMove::Cut(i, _)
-        | CellMove::Vanish(i)
-        | CellMove::Mend(i, _) => {
-            course.floor.crossings.get(usize::from(i)).map(|crossing| Who::Line(usize::from(crossing.link)))
+        _ => {
+            let crossing = course.floor.crossings.get(usize::from(step.packet()?))?;
+            Some(Who::Line(usize::from(crossing.link)))
         }
-        CellMove::Pass
-        | CellMove::Drift(..)
-        | CellMove::Takes(..)
-        | CellMove::Choose(..)
-        | CellMove::Crash(_)
-        | CellMove::Restart(_)
-        | CellMove::Pause(..)
-        | CellMove::PauseBefore(..)
-        | CellMove::PauseNext(..)
-        | CellMove::Wake(_) => None,
     }
 }
 
