@@ -110,7 +110,7 @@ fn a_screen_is_written_as_text_and_a_recording_exported() {
         let is_state =
             |frame: &ServerFrame| matches!(frame, ServerFrame::Snapshot(_) | ServerFrame::Delta(_));
         let is_event = |frame: &ServerFrame| matches!(frame, ServerFrame::Events(_));
-        (0..3).all(|source| has(source, is_state)) && (0..3).any(|source| has(source, is_event))
+        (0..3).all(|source| has(source, is_state) && has(source, is_event))
     });
     terminal.keys(&["r"]);
     terminal.wait_for("the end of the recording", |screen| !screen.contains(" REC "));
@@ -124,8 +124,8 @@ fn a_screen_is_written_as_text_and_a_recording_exported() {
         let said = run_in(demo.dir(), &["export", recorded, "--to", form, "--out", &out]);
         assert_eq!(said.code, Some(0), "{said:?}");
         let bytes = std::fs::read(&out).expect("the export");
-        // Little may have happened in the seconds that were recorded.
+        // How much is in it is by chance; who is in it is not, as every node's events were waited for.
         let text = String::from_utf8_lossy(&bytes);
-        assert!(bytes.starts_with(begin) && bytes.len() > 500 && text.contains("armL"), "{form}: {text}");
+        assert!(bytes.starts_with(begin) && text.contains("armL"), "{form}: {text}");
     }
 }
