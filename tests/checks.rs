@@ -122,7 +122,10 @@ fn a_recording_of_another_text_of_the_cell_is_refused_as_that() {
         run_in(bench.folder.path(), &["replay", &na, "--cell", &changed])
     };
     let overlap = &bench.cell;
-    assert_eq!(replay(overlap).code, Some(0));
+    // 5: the disk was so late that the recording has no end.
+    let is_same = |said: &Said| matches!(said.code, Some(0 | 5)) && said.err.is_empty();
+    let same = replay(overlap);
+    assert!(is_same(&same), "{same:?}");
     let other = replay(&overlap.replace("delay 1 msec", "delay 2 msec"));
     assert_eq!(other.code, Some(2), "{other:?}");
     assert!(other.err.contains("was made from another text of cell `overlap`"), "{other:?}");
@@ -142,7 +145,8 @@ fn a_recording_of_another_text_of_the_cell_is_refused_as_that() {
     assert_eq!(statements.code, Some(2), "{statements:?}");
     assert!(statements.err.contains("its statements have digest"), "{statements:?}");
     // Of `na`, whose statements are the same; and comments are none.
-    assert_eq!(replay(&overlap.replace("cell overlap;", "cell overlap;  // the same")).code, Some(0));
+    let commented = replay(&overlap.replace("cell overlap;", "cell overlap;  // the same"));
+    assert!(is_same(&commented), "{commented:?}");
     let none = run_in(bench.folder.path(), &["replay", &na]);
     assert_eq!(none.code, Some(2), "{none:?}");
     assert!(none.err.contains("name its file with --cell"), "{none:?}");
@@ -189,12 +193,13 @@ fn the_runs_of_the_examples_break_no_check_in_time() {
                 && outcomes(&summary).iter().all(|(_, outcome)| *outcome != "unknown"),
             "{said:?}"
         );
-        // A check that is broken is told, and so is a task that gave up.
-        if said.code == Some(0) {
+        // A check that is broken is told, and so is a task that gave up. A node that could not tell all that happened breaks
+        // nothing.
+        if said.code != Some(1) {
+            assert!(said.is_well(), "{said:?}");
             assert!(outcomes(&summary).iter().all(|(_, outcome)| *outcome != "broken"), "{said:?}");
             return;
         }
-        assert_eq!(said.code, Some(1), "{said:?}");
         let nodes = summary["nodes"].as_array().expect("nodes").iter();
         let nodes: Vec<&str> = nodes.map(|node| node["name"].as_str().expect("a name")).collect();
         assert!(was_late(dir.path(), &cell, file.as_ref(), &nodes), "{said:?}");

@@ -88,7 +88,7 @@ impl Recorded {
 
     fn follow(&self, files: &[PathBuf]) -> Said {
         let files: Vec<&str> = files.iter().map(|file| file.to_str().expect("UTF-8")).collect();
-        let how = ["--cell", &self.cell, "--model", "--within", "600s", "--format", "json"];
+        let how = ["--cell", &self.cell, "--model", "--within", "300s", "--format", "json"];
         run_in(self.folder.path(), &[&["replay"], &files[..], &how[..]].concat())
     }
 
@@ -103,29 +103,37 @@ impl Recorded {
 
 fn is_path(said: &Said) -> Value {
     let told = said.last_json();
-    // On a machine that is late a check may not hold.
-    let checks = told["checks"].as_array().expect("checks");
-    let are = |outcome: &str| checks.iter().any(|check| check["outcome"] == outcome);
-    let code = if are("broken") {
-        1
-    } else if are("unknown") {
-        5
-    } else {
-        0
-    };
-    assert_eq!(said.code, Some(code), "{said:?}");
+    assert_eq!(said.code, Some(code_of_checks(&told)), "{said:?}");
     assert_eq!(told["path"], true, "{told}");
     assert_eq!(told["unexplained"], Value::Null, "{told}");
     told
 }
 
-/// What is told of the path of a whole run; none where this machine was so late that nobody knows: times of a late node
-/// that are ordered within a tick may be rounded in more ways than are tried (D97).
+/// The exit code of a replay that explains everything. On a late machine a check may not hold.
+fn code_of_checks(told: &Value) -> i32 {
+    let checks = told["checks"].as_array().expect("checks");
+    let are = |outcome: &str| checks.iter().any(|check| check["outcome"] == outcome);
+    if are("broken") {
+        1
+    } else if are("unknown") {
+        5
+    } else {
+        0
+    }
+}
+
+/// What is told of the path of a whole run; none if this machine was so late that nobody knows. The times of a late node
+/// that are ordered within a tick may be rounded in more ways than the replay tries, or than it has time for (D97).
 fn path_of(run: &Recorded) -> Option<Value> {
     let said = run.follow(&run.files());
     let told = said.last_json();
-    if said.code == Some(5) && told["unexplained"] != Value::Null {
-        assert!(told["unknown"].as_str().is_some_and(|why| why.starts_with("nodes acted late")), "{told}");
+    let is_cut_short = told["ended_by"] != Value::Null;
+    if told["complete"] == false && (is_cut_short || told["unexplained"] != Value::Null) {
+        let incomplete = if is_cut_short { 4 } else { 5 };
+        let expected = if code_of_checks(&told) == 1 { 1 } else { incomplete };
+        assert_eq!(said.code, Some(expected), "{said:?}");
+        let is_late = told["unknown"].as_str().is_some_and(|why| why.starts_with("nodes acted late"));
+        assert!(is_cut_short || is_late, "{told}");
         excused(&format!("no path was found: {told}"));
         return None;
     }
@@ -153,11 +161,23 @@ fn lifts(number: usize) -> impl FnMut(&str) -> bool {
     times(2 * number, " ends stop_now")
 }
 
+/// Whether the arms gave up the lift, as they do if a node stands still for longer than their time_out.
+fn is_given_up(run: &Recorded) -> bool {
+    let is_so = run.said.contains("partner missing") || run.said.contains("arms missing");
+    if is_so {
+        excused("a partner stood still for longer than the time_out of the lift");
+    }
+    is_so
+}
+
 #[test]
 fn a_beam_lift_is_a_path_of_the_model() {
     side_by_side([IN_PROCESSES, IN_ONE], |how| {
         let run = Recorded::of(BEAM, how, lifts(3));
         let Some(told) = path_of(&run) else { return };
+        if is_given_up(&run) {
+            return;
+        }
         // They grip, meet, and lift: beats, looks at the height, answers.
         assert!(number(&told, "inputs") > 50 && number(&told, "turns") > 50, "{told}");
         assert!(number(&told, "moves") >= number(&told, "inputs") / 2, "{told}");
@@ -225,7 +245,8 @@ fn nodes_of_two_runs_are_no_run() {
     for file in &files {
         let file = file.to_str().expect("UTF-8");
         let said = run_in(one.folder.path(), &["replay", file, "--cell", &one.cell]);
-        assert_eq!(said.code, Some(0), "{said:?}");
+        // 5: the disk was so late that the recording has no end.
+        assert!(matches!(said.code, Some(0 | 5)), "{said:?}");
     }
     let mixed = one.follow(&files);
     assert_eq!(mixed.code, Some(2), "{mixed:?}");
@@ -301,8 +322,13 @@ fn of_a_cell_of_one_node_a_restart_leaves_a_gap() {
 
 #[test]
 fn what_nobody_sent_is_no_path() {
-    let run = Recorded::of(BEAM, IN_ONE, lifts(3));
-    if path_of(&run).is_none() {
+    // An arm ends its start only after an answer of the other one.
+    let (mut lifted, mut answered) = (lifts(3), false);
+    let run = Recorded::of(BEAM, IN_ONE, |line| {
+        answered |= line.contains("armL") && line.contains("ends start_lift");
+        lifted(line) && answered
+    });
+    if is_given_up(&run) || path_of(&run).is_none() {
         return;
     }
     // An answer that nobody asked for: armL's own machine takes no notice of it.

@@ -104,8 +104,8 @@ impl Live {
             match seen.next() {
                 Some(sample) if is_so(&sample) => return sample,
                 Some(sample) => last = sample,
-                // It ends where no node runs any more, which is some time before the launcher ends.
-                None => seen = Seen::by_monitor(&self.dir),
+                // A monitor ends if no node runs any more, which is some time before the launcher ends.
+                None => {}
             }
             if is_over {
                 return last;
@@ -132,22 +132,40 @@ impl Live {
 }
 
 /// What a monitor sees, sample by sample.
-pub struct Seen(Program);
+pub struct Seen {
+    dir: PathBuf,
+    monitor: Program,
+}
 
 impl Seen {
     /// Of the nodes in this folder.
     pub fn by_monitor(dir: &Path) -> Self {
-        Self(Program::start(imrs(dir, &["monitor", "--watch", "50ms", "--format", "json"])))
+        Self { dir: dir.to_owned(), monitor: Self::monitor(dir) }
     }
 
-    /// The next sample.
+    fn monitor(dir: &Path) -> Program {
+        Program::start(imrs(dir, &["monitor", "--watch", "50ms", "--format", "json"]))
+    }
+
+    /// The next sample. A monitor gives up after some seconds without a node: on a busy machine a node may take longer to
+    /// show itself, so the next monitor looks.
     pub fn sample(&mut self) -> Value {
-        self.0.json()
+        let end = Instant::now() + PATIENCE;
+        loop {
+            if let Some(sample) = self.next() {
+                return sample;
+            }
+            assert!(Instant::now() < end, "no monitor finds a node in {}", self.dir.display());
+        }
     }
 
-    /// The next sample; none where no node runs any more.
+    /// The next sample; none if this monitor has ended. Then another one begins to look.
     fn next(&mut self) -> Option<Value> {
-        self.0.next_json()
+        let sample = self.monitor.next_json();
+        if sample.is_none() {
+            self.monitor = Self::monitor(&self.dir);
+        }
+        sample
     }
 
     /// The first sample that is so.

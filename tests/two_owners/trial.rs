@@ -148,8 +148,11 @@ pub fn trial(plan: &Plan) -> Trial {
     let view = View { tool: dir.path(), owner, at: now() };
     let struck = plan.fault.strike(live.pid(node));
     let (struck_by, is_killed) = (now(), plan.fault.node == Fate::Killed);
+    // If nothing binds the old command, it is to act beside the new one: both may have to wait for a processor.
+    let may_be_two = plan.bound == Bound::Neither && plan.fault.lets_the_command_go_on();
     let least = if plan.bound == Bound::Neither { STEPS } else { 1 };
-    hold(plan, || !is_primary || view.after(false).len() >= least);
+    let is_seen = || !may_be_two || !struck.holds_a_guard() || two_owners(&log_of(dir.path())) > 0;
+    hold(plan, || !is_primary || (view.after(false).len() >= least && is_seen()));
     let (guard_held, held) = (struck.holds_a_guard(), now() - view.at);
     drop(struck);
     if is_killed && is_primary {

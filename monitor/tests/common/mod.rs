@@ -4,6 +4,7 @@ use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 pub mod server;
 
 use imrs_monitor::app::{App, Effect, Msg};
+use imrs_monitor::replay::Film;
 use imrs_monitor::source::{Arrival, Feed, SourceId};
 use imrs_monitor::theme::Theme;
 use imrs_protocol::*;
@@ -13,7 +14,8 @@ use imrs_wire::obs::{
 };
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
-use std::time::Duration;
+use std::path::Path;
+use std::time::{Duration, Instant};
 
 pub const LIFT: PortId = PortId(0);
 pub const BEAT: PortId = PortId(1);
@@ -313,4 +315,17 @@ pub fn styles(buffer: &Buffer) -> String {
         }
     }
     out
+}
+
+/// A recording that was stopped, once its end is on the disk: a busy one may take longer than whoever stops it waits.
+pub fn whole_film(path: &Path) -> Film {
+    let end = Instant::now() + Duration::from_secs(120);
+    loop {
+        let film = Film::open(path).unwrap();
+        if film.notice.is_none() {
+            return film;
+        }
+        assert!(Instant::now() < end, "{:?}", film.notice);
+        std::thread::sleep(Duration::from_millis(5));
+    }
 }
