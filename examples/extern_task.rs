@@ -9,11 +9,13 @@ use std::time::Duration;
 const CELL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/extern_task.cell");
 /// 30 pictures a second.
 const PERIOD: Duration = Duration::from_millis(34);
+/// The camera stops after ten seconds. By then the robot has picked all that it wants.
+const PICTURES: i16 = 300;
 
 /// Sees a part every picture; every other one lies out of reach.
 fn camera(ctx: &mut Context) -> Result<(), TaskError> {
     let pose = ctx.port("pose")?;
-    for picture in 0_i16.. {
+    for picture in 0..PICTURES {
         let x = if picture % 2 == 0 { 120 + picture } else { 900 };
         // A record is its fields, one after the other, little endian.
         let [a, b] = x.to_le_bytes();
@@ -38,8 +40,14 @@ pub fn main() -> Result<(), ProgramError> {
     {
         program = program.node(node);
     }
-    for (task, end) in program.run(Some(Duration::from_secs(3)))? {
-        println!("{task}: {}", if matches!(end, TaskEnd::Script(_)) { "done" } else { "stopped" });
+    // The run ends with its last task, and after a minute at most.
+    for (task, end) in program.run(Some(Duration::from_secs(60)))? {
+        let how = match end {
+            TaskEnd::Script(_) => "done",
+            TaskEnd::Returned => "returned",
+            TaskEnd::Failed(_) | TaskEnd::Panicked(_) | TaskEnd::Unfinished => "failed",
+        };
+        println!("{task}: {how}");
     }
     Ok(())
 }

@@ -421,8 +421,7 @@ check one: never b.holds and d.holds;
 fn an_answer_that_comes_later_is_checked_and_runs() {
     let (_dir, path) = file(LATER.as_bytes());
     let verified = run(&["verify", &path, "--jobs", "1"]);
-    assert_eq!(verified.code, Some(0), "{verified:?}");
-    assert!(verified.out.contains("the check holds"), "{}", verified.out);
+    assert!(verified.code == Some(0) && verified.out.contains("the check holds"), "{verified:?}");
     // Both give the tool back, whoever had to wait for it, and however long this machine stands still meanwhile.
     let dir = runtime_dir();
     let patient = LATER.replace("time_out = 1 sec", "time_out = 1000 sec");
@@ -433,8 +432,7 @@ fn an_answer_that_comes_later_is_checked_and_runs() {
     let (summary, code, errors) = ran.finish();
     assert_eq!(code, Some(0), "{summary} {errors}");
     let ports = summary["ports"].as_array().expect("ports");
-    let delivered: Vec<_> = ports.iter().map(|port| port["delivered"].as_u64()).collect();
-    assert_eq!(delivered, [Some(2), Some(2)], "{summary}");
+    assert!(ports.len() == 2 && ports.iter().all(|port| port["delivered"] == 2), "{summary}");
 }
 
 #[test]

@@ -2,12 +2,16 @@
 //! action is a shell script that starts a child and a process that leaves its process group, and writes down who they are.
 
 use crate::support::program::Program;
-use crate::support::{Said, example, imrs, is_alive, is_here, number, runtime_dir, signal, wait_until};
+use crate::support::{
+    Said, example, imrs, is_alive, is_here, number, runtime_dir, signal, sooner_or_later, tried_again,
+    wait_until,
+};
 use rustix::process::Signal;
 use rustix::thread::sched_getaffinity;
 use rustix::time::{ClockId, clock_gettime};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 /// One task, whose action may take ten minutes.
@@ -75,6 +79,25 @@ impl Scene {
         let family = ALL.map(|name| scene.process(name));
         assert!(family.iter().all(|&pid| is_alive(pid)), "{family:?}");
         (scene, family)
+    }
+
+    /// The same, but the launcher kills the node after this time; none if all were not there before.
+    fn with_doomed_family(killed_after: Duration) -> Option<(Self, [u32; 3])> {
+        let begin = Instant::now();
+        let scene = Self::start(HELD, "grip", FAMILY, &["--kill", &format!("n@{}s", killed_after.as_secs())]);
+        let is_late = || begin.elapsed() >= killed_after;
+        let are_written = || ALL.iter().all(|name| scene.path(name).exists());
+        wait_until("the family is there, or its node may be dead", || are_written() || is_late());
+        if !are_written() {
+            return None;
+        }
+        let family = ALL.map(|name| scene.process(name));
+        let are_alive = family.iter().all(|&pid| is_alive(pid));
+        // The clock is read after that: the kill has not come before this instant.
+        (!is_late()).then(|| {
+            assert!(are_alive, "{family:?}");
+            (scene, family)
+        })
     }
 
     fn path(&self, name: &str) -> PathBuf {
@@ -149,9 +172,12 @@ fn a_killed_node_takes_its_command_and_all_that_it_started_with_it() {
     signal(scene.nodes[0], Signal::KILL);
     all_end(family);
     assert_eq!(scene.finish().code, Some(1), "somebody interfered");
-    let (mut scene, family) = Scene::with_family(&["--kill", "n@3s"]);
-    all_end(family);
-    assert_eq!(scene.finish().code, Some(0));
+    sooner_or_later("the family was never there before the launcher killed its node", |killed_after| {
+        let Some((mut scene, family)) = Scene::with_doomed_family(killed_after) else { return false };
+        all_end(family);
+        assert_eq!(scene.finish().code, Some(0));
+        true
+    });
 }
 
 #[test]
@@ -229,12 +255,17 @@ fn a_command_may_say_any_amount_and_leave_a_child_that_holds_its_output() {
 
 #[test]
 fn a_command_that_takes_too_long_is_killed_and_its_action_fails_by_name() {
-    let mut scene = Scene::start(SHORT, "grip", FAMILY, &[]);
-    let said = scene.finish();
-    assert_eq!(said.code, Some(1), "{said:?}");
-    assert!(said.err.contains("action `grip`: took longer than the declared 1ms"), "{said:?}");
-    assert!(said.err.contains("task `t` aborted: failure of `grip`"), "{said:?}");
-    assert!(!ALL.iter().any(|name| is_alive(scene.process(name))), "{said:?}");
+    // The guard kills two seconds after the start, whether the script has written down everybody by then or not.
+    tried_again("the command was killed before it had written down all that it started", || {
+        let mut scene = Scene::start(SHORT, "grip", FAMILY, &[]);
+        let said = scene.finish();
+        assert_eq!(said.code, Some(1), "{said:?}");
+        assert!(said.err.contains("action `grip`: took longer than the declared 1ms"), "{said:?}");
+        assert!(said.err.contains("task `t` aborted: failure of `grip`"), "{said:?}");
+        let written: Vec<_> = ALL.iter().filter(|name| scene.path(name).exists()).collect();
+        assert!(!written.iter().any(|name| is_alive(scene.process(name))), "{said:?}");
+        written.len() == ALL.len()
+    });
 }
 
 /// The welding cell whose owner welds by [`FAMILY`]. Everything else takes no time. The owner's node is the first one.

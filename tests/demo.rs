@@ -1,23 +1,46 @@
 //! The demos as they are shipped: real processes, real sockets, real faults. Runs end when what is looked for has come:
 //! the machine may be busy. What must hold on any machine is exact.
 
-use crate::support::live::{Live, Seen, figure, named, released, task};
+mod garbage;
+
+use crate::support::live::{Live, figure, named, released, task};
 use crate::support::program::{all_of, one_after_the_other, times};
 use crate::support::{
-    Said, excused, is_alive, is_quiet, is_well, look_until, number, run, run_in, run_until, runtime_dir,
-    side_by_side, signal, tried, wait_until,
+    Said, TIMES, excused, is_alive, is_quiet, is_well, number, run, run_in, run_until, runtime_dir,
+    side_by_side, signal, tried, tried_again, wait_until,
 };
-use imrs_protocol::{Incarnation, NodeId, PACKET_BYTES};
-use imrs_wire::envelope::{Datagram, Digests, Envelope, Purpose, Session};
-use imrs_wire::recording::RecordingReader;
 use rustix::process::Signal;
 use serde_json::Value;
-use std::fs::File;
-use std::net::UdpSocket;
+
+/// What the beam lift says of an arm that goes on alone.
+const ALONE: &str = " moved on for ";
+
+/// Whether an arm went on alone. If its node stands still in mid lift, it cannot stop.
+fn is_alone(summary: &Value) -> bool {
+    let outcome = &summary["outcome"];
+    outcome["held"] == false && outcome["words"].to_string().contains(ALONE)
+}
+
+/// Whether the tasks gave up the lift. They do if a node stands still for longer than the time_out of the lift.
+fn gave_up(words: &str) -> bool {
+    words.contains("partner missing") || words.contains("arms missing")
+}
+
+/// Why the beam lift is run again.
+const GAVE_UP: &str = "a node stood still for longer than the time_out of the lift";
+
+/// The promise of the demo is kept.
+fn check_outcome(summary: &Value) {
+    if is_alone(summary) {
+        excused("an arm could not stop, because its node stood still in mid lift");
+    } else {
+        assert_ne!(summary["outcome"]["held"], false, "{summary}");
+    }
+}
 
 /// What no fault of the demo's own kind may break.
 fn check(summary: &Value) -> &Value {
-    assert_ne!(summary["outcome"]["held"], false, "{summary}");
+    check_outcome(summary);
     check_rounds(summary)
 }
 
@@ -37,21 +60,69 @@ fn node<'a>(summary: &'a Value, name: &str) -> &'a Value {
     node
 }
 
-/// The end of a demo that is interrupted when a monitor sees this: the summary, and what it complained of.
-fn ended(demo: Live, what: &str, is_so: impl FnMut(&Value) -> bool) -> (Value, String) {
+/// Whether a demo ended well, but for an arm that could not stop.
+fn ends_well(summary: &Value, code: Option<i32>, errors: &str) -> bool {
+    let is_excused = code == Some(1) && is_alone(summary);
+    is_well(code, errors) || is_excused && (errors.is_empty() || is_well(Some(5), errors))
+}
+
+/// The end of a demo that is interrupted when a monitor sees this: the summary, the exit code, and what it complained of.
+fn interrupted(demo: Live, what: &str, is_so: impl FnMut(&Value) -> bool) -> (Value, Option<i32>, String) {
     demo.until(what, is_so);
     demo.interrupt();
-    let (summary, code, errors) = demo.finish();
-    assert!(is_well(code, &errors), "{errors}");
+    demo.finish()
+}
+
+/// The end of a demo that ends well when it is interrupted so: the summary, and what it complained of.
+fn ended(demo: Live, what: &str, is_so: impl FnMut(&Value) -> bool) -> (Value, String) {
+    let (summary, code, errors) = interrupted(demo, what, is_so);
+    assert!(ends_well(&summary, code, &errors), "{errors}");
     (summary, errors)
 }
 
-/// All that a demo says until its lines are enough; what it does after that is of no account.
-fn told(args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
+/// The summary of a beam lift that is interrupted when a monitor sees this. If the tasks gave up before, it is run again.
+fn lifts(args: &[&str], what: &str, is_so: impl Fn(&Value) -> bool) -> Value {
+    for _ in 0..TIMES {
+        let demo = Live::demo(&[&["--for", "10m"], args].concat());
+        let (summary, code, errors) = interrupted(demo, what, &is_so);
+        check(&summary);
+        if !gave_up(&summary["tasks"].to_string()) {
+            assert!(ends_well(&summary, code, &errors), "{errors}");
+            return summary;
+        }
+        // What is lost on purpose may be all copies of a message.
+        if summary["loss"] == 0.0 {
+            excused(GAVE_UP);
+        }
+    }
+    panic!("each time {GAVE_UP}");
+}
+
+/// All that a demo says until its lines are enough, however it ends; what it does after that is of no account.
+fn said_until(args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
     let dir = runtime_dir();
-    let said = run_until(dir.path(), &[&["demo", "--for", "5min"], args].concat(), is_enough);
+    run_until(dir.path(), &[&["demo", "--for", "5min"], args].concat(), is_enough)
+}
+
+/// The same of a demo that ends well.
+fn told(args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
+    let said = said_until(args, is_enough);
     assert!(said.is_well(), "{said:?}");
     said
+}
+
+/// The same of the beam lift. If a node stood still, in mid lift or for longer than the others wait, it is run again.
+fn lift_told<E: FnMut(&str) -> bool>(args: &[&str], is_enough: impl Fn() -> E) -> Said {
+    for _ in 0..TIMES {
+        let said = said_until(&[&["beam-lift"], args].concat(), is_enough());
+        if !said.out.contains(ALONE) && !gave_up(&said.err) {
+            assert!(said.is_well(), "{said:?}");
+            return said;
+        }
+        assert_eq!(said.code, Some(1), "{said:?}");
+        excused("a node stood still");
+    }
+    panic!("each time a node stood still");
 }
 
 /// All of these words stand there.
@@ -63,9 +134,8 @@ fn says(said: &Said, words: &[&str]) {
 
 #[test]
 fn without_faults_everybody_starts_together() {
-    let demo = Live::demo(&["--no-fault"]);
     // An answer has 5 msec: a late machine may take several lifts for one. Of what was sent the last is still asked.
-    let (summary, _) = ended(demo, "three lifts and an answer", |seen| {
+    let summary = lifts(&["--no-fault"], "three lifts and an answer", |seen| {
         let beats = |name: &str| figure(seen, "armL", "beat", name);
         released(seen, "armL") >= 3 && beats("sent") >= beats("timed_out") + 2
     });
@@ -90,7 +160,7 @@ fn without_faults_everybody_starts_together() {
 
 #[test]
 fn the_text_is_for_people_and_has_no_escapes_in_a_pipe() {
-    let said = told(&["beam-lift", "--no-fault"], times(2, "ends stop_now"));
+    let said = lift_told(&["--no-fault"], || times(2, "ends stop_now"));
     // Where the machine was late for a check, that is told, and nothing else.
     assert!(!said.out.contains('\u{1b}') && !said.err.contains('\u{1b}'), "{said:?}");
     assert!(said.code == Some(1) || said.err.is_empty(), "{said:?}");
@@ -104,7 +174,7 @@ fn the_text_is_for_people_and_has_no_escapes_in_a_pipe() {
 fn a_link_that_fails_in_mid_lift_stops_both_arms() {
     let gone_on = &[" s fault: nothing passes", "reach each other again", "ends stop_now", "ends stop_now"];
     tried("the fault came too late each time", || {
-        let said = told(&["beam-lift", "--seed", "3"], one_after_the_other(gone_on));
+        let said = lift_told(&["--seed", "3"], || one_after_the_other(gone_on));
         says(&said, &["went dead", "Neither arm ever went on alone", "As promised"]);
         let too_late = ["Nothing moved just then", "armL was told to stop"];
         let in_time = !too_late.iter().any(|words| said.out.contains(words));
@@ -207,9 +277,8 @@ fn a_robot_that_is_cut_off_stops_before_the_other_takes_over() {
 
 #[test]
 fn lost_packets_cost_time_but_never_a_false_start() {
-    let demo = Live::demo(&["--for", "10m", "--loss", "20%", "--seed", "5"]);
     let tasks = ["armL", "armR", "hoist"];
-    let (summary, _) = ended(demo, "some rounds with copies", |seen| {
+    let summary = lifts(&["--loss", "20%", "--seed", "5"], "some rounds with copies", |seen| {
         let resent = tasks.iter().any(|task| figure(seen, task, "lift", "resent") > 0);
         // As many messages of each that some are lost.
         let rounds = |name: &&str| task(seen, name)["waitfor"][0]["round"].as_u64().unwrap_or(0);
@@ -231,7 +300,7 @@ fn with_the_hoist_killed_both_arms_get_their_time_out() {
     // It ends when both have given up.
     let (summary, code, errors) = Live::demo(&["--for", "10m", "--kill", "hoist@1ms"]).finish();
     let lift = check(&summary);
-    assert!(is_well(code, &errors), "{errors}");
+    assert!(ends_well(&summary, code, &errors), "{errors}");
     // The arms grip for 400 msec before they meet.
     if number(&lift["released"]) > 0 {
         excused("the hoist was killed after the first lift");
@@ -275,9 +344,9 @@ fn who_dies_and_lives_again_is_not_said_to_have_gone_on_meanwhile() {
     ];
     side_by_side(cases, |(name, args)| {
         let said = run(&[&["demo", name, "--seed", "3", "--format", "json"], &args[..]].concat());
-        assert!(said.is_well(), "{said:?}");
         let summary = said.last_json();
-        assert_ne!(summary["outcome"]["held"], false, "{summary}");
+        assert!(ends_well(&summary, said.code, &said.err), "{said:?}");
+        check_outcome(&summary);
         assert!(
             summary["nodes"].as_array().unwrap().iter().any(|node| number(&node["lives"]) == 2),
             "{summary}"
@@ -290,143 +359,49 @@ fn who_dies_and_lives_again_is_not_said_to_have_gone_on_meanwhile() {
 
 #[test]
 fn a_node_that_stood_still_carries_out_nothing_old() {
-    let demo = Live::demo(&["--for", "10m", "--no-fault"]);
-    demo.until("a lift", |seen| released(seen, "hoist") >= 1);
-    signal(demo.pid("nr"), Signal::STOP);
-    // The partners give up, as their scripts say: that is longer than anything lives in this cell.
-    demo.until("who waits gives up", |seen| {
-        ["armL", "hoist"]
-            .iter()
-            .any(|name| ["ended", "crashed"].contains(&task(seen, name)["state"].as_str().unwrap_or("")))
+    tried_again(GAVE_UP, || {
+        let demo = Live::demo(&["--for", "10m", "--no-fault"]);
+        let seen = demo.until("a lift", |seen| released(seen, "hoist") >= 1);
+        if released(&seen, "hoist") == 0 {
+            return false;
+        }
+        signal(demo.pid("nr"), Signal::STOP);
+        // The partners give up, as their scripts say: that is longer than anything lives in this cell.
+        demo.until("who waits gives up", |seen| {
+            ["armL", "hoist"]
+                .iter()
+                .any(|name| ["ended", "crashed"].contains(&task(seen, name)["state"].as_str().unwrap_or("")))
+        });
+        signal(demo.pid("nr"), Signal::CONT);
+        // They went on announcing themselves; what waited for the node in its kernel came out old.
+        demo.until("what came out old", |seen| {
+            let discards = named(&seen["nodes"], "nr")["discards"].as_array().cloned().unwrap_or_default();
+            discards.iter().any(|of| of["reason"] == "expired_on_the_way" && of["count"].as_u64() > Some(0))
+        });
+        demo.interrupt();
+        let (summary, code, errors) = demo.finish();
+        let lift = check_rounds(&summary);
+        // An arm whose node is frozen in mid lift cannot stop: the demo says so.
+        let alone = is_alone(&summary);
+        assert!(alone || summary["outcome"]["held"] != false, "{summary}");
+        assert!(code == Some(0) || code == Some(1) && (alone || errors.contains("aborted")), "{errors}");
+        assert!(number(&node(&summary, "nr")["discards"]["expired_on_the_way"]) > 0, "{summary}");
+        assert!(number(&lift["timed_out"]) + number(&lift["divergent"]) > 0, "{summary}");
+        true
     });
-    signal(demo.pid("nr"), Signal::CONT);
-    // They went on announcing themselves; what waited for the node in its kernel came out old.
-    demo.until("what came out old", |seen| {
-        let discards = named(&seen["nodes"], "nr")["discards"].as_array().cloned().unwrap_or_default();
-        discards.iter().any(|of| of["reason"] == "expired_on_the_way" && of["count"].as_u64() > Some(0))
-    });
-    demo.interrupt();
-    let (summary, code, errors) = demo.finish();
-    let lift = check_rounds(&summary);
-    // An arm whose node is frozen in mid lift cannot stop: the demo says so.
-    let alone = summary["outcome"]["held"] == false;
-    assert!(!alone || summary["outcome"]["words"].to_string().contains("armR moved on for"), "{summary}");
-    assert!(code == Some(0) || code == Some(1) && (alone || errors.contains("aborted")), "{errors}");
-    assert!(number(&node(&summary, "nr")["discards"]["expired_on_the_way"]) > 0, "{summary}");
-    assert!(number(&lift["timed_out"]) + number(&lift["divergent"]) > 0, "{summary}");
 }
 
 #[test]
 fn a_cut_link_is_survived() {
-    let demo = Live::demo(&["--for", "10m", "--cut", "nl--nr@500ms+1s"]);
-    // Of three lifts, each of which takes half a second, one falls into it.
-    let (summary, _) = ended(demo, "some lifts", |seen| {
-        let up = named(&seen["nodes"], "nl")["uptime_us"].as_u64();
-        released(seen, "armL") >= 3 && up > Some(2_000_000)
-    });
-    let lift = check(&summary);
-    assert!(number(&node(&summary, "nl")["cut_off"]) > 0, "{summary}");
-    assert!(number(&lift["released"]) > 0, "{summary}");
-}
-
-/// So many datagrams find room in a queue of the kernel's.
-const AT_ONCE: u64 = 64;
-
-/// Sends datagrams to a node no faster than it takes them.
-struct Stranger {
-    socket: UdpSocket,
-    seen: Seen,
-    sent: u64,
-}
-
-impl Stranger {
-    fn of(demo: &Live) -> Self {
-        let socket = UdpSocket::bind("127.0.0.1:0").unwrap();
-        socket.connect(demo.address("nl")).unwrap();
-        Self { socket, seen: Seen::by_monitor(demo.dir()), sent: 0 }
-    }
-
-    fn send(&mut self, bytes: &[u8]) {
-        self.socket.send(bytes).unwrap();
-        self.sent += 1;
-        if self.sent.is_multiple_of(AT_ONCE) {
-            self.wait();
-        }
-    }
-
-    /// Waits until the node has turned away what was sent, but for what is lost on purpose.
-    fn wait(&mut self) {
-        let sent = self.sent;
-        self.seen.until("garbage is counted", |seen| {
-            let discards =
-                named(&seen["nodes"], "nl")["link_discards"].as_array().cloned().unwrap_or_default();
-            let counted: u64 = discards.iter().filter_map(|of| of["count"].as_u64()).sum();
-            counted + AT_ONCE / 2 + sent / 20 > sent
+    tried_again("the launcher stood still until the cut was over", || {
+        // Of three lifts, each of which takes half a second, one falls into it.
+        let summary = lifts(&["--cut", "nl--nr@500ms+1s"], "some lifts", |seen| {
+            let up = named(&seen["nodes"], "nl")["uptime_us"].as_u64();
+            released(seen, "armL") >= 3 && up > Some(2_000_000)
         });
-    }
-}
-
-#[test]
-fn garbage_is_counted_by_reason_and_does_no_harm() {
-    let dir = runtime_dir();
-    let file = dir.path().join("run.imrs");
-    let demo = Live::demo(&["--for", "10m", "--loss", "1%", "--record", file.to_str().unwrap()]);
-    let recorded = dir.path().join("run.nl.imrs");
-    wait_until("the recording has its header", || {
-        File::open(&recorded).is_ok_and(|file| RecordingReader::new(file).is_ok())
+        assert!(number(&check(&summary)["released"]) > 0, "{summary}");
+        number(&node(&summary, "nl")["cut_off"]) > 0
     });
-    let digest = RecordingReader::new(File::open(&recorded).unwrap()).unwrap().header().digest;
-
-    let mut stranger = Stranger::of(&demo);
-    for first in 0..=255_u8 {
-        let mut bytes = [first; 72];
-        bytes[1] = !first;
-        stranger.send(&bytes);
-    }
-    let envelope = Envelope {
-        sender: NodeId(1),
-        receiver: NodeId(0),
-        incarnation: Incarnation(0),
-        restarted: false,
-        session: Session(1),
-        counter: 1,
-        tx_mono: 0,
-        echo: None,
-        purpose: Purpose::Packets,
-    };
-    let digests = |cell| Digests { cell, statements: 0 };
-    let mut datagram = Datagram::default();
-    datagram.push(&[0; PACKET_BYTES]);
-    stranger.send(datagram.seal(&envelope, digests(digest ^ 1)));
-    // Nobody has these statements.
-    stranger.send(datagram.seal(&envelope, digests(digest)));
-    let whole = datagram.seal(&envelope, digests(digest)).to_vec();
-    (0..whole.len()).for_each(|length| stranger.send(&whole[..length]));
-    for bit in 0..whole.len() * 8 {
-        let mut flipped = whole.clone();
-        flipped[bit / 8] ^= 1 << (bit % 8);
-        stranger.send(&flipped);
-    }
-    stranger.wait();
-
-    let once = ["monitor", "--once", "--format", "json"];
-    look_until(demo.dir(), &once, "garbage is seen", |seen| seen.out.contains("link_discards"));
-    let (summary, _) = ended(demo, "a lift", |seen| released(seen, "armL") >= 1);
-    let lift = check(&summary);
-    assert!(number(&lift["released"]) > 0, "{summary}");
-    assert_eq!(node(&summary, "nl")["exit"], "clean");
-    let counted = &node(&summary, "nl")["link_discards"];
-    for (reason, least) in [
-        ("not_imrs", 200),
-        ("version", 4),
-        ("mode", 4),
-        ("other_cell", 1),
-        ("other_statements", 1),
-        ("too_short", 30),
-        ("checksum", 400),
-    ] {
-        assert!(counted.get(reason).is_some_and(|n| number(n) >= least), "{reason} in {counted}");
-    }
 }
 
 /// Where the record begins that holds this byte.
@@ -446,11 +421,8 @@ fn record_near(bytes: &[u8], byte: usize) -> usize {
 fn what_was_recorded_replays_bit_equal_and_a_changed_file_is_noticed() {
     let dir = runtime_dir();
     let file = dir.path().join("run.imrs");
-    let demo = Live::demo(&["--for", "10m", "--loss", "10%", "--record", file.to_str().unwrap()]);
-    let (summary, _) = ended(demo, "some lifts", |seen| {
-        ["armL", "armR", "hoist"].iter().all(|task| released(seen, task) >= 4)
-    });
-    check(&summary);
+    let args = ["--loss", "10%", "--record", file.to_str().unwrap(), "--force"];
+    lifts(&args, "some lifts", |seen| ["armL", "armR", "hoist"].iter().all(|task| released(seen, task) >= 4));
     for (node, task) in [("nl", "armL"), ("nr", "armR"), ("nh", "hoist")] {
         let recorded = dir.path().join(format!("run.{node}.imrs"));
         let said = run(&["replay", recorded.to_str().unwrap(), "--format", "json"]);
@@ -486,7 +458,7 @@ fn what_was_recorded_replays_bit_equal_and_a_changed_file_is_noticed() {
 
 #[test]
 fn a_monitor_sees_the_nodes_while_they_run() {
-    let demo = Live::demo(&["--for", "10m", "--loss", "1%"]);
+    let demo = Live::steady_with(&["--loss", "1%"]);
     let mut nodes = Value::Null;
     wait_until("all nodes are seen", || {
         let said = run_in(demo.dir(), &["monitor", "--once", "--format", "json"]);
@@ -523,15 +495,20 @@ fn a_monitor_sees_the_nodes_while_they_run() {
 
 #[test]
 fn ctrl_c_ends_the_run_in_order_with_its_summary() {
-    let demo = Live::demo(&["--for", "10m"]);
-    let nodes: Vec<u32> = demo.nodes.iter().map(|node| node.pid).collect();
-    demo.until("they have met", |seen| released(seen, "armL") >= 1);
-    demo.interrupt();
-    let (summary, code, errors) = demo.finish();
-    check(&summary);
-    assert!(is_well(code, &errors), "{errors}");
-    assert!(summary["nodes"].as_array().unwrap().iter().all(|node| node["exit"] == "clean"), "{summary}");
-    assert!(nodes.iter().all(|&pid| !is_alive(pid)));
+    tried_again(GAVE_UP, || {
+        let demo = Live::demo(&["--for", "10m"]);
+        let nodes: Vec<u32> = demo.nodes.iter().map(|node| node.pid).collect();
+        let (summary, code, errors) = interrupted(demo, "they have met", |seen| released(seen, "armL") >= 1);
+        check(&summary);
+        if gave_up(&errors) {
+            return false;
+        }
+        assert!(ends_well(&summary, code, &errors), "{errors}");
+        let clean = |node: &Value| node["exit"] == "clean";
+        assert!(summary["nodes"].as_array().unwrap().iter().all(clean), "{summary}");
+        assert!(nodes.iter().all(|&pid| !is_alive(pid)));
+        true
+    });
 }
 
 #[test]

@@ -5,12 +5,12 @@ use crate::support::live::{Live, named, released};
 use crate::support::program::{Program, one_after_the_other, times};
 use crate::support::{
     Said, example, finish, imrs, is_alive, is_here, is_well, look_until, number, run_in, run_until,
-    runtime_dir, side_by_side, wait_until,
+    runtime_dir, side_by_side, tried_again, wait_until,
 };
 use serde_json::Value;
 use std::fs::Permissions;
 use std::os::unix::fs::PermissionsExt;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
 /// Two tasks that meet and ask each other through a third node, which only relays. They wait longer for each other than any
@@ -269,12 +269,16 @@ fn what_the_tasks_do_is_told_line_by_line() {
 #[test]
 fn the_examples_run() {
     let dir = runtime_dir();
-    let lift = Live::start(dir.path(), &["run", &example("beam_lift.cell"), "--seed", "3"]);
-    lift.until("a lift", |seen| released(seen, "armL") >= 1);
-    lift.interrupt();
-    let (summary, _, errors) = lift.finish();
-    assert!(number(&summary["rendezvous"][0]["released"]) >= 1, "{summary} {errors}");
-    assert_eq!(number(&summary["rendezvous"][0]["false_releases"]), 0, "{summary} {errors}");
+    tried_again("a node stood still for longer than the time_out of the lift", || {
+        let lift = Live::start(dir.path(), &["run", &example("beam_lift.cell"), "--seed", "3"]);
+        lift.until("a lift", |seen| released(seen, "armL") >= 1);
+        lift.interrupt();
+        let (summary, _, errors) = lift.finish();
+        let met = &summary["rendezvous"][0];
+        assert_eq!(number(&met["false_releases"]), 0, "{summary} {errors}");
+        assert!(number(&met["released"]) >= 1 || errors.contains(" aborted: "), "{summary} {errors}");
+        number(&met["released"]) >= 1
+    });
     let weld = ["run", &example("weld_cell.cell"), "--kill", "n1@1s", "--seed", "3"];
     let said = run_until(dir.path(), &weld, one_after_the_other(&["TAKES OVER", "begins weld"]));
     assert!(said.is_well(), "{said:?}");
@@ -334,24 +338,20 @@ fn robots_that_reach_each_other_through_a_third_node_are_relayed() {
 #[test]
 fn nodes_are_watched_over_tcp() {
     let dir = runtime_dir();
-    let (cell, token) = (example("beam_lift.cell"), dir.path().join("token"));
-    let (token, other) = (token.to_str().expect("UTF-8"), dir.path().join("other"));
-    std::fs::write(token, "the token of this run\n").expect("a file");
+    let [token, other] = ["token", "other"].map(|name| dir.path().join(name).display().to_string());
+    std::fs::write(&token, "the token of this run\n").expect("a file");
     std::fs::write(&other, "the token of another run\n").expect("a file");
-    for secret in [Path::new(token), &other] {
+    for secret in [&token, &other] {
         std::fs::set_permissions(secret, Permissions::from_mode(0o600)).expect("it is this test's");
     }
-    let args = ["run", &cell, "--observe", "127.0.0.1:0", "--observe-token", token, "--format", "json"];
-    let mut nodes = Program::start(imrs(dir.path(), &args));
-    let started = nodes.json();
-    let endpoint = format!("tcp:{}", started["started"][1]["observe"].as_str().expect("an address"));
+    let live = Live::steady_in(dir.path(), &["--observe", "127.0.0.1:0", "--observe-token", &token]);
+    let endpoint = format!("tcp:{}", live.nodes[1].observe.expect("an address"));
     let once = ["monitor", "--connect", &endpoint, "--once", "--format", "json"];
-    let all = started["started"].as_array().expect("nodes").len();
-    let with_token = [&once[..], &["--token", token]].concat();
+    let with_token = [&once[..], &["--token", &token]].concat();
     look_until(dir.path(), &with_token, "the whole cell is seen", |seen| {
         assert!(matches!(seen.code, Some(0 | 1 | 3)), "{seen:?}");
         let names = seen.out.lines().last().map_or(Vec::new(), names_of_nodes);
-        names.len() == all && ["nl", "nr"].iter().all(|name| names.iter().any(|seen| seen == name))
+        names.len() == 3 && ["nl", "nr"].iter().all(|name| names.iter().any(|seen| seen == name))
     });
     let is_denied = |why: &'static str| {
         move |said: &Said| {
@@ -360,10 +360,10 @@ fn nodes_are_watched_over_tcp() {
         }
     };
     look_until(dir.path(), &once, "a token is asked for", is_denied("asks for a token"));
-    let with_other = [&once[..], &["--token", other.to_str().expect("UTF-8")]].concat();
+    let with_other = [&once[..], &["--token", &other]].concat();
     look_until(dir.path(), &with_other, "the token is wrong", is_denied("another token"));
-    nodes.interrupt();
-    nodes.finish();
+    live.interrupt();
+    live.finish();
 }
 
 /// The nodes of a sample.
@@ -535,7 +535,7 @@ fn an_extern_task_is_a_rust_program() {
     let text = &said.out;
     assert_eq!(said.code, Some(0), "{said:?}");
     assert_eq!(text.lines().filter(|line| line.starts_with("pick picks the part at (")).count(), 3, "{text}");
-    assert!(text.contains("camera: stopped") && text.contains("pick: done"), "{text}");
+    assert!(text.contains("camera: returned") && text.contains("pick: done"), "{text}");
 }
 
 #[test]

@@ -2,7 +2,10 @@
 //! carries out its faults, obeys signals, stops its nodes in order, and says how many lines are missing.
 
 use crate::support::live::released;
-use crate::support::{PATIENCE, Said, imrs, is_alive, run_in, runtime_dir, side_by_side, signal, wait_until};
+use crate::support::{
+    PATIENCE, Said, excused, imrs, is_alive, run_in, runtime_dir, side_by_side, signal, sooner_or_later,
+    wait_until,
+};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::process::Signal;
 use std::fs::File;
@@ -42,6 +45,7 @@ struct Bench(tempfile::TempDir);
 /// A run whose output goes where the test says.
 struct Running {
     child: Child,
+    /// No later than its start.
     started: Instant,
 }
 
@@ -59,8 +63,9 @@ impl Bench {
     fn start(&self, args: &[&str], out: impl Into<Stdio>, err: impl Into<Stdio>) -> Running {
         let cell = self.cell();
         let mut command = imrs(self.0.path(), &[&["run", cell.to_str().expect("UTF-8")], args].concat());
+        let started = Instant::now();
         let child = command.stdout(out).stderr(err).spawn().expect("it starts");
-        Running { child, started: Instant::now() }
+        Running { child, started }
     }
 
     /// Waits until the two have met.
@@ -133,21 +138,38 @@ fn a_run_ends_in_time_though_nobody_reads_what_it_says() {
 
 #[test]
 fn faults_come_and_ctrl_c_is_obeyed_though_nobody_reads() {
-    let bench = Bench::new();
-    let (mut reader, writer) = full_pipe();
-    let run = bench.start(&["--kill", "nb@1s"], writer, Stdio::piped());
-    wait_until("both nodes are there", || run.nodes().len() == 2);
-    wait_until("one is killed", || run.nodes().len() == 1);
-    let left = run.nodes();
-    signal(run.child.id(), Signal::INT);
-    wait_until("the other is stopped", || run.nodes().is_empty() && !left.iter().any(|&pid| is_alive(pid)));
-    // Now somebody reads: the summary has waited.
-    let mut out = String::new();
-    reader.read_to_string(&mut out).expect("text");
-    let (said, _) = run.finish();
-    assert_eq!(said.code, Some(0), "{said:?}");
-    assert!(out.contains("fault: node nb is killed") && out.contains("node nb   killed"), "{out}");
-    assert!(!said.err.contains("not read"), "{said:?}");
+    sooner_or_later("a fault came, but its summary was not read", |killed_after| {
+        let bench = Bench::new();
+        let (mut reader, writer) = full_pipe();
+        let kill = format!("nb@{}s", killed_after.as_secs());
+        let run = bench.start(&["--kill", &kill], writer, Stdio::piped());
+        let mut are_there = false;
+        wait_until("both nodes are there, or one may be killed", || {
+            are_there |= run.nodes().len() == 2;
+            are_there || run.started.elapsed() >= killed_after
+        });
+        if !are_there {
+            return false;
+        }
+        wait_until("one is killed", || run.nodes().len() == 1);
+        let left = run.nodes();
+        signal(run.child.id(), Signal::INT);
+        wait_until("the other is stopped", || {
+            run.nodes().is_empty() && !left.iter().any(|&pid| is_alive(pid))
+        });
+        // Now somebody reads: the summary has waited.
+        let mut out = String::new();
+        reader.read_to_string(&mut out).expect("text");
+        let (said, _) = run.finish();
+        assert_eq!(said.code, Some(0), "{said:?}");
+        // The launcher waits five seconds for its reader. One of them may stand still for longer.
+        if said.err.contains("not read") {
+            excused("the reader of the summary came too late");
+            return false;
+        }
+        assert!(out.contains("fault: node nb is killed") && out.contains("node nb   killed"), "{out}");
+        true
+    });
 }
 
 #[test]

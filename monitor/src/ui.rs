@@ -18,7 +18,7 @@ use signal_hook::consts::SIGINT;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
@@ -73,7 +73,7 @@ pub fn show(
         court.hear(&arrival.feed);
         for_feeds.send(Input::Msg(Msg::Feed(arrival))).is_ok()
     }))?;
-    let keys = Keys::start(sender.clone())?;
+    let keys = Some(Keys::start(sender.clone())?);
     let mut screen = Loop {
         app: &mut app,
         clock,
@@ -83,14 +83,13 @@ pub fn show(
         tape,
         record,
         sender,
+        keys,
         more: Vec::new(),
         gaps: 0,
     };
     let ended = screen.run(&mut terminal);
-    // Nobody listens any more, so the thread of the keys cannot wait for room; and it ends before the terminal is given
-    // back, or it would take what is typed for the shell from then on.
+    // The thread of the keys ends before the terminal is given back, or it would take what is typed for the shell.
     drop(screen);
-    drop(keys);
     drop(terminal);
     if let Ok(Some(signal)) = ended {
         listener.end_as(signal);
@@ -108,8 +107,10 @@ struct Loop<'a> {
     tape: &'a Arc<Tape>,
     /// Where `r` records to.
     record: PathBuf,
-    /// For sources that are added.
+    /// For sources that are added, and for the keys.
     sender: SyncSender<Input>,
+    /// Reads the keyboard, unless the terminal is given back.
+    keys: Option<Keys>,
     /// The sources that the user added.
     more: Vec<Live>,
     /// How often a state was missing, when it was last looked.
@@ -192,9 +193,12 @@ impl Loop<'_> {
                 self.due = Some(Duration::ZERO);
             }
             Effect::Suspend => {
+                // The thread of the keys ends first, or it would take what is typed for the shell.
+                self.keys = None;
                 terminal::give_back();
                 signals::stop();
                 terminal.take_again()?;
+                self.keys = Some(Keys::start(self.sender.clone())?);
                 self.due = Some(Duration::ZERO);
             }
             Effect::Quit => return Ok(Next::Quit),
@@ -299,7 +303,7 @@ impl Keys {
                     Err(_) => Input::NoKeys,
                 };
                 let last = matches!(input, Input::NoKeys);
-                if sender.send(input).is_err() || last {
+                if !hand_over(&sender, input, &stopped) || last {
                     return;
                 }
             }
@@ -316,5 +320,19 @@ impl Drop for Keys {
             // A panic of it has been told, and the terminal is given back all the same.
             let _ = thread.join();
         }
+    }
+}
+
+/// Hands an input to the main loop as soon as that has room. False if the thread is to end: the main loop takes nothing
+/// while it waits for that.
+fn hand_over(sender: &SyncSender<Input>, mut input: Input, stopped: &AtomicBool) -> bool {
+    loop {
+        match sender.try_send(input) {
+            Ok(()) => return true,
+            Err(TrySendError::Disconnected(_)) => return false,
+            Err(TrySendError::Full(_)) if stopped.load(Ordering::Relaxed) => return false,
+            Err(TrySendError::Full(again)) => input = again,
+        }
+        thread::sleep(Duration::from_millis(1));
     }
 }

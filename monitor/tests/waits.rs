@@ -68,7 +68,20 @@ fn what_may_still_be_on_its_way_makes_none() {
     let sent = events(0, &[observed(Event::Sent, BEAT, 1, 7)]);
     stage.frame(ms(3_000), 0, ServerFrame::Events(sent));
     assert!(cycles(stage.app.store(), &beam(), ms(3_050)).is_empty(), "a beat was just sent");
-    assert_eq!(cycles(stage.app.store(), &beam(), ms(3_500)).len(), 1, "it would have come by now");
+    let told = |stage: &mut Stage, node: usize| {
+        let state = if node == 0 { left() } else { right(RECEIVES) };
+        stage.frame(ms(3_450), node, ServerFrame::Snapshot(state));
+    };
+    told(&mut stage, 0);
+    stage.frame(ms(3_450), 2, ServerFrame::Snapshot(snapshot(2)));
+    let found = cycles(stage.app.store(), &beam(), ms(3_500));
+    assert!(found.is_empty(), "the right arm has told nothing since: it may have taken the beat");
+    told(&mut stage, 1);
+    assert_eq!(cycles(stage.app.store(), &beam(), ms(3_500)).len(), 1, "the beat would have come by now");
+    // A node that is silent says nothing of what its tasks do.
+    stage.frame(ms(4_600), 0, ServerFrame::Snapshot(left()));
+    stage.frame(ms(4_600), 2, ServerFrame::Snapshot(snapshot(2)));
+    assert!(cycles(stage.app.store(), &beam(), ms(4_650)).is_empty(), "the right arm's node is silent");
 }
 
 #[test]

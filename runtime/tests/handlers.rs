@@ -332,6 +332,7 @@ fn the_loss_of_the_lease_interrupts_an_atomic_section_and_what_is_ordered_then_i
             Ok(())
         });
         assert_eq!(ctx.send(port, b"go"), refused, "nobody has given it the lease");
+        tell.send(()).expect("the test listens");
         let _epoch = ctx.lease()?;
         let sent = ctx.send(port, b"go");
         // A machine that stands still may take the lease before its partner's end does.
@@ -348,7 +349,10 @@ fn the_loss_of_the_lease_interrupts_an_atomic_section_and_what_is_ordered_then_i
     });
     let first = first.task("c", |_| Ok(()));
     let second = on(&network, &table, 1).task("b", |ctx| ctx.receive(None, None).map(drop));
-    let (first, second) = (first.start().unwrap(), second.start().unwrap());
+    let first = first.start().unwrap();
+    // Only the second node can give the lease.
+    told.recv_timeout(LONG).expect("it is refused without the lease");
+    let second = second.start().unwrap();
     told.recv_timeout(LONG).expect("it is given the lease");
     let _ends = second.stop(LONG);
     finish(first);

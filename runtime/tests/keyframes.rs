@@ -297,7 +297,7 @@ fn a_node_whose_disk_was_stuck_is_recorded_on_and_its_replay_is_unknown() {
         })
         .start()
         .unwrap();
-    told.recv_timeout(LONG).expect("the disk takes everything again");
+    told.recv_timeout(10 * LONG).expect("the disk takes everything again"); // Over 10,000 round trips.
     assert!(node.stop(LONG).iter().all(|(_, end)| *end == imrs_runtime::TaskEnd::Returned));
     let status = recorder.stop(LONG).expect("it was not stopped before");
     assert!(status.ended && status.lost > 0, "{status:?}");

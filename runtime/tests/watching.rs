@@ -1,7 +1,7 @@
 //! What version 1.1 of the observation protocol adds: what changed, watched queues, the process, the clock, tokens, and
 //! where the others are. Monitors of version 1.0 see none of it.
 
-use crate::common::monitor::{Folder, Monitor, NEW, OLD, node, socket, want};
+use crate::common::monitor::{Folder, Monitor, NEW, OLD, PATIENCE, node, socket, want};
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, network, on, one_node, table};
 use imrs_protocol::script::ProgramBuilder;
 use imrs_protocol::{Cell, Event, Incarnation, PortDecl, PortId, Ticks, Usage};
@@ -306,7 +306,7 @@ fn pings_cost_no_credit_and_nothing_comes_without() {
     assert!(matches!(monitor.next(), ServerFrame::Pong(_)));
     monitor.wait_for(Duration::from_millis(100));
     assert!(matches!(monitor.reader.read_frame(), Err(FrameError::NotReady)));
-    monitor.wait_for(LONG);
+    monitor.wait_for(PATIENCE);
     monitor.say(&ClientFrame::Credit(1));
     assert!(matches!(monitor.next(), ServerFrame::Delta(_)));
 }

@@ -14,7 +14,7 @@ mod vouch;
 
 pub use judge::{Broken, Judge};
 pub use sight::{Change, Looker, Sight};
-pub use told::Settlement;
+pub use told::{Settled, Settlement};
 
 use crate::cells::Loaded;
 use imrs_language::lower::{Check, CheckKind};

@@ -135,6 +135,20 @@ impl Settled {
         Self { name, line, outcome, mattered, times, first, elsewhere, unvouched, text }
     }
 
+    /// Whether it held; `None` if nobody can say.
+    pub const fn held(&self) -> Option<bool> {
+        match self.outcome {
+            Outcome::Held | Outcome::Untested => Some(true),
+            Outcome::Broken => Some(false),
+            Outcome::Elsewhere | Outcome::Unknown => None,
+        }
+    }
+
+    /// When it first did not hold, in seconds since the run began.
+    pub fn broke_at(&self) -> Option<f64> {
+        self.first.as_ref().map(|first| first.seconds)
+    }
+
     /// What is wrong, in a line; `None` where nothing is.
     fn complaint(&self) -> Option<String> {
         let First { seconds, words, .. } = self.first.as_ref()?;
@@ -155,6 +169,11 @@ impl Settlement {
             Some(unvouched) => format!("check {name} (line {line}) is {}", unvouched.words()),
             None => format!("check {name} (line {line}) was not judged: one of its tasks told nothing"),
         })
+    }
+
+    /// The check of this name.
+    pub fn named(&self, name: &str) -> Option<&Settled> {
+        self.0.iter().find(|settled| settled.name == name)
     }
 
     /// Whether a check did not hold.

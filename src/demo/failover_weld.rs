@@ -1,5 +1,6 @@
 //! Work-coupled: what may not happen is that both robots are active, or that a spot is welded twice unseen.
 
+use crate::checks::Settled;
 use crate::launch::Fault;
 use crate::launch::deed::{Deed, Lease};
 use crate::launch::story::{Outcome, Story};
@@ -29,24 +30,29 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     if let Some(at) = taken {
         words.push(spot_in_words(story, primary, standby, at));
     }
-    let both = overlap(&active(story, primary), &active(story, standby));
+    // The cell's own check knows when a lease ended, though a node that stood still notices it later.
+    let one_active = story.summary.checks.named("one_active");
     let twice = welded_twice(story, primary, standby);
     let killed = story.died(primary).is_some_and(|at| at + 2 * couple.takeover.0 < story.ended);
     let stranded = killed && taken.is_none();
-    if let Some(at) = both {
-        words.push(format!("At {} both robots were active.", story.at(at)));
-    } else {
-        words.push("At no instant were both robots active.".into());
-    }
+    let is_one = one_active.and_then(Settled::held);
+    words.push(match is_one {
+        Some(true) => "At no instant were both robots active.".into(),
+        Some(false) => {
+            let at = one_active.and_then(Settled::broke_at).unwrap_or_default();
+            format!("At {at:.3} s both robots were active.")
+        }
+        None => "Nobody can say whether both robots were active at one instant: see the check.".into(),
+    });
     words.extend(
         twice.iter().map(|spot| format!("Spot {spot} was welded twice, and nobody looked at it between.")),
     );
     if stranded {
         words.push(format!("{first} is gone, and {second} did not take over."));
     }
-    let bad = both.is_some() || twice.is_some() || stranded;
+    let bad = is_one == Some(false) || twice.is_some() || stranded;
     let tested = taken.is_some() || !fenced.is_empty();
-    Outcome { held: if bad { Some(false) } else { tested.then_some(true) }, words }
+    Outcome { held: if bad { Some(false) } else { is_one.filter(|_| tested) }, words }
 }
 
 fn fault_in_words(story: &Story<'_>, at: u64, fault: Fault, primary: TaskId) -> Option<String> {
@@ -113,35 +119,6 @@ fn spot_in_words(story: &Story<'_>, primary: TaskId, standby: TaskId, taken: u64
     }
 }
 
-/// When a robot was active: from the lease to the fence, its end, or its node's death.
-fn active(story: &Story<'_>, robot: TaskId) -> Vec<(u64, u64)> {
-    let mut spans: Vec<(u64, u64)> = Vec::new();
-    let mut since = None;
-    let deaths = story.deaths(robot);
-    let death = |from: u64, to: u64| deaths.iter().copied().find(|death| (from..=to).contains(death));
-    for did in story.of(robot) {
-        if let Some((from, died)) = since.and_then(|from| Some((from, death(from, did.at)?))) {
-            spans.push((from, died));
-            since = None;
-        }
-        match &did.what {
-            Deed::Lease(Lease::Granted | Lease::TookOver) => since = since.or(Some(did.at)),
-            Deed::Lease(Lease::Fenced) | Deed::Ended(_) => {
-                spans.extend(since.take().map(|from| (from, did.at)));
-            }
-            _ => {}
-        }
-    }
-    spans.extend(since.map(|from| (from, death(from, story.ended).unwrap_or(story.ended))));
-    spans
-}
-
-/// The first instant that two lists of spans share.
-fn overlap(a: &[(u64, u64)], b: &[(u64, u64)]) -> Option<u64> {
-    let shared = |x: &(u64, u64), y: &(u64, u64)| (x.0.max(y.0) < x.1.min(y.1)).then(|| x.0.max(y.0));
-    a.iter().flat_map(|x| b.iter().filter_map(move |y| shared(x, y))).min()
-}
-
 /// A spot that the first robot welded to its end, and the second once more without looking at it.
 fn welded_twice(story: &Story<'_>, primary: TaskId, standby: TaskId) -> Option<String> {
     let done = welded(story, primary);
@@ -170,15 +147,4 @@ fn welded(story: &Story<'_>, robot: TaskId) -> Vec<String> {
         }
     }
     done
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn spans_share_an_instant_or_do_not() {
-        assert_eq!(overlap(&[(0, 10)], &[(10, 20)]), None);
-        assert_eq!(overlap(&[(0, 10), (30, 40)], &[(10, 20), (35, 36)]), Some(35));
-    }
 }

@@ -23,8 +23,8 @@ tick 50 msec;
 node na;  node nb;  node nc;
 link na -- nb delay 50 msec;  link nb -- nc delay 50 msec;  link na -- nc delay 50 msec;
 task a on na
-  port ask(n: int16) -> int16  usage = query  user_list = {b}  time_out = 2 sec  class = 2;
-  port news(n: int16)  usage = send  user_list = {c}  time_out = 4 sec  class = 1  bounded_buffer[8];
+  port ask(n: int16) -> int16  usage = query  user_list = {b}  time_out = 20 sec  class = 2;
+  port news(n: int16)  usage = send  user_list = {c}  time_out = 40 sec  class = 1  bounded_buffer[8];
   port meet()  usage = waitfor  user_list = {b, c}  time_out = 20 sec  class = 2  retry = 4  resend = 100 msec;
   var n: int16;
 begin
@@ -333,10 +333,10 @@ end arm;
 
 #[test]
 fn questions_over_a_cut_link_time_out() {
-    let mut scene = Scene::start(WATCHED, &["--cut", "na--nb@2s+60s"]);
-    let since = scene.started + Duration::from_secs(4);
+    let text = WATCHED.replace("user_list = {b}  time_out = 20 sec", "user_list = {b}  time_out = 2 sec");
+    let mut scene = Scene::start(&text, &["--cut", "na--nb@2s+60s"]);
     // a waits for the answer, b for a at the meeting: a circle, as long as the link is cut.
-    scene.raises(since, "time-outs", &["wait-cycle"]);
+    scene.raises(scene.started + Duration::from_secs(4), "time-outs", &["wait-cycle"]);
 }
 
 #[test]

@@ -125,7 +125,8 @@ fn without_colour_the_selection_is_still_seen() {
 fn a_node_that_appears_later_is_found() {
     let Some((demo, terminal)) = watched("") else { return };
     // A second run of the same cell in the same folder: nodes of its own, with other processes.
-    let again = Live::start(demo.dir(), &["demo", "beam-lift", "--no-fault", "--for", "10m"]);
+    let record = demo.dir().join("again.imrs");
+    let again = Live::steady_in(demo.dir(), &["--record", record.to_str().expect("UTF-8")]);
     let of_hoist = |screen: &str, states: &[&str]| {
         let rows = screen.lines().filter(|line| line.contains("nh (pid"));
         rows.filter(|row| states.iter().any(|state| row.contains(state))).count()

@@ -92,13 +92,15 @@ fn a_restarted_node_has_a_new_life() {
     if !tmux_is_here() {
         return;
     }
-    let demo = Live::demo(&["--for", "10m", "--kill", "nh@2s", "--restart", "nh@4s"]);
+    // The restarted node is held back for as long as a command lives. Meanwhile both arms wait.
+    let demo = Live::steady_with(&["--kill", "nh@2s", "--restart", "nh@4s"]);
     let terminal = Terminal::open(demo.dir());
     terminal.start_monitor("");
     let before = format!("nh (pid {})", demo.pid("nh"));
     let is_dead = |screen: &str| screen.lines().any(|l| l.contains(&before) && l.contains("DEAD"));
+    let is_up = |line: &str| line.contains(" up ") || line.contains(" up, held back");
     let lives_again = |screen: &str| {
-        screen.lines().any(|l| l.contains("nh (pid") && !l.contains(&before) && l.contains(" up "))
+        screen.lines().any(|line| line.contains("nh (pid") && !line.contains(&before) && is_up(line))
     };
     // A monitor that comes later sees nobody die.
     let in_time = terminal.screen().contains(&before);

@@ -14,6 +14,8 @@ pub struct Node {
     pub name: String,
     pub pid: u32,
     pub address: Option<SocketAddr>,
+    /// Where it serves monitors over TCP.
+    pub observe: Option<SocketAddr>,
 }
 
 /// Nodes that run.
@@ -37,10 +39,12 @@ impl Live {
         });
         let mut program = Program::start(imrs(dir, &[args, &["--format", "json"]].concat()));
         let started = program.json();
+        let address = |text: &Value| text.as_str().map(|address| address.parse().expect("an address"));
         let node = |node: &Value| Node {
             name: node["name"].as_str().expect("a name").to_owned(),
             pid: u32::try_from(node["pid"].as_u64().expect("a process")).expect("32 bits"),
-            address: node["address"].as_str().map(|address| address.parse().expect("an address")),
+            address: address(&node["address"]),
+            observe: address(&node["observe"]),
         };
         let nodes = started["started"].as_array().expect("nodes").iter().map(node).collect();
         Self { dir: dir.to_owned(), program, record, nodes, _own: None }
@@ -57,19 +61,32 @@ impl Live {
         Self { _own: Some(dir), ..live }
     }
 
-    /// Starts the cell of the demo so that it runs on: nobody gives up, however long a busy machine or a dead node makes
-    /// the others wait at the rendezvous. It records.
+    /// Starts the cell of the demo in a folder of its own, so that it runs on ([`Self::steady_in`]).
     pub fn steady() -> Self {
+        Self::steady_with(&[])
+    }
+
+    /// Does the same with these arguments.
+    pub fn steady_with(args: &[&str]) -> Self {
         let dir = runtime_dir();
-        let (file, record) = (dir.path().join("beam_lift.cell"), dir.path().join("own.imrs"));
+        let live = Self::steady_in(dir.path(), args);
+        Self { _own: Some(dir), ..live }
+    }
+
+    /// Starts the cell of the demo with these arguments in this runtime folder, so that it runs on: nobody gives up,
+    /// however long a busy machine or a dead node makes the others wait at the rendezvous. It records.
+    pub fn steady_in(dir: &Path, args: &[&str]) -> Self {
+        let (file, record) = (dir.join("beam_lift.cell"), dir.join("own.imrs"));
         let cell = std::fs::read_to_string(example("beam_lift.cell")).expect("an example");
         let patient = cell.replace("time_out = 2 sec", "time_out = 2000 sec");
         assert_ne!(patient, cell, "it gives up after 2 sec");
         std::fs::write(&file, patient).expect("the cell is written");
         let [file, record] = [&file, &record].map(|path| path.to_str().expect("UTF-8"));
-        let live = Self::start(dir.path(), &["run", file, "--for", "10m", "--record", record]);
+        let own = ["--record", record];
+        let own = if args.contains(&"--record") { &[][..] } else { &own };
+        let live = Self::start(dir, &[&["run", file, "--for", "10m"], own, args].concat());
         assert_eq!(live.nodes.len(), 3, "{:?}", live.nodes);
-        Self { _own: Some(dir), ..live }
+        live
     }
 
     /// The runtime folder.

@@ -41,11 +41,33 @@ pub fn excused(why: &str) {
     println!("this machine was late: {why}");
 }
 
+/// How often something is tried that a late machine may spoil.
+pub const TIMES: usize = 5;
+
 /// Tries something that a late machine may spoil, a few times. If it is spoilt each time, the test is excused for this reason.
 pub fn tried(why: &str, is_done: impl FnMut() -> bool) {
-    if !std::iter::repeat_with(is_done).take(5).any(|done| done) {
+    if !std::iter::repeat_with(is_done).take(TIMES).any(|done| done) {
         excused(why);
     }
+}
+
+/// Tries something that a process that stands still may spoil, a few times. Only chance may spoil it: it fails if it is
+/// spoilt each time.
+pub fn tried_again(why: &str, mut is_done: impl FnMut() -> bool) {
+    for _ in 0..TIMES {
+        if is_done() {
+            return;
+        }
+        excused(why);
+    }
+    panic!("each time {why}");
+}
+
+/// Tries something with a fault that comes soon after the start. If the machine is late for that, the next fault comes
+/// later.
+pub fn sooner_or_later(why: &str, is_done: impl FnMut(Duration) -> bool) {
+    let mut faults = [3, 20, 100].map(Duration::from_secs).into_iter();
+    assert!(faults.any(is_done), "{why}, though the fault came 100 s after the start");
 }
 
 /// Whether bounds are asked for that take minutes and not seconds.

@@ -123,8 +123,8 @@ const fn sends(usage: Usage) -> bool {
     }
 }
 
-/// The cycles among the waits of a cell. One that what is still on its way can end is none: each task in it must have
-/// sent nothing for so long that all it sent has come, and is known to the monitor.
+/// The cycles among the waits of a cell. A cycle that an in-flight message may still break is not reported: all that its
+/// tasks sent must have arrived before their nodes last told the monitor how they stand.
 #[must_use]
 pub fn cycles(store: &Store, cell: &Name, now: Moment) -> Vec<Cycle> {
     let Some(names) = store.names(cell) else { return Vec::new() };
@@ -134,8 +134,10 @@ pub fn cycles(store: &Store, cell: &Name, now: Moment) -> Vec<Cycle> {
     if waits.is_empty() {
         return Vec::new();
     }
-    let busy = busy(store, cell, names, now);
-    waits.retain(|wait| !busy.contains(&wait.waiter));
+    let up: Vec<_> = store.lives_of(cell).filter(|life| life.presence(now) == Presence::Up).collect();
+    let busy = busy(store, names, &up, now);
+    let is_known = |task: TaskId| up.iter().any(|life| life.task(task).is_some());
+    waits.retain(|wait| is_known(wait.waiter) && !busy.contains(&wait.waiter));
     trim(&mut waits);
     let mut cycles = Vec::new();
     while let Some(found) = waits.first().and_then(|wait| shortest(&waits, wait.waiter)) {
@@ -170,13 +172,14 @@ fn trim(waits: &mut Vec<Wait>) {
     }
 }
 
-/// The tasks that have sent anything so lately that it may still be on its way.
-fn busy(store: &Store, cell: &Name, names: &Names, now: Moment) -> BTreeSet<TaskId> {
-    let lives: Vec<_> = store.lives_of(cell).collect();
+/// The tasks that have sent anything so lately that it may still be on its way, or that its receiver has not told of it.
+fn busy(store: &Store, names: &Names, lives: &[&Life], now: Moment) -> BTreeSet<TaskId> {
     let tick_us = lives.iter().map(|l| l.tick_us).max().unwrap_or(1);
     let link_us = names.links.iter().map(|l| l.delay.0.saturating_mul(tick_us)).max().unwrap_or(0);
     let settled = PERIOD.saturating_add(Duration::from_micros(link_us.saturating_mul(3)));
-    let since = now.saturating_sub(settled);
+    // A node that has been stopped, or whose observer is late, tells nothing: what it received since is not known.
+    let heard = lives.iter().map(|life| life.heard).min().unwrap_or(now);
+    let since = heard.saturating_sub(settled);
     let acts = |seen: &Seen| {
         matches!(
             seen.what.event,

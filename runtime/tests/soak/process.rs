@@ -1,5 +1,6 @@
 //! What this process holds, as the kernel counts it.
 
+use std::ffi::OsString;
 use std::fs::DirEntry;
 use std::time::{Duration, Instant};
 
@@ -15,18 +16,29 @@ pub struct Held {
     pub threads: usize,
 }
 
+fn listed(folder: &str) -> impl Iterator<Item = DirEntry> {
+    std::fs::read_dir(folder).expect("this is Linux").flatten()
+}
+
+/// All threads of the process, by their numbers.
+pub fn threads() -> Vec<OsString> {
+    listed("/proc/self/task").map(|thread| thread.file_name()).collect()
+}
+
 impl Held {
-    pub fn now(since: Instant) -> Self {
+    /// `others`: the threads that were there before the nodes. The kernel may list one for a while after it has ended.
+    pub fn now(since: Instant, others: &[OsString]) -> Self {
         let status = std::fs::read_to_string("/proc/self/status").expect("this is Linux");
         let field = |name: &str| {
             let line = status.lines().find_map(|line| line.strip_prefix(name)).expect("a field");
             line.trim_end_matches("kB").trim().parse().expect("a number")
         };
-        let listed = |folder: &str| std::fs::read_dir(folder).expect("this is Linux").flatten();
         let is_of_a_node = |thread: &DirEntry| {
             let name = std::fs::read_to_string(thread.path().join("comm")).unwrap_or_default();
+            let is_another = others.contains(&thread.file_name());
             // That of the tasks, and what runs for all of them. The one for actions ends some time after its node.
-            ["imrs receive", "imrs timer"].contains(&name.trim_end()) || name.trim_end().len() == 1
+            !is_another
+                && (["imrs receive", "imrs timer"].contains(&name.trim_end()) || name.trim_end().len() == 1)
         };
         Self {
             at: since.elapsed().as_secs_f64(),

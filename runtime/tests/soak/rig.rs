@@ -19,6 +19,8 @@ use std::time::{Duration, Instant};
 
 /// Tasks `d`, `e` and `f` serve on the nodes of `a`, `b` and `c`.
 const SERVANTS: [TaskId; 3] = [TaskId(3), TaskId(4), TaskId(5)];
+/// Each of the three nodes has a thread for each of two tasks, the one that receives, and the Timer's.
+pub const THREADS: usize = 3 * 4;
 /// So many cycles of each driver lie between two meetings.
 const MEET_EVERY: u32 = 8;
 /// So many cycles there are at least, however long the machine takes for them.
@@ -158,7 +160,8 @@ impl Meetings {
 struct Shared {
     table: Arc<CellTable>,
     period: Option<Duration>,
-    until: Instant,
+    /// The drivers' next meeting is their last.
+    enough: AtomicBool,
     meetings: Meetings,
     tallies: Mutex<Vec<Tally>>,
     stop: AtomicBool,
@@ -193,7 +196,7 @@ fn drive(ctx: &mut Context, shared: &Shared) -> Result<(), TaskError> {
         }
         tally.cycles += 1;
         if cycle % MEET_EVERY == 0 {
-            if own == A && cycle >= LEAST && Instant::now() > shared.until {
+            if own == A && cycle >= LEAST && shared.enough.load(Ordering::SeqCst) {
                 shared.meetings.over.store(true, Ordering::SeqCst);
             }
             shared.meetings.begins(own);
@@ -295,13 +298,15 @@ pub struct Plan {
     pub recorded: bool,
 }
 
-/// Runs the three nodes; `look` is called again and again meanwhile.
-pub fn run(plan: Plan, mut look: impl FnMut()) -> Ran {
+/// Runs the three nodes, and calls `look` again and again meanwhile. The drivers end once `plan.length` has passed and `look` has
+/// returned true.
+pub fn run(plan: Plan, mut look: impl FnMut() -> bool) -> Ran {
+    let since = Instant::now();
     let table = soaked();
     let shared = Arc::new(Shared {
         table: Arc::clone(&table),
         period: plan.period,
-        until: Instant::now() + plan.length,
+        enough: AtomicBool::new(false),
         meetings: Meetings::default(),
         tallies: Mutex::default(),
         stop: AtomicBool::new(false),
@@ -324,8 +329,10 @@ pub fn run(plan: Plan, mut look: impl FnMut()) -> Ran {
     };
     let nodes: Vec<Runtime> = (0..).zip(builders).map(&mut begin).collect();
     while shared.tallies.lock().unwrap().len() < nodes.len() {
-        assert!(shared.until.elapsed() < 10 * LONG, "a driver does not end");
-        look();
+        assert!(since.elapsed() < plan.length + 10 * LONG, "a driver does not end");
+        if look() && since.elapsed() > plan.length {
+            shared.enough.store(true, Ordering::SeqCst);
+        }
     }
     // What is under way arrives, and what expires has expired.
     std::thread::sleep(Duration::from_millis(200));

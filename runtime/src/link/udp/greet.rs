@@ -72,6 +72,8 @@ impl UdpLink {
             }
             self.poll(&Deaf(self), Some(ask_at.min(end)));
         }
+        // A process that stood still finds the time over and the answers in its socket.
+        self.poll(&Deaf(self), Some(Instant::now()));
         // The node hears of its neighbours anew, once it runs, and greets all of them with the incarnation that it counts.
         for peer in &self.peers {
             *lock(&peer.known) = None;

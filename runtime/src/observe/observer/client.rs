@@ -116,14 +116,15 @@ impl Client {
     }
 
     fn try_serve(&mut self, ready: bool, room: bool, now: Instant) -> Result<(), Gone> {
+        if ready {
+            self.flush()?;
+            self.read(room, now)?;
+        }
+        // What lies in the socket is read first: on a busy machine the observer is late, not the monitor.
         if let State::Greeting { until } | State::Unproven { until } = self.state
             && until <= now
         {
             return Err(Gone);
-        }
-        if ready {
-            self.flush()?;
-            self.read(room, now)?;
         }
         if self.is_active() {
             self.active = now;
