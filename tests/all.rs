@@ -17,6 +17,7 @@ mod examples;
 mod explore;
 mod faults_seen;
 mod front_door;
+mod guide;
 mod hostile;
 mod monitor;
 mod observe;

@@ -27,13 +27,13 @@ fn pages() -> Vec<(String, String)> {
 }
 
 /// A block of code: its kind, its lines, and the text before it.
-struct Block<'a> {
-    kind: &'a str,
-    lines: Vec<&'a str>,
-    before: &'a str,
+pub struct Block<'a> {
+    pub kind: &'a str,
+    pub lines: Vec<&'a str>,
+    pub before: &'a str,
 }
 
-fn blocks(text: &str) -> Vec<Block<'_>> {
+pub fn blocks(text: &str) -> Vec<Block<'_>> {
     let mut found = Vec::new();
     let mut from = 0;
     while let Some(at) = text[from..].find("```").map(|at| from + at) {
@@ -60,13 +60,13 @@ fn spans(text: &str) -> Vec<Vec<&str>> {
 }
 
 /// Where the links of a text lead to, within the tree.
-fn links(text: &str) -> Vec<&str> {
+pub fn links(text: &str) -> Vec<&str> {
     let targets = text.split("](").skip(1).filter_map(|rest| rest.split([')', '#']).next());
     targets.filter(|target| !target.is_empty() && !target.contains("://")).collect()
 }
 
 /// Whether these lines stand in a source in their order, one after another but where a line is `...`.
-fn is_excerpt(excerpt: &[&str], source: &[&str]) -> bool {
+pub fn is_excerpt(excerpt: &[&str], source: &[&str]) -> bool {
     let mut at = 0;
     excerpt.split(|line| line.trim() == "...").filter(|piece| !piece.is_empty()).all(|piece| {
         let found = source[at..].windows(piece.len()).position(|window| window == piece);

@@ -221,6 +221,21 @@ fn every_decision_is_written_down_once() {
 }
 
 #[test]
+fn the_index_has_every_decision_once() {
+    let last = *decisions().keys().next_back().expect("decisions");
+    let index = read("specs/decisions/README.md");
+    let mut entries = BTreeMap::<u32, usize>::new();
+    for line in index.lines() {
+        let Some((number, _)) = line.strip_prefix("- [D").and_then(|rest| rest.split_once(']')) else {
+            continue;
+        };
+        *entries.entry(number.parse().expect("a number")).or_default() += 1;
+    }
+    let expected: BTreeMap<u32, usize> = (1..=last).map(|number| (number, 1)).collect();
+    assert_eq!(entries, expected, "the entries of specs/decisions/README.md, by number: how often");
+}
+
+#[test]
 fn decisions_that_code_and_documents_cite_are_written_down() {
     let written = decisions();
     let mut folders: Vec<PathBuf> =

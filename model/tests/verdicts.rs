@@ -284,3 +284,38 @@ fn one_standstill_does_not_hide_another() {
         assert_eq!(verdicts.warnings.len(), 1, "{k}");
     }
 }
+
+/// A task that answered a question long ago, while the one who asked has gone on sending since: the search looks at it whole, and
+/// finds that the two wait for ever.
+#[test]
+fn an_answer_of_long_ago_ends_no_search() {
+    let text = format!(
+        "{TWO}task arm on na\nuse_port next() usage = query;\n\
+         port done() usage = send user_list = {{feeder}} time_out = 2 sec class = 2;\nbegin loop\n\
+         query next() on time_out do skip; end;\n\
+         if outcome = answered then run pick takes 200..400 msec; send done() on time_out do skip; end; end;\nend; end arm;\n\
+         task feeder on nb\nport next() usage = response user_list = {{arm}} time_out = 2 sec;\n\
+         use_port done() usage = receive;\nbegin loop\n\
+         receive next(); response(); receive done(); reply();\nend; end feeder;\nfaults loss 1;\n"
+    );
+    let verdicts = Text::new(&text).check();
+    assert!(verdicts.is_complete() && verdicts.findings.is_empty());
+    assert_eq!(verdicts.warnings.iter().map(|warning| warning.kind).collect::<Vec<_>>(), [Kind::Standstill]);
+}
+
+/// What a task does after a time_out that no search had a fault for may lead to statements that need none by themselves: nobody is
+/// told to remove them.
+#[test]
+fn what_only_an_untried_fault_leads_to_is_no_finding() {
+    let asks = |first: &str, on_time_out: &str| {
+        format!(
+            "{TWO}task a on na\nuse_port next() usage = query;\nvar part: int8;\nbegin loop\n\
+             query next() -> part on time_out do {on_time_out} end;\n\
+             if part > 0 then run pick takes 5 msec; else run rest takes 5 msec; end;\nend; end a;\n\
+             task b on nb\nport next() -> int8 usage = response user_list = {{a}} time_out = 50 msec retry = 2;\n\
+             begin loop receive next(); response({first}); end; end b;\n"
+        )
+    };
+    assert_eq!(kinds(&asks("1", "part := 0;")), []);
+    assert_eq!(kinds(&asks("1", "abort \"late\";")), [Kind::Unreached]);
+}

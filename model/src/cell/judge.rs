@@ -5,7 +5,7 @@ use super::plan::Conduct;
 use super::verdict::{Kind, Phase};
 use crate::floor::script::ScriptTurn;
 use crate::state::Violation;
-use imrs_protocol::script::{Activity, Address, End, Op, Outcomes, Program, ScriptInput, Term, Trigger};
+use imrs_protocol::script::{Activity, Address, End, Op, Program, ScriptInput, Term};
 
 use imrs_protocol::{CellTable, Instant, Outcome, Packet, PortId, Signal, Target, TaskId, Usage};
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -80,15 +80,6 @@ pub(super) fn nothing_reached(course: &Course) -> Reached {
             .map(|check| course.plan.terms(check).into_iter().map(first).collect())
             .collect(),
     }
-}
-
-/// How many statements of a program were reached, of how many, and those that were not.
-pub(super) fn missed(program: &Program, reached: impl Fn(usize) -> bool) -> ((u32, u32), Vec<usize>) {
-    let is = |at: &usize| program.code[*at] == Op::Statement;
-    let all: Vec<usize> = (0..program.code.len()).filter(is).collect();
-    let missed: Vec<usize> = all.iter().copied().filter(|&at| !reached(at)).collect();
-    let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
-    ((count(all.len() - missed.len()), count(all.len())), missed)
 }
 
 pub(super) fn program(course: &Course, task: usize) -> Option<&Program> {
@@ -364,30 +355,6 @@ pub(super) fn statement(table: &CellTable, program: &Program, at: Address) -> St
         Some(Op::Lease) => "its lease".into(),
         _ => "a statement".into(),
     }
-}
-
-/// The operations that are reached when nothing ends badly and no timer, fence or take-over calls: what lies beyond
-/// needs a fault.
-pub(super) fn needs_no_fault(program: &Program) -> Vec<bool> {
-    let messages = program.handlers.iter().filter(|handler| matches!(handler.trigger, Trigger::Message(_)));
-    let mut open: Vec<Address> = messages.map(|handler| handler.entry).collect();
-    open.push(0);
-    let mut reached = vec![false; program.code.len()];
-    while let Some(at) = open.pop() {
-        let Some(flag) = reached.get_mut(usize::from(at)).filter(|flag| !**flag) else { continue };
-        *flag = true;
-        match program.code[usize::from(at)] {
-            Op::Jump(to) => open.push(to),
-            Op::Unless(to) => open.extend([to, at.saturating_add(1)]),
-            Op::Abort(_) | Op::End | Op::HandlerEnd => {}
-            // The answer of a statement may bring a message or none: only bad ends need a fault.
-            Op::On { outcomes, to } if outcomes.0 & !Outcomes::BAD.0 != 0 => {
-                open.extend([to, at.saturating_add(1)]);
-            }
-            _ => open.push(at.saturating_add(1)),
-        }
-    }
-    reached
 }
 
 /// Whom a request that ended badly was for: those who should have answered, or come.

@@ -45,6 +45,7 @@ mod frames;
 mod guard;
 mod judge;
 mod legend;
+mod missed;
 mod outside;
 mod parts;
 mod plan;

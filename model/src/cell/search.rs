@@ -7,6 +7,7 @@ use super::course::{CellMove, Course};
 use super::done::Done;
 use super::each_part::look_at_each;
 use super::judge::{self, Reached, Shown};
+use super::missed::Missed;
 use super::outside::{says_something, tried, with_programs};
 use super::parts::parts;
 use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
@@ -335,20 +336,18 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open): (Vec<i64>
     // What nobody reached before a finding that ends its way may lie behind it.
     let complete = done.iter().all(|done| done.coverage.complete && !done.coverage.pruned);
     let mut verdicts = Verdicts { outside, ..Verdicts::default() };
-    for (number, conduct) in plan.tasks.iter().enumerate() {
-        let Conduct::Program { program, .. } = conduct else {
-            verdicts.statements.push((0, 0));
-            continue;
-        };
-        let reached = |at: usize| done.iter().any(|done| done.reached.statements[number][at]);
-        let (counts, missed) = judge::missed(program, reached);
-        verdicts.statements.push(counts);
+    let missed = plan.tasks.iter().enumerate().map(|(number, conduct)| {
+        Missed::of(conduct, |at| done.iter().any(|done| done.reached.statements[number][at]))
+    });
+    let missed: Vec<Missed> = missed.collect();
+    // What such a statement stores or sends may lead to others that need no fault by themselves, in any task.
+    let leads_on = missed.iter().any(|missed| missed.leads_on);
+    for (number, missed) in missed.into_iter().enumerate() {
+        verdicts.statements.push(missed.counts);
         let task = TaskId::from_index(number);
-        let plain = judge::needs_no_fault(program);
-        for at in missed {
-            let needs_fault = !plain[at];
+        for (at, needs_fault) in missed.statements {
             let at = Address::try_from(at).unwrap_or(Address::MAX);
-            if needs_fault && complete {
+            if (needs_fault || leads_on) && complete {
                 verdicts.not_exercised.push((task, at));
             } else if complete && is_open {
                 verdicts.not_tried.push((task, at));

@@ -22,7 +22,7 @@ pub(crate) enum Does {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct Level {
     pub does: Does,
-    /// The command it must answer, and what that says.
+    /// The command it must answer, unless a script does, and what that says.
     pub to: Option<ReplyTo>,
     pub echo: u8,
     /// Whether this handler has sent its nested command.
@@ -215,9 +215,11 @@ impl Body {
 
     /// Hears an answer of its communication task.
     pub fn hear(&mut self, signal: &Signal) {
+        // A script knows itself whom it answers, and when it has.
+        let answers = |delivery: &Delivery| delivery.class == Class::Command && self.actor.is_none();
         let serves = |delivery: &Delivery| Level {
             does: Does::Serves,
-            to: (delivery.class == Class::Command).then_some(delivery.from),
+            to: answers(delivery).then_some(delivery.from),
             echo: delivery.contents.as_bytes().first().copied().unwrap_or(0),
             ..Level::default()
         };

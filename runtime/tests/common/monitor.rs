@@ -29,12 +29,13 @@ pub struct Folder(pub PathBuf);
 impl Folder {
     pub fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("imrs-runtime-{name}-{}", std::process::id()));
-        std::fs::create_dir_all(&path).expect("a folder");
+        // The cell's folder, below that of all cells: an observer looks there for its neighbours' sockets.
+        std::fs::create_dir_all(path.join("cell")).expect("a folder");
         Self(path)
     }
 
     pub fn socket(&self) -> PathBuf {
-        self.0.join("n.sock")
+        self.0.join("cell").join("n.sock")
     }
 }
 

@@ -84,8 +84,8 @@ pub fn sockets_in(base: &Path) -> Result<Vec<PathBuf>, PlaceError> {
         Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         Err(source) => return Err(PlaceError::Io { path: base.to_owned(), source }),
     };
-    let ours =
-        |path: &Path| fs::symlink_metadata(path).is_ok_and(|m| m.is_dir() && Some(m.uid()) == own_uid());
+    let own = own_uid();
+    let ours = |path: &Path| fs::symlink_metadata(path).is_ok_and(|m| m.is_dir() && Some(m.uid()) == own);
     let mut found = Vec::new();
     for dir in entries.flatten().map(|e| e.path()).filter(|p| ours(p)) {
         let files = fs::read_dir(dir).into_iter().flatten().flatten().map(|e| e.path());

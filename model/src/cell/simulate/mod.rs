@@ -23,7 +23,8 @@ pub use schedule::{Chooser, Fault, MOST_FAULTS, Schedule, Tape};
 
 use super::alike::shows_alike;
 use super::course::Course;
-use super::judge::{self, Reached, Shown};
+use super::judge::{Reached, Shown};
+use super::missed::Missed;
 use super::outside::with_programs;
 use super::plan::{CellFaults, CellPlan, Conduct, Times};
 use super::search::{timed, too_large};
@@ -377,12 +378,12 @@ impl Simulator {
 
     fn coverage(&self, all: &mut Simulated, reached: Option<&Reached>) {
         for (number, conduct) in self.plan.tasks.iter().enumerate() {
-            let (Conduct::Program { program, .. }, Some(reached)) = (conduct, reached) else { continue };
-            let (counts, missed) = judge::missed(program, |at| reached.statements[number][at]);
-            all.statements.push(counts);
+            let (Conduct::Program { .. }, Some(reached)) = (conduct, reached) else { continue };
+            let missed = Missed::of(conduct, |at| reached.statements[number][at]);
+            all.statements.push(missed.counts);
             let address = |at: usize| Address::try_from(at).unwrap_or(Address::MAX);
             let task = TaskId::from_index(number);
-            all.not_reached.extend(missed.into_iter().map(|at| (task, address(at))));
+            all.not_reached.extend(missed.statements.into_iter().map(|(at, _)| (task, address(at))));
         }
     }
 }
