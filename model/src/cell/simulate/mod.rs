@@ -381,9 +381,8 @@ impl Simulator {
             let (Conduct::Program { .. }, Some(reached)) = (conduct, reached) else { continue };
             let missed = Missed::of(conduct, |at| reached.statements[number][at]);
             all.statements.push(missed.counts);
-            let address = |at: usize| Address::try_from(at).unwrap_or(Address::MAX);
-            let task = TaskId::from_index(number);
-            all.not_reached.extend(missed.statements.into_iter().map(|(at, _)| (task, address(at))));
+            let named = |(at, _)| (TaskId::from_index(number), Address::try_from(at).unwrap_or(Address::MAX));
+            all.not_reached.extend(missed.statements.into_iter().map(named));
         }
     }
 }
