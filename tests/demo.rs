@@ -228,7 +228,7 @@ fn a_camera_that_stands_still_costs_time_and_no_wrong_grip() {
         let dir = runtime_dir();
         let demo =
             Live::start(dir.path(), &[&["demo", "conveyor", "--seed", "3", "--for", "10m"], how].concat());
-        // The camera stands still when pick is about to look for its third part, or, on a machine that is late, soon after.
+        // The camera stands still when pick has let go of its first part. Under this seed place has hold of that.
         let (summary, errors) =
             ended(demo, "a fourth part", |seen| figure(seen, "place", "coming", "delivered") >= 4);
         assert_eq!(summary["outcome"]["held"], true, "{summary} {errors}");

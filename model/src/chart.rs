@@ -352,7 +352,7 @@ fn said(signal: &Signal, ports: &[String], timers: &[String]) -> Option<String> 
         Signal::Outcome(Outcome::Refused) => Some("is refused".into()),
         Signal::Outcome(Outcome::PeerRestarted) => Some("hears of the restart".into()),
         Signal::Interrupt(Call::Message(delivery)) => Some(match ports.get(delivery.from.port.index()) {
-            Some(name) => format!("is interrupted by {name}"),
+            Some(name) => format!("{name} comes, its handler runs"),
             None => "is interrupted".into(),
         }),
         Signal::Interrupt(Call::Timer(timer)) => Some(match timers.get(usize::from(timer.0)) {

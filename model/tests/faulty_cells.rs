@@ -22,7 +22,7 @@ use std::sync::{Arc, LazyLock};
 const FEWEST: usize = 25;
 
 /// Every kind of finding of a cell. No cell makes the machine itself go wrong, as far as is known.
-const KINDS: [Kind; 14] = [
+const KINDS: [Kind; 15] = [
     Kind::Deadlock,
     Kind::TimeOut,
     Kind::Starves,
@@ -37,6 +37,7 @@ const KINDS: [Kind; 14] = [
     Kind::Unreached,
     Kind::Vacuous,
     Kind::Standstill,
+    Kind::WaitsForEver,
 ];
 
 /// What is said of a cell that the checker cannot look at.
@@ -166,7 +167,8 @@ fn every_finding_has_a_place_and_those_whom_it_concerns_have_theirs() {
             assert!(!finding.cause.is_empty() && !finding.cause.contains("  "), "{}", what());
             let concerns = match finding.kind {
                 Kind::Deadlock | Kind::TwoOwners => 2,
-                Kind::Stranded | Kind::TimeOut | Kind::Starves | Kind::Check | Kind::Standstill => 1,
+                Kind::Stranded | Kind::TimeOut | Kind::Starves | Kind::Check => 1,
+                Kind::Standstill | Kind::WaitsForEver => 1,
                 Kind::Refused
                 | Kind::Ends
                 | Kind::Aborts

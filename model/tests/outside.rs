@@ -15,9 +15,11 @@ fn a_task_outside_makes_any_use_of_its_ports() {
         loop receive put(m); y := true; reply(); y := false; run work takes 1..5 msec; end;\nend b;\n\
         check c: never b.y;\n";
     // It may say anything that its format holds.
-    let cell = Text::new(&text.replace("never b.y", "never b.m.n > 0"));
-    assert_eq!(cell.found(&cell.check()), [found(Kind::Check, "")]);
-    let cell = Text::new(&text.replace("never b.y", "never b.m.n > 7"));
+    for never in ["never b.m.n > 0", "never b.m.n > 7", "never b.m.n < -7"] {
+        let cell = Text::new(&text.replace("never b.y", never));
+        assert_eq!(cell.found(&cell.check()), [found(Kind::Check, "")], "{never}");
+    }
+    let cell = Text::new(&text.replace("never b.y", "never b.m.n > 127"));
     assert_eq!(all(&cell), []);
     let verdicts = cell.check();
     assert!(verdicts.statements[1].0 == verdicts.statements[1].1, "what a sends arrives");
@@ -102,11 +104,43 @@ fn a_task_outside_says_what_others_ask_for() {
     let checked = |condition: &str| Text::new(&text(condition)).check();
     let reached = checked("m.n = 7");
     assert!(reached.findings.iter().any(|finding| finding.kind == Kind::Check), "{:?}", reached.findings);
-    assert_eq!(reached.outside[..3], [0, 1, 7]);
+    assert_eq!(reached.outside.whole[..3], [0, 1, 7]);
     let beyond = checked("m.n > 9 and m.n < 12 and m.k < 5");
     assert!(beyond.findings.iter().all(|finding| finding.kind == Kind::TimeOut), "{:?}", beyond.findings);
     let [(task, _)] = beyond.not_tried[..] else { panic!("{:?}", beyond.not_tried) };
     assert_eq!(task.index(), 0);
+    // What is compared by order is tried on both sides of the constant.
+    let beside = checked("m.n > 9 and m.n < 12");
+    assert!(beside.findings.iter().any(|finding| finding.kind == Kind::Check), "{:?}", beside.findings);
+    assert_eq!(
+        (&beside.outside.whole[..], &beside.outside.left_out[..]),
+        (&[0, 1, 9, 12, 8, 10, 11, 13][..], &[][..])
+    );
+    assert!(beside.outside.real.is_empty());
+}
+
+/// A task outside that says reals: constants, and the next numbers on both sides.
+#[test]
+fn reals_of_a_task_outside_come_on_both_sides_of_what_they_are_compared_with() {
+    let checked = |condition: &str| {
+        let text = format!(
+            "cell out;\ntick 1 msec;\nnode na;  node nb;\nlink na -- nb delay 1 msec;\n\
+             task a on na\nuse_port height(h: real) usage = receive;\nvar h: real; var x: bool;\nbegin\n\
+             loop receive height(h); if {condition} then x := true; end; end;\nend a;\n\
+             task b on nb extern rate = 1/10 msec\n\
+             port height(h: real) usage = send user_list = {{a}} time_out = 20 msec class = 1;\nend b;\n\
+             check c: never a.x;\n"
+        );
+        Text::new(&text).check()
+    };
+    for reached in ["h > 2.5", "h < 2.5 and h > 2.4", "h = 2.5", "h = 1.0"] {
+        let verdicts = checked(reached);
+        assert!(verdicts.findings.iter().any(|finding| finding.kind == Kind::Check), "{reached}");
+    }
+    let many: Vec<String> = (2..16).map(|n| format!("h = {n}.5")).collect();
+    let tried = checked(&many.join(" or ")).outside;
+    assert_eq!((tried.real.len(), &tried.real[..3]), (12, &[0.0, 1.0, 2.5][..]));
+    assert_eq!(tried.real_left_out, [12.5, 13.5, 14.5, 15.5]);
 }
 
 /// Beats are the machine's own: a task outside does not use their port. It takes over as any other task does, and goes on where

@@ -319,3 +319,67 @@ fn what_only_an_untried_fault_leads_to_is_no_finding() {
     assert_eq!(kinds(&asks("1", "part := 0;")), []);
     assert_eq!(kinds(&asks("1", "abort \"late\";")), [Kind::Unreached]);
 }
+
+/// A task that waits in the middle of its work for one that has ended is told. One that has done all that it was asked for, and
+/// waits for the next order, is not.
+#[test]
+fn who_waits_for_ever_for_one_that_has_ended_is_told() {
+    let told = |sends: &str, takes: &str, other: &str| {
+        let text = format!(
+            "{TWO}task a on na\nport p() usage = send user_list = {{b}} time_out = 50 msec class = 2;\n\
+             begin {sends} end a;\n\
+             task b on nb\nuse_port p() usage = receive;\nvar n: int8;\nbegin {takes} end b;\n{other}"
+        );
+        let verdicts = Text::new(&text).check();
+        assert!(verdicts.is_complete(), "{text}");
+        // What would follow is never reached.
+        assert!(
+            verdicts.findings.iter().all(|found| found.kind == Kind::Unreached),
+            "{:?}",
+            verdicts.findings
+        );
+        let told = verdicts.warnings.iter().map(|warning| (warning.kind, warning.cause.clone()));
+        told.collect::<Vec<_>>()
+    };
+    let waits = [(Kind::WaitsForEver, "b waits at receive `p` for ever: a has ended".to_owned())];
+    let (once, twice) = ("receive p(); reply();", "receive p(); reply(); receive p(); reply();");
+    let acts = "task c on na\nbegin loop run blink takes 5 msec; end; end c;\n";
+    for other in ["", acts] {
+        assert_eq!(told("send p();", twice, other), waits, "{other}");
+        assert_eq!(told("send p();", once, other), [], "{other}");
+        // It was told that two come.
+        assert_eq!(told("send p();", "while n < 2 do receive p(); reply(); n := n + 1; end;", other), waits);
+        assert_eq!(
+            told("send p(); send p();", "while n < 2 do receive p(); reply(); n := n + 1; end;", other),
+            []
+        );
+        // A server, and one whose orders come in pairs.
+        assert_eq!(told("send p();", "loop receive p(); reply(); end;", other), []);
+        assert_eq!(
+            told("send p();", "loop n := 0; receive p(); reply(); run pick takes 5 msec; end;", other),
+            []
+        );
+        assert_eq!(told("send p();", &format!("loop {twice} end;"), other), waits);
+        assert_eq!(told("send p(); send p();", &format!("loop {twice} end;"), other), []);
+    }
+}
+
+/// A standby that has ended grants no lease: its primary waits for ever.
+#[test]
+fn a_primary_whose_standby_has_ended_is_told() {
+    let told = |standby: &str| {
+        let text = format!(
+            "{TWO}task a on na\nport alive() usage = response user_list = {{b}} time_out = 20 msec;\n\
+             begin loop run weld takes 50 msec; end; end a;\n\
+             task b on nb standby of a\nuse_port alive() usage = query;\nbegin {standby}\n\
+             takeover loop run weld takes 50 msec; end; end b;\n\
+             couple work a -> b lease 100 msec takeover 250 msec every 20 msec via alive;\n"
+        );
+        let verdicts = Text::new(&text).check();
+        assert!(verdicts.is_complete(), "{text}");
+        let all = verdicts.findings.iter().chain(&verdicts.warnings);
+        all.map(|found| (found.kind, found.cause.clone())).collect::<Vec<_>>()
+    };
+    assert_eq!(told("loop delay 50 msec; end;"), []);
+    assert_eq!(told("delay 50 msec;"), []);
+}

@@ -144,7 +144,7 @@ impl App {
     #[must_use]
     pub fn new(theme: Theme, only: Option<String>) -> Self {
         Self {
-            live: Store::default(),
+            live: Store::of_running_nodes(),
             frozen: None,
             history: History::default(),
             back: None,

@@ -78,7 +78,7 @@ impl Watch {
             court.hear(&arrival.feed);
             sender.send(arrival).is_ok()
         }))?;
-        Ok(Self { clock, store: Store::default(), arrivals, settled: BTreeSet::new(), source })
+        Ok(Self { clock, store: Store::of_running_nodes(), arrivals, settled: BTreeSet::new(), source })
     }
 
     /// Takes what comes for so long.

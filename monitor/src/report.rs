@@ -9,7 +9,7 @@ use crate::store::conformance::{Verdict, conformance};
 use crate::store::health::{Finding, findings, held_back_words};
 use crate::store::journal::Level;
 use crate::store::meeting::{Meeting, Standing, meetings, state};
-use crate::store::{Life, Store};
+use crate::store::{Life, Store, Unseen, unseen};
 use imrs_protocol::{Class, MeetingState, MeetingView, PortView, TaskState, Usage};
 use imrs_wire::obs::{Count, Liveness, RealTime, TaskSnapshot};
 use imrs_wire::text;
@@ -176,10 +176,10 @@ fn whole(store: &Store, only: Option<&str>, now: Moment, replay: Option<Position
     let cells = cells(store, only);
     let troubles = store.troubles().collect();
     let mut report = Report { version: VERSION, nodes: Vec::new(), findings: Vec::new(), troubles, replay };
-    let unseen: Vec<_> = cells.iter().map(|cell| store.unseen(cell)).collect();
+    let unseen: Vec<_> = cells.iter().map(|cell| unseen(store, cell)).collect();
     for (cell, unseen) in cells.iter().zip(&unseen) {
         report.nodes.extend(store.lives_of(cell).map(|life| node(store, life, now)));
-        report.nodes.extend(unseen.iter().map(|(_, name, killed)| not_seen(cell, name, *killed)));
+        report.nodes.extend(unseen.iter().map(|one| not_seen(cell, &one.name, one.is_killed)));
         report.findings.extend(findings(store, cell, now).iter().map(|f| found(store, cell, f)));
     }
     text::json(&serde_json::to_string(&report).expect("a report is plain data")).into_owned()
@@ -413,8 +413,8 @@ pub fn text(store: &Store, only: Option<&str>, now: Moment) -> String {
         for life in store.lives_of(&cell) {
             text_node(life, now, &mut out);
         }
-        for (_, name, killed) in store.unseen(&cell) {
-            let _ = writeln!(out, "  node {name}: {}", if killed { "DEAD" } else { "not seen here" });
+        for Unseen { name, is_killed, .. } in unseen(store, &cell) {
+            let _ = writeln!(out, "  node {name}: {}", if is_killed { "DEAD" } else { "not seen here" });
         }
         for meeting in meetings(store, &cell, now) {
             text_meeting(&meeting, &mut out);

@@ -5,7 +5,7 @@ use crate::name::Name;
 use crate::query::{Field, Filter, NodeRow, PortRow, Row as Fields, Value};
 use crate::store::health::{Finding, Place};
 use crate::store::journal::Level;
-use crate::store::{Life, Store};
+use crate::store::{Life, Store, Unseen, unseen};
 use imrs_protocol::PortView;
 use imrs_wire::obs::TaskSnapshot;
 use std::collections::BTreeSet;
@@ -83,25 +83,22 @@ pub fn rows(store: &Store, cell: &Name, shape: &Shape, findings: &[Finding], now
     for life in store.lives_of(cell) {
         nodes.extend(maker.node(life, store.is_present(life)));
     }
-    for (id, name, _) in store.unseen(cell) {
-        if maker.filter.is_none_or(|filter| filter.takes(&Unseen(&name))) {
-            let place = Place { node: Err(id), task: None, port: None };
+    for one in unseen(store, cell) {
+        if maker.filter.is_none_or(|filter| filter.takes(&one)) {
+            let place = Place { node: Err(one.node), task: None, port: None };
             nodes.push((maker.key(&place, u64::MAX, 0), vec![maker.row(place, 0, false, true)]));
         }
     }
     maker.flat(nodes)
 }
 
-/// A node of which nothing but its name is known.
-struct Unseen<'a>(&'a Name);
-
-impl Fields for Unseen<'_> {
+impl Fields for Unseen {
     fn field(&self, field: Field) -> Value<'_> {
-        if field == Field::Node { Value::Text(self.0.raw().into()) } else { Value::Missing }
+        if field == Field::Node { Value::Text(self.name.raw().into()) } else { Value::Missing }
     }
 
     fn mentions(&self, words: &str) -> bool {
-        self.0.shown().to_lowercase().contains(words)
+        self.name.shown().to_lowercase().contains(words)
     }
 }
 

@@ -8,6 +8,7 @@ mod history;
 mod hostile;
 mod large;
 mod live;
+mod missing;
 mod query;
 mod reduce;
 mod replay;

@@ -1,6 +1,6 @@
 //! What the store and the app make of what they are told, without a terminal.
 
-use crate::common::{BEAT, HALT, LIFT, NODES, Stage, events, identity, ms, observed, snapshot, table};
+use crate::common::{BEAT, HALT, LIFT, Stage, events, identity, ms, observed, snapshot, table};
 use crossterm::event::KeyCode;
 use imrs_monitor::app::{Effect, Screen};
 use imrs_monitor::clock::Clock;
@@ -142,28 +142,6 @@ fn the_matrix_says_who_waits_for_whom_and_names_a_dead_member() {
 }
 
 #[test]
-fn a_member_on_a_node_never_seen_is_known_through_the_others() {
-    let mut stage = Stage::new(Theme::ASCII);
-    stage.attach(ms(1_000), 0, 1);
-    let shown = meeting(stage.app.store(), &beam(), LIFT, ms(1_010)).unwrap();
-    let standing: Vec<_> = shown.members.iter().map(|m| m.standing).collect();
-    assert_eq!(standing, [Standing::Arrived, Standing::Arrived, Standing::Missing]);
-    assert!(shown.members[1].presence.is_none());
-    assert_eq!(shown.lost().count(), 0, "never seen is not dead");
-}
-
-#[test]
-fn a_socket_left_behind_says_which_node_was_killed() {
-    let mut stage = Stage::new(Theme::ASCII);
-    stage.attach(ms(1_000), 0, 1);
-    stage.feed(ms(1_000), 7, Feed::Stale { cell: "beam-lift".into(), node: "nh".into() });
-    let unseen = stage.app.store().unseen(&beam());
-    let unseen: Vec<_> = unseen.iter().map(|(_, name, killed)| (name.raw(), *killed)).collect();
-    assert_eq!(unseen, [("nr", false), ("nh", true)]);
-    assert!(codes(stage.app.store(), ms(1_000)).contains(&"node-dead"));
-}
-
-#[test]
 fn repeated_events_take_one_line_and_traffic_cannot_push_out_what_matters() {
     let mut stage = Stage::cell(Theme::ASCII);
     let expired = |n| observed(Event::Discarded(Reason::Expired), HALT, 2, n);
@@ -199,14 +177,6 @@ fn losses_crashes_and_link_drops_are_noticed() {
     for code in ["task-crashed", "link-discards", "time-outs"] {
         assert!(codes.contains(&code), "{code} in {codes:?}");
     }
-}
-
-#[test]
-fn a_quiet_cell_has_no_findings() {
-    let mut stage = Stage::new(Theme::ASCII);
-    stage.attach(ms(1_000), 0, 1);
-    stage.attach(ms(1_000), 2, 1);
-    assert_eq!(codes(stage.app.store(), ms(1_010)), [""; 0]);
 }
 
 proptest! {
@@ -414,17 +384,6 @@ fn several_cells_are_shown_one_at_a_time() {
     assert_eq!(stage.app.cell().unwrap().raw(), "weld");
     stage.keys(ms(1_000), "C");
     assert_eq!(stage.app.cell(), Some(beam()));
-}
-
-#[test]
-fn every_node_of_the_table_has_a_row() {
-    let mut stage = Stage::new(Theme::ASCII);
-    stage.attach(ms(1_000), 1, 1);
-    let text = stage.text(ms(1_000), 120, 24);
-    for name in NODES {
-        assert!(text.contains(name), "{text}");
-    }
-    assert!(text.contains("1/3 nodes") && text.contains("not seen here"));
 }
 
 #[test]

@@ -58,7 +58,7 @@ pub struct MonitorArgs {
     #[arg(long = "for", value_name = "TIME", requires = "lasting", value_parser = crate::time::parse)]
     pub length: Option<Duration>,
     /// End with exit code 1 unless this holds, now or (with --for) all the time: `expired==0 and min_slack>5ms`,
-    /// `count(class=2 and fill>80%) == 0`, `up>=3`, `critical==0`.
+    /// `count(class=2 and fill>80%) == 0`, `missing==0`, `critical==0`.
     #[arg(long = "assert", value_name = "CONDITION", conflicts_with = "record")]
     pub assertions: Vec<imrs_monitor::query::Assertion>,
     /// How it looks: colour, light, contrast, mono, ascii, colour-ascii [default: what the terminal can do].

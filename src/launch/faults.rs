@@ -71,6 +71,11 @@ pub enum FaultError {
     /// Not a share.
     #[error("write a share from 0% to 100%: 10% or 0.1")]
     Rate,
+    /// A number of packets, as `imrs verify` takes.
+    #[error(
+        "write a share: 10% or 0.1, and 100% for all (`imrs verify --loss {0}` takes a number of packets)"
+    )]
+    Packets(u32),
     /// Not `NAME@TIME`.
     #[error("write what and when: hoist@2s")]
     Kill,
@@ -114,6 +119,9 @@ impl FromStr for Rate {
     type Err = FaultError;
 
     fn from_str(text: &str) -> Result<Self, FaultError> {
+        if let Some(packets) = text.parse().ok().filter(|packets| *packets > 0) {
+            return Err(FaultError::Packets(packets));
+        }
         let (digits, unit) = text.strip_suffix('%').map_or((text, 1.0), |digits| (digits, 100.0));
         let share = digits.parse::<f64>().map_err(|_| FaultError::Rate)? / unit;
         if (0.0..=1.0).contains(&share) { Ok(Self(share)) } else { Err(FaultError::Rate) }
@@ -261,12 +269,14 @@ mod tests {
 
     #[test]
     fn rates_are_shares() {
-        for (text, share) in [("10%", 0.1), ("0", 0.0), ("1", 1.0), ("100%", 1.0), ("7%", 0.07)] {
+        for (text, share) in [("10%", 0.1), ("0", 0.0), ("1.0", 1.0), ("100%", 1.0), ("7%", 0.07)] {
             assert_eq!(text.parse(), Ok(Rate(share)), "{text}");
         }
-        for text in ["", "%", "x", "-1%", "101%", "2", "NaN", "inf"] {
+        for text in ["", "%", "x", "-1%", "101%", "2.0", "NaN", "inf"] {
             assert_eq!(text.parse::<Rate>(), Err(FaultError::Rate), "{text}");
         }
+        // `imrs verify` takes numbers of packets: whoever means one here would lose everything.
+        assert_eq!("1".parse::<Rate>(), Err(FaultError::Packets(1)));
         assert_eq!(Rate(0.07).to_string(), "7%");
         assert_eq!(Rate(0.125).to_string(), "12.5%");
     }

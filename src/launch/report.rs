@@ -254,7 +254,7 @@ fn node_line(node: &NodeSummary, relays: bool) -> String {
     if node.cut_off > 0 {
         parts.push(format!("{} held back by a cut", count(node.cut_off, "packet")));
     }
-    for (what, counts) in [("dropped", &node.discards), ("turned away by the link", &node.link_discards)] {
+    for (what, counts) in [("dropped", &node.discards), ("dropped by the link", &node.link_discards)] {
         if !counts.is_empty() {
             parts.push(format!("{what}: {}", listed(counts)));
         }

@@ -1,7 +1,8 @@
 //! What the check of a cell found, as programs read it.
 
+use super::limits::not_looked_for;
 use super::subject::Subject;
-use super::tell::{help, not_looked_for};
+use super::tell::help;
 use imrs_model::cell::{
     CellFaults, CellPlan, Concerned, Coverage, Finding, Kind, Pause, Phase, Refused, Times, Verdicts,
 };
@@ -28,8 +29,12 @@ pub(super) struct Answer<'a> {
     warnings: Vec<Told<'a>>,
     /// Statements that these faults never called for.
     not_exercised: Vec<Place<'a>>,
-    /// The values with which messages from tasks outside the cell were tried.
+    /// The values with which messages from tasks outside the cell were tried: in fields that are no reals, and in reals.
     outside: &'a [i64],
+    outside_real: &'a [f32],
+    /// Those that are too many to be tried.
+    outside_left_out: &'a [i64],
+    outside_real_left_out: &'a [f32],
     /// Statements never reached with these values: other ones may lead there.
     not_tried: Vec<Place<'a>>,
     /// Statements not reached before a search ended or a finding: it says nothing about them.
@@ -195,7 +200,10 @@ impl Subject {
                 .collect(),
             warnings: verdicts.warnings.iter().map(|warning| self.told(warning, false)).collect(),
             not_exercised: self.places(&verdicts.not_exercised),
-            outside: &verdicts.outside,
+            outside: &verdicts.outside.whole,
+            outside_real: &verdicts.outside.real,
+            outside_left_out: &verdicts.outside.left_out,
+            outside_real_left_out: &verdicts.outside.real_left_out,
             not_tried: self.places(&verdicts.not_tried),
             not_seen: self.places(&verdicts.not_seen),
             rounded: self.rounded_times(),

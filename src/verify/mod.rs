@@ -2,6 +2,7 @@
 
 mod answer;
 mod cell;
+mod limits;
 mod progress;
 mod report;
 mod save;

@@ -1,5 +1,6 @@
 //! What the check of a cell found, as a person reads it.
 
+use super::limits::{not_looked_for, values_tried};
 use super::subject::Subject;
 use crate::args::{self, CellFaultArgs, VerifyVerb};
 use crate::cell_file;
@@ -17,29 +18,6 @@ const CHART_TAIL: usize = 8;
 const FEW: usize = 6;
 /// The most columns of a statement's text.
 const EXCERPT: usize = 48;
-
-/// What no verdict on a cell says anything about.
-const STANDSTILLS: &str = "tasks that go on for ever without coming further while others of their part do come further, or that only ask again and again whether something came";
-
-/// What no verdict on a cell with tasks outside says anything about.
-const TIMES_OUTSIDE: &str =
-    "extern tasks that use a port otherwise than once in each period of their rate, or in each tick";
-
-/// What no verdict on a cell says anything about whose actions give results that go elsewhere than into comparisons.
-const OTHER_RESULTS: &str =
-    "other results of actions than the ends of their ranges and what is compared with";
-
-/// What no verdict on a cell says anything about whose actions give numbers.
-const UNFIT: &str =
-    "results of actions that are outside their range, or do not fit the variable that takes them";
-
-/// What the verdict on this cell says nothing about.
-pub(super) fn not_looked_for(plan: &CellPlan) -> Vec<&'static str> {
-    let outside = plan.has_extern().then_some(TIMES_OUTSIDE);
-    let results = plan.has_open_results().then_some(OTHER_RESULTS);
-    let unfit = plan.takes_numbers().then_some(UNFIT);
-    std::iter::once(STANDSTILLS).chain(outside).chain(results).chain(unfit).collect()
-}
 
 /// What there is to tell.
 pub(super) struct Telling<'a> {
@@ -106,13 +84,7 @@ impl Telling<'_> {
         }
         let untried = "never reached at these bounds: no fault, time_out or timer of theirs leads there (more faults: --loss, --dup, --reorder, --crash, --pause, --drift)";
         subject.statements(untried, &verdicts.not_exercised, out)?;
-        if !verdicts.outside.is_empty() {
-            let values: Vec<String> = verdicts.outside.iter().map(i64::to_string).collect();
-            let values = values.join(", ");
-            let tried =
-                format!("  messages of extern tasks were tried with these values in each field: {values}");
-            out.line(Styled(FAINT, tried))?;
-        }
+        values_tried(&verdicts.outside, out)?;
         let open = match (self.plan.has_extern(), self.plan.has_open_results()) {
             (true, false) => "extern tasks may say other things, and at other times",
             (false, _) => "actions may give other results",
@@ -238,7 +210,7 @@ impl Subject {
     /// [`Failure::Output`].
     pub fn tell(&self, finding: &Finding, all: Option<&String>, out: &mut Output) -> Result<(), Failure> {
         let (style, warning) = match finding.kind {
-            Kind::Standstill => (NOTE, "warning: "),
+            kind if kind.is_warning() => (NOTE, "warning: "),
             Kind::Vacuous => (NOTE, ""),
             _ => (BAD, ""),
         };
@@ -365,6 +337,9 @@ pub(super) const fn help(kind: Kind) -> &'static str {
         Kind::Vacuous => "correct the left side of the check, or what should make it true",
         Kind::Standstill => {
             "let one of them give up what it has, or give up for good; where others may well wait for ever, nothing is to be done"
+        }
+        Kind::WaitsForEver => {
+            "let it wait for a time (`receive .. within T on time_out do ..`), or say on every way what it waits for; where it has nothing left to do then, nothing is to be done"
         }
         Kind::Machine => "this is a fault of imrs, not of the cell: please report it with the file",
     }

@@ -28,6 +28,7 @@ pub(super) fn context(course: &Course, shown: &Shown, begun: &[Option<Address>])
         | Kind::Unreached
         | Kind::Vacuous
         | Kind::Standstill
+        | Kind::WaitsForEver
         | Kind::Machine => Vec::new(),
     };
     let mut cause = shown.cause.clone();
@@ -148,7 +149,7 @@ impl Origin {
             }
             (Holds::Always(_), _) if !self.acted.is_empty() => {
                 let tasks: Vec<&str> = self.acted.iter().map(|&task| name(&end.plan.table, task)).collect();
-                format!("; so since a step of {}", tasks.join(" and "))
+                format!("; it became so at a step of {}", tasks.join(" and "))
             }
             (Holds::Leads { .. }, None) | (Holds::Always(_), _) => String::new(),
         }

@@ -8,7 +8,7 @@ use super::verdict::{Coverage, Finding};
 pub(super) struct Done {
     pub coverage: Coverage,
     pub findings: Vec<Finding>,
-    pub standstills: Vec<Finding>,
+    pub warnings: Vec<Finding>,
     pub reached: Reached,
     /// For each check, whether what makes it matter was ever seen.
     pub mattered: Vec<bool>,
@@ -46,7 +46,7 @@ impl Done {
         all.longest_state = all.longest_state.max(one.longest_state);
         all.seconds += one.seconds;
         self.findings.extend(other.findings);
-        self.standstills.extend(other.standstills);
+        self.warnings.extend(other.warnings);
         let reached = other.reached.statements.into_iter().flatten();
         self.reached.statements.iter_mut().flatten().zip(reached).for_each(|(all, one)| *all |= one);
         take_checks(&mut self.reached.still, other.reached.still, part);

@@ -13,7 +13,7 @@
 
 use super::course::{CellMove, Course};
 use super::follow::plain;
-use super::judge::{Reached, Shown, deadlock};
+use super::judge::{Reached, Shown};
 use super::outside::with_programs;
 use super::parts::{only, parts};
 use super::plan::{CellFaults, CellPlan, Times};
@@ -21,6 +21,7 @@ use super::search::{Kept, explore_and_keep, timed};
 use super::seen::Mark;
 use super::unpacked::Unpacked;
 use super::verdict::{Finding, Kind, Phase};
+use super::waiting::deadlock;
 use crate::floor::script::ScriptTurn;
 use imrs_protocol::script::ScriptInput;
 use imrs_protocol::{Call, MessageId, ReplyTo, Round, Seq24, Signal};

@@ -5,9 +5,9 @@ use super::plan::Conduct;
 use super::verdict::{Kind, Phase};
 use crate::floor::script::ScriptTurn;
 use crate::state::Violation;
-use imrs_protocol::script::{Activity, Address, End, Op, Program, ScriptInput, Term};
+use imrs_protocol::script::{Address, End, Op, Program, ScriptInput, Term};
 
-use imrs_protocol::{CellTable, Instant, Outcome, Packet, PortId, Signal, Target, TaskId, Usage};
+use imrs_protocol::{CellTable, Outcome, PortId, Signal, Target, TaskId};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Something that a move showed to be wrong.
@@ -205,125 +205,6 @@ fn end(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
     let (task, at) = (Some(turn.task), Some(address));
     let others = if kind == Kind::Ends { partners(course, turn.task, address) } else { Vec::new() };
     Some(Shown { task, address: at, others, last: fault_free, ..Shown::whole(kind, &cause) })
-}
-
-/// Do some tasks wait for each other? `goes_on`: other things can still happen.
-pub(super) fn deadlock(course: &Course, goes_on: bool) -> Option<Shown> {
-    let n = course.plan.tasks.len();
-    let waits = |task: usize| {
-        course.is_up(task) && matches!(course.activity(task), Some(Activity::Waits | Activity::Acts))
-    };
-    let mut alive: Vec<bool> =
-        (0..n).map(|task| if goes_on { waits_for_good(course, task) } else { waits(task) }).collect();
-    if goes_on {
-        keep_closed(course, &mut alive);
-        // Of most states nobody is left, so that nothing on its way need be looked for.
-        alive.iter_mut().enumerate().for_each(|(task, alive)| *alive = *alive && !is_coming(course, task));
-        keep_closed(course, &mut alive);
-    }
-    // Whoever waits can be helped by anybody who could still send it what it waits for.
-    let helpers: Vec<Vec<usize>> =
-        (0..n).map(|task| if alive[task] { senders(course, task) } else { Vec::new() }).collect();
-    // Tasks whose helpers have all ended are at rest; what is left waits in a ring.
-    loop {
-        let at_rest = (0..n).find(|&task| alive[task] && !helpers[task].iter().any(|&helper| alive[helper]));
-        let Some(task) = at_rest else { break };
-        alive[task] = false;
-    }
-    let first = alive.iter().position(|&alive| alive)?;
-    let table = &course.plan.table;
-    let ring: Vec<String> = (0..n)
-        .filter(|&task| alive[task])
-        .map(|task| {
-            let at = position(course, task);
-            let what = program(course, task).map_or_else(String::new, |p| statement(table, p, at));
-            let whom: Vec<&str> = helpers[task].iter().map(|&helper| name(table, helper)).collect();
-            format!("{} waits at {what} for {}", name(table, task), whom.join(" or "))
-        })
-        .collect();
-    Some(Shown {
-        task: Some(first),
-        address: Some(position(course, first)),
-        others: (0..n).filter(|&task| alive[task]).collect(),
-        last: !goes_on,
-        ..Shown::whole(Kind::Deadlock, &ring.join("; "))
-    })
-}
-
-/// Whether a task stands at a `receive` that no time ends, and nothing is there that would end it.
-fn waits_for_good(course: &Course, task: usize) -> bool {
-    let at = usize::from(position(course, task));
-    let op = program(course, task).and_then(|program| program.code.get(at));
-    let station = &course.floor.stations[course.floor.station_of(task)];
-    matches!(op, Some(Op::Get { time_out: None, .. }))
-        && course.is_up(task)
-        && course.activity(task) == Some(Activity::Waits)
-        && station
-            .node
-            .task(TaskId::from_index(task))
-            .is_some_and(|machine| machine.next_deadline() == Instant::NEVER && machine.epoch().is_none())
-}
-
-/// Whether a packet is on its way to a task, or a timer of it runs.
-fn is_coming(course: &Course, task: usize) -> bool {
-    let id = TaskId::from_index(task);
-    let for_it = |packet: &Packet| packet.destination == id;
-    course.floor.crossings.iter().any(|crossing| for_it(&crossing.packet))
-        || course.floor.stations.iter().filter(|station| station.up).any(|station| {
-            let parts = station.node.parts();
-            parts.transit.waiting().iter().any(for_it)
-                || parts.timer.entries().iter().any(|(owner, ..)| *owner == id)
-        })
-}
-
-/// Leaves those of them for which nobody else can do anything any more.
-fn keep_closed(course: &Course, closed: &mut [bool]) {
-    let has_ended =
-        |task: usize| course.is_up(task) && matches!(course.activity(task), Some(Activity::Ended(_)));
-    loop {
-        let helped = (0..closed.len()).find(|&task| {
-            closed[task] && heard_by(course, task).any(|helper| !closed[helper] && !has_ended(helper))
-        });
-        let Some(task) = helped else { return };
-        closed[task] = false;
-    }
-}
-
-/// Who can send anything to a task, for its body or for a handler.
-fn heard_by(course: &Course, task: usize) -> impl Iterator<Item = usize> {
-    let (table, id) = (&course.plan.table, TaskId::from_index(task));
-    let ports = receives(table, id).into_iter().filter_map(move |port| table.port(port));
-    ports.flat_map(move |port| port.peers(id)).map(TaskId::index)
-}
-
-pub(super) fn position(course: &Course, task: usize) -> Address {
-    course.floor.bodies[task].actor.as_ref().map_or(0, |actor| actor.script.position())
-}
-
-/// Who could send what this task waits for in a GET.
-fn senders(course: &Course, task: usize) -> Vec<usize> {
-    let table = &course.plan.table;
-    let at = TaskId::from_index(task);
-    let Some(program) = program(course, task) else { return Vec::new() };
-    let (ports, from): (Vec<PortId>, Option<TaskId>) =
-        match program.code.get(usize::from(position(course, task))) {
-            Some(Op::Get { port: Some(port), source, .. }) => (vec![*port], *source),
-            Some(Op::Get { port: None, source, .. }) => (receives(table, at), *source),
-            _ => return Vec::new(),
-        };
-    let peers = ports.iter().filter_map(|&port| table.port(port)).flat_map(|port| port.peers(at));
-    let peers = peers.filter(|peer| from.is_none_or(|from| from == *peer));
-    let mut peers: Vec<usize> = peers.map(TaskId::index).collect();
-    peers.sort_unstable();
-    peers.dedup();
-    peers
-}
-
-/// The ports on which messages come for a task.
-fn receives(table: &CellTable, task: TaskId) -> Vec<PortId> {
-    let usage = |port: &PortId| table.port(*port)?.party(task).map(|party| party.usage);
-    let takes = |port: &PortId| matches!(usage(port), Some(Usage::Receive | Usage::Response));
-    table.ports_of(task).iter().copied().filter(takes).collect()
 }
 
 pub(super) fn name(table: &CellTable, task: usize) -> &str {

@@ -82,7 +82,7 @@ fn needs_no_fault(program: &Program) -> Vec<bool> {
 }
 
 /// Where a program may go on after an operation.
-fn next(op: &Op, at: usize) -> impl Iterator<Item = usize> {
+pub(super) fn next(op: &Op, at: usize) -> impl Iterator<Item = usize> {
     let (there, after) = match *op {
         Op::Jump(to) => (Some(to), false),
         Op::Unless(to) | Op::On { to, .. } => (Some(to), true),

@@ -26,7 +26,7 @@
 //! - A time_out and a packet of the same tick: the time_out comes first.
 //! - The script of a task whose node came back begins when nothing of its earlier life is under way any more, as on real nodes (D157).
 //! - A task outside the cell chooses among all uses of its ports, or none, once in its period; what it says is one of a few
-//!   values: zero, one and constants of the other tasks ([`Verdicts::outside`]).
+//!   values: zero, one, constants of the other tasks and what lies next to those ([`Tried`]).
 //!
 //! Tasks that share no port, node, link, couple or check are in independent parts (`parts`), each searched by itself. With
 //! [`Times::Between`], and when a node that is down starts again, what happens "in the cell" is what happens in the part.
@@ -36,6 +36,7 @@
 //! goes on for ever without coming further while another one of its part does come further.
 
 mod alike;
+mod conclude;
 mod context;
 mod course;
 mod done;
@@ -58,8 +59,10 @@ mod starve;
 mod story;
 mod svg;
 mod unpacked;
+mod values;
 mod verdict;
 mod view;
+mod waiting;
 mod walker;
 
 pub use crate::chart::{Folding, Note, chart};
@@ -75,4 +78,5 @@ pub use search::check_cell;
 pub use simulate::{Chooser, Ended, Fault, Found, MOST_FAULTS, Schedule, Shrunk, Simulated, Simulator, Tape};
 pub use story::drawn;
 pub use svg::svg;
+pub use values::Tried;
 pub use verdict::{Concerned, Coverage, Finding, Kind, Phase, Refused, Step, TaskView, Verdicts};

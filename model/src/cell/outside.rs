@@ -1,6 +1,7 @@
 //! Tasks whose body is outside the cell: any legal use of their ports, no more often than they may.
 
-use super::plan::{CellPlan, Conduct, Holds};
+use super::plan::{CellPlan, Conduct};
+use super::values::Tried;
 use imrs_protocol::script::{
     Address, Binary, Format, Op, Outcomes, Program, Slot, StatementOutcome, Term, Trigger, Type, Variable,
 };
@@ -36,7 +37,7 @@ fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>) -> Program {
         ..Program::default()
     };
     let mut uses: Vec<Vec<Op>> = Vec::new();
-    let values = tried(plan);
+    let values = tried(plan).unwrap_or_else(|| Tried::of(plan, false));
     let couples: Vec<_> = table
         .cell()
         .couples
@@ -47,8 +48,9 @@ fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>) -> Program {
     let carries_beats = |port: PortId| couples.iter().any(|couple| couple.via == port);
     for &port in table.ports_of(task).iter().filter(|&&port| !carries_beats(port)) {
         for to in targets(plan, task, port) {
-            for &value in &values {
-                let Some(once) = once(plan, task, (port, to, value), pause, &mut program) else { break };
+            for number in 0..values.len() {
+                let value = |of: Type| values.value(of, number);
+                let Some(once) = once(plan, task, (port, to), &value, pause, &mut program) else { break };
                 // Where nothing is said there is one way to say it.
                 if !uses.contains(&once) {
                     uses.push(once);
@@ -92,52 +94,17 @@ fn forget(code: &mut Vec<Op>) {
     code.extend([Op::Term(Term::Push(0)), Op::Store(Slot::Task(0))]);
 }
 
-/// The most values that a message from outside is tried with.
-const MOST: usize = 6;
-
-/// What messages from outside the cell are tried with, the same in all of their fields: zero and one, and what the tasks and
-/// the checks of the cell have as constants, for they may compare with those.
-pub(super) fn tried(plan: &CellPlan) -> Vec<i64> {
-    let bodies = programs(plan).flat_map(|program| &program.code).filter_map(|op| match op {
-        Op::Term(term) => Some(term),
-        _ => None,
-    });
-    let checks = plan.checks.iter().flat_map(|check| match &check.holds {
-        Holds::Always(terms) => vec![terms],
-        Holds::Leads { when, then, .. } => vec![when, then],
-    });
-    let constants = bodies.chain(checks.flatten()).filter_map(|term| match term {
-        Term::Push(value) => Some(*value),
-        _ => None,
-    });
-    let mut all: Vec<i64> = constants.chain([0, 1]).collect();
-    all.sort_unstable_by_key(|value| (value.unsigned_abs(), *value));
-    all.dedup();
-    all.truncate(MOST);
-    all
-}
-
-/// This value as one of a type: the nearest that it has.
-fn within(of: Type, value: i64) -> i64 {
-    match of {
-        Type::Bool => value.clamp(0, 1),
-        Type::Int8 => value.clamp(i8::MIN.into(), i8::MAX.into()),
-        Type::Int16 => value.clamp(i16::MIN.into(), i16::MAX.into()),
-        Type::Int32 => value.clamp(i32::MIN.into(), i32::MAX.into()),
-        Type::Word => value.clamp(0, u32::MAX.into()),
-        // Its bits are no number: only zero is.
-        Type::Real => 0,
-    }
-}
-
-/// Whether a task outside the cell says anything that a branch may depend on.
-pub(super) fn says_something(plan: &CellPlan) -> bool {
-    let outside = |task: &Conduct| matches!(task, Conduct::Extern(_));
-    let mut tasks = (0..plan.tasks.len()).filter(|&task| outside(&plan.tasks[task]));
-    tasks.any(|task| {
-        let mut ports = plan.table.ports_of(TaskId::from_index(task)).iter();
-        ports.any(|&port| !message(plan, port).fields.is_empty() || !answer(plan, port).fields.is_empty())
-    })
+/// What the messages of the tasks outside the cell are tried with. None where no such task says anything that a branch may
+/// depend on.
+pub(super) fn tried(plan: &CellPlan) -> Option<Tried> {
+    let outside = |task: &usize| matches!(plan.tasks[*task], Conduct::Extern(_));
+    let ports =
+        (0..plan.tasks.len()).filter(outside).flat_map(|task| plan.table.ports_of(TaskId::from_index(task)));
+    let fields: Vec<Type> = ports
+        .flat_map(|&port| [message(plan, port), answer(plan, port)])
+        .flat_map(|format| format.fields)
+        .collect();
+    (!fields.is_empty()).then(|| Tried::of(plan, fields.contains(&Type::Real)))
 }
 
 /// Whom a message may go to: all at the other end of the port, or each of them alone.
@@ -147,11 +114,12 @@ fn targets(plan: &CellPlan, task: TaskId, port: PortId) -> Vec<Target> {
     std::iter::once(Target::All).chain(alone).collect()
 }
 
-/// One use of a port, with this value in each field of what is said, to these.
+/// One use of a port, with this value in each field of a type of what is said, to these.
 fn once(
     plan: &CellPlan,
     task: TaskId,
-    (port, to, value): (PortId, Target, i64),
+    (port, to): (PortId, Target),
+    value: &dyn Fn(Type) -> i64,
     pause: Ticks,
     program: &mut Program,
 ) -> Option<Vec<Op>> {
@@ -166,9 +134,8 @@ fn once(
         });
         u16::try_from(at).unwrap_or(u16::MAX)
     };
-    let values = |of: &Format| -> Vec<Op> {
-        of.fields.iter().map(|&of| Op::Term(Term::Push(within(of, value)))).collect()
-    };
+    let values =
+        |of: &Format| -> Vec<Op> { of.fields.iter().map(|&of| Op::Term(Term::Push(value(of)))).collect() };
     Some(match party.usage {
         Usage::Send | Usage::Query => {
             let message = message(plan, port);

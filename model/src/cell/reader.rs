@@ -1,7 +1,8 @@
 //! The line of the cell's text that each step of a way belongs to, and the values that its messages carry.
 
 use super::course::Course;
-use super::judge::{position, program};
+use super::judge::program;
+use super::waiting::position;
 use crate::floor::Effect;
 use crate::floor::script::ScriptTurn;
 use imrs_protocol::script::{Address, End, Op, Program, Trigger};

@@ -3,23 +3,23 @@
 //! A batch of kept states is walked on from in parallel, against what was kept before it; then what that came to is taken in
 //! in the order of the batch. So the answer is the same for any number of threads.
 
+use super::conclude::conclude;
 use super::course::{CellMove, Course};
 use super::done::Done;
 use super::each_part::look_at_each;
 use super::judge::{self, Reached, Shown};
-use super::missed::Missed;
-use super::outside::{says_something, tried, with_programs};
+use super::outside::{tried, with_programs};
 use super::parts::parts;
-use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
+use super::plan::{CellFaults, CellPlan, Conduct, Times};
 use super::seen::Seen;
 use super::standstill::{self, OutOfMemory, Ways};
 use super::verdict::{Coverage, Finding, Kind, Phase, Refused, Verdicts};
 use super::walker::{Hit, Origin, Walker, Walks};
-use super::{context, starve, story};
+use super::{starve, story};
 use crate::explore::resident_bytes;
 use crate::side_by_side::side_by_side;
 use imrs_protocol::TaskId;
-use imrs_protocol::script::{Address, Op, Term};
+use imrs_protocol::script::{Address, Op};
 use std::collections::{HashSet, VecDeque};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -70,7 +70,7 @@ pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &Cell
 /// Checks a cell: first without faults, which says what takes no fault to go wrong, then with those declared.
 #[must_use]
 pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
-    let outside = if says_something(plan) { tried(plan) } else { Vec::new() };
+    let outside = tried(plan).unwrap_or_default();
     let is_open = plan.has_extern() || plan.has_open_results();
     let plan = &with_programs(plan);
     if let Some(refused) = refused(plan) {
@@ -134,7 +134,7 @@ fn refused(plan: &CellPlan) -> Option<Refused> {
     let keeps = || {
         let (task, at) = plan.tasks.iter().enumerate().find_map(|(i, task)| Some((i, names(task)?)))?;
         let name = judge::name(&plan.table, task);
-        let why = format!("{name} keeps the number of a message, which the checker cannot follow (D51)");
+        let why = format!("{name} keeps the number of a message, which the checker cannot follow");
         let at = Address::try_from(at).unwrap_or(Address::MAX);
         Some(Refused { task: TaskId::from_index(task), at, why })
     };
@@ -167,10 +167,11 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
     let walker = || Walker::new(phase, Course::new(plan, faults));
     let mut walkers: Vec<Walker> = (0..plan.jobs.max(1)).map(|_| walker()).collect();
     let ended_by = search.run(plan, &mut walkers, start);
-    let outgrown = || search.outgrown.then(|| "some states outgrow their packed form".to_string());
+    let outgrown = || search.outgrown.then(|| "some states do not fit the checker's packed form".to_string());
     let mut ended_by = ended_by.or_else(outgrown);
     let tell = |hit: &Hit| search.tell(plan, (phase, hypothesis), faults, hit);
-    let findings: Vec<Finding> = search.hits.iter().map(tell).collect();
+    let (mut warnings, findings): (Vec<Finding>, Vec<Finding>) =
+        search.hits.iter().map(tell).partition(|found| found.kind.is_warning());
     let mut still = Vec::new();
     if ended_by.is_none() {
         let room = plan.budget.bytes.saturating_sub(resident_bytes().unwrap_or(0));
@@ -188,7 +189,7 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
         let moves = search.path(plan, faults, search.origins[at]);
         standstill::tell(plan, (phase, hypothesis), faults, moves, &mut idle)
     });
-    let standstills = Vec::from_iter(told);
+    warnings.extend(told);
     let depth = search.origins.iter().map(|origin| u64::from(origin.depth)).max().unwrap_or(0);
     let depth_of = |&(at, _): &Queued| search.origins.get(at as usize).map(|origin| origin.depth);
     let left = search.queue.iter().filter_map(depth_of).chain(search.batch).min();
@@ -214,7 +215,7 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
         mattered.iter_mut().zip(walker.mattered()).for_each(|(all, one)| *all |= one);
     }
     let reached = walkers.into_iter().map(|walker| walker.reached).reduce(Reached::join).unwrap_or_default();
-    (search, Done { coverage, findings, standstills, reached, mattered })
+    (search, Done { coverage, findings, warnings, reached, mattered })
 }
 
 fn out_of_memory(plan: &CellPlan) -> String {
@@ -327,125 +328,5 @@ impl Search {
         let moves = self.path(plan, faults, hit.origin);
         let shown = starve::decided(plan, &moves, hit.shown.clone());
         story::finding(plan, (phase, hypothesis), faults, moves, &shown)
-    }
-}
-
-/// `is_open`: tasks outside the cell may use their ports at other times and say other things than was tried, or actions give
-/// other results.
-fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open): (Vec<i64>, bool)) -> Verdicts {
-    // What nobody reached before a finding that ends its way may lie behind it.
-    let complete = done.iter().all(|done| done.coverage.complete && !done.coverage.pruned);
-    let mut verdicts = Verdicts { outside, ..Verdicts::default() };
-    let missed = plan.tasks.iter().enumerate().map(|(number, conduct)| {
-        Missed::of(conduct, |at| done.iter().any(|done| done.reached.statements[number][at]))
-    });
-    let missed: Vec<Missed> = missed.collect();
-    // What such a statement stores or sends may lead to others that need no fault by themselves, in any task.
-    let leads_on = missed.iter().any(|missed| missed.leads_on);
-    for (number, missed) in missed.into_iter().enumerate() {
-        verdicts.statements.push(missed.counts);
-        let task = TaskId::from_index(number);
-        for (at, needs_fault) in missed.statements {
-            let at = Address::try_from(at).unwrap_or(Address::MAX);
-            if (needs_fault || leads_on) && complete {
-                verdicts.not_exercised.push((task, at));
-            } else if complete && is_open {
-                verdicts.not_tried.push((task, at));
-            } else if complete {
-                let cause = format!("{}: never reached", judge::name(&plan.table, number));
-                verdicts.findings.push(bare(Kind::Unreached, Some((task, at)), None, cause));
-            } else {
-                verdicts.not_seen.push((task, at));
-            }
-        }
-    }
-    for (number, check) in plan.checks.iter().enumerate() {
-        let leads = matches!(check.holds, Holds::Leads { .. });
-        if complete && leads && !is_open && !done.iter().any(|done| done.mattered[number]) {
-            let cause = format!("`{}`: what should lead somewhere never happens", check.name);
-            verdicts.findings.push(bare(Kind::Vacuous, None, Some(number), cause));
-        }
-    }
-    verdicts.still = still(plan, &done);
-    for done in done {
-        verdicts.phases.push(done.coverage);
-        // The same tasks at the same statement: with faults it is no news.
-        let is_known = |new: &Finding| {
-            let mut known = verdicts.warnings.iter();
-            known.any(|known| (known.task, known.address) == (new.task, new.address))
-        };
-        let new: Vec<Finding> = done.standstills.into_iter().filter(|new| !is_known(new)).collect();
-        verdicts.warnings.extend(new);
-        for finding in done.findings {
-            if !verdicts.findings.iter().any(|other| is_the_same(other, &finding)) {
-                verdicts.findings.push(finding);
-            }
-        }
-    }
-    verdicts.findings.sort_by_key(|finding| (finding.kind, finding.phase, finding.task, finding.address));
-    verdicts.findings = super::alike::told_once(plan, std::mem::take(&mut verdicts.findings));
-    verdicts
-}
-
-/// Whether two findings are of the same place, whatever moves lead to them.
-fn is_the_same(one: &Finding, other: &Finding) -> bool {
-    let key =
-        |finding: &Finding| (finding.kind, finding.task, finding.address, finding.check, finding.couple);
-    key(one) == key(other) && (one.kind != Kind::Machine || one.cause == other.cause)
-}
-
-/// What checks read and what never changed in any state of any phase: `r2.active = false`.
-fn still(plan: &Arc<CellPlan>, done: &[Done]) -> Vec<(usize, String)> {
-    let start = Course::new(plan, &CellFaults::default());
-    let all = done.iter().map(|done| done.reached.clone()).reduce(Reached::join).unwrap_or_default();
-    let checks = all.still.into_iter().enumerate();
-    let said = |(check, terms): (usize, Vec<(Term, Option<i64>)>)| {
-        let start = &start;
-        terms.into_iter().filter_map(move |(term, _)| Some((check, context::value(start, term)?)))
-    };
-    checks.flat_map(said).collect()
-}
-
-fn bare(kind: Kind, place: Option<(TaskId, Address)>, check: Option<usize>, cause: String) -> Finding {
-    Finding {
-        kind,
-        phase: Phase::FaultFree,
-        hypothesis: 0,
-        times: Times::Ends,
-        part: None,
-        task: place.map(|(task, _)| task),
-        also: Vec::new(),
-        address: place.map(|(_, at)| at),
-        check,
-        couple: None,
-        others: Vec::new(),
-        cause,
-        at_ticks: 0,
-        moves: Vec::new(),
-        steps: Vec::new(),
-        chart: String::new(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::state::Violation;
-
-    #[test]
-    fn two_couples_with_two_owners_are_two_findings() {
-        let of =
-            |couple| Finding { couple: Some(couple), ..bare(Kind::TwoOwners, None, None, "both act".into()) };
-        assert!(is_the_same(&of(1), &of(1)));
-        assert!(!is_the_same(&of(0), &of(1)));
-    }
-
-    #[test]
-    fn two_violations_of_the_machine_are_two_findings() {
-        let [stale, panic] = [Violation::Stale, Violation::Panic].map(Violation::text);
-        let shown = |cause| Shown::whole(Kind::Machine, cause);
-        assert!(shown(stale).is_same(&shown(stale)) && !shown(stale).is_same(&shown(panic)));
-        let found = |cause: &str| bare(Kind::Machine, None, None, cause.into());
-        assert!(is_the_same(&found(stale), &found(stale)) && !is_the_same(&found(stale), &found(panic)));
     }
 }

@@ -2,6 +2,7 @@
 
 use super::course::CellMove;
 use super::plan::Times;
+use super::values::Tried;
 use crate::chart::Note;
 use imrs_protocol::script::Address;
 use imrs_protocol::{PortId, TaskId};
@@ -38,11 +39,19 @@ pub enum Kind {
     Vacuous,
     /// Tasks go on for ever without coming further: a warning.
     Standstill,
+    /// A task is left waiting when all that could help it have ended, or are down: a warning.
+    WaitsForEver,
     /// The machine itself is at fault, or the state outgrew its packed form.
     Machine,
 }
 
 impl Kind {
+    /// Whether it may well be meant: it fails nothing.
+    #[must_use]
+    pub const fn is_warning(self) -> bool {
+        matches!(self, Self::Standstill | Self::WaitsForEver)
+    }
+
     /// One or two words for a heading.
     #[must_use]
     pub const fn name(self) -> &'static str {
@@ -61,6 +70,7 @@ impl Kind {
             Self::Unreached => "never reached",
             Self::Vacuous => "check says nothing",
             Self::Standstill => "standstill",
+            Self::WaitsForEver => "waits for ever",
             Self::Machine => "fault of the machine",
         }
     }
@@ -181,8 +191,8 @@ pub struct Verdicts {
     pub refused: Option<Refused>,
     /// What is wrong, in the order of [`Kind`].
     pub findings: Vec<Finding>,
-    /// What may well be meant: tasks that go on for ever without coming further, one for each phase, and in
-    /// it for each independent part, that was searched to its end.
+    /// What may well be meant ([`Kind::is_warning`]). Of standstills, one for each phase, and in it for each independent
+    /// part, that was searched to its end.
     #[serde(default)]
     pub warnings: Vec<Finding>,
     /// What was looked at.
@@ -194,7 +204,7 @@ pub struct Verdicts {
     /// Statements of branches, timers and take-overs that these faults never called for: task and operation.
     pub not_exercised: Vec<(TaskId, Address)>,
     /// The values with which messages from tasks outside the cell were tried; empty where no such task says anything.
-    pub outside: Vec<i64>,
+    pub outside: Tried,
     /// Statements never reached with these values and those tried as results of actions: other ones may lead there. Task and
     /// operation.
     pub not_tried: Vec<(TaskId, Address)>,

@@ -1,9 +1,10 @@
 //! What a task does at a point of a way, in words.
 
 use super::course::Course;
-use super::judge::{name, position, statement};
+use super::judge::{name, statement};
 use super::plan::Conduct;
 use super::verdict::TaskView;
+use super::waiting::position;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Activity;
 

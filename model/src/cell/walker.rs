@@ -1,10 +1,11 @@
 //! What follows from one state: its moves, each walked on while there is only one.
 
 use super::course::{CellMove, Course};
-use super::judge::{Reached, Shown, deadlock, judge, nothing_reached};
+use super::judge::{Reached, Shown, judge, nothing_reached};
 use super::seen::{Mark, Seen};
 use super::standstill::{Ways, is_outside};
 use super::verdict::{Kind, Phase};
+use super::waiting::for_ever;
 use crate::state::Violation;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -162,7 +163,7 @@ impl Walker {
             moves.clear();
             self.course.moves(&mut moves);
             if !moves.iter().any(|step| !matches!(step, CellMove::Crash(_) | CellMove::Restart(_))) {
-                if let Some(shown) = deadlock(&self.course, false) {
+                if let Some(shown) = for_ever(&self.course, false) {
                     self.note(shown, origin);
                 }
                 self.lead(way, None);
@@ -207,7 +208,7 @@ impl Walker {
 
     /// Notes tasks that wait for each other while others go on.
     fn note_ring(&mut self, origin: Origin) {
-        if let Some(shown) = deadlock(&self.course, true) {
+        if let Some(shown) = for_ever(&self.course, true) {
             self.note(shown, origin);
         }
     }

@@ -38,6 +38,8 @@ pub(super) enum Amount {
     Up,
     /// Nodes that the cell declares.
     Nodes,
+    /// Those of them that are not up.
+    Missing,
     /// What is wrong, of any level but notes.
     Findings,
     /// What is critical.
@@ -51,6 +53,7 @@ impl Amount {
         Some(match word {
             "up" => Self::Up,
             "nodes" => Self::Nodes,
+            "missing" => Self::Missing,
             "findings" => Self::Findings,
             "critical" => Self::Critical,
             "lost" => Self::Lost,

@@ -89,6 +89,7 @@ impl Amount {
             Self::Count(_) => "count(...)".to_owned(),
             Self::Up => "up".to_owned(),
             Self::Nodes => "nodes".to_owned(),
+            Self::Missing => "missing".to_owned(),
             Self::Findings => "findings".to_owned(),
             Self::Critical => "critical".to_owned(),
             Self::Lost => "lost".to_owned(),
@@ -99,6 +100,9 @@ impl Amount {
         #[expect(clippy::cast_precision_loss, reason = "a count for comparing")]
         let number = |count: usize| Value::Number(count as f64);
         let lives = || cells.iter().flat_map(|(cell, _)| store.lives_of(cell));
+        let up = || lives().filter(|life| life.presence(now) == Presence::Up).count();
+        let known = |cell: &Name| store.names(cell).map_or(0, |names| names.nodes.len());
+        let declared = || cells.iter().map(|(cell, _)| known(cell)).sum::<usize>();
         match self {
             Self::Over(aggregate, field) => over(*aggregate, *field, store, cells, now, time),
             Self::Count(condition) => {
@@ -107,11 +111,9 @@ impl Amount {
                 each_port(store, cells, now, &mut |row| count += usize::from(filter.takes(row)));
                 number(count)
             }
-            Self::Up => number(lives().filter(|life| life.presence(now) == Presence::Up).count()),
-            Self::Nodes => {
-                let known = |cell: &Name| store.names(cell).map_or(0, |names| names.nodes.len());
-                number(cells.iter().map(|(cell, _)| known(cell)).sum())
-            }
+            Self::Up => number(up()),
+            Self::Nodes => number(declared()),
+            Self::Missing => number(declared().saturating_sub(up())),
             Self::Findings | Self::Critical => {
                 let least = if *self == Self::Critical { Level::Bad } else { Level::Warn };
                 number(cells.iter().flat_map(|(_, all)| all).filter(|f| f.level >= least).count())

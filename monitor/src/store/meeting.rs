@@ -1,7 +1,8 @@
 //! A rendezvous put together from what each of its members knows (§4.3): who has arrived, who is missing, who has
 //! confirmed, who waits for whom.
 
-use super::{Left, Life, Presence, Store};
+use super::health::held_back_words;
+use super::{Left, Life, Names, Presence, Store, unseen};
 use crate::clock::Moment;
 use crate::name::Name;
 use imrs_protocol::{MeetingState, MeetingView, PortId, Round, TaskId, TaskState};
@@ -131,7 +132,8 @@ pub fn meeting(store: &Store, cell: &Name, port: PortId, now: Moment) -> Option<
             name: names.task(task),
             node: names.home(task).map_or_else(|| Name::new("?"), |n| names.node(n)),
             presence,
-            doing: doing(lives[i], task, presence),
+            doing: lives[i]
+                .map_or_else(|| of_unseen(store, cell, names, task), |life| doing(life, task, now)),
             standing: Standing::Unknown,
             left: None,
             waited_us: None,
@@ -213,10 +215,21 @@ fn hear_of_the_silent(members: &mut [Member]) {
     }
 }
 
-fn doing(life: Option<&Life>, task: TaskId, presence: Option<Presence>) -> String {
-    let (Some(life), Some(presence)) = (life, presence) else { return "never seen".to_owned() };
+/// What is known of a task on a node that never told anything.
+fn of_unseen(store: &Store, cell: &Name, names: &Names, task: TaskId) -> String {
+    let is_killed = |home| unseen(store, cell).iter().any(|one| one.is_killed && one.node == home);
+    let text =
+        if names.home(task).is_some_and(is_killed) { "its node died, never seen" } else { "never seen" };
+    text.to_owned()
+}
+
+fn doing(life: &Life, task: TaskId, now: Moment) -> String {
+    let presence = life.presence(now);
     if presence != Presence::Up {
         return format!("{} {presence}", life.node);
+    }
+    if let Some((_, us)) = life.held_back(now).find(|(held, _)| *held == task) {
+        return held_back_words(us);
     }
     let Some(snapshot) = life.task(task) else { return String::new() };
     match snapshot.liveness {

@@ -13,16 +13,18 @@ pub mod rounds;
 pub mod service;
 pub mod timeline;
 pub mod trail;
+mod unseen;
 pub mod waits;
 
 pub use life::{ClockOffset, Condition, Left, Life, LifeId, Presence, SILENT, Sample, Told, Watched};
 pub use names::{Names, PortInfo, TaskInfo};
+pub use unseen::{Unseen, unseen};
 
 use crate::clock::Moment;
 use crate::name::Name;
 use crate::source::{Arrival, Feed, SourceId};
 use imrs_protocol::{NodeId, TaskId};
-use imrs_wire::obs::{Count, Events, Goodbye, Liveness, NodeIdentity, ServerFrame, Table, place};
+use imrs_wire::obs::{Count, Events, Goodbye, Liveness, NodeIdentity, ServerFrame, Table};
 use journal::{Entry, Journal, Level, What};
 use life::Notable;
 use std::collections::{BTreeMap, VecDeque};
@@ -52,9 +54,17 @@ pub struct Store {
     killed: Vec<(String, String)>,
     /// How often something changed in a state that was not there.
     gaps: u64,
+    /// Whether running nodes tell it what it knows: all nodes of a cell should be there then.
+    is_live: bool,
 }
 
 impl Store {
+    /// What is known of running nodes. The default is of recordings, in which a node may be missing without being so.
+    #[must_use]
+    pub fn of_running_nodes() -> Self {
+        Self { is_live: true, ..Self::default() }
+    }
+
     /// Takes over what a source said.
     pub fn apply(&mut self, arrival: Arrival) {
         let Arrival { at, source, feed } = arrival;
@@ -127,17 +137,6 @@ impl Store {
     #[must_use]
     pub fn names(&self, cell: &Name) -> Option<&Arc<Names>> {
         self.lives_of(cell).map(|l| &l.names).max_by_key(|n| n.nodes.len())
-    }
-
-    /// The nodes of a cell that no life is known of, and whether such a node is known to have been killed.
-    #[must_use]
-    pub fn unseen(&self, cell: &Name) -> Vec<(NodeId, Name, bool)> {
-        let Some(names) = self.names(cell) else { return Vec::new() };
-        let folder = place::file_name(cell.raw());
-        let killed = |name: &Name| self.killed.contains(&(folder.clone(), place::file_name(name.raw())));
-        let nodes = names.nodes.iter().enumerate().map(|(i, name)| (NodeId::from_index(i), name));
-        let unseen = nodes.filter(|(id, _)| self.latest(cell, *id).is_none());
-        unseen.map(|(id, name)| (id, name.clone(), killed(name))).collect()
     }
 
     /// How often something changed in a state that was not there: whole snapshots are needed then.

@@ -8,7 +8,7 @@ use crate::rows::{Row, Sort};
 use crate::store::health::{Finding, Place, held_back_words};
 use crate::store::journal::Level;
 use crate::store::meeting::state;
-use crate::store::{Left, Life, LifeId, Presence};
+use crate::store::{Left, Life, LifeId, Presence, unseen};
 use crate::theme::Ink;
 use imrs_protocol::{PortCounters, PortView, TaskId, Usage};
 use imrs_wire::obs::{Liveness, RealTime, TaskSnapshot};
@@ -168,9 +168,10 @@ fn cells(app: &App, row: &Row, findings: &[Finding], width: u16, now: Moment) ->
     let mut cells: Cells = std::array::from_fn(|_| (String::new(), Ink::Plain));
     match row.place.node {
         Err(id) => {
-            let names = app.cell().and_then(|c| app.store().names(&c).cloned());
-            let name = names.map_or_else(String::new, |n| n.node(id).to_string());
-            let killed = ink == Ink::Bad;
+            let all = app.cell().map(|cell| unseen(app.store(), &cell)).unwrap_or_default();
+            let one = all.into_iter().find(|one| one.node == id);
+            let (name, killed) =
+                one.map_or_else(Default::default, |one| (one.name.to_string(), one.is_killed));
             let sign = if killed { app.theme.glyphs.dead } else { "?" };
             cells[0] = (format!("{sign} {name}"), Ink::Dim);
             cells[1] = (if killed { "DEAD" } else { "not seen here" }.to_owned(), Ink::Dim);

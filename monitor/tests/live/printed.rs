@@ -77,7 +77,8 @@ fn one_sample_as_text_has_no_escapes_and_names_who_is_missing() {
     serve(&base, 0..2);
     let options = Options { base: Some(base), once: true, ..Options::default() };
     let (verdict, out) = printed(&options, |out| out.matches(": up").count() == 2);
-    assert_eq!(verdict, Verdict::Healthy);
+    assert_eq!(verdict, Verdict::Finding);
+    assert!(out.contains("CRITICAL nh: never seen"), "{out}");
     assert!(!out.contains('\u{1b}'));
     assert!(out.contains("waitfor lift r12: 2 of 3 arrived"), "{out}");
     assert!(out.contains("missing hoist@nh (never seen)"), "{out}");
@@ -110,7 +111,8 @@ fn a_stopped_node_does_not_hold_up_a_sample_of_the_others() {
         send.send(printed(&options, is_so)).unwrap();
     });
     let (verdict, out) = done.recv_timeout(LIMIT).expect("it hangs");
-    assert_eq!(verdict, Verdict::Healthy, "{out}");
+    // Whoever does not answer is not well.
+    assert_eq!(verdict, Verdict::Finding, "{out}");
 }
 
 #[test]

@@ -103,6 +103,13 @@ pub(crate) fn salt(name: &str) -> u64 {
         .fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
+/// What the action of this number of a task draws. One generator seeds the next: mixed by `^` alone, the actions of neighbouring
+/// seeds would draw the same numbers in another order.
+fn draws(seed: u64, task: &str, number: u64) -> fastrand::Rng {
+    let mut of_task = fastrand::Rng::with_seed(seed ^ salt(task));
+    fastrand::Rng::with_seed(of_task.u64(..) ^ number)
+}
+
 impl Simulated {
     /// A robot whose actions give these results; an action without any gives 0.
     ///
@@ -129,7 +136,7 @@ impl Simulated {
 
 impl Actions for Simulated {
     fn begin(&self, act: &Act<'_>, ending: Ending) -> Option<Stop> {
-        let mut draws = fastrand::Rng::with_seed(self.seed ^ salt(act.task).rotate_left(17) ^ act.number);
+        let mut draws = draws(self.seed, act.task, act.number);
         let spread = act.most.saturating_sub(act.least);
         let length = act.least + spread.mul_f64(draws.f64());
         let now = Instant::now();
@@ -198,6 +205,17 @@ fn run(shared: &Shared) {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn each_action_of_each_task_under_each_seed_draws_its_own_numbers() {
+        let mut drawn = std::collections::BTreeSet::new();
+        for (seed, task, number) in (0..32)
+            .flat_map(|seed| ["left", "right"].map(|task| (seed, task)))
+            .flat_map(|(seed, task)| (0..32).map(move |number| (seed, task, number)))
+        {
+            assert!(drawn.insert(draws(seed, task, number).u64(..)), "{seed} {task} {number}");
+        }
+    }
 
     #[test]
     fn what_is_given_lies_between_the_least_and_the_most() {

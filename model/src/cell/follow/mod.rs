@@ -244,7 +244,7 @@ impl Follower {
     /// Where the run's next turn of a task begins; else where the task stands in the model.
     fn address(&self, task: usize) -> Address {
         let next = self.groups[task].get(self.next[task]).and_then(|group| group.turns.first());
-        next.map_or_else(|| super::judge::position(&self.course, task), |turn| turn.at)
+        next.map_or_else(|| super::waiting::position(&self.course, task), |turn| turn.at)
     }
 
     fn follow(&mut self, task: usize) -> Result<(), No> {

@@ -3,11 +3,12 @@
 use super::driver::{Driver, Source};
 use super::schedule::{Fault, Tape};
 use crate::cell::course::CellMove;
-use crate::cell::judge::{Reached, Shown, deadlock};
+use crate::cell::judge::{Reached, Shown};
 use crate::cell::plan::{CellFaults, CellPlan};
 use crate::cell::starve::decided;
 use crate::cell::unpacked::Unpacked;
 use crate::cell::verdict::Phase;
+use crate::cell::waiting::deadlock;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 

@@ -31,6 +31,7 @@ macro_rules! lints {
 
 lints! {
     NODE_DEAD Bad "node-dead" "a node is gone";
+    NODE_MISSING Bad "node-missing" "a node was never seen";
     TASK_CRASHED Bad "task-crashed" "a task panicked";
     LOST_MEMBER Bad "rendezvous-lost-member" "somebody waits for one who is no more";
     WAIT_CYCLE Bad "wait-cycle" "tasks wait for each other in a circle";

@@ -4,7 +4,7 @@ use super::{Finding, Lately, Place, codes, links, port};
 use crate::clock::{Moment, Span};
 use crate::name::Name;
 use crate::store::conformance::{Verdict, conformance};
-use crate::store::{Condition, Life, Presence, Store};
+use crate::store::{Condition, Life, Presence, Store, unseen};
 use imrs_wire::obs::{Liveness, RealTime};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -111,12 +111,15 @@ fn timers(life: &Life, now: Moment, found: &mut Vec<Finding>) {
     }
 }
 
-/// Nodes of which only a socket is left.
+/// Nodes that never told anything: those of which only a socket is left, and those of which there is nothing.
 pub(super) fn never_seen(store: &Store, cell: &Name, found: &mut Vec<Finding>) {
-    for (id, _, killed) in store.unseen(cell) {
-        if killed {
-            let place = Place { node: Err(id), task: None, port: None };
+    for one in unseen(store, cell) {
+        let place = Place { node: Err(one.node), task: None, port: None };
+        if one.is_killed {
             found.push(Finding::new(&codes::NODE_DEAD, place, "dead: its socket was left behind".to_owned()));
+        } else if store.is_live {
+            let text = "never seen: the cell declares it, and nothing answers for it".to_owned();
+            found.push(Finding::new(&codes::NODE_MISSING, place, text));
         }
     }
 }

@@ -1,0 +1,133 @@
+//! What messages from tasks outside the cell are tried with.
+
+use super::plan::{CellPlan, Conduct, Holds};
+use imrs_protocol::script::{Binary, Op, Term, Type, real};
+use serde::{Deserialize, Serialize};
+
+/// The most values that a field is tried with.
+const MOST: usize = 12;
+
+/// The values with which messages from outside the cell are tried. A message has one of them in all of its fields.
+///
+/// Where scripts and checks compare with constants, other values lead nowhere else: so there are zero, one, all constants,
+/// and the next smaller and greater value of each constant that something is compared with by order.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Tried {
+    /// In fields that are no reals.
+    pub whole: Vec<i64>,
+    /// In fields that are reals; empty where no field is.
+    pub real: Vec<f32>,
+    /// Those that were left out, because there are too many: the greatest.
+    pub left_out: Vec<i64>,
+    /// The same of reals.
+    pub real_left_out: Vec<f32>,
+}
+
+impl Tried {
+    /// What the tasks and the checks of a cell suggest. `has_real`: whether a field of such a message is a real.
+    pub(super) fn of(plan: &CellPlan, has_real: bool) -> Self {
+        let mut whole = Candidates { all: vec![0, 1], near: vec![] };
+        let mut real = Candidates { all: vec![0.0, 1.0], near: vec![] };
+        for terms in expressions(plan) {
+            for (at, term) in terms.iter().enumerate() {
+                let Some(Term::Push(value)) = *term else { continue };
+                match operator(&terms[at + 1..]) {
+                    Some(Term::Real(operator)) => {
+                        let Some(value) = u32::try_from(value).ok().map(f32::from_bits) else { continue };
+                        real.add(value, is_by_order(operator), [value.next_down(), value.next_up()]);
+                    }
+                    Some(Term::Int(operator)) => {
+                        let near = [value.saturating_sub(1), value.saturating_add(1)];
+                        whole.add(value, is_by_order(operator), near);
+                    }
+                    _ => whole.all.push(value),
+                }
+            }
+        }
+        let (whole, left_out) = whole.cut(|value| (value.unsigned_abs(), *value < 0));
+        let mut tried = Self { whole, left_out, ..Self::default() };
+        if has_real {
+            // Of finite numbers without a sign the bits are in the order of the numbers.
+            (tried.real, tried.real_left_out) = real.cut(|value| (value.abs().to_bits(), *value < 0.0));
+        }
+        tried
+    }
+
+    /// Whether no task outside the cell says anything.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.whole.is_empty()
+    }
+
+    /// How many different messages there are.
+    pub(super) fn len(&self) -> usize {
+        self.whole.len().max(self.real.len())
+    }
+
+    /// The value of a field in the message of this number: the nearest that its type has.
+    pub(super) fn value(&self, of: Type, number: usize) -> i64 {
+        let whole = self.whole.get(number).or(self.whole.last()).copied().unwrap_or(0);
+        match of {
+            Type::Bool => whole.clamp(0, 1),
+            Type::Int8 => whole.clamp(i8::MIN.into(), i8::MAX.into()),
+            Type::Int16 => whole.clamp(i16::MIN.into(), i16::MAX.into()),
+            Type::Int32 => whole.clamp(i32::MIN.into(), i32::MAX.into()),
+            Type::Word => whole.clamp(0, u32::MAX.into()),
+            Type::Real => self.real.get(number).or(self.real.last()).copied().and_then(real).unwrap_or(0),
+        }
+    }
+}
+
+/// Constants, and what lies next to those that something is compared with by order.
+struct Candidates<T> {
+    all: Vec<T>,
+    near: Vec<T>,
+}
+
+impl<T: PartialEq + Copy> Candidates<T> {
+    fn add(&mut self, value: T, is_by_order: bool, near: [T; 2]) {
+        self.all.push(value);
+        if is_by_order {
+            self.near.extend(near);
+        }
+    }
+
+    /// The constants and then the others, each in this order, and those that are too many.
+    fn cut<K: Ord>(self, order: impl Fn(&T) -> K) -> (Vec<T>, Vec<T>) {
+        let mut kept: Vec<T> = Vec::new();
+        for mut some in [self.all, self.near] {
+            some.sort_by_key(&order);
+            for value in some {
+                if !kept.contains(&value) {
+                    kept.push(value);
+                }
+            }
+        }
+        let left_out = kept.split_off(MOST.min(kept.len()));
+        (kept, left_out)
+    }
+}
+
+/// The expressions of the cell's scripts, with a gap where another operation stands, and of its checks.
+fn expressions(plan: &CellPlan) -> impl Iterator<Item = Vec<Option<Term>>> {
+    let term = |op: &Op| if let Op::Term(term) = op { Some(*term) } else { None };
+    let bodies = plan.tasks.iter().filter_map(move |task| match task {
+        Conduct::Program { program, .. } => Some(program.code.iter().map(term).collect()),
+        Conduct::Extern(_) => None,
+    });
+    let checks = plan.checks.iter().flat_map(|check| match &check.holds {
+        Holds::Always(terms) => vec![terms],
+        Holds::Leads { when, then, .. } => vec![when, then],
+    });
+    bodies.chain(checks.map(|terms| terms.iter().copied().map(Some).collect()))
+}
+
+/// The operator that takes a constant: it comes right behind it, or behind one other operand.
+fn operator(behind: &[Option<Term>]) -> Option<Term> {
+    let near = behind.iter().take(2).map_while(|term| *term);
+    near.into_iter().find(|term| matches!(term, Term::Int(_) | Term::Real(_)))
+}
+
+const fn is_by_order(operator: Binary) -> bool {
+    matches!(operator, Binary::Less | Binary::LessOrEqual | Binary::Greater | Binary::GreaterOrEqual)
+}

@@ -1,0 +1,226 @@
+//! Tasks that wait for ever: for each other, or for one that says nothing any more.
+
+use super::course::Course;
+use super::judge::{Shown, name, program, statement};
+use super::missed::next;
+use super::verdict::Kind;
+use imrs_protocol::script::{Activity, Address, Op, Program};
+use imrs_protocol::{CellTable, Instant, Packet, PortId, TaskId, Usage};
+
+/// Whether some tasks wait for each other, or one is left waiting. `goes_on`: other things can still happen.
+pub(super) fn for_ever(course: &Course, goes_on: bool) -> Option<Shown> {
+    let closed = closed(course, goes_on);
+    ring(course, closed.clone(), goes_on).or_else(|| left(course, closed))
+}
+
+/// Whether some tasks wait for each other.
+pub(super) fn deadlock(course: &Course, goes_on: bool) -> Option<Shown> {
+    ring(course, closed(course, goes_on), goes_on)
+}
+
+/// The tasks that wait while nobody but these can do anything for them.
+fn closed(course: &Course, goes_on: bool) -> Vec<bool> {
+    let waits = |task: usize| {
+        course.is_up(task) && matches!(course.activity(task), Some(Activity::Waits | Activity::Acts))
+    };
+    let mut closed: Vec<bool> = (0..course.plan.tasks.len())
+        .map(|task| if goes_on { waits_for_good(course, task) } else { waits(task) })
+        .collect();
+    if goes_on {
+        keep_closed(course, &mut closed);
+        // Of most states nobody is left, so that nothing on its way need be looked for.
+        closed
+            .iter_mut()
+            .enumerate()
+            .for_each(|(task, closed)| *closed = *closed && !is_coming(course, task));
+        keep_closed(course, &mut closed);
+    }
+    closed
+}
+
+/// Those of them that wait for each other.
+fn ring(course: &Course, mut alive: Vec<bool>, goes_on: bool) -> Option<Shown> {
+    let n = alive.len();
+    // Whoever waits can be helped by anybody who could still send it what it waits for.
+    let helpers: Vec<Vec<usize>> =
+        (0..n).map(|task| if alive[task] { senders(course, task) } else { Vec::new() }).collect();
+    // Tasks whose helpers have all ended are at rest; what is left waits in a ring.
+    loop {
+        let at_rest = (0..n).find(|&task| alive[task] && !helpers[task].iter().any(|&helper| alive[helper]));
+        let Some(task) = at_rest else { break };
+        alive[task] = false;
+    }
+    let first = alive.iter().position(|&alive| alive)?;
+    let table = &course.plan.table;
+    let ring: Vec<String> = (0..n)
+        .filter(|&task| alive[task])
+        .map(|task| {
+            let at = position(course, task);
+            let what = program(course, task).map_or_else(String::new, |p| statement(table, p, at));
+            let whom: Vec<&str> = helpers[task].iter().map(|&helper| name(table, helper)).collect();
+            format!("{} waits at {what} for {}", name(table, task), whom.join(" or "))
+        })
+        .collect();
+    Some(Shown {
+        task: Some(first),
+        address: Some(position(course, first)),
+        others: (0..n).filter(|&task| alive[task]).collect(),
+        last: !goes_on,
+        ..Shown::whole(Kind::Deadlock, &ring.join("; "))
+    })
+}
+
+/// Whether a task stands at a `receive` that no time ends, and nothing is there that would end it.
+fn waits_for_good(course: &Course, task: usize) -> bool {
+    let at = usize::from(position(course, task));
+    let op = program(course, task).and_then(|program| program.code.get(at));
+    let station = &course.floor.stations[course.floor.station_of(task)];
+    matches!(op, Some(Op::Get { time_out: None, .. }))
+        && course.is_up(task)
+        && course.activity(task) == Some(Activity::Waits)
+        && station
+            .node
+            .task(TaskId::from_index(task))
+            .is_some_and(|machine| machine.next_deadline() == Instant::NEVER && machine.epoch().is_none())
+}
+
+/// Whether a packet is on its way to a task, or a timer of it runs.
+fn is_coming(course: &Course, task: usize) -> bool {
+    let id = TaskId::from_index(task);
+    let for_it = |packet: &Packet| packet.destination == id;
+    course.floor.crossings.iter().any(|crossing| for_it(&crossing.packet))
+        || course.floor.stations.iter().filter(|station| station.up).any(|station| {
+            let parts = station.node.parts();
+            parts.transit.waiting().iter().any(for_it)
+                || parts.timer.entries().iter().any(|(owner, ..)| *owner == id)
+        })
+}
+
+/// Leaves those of them for which nobody else can do anything any more.
+fn keep_closed(course: &Course, closed: &mut [bool]) {
+    let has_ended =
+        |task: usize| course.is_up(task) && matches!(course.activity(task), Some(Activity::Ended(_)));
+    loop {
+        let helped = (0..closed.len()).find(|&task| {
+            closed[task] && heard_by(course, task).any(|helper| !closed[helper] && !has_ended(helper))
+        });
+        let Some(task) = helped else { return };
+        closed[task] = false;
+    }
+}
+
+/// Who can send anything to a task, for its body or for a handler.
+fn heard_by(course: &Course, task: usize) -> impl Iterator<Item = usize> {
+    let (table, id) = (&course.plan.table, TaskId::from_index(task));
+    let ports = receives(table, id).into_iter().filter_map(move |port| table.port(port));
+    ports.flat_map(move |port| port.peers(id)).map(TaskId::index)
+}
+
+pub(super) fn position(course: &Course, task: usize) -> Address {
+    course.floor.bodies[task].actor.as_ref().map_or(0, |actor| actor.script.position())
+}
+
+/// Who could send what this task waits for, in a GET or for its lease.
+fn senders(course: &Course, task: usize) -> Vec<usize> {
+    let table = &course.plan.table;
+    let at = TaskId::from_index(task);
+    let Some(program) = program(course, task) else { return Vec::new() };
+    let (ports, from): (Vec<PortId>, Option<TaskId>) =
+        match program.code.get(usize::from(position(course, task))) {
+            Some(Op::Get { port: Some(port), source, .. }) => (vec![*port], *source),
+            Some(Op::Get { port: None, source, .. }) => (receives(table, at), *source),
+            // The standby's heartbeats bring it.
+            Some(Op::Lease) => {
+                let couples = table.cell().couples.iter();
+                (couples.filter(|couple| couple.primary == at).map(|couple| couple.via).collect(), None)
+            }
+            _ => return Vec::new(),
+        };
+    let peers = ports.iter().filter_map(|&port| table.port(port)).flat_map(|port| port.peers(at));
+    let peers = peers.filter(|peer| from.is_none_or(|from| from == *peer));
+    let mut peers: Vec<usize> = peers.map(TaskId::index).collect();
+    peers.sort_unstable();
+    peers.dedup();
+    peers
+}
+
+/// The ports on which messages come for a task.
+fn receives(table: &CellTable, task: TaskId) -> Vec<PortId> {
+    let usage = |port: &PortId| table.port(*port)?.party(task).map(|party| party.usage);
+    let takes = |port: &PortId| matches!(usage(port), Some(Usage::Receive | Usage::Response));
+    table.ports_of(task).iter().copied().filter(takes).collect()
+}
+
+/// Who of them is left waiting: its body stands at a `receive` in the middle of its work, or at its lease, and whoever could
+/// help has ended, or waits for messages itself. A node that is down may come back.
+///
+/// A server that stands at the head of its endless loop is at rest: it has done all that it was asked for. So is a primary whose
+/// standby has taken over and come to its end.
+fn left(course: &Course, mut closed: Vec<bool>) -> Option<Shown> {
+    keep_closed(course, &mut closed);
+    let is_left = |&task: &usize| {
+        let at = usize::from(position(course, task));
+        closed[task]
+            && course.activity(task) == Some(Activity::Waits)
+            && !course.plan.outside.contains(&task)
+            && program(course, task).is_some_and(|program| !is_served_at(program, at))
+            && !senders(course, task).iter().any(|&helper| has_taken_over(course, helper))
+    };
+    let left: Vec<usize> = (0..closed.len()).filter(is_left).collect();
+    let &task = left.first()?;
+    let (at, table) = (position(course, task), &course.plan.table);
+    let helpers = senders(course, task);
+    let state = |&helper: &usize| {
+        let ended = matches!(course.activity(helper), Some(Activity::Ended(_)));
+        format!("{} {}", name(table, helper), if ended { "has ended" } else { "sends nothing any more" })
+    };
+    let what = program(course, task).map_or_else(String::new, |program| statement(table, program, at));
+    let why: Vec<String> = helpers.iter().map(state).collect();
+    let cause = format!("{} waits at {what} for ever: {}", name(table, task), why.join(", "));
+    let mut others: Vec<usize> = left[1..].iter().chain(&helpers).copied().collect();
+    others.sort_unstable();
+    others.dedup();
+    let (task, address) = (Some(task), Some(at));
+    Some(Shown { task, address, others, last: false, ..Shown::whole(Kind::WaitsForEver, &cause) })
+}
+
+/// Whether a task that has ended can only have come to that by taking over: its body has no end.
+fn has_taken_over(course: &Course, task: usize) -> bool {
+    let Some(program) = program(course, task).filter(|program| program.takeover.is_some()) else {
+        return false;
+    };
+    let (mut open, mut seen) = (vec![0], vec![false; program.code.len()]);
+    while let Some(at) = open.pop() {
+        match program.code.get(at) {
+            Some(Op::End | Op::Abort(_)) => return false,
+            Some(op) if !std::mem::replace(&mut seen[at], true) => open.extend(next(op, at)),
+            _ => {}
+        }
+    }
+    true
+}
+
+/// Whether the `receive` at this address is where an endless loop waits first in each round.
+fn is_served_at(program: &Program, at: usize) -> bool {
+    let code = &program.code;
+    let backward = (0..code.len()).filter_map(|from| match code[from] {
+        Op::Jump(to) if usize::from(to) <= from => Some((usize::from(to), from)),
+        _ => None,
+    });
+    let first = |(head, end): (usize, usize)| {
+        let body = code.get(head..=end)?;
+        // A branch before the first statement that leads out of the loop ends it: a `while`.
+        let leaves = |op: &Op| matches!(*op, Op::Unless(to) if usize::from(to) > end);
+        let found = body.iter().position(|op| waits(op) || leaves(op))?;
+        (!leaves(&body[found])).then_some(head + found)
+    };
+    matches!(code.get(at), Some(Op::Get { .. })) && backward.filter_map(first).any(|found| found == at)
+}
+
+/// Whether an operation waits for something.
+const fn waits(op: &Op) -> bool {
+    matches!(
+        op,
+        Op::Send { .. } | Op::Get { .. } | Op::Arrive { .. } | Op::Delay(_) | Op::Run { .. } | Op::Lease
+    )
+}
