@@ -1,33 +1,33 @@
-//! How long a message may have to wait for its service, in closed form (D58, D59).
+//! The longest time that a message waits for service, in closed form (D58, D59).
 //!
-//! What a task declares bounds how often a message can be passed over: a head by GETs over all ports, an offer by rank.
-//! Times the longest service this is a time, and a message whose life is longer is served. The model checker searches
-//! for the least life that is served and shows it beside this one, which must never be smaller.
+//! The declaration of a task bounds how often GETs bypass the head of a port, and how often an offer is rejected by rank. That
+//! number times the longest service is a time, and a message with a longer TTL is served. The model checker searches for the
+//! least TTL that is served and shows it beside the closed form, which must never be smaller.
 
 use crate::ticks::Ticks;
 
-/// What decides how long a message waits.
+/// The inputs of the bound: the receiving task, the port, and the message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Service {
-    /// The ports of the receiving task, those that it sends on included.
+    /// The number of the receiving task's ports, including those that it sends on.
     pub ports: u16,
-    /// How many things its `order` names.
+    /// The number of entries in the task's `order`.
     pub levels: u8,
-    /// The rank of the message: how many levels stand above it. Only for ports with a handler.
+    /// The rank of the message: how many entries of the `order` rank above it. Only for ports with a handler.
     pub rank: u8,
-    /// How many messages may stand before it in its own port: at most `bounded_buffer - 1` where all of them live alike.
+    /// How many messages may be ahead of it in its own port: at most `bounded_buffer - 1` if all have the same TTL.
     pub ahead: u16,
-    /// How many messages that were refused before it may stand in other ports with a handler: the sum of the
-    /// `bounded_buffer`s of those whose messages can be refused, too. Only for ports with a handler.
+    /// How many earlier rejected messages may wait in other ports with a handler: the sum of the `bounded_buffer`s of
+    /// those ports whose messages can be rejected. Only for ports with a handler.
     pub rivals: u16,
-    /// The longest time from one GET to the next; for ports with a handler, the longest time that the task and the
-    /// handlers go without a wait, a boundary or a return.
+    /// The longest time from one GET to the next. For ports with a handler: the longest time that the task or a
+    /// handler runs without a wait, a boundary or a return.
     pub longest: Ticks,
-    /// The time penalty of the port, or the cell's tick where it has none. Only for ports with a handler.
+    /// The time penalty of the port; the cell's tick if it declares none. Only for ports with a handler.
     pub penalty: Ticks,
 }
 
-/// How many times the head of a port is passed over before it goes first (D58).
+/// How many times the head of a port is bypassed before it goes first (D58).
 #[must_use]
 pub const fn bypass_limit(ports: u16, levels: u8) -> u16 {
     let each = ports.saturating_add(levels as u16);
@@ -35,41 +35,41 @@ pub const fn bypass_limit(ports: u16, levels: u8) -> u16 {
 }
 
 impl Service {
-    /// How often the head of a port can be bypassed by GETs over all ports: when its turn has come, all other ports may
-    /// have waited for theirs longer.
+    /// How often GETs over all ports can bypass the head of a port. Once it has reached the limit, all other ports
+    /// may still go before it, because they may have waited longer.
     #[must_use]
     pub const fn most_bypasses(&self) -> u16 {
         bypass_limit(self.ports, self.levels).saturating_add(self.ports.saturating_sub(1))
     }
 
-    /// How often a message can be refused by rank, while no handler waits, before it outranks the task's own thread.
+    /// How often a message can be rejected by rank, while no handler waits, before it outranks the task's own thread.
     #[must_use]
     pub const fn most_refusals(&self) -> u8 {
         if self.rank == 0 { 1 } else { self.rank }
     }
 
-    /// The life that is long enough for a message of a port without a handler, which GETs over all ports serve.
+    /// A sufficient TTL for a message of a port without a handler, served by GETs over all ports.
     ///
-    /// Each message that stands before it, and it itself, is taken after at most [`most_bypasses`](Self::most_bypasses)
-    /// others; what is being served when it arrives ends first.
+    /// The message, and each one ahead of it, is taken after at most [`most_bypasses`](Self::most_bypasses) others.
+    /// The service that runs when the message arrives ends first.
     #[must_use]
     pub fn bound_by_gets(&self) -> Ticks {
         let gets = (u64::from(self.most_bypasses()) + 1).saturating_mul(u64::from(self.ahead) + 1);
         Ticks(gets.saturating_mul(self.longest.0)) + Ticks(1)
     }
 
-    /// The life that is long enough for a message of a port with a handler that outranks the thread only at its cap
-    /// (D76): no rank stands between its own, raised to the first one, and that of `self`. Handlers do not wait.
+    /// A sufficient TTL for a message of a port with a handler. It assumes that handlers do not wait, and that the message
+    /// outranks the task's own thread only once it is capped: no rank lies between the first one and that of `self` (D76).
     ///
-    /// It is refused at most [`most_refusals`](Self::most_refusals) times, and each time offered again when the penalty
-    /// is over and the task can be interrupted. Then it waits for those that were refused before it, of whatever port,
-    /// and before each of them and itself for one that outranks the thread without being refused.
+    /// The message is rejected at most [`most_refusals`](Self::most_refusals) times. It is offered again each time when the
+    /// penalty is over and the task can be interrupted. Then all earlier rejected messages of any port go before it. Before each
+    /// of those, and before it, one message may go that outranks the thread by itself.
     #[must_use]
     pub fn bound(&self) -> Ticks {
         let refusals = u64::from(self.most_refusals());
         let refused = refusals.saturating_mul(self.penalty.0.saturating_add(self.longest.0));
         let before = u64::from(self.ahead) + u64::from(self.rivals);
-        // The first one is under way when the message comes.
+        // The first 1 is the service that runs when the message comes.
         let turns = 1 + 2 * before + 1;
         Ticks(refused) + Ticks(turns.saturating_mul(self.longest.0)) + Ticks(1)
     }

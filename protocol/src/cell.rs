@@ -1,5 +1,5 @@
-//! What a cell declares: nodes, links, tasks and ports with every option of Figures 1 and 2. This is the form that
-//! programs and the cell language hand to [`CellTable::new`](crate::table::CellTable::new).
+//! Declarations of a cell: nodes, links, tasks and ports with every option of Figures 1 and 2. Programs and the cell
+//! language pass them to [`CellTable::new`](crate::table::CellTable::new).
 
 use crate::ids::{NodeId, PortId, TaskId};
 use crate::packet::Class;
@@ -10,7 +10,7 @@ use alloc::vec::Vec;
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
-/// The verb that a port is for at one of its ends (Figure 1).
+/// What a task does with a port at its end (Figure 1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Usage {
     /// Sends messages.
@@ -28,7 +28,7 @@ pub enum Usage {
 }
 
 impl Usage {
-    /// The usage a user of a port must have for the owner's to make sense (D11).
+    /// The usage of the users, if this is the owner's (D11).
     #[must_use]
     pub const fn counterpart(self) -> Self {
         match self {
@@ -74,7 +74,7 @@ pub struct LinkDecl {
     pub a: NodeId,
     /// The other end.
     pub b: NodeId,
-    /// The longest time a packet takes that is not lost (D20).
+    /// The bound of the link delay: the longest time that a packet takes unless it is lost (D20).
     pub delay: Ticks,
 }
 
@@ -85,26 +85,26 @@ pub struct TaskDecl {
     pub name: String,
     /// The node it is assigned to (§5.1).
     pub node: NodeId,
-    /// The module it belongs to (§2), which a `user_list` may name (D32).
+    /// The module that it belongs to (§2), which a `user_list` may name (D32).
     pub module: Option<String>,
 }
 
 /// Two work-coupled tasks (§2, D30, D61): when the one that holds the lease fails, the other takes over.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CoupleDecl {
-    /// The task that acts first. It owns the `via` port with usage `response`, or uses it so.
+    /// The task that acts first. It owns the `via` port with usage `response`, or uses it with that usage.
     pub primary: TaskId,
-    /// The task that takes over. It sends the beats, as queries on the `via` port.
+    /// The task that takes over. It sends the heartbeats, as queries on the `via` port.
     pub standby: TaskId,
-    /// How long the primary may act after it sent an answer that the standby has echoed since.
+    /// How long the primary may act after sending an answer that the standby has since echoed.
     pub lease: Ticks,
-    /// How long after the last answer it got the standby takes over.
+    /// How long after the last answer that it received the standby takes over.
     pub takeover: Ticks,
-    /// The period of the beats.
+    /// The period of the heartbeats.
     pub every: Ticks,
-    /// The port that carries them.
+    /// The port that carries the heartbeats.
     pub via: PortId,
-    /// Whether the take-over is believed as it stands: for checkers, which search the least one.
+    /// Whether `takeover` is accepted without a check: for checkers, which search for the smallest sound value.
     pub trusted: bool,
     /// Whether the roles are exchanged at a take-over (`<->`), so that the former primary becomes the standby.
     pub mutual: bool,
@@ -113,18 +113,18 @@ pub struct CoupleDecl {
 /// The time penalty of a port (§5.1.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Penalty {
-    /// How long a rejected offer is not repeated.
+    /// How long until a rejected message is offered again.
     pub length: Ticks,
     /// Whether the literal rule holds: the penalty is added to the message's time_out (Appendix, `save`; D4).
     pub literal: bool,
 }
 
-/// How often messages are sent at most (D53).
+/// The most messages in a period (D53).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Rate {
-    /// So many messages
+    /// The number of messages
     pub count: u16,
-    /// in so much time.
+    /// in this time.
     pub per: Ticks,
 }
 
@@ -139,9 +139,9 @@ pub struct UserDecl {
     pub class: Option<Class>,
     /// `message_format`, which must be the owner's (D9).
     pub format: Option<String>,
-    /// How often its own class-2 messages are sent again, where that differs from the owner's.
+    /// How often its own class-2 messages are retransmitted, where that differs from the owner's.
     pub retry: Option<u8>,
-    /// How often it sends at most, where that differs from the owner's.
+    /// The highest rate at which it sends, where that differs from the owner's.
     pub rate: Option<Rate>,
 }
 
@@ -166,7 +166,7 @@ pub struct PortDecl {
     pub users: Vec<UserDecl>,
     /// `user_list`: modules, which stand for all their tasks but the owner (D32).
     pub modules: Vec<String>,
-    /// `time_out`: priority, patience and life of a message in one (§III).
+    /// `time_out`: the TTL of a message, which is also its priority and the time that its sender waits (§III).
     pub time_out: Ticks,
     /// `class`.
     pub class: Class,
@@ -174,30 +174,30 @@ pub struct PortDecl {
     pub bounded_buffer: u16,
     /// `message_format`: a description that both ends must agree on; part of the port's hash.
     pub format: String,
-    /// How often a class-2 message is sent again within its one time_out (D5).
+    /// How often a class-2 message is retransmitted within its time_out (D5).
     pub retry: u8,
-    /// The period of re-sending: of class-2 messages with `retry`, and of ARRIVE and CONFIRM (D55).
+    /// The period of retransmission: of class-2 messages with `retry`, and of ARRIVE and CONFIRM (D55).
     pub resend: Ticks,
     /// How many lost packets of one meeting the margin of a `waitfor` covers (D2, D55).
     pub losses: u8,
-    /// The margin of a `waitfor`, where the closed form (D56) is not wanted.
+    /// The margin of a `waitfor`; `None` takes the closed form (D56).
     pub margin: Option<Ticks>,
-    /// `penalty`: how long a rejected offer is not repeated.
+    /// `penalty`: how long until a rejected message is offered again.
     pub penalty: Option<Penalty>,
-    /// `latest`: a message replaces the one of the same source that still waits.
+    /// `latest`: a message replaces a waiting one of the same source.
     pub latest: bool,
     /// How many packets a message takes (D28).
     pub fragments: u8,
     /// How many packets an answer takes.
     pub answer_fragments: u8,
-    /// `rate`.
+    /// `rate`: the highest rate at which messages are sent.
     pub rate: Option<Rate>,
-    /// The couple, by position, under whose lease this port acts: messages of an older epoch are dropped (D61).
+    /// The couple, by position, whose lease guards this port: receivers drop messages of an older epoch (D61).
     pub guard: Option<u8>,
 }
 
 impl PortDecl {
-    /// A port with the given essentials: class 1, `bounded_buffer[1]`, no re-sending, no format.
+    /// A port with defaults for the other options: class 1 if the usage allows it, `bounded_buffer[1]`, no retransmission.
     #[must_use]
     pub fn new(name: &str, owner: TaskId, usage: Usage, users: &[TaskId], time_out: Ticks) -> Self {
         Self {
@@ -226,7 +226,7 @@ impl PortDecl {
         }
     }
 
-    /// Whether its penalty lengthens the life of what it makes less urgent: the literal rule (Appendix, `save`; D4).
+    /// Whether a penalty extends the deadline of the message: the literal rule (Appendix, `save`; D4).
     pub(crate) fn lengthens_lives(&self) -> bool {
         self.penalty.is_some_and(|penalty| penalty.literal)
     }
@@ -245,7 +245,7 @@ impl PortDecl {
         self
     }
 
-    /// Sets how often, and how long apart, a class-2 message is sent again.
+    /// Sets how often, and at which interval, a class-2 message is retransmitted.
     #[must_use]
     pub fn retry(mut self, times: u8, every: Ticks) -> Self {
         self.retry = times;
@@ -253,7 +253,7 @@ impl PortDecl {
         self
     }
 
-    /// Sets the re-sending period of a `waitfor` and how many losses its margin covers.
+    /// Sets the retransmission period of a `waitfor` and how many losses its margin covers.
     #[must_use]
     pub fn resend(mut self, every: Ticks, losses: u8) -> Self {
         self.resend = every;
@@ -261,14 +261,14 @@ impl PortDecl {
         self
     }
 
-    /// Sets the time penalty of rejected offers (§5.1.1).
+    /// Sets the time penalty of rejected messages (§5.1.1).
     #[must_use]
     pub fn penalty(mut self, length: Ticks) -> Self {
         self.penalty = Some(Penalty { length, literal: false });
         self
     }
 
-    /// Lets a message replace the one of the same source that still waits.
+    /// Lets a message replace a waiting one of the same source.
     #[must_use]
     pub fn latest(mut self) -> Self {
         self.latest = true;
@@ -289,14 +289,14 @@ impl PortDecl {
         self
     }
 
-    /// Sets how often messages are sent at most (D53).
+    /// Sets the highest rate at which messages are sent (D53).
     #[must_use]
     pub fn rate(mut self, count: u16, per: Ticks) -> Self {
         self.rate = Some(Rate { count, per });
         self
     }
 
-    /// Sets the couple under whose lease the port acts (D61).
+    /// Sets the couple whose lease guards the port (D61).
     #[must_use]
     pub fn guard(mut self, couple: u8) -> Self {
         self.guard = Some(couple);
@@ -316,7 +316,7 @@ impl PortDecl {
 pub struct Cell {
     /// Its name.
     pub name: String,
-    /// The declared lateness of timers: no node acts on a time_out later than this (D42).
+    /// The declared timer lateness: a node acts on a time_out at most this late (D42).
     pub tick: Ticks,
     /// The nodes; [`NodeId`] is the position here.
     pub nodes: Vec<NodeDecl>,
@@ -380,7 +380,7 @@ pub enum CellError {
     ListedTwice(String, String),
     /// A `waitfor` of more than [`MAX_MEMBERS`] tasks.
     TooManyMembers(String),
-    /// A buffer for no message.
+    /// A bounded buffer without room for a message.
     NoBuffer(String),
     /// A zero time_out.
     NoTimeOut(String),
@@ -388,20 +388,20 @@ pub enum CellError {
     NeedsClass2(String),
     /// A `user_list` names a module that no task belongs to (D32).
     UnknownModule(String, String),
-    /// A message or an answer of no packet, or of more than [`MAX_FRAGMENTS`] (D28).
+    /// A message or an answer that takes no packet, or more than [`MAX_FRAGMENTS`] (D28).
     Fragments(String, u8),
     /// A class-2 port whose owner asks more than [`MAX_MEMBERS`] - 1 tasks.
     TooManyAsked(String),
-    /// So many messages in one life that their sequence numbers would come round (D53).
+    /// A rate so high that sequence numbers could wrap within one TTL (D53).
     SequenceWraps(String),
-    /// So many messages that they cannot be served (D53): a class-2 message may keep its sender for the way there and
-    /// back, however fast it is served.
+    /// A rate that cannot be served: a class-2 message may block its sender for a round trip, however fast the receiver is
+    /// (D53).
     CannotBeServed {
         /// The port.
         port: String,
-        /// The time in which the declared number of messages comes.
+        /// The period of the declared rate.
         per: Ticks,
-        /// What it must reach.
+        /// The smallest allowed value.
         least: Ticks,
     },
     /// A user declares another class than the owner (D9).
@@ -410,43 +410,43 @@ pub enum CellError {
     OtherFormat(String, String),
     /// Two tasks of a port run on nodes that no chain of at most 8 links joins.
     Unreachable(String, String, String),
-    /// The time_out cannot cover the margin and the way: nobody could ever be released (D56).
+    /// The time_out cannot cover the margin and the link delays: no member could ever be released (D56).
     MarginTooLong {
         /// The port.
         port: String,
-        /// Its (or its least patient user's) time_out.
+        /// The smallest time_out of its members.
         time_out: Ticks,
         /// What it must exceed.
         least: Ticks,
     },
-    /// A couple's beats need a port between its two tasks alone, on which the standby asks and the primary responds.
+    /// A couple's heartbeats need a port that joins only its two tasks: the standby queries, the primary responds.
     NotForBeats(String),
     /// A task is in two couples.
     CoupledTwice(String),
-    /// A port acts under the lease of a couple that one of its senders is not in, or is a `waitfor`.
+    /// A port guarded by a lease has a sender outside the couple, or is a `waitfor`.
     NotOfTheCouple(String),
-    /// A port acts under a couple's lease where no epoch is carried: its messages take several packets, or it carries
-    /// answers for others or the couple's own beats (D61).
+    /// A port guarded by a lease cannot carry the epoch: its messages take several packets, or it carries answers for others
+    /// or the couple's own heartbeats (D61).
     NoRoomForEpoch(String),
-    /// The lease ends before a beat can renew it (D61).
+    /// The lease ends before a heartbeat can renew it (D61).
     LeaseTooShort {
         /// The couple.
         couple: String,
-        /// Its lease.
+        /// The declared lease.
         lease: Ticks,
-        /// What it must reach.
+        /// The smallest allowed value.
         least: Ticks,
     },
     /// The standby may take over while the primary still acts (D61).
     TakeoverTooSoon {
         /// The couple.
         couple: String,
-        /// Its take-over.
+        /// The declared time until the take-over.
         takeover: Ticks,
-        /// What it must reach.
+        /// The smallest allowed value.
         least: Ticks,
     },
-    /// The time_out cannot cover the way there and back.
+    /// The time_out cannot cover the link delays: to the peer and, for a class-2 message, back.
     DeadlineTooShort {
         /// The port.
         port: String,
@@ -457,8 +457,8 @@ pub enum CellError {
     },
 }
 
-/// The most nodes of a cell. Every node knows the way to every other one, so the table grows with the square of their number,
-/// and the time that compiling it takes with the cube (D151).
+/// The most nodes of a cell. The routing table has an entry for each pair of nodes, and the time to compute it grows with
+/// the cube of their number (D151).
 pub const MAX_NODES: usize = 512;
 /// The most tasks that one `waitfor` joins.
 pub const MAX_MEMBERS: usize = 64;

@@ -1,5 +1,5 @@
-//! Identifiers. They are compared for equality and in wrap-safe order, and grow by one; nothing else is ever
-//! computed from them, so adding a constant to all ids of one source changes no behaviour (D51).
+//! Identifiers of tasks, nodes, ports, messages and rounds. Message ids and rounds are only compared (for equality and in
+//! wrap-safe order) and incremented, so adding a constant to all ids of one source changes no behaviour (D51).
 
 use core::fmt;
 use serde::{Deserialize, Serialize};
@@ -24,7 +24,7 @@ impl PortId {
 macro_rules! index {
     ($($name:ident $letter:literal),*) => {$(
         impl $name {
-            /// The position in the list of the cell this identifier points into.
+            /// The position in the cell's list.
             #[must_use]
             pub const fn index(self) -> usize {
                 self.0 as usize
@@ -47,20 +47,20 @@ macro_rules! index {
 }
 index!(TaskId "T", NodeId "N", PortId "P");
 
-/// Which life of a node a message belongs to (D49). A restarted node has a new one.
+/// The incarnation of a node: one start, until the node ends. Each restart begins a new incarnation (D49).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Incarnation(pub u8);
 
 impl Incarnation {
-    /// Whether it is an earlier life than `other`, in wrap-safe order.
+    /// Whether it is an earlier incarnation than `other`, in wrap-safe order.
     pub(crate) const fn is_older_than(self, other: Self) -> bool {
         let steps = other.0.wrapping_sub(self.0);
         steps != 0 && steps < 0x80
     }
 }
 
-/// A 24-bit sequence number that wraps. Ordered by distance: `a` is newer than `b` when it is less than half the
-/// circle ahead of it. The compiler rejects declarations whose rate x life could reach that half (D53).
+/// A 24-bit sequence number that wraps. Ordered by distance: `a` is newer than `b` if it is less than half the range
+/// ahead. [`CellTable::new`](crate::CellTable::new) rejects a rate that could reach half the range within one TTL (D53).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "u32", into = "u32")]
 pub struct Seq24(u32);
@@ -71,7 +71,7 @@ impl From<Seq24> for u32 {
     }
 }
 
-/// Of a number that was read from a file: arithmetic relies on its being in the circle.
+/// Validates a number from a file: the arithmetic relies on values below 2^24.
 impl TryFrom<u32> for Seq24 {
     type Error = &'static str;
 
@@ -122,17 +122,17 @@ impl Seq24 {
     }
 }
 
-/// A message identifier: unique per source within the time that duplicates can live (§5.2, D6).
+/// A message identifier: unique per source for as long as duplicates may arrive (§5.2, D6).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct MessageId {
-    /// The life of the source node that made the message.
+    /// The incarnation of the source node that made the message.
     pub incarnation: Incarnation,
     /// The position of the message among those of its source task.
     pub sequence: Seq24,
 }
 
 impl MessageId {
-    /// Of no message yet: to be read.
+    /// A placeholder, to be overwritten when an id is read.
     pub const BLANK: Self = Self { incarnation: Incarnation(0), sequence: Seq24::new(0) };
 }
 

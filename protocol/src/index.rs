@@ -4,19 +4,19 @@ use crate::queue::Slot;
 use alloc::boxed::Box;
 use alloc::vec;
 
-/// How many low bits of a word are the slot; above them stands the key and one more.
+/// The low bits of an entry hold the slot, the bits above them the key plus one. So no entry is zero, which marks a free place.
 const SLOT_BITS: u32 = 16;
 const EMPTY: u64 = 0;
 
-/// Open addressing with linear probing; at most half full, so that a search looks at few places.
+/// A hash index with open addressing and linear probing. It is at most half full, so that a search looks at few places.
 #[derive(Clone, Debug)]
 pub(crate) struct Index {
     places: Box<[u64]>,
-    /// How far the product with a key is shifted to its home.
+    /// The shift that reduces the hash of a key to its home place.
     shift: u32,
 }
 
-/// Where a key stands, or may stand.
+/// The place of a key, or the free place where it may be stored.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Place(usize);
 
@@ -34,13 +34,13 @@ const fn slot(word: u64) -> Slot {
 }
 
 impl Index {
-    /// An index for `capacity` keys. The only allocation it ever makes.
+    /// An index for `capacity` keys. It allocates only here.
     pub fn new(capacity: u16) -> Self {
         let places = (usize::from(capacity) * 2).next_power_of_two().max(2);
         Self { places: vec![EMPTY; places].into_boxed_slice(), shift: u32::BITS - places.trailing_zeros() }
     }
 
-    /// Where the probing for a key begins: the high bits of a product by the golden ratio, so that keys in a row spread.
+    /// The place where probing for a key begins. Multiplying by the golden ratio spreads consecutive keys.
     const fn home(&self, key: u32) -> usize {
         (key.wrapping_mul(0x9e37_79b9) >> self.shift) as usize
     }
@@ -49,7 +49,7 @@ impl Index {
         (place + 1) & (self.places.len() - 1)
     }
 
-    /// The slot of a key if it is known, and where it stands, or where it is to be noted before anything else changes.
+    /// The place and the slot of a key; for a new key, a free place for [`note`](Self::note), valid until the index changes.
     pub fn look(&self, key: u32) -> (Place, Option<Slot>) {
         let mut place = self.home(key);
         loop {
@@ -61,16 +61,16 @@ impl Index {
         }
     }
 
-    /// Notes the slot of a key where [`look`](Self::look) said. There must be fewer keys than the capacity.
+    /// Stores the slot of a key at the place that [`look`](Self::look) returned. There must be fewer keys than the capacity.
     pub fn note(&mut self, Place(place): Place, key: u32, slot: Slot) {
         self.places[place] = word(key, slot);
     }
 
-    /// Forgets a key and says where it was.
+    /// Removes a key and returns its slot.
     pub fn remove(&mut self, key: u32) -> Option<Slot> {
         let (Place(mut hole), found) = self.look(key);
         found?;
-        // What was pushed past the hole by others moves back into it, so that every search still finds its key.
+        // Displaced entries move back into the hole, so that every search still finds its key.
         let mut place = self.after(hole);
         loop {
             let word = self.places[place];
@@ -131,7 +131,7 @@ mod tests {
         }
     }
 
-    /// Names of timers are tasks with a small number behind them: a search among all of them looks at few places.
+    /// Timer keys are a task number followed by a small number. Probing stays short with all of them present.
     #[test]
     fn keys_spread() {
         let mut index = Index::new(512);

@@ -1,21 +1,21 @@
 //! The protocol of an Integrated Multi-Robot System as one pure state machine.
 //!
-//! Every task has a *communication task* ([`CommTask`]) that owns its *ports*. Messages carry the time that remains to
-//! them, the most urgent goes first, what expires is discarded, and `waitfor` is an n-way rendezvous with confirmation.
+//! Every task has a *communication task* ([`CommTask`]) that owns its *ports*. Each message carries its remaining time: the
+//! most urgent message goes first, and expired messages are discarded. `waitfor` is an n-way rendezvous with confirmation.
 //! Nothing here reads a clock, starts a thread, opens a socket or draws a random number: the model checker, the
 //! threaded runtime and the validator of recordings are drivers of the same code.
 //!
 //! | §5.2 layer | here |
 //! |---|---|
-//! | user | `task/requests.rs` and `task/machines.rs`: requests of the task, packets for it; and the parts beside them |
-//! | mapping | `mapping.rs`: logical names to addressed packets |
-//! | route | `route.rs` and `transit.rs`: where a packet goes, and which one goes next |
+//! | user | `task/requests.rs` and `task/machines.rs`: requests of the task and packets for it, with the parts beside them |
+//! | mapping | `mapping.rs`: from logical names to addressed packets |
+//! | route | `route.rs` and `transit.rs`: the next hop of each packet, and the order in which packets leave |
 //! | primitive | the driver's link |
 //!
 //! # The run loop
 //!
-//! A driver decides nothing: it brings each input with its time, carries packets, and sleeps until something is due. This is a
-//! whole one, of two nodes and a link that takes two milliseconds; a tick is a microsecond.
+//! A driver decides nothing: it brings each input with its time, carries packets, and sleeps until something is due. This
+//! complete driver has two nodes and a link with a delay of two milliseconds; a tick is a microsecond.
 //!
 //! ```
 //! use imrs_protocol::*;
@@ -105,7 +105,7 @@ mod node;
 mod observe;
 mod packet;
 mod task;
-// Measured by itself in `benches/`; no part of the interface.
+// Public only for the measurements in `benches/`; not part of the API.
 #[doc(hidden)]
 pub mod queue;
 mod request;

@@ -41,7 +41,7 @@ pub(crate) fn destinations(
     Ok(Peers::Several(port.peers(from).filter(move |&peer| to == Target::All || wanted & bit(peer) != 0)))
 }
 
-/// The one task that a message goes to, where that shows without a look at all parties.
+/// The only destination of a message on a port with two parties: found without a scan of the parties.
 pub(crate) fn only_peer(port: &Port, from: TaskId, to: Target) -> Option<TaskId> {
     match (&*port.parties, to) {
         ([owner, user], Target::All) => Some(if owner.task == from { user.task } else { owner.task }),
@@ -65,7 +65,7 @@ impl<I: Iterator<Item = TaskId>> Iterator for Peers<I> {
     }
 }
 
-/// What a message of this port is on the wire: the port's usage says so (D17).
+/// The packet kind of a message on this port, given by the port's usage (D17).
 pub(crate) const fn message_kind(port: &Port) -> Kind {
     match port.decl.usage {
         Usage::Query | Usage::Response => Kind::Query,
@@ -73,7 +73,7 @@ pub(crate) const fn message_kind(port: &Port) -> Kind {
     }
 }
 
-/// What an answer on this port is on the wire.
+/// The packet kind of an answer on this port.
 pub(crate) const fn answer_kind(port: &Port) -> Kind {
     match port.decl.usage {
         Usage::Query | Usage::Response => Kind::Response,
@@ -118,12 +118,12 @@ pub(crate) fn answer(to: ReplyTo, from: TaskId, kind: Kind, remaining: Ticks, co
     }
 }
 
-/// What the machine of `from` itself answers to a class-2 message.
+/// An answer to a class-2 message from the communication task of `from` itself.
 pub(crate) fn control(to: ReplyTo, from: TaskId, control: Control, remaining: Ticks) -> Packet {
     answer(to, from, Kind::Control, remaining, control.to_contents())
 }
 
-/// Names a message for its answer.
+/// The address for an answer to a message.
 pub(crate) const fn reply_to(message: &Packet) -> ReplyTo {
     ReplyTo { port: message.port, source: message.source, id: message.id }
 }

@@ -1,16 +1,16 @@
-//! Margins in closed form: that of a `waitfor` (D2, D56) and that of a take-over (D30, D61).
+//! Margins in closed form: for a `waitfor` (D2, D56), and for a lease and its take-over (D30, D61).
 
 use crate::ticks::Ticks;
 
-/// How much faster or slower than another a node's clock runs at most, in parts per million: twice what the
-/// oscillators of cheap boards are specified for.
+/// The greatest difference in speed between the clocks of two nodes, in parts per million: twice the specified
+/// tolerance of cheap oscillators.
 pub const DRIFT_PPM: u64 = 200;
 
-/// How much longer than the lease the standby of a couple must wait, so that both never act at a time.
+/// How much longer than the lease the standby of a couple must wait, so that the two never act at the same time.
 ///
-/// The lease counts from when an answer was sent, the take-over from when it came, which is no earlier: the way costs
-/// nothing. What is left is `drift` over both waits, a `tick` by which the owner may notice the end of its lease late,
-/// and the `residence` of a command that it gave just before: the bound of the port that the command goes through.
+/// The lease counts from the sending of an answer, and the take-over from its arrival, which is no earlier: the link
+/// delay needs no margin. What remains is `drift` over both waits, a `tick` by which the owner may notice the end of
+/// its lease late, and `residence`: the bound of the port that the owner's last command goes through.
 #[must_use]
 pub fn takeover_margin(
     lease: Ticks,
@@ -24,22 +24,22 @@ pub fn takeover_margin(
     if both == Ticks::FAR { Ticks::FAR } else { drift + residence + tick }
 }
 
-/// The least lease of a couple that lasts while nothing is lost (D78), with beats `every` so long and the longest `way`.
+/// The shortest lease that never ends while no packet is lost: heartbeats every `every`, link delays up to `way` (D78).
 ///
-/// So long an answer can be the newest that was echoed: a beat echoes it that leaves after the way there and back, the
-/// answer to this one is echoed a period later, and that beat takes a way; the `tick` is when the end is noticed.
+/// The lease must last while one answer is the newest echoed one. The heartbeat that echoes it leaves a round trip and at most a
+/// period later. The one that echoes the next answer leaves a period after that and takes `way`. `tick`: the end is noticed late.
 #[must_use]
 pub fn least_lease(way: Ticks, every: Ticks, tick: Ticks) -> Ticks {
     let beats = (way + way).0 / every.0.max(1);
     Ticks(every.0.saturating_mul(beats.saturating_add(2))) + way + tick
 }
 
-/// The least time that must remain of every arrival for a member to release, so that while each packet takes at most
-/// `delay` and at most `losses` packets of the meeting are lost, nobody is released while another gives up.
+/// The least patience that every arrival must have left when a member releases. If each packet takes at most `delay`
+/// and at most `losses` packets of the meeting are lost, then no member is released while another one gives up.
 ///
-/// The releasing member sends its CONFIRM at once and then `losses` times more, `resend` apart. The last copy leaves
+/// The releasing member sends its CONFIRM at once and `losses` more copies, `resend` apart. The last copy leaves
 /// `losses x resend` after the release and takes `delay`; each copy may leave one `tick` late. The model checker
-/// searches for the least margin that holds and shows it beside this one, which must never be smaller.
+/// searches for the least margin that holds and shows it beside the closed form, which must never be smaller.
 #[must_use]
 pub fn least_margin(delay: Ticks, losses: u8, resend: Ticks, tick: Ticks) -> Ticks {
     if losses == 0 {

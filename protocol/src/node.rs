@@ -25,12 +25,12 @@ use alloc::collections::VecDeque;
 use serde::{Deserialize, Serialize};
 use work::Work;
 
-/// Everything that can happen to a node, each at a time.
+/// An input of a node. A driver passes it to [`Node::step`] with its time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum NodeInput {
-    /// Nothing but the time at which it comes.
+    /// Time has passed, and nothing else happened.
     Time,
-    /// A task asks for something.
+    /// A request of a task.
     Request(TaskId, Request),
     /// A packet came in over a link.
     Packet {
@@ -38,16 +38,16 @@ pub enum NodeInput {
         from: NodeId,
         /// The packet.
         packet: Packet,
-        /// What the way is taken to have cost (D20).
+        /// The link delay to take from the remaining time: no less than the link's bound (D20).
         charge: Ticks,
     },
-    /// A neighbour or a farther node has a new incarnation.
+    /// Another node, neighbour or not, has a new incarnation.
     PeerRestarted(NodeId),
 }
 
 /// Where the effects of a node go.
 pub trait NodeOutbox {
-    /// Whether the link to the succeeding node takes a packet now; where not, packets stay in the transit buffer.
+    /// Whether the link to the succeeding node takes a packet now. If not, packets stay in the transit buffer.
     fn ready(&mut self, next: NodeId) -> bool {
         let _ = next;
         true
@@ -56,7 +56,7 @@ pub trait NodeOutbox {
     fn link(&mut self, next: NodeId, packet: Packet);
     /// Answers a task.
     fn signal(&mut self, task: TaskId, signal: Signal);
-    /// Notes what happened at a task, or in the transit buffer.
+    /// Reports what happened at a task or, if `at` is `None`, elsewhere in the node.
     fn observe(&mut self, at: Option<TaskId>, observation: Observation) {
         let _ = (at, observation);
     }
@@ -79,23 +79,23 @@ pub struct Parts {
 #[derive(Clone, Debug)]
 pub struct Node {
     parts: Parts,
-    /// The time of the last input. The clocks of its parts run with it, while they count, and may show something else.
+    /// The time of the last input. The parts have clocks of their own, which may differ: they stand still unless
+    /// [`counts`](Self::counts) holds.
     now: Instant,
-    /// For each task of the cell, where it stands among those of this node, if it is one of them.
+    /// For each task of the cell: its position among the tasks of this node, or [`ELSEWHERE`].
     places: Box<[u16]>,
-    /// Effects within the node that are not carried out yet. Empty between steps.
+    /// Pending effects within the node, in order. Empty after each [`step`](Self::step).
     work: VecDeque<Work>,
 }
 
-/// How many effects of one input a node has room for without allocating: every copy of a message to 64 members, and
-/// what they answer.
+/// Preallocated room for the effects of one input: every copy of a message to 64 members, and their answers.
 const WORK: usize = 256;
 
-/// No place: a node has at most 65,535 tasks.
+/// Marks a task of another node. No position is as large: a node has at most 65,535 tasks.
 const ELSEWHERE: u16 = u16::MAX;
 
 impl Node {
-    /// The node of `table` in this life.
+    /// The node of `table` in this incarnation. `restarted`: whether an earlier incarnation may have run.
     #[must_use]
     pub fn new(table: NodeTable, incarnation: Incarnation, restarted: bool, transit_capacity: u16) -> Self {
         let tasks: Box<[CommTask]> = table
@@ -119,13 +119,13 @@ impl Node {
         self.parts
     }
 
-    /// Its parts, to look at.
+    /// Its parts, read-only.
     #[must_use]
     pub const fn parts(&self) -> &Parts {
         &self.parts
     }
 
-    /// Its parts, for canonical states.
+    /// Its parts, for code that packs, reads or rebases states.
     pub const fn parts_mut(&mut self) -> &mut Parts {
         &mut self.parts
     }
@@ -142,12 +142,12 @@ impl Node {
         self.now
     }
 
-    /// Takes one input at `now`, after what the time until then has made due, and carries out everything that follows from it
-    /// within the node. A `now` before the last one is no time (D42).
+    /// Takes one input at `now` and carries out all its effects within the node. What is due by `now` happens first. A `now`
+    /// before the last one counts as no elapsed time (D42).
     pub fn step(&mut self, now: Instant, input: NodeInput, out: &mut impl NodeOutbox) {
         self.begin(now, input, out);
         while let Some(work) = self.work.pop_front() {
-            // Nobody looks between the steps here: a packet that nothing waits before needs no place in the row.
+            // A packet that is alone in the queue goes straight to its task: nothing observes the steps in between.
             if let Work::Route(packet) = work
                 && self.work.is_empty()
                 && let Departure::Local(task) = route::departing(&self.parts.table, &packet)
@@ -160,8 +160,8 @@ impl Node {
         self.flush(out);
     }
 
-    /// Takes one input and leaves what follows from it within the node to others: for a checker that looks between the steps
-    /// (D39), see `orders`. Time passes at once for all parts.
+    /// Takes one input and leaves its effects within the node pending, for a checker that interleaves them (see `orders`, D39).
+    /// Time passes for all parts at once.
     pub fn begin(&mut self, now: Instant, input: NodeInput, out: &mut impl NodeOutbox) {
         if now > self.now && input != NodeInput::Time {
             self.step(now, NodeInput::Time, out);
@@ -179,13 +179,13 @@ impl Node {
         }
     }
 
-    /// Whether effects within the node are not carried out yet.
+    /// Whether effects within the node are pending.
     #[must_use]
     pub fn is_busy(&self) -> bool {
         !self.work.is_empty()
     }
 
-    /// The packets among these effects.
+    /// The packets among the pending effects.
     pub fn work_packets(&self) -> impl Iterator<Item = &Packet> {
         self.work.iter().filter_map(|work| match work {
             Work::Route(packet) | Work::Task(_, Input::Packet(packet)) => Some(packet),
@@ -195,8 +195,8 @@ impl Node {
         })
     }
 
-    /// Whether the clock counts (D22). Under the blocking reading of Figure 3 the Timer waits for the answer of every
-    /// task to its JOB_REQUEST, and a task that works gives none: no CLICK reaches the node's communication tasks.
+    /// Whether the node's clock runs (D22). Under the blocking reading of Figure 3 the Timer waits until every task answers
+    /// its JOB_REQUEST. A working task does not answer, so no CLICK reaches the node's communication tasks.
     #[must_use]
     pub fn counts(&self) -> bool {
         match self.parts.table.rules().job_request {
@@ -214,7 +214,7 @@ impl Node {
         tasks.chain(others).filter(|&left| left != Ticks::FAR).min()
     }
 
-    /// Sends what waits, most urgent first, as far as the links take it (§5.2.3).
+    /// Sends the waiting packets, most urgent first, as far as the links take them (§5.2.3).
     pub fn flush(&mut self, out: &mut impl NodeOutbox) {
         while let Some((next, packet)) = self.parts.transit.next(|next| out.ready(next)) {
             out.link(next, packet);
@@ -223,7 +223,7 @@ impl Node {
 
     fn pass(&mut self, now: Instant, out: &mut impl NodeOutbox) {
         let Some(elapsed) = self.begin_time(now, out) else { return };
-        // All tasks before what any of them sends: a message between two of them must not age by the time before it.
+        // Time passes in all tasks before any of their packets is delivered: a message must not be charged for time before it.
         let Parts { table, tasks, .. } = &mut self.parts;
         for task in tasks {
             let effects = &mut TaskEffects { task: task.task(), work: &mut self.work, out };
@@ -233,7 +233,7 @@ impl Node {
         self.pass_in_timer(elapsed);
     }
 
-    /// Time passes for the node and in its transit buffer. `None` where it does not count.
+    /// Advances the node's time and the transit buffer. Returns the elapsed time, or `None` if the clock does not run.
     fn begin_time(&mut self, now: Instant, out: &mut impl NodeOutbox) -> Option<Ticks> {
         let elapsed = now - self.now;
         self.now += elapsed;
@@ -255,7 +255,7 @@ impl Node {
         });
     }
 
-    /// Carries out the effects that there are, and what follows from them.
+    /// Carries out all pending effects, and the effects that follow from them.
     fn empty(&mut self, out: &mut impl NodeOutbox) {
         while let Some(work) = self.work.pop_front() {
             self.carry_out(work, out);
@@ -274,7 +274,7 @@ impl Node {
         self.hand_after(Ticks::ZERO, task, input, out);
     }
 
-    /// Hands an input to a task, after so much time of its own clock.
+    /// Advances the task's own clock by `elapsed`, then hands it the input.
     fn hand_after(&mut self, elapsed: Ticks, task: TaskId, input: &Input, out: &mut impl NodeOutbox) {
         let Some(&place) = self.places.get(task.index()) else { return };
         let Some(comm_task) = self.parts.tasks.get_mut(usize::from(place)) else { return };

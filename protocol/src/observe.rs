@@ -1,5 +1,5 @@
-//! What a machine says about itself while it works, and how it looks when asked. The monitor, the recorder and the
-//! checkers see a node only through these.
+//! Observation of a node: the events that it reports while it runs, and views of its state. The monitor, the recorder and
+//! the checkers see a node only through these types.
 
 use crate::cell::Usage;
 use crate::ids::{MessageId, NodeId, PortId, Round, TaskId};
@@ -11,31 +11,31 @@ use serde::{Deserialize, Serialize};
 /// Why a message was dropped. Every drop has a reason, is counted and is visible (D19).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Reason {
-    /// Its life ended in a task's buffer.
+    /// Its remaining time ended in a task's buffer.
     Expired,
-    /// Its life ended on a link or in a kernel queue.
+    /// Its remaining time ended on a link or in a kernel queue.
     ExpiredOnTheWay,
-    /// Its life ended in the transit buffer.
+    /// Its remaining time ended in the transit buffer, or would end on the route ahead.
     ExpiredInTransit,
-    /// It found a full buffer of more urgent messages.
+    /// The buffer was full, and no message in it had to make room.
     Refused,
     /// It made room for a more urgent message.
     Evicted,
-    /// It was seen before.
+    /// It is a copy of a message that was received before.
     Duplicate,
-    /// It speaks of a meeting that is over.
+    /// It belongs to a meeting that is over.
     OldRound,
-    /// Its source may not use its port this way.
+    /// Its source may not use its port this way, or it came from the wrong neighbour.
     NotAllowed,
     /// It is for a task that this node neither runs nor can reach.
     Unroutable,
     /// It has passed too many relays.
     HopLimit,
-    /// It answers a request that is no longer waited for.
+    /// It answers a request that is not outstanding any more.
     Unexpected,
-    /// It comes from an earlier life of its source.
+    /// It comes from, or may be meant for, an earlier incarnation of a node.
     StaleIncarnation,
-    /// A newer one of its source took its place.
+    /// A newer message of its source replaced it.
     Superseded,
     /// Fragments of it are missing (D28).
     Incomplete,
@@ -91,7 +91,7 @@ impl Reason {
 pub enum Event {
     /// The task's message was handed to the route layer.
     Sent,
-    /// A copy of it was sent again.
+    /// A copy of the task's message was retransmitted.
     Resent,
     /// A message was put into a port's buffer.
     Enqueued,
@@ -103,7 +103,7 @@ pub enum Event {
     Answered,
     /// The task's class-2 message was refused.
     RefusedByPeer,
-    /// The time_out of the task's class-2 message ended; it may have run.
+    /// The time_out of the task's class-2 message ended; the receiver may have carried it out.
     TimedOut,
     /// The time_out of the task's class-2 message ended before any copy left.
     TimedOutUnsent,
@@ -113,7 +113,7 @@ pub enum Event {
     Discarded(Reason),
     /// The task reached a waitfor.
     Reached,
-    /// The task went on to a fresher round while waiting.
+    /// The task moved on to a fresher round while waiting.
     Rejoined,
     /// A partner's arrival came in.
     PartnerArrived,
@@ -129,9 +129,9 @@ pub enum Event {
     WithinMargin,
     /// The task gave up a waitfor.
     GaveUp,
-    /// A message for a handler did not outrank the current thread (R16).
+    /// A message for a handler did not outrank the running activation (R16).
     Rejected,
-    /// A handler began, and the current thread was suspended (R16).
+    /// A handler began, and the running activation was suspended (R16).
     Interrupted,
     /// A handler ended.
     Resumed,
@@ -143,34 +143,34 @@ pub enum Event {
     Fenced,
 }
 
-/// One observation. What `number` means follows from the event: a message's sequence, a meeting's round, the name of the
-/// timer whose handler began, how many handlers still run after one ended, or the epoch of a lease.
+/// One observation. The event decides what `number` means: a message's sequence, a meeting's round, the name of the timer
+/// whose handler began, how many handlers still run after one ended, or the epoch of a lease.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Observation {
     /// What happened.
     pub event: Event,
     /// On which port; [`PortId::NONE`] for the end of a timer and of a handler.
     pub port: PortId,
-    /// With which other task; there the task itself.
+    /// With which other task; at the end of a timer or of a handler, the task itself.
     pub peer: TaskId,
-    /// Sequence or round.
+    /// The number that belongs to the event; see above.
     pub number: u32,
-    /// How long the message or the wait still had.
+    /// The remaining time of the message or of the wait.
     pub remaining: Ticks,
 }
 
-/// Counters of one port at one task. They only grow while the node lives.
+/// Counters of one port at one task. They only grow during an incarnation of the node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct PortCounters {
-    /// Messages the task sent, or waitfors it reached; re-sent copies not counted.
+    /// Messages the task sent, or waitfors it reached; retransmitted copies not counted.
     pub sent: u64,
-    /// Copies sent again.
+    /// Copies retransmitted.
     pub resent: u64,
     /// Messages put into the buffer, or handed over at once.
     pub enqueued: u64,
     /// Messages handed to the task, or waitfors released.
     pub delivered: u64,
-    /// Messages whose life ended here.
+    /// Messages that expired here.
     pub expired: u64,
     /// Messages that found no space.
     pub refused: u64,
@@ -178,7 +178,7 @@ pub struct PortCounters {
     pub rejected: u64,
     /// Messages dropped to make room.
     pub evicted: u64,
-    /// Copies of messages seen before.
+    /// Copies of messages received before.
     pub duplicates: u64,
     /// The task's own requests that ended by time_out.
     pub timed_out: u64,
@@ -189,34 +189,34 @@ pub struct PortCounters {
 /// What a task is doing, as its communication task knows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum TaskState {
-    /// It has asked for nothing: it runs.
+    /// It runs: it has no outstanding request.
     Running,
     /// It waits for a message.
     Receiving {
         /// On this port, or on any.
         port: Option<PortId>,
-        /// For so long, or without end.
+        /// The remaining time; `None` waits without end.
         remaining: Option<Ticks>,
     },
     /// It waits for the answer to its class-2 message.
     AwaitingReply {
         /// On this port.
         port: PortId,
-        /// From this task.
+        /// The task that sent it.
         from: TaskId,
-        /// For so long.
+        /// The remaining time.
         remaining: Ticks,
     },
     /// It waits for others at a waitfor.
     Waiting {
         /// On this port.
         port: PortId,
-        /// In this round.
+        /// The round.
         round: Round,
-        /// For so long.
+        /// The remaining time.
         remaining: Ticks,
     },
-    /// It delays.
+    /// It waits in a `delay`.
     Delaying,
 }
 
@@ -229,7 +229,7 @@ pub struct QueueEntry {
     pub id: MessageId,
     /// Its class.
     pub class: Class,
-    /// What is left of its life.
+    /// Its remaining time.
     pub remaining: Ticks,
 }
 
@@ -244,9 +244,9 @@ pub struct PortView {
     pub class: Class,
     /// How many messages wait.
     pub len: u16,
-    /// How many may wait; zero where this end receives nothing.
+    /// How many may wait; zero if this end receives nothing.
     pub capacity: u16,
-    /// What is left of the most urgent one.
+    /// The remaining time of the most urgent one.
     pub min_slack: Option<Ticks>,
     /// The waiting messages in the order they will be served, as many as were asked for.
     pub queue: Vec<QueueEntry>,
@@ -254,41 +254,41 @@ pub struct PortView {
     pub counters: PortCounters,
 }
 
-/// What a waiting message has been through, and what that makes of it: its life, its urgency and when it is offered next
-/// are three things (D4).
+/// A waiting message with its retry state. Its remaining time, its urgency and the time of its next offer are three
+/// separate things (D4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct HeldView {
     /// The message.
     pub entry: QueueEntry,
-    /// Where it stands among the messages that the task ever stored: a lower one came earlier. In a task that was read back
-    /// from packed bytes only among those of its source and port.
+    /// Its arrival number among all messages that the task stored: a lower one arrived earlier. In a task that was read from
+    /// packed bytes, only the numbers of one source and port compare.
     pub arrival: u64,
     /// How many packets it takes (D28).
     pub fragments: u8,
-    /// On a port with a handler, its rank there: what the task says, less the rejections. Zero is the most urgent.
+    /// On a port with a handler, its rank: the rank that the task's `order` gives, less the rejections. Zero is the most urgent.
     pub rank: Option<u8>,
-    /// How often it was rejected by rank, while that counts (D58).
+    /// How often it was rejected by rank, as far as rejections count (D58).
     pub rejections: u8,
     /// Whether it was rejected so often that it outranks the task's own thread (D58).
     pub capped: bool,
-    /// How long it is not offered again: its penalty.
+    /// How long until it is offered again: its penalty.
     pub back_off: Ticks,
 }
 
-/// A queue as somebody looks at it who watches this port.
+/// The queue of a port, in the detail that a monitor shows for a watched port.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct QueueView {
     /// Whether the task has a handler for its messages.
     pub handled: bool,
-    /// How often others were served while this port had something to offer, and how often it may be passed over (D58).
+    /// How often other ports were served while this one had something to offer (D58).
     pub bypassed: u16,
-    /// See there.
+    /// How often this port may be bypassed at most (D58).
     pub bypass_limit: u16,
-    /// The waiting messages in the order of their lives, as many as were asked for.
+    /// The waiting messages in the order of their remaining times, as many as were asked for.
     pub queue: Vec<HeldView>,
 }
 
-/// Where one task stands in a rendezvous.
+/// The state of one task in a rendezvous.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum MeetingState {
     /// It has not reached the waitfor.
@@ -308,7 +308,7 @@ pub struct MemberView {
     pub arrived: bool,
     /// Whether it is known to have released that round.
     pub confirmed: bool,
-    /// What is left of its patience, if it has arrived.
+    /// Its remaining patience, if it has arrived.
     pub remaining: Option<Ticks>,
 }
 
@@ -321,9 +321,9 @@ pub struct MeetingView {
     pub round: Round,
     /// The round this task last released.
     pub released: Round,
-    /// Where this task stands.
+    /// The state of this task.
     pub state: MeetingState,
-    /// What is left of its patience, if it waits.
+    /// Its remaining patience, if it waits.
     pub remaining: Option<Ticks>,
     /// All members, owner first; the task itself included.
     pub members: Vec<MemberView>,
@@ -349,13 +349,13 @@ pub struct TransitView {
     pub len: u16,
     /// How many may wait.
     pub capacity: u16,
-    /// What is left of the most urgent one.
+    /// The remaining time of the most urgent one.
     pub min_slack: Option<Ticks>,
     /// Packets relayed or sent since the start.
     pub forwarded: u64,
     /// Packets dropped, by [`Reason::ALL`] position.
     pub discarded: Vec<u64>,
-    /// The nodes that packets wait for.
+    /// The succeeding nodes for which packets wait.
     pub next: Vec<NodeId>,
 }
 

@@ -10,9 +10,9 @@
 //! 28..32  CRC-32/AUTOSAR, end to end
 //! ```
 //!
-//! Remaining time is `mantissa x 10 us << exponent`, rounded down: a message may lose life on the way, never gain any.
-//! The CRC is prefixed by the unsent cell digest and port hash, so a packet of another cell fails it, and leaves out
-//! the fields that relays change (hops left, remaining), which the envelope covers per hop (D48).
+//! Remaining time is `mantissa x 10 us << exponent`, rounded down: encoding may shorten it, but never lengthens it.
+//! The CRC also covers the cell digest and the port hash, which are not sent, so a packet of another cell fails the check.
+//! It omits the fields that relays change (hops left, remaining); the envelope covers those on each hop (D48).
 
 use crate::ids::{Incarnation, MessageId, PortId, Round, Seq24, TaskId};
 use crate::ticks::Ticks;
@@ -77,16 +77,16 @@ impl Kind {
 pub enum Class {
     /// Class 2: has meaning until its time_out; the sender waits for the answer. Sorts before status.
     Command,
-    /// Class 1: loses its meaning once sent; no reply.
+    /// Class 1: worth nothing once it is late. The sender does not wait, and there is no reply.
     Status,
 }
 
-/// What a [`Kind::Control`] packet says about the request whose id it carries. Word 3 is reserved.
+/// What a [`Kind::Control`] packet says about the request whose id it carries. Code 3 is reserved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Control {
     /// The destination found no space for the message; it will not run (D21).
     Refused,
-    /// A transit buffer on the way found no space for this copy; another copy may still arrive (D19).
+    /// A transit buffer on the route found no space for this copy; another copy may still arrive (D19).
     RefusedOnTheWay,
     /// The destination restarted and cannot know whether the request ran before (D49).
     Restarted,
@@ -100,7 +100,7 @@ pub struct Contents {
     bytes: [u8; CONTENTS_BYTES],
 }
 
-/// Contents as a file has them, before they are known to be some.
+/// Contents as a file has them, before validation.
 #[derive(Deserialize)]
 #[serde(rename = "Contents")]
 struct WrittenContents {
@@ -124,7 +124,7 @@ impl Contents {
     /// No contents.
     pub const EMPTY: Self = Self { len: 0, bytes: [0; CONTENTS_BYTES] };
 
-    /// The contents `bytes`, or `None` where they are longer than one packet carries.
+    /// The contents `bytes`, or `None` if they are longer than one packet carries.
     #[must_use]
     pub fn new(bytes: &[u8]) -> Option<Self> {
         let mut contents = Self::EMPTY;
@@ -139,7 +139,7 @@ impl Contents {
         &self.bytes[..usize::from(self.len)]
     }
 
-    /// The bytes with zeros behind them: always as many, for who lays them out in words.
+    /// The bytes, padded with zeros to a fixed length for code that copies them word by word.
     #[must_use]
     pub const fn padded(&self) -> &[u8; CONTENTS_BYTES] {
         &self.bytes
@@ -149,11 +149,11 @@ impl Contents {
 /// The contents of ARRIVE, CONFIRM and ABORT (D47, D54).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Meeting {
-    /// The round the packet speaks of.
+    /// The round that the packet belongs to.
     pub round: Round,
     /// The round its sender last released.
     pub released: Round,
-    /// The arguments of the `waitfor`; in an ABORT the first two bytes are the round to go on with.
+    /// The arguments of the `waitfor`; in an ABORT the first two bytes are the round to continue with.
     pub arguments: [u8; 8],
 }
 
@@ -168,7 +168,7 @@ impl Meeting {
         Contents { len: 12, bytes }
     }
 
-    /// The meeting that packet contents describe. Contents too short for one read as zero where they end.
+    /// The meeting that packet contents describe. Missing bytes of short contents read as zero.
     #[must_use]
     pub fn from_contents(contents: &Contents) -> Self {
         let b = &contents.bytes;
@@ -181,13 +181,13 @@ impl Meeting {
         }
     }
 
-    /// An ABORT's round to go on with.
+    /// The round that an ABORT asks its receivers to continue with.
     #[must_use]
     pub fn next_round(self) -> Round {
         Round(u16::from_le_bytes([self.arguments[0], self.arguments[1]]))
     }
 
-    /// The arguments of an ABORT that asks its receivers to go on with `next`.
+    /// The arguments of an ABORT that asks its receivers to continue with `next`.
     #[must_use]
     pub fn abort_arguments(next: Round) -> [u8; 8] {
         let [low, high] = next.0.to_le_bytes();
@@ -195,7 +195,7 @@ impl Meeting {
     }
 }
 
-/// A packet in memory. Between tasks of one node it travels like this and is never serialised (D44).
+/// A packet in memory. Packets between tasks of one node stay in this form and are never serialised (D44).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Packet {
     /// What the packet is for.
@@ -204,9 +204,9 @@ pub struct Packet {
     pub class: Class,
     /// Whether more fragments of the same message follow (D28).
     pub more: bool,
-    /// Whether this is a repetition of a packet sent before (D5, D55).
+    /// Whether this is a retransmission (D5, D55).
     pub resent: bool,
-    /// Asks links not to hold the packet back for company.
+    /// Asks links not to delay the packet for batching. Nothing sets it, and no link reads it.
     pub urgent: bool,
     /// How many more relays the packet may pass.
     #[serde(deserialize_with = "at_most::<_, MAX_HOPS>")]
@@ -220,32 +220,32 @@ pub struct Packet {
     pub source: TaskId,
     /// The port it travels on.
     pub port: PortId,
-    /// Of a request: its own id. Of an answer: the request's id.
+    /// A request's own id; in an answer, the id of the request.
     pub id: MessageId,
-    /// The time_out that is left (§III, D37). Never an instant.
+    /// The remaining time: what is left of the time_out, never an instant (§III, D37).
     pub remaining: Ticks,
-    /// What the message says.
+    /// The contents of the message.
     pub contents: Contents,
-    /// The checksum that it came with over a link.
+    /// The checksum with which the packet arrived over a link.
     #[serde(skip)]
     pub seal: Seal,
 }
 
-/// The end-to-end checksum of a packet that came over a link; none of a packet that this node made.
+/// The end-to-end checksum with which a packet arrived over a link; empty for a packet that this node made.
 ///
-/// A relay sends it on as it came. A checksum made anew would cover whatever then stands in the relay's memory, so that a bit
-/// that fell over there would travel as if it had been sent (D154).
+/// A relay forwards it unchanged. A recomputed checksum would also cover bits that flipped in the relay's memory, so the
+/// destination would accept the damage (D154).
 ///
-/// It is no part of what a packet says: two packets that differ in it alone are equal, hash alike and are packed into the
-/// same bytes, so that the states of the checker, which makes all packets itself, do not know of it.
+/// Comparisons ignore it: packets that differ only in their seals are equal, hash alike and pack into the same bytes of a
+/// state. The checker makes all packets itself, so its states hold no seals.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Seal(
-    /// A checksum of zero counts as none: it is computed again, once in four thousand million packets.
+    /// A checksum of zero counts as absent and is recomputed: about once in 2^32 packets.
     Option<NonZeroU32>,
 );
 
 impl Seal {
-    /// That of a packet made by this node: its checksum is computed when it leaves.
+    /// The seal of a packet made by this node: [`Packet::encode`] computes the checksum.
     pub const NONE: Self = Self(None);
 }
 
@@ -261,10 +261,10 @@ impl core::hash::Hash for Seal {
     fn hash<H: core::hash::Hasher>(&self, _: &mut H) {}
 }
 
-/// The highest position of a fragment: it has four bits.
+/// The highest position of a fragment: the field has four bits.
 const LAST_FRAGMENT: u8 = 15;
 
-/// A number that the bytes of a packet have room for. A packet that is read from a file may say more.
+/// Deserialises a number and rejects one above `MOST`: a file may hold a number that does not fit the field on the wire.
 fn at_most<'de, D: Deserializer<'de>, const MOST: u8>(from: D) -> Result<u8, D::Error> {
     let number = u8::deserialize(from)?;
     if number <= MOST { Ok(number) } else { Err(D::Error::custom(PacketError::Malformed)) }
@@ -279,7 +279,7 @@ pub enum PacketError {
     UnknownPort(PortId),
     /// The end-to-end checksum is wrong: damaged, or made for another cell or another declaration of the port.
     Checksum,
-    /// A length field beyond the contents, or filled padding.
+    /// A length field beyond the contents, or nonzero padding.
     Malformed,
 }
 
@@ -296,7 +296,7 @@ impl fmt::Display for PacketError {
 
 impl core::error::Error for PacketError {}
 
-/// Sixteen bytes at a time.
+/// The lookup table handles sixteen bytes per step.
 static CRC: crc::Crc<u32, crc::Table<16>> = crc::Crc::<u32, crc::Table<16>>::new(&crc::CRC_32_AUTOSAR);
 
 /// The bits of byte 1 that relays change.
@@ -330,8 +330,8 @@ fn from_wire(mantissa: u32, exponent: u8) -> Ticks {
 }
 
 impl Packet {
-    /// The bytes of this packet. `digest` is the cell's, `port_hash` that of the packet's port. A packet that came over a link
-    /// keeps the checksum that it came with.
+    /// The bytes of this packet. `digest` is the cell's, `port_hash` that of the packet's port. A packet that arrived over a
+    /// link keeps its checksum.
     #[must_use]
     pub fn encode(&self, digest: u32, port_hash: u32) -> [u8; PACKET_BYTES] {
         let mut b = [0; PACKET_BYTES];
@@ -408,7 +408,7 @@ impl Packet {
         Meeting::from_contents(&self.contents)
     }
 
-    /// What a CONTROL packet says, or `None` where it says nothing that this version knows.
+    /// What a CONTROL packet says, or `None` if this version does not know its code.
     #[must_use]
     pub fn control(&self) -> Option<Control> {
         match self.contents.as_bytes() {
@@ -421,7 +421,7 @@ impl Packet {
 }
 
 impl Control {
-    /// The packet contents that say this.
+    /// The packet contents for this code.
     #[must_use]
     pub fn to_contents(self) -> Contents {
         let mut contents = Contents { len: 1, ..Contents::EMPTY };

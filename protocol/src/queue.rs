@@ -1,8 +1,8 @@
-//! A bounded queue of what waits: the most urgent first (§III), and where it is watched, what is due first, too. Who makes
-//! room (D60) is looked for when the queue is full (D108).
+//! A bounded priority queue with stable slots: the most urgent entry first (§III). A *watched* queue keeps a second order, by
+//! the instant at which an entry is due. The entry to evict (D60) is searched for only when the queue is full (D108).
 //!
-//! The order of urgency has a word of eight bytes for each entry and two more for its place ([`Words`]): sifting never moves
-//! an entry, each can be removed by its slot, and each change costs O(log n). What is due first is kept likewise.
+//! Each order is a heap of 8-byte words with a 2-byte position per slot ([`Words`]). So sifting never moves an entry, an entry
+//! can be removed by its slot, and each change costs O(log n).
 
 mod words;
 
@@ -14,22 +14,22 @@ use alloc::vec;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
-/// Names an entry while it is in the queue.
+/// Identifies an entry while it is in the queue.
 pub type Slot = u16;
 
-/// No slot: a queue has at most 65,535.
+/// No slot: a queue has at most 65,535 entries.
 const NONE: Slot = Slot::MAX;
 
-/// What decides the places of an entry.
+/// What the queue orders its entries by.
 pub trait Entry {
-    /// What is kept of an entry beside it where the queue is watched, and decides when it is due.
+    /// Data stored beside each entry of a watched queue. It decides when the entry is due.
     type Side: Copy + Default;
 
-    /// Its urgency, an instant in the upper half: the least is served first. No two entries of a queue have the same.
+    /// The urgency, with an instant in the upper half: the least key is served first. Keys are unique within a queue.
     fn key(&self) -> u128;
-    /// When it is to be looked at again.
+    /// The instant at which the caller must look at the entry again.
     fn due(&self, side: &Self::Side) -> Instant;
-    /// Whether it makes room before those that do not, however urgent.
+    /// Whether the entry is evicted before those that do not yield, however urgent it is.
     fn yields(&self) -> bool;
 }
 
@@ -40,30 +40,30 @@ pub trait Entry {
 ))]
 pub struct Queue<T: Entry> {
     entries: Box<[Option<T>]>,
-    /// What a queue of at most one entry does not need, unless it is watched.
+    /// Absent for a capacity of at most one, unless the queue is watched.
     order: Option<Box<Order<T::Side>>>,
 }
 
-/// The places of the entries.
+/// The orders over the slots.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Order<S> {
-    /// Beside the place of a slot that is taken, the next one of a slot that is free.
+    /// The heap by urgency. For a free slot it stores the next free slot instead: a free list.
     urgent: Words,
     free: Slot,
-    /// Who makes room first, while nothing has changed that since it was looked for.
+    /// Cache of the entry to evict; `None` after any change that may affect it.
     #[serde(skip)]
     last: Option<Slot>,
     watch: Option<Watch<S>>,
 }
 
-/// What a queue that is watched keeps besides.
+/// The second order of a watched queue.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Watch<S> {
     sides: Box<[S]>,
     due: Words,
 }
 
-/// A queue of nothing, which takes no memory.
+/// A queue of capacity 0, which takes no memory.
 impl<T: Entry> Default for Queue<T> {
     fn default() -> Self {
         Self::new(0)
@@ -79,13 +79,13 @@ fn due<T: Entry>(entries: &[Option<T>], sides: &[T::Side], slot: Slot) -> (Insta
     entry.map_or((Instant::NEVER, u128::MAX), |entry| (entry.due(side), entry.key()))
 }
 
-/// The instant in a key.
+/// The instant in the upper half of a key.
 fn instant(key: u128) -> Instant {
     Instant((key >> 64) as u64)
 }
 
 impl<S: Copy + Default> Order<S> {
-    /// All slots are free, the lowest is taken first.
+    /// All slots are free, and the lowest is taken first.
     fn new(capacity: u16) -> Self {
         let mut new = Self { urgent: Words::new(capacity), free: NONE, last: None, watch: None };
         new.free_all();
@@ -104,7 +104,7 @@ impl<S: Copy + Default> Order<S> {
         self.free = slot;
     }
 
-    /// The entry of the first free slot has come.
+    /// Takes the first free slot for an entry that was just stored there.
     #[inline]
     fn put<T: Entry<Side = S>>(&mut self, entries: &[Option<T>], slot: Slot, key: u128, side: S) {
         self.free = self.urgent.kept(slot);
@@ -116,20 +116,20 @@ impl<S: Copy + Default> Order<S> {
         }
     }
 
-    /// An entry goes.
+    /// Removes an entry from all orders, before it leaves its slot.
     fn take_out<T: Entry<Side = S>>(&mut self, entries: &[Option<T>], slot: Slot) {
         self.urgent.remove(slot, |slot| urgency(entries, slot));
         self.forget(entries, slot);
     }
 
-    /// The most urgent entry goes.
+    /// Removes the most urgent entry from all orders.
     #[inline]
     fn pop<T: Entry<Side = S>>(&mut self, entries: &[Option<T>], slot: Slot) {
         self.urgent.pop(|slot| urgency(entries, slot));
         self.forget(entries, slot);
     }
 
-    /// An entry has gone from the order of urgency.
+    /// Completes a removal from the heap by urgency: the due order, the free list and the eviction cache.
     #[inline]
     fn forget<T: Entry<Side = S>>(&mut self, entries: &[Option<T>], slot: Slot) {
         if let Some(Watch { sides, due: order }) = &mut self.watch {
@@ -141,7 +141,7 @@ impl<S: Copy + Default> Order<S> {
         }
     }
 
-    /// What decides places has changed everywhere.
+    /// Rebuilds all orders, after any keys and due instants may have changed.
     fn renew<T: Entry<Side = S>>(&mut self, entries: &[Option<T>]) {
         let key = |slot| urgency(entries, slot);
         self.urgent.order(|slot| instant(key(slot)), key);
@@ -167,20 +167,20 @@ impl<S: Copy + Default> Order<S> {
 }
 
 impl<T: Entry> Queue<T> {
-    /// A queue of at most `capacity` entries. It allocates now, and when it is watched first.
+    /// A queue of at most `capacity` entries. Its storage is allocated here and in [`watch`](Self::watch).
     pub fn new(capacity: u16) -> Self {
         let entries = (0..capacity).map(|_| None).collect();
         Self { entries, order: (capacity > 1).then(|| Box::new(Order::new(capacity))) }
     }
 
-    /// As [`new`](Self::new), and watched.
+    /// As [`new`](Self::new), but watched.
     pub fn watched(capacity: u16) -> Self {
         let mut new = Self::new(capacity);
         new.watch();
         new
     }
 
-    /// From here on it is known what is due first.
+    /// From here on the queue knows which entry is due first.
     pub fn watch(&mut self) {
         if self.watching().is_some() {
             return;
@@ -218,12 +218,12 @@ impl<T: Entry> Queue<T> {
         self.entries.len()
     }
 
-    /// Adds an entry, or hands it back when the queue is full.
+    /// Adds an entry, or returns it if the queue is full.
     pub fn push(&mut self, entry: T) -> Result<Slot, T> {
         self.push_with(entry, T::Side::default())
     }
 
-    /// As [`push`](Self::push), with what is kept beside it where the queue is watched.
+    /// As [`push`](Self::push), with the side data, which only a watched queue stores.
     #[inline]
     pub fn push_with(&mut self, entry: T, side: T::Side) -> Result<Slot, T> {
         let slot = self.order.as_ref().map_or(0, |order| order.free);
@@ -246,7 +246,7 @@ impl<T: Entry> Queue<T> {
         self.entries.get(usize::from(slot))?.as_ref()
     }
 
-    /// What is kept beside an entry; the default where the queue is not watched.
+    /// The side data of an entry; the default if the queue is not watched.
     pub fn side(&self, slot: Slot) -> T::Side {
         self.watching().and_then(|watch| watch.sides.get(usize::from(slot)).copied()).unwrap_or_default()
     }
@@ -256,8 +256,8 @@ impl<T: Entry> Queue<T> {
         self.named(self.order.as_ref().map_or(Some(0), |order| order.urgent.first()))
     }
 
-    /// The entry that makes room first: of those that yield, or of all if none does, the least urgent one. It is looked for
-    /// among all, and remembered until it goes.
+    /// The entry to evict: the least urgent of those that yield, or of all if none yields. A linear search finds it,
+    /// and the result is cached until an entry changes.
     pub fn last(&mut self) -> Option<(Slot, &T)> {
         let Some(order) = &self.order else { return self.first() };
         let last = order.last.or_else(|| {
@@ -270,7 +270,7 @@ impl<T: Entry> Queue<T> {
         self.named(last)
     }
 
-    /// When the first of them is due: never, where there is none, or the queue is not watched.
+    /// The instant at which the first entry is due; never for an empty queue, or one that is not watched.
     pub fn next_due(&self) -> Instant {
         let Some(watch) = self.watching() else { return Instant::NEVER };
         watch.due.first_instant(|slot| due(&self.entries, &watch.sides, slot).0)
@@ -280,7 +280,7 @@ impl<T: Entry> Queue<T> {
         slot.and_then(|slot| Some((slot, self.get(slot)?)))
     }
 
-    /// Takes an entry out.
+    /// Removes an entry and returns it.
     pub fn remove(&mut self, slot: Slot) -> Option<T> {
         self.get(slot)?;
         if let Some(order) = &mut self.order {
@@ -289,7 +289,7 @@ impl<T: Entry> Queue<T> {
         self.entries[usize::from(slot)].take()
     }
 
-    /// Takes out the most urgent entry, if `take` wants it.
+    /// Removes the most urgent entry if `take` accepts it.
     #[inline]
     pub fn pop_if(&mut self, take: impl FnOnce(&T) -> bool) -> Option<T> {
         let (slot, entry) = self.first()?;
@@ -302,7 +302,7 @@ impl<T: Entry> Queue<T> {
         self.entries[usize::from(slot)].take()
     }
 
-    /// Takes out the entry that is due first, if it is by `now`.
+    /// Removes the entry that is due first, if it is due by `now`.
     pub fn pop_due(&mut self, now: Instant) -> Option<T> {
         let slot = self.watching()?.due.first()?;
         if self.next_due() <= now { self.remove(slot) } else { None }
@@ -315,7 +315,7 @@ impl<T: Entry> Queue<T> {
         ordered.chain(one).filter_map(|slot| self.named(Some(slot)))
     }
 
-    /// The entries of a watched queue that are due by `now`, in no particular order. Costs as many steps as there are of them.
+    /// The entries of a watched queue that are due by `now`, in no particular order. Visits O(k) entries for k results.
     pub fn all_due(&self, now: Instant) -> impl Iterator<Item = (Slot, &T)> {
         let due_by = move |watch: &Watch<T::Side>, slot| due(&self.entries, &watch.sides, slot).0 <= now;
         let all = self.watching().map(|watch| watch.due.upper(move |slot| due_by(watch, slot)));
@@ -329,7 +329,7 @@ impl<T: Entry> Queue<T> {
         all
     }
 
-    /// Changes one entry, and what is kept beside it where the queue is watched, and finds its new places.
+    /// Changes one entry and its side data, and restores both orders.
     pub fn change(&mut self, slot: Slot, change: impl FnOnce(&mut T, &mut T::Side)) {
         let mut side = self.side(slot);
         let Some(entry) = self.entries.get_mut(usize::from(slot)).and_then(Option::as_mut) else { return };
@@ -346,7 +346,7 @@ impl<T: Entry> Queue<T> {
         order.last = None;
     }
 
-    /// Changes every entry; the queue is put in order again afterwards.
+    /// Changes every entry, and rebuilds the orders afterwards.
     pub fn change_all(&mut self, mut change: impl FnMut(&mut T, &mut T::Side)) {
         if self.len() == 0 {
             return;
@@ -357,7 +357,7 @@ impl<T: Entry> Queue<T> {
         }
     }
 
-    /// Changes what decides no entry's place.
+    /// Changes every entry without restoring any order: `change` must not affect keys or due instants.
     pub fn adjust(&mut self, mut change: impl FnMut(&mut T, &mut T::Side)) {
         let mut sides =
             self.order.as_mut().and_then(|order| order.watch.as_mut()).map(|watch| &mut watch.sides);
@@ -370,7 +370,7 @@ impl<T: Entry> Queue<T> {
         }
     }
 
-    /// Removes everything.
+    /// Removes all entries.
     pub fn clear(&mut self) {
         self.entries.fill_with(|| None);
         let Some(order) = &mut self.order else { return };
@@ -378,13 +378,13 @@ impl<T: Entry> Queue<T> {
         if let Some(watch) = &mut order.watch {
             watch.due.clear();
         }
-        // Slots are handed out from the same order whatever went before: two equal queues stay equal in the future.
+        // Resets the free list, so that equal queues hand out the same slots from here on, whatever went before.
         order.free_all();
         order.last = None;
     }
 
-    /// Whether a queue that was read from a file has room for `capacity` entries, and its orders name each of them once: then
-    /// no operation on it goes out of bounds. Asked before anything else of it.
+    /// Validates a deserialised queue: it has room for `capacity` entries, and its orders name each entry exactly
+    /// once. No operation on such a queue goes out of bounds. Call it before anything else.
     pub fn is_whole(&self, capacity: usize) -> bool {
         if self.entries.len() != capacity {
             return false;
@@ -395,7 +395,7 @@ impl<T: Entry> Queue<T> {
             return false;
         }
         let held = urgent.iter().all(|slot| self.get(slot).is_some());
-        // The free slots are a list: all of them, each once, and an end.
+        // Every free slot is in the free list exactly once, and the list ends there.
         let mut next = order.free;
         let mut ends = true;
         let mut seen = vec![false; capacity];
@@ -411,7 +411,7 @@ impl<T: Entry> Queue<T> {
         held && ends && next == NONE && watched
     }
 
-    /// Whether each order is what a look at all entries says.
+    /// Whether each order agrees with a full scan of the entries.
     pub fn is_in_order(&self) -> bool {
         self.order.as_ref().is_none_or(|order| order.is_right(&self.entries))
     }
@@ -427,7 +427,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// When it is due is kept beside it.
+    /// The side data are the instant at which the item is due.
     #[derive(Clone, Copy, Debug, PartialEq)]
     struct Item {
         key: u128,
@@ -447,7 +447,7 @@ mod tests {
         }
     }
 
-    /// What the queue says against what a plain list says.
+    /// Compares the queue with a plain list.
     fn agrees(queue: &mut Queue<Item>, model: &[(Slot, Item, u64)]) -> Result<(), TestCaseError> {
         let named = |found: Option<(Slot, &Item)>| found.map(|(slot, item)| (slot, *item));
         prop_assert_eq!((queue.len(), queue.capacity()), (model.len(), 20));
@@ -473,13 +473,13 @@ mod tests {
     }
 
     proptest! {
-        /// Against a plain list: pushes, pops, removals and changes of any entry, and of all.
+        /// Compares the queue with a plain list: pushes, pops, removals, and changes of one entry or of all.
         #[test]
         fn behaves_like_a_list(steps in proptest::collection::vec((0..9_u8, any::<u16>(), 0..10_u64, any::<bool>()), 0..200)) {
             let mut queue = Queue::watched(20);
             let mut model: Vec<(Slot, Item, u64)> = Vec::new();
             for (n, (what, a, at, yields)) in steps.into_iter().enumerate() {
-                // Some instants are equal, and some past the end of a word.
+                // Some instants are equal, and some do not fit into a heap word.
                 let instant = u64::from(a % 8) << if a & 8 == 0 { 0 } else { 61 };
                 let item = Item { key: (u128::from(instant) << 64) | n as u128, yields };
                 let nth = model.get(usize::from(a) % 20).copied();

@@ -1,7 +1,7 @@
-//! What passes between a task and its communication task (§5.1.3): requests in, signals out.
+//! The interface between a task and its communication task: requests in, signals out (§5.1.3).
 //!
-//! A request says only what the task wants and on which port; the verb is recovered from the port's usage (R44, D17).
-//! Every request gets exactly one answer: [`Signal`]. A task has one outstanding request (R93).
+//! A request says only what the task wants and on which port. The communication task derives the verb from the port's usage.
+//! Every request gets exactly one answer, a [`Signal`], and a task has at most one outstanding request (R44, R93, D17).
 
 use crate::ids::{MessageId, PortId, Round, TaskId};
 use crate::packet::{Class, Contents};
@@ -9,17 +9,17 @@ use crate::ticks::Ticks;
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
-/// How many bytes a task can publish for the answers to the beats of its couple (D61, D78).
+/// Greatest length of what a task publishes to its partner, in bytes: the heartbeats' answers carry it (D61, D78).
 pub const PUBLISHED_BYTES: usize = 8;
 
-/// Who a message is for.
+/// The receivers of a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Target {
     /// All tasks at the other end of the port (R39).
     All,
-    /// One of them (R43).
+    /// One task at the other end (R43).
     One(TaskId),
-    /// Some of them (R40): bit `i` names party `i` of the port, owner first.
+    /// Some of the tasks at the other end: bit `i` names party `i` of the port, owner first (R40).
     Some(u64),
 }
 
@@ -27,23 +27,23 @@ pub enum Target {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct TimeId(pub u8);
 
-/// What a task asks of its communication task.
+/// A request of a task to its communication task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Request {
-    /// SEND, or a query where that is the port's usage. Class 1: answered by [`Signal::Accepted`] at once. Class 2:
-    /// answered by [`Signal::Outcome`] where one task is asked, by [`Signal::Answers`] where several are.
+    /// SEND, or a query if that is the port's usage. Class 1: answered by [`Signal::Accepted`] at once. Class 2:
+    /// answered by [`Signal::Outcome`] if it goes to one task, by [`Signal::Answers`] if it goes to several.
     Send {
         /// The port, which the task must have with usage `send` or `query`.
         port: PortId,
-        /// Who it is for.
+        /// The receivers.
         to: Target,
-        /// What it says.
+        /// The contents of the message, or its first fragment.
         contents: Contents,
-        /// The life of the message where it is shorter than the port's; a longer one is cut to that.
+        /// The TTL of the message, if shorter than the port's time_out; a longer one is cut to that.
         time_out: Option<Ticks>,
     },
-    /// One more fragment of the next SEND or REPLY on this port, where its format takes more than one packet (D28).
-    /// Fragment 0 is the contents of the request itself. Answered by [`Signal::Accepted`].
+    /// One further fragment of the next SEND or REPLY on this port, if its format takes more than one packet. The
+    /// request itself carries fragment 0. Answered by [`Signal::Accepted`] (D28).
     Part {
         /// The port.
         port: PortId,
@@ -52,21 +52,21 @@ pub enum Request {
         /// The fragment.
         contents: Contents,
     },
-    /// GET: the most urgent message of the port, or of all the task's ports (R68) that have no handler. Answered by [`Signal::Message`],
-    /// or by [`Signal::Nothing`] when the time_out ends first; a time_out of zero polls.
+    /// GET: takes the most urgent message of one port, or of all ports of the task that have no handler. Answered by
+    /// [`Signal::Message`], or by [`Signal::Nothing`] when the time_out ends first. A time_out of zero polls (R68).
     Get {
-        /// One port, or the most urgent over all.
+        /// One port; `None` chooses among all ports without a handler.
         port: Option<PortId>,
-        /// One source, or any.
+        /// One sender; `None` takes a message of any.
         source: Option<TaskId>,
-        /// How long to wait; `None` waits without end.
+        /// How long to wait; `None` waits without a limit.
         time_out: Option<Ticks>,
     },
-    /// REPLY or response to a received class-2 message. Answered by [`Signal::Accepted`], or [`Signal::Fault`] with
-    /// [`Fault::Late`] when the execution budget has ended. On a port with usage `reply` it answers a message that
-    /// another task received (D11): the port is that port, source and id are those of the message.
+    /// REPLY or response to a received class-2 message. Answered by [`Signal::Accepted`], or by [`Fault::Late`] once
+    /// the execution budget has ended. On a port with usage `reply` it answers a message that another task received:
+    /// `to` then has this port, and the source and id of that message (D11).
     Reply {
-        /// The message, as its delivery named it.
+        /// The message: the `from` of its [`Delivery`].
         to: ReplyTo,
         /// The answer.
         contents: Contents,
@@ -75,87 +75,87 @@ pub enum Request {
     Arrive {
         /// The port.
         port: PortId,
-        /// What the others are told.
+        /// Bytes for the other members.
         arguments: [u8; 8],
-        /// How long to wait where it is shorter than the port's time_out; a longer one is cut to that.
+        /// The patience, if shorter than the port's time_out; a longer one is cut to that.
         time_out: Option<Ticks>,
     },
-    /// ORDER: ranks ports, sources, timers and the current thread from here on (§5.1.1, D16). Answered by
-    /// [`Signal::Accepted`].
+    /// ORDER: from here on, how ports, sources, timers and the task's own thread rank. Answered by
+    /// [`Signal::Accepted`] (§5.1.1, D16).
     Order(ServiceOrder),
-    /// Says whether the task has a handler for messages of this port: then they are offered to it as
-    /// [`Signal::Interrupt`] (D15). Answered by [`Signal::Accepted`].
+    /// Says whether the task has a handler for messages of this port. Messages of such a port are offered to the task
+    /// as [`Signal::Interrupt`]. Answered by [`Signal::Accepted`] (D15).
     Handle {
-        /// The port, on which the task receives or responds.
+        /// The port, which the task must have with usage `receive` or `response`.
         port: PortId,
-        /// Whether there is a handler.
+        /// Whether it has a handler from here on.
         handled: bool,
     },
-    /// DELAY (§5.1.2). Answered by [`Signal::TimeOut`].
+    /// DELAY: the running activation sleeps. Answered by [`Signal::TimeOut`] (§5.1.2).
     Delay {
         /// The name of the delay.
         id: TimeId,
-        /// How long.
+        /// How long it sleeps.
         length: Ticks,
     },
-    /// Starts a timer of the task, anew where it runs: its end is offered as [`Call::Timer`]. Answered by
+    /// Starts a timer of the task, or restarts it if it runs. Its end is offered as [`Call::Timer`]. Answered by
     /// [`Signal::Accepted`].
     Start {
         /// The name of the timer.
         id: TimeId,
-        /// How long.
+        /// After which time the timer ends.
         length: Ticks,
     },
-    /// Stops a timer, and takes back its end where that was not offered yet. Answered by [`Signal::Accepted`].
+    /// Stops a timer. If it has ended and no handler has begun for it, none will. Answered by [`Signal::Accepted`].
     Stop {
         /// The name of the timer.
         id: TimeId,
     },
-    /// A statement boundary: a handler that outranks the current thread may run here (D15). Answered by
-    /// [`Signal::Interrupt`], and after its [`Request::Return`] again by this rule, or by [`Signal::Accepted`].
+    /// A statement boundary: a handler that outranks the running activation may begin here. Answered by
+    /// [`Signal::Interrupt`], once more after each [`Request::Return`], and finally by [`Signal::Accepted`] (D15).
     Boundary,
-    /// The task is busy with an action outside that handlers may interrupt. Not answered until [`Request::Done`].
+    /// The task carries out an external action, which handlers may interrupt. Not answered until [`Request::Done`].
     Work,
-    /// The action of [`Request::Work`] has ended. Answered by [`Signal::Accepted`]; by [`Fault::Busy`] while a handler
-    /// that interrupted it runs.
+    /// The action of [`Request::Work`] has ended. Answered by [`Signal::Accepted`], or by [`Fault::Busy`] while a
+    /// handler that interrupted the action runs.
     Done,
-    /// A handler ended: the interrupted thread resumes (R16). Answered by the signal that the interrupted wait came to
-    /// meanwhile, by another [`Signal::Interrupt`], or not before there is one of them.
+    /// A handler ended, and the activation below it resumes. If its wait ended meanwhile, the answer is that wait's
+    /// signal. Otherwise the next [`Signal::Interrupt`] answers, or the end of the wait (R16).
     Return,
-    /// Until `Atomic(false)` no handler interrupts (D15). Answered by [`Signal::Accepted`].
+    /// Until `Atomic(false)` only the lease's handlers interrupt. Answered by [`Signal::Accepted`] (D15).
     Atomic(bool),
-    /// Waits for the lease of the couple that the task is the primary of (D61). Answered by [`Signal::Granted`].
+    /// Waits until the task may act in its couple: under a lease, or after a take-over. Answered by [`Signal::Granted`] (D61).
     Lease,
-    /// What the beats' answers carry from here on (D61): at most [`PUBLISHED_BYTES`]. Answered by [`Signal::Accepted`].
+    /// From here on the answers to heartbeats carry this, at most [`PUBLISHED_BYTES`]. Answered by [`Signal::Accepted`] (D61).
     Publish(Contents),
-    /// The task has ended: it answers no beat any more, so that its partner takes over (D61). Answered by
-    /// [`Signal::Accepted`].
+    /// The task has ended: it answers no heartbeat any more, so that its partner takes over. Answered by
+    /// [`Signal::Accepted`] (D61).
     End,
-    /// CANCEL the wait of the current thread. Answered by [`Signal::Cancelled`]. Leaving a `waitfor` this way tells the
-    /// others.
+    /// CANCEL the wait of the running activation. Answered by [`Signal::Cancelled`]. Leaving a `waitfor` this way
+    /// sends ABORT to the other members.
     Cancel,
-    /// CANCEL every wait, and every handler with the threads it interrupted: the task begins anew. Answered by
+    /// CANCEL every wait and every handler: the task starts again from its beginning. Answered by
     /// [`Signal::Cancelled`].
     Abandon,
 }
 
-/// What `order` ranks (D16).
+/// An entry of an `order` (D16).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Ranked {
     /// Messages of this port.
     Port(PortId),
-    /// Messages of this task, through any port (Appendix: `order(Ti, TIMER, Tic)`).
+    /// Messages from this task, through any port (Appendix: `order(Ti, TIMER, Tic)`).
     Source(TaskId),
-    /// The ends of the task's timers, but those that are named before.
+    /// The ends of all timers, except those that the `order` names earlier.
     Timers,
-    /// The end of this timer: so a watch on a port's silence ranks beside the port (D86).
+    /// The end of this timer. A timer that watches a port for silence can so rank beside that port (D86).
     Timer(TimeId),
-    /// The current thread: `self`.
+    /// The task's own thread: `self`.
     Own,
 }
 
-/// The ranks that `order a > b > c` gives: what is named first, in this order, then all the rest alike. A smaller rank
-/// goes first, and the rank is the number of levels above it.
+/// The ranks that `order a > b > c` assigns: named entries count up from 0, and everything not named shares the rank
+/// after the last. A lower rank goes first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "WrittenOrder")]
 pub struct ServiceOrder {
@@ -163,7 +163,7 @@ pub struct ServiceOrder {
     len: u8,
 }
 
-/// An order as a file has it, before it is known to be one.
+/// A [`ServiceOrder`] as deserialised, not yet validated.
 #[derive(Deserialize)]
 #[serde(rename = "ServiceOrder")]
 struct WrittenOrder {
@@ -187,10 +187,10 @@ impl Default for ServiceOrder {
 }
 
 impl ServiceOrder {
-    /// How many levels one `order` can name.
+    /// The greatest number of entries of one `order`.
     pub const LEVELS: usize = 8;
 
-    /// The order that ranks `named` from first to last, or `None` where there are more than [`Self::LEVELS`].
+    /// The order that ranks `named` from first to last, or `None` if there are more than [`Self::LEVELS`].
     #[must_use]
     pub fn new(named: &[Ranked]) -> Option<Self> {
         let mut order = Self::default();
@@ -199,25 +199,25 @@ impl ServiceOrder {
         Some(order)
     }
 
-    /// What is named, first to last.
+    /// The named entries, first to last.
     #[must_use]
     pub fn ranked(&self) -> &[Ranked] {
         &self.ranked[..usize::from(self.len)]
     }
 
-    /// The rank of a message: that of its port or of its source, whichever is named first.
+    /// The rank of a message: that of its port or of its source, whichever the `order` names first.
     #[must_use]
     pub fn rank(&self, port: PortId, source: TaskId) -> u8 {
         self.position(|&named| named == Ranked::Port(port) || named == Ranked::Source(source))
     }
 
-    /// The rank of the end of a timer: its own or that of all timers, whichever is named first.
+    /// The rank of a timer's end: that of this timer or of all timers, whichever the `order` names first.
     #[must_use]
     pub fn timer(&self, id: TimeId) -> u8 {
         self.position(|&named| named == Ranked::Timers || named == Ranked::Timer(id))
     }
 
-    /// The rank of the current thread. Without an `order` it is 0, as that of all messages: nothing outranks it.
+    /// The rank of the task's own thread. Without an `order` it is 0, as for all messages: nothing outranks the thread.
     #[must_use]
     pub fn own(&self) -> u8 {
         self.position(|&named| named == Ranked::Own)
@@ -229,115 +229,115 @@ impl ServiceOrder {
     }
 }
 
-/// Names a received message that can be answered.
+/// Identifies a received message for a reply.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ReplyTo {
     /// The port it came through.
     pub port: PortId,
-    /// Who sent it.
+    /// Its sender.
     pub source: TaskId,
     /// Its id.
     pub id: MessageId,
 }
 
 impl ReplyTo {
-    /// Of no message yet: to be read.
+    /// A placeholder, to be overwritten by a decoder.
     pub const BLANK: Self = Self { port: PortId(0), source: TaskId(0), id: MessageId::BLANK };
 }
 
-/// A message handed to its task.
+/// A message delivered to its task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Delivery {
-    /// Names the message for a reply.
+    /// Identifies the message for a reply.
     pub from: ReplyTo,
-    /// Status, or a command that must be answered.
+    /// Class 1: a status. Class 2: a command, which must be answered.
     pub class: Class,
-    /// What is left of its life: for a command, the execution budget, with the way back already taken off (D18).
+    /// The remaining time. For a command this is the execution budget: the link delay of the reply is already subtracted (D18).
     pub budget: Ticks,
-    /// What it says; of a longer format the first fragment (D28). The others are [`CommTask::fragment`]s until the task
-    /// takes its next message.
+    /// The contents, or the first fragment of several. [`CommTask::fragment`] gives the others until the task takes
+    /// its next message (D28).
     ///
     /// [`CommTask::fragment`]: crate::CommTask::fragment
     pub contents: Contents,
-    /// How many fragments it has.
+    /// The number of fragments.
     pub fragments: u8,
 }
 
-/// What interrupts the current thread (D15).
+/// The reason for which a handler begins (D15).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Call {
     /// A message for a handler.
     Message(Delivery),
     /// The end of a timer.
     Timer(TimeId),
-    /// The task lost its lease: it must stop acting (D61). Outranks everything.
+    /// The task lost its lease and must stop acting. Outranks everything (D61).
     Fenced,
-    /// The task's partner is gone: it acts in its place from now on, under this epoch (D61). Outranks everything.
+    /// The task's partner has failed: the task acts in its place from now on, under this epoch. Outranks everything (D61).
     TakeOver(u8),
 }
 
-/// How a class-2 message to several tasks ended. Bit `i` stands for party `i` of the port, owner first. An asked task
-/// without any bit may have run it: its answer did not come in time.
+/// The outcome of a class-2 message to several tasks. Bit `i` stands for party `i` of the port, owner first. An asked
+/// task with no other bit may have carried the message out: no answer came in time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Answers {
-    /// Who was asked.
+    /// The tasks that were asked.
     pub asked: u64,
-    /// Who answered: see [`CommTask::answer_of`](crate::CommTask::answer_of).
+    /// The tasks that answered: see [`CommTask::answer_of`](crate::CommTask::answer_of).
     pub answered: u64,
-    /// Who refused.
+    /// The tasks that refused.
     pub refused: u64,
-    /// Whose node restarted meanwhile.
+    /// The tasks whose node restarted meanwhile.
     pub restarted: u64,
-    /// For whom no copy ever left this node.
+    /// The tasks for which no copy ever left this node.
     pub unsent: u64,
 }
 
-/// How a class-2 message ended. A robot program must know whether the arm may have moved.
+/// The outcome of a class-2 message. It tells a robot program whether the arm may have moved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Outcome {
     /// The answer.
     Reply(Contents),
-    /// No space at the destination or on the way; it did not run.
+    /// No room at the destination or on the route; the command did not run.
     Refused,
-    /// The time_out ended and no copy ever left this node; it did not run.
+    /// The time_out ended and no copy ever left this node; the command did not run.
     TimedOutUnsent,
-    /// The time_out ended without an answer; it may have run.
+    /// The time_out ended without an answer; the command may have run.
     TimedOutUnknown,
-    /// The destination's node restarted meanwhile; it may have run.
+    /// The destination's node restarted meanwhile; the command may have run.
     PeerRestarted,
 }
 
 /// Why a task was released from a `waitfor`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum ReleasedBy {
-    /// It held every arrival, with more than the margin left of each.
+    /// The task held the arrivals of all others, each with more patience left than the margin.
     AllArrived,
-    /// This task's CONFIRM, or word that it has released the round.
+    /// A CONFIRM of this member, or its message that it has released the round.
     Confirm(TaskId),
 }
 
-/// A fault of a request itself. Nothing was done.
+/// The reason why a request is not carried out. Nothing was sent; fragments staged for the message are dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Fault {
     /// The task neither owns nor uses the port.
     NotYourPort,
-    /// The port's usage does not allow this.
+    /// The port's usage does not allow this; or the task is in no couple, or carries out no action.
     WrongUsage,
     /// The named task is not at the other end of the port.
     NotAPeer,
-    /// Another request is outstanding, or one on this port in a thread that a handler interrupted.
+    /// A request is outstanding in the running activation, or in an interrupted one on the same port, lease or delay name.
     Busy,
-    /// The task has as many timers as it may: [`CommTask::TIMERS`](crate::CommTask::TIMERS).
+    /// All timers of the task are in use: [`CommTask::TIMERS`](crate::CommTask::TIMERS).
     TooManyTimers,
     /// A message or an answer has more fragments than its format allows, or a fragment is missing (D28).
     WrongLength,
     /// No handler runs.
     NotInterrupted,
-    /// The port acts under a lease that the task does not hold (D61).
+    /// The task does not hold the lease that the port needs, or it no longer acts at all (D61).
     Fenced,
     /// No such message is waiting for a reply.
     NothingToAnswer,
-    /// The execution budget has ended; the sender is beyond waiting.
+    /// The execution budget has ended: the sender no longer waits.
     Late,
 }
 
@@ -358,50 +358,50 @@ impl fmt::Display for Fault {
     }
 }
 
-/// What a communication task answers its task.
+/// The answer of a communication task to its task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Signal {
-    /// Done; of a class-1 send, how many copies were accepted.
+    /// Done. For a class-1 send: the number of copies handed to the route layer.
     Accepted(u16),
-    /// The request itself is at fault.
+    /// The request cannot be carried out.
     Fault(Fault),
-    /// A class-2 message ended.
+    /// A class-2 message to one task ended.
     Outcome(Outcome),
-    /// A class-2 message to several tasks ended: all answered or refused, or its time_out did.
+    /// A class-2 message to several tasks ended: every task has answered, refused or restarted, or the time_out ended.
     Answers {
         /// The port.
         port: PortId,
-        /// How.
+        /// The outcome for each task.
         answers: Answers,
     },
-    /// The current thread is suspended: the handler for this runs, and ends with [`Request::Return`].
+    /// The running activation is suspended for a handler, which ends with [`Request::Return`].
     Interrupt(Call),
-    /// The task holds the lease of its couple, under this epoch (D61).
+    /// The task may act in its couple from now on, under this epoch (D61).
     Granted(u8),
-    /// A message.
+    /// The message that a GET waited for.
     Message(Delivery),
-    /// The wait of a GET ended without a message.
+    /// A GET ended without a message.
     Nothing,
-    /// All have arrived.
+    /// All members have arrived.
     Released {
         /// The port.
         port: PortId,
-        /// The round, the same for all that this meeting releases.
+        /// The round: the same for all members that are released together.
         round: Round,
-        /// How this task came to know.
+        /// How this task learnt of it.
         by: ReleasedBy,
     },
-    /// The wait of an ARRIVE ended without a release.
+    /// An ARRIVE ended without a release.
     GaveUp {
         /// The port.
         port: PortId,
-        /// The round waited in.
+        /// The round in which the task waited.
         round: Round,
-        /// Bit `i`: party `i` of the port (owner first) had not arrived.
+        /// Bit `i`: party `i` of the port, owner first, had not arrived.
         missing: u64,
     },
-    /// The delay or timer of this name is over.
+    /// The delay of this name is over.
     TimeOut(TimeId),
-    /// The outstanding request was given up.
+    /// The wait was cancelled, or all waits were.
     Cancelled,
 }

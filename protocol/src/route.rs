@@ -1,5 +1,5 @@
-//! The route layer's static part (§5.2.3): where a packet goes. Pure functions of the table, called by every driver.
-//! Which packet goes next is the [`Transit`](crate::transit::Transit) buffer's part.
+//! The static part of the route layer (§5.2.3): where a packet goes. Pure functions of the table, called by every driver.
+//! The [`Transit`](crate::transit::Transit) buffer decides which packet goes next.
 
 mod reverse_path;
 
@@ -15,7 +15,7 @@ use crate::ticks::Ticks;
 pub enum Arrival {
     /// It is for this task of this node.
     Local(TaskId, Packet),
-    /// It is for another node: into the transit buffer.
+    /// It is for another node and goes into the transit buffer.
     Relay(Packet),
     /// It is dropped.
     Discard(Reason, Packet),
@@ -28,29 +28,29 @@ pub enum Departure {
     Local(TaskId),
     /// Over the link to this succeeding node.
     Link(NodeId),
-    /// Nowhere: the table knows no way.
+    /// Nowhere: the table has no route.
     Unroutable,
 }
 
-/// Sorts a packet that the neighbour `from` handed over. `charge` is the time the way is taken to have cost: no less than
-/// the link's bound (D20).
+/// Decides what happens to a packet from the neighbour `from`. `charge` is the link delay to take from its remaining time:
+/// no less than the link's bound (D20).
 #[must_use]
 pub fn arrived(table: &NodeTable, from: NodeId, mut packet: Packet, charge: Ticks) -> Arrival {
     let Some(location) = table.location(packet.destination) else {
         return Arrival::Discard(Reason::Unroutable, packet);
     };
-    // The insertion rule: only the declared parties of a port speak on it, only towards each other, and only over the way
-    // that leads from them.
+    // The insertion rule: only the declared parties of a port send on it, only to each other, and only along the route that
+    // the table gives.
     let admitted = table.port(packet.port).is_some_and(|port| port.admits(packet.source, packet.destination));
     if !admitted || !reverse_path::can_come(table, from, &packet) {
         return Arrival::Discard(Reason::NotAllowed, packet);
     }
     if table.rules().time_stamp == TimeStamp::Remaining {
         packet.remaining = packet.remaining - charge;
-        // Only under the variant that takes late replies does one outlive its request.
+        // Only the variant that accepts late replies lets a reply outlive its request.
         let outlives =
             matches!(packet.kind, Kind::Reply | Kind::Response) && !table.rules().refuse_late_replies;
-        // A message that is where it should be is dropped by its task, whose port counts it.
+        // At its destination node an expired message goes to its task, which drops it and counts it at the port.
         let message = matches!(packet.kind, Kind::Send | Kind::Query) && location == table.node;
         if packet.remaining.is_zero() && !outlives && !message {
             return Arrival::Discard(Reason::ExpiredOnTheWay, packet);

@@ -1,125 +1,125 @@
-//! The named variants of the protocol's rules.
+//! The rules of the protocol that have variants.
 //!
-//! The default of each is the decision taken; the others are the literal or naive readings that the model checker
-//! shows the shortest counterexample of. Cells run [`Rules::DEFAULT`], or [`Rules::PAPER`] where that is asked for.
+//! Each default is the reading that was decided on. The other variants are literal or naive readings, for which the
+//! model checker finds a shortest counterexample. Cells run [`Rules::DEFAULT`], or [`Rules::PAPER`] on request.
 
 use serde::{Deserialize, Serialize};
 
-/// Who sends a CONFIRM (D1). §4.3 can be read in three ways, and a fourth is to send none.
+/// The members of a rendezvous that send CONFIRM. §4.3 can be read in three ways; a fourth is to send none (D1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Confirmation {
     /// Nobody.
     None,
-    /// A task that completes its arrivals before it heard of any other that did.
+    /// A member that holds all arrivals before it hears of another one that does.
     FirstComplete,
-    /// Every task that holds all arrivals, even one that a CONFIRM has released already.
+    /// Every member that holds all arrivals, even if a CONFIRM has released it already.
     EveryComplete,
-    /// Every released task, whatever released it.
+    /// Every released member, however it was released.
     PassOn,
 }
 
-/// How a message's time travels (§5.1, D37).
+/// The form in which a packet carries its time (§5.1, D37).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum TimeStamp {
-    /// As the time that remains.
+    /// As remaining time.
     Remaining,
-    /// As an instant on the sender's clock, which the receiver compares with its own: wrong without a global clock.
+    /// As an instant on the sender's clock, which the receiver compares with its own. Wrong without a global clock.
     Absolute,
 }
 
-/// How long a receiver remembers which class-2 messages it has taken (D6, D52).
+/// How long a receiver keeps the dedup entry of a class-2 message (D6, D52).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Memory {
-    /// For the message's life and the link bound.
+    /// For the TTL and the link delay: until no copy can arrive any more.
     LifeAndLink,
-    /// Until it is answered.
+    /// Until the message is answered.
     UntilAnswered,
     /// Not at all.
     None,
 }
 
-/// What a rejection by rank does to a message, besides the port's time penalty (§5.1.1, D4, D58).
+/// The effect of a rejection by rank on a message, besides the port's time penalty (§5.1.1, D4, D58).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Aging {
-    /// Each rejection raises its rank by one level, and heads that were bypassed too often go first.
+    /// Each rejection raises the message by one rank, and heads that were bypassed too often go first.
     Bounded,
-    /// Nothing: it may be rejected and bypassed for ever.
+    /// None: a message may be rejected and bypassed for ever.
     Off,
     /// Heads that were bypassed too often go first, but rejections do not count.
     Unbounded,
 }
 
-/// Which message makes room in a full buffer (D60).
+/// The message that a full transit buffer evicts (D60).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Eviction {
-    /// What is useless, then statuses, then by time.
+    /// Status messages before commands, then the least urgent.
     ByClass,
-    /// The one with most time left, whatever its class.
+    /// The least urgent, whatever its class.
     ByTime,
 }
 
-/// How the primary of a couple keeps its lease (D30, D61).
+/// How the primary of a couple renews its lease (D30, D61).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum LeaseRule {
-    /// By beats that echo its last answer, from when it sent that.
+    /// By heartbeats that echo one of its answers; the lease counts from the sending of that answer.
     Echoed,
-    /// By any beat, from when it came.
+    /// By any heartbeat; the lease counts from its arrival.
     Heartbeat,
 }
 
-/// How the Timer takes a task's job (Figure 3, D22).
+/// How the Timer accepts a task's job (Figure 3, D22).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum JobRequest {
-    /// JOB_REQUEST is a standing offer.
+    /// At any time: JOB_REQUEST is a standing offer.
     Standing,
-    /// The Timer waits for each task's answer before it counts on.
+    /// The Timer waits for every busy task before it counts on.
     Blocking,
 }
 
 /// One choice for each rule that has variants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Rules {
-    /// Who confirms a rendezvous (D1).
+    /// Which members confirm a rendezvous (D1).
     pub confirmation: Confirmation,
     /// Whether meetings are numbered (D3).
     pub rounds: bool,
-    /// Whether a task goes on to a fresher round that it hears of; off, it only counts its own attempts (D54).
+    /// Whether a member joins a fresher round that it hears of. If not, it only counts its own attempts (D54).
     pub join_fresher: bool,
-    /// Whether an ARRIVE says which round its sender last released (D54).
+    /// Whether an ARRIVE carries the round that its sender released last (D54).
     pub last_released: bool,
-    /// Whether a late ARRIVE of a released round is answered with a CONFIRM and one of an older round with an ABORT
-    /// (D54, D55). Off, every packet is sent once: the literal reading of §4.3.
+    /// Whether a late ARRIVE is answered: by CONFIRM if its round was released last, by ABORT if it is older. If not, it is
+    /// dropped, as in the literal reading of §4.3 (D54, D55).
     pub answer_late_arrivals: bool,
-    /// Whether a member that gave up says so, and its partners go on in a fresher round (D2, D54).
+    /// Whether a member that gives up sends ABORT, so that the others go on in a fresher round (D2, D54).
     pub aborts: bool,
-    /// Whether time spent in a buffer is taken from a message's life (§5.1.1).
+    /// Whether residence in a buffer is charged to the message's TTL (§5.1.1).
     pub charge_residence: bool,
-    /// Whether the sender refuses a reply that comes after its time_out (§4.1).
+    /// Whether the sender drops a reply that comes after its time_out (§4.1).
     pub refuse_late_replies: bool,
-    /// Whether the way back is taken from the receiver's execution budget (D18).
+    /// Whether the link delay of the reply is subtracted from the receiver's execution budget (D18).
     pub reserve_way_back: bool,
-    /// How a message's time travels (D37).
+    /// The form in which a packet carries its time (D37).
     pub time_stamp: TimeStamp,
-    /// How long class-2 messages are remembered (D6).
+    /// How long class-2 messages are remembered, to recognise copies (D6).
     pub memory: Memory,
-    /// Whether a restarted task turns commands away while copies of what its earlier life ran may live (D49).
+    /// Whether a restarted task refuses commands and arrivals that may be meant for its earlier incarnation (D49).
     pub quarantine: bool,
-    /// What a rejection does to a message (D58).
+    /// The effect of a rejection on a message (D58).
     pub aging: Aging,
-    /// Whether a handler runs only when it outranks the current thread (R16).
+    /// Whether a handler runs only if it outranks the running activation (R16).
     pub obey_order: bool,
-    /// Which message makes room in a full buffer (D60).
+    /// The message that a full transit buffer evicts (D60).
     pub eviction: Eviction,
-    /// How a primary keeps its lease (D61).
+    /// How a primary renews its lease (D61).
     pub lease: LeaseRule,
-    /// Whether an actuator drops commands of an older epoch than the newest it heard of (D61).
+    /// Whether an actuator drops commands of an older epoch than the newest one that it has heard of (D61).
     pub heed_epochs: bool,
-    /// How the Timer takes a job (D22).
+    /// How the Timer accepts a job (D22).
     pub job_request: JobRequest,
 }
 
 impl Rules {
-    /// The rules that the runtime runs and the claims hold for.
+    /// The rules that the runtime uses, and for which the claims hold.
     pub const DEFAULT: Self = Self {
         confirmation: Confirmation::EveryComplete,
         rounds: true,
@@ -141,9 +141,9 @@ impl Rules {
         job_request: JobRequest::Standing,
     };
 
-    /// The paper's own rules, where they differ from the decisions: meetings have no rounds and every packet of them is
-    /// sent once (§4.3), a receiver may use up all the time that is left (§4.1), and a rejection does nothing to a message
-    /// but what its port's penalty says (§5.1.1). Where the paper says nothing, the decisions stay.
+    /// The paper's own rules, where they differ from the decisions. Meetings have no rounds, and late arrivals are not answered
+    /// (§4.3). A receiver may use all the remaining time (§4.1). A rejection has no effect but the port's penalty (§5.1.1).
+    /// Where the paper says nothing, the decisions hold.
     pub const PAPER: Self = Self {
         rounds: false,
         join_fresher: false,

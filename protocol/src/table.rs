@@ -1,5 +1,5 @@
-//! The static table (§III, §5.2.2, §5.2.3): ports, locations and a priori routes, made once from a [`Cell`] and passed
-//! into every call. It is never part of a machine's state.
+//! The static table of a cell: ports, locations and a priori routes (§III, §5.2.2, §5.2.3). It is made once from a [`Cell`]
+//! and passed into every call. It is never part of a machine's state.
 
 mod check;
 mod couples;
@@ -32,7 +32,7 @@ pub struct CellTable {
     ports_of: Box<[Box<[PortId]>]>,
     /// The node of each task.
     locations: Box<[NodeId]>,
-    /// How long each task is held back where its node restarts.
+    /// How long each task's script is held back after its node restarts.
     held_back: Box<[Ticks]>,
 }
 
@@ -270,9 +270,9 @@ fn compile_port(cell: &Cell, id: PortId, decl: &PortDecl, routes: &[Option<Hop>]
         place: 0,
     };
     let users = decl.users.iter().map(user);
-    // D32: a module stands for all its tasks; the owner is no user of its own port, and a task that is named is named.
+    // A module stands for all its tasks, except the owner of the port and the users that are named already (D32).
     let of_module = |t: &TaskDecl| t.module.as_ref().is_some_and(|module| decl.modules.contains(module));
-    // Most ports name no module: a look at every task for each of them would cost the square of both.
+    // Most ports name no module. A scan of all tasks for every port would cost the product of their numbers.
     let tasks = if decl.modules.is_empty() { &[][..] } else { &cell.tasks[..] };
     let others = tasks.iter().enumerate().filter(|(_, t)| of_module(t)).map(|(i, _)| TaskId::from_index(i));
     let unnamed = others.filter(|&t| t != decl.owner && decl.users.iter().all(|u| u.task != t));
@@ -327,7 +327,7 @@ mod tests {
         assert_eq!(table.next_hop(NodeId(0), NodeId(9)), None);
     }
 
-    /// Every node knows the way to every other one: that is what bounds their number.
+    /// The routing table has an entry for each pair of nodes, which limits their number.
     #[test]
     fn the_routes_of_the_largest_cell_fit_into_a_few_megabytes() {
         let line = |nodes: usize| {

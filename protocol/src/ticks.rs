@@ -1,36 +1,36 @@
-//! Time in machine ticks: lengths, and instants on one clock.
+//! Time in machine ticks: durations, and instants on one clock.
 
 use core::fmt;
 use core::ops::{Add, AddAssign, Sub};
 use serde::{Deserialize, Serialize};
 
-/// A length of time.
+/// A duration.
 ///
-/// The machine does not know how long a tick is. The runtime gives microseconds, the model checker gives the cell's
-/// `tick` (D42).
+/// The machine does not know how long a tick is: it is a microsecond in the runtime, and the cell's `tick` in the
+/// model checker (D42).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Ticks(pub u64);
 
 impl Ticks {
     /// No time at all.
     pub const ZERO: Self = Self(0);
-    /// Longer than every other length.
+    /// Longer than every other duration: without an end.
     pub const FAR: Self = Self(u64::MAX);
 
-    /// `self - other`, or zero where `other` is longer. [`Ticks::FAR`] stays what it is: never is always never.
+    /// `self - other`, or zero if `other` is longer. [`Ticks::FAR`] stays [`Ticks::FAR`].
     #[must_use]
     pub const fn saturating_sub(self, other: Self) -> Self {
         if self.0 == u64::MAX { self } else { Self(self.0.saturating_sub(other.0)) }
     }
 
-    /// Whether this is the zero length: a remaining time of zero means expired (D23).
+    /// Whether the duration is zero: a message with a remaining time of zero has expired (D23).
     #[must_use]
     pub const fn is_zero(self) -> bool {
         self.0 == 0
     }
 }
 
-/// Saturating: a length past the end is [`Ticks::FAR`].
+/// Saturating at [`Ticks::FAR`].
 impl Add for Ticks {
     type Output = Self;
     fn add(self, other: Self) -> Self {
@@ -52,22 +52,22 @@ impl Sub for Ticks {
     }
 }
 
-/// A moment on the clock of one machine (a communication task, a transit buffer, a Timer, a node), which begins with
-/// [`Instant::START`].
+/// An instant on the clock of one machine: a communication task, a transit buffer, a Timer or a node. The clock
+/// begins at [`Instant::START`].
 ///
-/// Instants are compared, moved by a length, and told apart by one: `later - earlier` is how long there is between them. Those
-/// of two clocks are never compared: there is no global clock (§5.1), and what goes from one machine to another is a length.
+/// Instants are compared and moved by a duration, and `later - earlier` is a duration. Instants of two clocks are
+/// never compared, because there is no global clock (§5.1): machines exchange durations only.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Instant(pub u64);
 
 impl Instant {
-    /// The beginning of the clock.
+    /// The first instant of the clock.
     pub const START: Self = Self(0);
-    /// Later than every moment that a clock comes to.
+    /// Later than every instant that a clock reaches.
     pub const NEVER: Self = Self(u64::MAX);
 }
 
-/// Saturating: a moment past the end of the clock is [`Instant::NEVER`].
+/// Saturating at [`Instant::NEVER`].
 impl Add<Ticks> for Instant {
     type Output = Self;
     fn add(self, length: Ticks) -> Self {
@@ -81,7 +81,7 @@ impl AddAssign<Ticks> for Instant {
     }
 }
 
-/// The moment so much earlier, or the beginning. [`Instant::NEVER`] stays what it is.
+/// Saturating at [`Instant::START`]. [`Instant::NEVER`] stays [`Instant::NEVER`].
 impl Sub<Ticks> for Instant {
     type Output = Self;
     fn sub(self, length: Ticks) -> Self {
@@ -89,7 +89,7 @@ impl Sub<Ticks> for Instant {
     }
 }
 
-/// How long from an earlier moment to this one: no time at all from a later one, and [`Ticks::FAR`] to [`Instant::NEVER`].
+/// The duration from an earlier instant to this one: zero if that is not earlier, and [`Ticks::FAR`] up to [`Instant::NEVER`].
 impl Sub for Instant {
     type Output = Ticks;
     fn sub(self, earlier: Self) -> Ticks {

@@ -1,8 +1,8 @@
-//! The Timer of a node (Figure 3, §5.1.2): serves the delays and timers of the node's tasks.
+//! The Timer of a node, which counts the delays and timers of the node's tasks (Figure 3, §5.1.2).
 //!
-//! Its JOB_REQUEST is a standing offer (D22): a task arms an entry when it wants one, and the Timer never waits for a
-//! busy task. The communication tasks' own time_outs need no entry here (D41). Arming and cancelling cost O(log n),
-//! but O(1) where it is soon cancelled (D123), k entries that end cost O(k log n), and waiting costs nothing.
+//! Its JOB_REQUEST is a standing offer: a task arms an entry when it wants one, and the Timer never waits for a busy
+//! task (D22). The communication tasks' own time_outs need no entry (D41). Arming and disarming cost O(log n), or
+//! O(1) for an entry that is soon disarmed (D123). The end of k entries costs O(k log n), and waiting costs nothing.
 
 mod entries;
 #[cfg(feature = "checker")]
@@ -16,14 +16,14 @@ use crate::ticks::{Instant, Ticks};
 use alloc::vec::Vec;
 use entries::{Entry, FRESH, Fresh, NOBODY, name};
 
-/// The Timer: `{src_id, id, length}` entries, earliest first.
+/// A timer queue of `{src_id, id, length}` entries, earliest first.
 #[derive(Clone, Debug)]
 pub struct Timer {
     now: Instant,
     armed: u64,
     fresh: Fresh,
     queue: Queue<Entry>,
-    /// Where in the queue the entry of an owner and id is.
+    /// Maps the owner and id of an entry to its slot in the queue.
     index: Index,
 }
 
@@ -35,8 +35,8 @@ impl Timer {
         Self { now: Instant::START, armed: 0, fresh: Fresh::NONE, queue, index }
     }
 
-    /// Starts an entry; one of the same owner and id is replaced. False when the Timer is full. `turn` comes back with
-    /// the entry: it tells the owner this start of it from an earlier one.
+    /// Arms an entry, in place of one of the same owner and id. False if the Timer is full. `turn` is returned when
+    /// the entry ends: by it, the owner recognises entries that it has restarted since.
     pub fn arm(&mut self, owner: TaskId, id: TimeId, turn: u8, length: Ticks) -> bool {
         let (expires, armed) = (self.now + length, self.armed);
         self.armed += 1;
@@ -65,7 +65,7 @@ impl Timer {
         self.queue.len() + self.fresh.iter().count() >= self.queue.capacity()
     }
 
-    /// Finds one of the fresh entries its place among all. Where it stood, unless the Timer is full.
+    /// Moves one of the recently armed entries into the queue and returns its place, now free; `None` if the Timer is full.
     #[inline(never)]
     fn settle_one(&mut self) -> Option<usize> {
         if self.is_full() {
@@ -82,7 +82,7 @@ impl Timer {
         Some(at)
     }
 
-    /// Takes an entry back. False when there is none.
+    /// Removes an entry. False if there is none.
     pub fn disarm(&mut self, owner: TaskId, id: TimeId) -> bool {
         let name = name(owner, id);
         if let Some(at) = self.fresh.find(name) {
@@ -93,9 +93,9 @@ impl Timer {
         slot.and_then(|slot| self.queue.remove(slot)).is_some()
     }
 
-    /// Lets an entry end after so long from now, whatever it was armed for; of no time: with the next `advance`, be that of
-    /// none, too. For a checker of what a node did: counted in ticks, what ends within one may end in another order than
-    /// it was armed in, and a node may notice late. False when there is none.
+    /// Sets the remaining time of an entry, whatever it was armed for. Zero ends it with the next `advance`, even if
+    /// no time passes. Only for a checker that follows a recorded node: there, entries that end within one tick may
+    /// end in any order, and a node may notice late. False if there is no such entry.
     #[cfg(feature = "checker")]
     pub fn put(&mut self, owner: TaskId, id: TimeId, left: Ticks) -> bool {
         let (name, expires) = (name(owner, id), self.now + left);
@@ -109,7 +109,7 @@ impl Timer {
         true
     }
 
-    /// It is `now`, unless it was later before: names every entry that is over, earliest first, and removes it.
+    /// Moves the clock on to `now`, unless it was later; removes and reports every entry that has ended, earliest first.
     pub fn advance(&mut self, now: Instant, mut due: impl FnMut(TaskId, TimeId, u8)) {
         self.now = self.now.max(now);
         while let Some(entry) = self.pop_over() {
@@ -117,7 +117,7 @@ impl Timer {
         }
     }
 
-    /// Takes the first entry out, if it is over.
+    /// Removes the first entry if it has ended.
     fn pop_over(&mut self) -> Option<Entry> {
         let settled = self.queue.first().map(|(_, entry)| entry).filter(|entry| entry.expires <= self.now);
         if self.fresh.end() <= self.now
@@ -131,13 +131,13 @@ impl Timer {
         Some(entry)
     }
 
-    /// The time of the last `advance`.
+    /// The Timer's clock: the time of the last `advance`.
     #[must_use]
     pub const fn now(&self) -> Instant {
         self.now
     }
 
-    /// When the first entry is over.
+    /// The instant at which the first entry ends.
     #[must_use]
     pub fn next_deadline(&self) -> Instant {
         self.queue.first().map_or(Instant::NEVER, |(_, entry)| entry.expires).min(self.fresh.end())
@@ -150,7 +150,7 @@ impl Timer {
         all
     }
 
-    /// The entries with what is left of each, earliest first.
+    /// The entries with their remaining times, earliest first.
     #[must_use]
     pub fn entries(&self) -> Vec<(TaskId, TimeId, Ticks)> {
         self.sorted().into_iter().map(|e| (e.owner, e.id, e.expires - self.now)).collect()
@@ -221,7 +221,7 @@ mod tests {
     }
 
     proptest! {
-        /// Against a plain list: arming, taking back, putting and waiting, with more entries than are fresh.
+        /// Compares the Timer with a plain list: arm, disarm, put and advance, with more entries than the unsorted ones.
         #[test]
         fn behaves_like_a_list(steps in proptest::collection::vec((0..8_u8, 0..12_u16, 0..6_u64), 0..200)) {
             let mut timer = Timer::new(9);

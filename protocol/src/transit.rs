@@ -1,10 +1,10 @@
-//! The transit buffer and message scheduling of the route layer (§5.1.1, §5.2.3): one per node, the smallest time_out
-//! first, emptied by [`Transit::next`] whenever a link can take a packet. What can no longer arrive in time holds up nothing
-//! else: it is removed here (D83). A packet costs O(log n), n packets waiting; only while the link that the most urgent one
-//! needs is busy are the others looked through.
+//! The transit buffer and message scheduling of the route layer (§5.1.1, §5.2.3), one per node. Packets leave smallest
+//! time_out first, by [`Transit::next`], whenever a link is ready. Packets that can no longer arrive in time are removed
+//! here, so that they delay no others (D83). With n packets waiting each operation costs O(log n). Linear searches happen
+//! only while the link of the most urgent packet is busy, or when a full buffer must evict.
 //!
-//! The words of a refusal (D19) wait in places of their own: where they had to find room among the messages, a full
-//! buffer could never say that it is full, or would drop one command to tell of another (D79).
+//! Refusals (D19) wait in a small queue of their own. If they shared the room of messages, a full buffer could not report
+//! that it is full, or would drop one command to report on another (D79).
 
 #[cfg(feature = "checker")]
 mod walk;
@@ -24,7 +24,7 @@ use alloc::vec::Vec;
 pub trait RouteOutbox {
     /// Tells a task of this node that a copy of its request was dropped before it left.
     fn unsent(&mut self, task: TaskId, id: MessageId);
-    /// Hands a packet to the route layer: the word of a refusal to its source.
+    /// Hands a packet to the route layer: a refusal for the source of a command.
     fn transmit(&mut self, packet: Packet);
     /// Notes what happened.
     fn observe(&mut self, observation: Observation) {
@@ -36,7 +36,7 @@ pub trait RouteOutbox {
 struct Waiting {
     packet: Packet,
     expires: Instant,
-    /// When it can arrive no more: the bounds of the links ahead are taken from its life (D20).
+    /// From this instant on it cannot arrive in time: its deadline less the bounds of the links ahead (D20).
     leave_by: Instant,
     arrival: u64,
     next: NodeId,
@@ -60,7 +60,7 @@ impl Entry for Waiting {
     }
 }
 
-/// How many words of a refusal wait at most.
+/// How many refusals wait at most.
 const WORDS: u16 = 4;
 
 /// The transit buffer of one node.
@@ -69,7 +69,7 @@ pub struct Transit {
     now: Instant,
     arrivals: u64,
     queue: Queue<Waiting>,
-    /// Words of a refusal on their way to the source.
+    /// Refusals for the sources of commands.
     words: Queue<Waiting>,
     forwarded: u64,
     discarded: [u64; Reason::ALL.len()],
@@ -95,21 +95,21 @@ impl Transit {
         self.queue.len() == 0 && self.words.len() == 0
     }
 
-    /// How many messages wait; words of a refusal do not count.
+    /// How many messages wait; refusals do not count.
     #[must_use]
     pub fn len(&self) -> usize {
         self.queue.len()
     }
 
-    /// Whether a message that comes now takes the place of another, or is refused.
+    /// Whether the buffer is full: a new message then evicts another one or is refused.
     #[must_use]
     pub fn is_full(&self) -> bool {
         self.queue.len() == self.queue.capacity()
     }
 
-    /// Takes a packet in, unless it cannot arrive in time any more: what cannot is never held. On overflow (D60) status
-    /// messages go first, those with most time left before others; then the newcomer is refused unless it is more urgent
-    /// than the least urgent one held.
+    /// Stores a packet, or drops it if it can no longer arrive in time. In a full buffer a command evicts the status message
+    /// with most time left. Otherwise a newcomer evicts the least urgent packet of its own class if it is more urgent, and is
+    /// refused if not (D60).
     pub fn offer(&mut self, table: &NodeTable, packet: Packet, out: &mut impl RouteOutbox) {
         let Departure::Link(next) = route::departing(table, &packet) else {
             return self.discard(table, &packet, Reason::Unroutable, out);
@@ -119,7 +119,7 @@ impl Transit {
             return self.discard(table, &packet, Reason::ExpiredInTransit, out);
         }
         if packet.control() == Some(Control::RefusedOnTheWay) && packet.kind == Kind::Control {
-            // One word too many is one that its source never hears: D66 leaves its command to the time_out.
+            // A refusal without room is dropped: its command then ends with its time_out (D66).
             if self.words.push(waiting).is_err() {
                 self.discard(table, &packet, Reason::Refused, out);
             }
@@ -137,8 +137,8 @@ impl Transit {
         let _ = self.queue.push(waiting);
     }
 
-    /// An [`offer`](Self::offer) and a [`next`](Self::next) in one, for a packet that finds nothing waiting and a ready link:
-    /// it enters no order. Any other one is offered.
+    /// [`offer`](Self::offer) and [`next`](Self::next) in one: a packet that finds an empty buffer and a ready link leaves
+    /// without being queued. Any other packet is offered.
     pub fn pass(
         &mut self,
         table: &NodeTable,
@@ -162,7 +162,7 @@ impl Transit {
         Some((next, waiting.left(self.now)))
     }
 
-    /// Which held packet makes room for a newcomer; `None`: the newcomer itself goes.
+    /// The held packet to evict for a newcomer; `None` if the newcomer is refused.
     fn victim(&mut self, table: &NodeTable, newcomer: &Waiting) -> Option<Slot> {
         if table.rules().eviction == Eviction::ByTime {
             // The literal reading of §III: time_out alone decides.
@@ -182,7 +182,7 @@ impl Transit {
         let expires = self.now + packet.remaining;
         let to = table.location(packet.destination);
         let way = to.and_then(|to| table.path_bound(table.node, to)).unwrap_or(Ticks::ZERO);
-        // Under the variants the links take nothing, or what has no time left still counts.
+        // Variants: links charge nothing, or a late reply is still accepted.
         let answers = matches!(packet.kind, Kind::Reply | Kind::Response);
         let late = (answers && !table.rules().refuse_late_replies)
             || table.rules().time_stamp == TimeStamp::Absolute;
@@ -192,7 +192,7 @@ impl Transit {
         Waiting { packet, expires, leave_by, arrival, next }
     }
 
-    /// It is `now`, unless it was later before: what can arrive in time no more is dropped.
+    /// Advances the clock to `now`, never back, and drops the packets that can no longer arrive in time.
     pub fn advance(&mut self, table: &NodeTable, now: Instant, out: &mut impl RouteOutbox) {
         let elapsed = now - self.now;
         self.now += elapsed;
@@ -221,7 +221,7 @@ impl Transit {
         let word = open(&self.words, &mut ready);
         let waiting = match (message, word) {
             (None, None) => return None,
-            // Of equal urgency the word goes first: which of the two came first is in no packed state.
+            // Of equal urgency the refusal goes first: packed states do not record which of the two arrived first.
             (message, Some((expires, slot))) if message.is_none_or(|(other, _)| expires <= other) => {
                 self.words.remove(slot)?
             }
@@ -237,19 +237,19 @@ impl Transit {
         self.now
     }
 
-    /// When the first packet can arrive in time no more.
+    /// The next instant at which a waiting packet can no longer arrive in time.
     #[must_use]
     pub fn next_deadline(&self) -> Instant {
         self.queue.next_due().min(self.words.next_due())
     }
 
-    /// The waiting messages, most urgent first, with what remains of each.
+    /// The waiting messages, most urgent first, with their remaining times.
     #[must_use]
     pub fn waiting(&self) -> Vec<Packet> {
         self.queue.sorted().into_iter().map(|(_, w)| w.left(self.now)).collect()
     }
 
-    /// The waiting words of a refusal, likewise.
+    /// The waiting refusals, likewise.
     #[must_use]
     pub fn words(&self) -> Vec<Packet> {
         self.words.sorted().into_iter().map(|(_, w)| w.left(self.now)).collect()
@@ -289,7 +289,7 @@ impl Transit {
             out.unsent(packet.source, packet.id);
         }
         if reason != Reason::ExpiredInTransit {
-            // D19: the source of a command hears that this copy found no space.
+            // Tell the source of the command that this copy found no space (D19).
             let (to, word) = (mapping::reply_to(packet), Control::RefusedOnTheWay);
             out.transmit(mapping::control(to, packet.destination, word, packet.remaining));
         }

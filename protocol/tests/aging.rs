@@ -1,5 +1,5 @@
-//! Rejection by rank and its end (R61 to R63, D4, D58, D59): a message is turned away a bounded number of times, and no
-//! port is passed over for ever.
+//! Rejection by rank and its end (R61 to R63, D4, D58, D59): a message is rejected a bounded number of times, and no port is
+//! bypassed for ever.
 
 use crate::support::{NextExpiry, Solo, get, handle, order, send, send_for};
 use imrs_protocol::aging::Service;
@@ -13,7 +13,7 @@ const Y: TaskId = TaskId(1);
 /// Status of X to Y, in order of rank; a rejected offer waits 4 ticks.
 const LOW: PortId = PortId(0);
 const HIGH: PortId = PortId(1);
-/// The same without a penalty, and more of them.
+/// Three more ports, without a penalty.
 const PLAIN: [PortId; 3] = [PortId(2), PortId(3), PortId(4)];
 
 fn cell() -> Cell {
@@ -50,7 +50,7 @@ impl Room {
         self.y.hear(packet).words()
     }
 
-    /// The thread works; each tick until a handler interrupts it.
+    /// Lets time pass tick by tick, until a handler interrupts the working thread.
     fn ticks_to_interrupt(&mut self, at_most: u64) -> Option<(u64, String)> {
         (1..=at_most).find_map(|tick| Some((tick, self.y.pass(1).words().first()?.clone())))
     }
@@ -63,7 +63,7 @@ fn each_rejection_raises_the_rank_by_one_level() {
     {
         room.y.ask(request);
     }
-    // Two levels above it: rejected at 0 and after 4 ticks, it outranks `self` after 8.
+    // Two levels rank above the message: rejected at 0 and after 4 ticks, it outranks `self` after 8.
     assert!(room.hear(LOW, 1).is_empty());
     assert_eq!(room.y.task.next_expiry(), Some(Ticks(4)));
     assert_eq!(room.ticks_to_interrupt(50), Some((8, "interrupt [1] from T0 for 92".into())));
@@ -81,7 +81,7 @@ fn without_an_order_a_message_is_rejected_once() {
         Some((2, "interrupt [1] from T0 for 98".into())),
         "one tick of the cell"
     );
-    // Of a short life half, and a whole tick at least.
+    // The penalty is at most half of the remaining time, and at least one tick.
     for request in [Request::Return, Request::Done, handle(LOW), Request::Work] {
         room.y.ask(request);
     }
@@ -114,7 +114,7 @@ fn among_messages_at_the_cap_the_first_rejected_goes_first() {
     room.y.pass(1);
     room.hear_urgent(HIGH, 2, 20);
     room.y.ask(Request::Done);
-    // Running: nothing is offered, and both get old enough.
+    // Nothing is offered to a running thread, and both messages get old enough.
     room.y.ask(Request::Work);
     room.y.pass(3);
     room.y.ask(Request::Done);
@@ -136,7 +136,7 @@ fn a_cap_does_not_lift_a_message_over_a_handler_of_the_first_rank() {
     assert_eq!(room.ticks_to_interrupt(40), None);
     assert_eq!(room.y.counters(LOW).rejected, 11, "every 4 ticks");
     room.y.ask(Request::Done);
-    // At the next chance the thread itself is interrupted.
+    // The message interrupts the thread itself as soon as it can.
     room.y.pass(4);
     assert_eq!(room.y.ask(Request::Return).words(), ["interrupt [2] from T0 for 56"]);
 }
@@ -196,7 +196,7 @@ fn of_two_that_the_literal_penalty_makes_live_alike_the_earlier_goes_first_packe
     assert_eq!(served(true), served(false));
 }
 
-/// How often the head of the first port is passed over while the others always have something more urgent.
+/// How often the head of the first port is bypassed while the other ports always have a more urgent message.
 fn passed_over(aging: Aging, gets: u32) -> u32 {
     let mut room = Room::new(|cell| cell.rules.aging = aging);
     room.hear(LOW, 77);
@@ -213,7 +213,7 @@ fn passed_over(aging: Aging, gets: u32) -> u32 {
 
 #[test]
 fn a_get_passes_over_a_port_a_bounded_number_of_times() {
-    // Five ports and no order: G = 5.
+    // Five ports and no order: the bypass limit G is 5.
     assert_eq!(passed_over(Aging::Bounded, 90), 5);
     assert_eq!(passed_over(Aging::Unbounded, 90), 5);
     assert_eq!(passed_over(Aging::Off, 90), 90);
@@ -256,7 +256,7 @@ fn handlers_of_one_rank_pass_over_a_port_a_bounded_number_of_times_too() {
         }
         None
     };
-    // Five ports and three levels: G = 8.
+    // Five ports and three levels: the bypass limit G is 8.
     assert_eq!(calls(Aging::Bounded), Some(8));
     assert_eq!(calls(Aging::Off), None);
 }
@@ -284,15 +284,15 @@ fn a_flood_of_rejected_messages_keeps_the_first_rank_waiting_for_one_of_them_onl
     assert_eq!(y.ask(Request::Return).delivery().map(|d| d.from.port), Some(HIGH));
 }
 
-/// How many ticks a status of the first port waits for its handler where those of two other ports were refused before it,
-/// and every handler takes `longest`.
+/// How many ticks a status message of the first port waits for its handler, and the bound. Before it, `each` messages of
+/// this port and of another one are rejected, and every handler takes `longest`.
 fn behind_rivals(each: u16, longest: u64) -> (u64, Ticks) {
     let mut room = Room::new(|cell| cell.ports.iter_mut().for_each(|port| port.time_out = Ticks(1000)));
     let ports = [PLAIN[0], PLAIN[1], HIGH];
     for port in ports {
         room.y.ask(handle(port));
     }
-    // What outranks the thread comes all the time.
+    // Messages that outrank the thread arrive all the time.
     room.y.ask(order(&[Ranked::Port(HIGH), Ranked::Own]));
     room.y.ask(Request::Work);
     for port in [PLAIN[1], PLAIN[0]] {
@@ -332,7 +332,7 @@ fn the_bound_counts_what_was_refused_before_on_other_ports() {
     for (each, longest) in [(0, 5), (1, 5), (3, 4), (7, 3)] {
         let (waited, bound) = behind_rivals(each, longest);
         assert!(Ticks(waited) <= bound, "{each} of each port before it: {waited} of {bound}");
-        // With only those of its own port counted it would be too small.
+        // A bound that counted only the messages of its own port would be too small.
         assert!(waited >= 4 * u64::from(each) * longest, "{each}: {waited}");
     }
 }
@@ -344,7 +344,7 @@ fn a_new_order_takes_no_turn_away() {
     room.y.ask(Request::Work);
     room.hear(LOW, 1);
     room.y.ask(Request::Done);
-    // At its cap of one; under the new order it would be rejected three times.
+    // The message has reached its cap of one rejection. The new order would allow three.
     let levels = [Ranked::Own, Ranked::Timers, Ranked::Port(HIGH), Ranked::Port(LOW)];
     room.y.ask(order(&levels));
     room.y.ask(Request::Work);
@@ -356,7 +356,7 @@ fn a_get_that_names_a_source_goes_by_urgency_alone() {
     let of_x = Request::Get { port: None, source: Some(X), time_out: Some(Ticks(0)) };
     let mut room = Room::new(|_| ());
     room.hear(LOW, 77);
-    // Its looks count for nobody: after ever so many of them a GET over all takes the more urgent one still.
+    // A GET that names a source counts no bypass: after many of them a GET over all still takes the more urgent message.
     for _ in 0..20 {
         room.hear_urgent(HIGH, 1, 50);
         assert_eq!(room.y.ask(of_x).words(), ["message [1] from T0 for 50"]);
@@ -365,7 +365,7 @@ fn a_get_that_names_a_source_goes_by_urgency_alone() {
         room.hear_urgent(HIGH, 2, 50);
         assert_eq!(room.y.ask(get(0)).words(), ["message [2] from T0 for 50"]);
     }
-    // Now the port has been passed over as often as it may be. It is the turn of the GET over all to see that.
+    // Now the port has reached its bypass limit. Only a GET over all heeds that.
     room.hear_urgent(HIGH, 3, 50);
     assert_eq!(room.y.ask(of_x).words(), ["message [3] from T0 for 50"]);
     room.hear_urgent(HIGH, 4, 50);

@@ -1,4 +1,5 @@
-//! The tests of the protocol, one program: each file beside this one is a module of it. `counts.rs` has those that count.
+//! The tests of the protocol as one program: each file beside this one is a module. `counts.rs` has the tests that count
+//! allocations.
 
 mod aging;
 mod agreement;

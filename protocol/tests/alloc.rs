@@ -29,7 +29,7 @@ fn cell() -> Cell {
     cell
 }
 
-/// What one node did in a step, in fixed room.
+/// The effects of a step, in arrays of fixed size.
 struct Room {
     packets: [Option<(NodeId, Packet)>; 16],
     signals: [Option<Signal>; 16],
@@ -108,7 +108,7 @@ fn interrupt(pair: &mut Pair, contents: Contents) {
         pair.ask(ARM, Request::Part { port: ASK, index, contents });
     }
     pair.ask(ARM, ask);
-    // The timer interrupts, then the message, once it is old enough; its answer comes below nobody.
+    // The timer interrupts, then the message, once it was rejected often enough. No handler runs when its answer comes.
     pair.pass(3);
     pair.told(|s| matches!(s, Signal::Interrupt(Call::Timer(_))));
     pair.ask(HOIST, Request::Return);
@@ -121,7 +121,7 @@ fn interrupt(pair: &mut Pair, contents: Contents) {
     pair.told(|s| matches!(s, Signal::Outcome(Outcome::Reply(_))));
     pair.ask(HOIST, Request::Return);
     pair.ask(HOIST, Request::Done);
-    // One is answered, the other never is.
+    // One of the two tasks answers, the other one never does.
     pair.ask(ARM, Request::Send { port: CHECK, to: Target::All, contents, time_out: None });
     pair.ask(HOIST, Request::Get { port: Some(CHECK), source: None, time_out: Some(Ticks(9)) });
     let Signal::Message(check) = pair.told(|s| matches!(s, Signal::Message(_))) else { return };
@@ -160,11 +160,11 @@ fn exercise(pair: &mut Pair, contents: Contents) {
     pair.told(|s| matches!(s, Signal::Released { .. }));
     pair.pass(4);
     pair.pass(4);
-    // One that is given up.
+    // A rendezvous that is given up.
     pair.ask(ARM, arrive);
     pair.pass(50);
     pair.told(|s| matches!(s, Signal::GaveUp { .. }));
-    // The transit buffer: waiting, overflow, expiry; a command sent again and never answered.
+    // The transit buffer: waiting, overflow, expiry; a command that is retransmitted and never answered.
     pair.room.ready = false;
     for _ in 0..6 {
         pair.ask(ARM, status);
@@ -190,7 +190,7 @@ fn exercise(pair: &mut Pair, contents: Contents) {
 fn the_message_path_allocates_nothing() {
     let mut pair = Pair::new();
     let contents = Contents::new(b"abc").expect("short");
-    // A port is given its order of offers with its first handler (D108).
+    // The first handler of a port allocates the order of its offers (D108).
     exercise(&mut pair, contents);
     let before = allocations();
     for _ in 0..50 {
@@ -209,7 +209,7 @@ fn loading_a_state_in_place_allocates_nothing() {
     let task = &mut pair.nodes[0].parts_mut().tasks[0];
     let home = ([Frame::ROUND; 5], [Seq24::new(0); 3]);
     let frame = Frame { rounds: &home.0, sequences: &home.1, lives: false };
-    // Relative to ids out of reach nothing fits: the state is refused, not saturated.
+    // Relative to distant ids the state does not fit: that is an error, and no value saturates.
     assert_eq!(Encode::bytes(&frame, |w| task.walk(&table, w)), Err(Overflow));
     let before = allocations();
     Decode::read(&[0; 64], false, |r| task.walk(&table, r));

@@ -15,18 +15,18 @@ struct Counting;
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the caller upholds the same contract.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is passed on; `alloc` took the memory from the same allocator.
+        // SAFETY: the caller upholds the same contract; `alloc` took the memory from the same allocator.
         unsafe { System.dealloc(at, layout) }
     }
 
     unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: the caller's promise is passed on; `alloc` took the memory from the same allocator.
+        // SAFETY: the caller upholds the same contract; `alloc` took the memory from the same allocator.
         unsafe { System.realloc(at, layout, size) }
     }
 }
@@ -34,7 +34,7 @@ unsafe impl GlobalAlloc for Counting {
 #[global_allocator]
 static GLOBAL: Counting = Counting;
 
-/// How often the calling thread has allocated so far. A test's thread counts nothing of other tests or of what runs them.
+/// How often the calling thread has allocated so far. Other tests and the test runner have threads of their own.
 pub fn allocations() -> u64 {
     ALLOCATIONS.get()
 }

@@ -1,4 +1,4 @@
-//! Answers of several packets (D28), and who they are told to: the thread that asked, whole, and of one who answered.
+//! Answers of several packets (D28): they reach the activation that asked, complete and from one task only.
 
 use crate::support::{Effects, Solo, contents, get_on, handle, order, reply, send};
 use imrs_protocol::*;
@@ -49,7 +49,7 @@ fn rest(x: &Solo) -> Option<u8> {
     x.task.answer_fragment(TEACH, Y, 1).map(|contents| contents.as_bytes()[0])
 }
 
-/// X waits for Y's answer; while a handler of X runs, the answer comes, whole.
+/// X waits for Y's answer. The complete answer arrives while a handler of X runs.
 fn answered_below_a_handler() -> [Solo; 2] {
     let [mut x, mut y, _] = three();
     for request in [handle(HALT), order(&[Ranked::Port(HALT), Ranked::Own])] {
@@ -71,7 +71,7 @@ fn a_handler_does_not_take_the_place_of_an_answer_that_its_thread_was_not_told()
     assert_eq!(x.ask(send(TEACH, Y, 2)).words(), ["fault Busy"], "the desk still holds the answer");
     assert_eq!(x.ask(Request::Return).words(), ["reply [11]"]);
     assert_eq!(rest(&x), Some(12));
-    // Told, it goes with the next request.
+    // Once delivered, the answer is dropped with the next request.
     let question = x.ask(send(TEACH, Y, 3)).packets[0];
     assert_eq!(rest(&x), None);
     let words: Vec<_> =

@@ -11,11 +11,11 @@ const A: TaskId = TaskId(1);
 const B: TaskId = TaskId(2);
 const C: TaskId = TaskId(3);
 
-/// Status; two wait.
+/// Status; the buffer holds two.
 const BEAT: PortId = PortId(0);
-/// Commands; two wait.
+/// Commands; the buffer holds two.
 const MOVE: PortId = PortId(1);
-/// Status; two wait.
+/// Status; the buffer holds two.
 const HALT: PortId = PortId(2);
 
 fn table() -> Arc<CellTable> {
@@ -49,7 +49,7 @@ impl Room {
         packet
     }
 
-    /// A message from a task arrives; what the receiver does about it, in words.
+    /// A message from a task arrives. Returns what the receiver does, in words.
     fn put(&mut self, port: PortId, from: TaskId, byte: u8, life: u64) -> Vec<String> {
         let packet = self.packet(port, from, byte, life);
         self.r.hear(packet).words()
@@ -245,7 +245,7 @@ fn only_the_parties_of_a_port_are_heard_and_only_in_its_class() {
 }
 
 proptest! {
-    /// Against a plain list: the buffer holds the most urgent of what came, and serves it in order.
+    /// Compared with a sorted list: the buffer holds the most urgent of the messages, and serves them in order.
     #[test]
     fn a_full_buffer_keeps_the_most_urgent(lives in proptest::collection::vec(1..50_u64, 1..12)) {
         let mut room = Room::new();

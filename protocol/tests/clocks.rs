@@ -1,4 +1,4 @@
-//! No clock shows (D37): messages carry what is left, so how long a node has been running changes nothing.
+//! The value of a clock has no effect: messages carry remaining time, so a node's uptime changes nothing (D37).
 
 use crate::support::NextExpiry;
 use crate::support::plan::plans;
@@ -15,7 +15,7 @@ proptest! {
     ) {
         let table = plan.build();
         let rules = table.cell().rules;
-        // The variant that sends instants (D37) is there to show that it fails.
+        // The variant that sends instants exists to show that it fails (D37).
         prop_assume!(rules.time_stamp == Rules::DEFAULT.time_stamp);
         let mut plain = World::new(&table, restarts);
         let mut other = plain.clone();
@@ -30,7 +30,7 @@ proptest! {
         }
     }
 
-    /// Where no deadline has come, a look at everything finds nothing to do: none is kept too late.
+    /// Before the next deadline a check of everything finds nothing due: no deadline is recorded too late.
     #[test]
     fn nothing_is_to_be_done_before_the_next_deadline(plan in plans(), ops in lively(), lags: [u8; 8]) {
         let mut plain = World::new(&plan.build(), true);
@@ -39,7 +39,7 @@ proptest! {
         alike_with_lags([plain, looking], &ops, lags)?;
     }
 
-    /// An input that comes later is the time until then, and then the input.
+    /// An input at a later time equals the passage of that time, followed by the input.
     #[test]
     fn time_comes_before_what_it_comes_with(plan in plans(), ops in ops(), lags: [u8; 8]) {
         let together = World::new(&plan.build(), true);
@@ -49,7 +49,7 @@ proptest! {
     }
 }
 
-/// Two worlds do the same where some time passes before each of these.
+/// Checks that two worlds do the same, with some time before each operation.
 fn alike_with_lags(mut worlds: [World; 2], ops: &[Op], lags: [u8; 8]) -> Result<(), TestCaseError> {
     let [one, other] = &mut worlds;
     for (i, &op) in ops.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! Copies of one command that were charged differently on their way (D5, D20, D52): nothing runs twice, and nothing is lost
+//! Copies of one command that were charged different link delays (D5, D20, D52): no command runs twice, and none is lost
 //! while a copy of it has time left.
 
 use crate::support::{NextExpiry, Solo, contents, get, reply, send};
@@ -7,10 +7,11 @@ use std::sync::Arc;
 
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);
-/// Commands of X to Y, sent again once after 10 ticks; in up to 2 packets.
+/// Commands of X to Y, retransmitted once after 10 ticks; in up to 2 packets.
 const GO: PortId = PortId(0);
 
-/// X, Y two ticks away, and the two copies of a command: the first one held up, with 4 left where the way back takes 2.
+/// X, Y two ticks away, and the two copies of a command. The first copy was delayed: it has 4 ticks left, and the way back
+/// takes 2.
 fn two_copies() -> (Solo, Solo, [Packet; 2]) {
     let mut cell = Cell::new("copies", Ticks(1));
     let (n, m) = (cell.node("n"), cell.node("m"));

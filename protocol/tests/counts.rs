@@ -1,4 +1,4 @@
-//! What replaces the allocator, to count: it serves the whole test program, so these tests have one of their own.
+//! Tests that count allocations. The counting allocator serves a whole program, so these tests have one of their own.
 
 mod alloc;
 mod allocations;

@@ -1,4 +1,4 @@
-//! Messages and answers of several packets (D28): whole before their one deadline, or not at all.
+//! Messages and answers of several packets (D28): complete before their one deadline, or dropped.
 
 use crate::support::net::Net;
 use crate::support::{Effects, NextExpiry, Solo, contents, get, reply, send, send_for};
@@ -9,7 +9,7 @@ const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);
 const Z: TaskId = TaskId(2);
 
-/// Commands of X and Z to Y in up to 3 packets, answers in up to 2; sent again once after 8 ticks.
+/// Commands of X and Z to Y in up to 3 packets, answers in up to 2; retransmitted once after 8 ticks.
 const TEACH: PortId = PortId(0);
 /// Status of X to Y in up to 4 packets.
 const TRACE: PortId = PortId(1);
@@ -67,7 +67,7 @@ fn a_long_message_and_its_long_answer_arrive_whole() {
     let sender = net.nodes[0].task(X).expect("X");
     assert_eq!(sender.answer_fragment(TEACH, Y, 1), Some(&contents(21)));
     assert_eq!(sender.answer_fragment(TEACH, Y, 2), None);
-    // The repetition after 8 ticks was not needed; a late copy of any fragment is answered once, by the last one.
+    // The answer came before 8 ticks, so nothing was retransmitted.
     net.run(10);
     assert!(net.transcript().iter().all(|line| !line.contains("again")));
 }
@@ -87,7 +87,7 @@ fn fragments_may_come_in_any_order_and_twice() {
     assert_eq!(whole.count(Event::Enqueued), 1);
     assert_eq!(y.ask(get(0)).words(), ["message [1] from T0 for 7"]);
     assert_eq!(bytes(&y, 3), [1, 2, 3]);
-    // Copies of what was taken.
+    // Copies of fragments of the message that was taken.
     assert_eq!(y.hear(packets[0]).discards(), [Reason::Duplicate]);
     let to = ReplyTo { port: TEACH, source: X, id: packets[0].id };
     y.ask(part(TEACH, 1, 9));
@@ -106,7 +106,7 @@ fn what_is_not_whole_in_time_is_dropped_whole() {
     assert_eq!(y.task.next_expiry(), Some(Ticks(18)));
     let over = y.pass(18);
     assert_eq!(over.discards(), [Reason::Incomplete]);
-    // A newer message of the source takes the place of one that is not whole, be it long or short.
+    // A newer message of the source, long or short, replaces one that is not complete.
     for newer in [&[3_u8, 4, 5][..], &[6]] {
         x.ask(Request::Cancel);
         let old = staged(&mut x, TEACH, &[1, 2]).packets;
@@ -146,7 +146,7 @@ fn a_request_and_an_answer_keep_to_their_formats() {
     let message = y.ask(get(0)).delivery().expect("the message");
     assert_eq!(message.fragments, 1);
     assert_eq!(y.ask(part(TEACH, 2, 0)).words(), ["fault WrongLength"], "an answer takes two packets");
-    // Packets beyond the format are not of this cell.
+    // Packets beyond the declared format are not allowed.
     let forged =
         [(3, false), (2, true), (15, true)].map(|(fragment, more)| Packet { fragment, more, ..one[0] });
     forged.iter().for_each(|packet| assert_eq!(y.hear(*packet).discards(), [Reason::NotAllowed]));
@@ -193,7 +193,7 @@ fn long_status_waits_in_the_buffer_with_all_its_fragments() {
     let first = staged(&mut x, TRACE, &[1, 2, 3, 4]).packets;
     let second = staged(&mut x, TRACE, &[5, 6]).packets;
     let mixed = [first[0], second[0], first[1], second[1], first[2], first[3]];
-    // The second one is whole first; of the first one, which it overtook, the rest comes too late.
+    // The second message is complete first. It overtook the first message, whose other fragments come too late.
     let drops: Vec<_> = mixed.iter().flat_map(|p| y.hear(*p).discards()).collect();
     assert_eq!(drops.first(), Some(&Reason::Incomplete));
     first.iter().for_each(|packet| drop(y.hear(*packet)));
@@ -231,7 +231,7 @@ fn two_sources_put_their_messages_together_side_by_side() {
     [ours[0], theirs[0], ours[1], theirs[1]].iter().for_each(|packet| drop(y.hear(*packet)));
     for expected in [[1, 2], [3, 4]] {
         let message = y.ask(get(0)).delivery().expect("a message");
-        // Between Y and Z there is no way to reserve: X's is the more urgent one.
+        // Y and Z share a node, so no way back is reserved: the message of X is the more urgent one.
         assert_eq!(bytes(&y, message.fragments), expected);
     }
 }
@@ -263,7 +263,7 @@ fn a_fragment_beyond_the_declared_ones_breaks_nothing() {
     let packets = staged(&mut x, TRACE, &[1, 2]).packets;
     let mut y = Solo::new(&table, Y);
     y.hear(packets[0]);
-    // A last fragment said to be another one than the last.
+    // A last fragment with a wrong position.
     let beyond = Packet { fragment: 9, more: false, ..packets[1] };
     assert!(!y.hear(beyond).discards().is_empty());
     y.hear(packets[1]);

@@ -1,4 +1,4 @@
-//! What the fuzz targets of `fuzz/` run, on random bytes and on the inputs that they found worth keeping.
+//! Runs the fuzz targets of `fuzz/` on random bytes and on their kept inputs.
 
 #[path = "../../fuzz/seeds.rs"]
 mod seeds;

@@ -1,5 +1,5 @@
-//! The laws of the machine (D51), on random cells under random inputs: what may be done to a state without changing
-//! what it does from then on.
+//! The laws of the machine, on random cells with random inputs: changes of a state that must not change its behaviour
+//! (D51).
 
 use crate::support::Effects;
 use crate::support::NextExpiry;
@@ -14,8 +14,8 @@ use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 use std::collections::BTreeSet;
 
-/// Runs the operations in two worlds. Before each one, `change` may do something to the second world that must not
-/// matter; `same` makes the second world's effects comparable.
+/// Runs the operations in two worlds. Before each one, `change` may change the second world in a way that must not matter.
+/// `same` makes the effects of both worlds comparable.
 fn compare(
     plain: &mut World,
     other: &mut World,
@@ -68,7 +68,7 @@ proptest! {
         }
     }
 
-    /// Nor do any bytes behind a right checksum: what decodes is taken, in every state.
+    /// No bytes with a valid checksum panic: every state accepts any packet that decodes.
     #[test]
     fn any_bytes_behind_a_right_checksum_are_harmless(
         plan in plans(),
@@ -98,7 +98,7 @@ proptest! {
         }
     }
 
-    /// To let `a + b` pass is to let `a` pass and then `b` where `a` ends before the next expiry: nothing happens in between.
+    /// Letting `a + b` pass equals letting `a` and then `b` pass, if `a` ends before the next expiry.
     #[test]
     fn time_may_be_given_in_pieces(plan in plans(), ops in ops(), cut: u64) {
         let mut plain = World::new(&plan.build(), true);
@@ -161,7 +161,7 @@ proptest! {
         compare(&mut plain, &mut other, &ops, rebase, exactly)?;
     }
 
-    /// Nor does it matter how large the counter has grown.
+    /// It does not matter how large the counter of the clock has grown.
     #[test]
     fn a_counter_near_its_end_behaves_as_one_at_zero(plan in plans(), ops in ops(), back in 20_000..40_000_u64) {
         let mut plain = World::new(&plan.build(), true);
@@ -174,7 +174,7 @@ proptest! {
         }
         let late = u64::MAX - back;
         for task in 0..plain.tasks.len() {
-            // What is due already, a wait of no length, is due wherever the counter stands.
+            // A wait of zero length is due whatever the counter is, so it ends first.
             prop_assert_eq!(other.pass(task, 0), plain.pass(task, 0));
         }
         for (task, table) in other.tasks.iter_mut().zip(&other.tables) {
@@ -182,7 +182,7 @@ proptest! {
             task.rebase(table);
             task.walk(table, &mut Later(late));
             let mut out = Effects::default();
-            // Under the reading without residence, time that passes is given back to what waits.
+            // Under the variant without residence, waiting messages regain the time that passes.
             if table.rules().charge_residence {
                 task.handle(table, Instant(late), &Input::Time, &mut out);
             } else {
@@ -213,7 +213,7 @@ proptest! {
         compare(&mut plain, &mut other, &ops[at..], |_, _| (), |world, effects| world.shift.back().effects(effects))?;
     }
 
-    /// Nor does adding a constant to all epochs of a couple, across their wrap.
+    /// Adding an even constant to all epochs of a couple changes nothing else, across their wrap.
     #[test]
     fn epochs_may_start_anywhere(
         plan in plans().prop_map(Plan::coupled),
@@ -222,7 +222,7 @@ proptest! {
         base in 0..EPOCHS.len(),
     ) {
         let table = plan.build();
-        // A command under a lease keeps its epoch among its contents while it may be sent again: no shift reaches it there.
+        // A guarded command keeps its epoch in its contents for retransmission, where the shift does not reach it.
         prop_assume!(!table.ports().iter().any(|p| p.decl.guard.is_some() && p.decl.class == Class::Command));
         let mut plain = World::new(&table, true);
         let at = at.min(ops.len());
@@ -242,14 +242,14 @@ proptest! {
         compare(&mut plain, &mut other, &ops, bury, exactly)?;
     }
 
-    /// What a task ignores it ignores from then on: it tells its task nothing, its state stays, and nothing follows from
-    /// a CONFIRM that it answers with.
+    /// A packet that a task ignores stays ignored: it causes no signal and no change of state, and a CONFIRM that answers it
+    /// has no effect either.
     #[test]
     fn what_is_ignored_stays_ignored(plan in plans(), ops in ops()) {
         let mut world = World::new(&plan.build(), false);
         let mut ignored: Vec<Packet> = Vec::new();
         for op in ops {
-            // Nobody forges packets, no node restarts: the premise of the reduction.
+            // The reduction assumes that no packet is forged and no node restarts.
             if op.0 % 16 == 14 || (op.0 % 16 == 15 && op.2 % 4 == 2) {
                 continue;
             }
@@ -284,7 +284,7 @@ proptest! {
     }
 }
 
-/// The random runs are no proof of anything that they never reach.
+/// Random runs prove nothing about events that they never reach.
 #[test]
 fn random_runs_reach_every_event_and_outcome() {
     let mut runner = TestRunner::deterministic();

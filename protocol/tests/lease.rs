@@ -19,7 +19,7 @@ const LEASE: u64 = 14;
 const TAKEOVER: u64 = 32;
 const EVERY: u64 = 4;
 
-/// Two robots and the arm they command, every two a tick apart.
+/// Two robots and the arm that they command, on three nodes with links of one tick.
 fn cell(mutual: bool) -> Cell {
     let mut cell = Cell::new("couple", Ticks(1));
     let nodes = ["p", "s", "a"].map(|name| cell.node(name));
@@ -49,7 +49,7 @@ fn acting(net: &Net) -> [bool; 2] {
     })
 }
 
-/// Runs tick by tick and says when each began or stopped to act; never both at a time.
+/// Runs tick by tick and returns when each robot began or stopped acting. Both must never act at the same time.
 fn changes(net: &mut Net, ticks: u64) -> Vec<(u64, [bool; 2])> {
     let mut seen = vec![(net.now, acting(net))];
     for _ in 0..ticks {
@@ -63,7 +63,7 @@ fn changes(net: &mut Net, ticks: u64) -> Vec<(u64, [bool; 2])> {
     seen
 }
 
-/// A net in which the primary was given the lease.
+/// A net in which the primary holds the lease.
 fn leased(mutual: bool) -> Net {
     let mut net = Net::new(cell(mutual));
     net.ask(P, Request::Lease);
@@ -86,7 +86,7 @@ fn the_primary_acts_once_a_beat_has_echoed_its_answer_and_the_lease_is_renewed()
     let mut net = Net::new(cell(false));
     net.ask(P, Request::Lease);
     assert_eq!(changes(&mut net, 100), [(0, [false, false]), (5, [true, false])]);
-    // A beat at 1, its answer at 3, the beat that echoes it at 4.
+    // A heartbeat at 1, its answer at 3, and the heartbeat that echoes the answer at 4.
     assert_eq!(net.heard(P), ["granted 3"]);
     assert_eq!(net.heard(S), [""; 0]);
 }
@@ -102,7 +102,7 @@ fn with_the_link_cut_the_primary_is_fenced_and_the_standby_takes_over_later() {
     assert!(taken >= fenced + (TAKEOVER - LEASE), "fenced at {fenced}, taken over at {taken}");
     assert_eq!(net.heard(P), ["interrupt Fenced"]);
     assert_eq!(net.heard(S), ["interrupt TakeOver(4)"]);
-    // One way: the old primary does not come back in this life.
+    // Roles are not exchanged here: the old primary does not act again in this incarnation.
     heal(&mut net);
     assert_eq!(changes(&mut net, 100).len(), 1);
     net.ask(P, send(MOVE, ARM, 1));
@@ -186,10 +186,10 @@ fn with_exchanged_roles_one_that_was_away_takes_over_from_nobody_it_never_heard(
     cut(&mut net);
     changes(&mut net, 60);
     assert_eq!(acting(&net), [false, true]);
-    // The standby acts alone; its partner's new life cannot know whether it does.
+    // The standby acts alone. Its partner's new incarnation cannot know whether it does.
     net.restart(NP, 1);
     assert_eq!(changes(&mut net, 200).len(), 1);
-    // The same holds of a standby that never heard its primary.
+    // The same holds for a standby that never heard from its primary.
     let mut alone = Net::new(cell(true));
     cut(&mut alone);
     assert_eq!(changes(&mut alone, 200).len(), 1);
@@ -211,7 +211,7 @@ fn table(mutual: bool) -> Arc<CellTable> {
     Arc::new(CellTable::new(cell(mutual)).expect("a checked cell"))
 }
 
-/// A status of P or S to the arm, given in this epoch.
+/// A status message of P or S to the arm, sent in this epoch.
 fn order(from: TaskId, sequence: u32, epoch: u8, what: u8) -> Packet {
     let mut packet = Solo::new(&table(false), ARM).nothing();
     packet.source = from;
@@ -254,11 +254,11 @@ fn an_actuator_drops_what_an_older_epoch_ordered_and_what_still_waits_of_it() {
     assert_eq!(arm.hear(order(P, 1, 1, 11)).discards(), [Reason::StaleEpoch]);
     assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["message [20] from T1 for 8"]);
     assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["nothing"]);
-    // Nothing of the first epoch can be on its way any more: a cell that began anew is believed.
+    // No message of the first epoch can be in flight any more, so the arm accepts a couple that began anew.
     arm.pass(8 + 1);
     assert_eq!(arm.hear(order(P, 2, 1, 12)).discards(), []);
     assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["message [12] from T0 for 8"]);
-    // A message without an epoch is none of a task that acts.
+    // A message without an epoch cannot come from a task that acts.
     let bare = Packet { contents: Contents::EMPTY, ..order(P, 3, 1, 0) };
     assert_eq!(arm.hear(bare).discards(), [Reason::NotAllowed]);
 }
@@ -278,7 +278,7 @@ fn an_actuator_compares_epochs_across_their_wrap() {
     assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["nothing"]);
 }
 
-/// An older epoch is refused on every port of the couple, and with a newer one goes what waits on any of them.
+/// Every port of the couple drops messages of an older epoch. A newer epoch also drops those that wait on any of the ports.
 #[test]
 fn a_guard_is_of_the_couple_whichever_port_an_order_comes_through() {
     let mut cell = cell(false);
@@ -301,13 +301,13 @@ fn a_guard_is_of_the_couple_whichever_port_an_order_comes_through() {
     assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["message [20] from T1 for 8"]);
 }
 
-/// What the answers of a side say: what it does, its epoch.
+/// The first two bytes of each answer to a heartbeat: the state of the primary, and its epoch.
 fn said(seen: &support::Effects) -> Vec<[u8; 2]> {
     let answers = seen.packets.iter().filter(|packet| packet.kind == Kind::Response);
     answers.filter_map(|packet| packet.contents.as_bytes().first_chunk().copied()).collect()
 }
 
-/// A beat of the standby that echoes the one so far back, of this life of the primary.
+/// A heartbeat of the standby. It echoes the answer to the heartbeat `back` before, of the primary's incarnation `whose`.
 fn beat(sequence: u32, back: u8, epoch: u8, whose: u8) -> Packet {
     let contents = Contents::new(&[back, 0, epoch, whose]).expect("short");
     let id = MessageId { sequence: Seq24::new(sequence), ..MessageId::default() };
@@ -333,14 +333,14 @@ fn the_epoch_is_said_before_anybody_acts_in_it_and_a_proposal_is_kept_until_a_ne
     assert_eq!(said(&primary.hear(beat(1, 0, 0, 0))), [[0, 3]]);
     assert_eq!(said(&primary.hear(beat(2, 0, 3, 0))), [[0, 3]], "heard of, and not begun");
     assert!(!primary.task.is_active());
-    // The standby took over in epoch 4 meanwhile: an echo of an answer that said 3 is of no use any more.
+    // The standby took over in epoch 4 meanwhile, so the echo of an answer with epoch 3 has no effect.
     assert_eq!(said(&primary.hear(beat(3, 1, 4, 0))), [[0, 5]]);
     assert!(!primary.task.is_active());
     assert_eq!(said(&primary.hear(beat(4, 1, 5, 0))), [[1, 5]]);
     assert!(primary.task.is_active());
 }
 
-/// The same beat of a standby that has started again and heard of no epoch: it says where it would begin.
+/// The same heartbeat of a standby that has restarted and knows no epoch: it carries the epoch in which it would begin.
 fn guess(sequence: u32, epoch: u8) -> Packet {
     let contents = Contents::new(&[0, 0, epoch, 0, 1]).expect("short");
     let id = MessageId { incarnation: Incarnation(1), sequence: Seq24::new(sequence) };
@@ -349,7 +349,7 @@ fn guess(sequence: u32, epoch: u8) -> Packet {
 
 #[test]
 fn nobody_takes_the_guess_of_a_node_that_started_again_for_news() {
-    // From 130 on, 2 counts as newer.
+    // From 130 on, epoch 2 compares as newer.
     for reached in [100, 130, 132, 200] {
         let mut primary = Solo::new(&table(true), P);
         primary.hear(beat(1, 0, reached / 2, 0));
@@ -374,7 +374,7 @@ fn a_node_that_started_again_takes_the_epoch_of_one_that_knows_it() {
     }
 }
 
-/// The number is the same by chance: an earlier life of the primary may have acted in it.
+/// The epochs are equal by chance: an earlier incarnation of the primary may have acted in this one.
 #[test]
 fn what_was_proposed_from_a_guess_is_over_when_the_partner_knows_an_epoch() {
     let mut primary = Solo::life(&table(true), P, 1, true);
@@ -445,7 +445,7 @@ fn an_answer_that_is_of_no_use_any_more_counts_as_none_even_before_the_next_beat
         ..nothing
     };
     standby.hear(answer);
-    // A beat while it is of use, and none from then on.
+    // One heartbeat while the answer is still valid, and none from then on.
     standby.pass(TAKEOVER - 1);
     standby.pass(1);
     let mut other = standby.clone();
@@ -473,7 +473,7 @@ fn a_couple_that_cannot_keep_its_promise_is_no_couple() {
         errors(|c| c.couples[0].lease = Ticks(7)),
         [CellError::LeaseTooShort { couple: couple(), lease: Ticks(7), least: Ticks(2 * EVERY + 1 + 1) }]
     );
-    // Lease, the last order's life, a tick, and the drift rounded up.
+    // The lease, the TTL of the last order, a tick, and the drift rounded up.
     let least = Ticks(LEASE + 8 + 1 + 1);
     assert_eq!(
         errors(|c| c.couples[0].takeover = Ticks(21)),

@@ -39,7 +39,7 @@ fn table(mutual: bool) -> Arc<CellTable> {
     Arc::new(CellTable::new(cell(mutual)).expect("a checked cell"))
 }
 
-/// The primary and the standby alone, where every beat and every answer takes no time.
+/// The primary and the standby alone. Heartbeats and answers take no time.
 struct Couple {
     p: Solo,
     s: Solo,
@@ -51,7 +51,7 @@ impl Couple {
         Self { p: Solo::new(&table, P), s: Solo::new(&table, S) }
     }
 
-    /// The standby sends its next beat, the primary answers; what the primary was told of it.
+    /// The standby sends its next heartbeat, and the primary answers. Returns the heartbeat and the primary's signals.
     fn beat(&mut self) -> (Packet, Vec<String>) {
         let due = self.s.task.next_expiry().expect("a beat is to be sent");
         self.p.pass(due.0);
@@ -61,7 +61,7 @@ impl Couple {
         (beat, out.signals.iter().map(support::signal).collect())
     }
 
-    /// The lease is granted at the second beat, which echoes the answer to the first: it counts from then.
+    /// The lease is granted at the second heartbeat, which echoes the answer to the first one. It counts from that answer.
     fn granted(mutual: bool) -> (Self, Packet) {
         let mut couple = Self::new(mutual);
         couple.p.ask(Request::Lease);
@@ -77,7 +77,7 @@ fn an_echo_of_what_an_earlier_life_was_answered_renews_nothing() {
     let (mut couple, second) = Couple::granted(false);
     let left = LEASE - EVERY;
     couple.p.pass(2);
-    // The new life of the standby has that answer from nobody. Its numbers may well follow those of the earlier one.
+    // The new incarnation of the standby never received that answer. Its sequence numbers may follow the earlier ones.
     let id = MessageId { incarnation: Incarnation(1), sequence: second.id.sequence.next() };
     let echo = Contents::new(&[1, 0, 1, 0]).expect("short");
     let out = couple.p.hear(Packet { id, contents: echo, ..second });
@@ -103,7 +103,7 @@ fn a_beat_of_an_earlier_life_is_not_answered_once_the_new_one_is_heard_of() {
 fn a_standby_that_restarts_goes_on_renewing_the_lease() {
     let mut net = Net::new(cell(false));
     net.ask(P, Request::Lease);
-    // So long that the new life's numbers do not come near those of the earlier one.
+    // Run so long that the sequence numbers of the new incarnation stay far from the earlier ones.
     net.run(400);
     assert_eq!(net.heard(P), ["granted 3"]);
     net.restart(NS, 1);
@@ -139,7 +139,7 @@ fn a_wait_for_the_lease_may_be_interrupted_and_ends_when_the_handler_returns() {
     s.pass(TAKEOVER);
     assert!(s.task.is_active());
     assert_eq!(s.ask(Request::Return).words(), ["granted 4"]);
-    // It has been told: no take-over interrupts it as well.
+    // The grant has told the task: no take-over interrupts it as well.
     assert_eq!(s.ask(Request::Boundary).words(), ["accepted 0"]);
 }
 
@@ -193,7 +193,7 @@ fn word_of_a_restart_alone_ends_no_lease() {
 
 #[test]
 fn a_lease_covers_the_beats_that_are_on_their_way() {
-    // A beat's answer is back after 10 ticks, in which two more beats were sent: every 4, and 5 for the last way.
+    // An answer is back after 10 ticks, in which two more heartbeats were sent, one every 4. The last link delay takes 5.
     let with = |lease| {
         let mut cell = cell(false);
         cell.links[0].delay = Ticks(5);
@@ -260,7 +260,7 @@ fn an_actuator_that_is_packed_knows_the_newest_epoch_still() {
             assert_eq!(Decode::read(&bytes, true, |r| read.task.walk(&task.table, r)), bytes.len());
             task = read;
         }
-        // The guard is forgotten when nothing of an older epoch can come any more.
+        // The epoch is forgotten when no message of an older one can arrive any more.
         let stale = if wait == 0 { vec![Reason::StaleEpoch] } else { vec![] };
         assert_eq!(task.hear(order(P, 2)).discards(), stale, "packed: {packed}, after {wait}");
     }

@@ -31,7 +31,7 @@ fn cell() -> Cell {
     cell
 }
 
-/// A packet of X as it comes in over a link.
+/// A packet of X as it arrives over a link.
 fn packet() -> Packet {
     Packet {
         kind: Kind::Send,
@@ -122,7 +122,7 @@ fn a_full_transit_buffer_refuses_at_once_at_home_only() {
 fn what_comes_over_a_link_is_sorted_by_the_table_alone() {
     let table = Arc::new(CellTable::new(cell()).expect("a checked cell"));
     let at = |node| NodeTable::new(Arc::clone(&table), node);
-    // Each has the one before it in the row as the neighbour that packets come from.
+    // At each node packets come from the node before it in the chain.
     let sort = |node: NodeId, p, charge| route::arrived(&at(node), NodeId(node.0 - 1), p, Ticks(charge));
     let p = packet();
     let left = |remaining, hops| Packet { remaining: Ticks(remaining), hops, ..p };
@@ -188,7 +188,7 @@ fn a_dropped_packet_is_seen_with_its_reason() {
 fn all_parts_of_a_node_have_one_time() {
     let mut net = Net::new(cell());
     net.busy = vec![N1];
-    // The way to Z takes 5.
+    // The route to Z takes 5 ticks.
     net.ask(X, send_for(BEAT, Z, 1, 14));
     net.ask(X, Request::Delay { id: TimeId(1), length: Ticks(7) });
     net.ask(Y, get(8));

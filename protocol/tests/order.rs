@@ -1,4 +1,4 @@
-//! Interruption and `order` (R15 to R17, D15, D16): which handler runs, when, and what the interrupted thread is told.
+//! Interruption and `order` (R15 to R17, D15, D16): which handler runs, when, and what the interrupted activation is told.
 
 use crate::support::{NextExpiry, Solo, arrive, contents, get, get_on, handle, order, reply, send, send_for};
 use imrs_protocol::*;
@@ -53,7 +53,7 @@ impl Room {
         Self { y, x, z }
     }
 
-    /// A message of X to Y comes in.
+    /// A message of X arrives at Y.
     fn hear(&mut self, port: PortId, byte: u8) -> Vec<String> {
         self.x.ask(Request::Cancel);
         let packet = self.x.ask(send(port, Y, byte)).packets[0];
@@ -109,7 +109,7 @@ fn in_a_plain_receive_every_handler_runs_and_the_receive_goes_on() {
     let mut room = Room::new(&HALT_OVER_SELF);
     assert!(room.ask(get(20)).is_empty());
     assert_eq!(room.hear(BEAT, 1), ["interrupt [1] from T0 for 40"]);
-    // What comes while the handler runs waits for the receive.
+    // A message that arrives while the handler runs waits for the receive.
     assert!(room.hear(NEWS, 5).is_empty());
     assert_eq!(room.ask(Request::Return), ["message [5] from T0 for 40"]);
     assert!(room.ask(get(20)).is_empty());
@@ -150,10 +150,10 @@ fn handlers_nest_by_rank_and_a_rank_never_grows() {
     assert!(room.ask(Request::Delay { id: TimeId(2), length: Ticks(9) }).is_empty());
     assert!(room.hear_of_z(HALT, 4).is_empty());
     assert_eq!(room.y.input(Input::TimeOut { id: TimeId(2), turn: 1 }).words(), ["time_out 2"]);
-    // The outer handler's delay ended too: told when it resumes.
+    // The outer handler's delay ended, too. The handler is told when it resumes.
     assert!(room.y.input(Input::TimeOut { id: TimeId(1), turn: 0 }).words().is_empty());
     assert_eq!(room.ask(Request::Return), ["time_out 1"]);
-    // The thread's own action: both outrank it, and both were rejected as often as may be, the other one first.
+    // Back in the thread's own action. Both messages are capped and outrank it; message 2 was rejected first.
     room.y.pass(4);
     assert_eq!(room.ask(Request::Return), ["interrupt [2] from T2 for 36"]);
     assert_eq!(room.ask(Request::Return), ["interrupt [4] from T2 for 36"]);
@@ -179,7 +179,7 @@ fn waits_below_a_handler_end_and_are_told_once_when_it_returns() {
     assert!(room.y.hear(answer).signals.is_empty());
     assert_eq!(room.y.hear(answer).discards(), [Reason::Unexpected]);
     room.y.pass(10);
-    // Its port is free again: the answer is there.
+    // The port is free again, because the answer has come.
     assert_eq!(room.y.ask(send_for(MOVE, X, 2, 9)).packets.len(), 1);
     assert_eq!(room.y.pass(9).words(), ["TimedOutUnknown"]);
     assert_eq!(room.ask(Request::Return), ["reply [7]"]);
@@ -195,7 +195,7 @@ fn a_waitfor_below_a_handler_is_released_and_told_when_it_returns() {
     assert_eq!(room.ask(arrive(LIFT)), ["fault Busy"]);
     assert_eq!(room.y.hear(arrival).words(), ["CONFIRM T1>T0 r1 for 30"]);
     assert_eq!(room.ask(Request::Return), ["released r1 complete"]);
-    // And one that nobody comes to.
+    // A waitfor that no other member reaches.
     room.ask(arrive(LIFT));
     room.hear(HALT, 2);
     assert_eq!(room.y.pass(30).words(), ["ABORT T1>T0 r2 next r3 for 30"]);
@@ -232,7 +232,7 @@ fn a_timer_may_have_a_rank_of_its_own() {
     assert!(room.y.input(over(1, 0)).is_nothing());
     assert_eq!(room.y.input(over(2, 1)).words(), ["interrupt Timer(TimeId(2))"]);
     assert!(room.ask(Request::Return).is_empty());
-    // Of several that are over the first in rank goes first, whatever its name.
+    // Of several ended timers the first in rank goes first, whatever its name.
     let named = [Ranked::Timer(TimeId(2)), Ranked::Timers, Ranked::Own];
     room.ask(Request::Done);
     room.ask(order(&named));
@@ -256,7 +256,7 @@ fn timers_interrupt_by_their_rank_and_wait_without_growing() {
     assert_eq!(room.y.input(over(1, 1)).words(), ["interrupt Timer(TimeId(1))"]);
     room.ask(Request::Return);
     room.ask(Request::Done);
-    // `self` above the timers: their ends wait for a plain receive, the one of the least name first.
+    // `self` above the timers: their ends wait for a plain receive, the lowest timer id first.
     room.ask(order(&[Ranked::Own, Ranked::Timers]));
     room.ask(start(2, 5));
     room.ask(start(1, 5));
@@ -273,7 +273,7 @@ fn timers_interrupt_by_their_rank_and_wait_without_growing() {
     assert_eq!(room.ask(Request::Return), ["interrupt Timer(TimeId(2))"]);
     assert!(room.ask(Request::Return).is_empty());
     room.ask(Request::Cancel);
-    // Names, and how many.
+    // How many timers may run, and what their names exclude.
     for id in 0..8 {
         assert_eq!(room.ask(start(id, 5)), ["accepted 0"]);
     }

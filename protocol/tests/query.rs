@@ -1,4 +1,4 @@
-//! Query and response (§4.2), replies of third parties (D11), and the memory of a source on each port (D75).
+//! Query and response (§4.2), replies of third parties (D11), and the dedup entry of each source on each port (D75).
 
 use crate::support::net::Net;
 use crate::support::{Solo, contents, get, get_on, handle, reply, send, send_for};
@@ -125,7 +125,7 @@ fn another_task_may_answer_in_place_of_the_one_that_was_asked() {
     net.run(2);
     assert_eq!(net.heard(X), ["reply [8]"]);
     assert_eq!(net.heard(Z), ["accepted 1"]);
-    // It ended the request: another answer to it is late.
+    // The answer ended the request: another answer is late.
     net.ask(Z, Request::Reply { to, contents: contents(9) });
     net.run(2);
     assert_eq!(net.heard(X), Vec::<String>::new());
@@ -161,7 +161,7 @@ fn a_query_that_finds_no_place_is_refused() {
     let mut y = Solo::new(&table, Y);
     y.hear(query(Z, 9));
     assert_eq!(y.hear(query(X, 20)).words(), ["REFUSED T1>T0 #0 for 20"]);
-    // A more urgent one takes the place, and the other's source hears of it.
+    // A more urgent query takes the place, and the source of the other one is told.
     assert_eq!(
         y.hear(Packet { id: MessageId { sequence: Seq24::new(1), ..MessageId::default() }, ..query(X, 8) })
             .words(),
@@ -185,7 +185,7 @@ fn what_can_be_answered_is_told_before_the_answer() {
     );
     y.ask(reply(&delivery, 2));
     assert!(!y.task.can_answer(&to), "it is answered");
-    // Who answers for another never knows; who only sends or hears has nothing to answer.
+    // A task that answers for another one cannot tell. A task that only sends or receives has nothing to answer.
     assert!(Solo::new(&table, Z).task.can_answer(&ReplyTo { port: FOR, ..to }));
     assert!(!x.task.can_answer(&to) && !x.task.can_answer(&ReplyTo { port: FOR, ..to }));
 }

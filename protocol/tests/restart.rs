@@ -1,4 +1,4 @@
-//! A node that restarts (D6, D49): what it cannot know, it does not pretend to.
+//! Restarts of a node (D6, D49): it does not pretend to know what it lost.
 
 use crate::support::net::Net;
 use crate::support::{Solo, arrive, get, reply, send};
@@ -29,7 +29,7 @@ fn table() -> Arc<CellTable> {
     Arc::new(CellTable::new(cell()).expect("a checked cell"))
 }
 
-/// The longest that anything sent to an earlier life of Y can live: X's wait at the waitfor, and the way.
+/// How long packets for an earlier incarnation of Y may still arrive: X's patience at the waitfor, and the link delay.
 const QUARANTINE: u64 = 40 + 2;
 
 #[test]
@@ -81,7 +81,7 @@ fn an_answered_command_is_remembered_until_no_copy_can_come() {
     y.hear(command);
     let message = y.ask(get(0)).delivery().expect("the message");
     y.ask(reply(&message, 9));
-    // Its time_out and the way.
+    // Its time_out and the link delay.
     y.pass(20 + 2 - 1);
     assert_eq!(y.ask(reply(&message, 9)).words(), ["fault NothingToAnswer"]);
     y.pass(1);
@@ -96,7 +96,7 @@ fn what_a_restart_left_behind_is_stale() {
     let mut y = Solo::new(&table, Y);
     y.hear(old);
     assert_eq!(y.queue(MOVE), [(X, 18)]);
-    // The new life's command takes the place of the one that nobody waits for any more.
+    // The command of the new incarnation replaces the one that nobody waits for any more.
     assert_eq!(y.hear(new).words(), Vec::<String>::new());
     assert_eq!(y.hear(old).discards(), [Reason::StaleIncarnation]);
     assert_eq!(y.ask(get(0)).words(), ["message [2] from T0 for 18"]);
@@ -209,7 +209,7 @@ fn a_copy_runs_once_however_much_an_earlier_one_was_charged() {
     let command = x.ask(send(MOVE, Y, 7)).packets[0];
     let mut y = Solo::new(&table, Y);
     y.ask(get(90));
-    // A link may charge more than the way took: this copy seems to have five ticks left where it really had more.
+    // A link may charge more than its real delay: this copy seems to have five ticks left, but really has more.
     let first = y.hear(Packet { remaining: Ticks(5), ..command });
     assert_eq!(first.words(), ["message [7] from T0 for 3"]);
     y.ask(reply(&first.delivery().expect("the command"), 1));
@@ -263,8 +263,8 @@ fn what_comes_from_the_own_node_is_of_its_present_life() {
     assert_eq!(y.hear(Packet { destination: Y, ..theirs }).discards(), [Reason::StaleIncarnation]);
 }
 
-/// Why a script is held back for the commands that it sent, too: nothing else keeps one of its earlier life from being carried
-/// out after what the new life did elsewhere.
+/// Why a script is also held back for the commands that its earlier incarnation sent: otherwise such a command may be
+/// carried out after a command of the new incarnation.
 #[test]
 fn a_task_is_held_back_until_nobody_can_carry_out_a_command_of_its_earlier_life() {
     let mut cell = Cell::new("two arms", Ticks(1));
@@ -281,7 +281,7 @@ fn a_task_is_held_back_until_nobody_can_carry_out_a_command_of_its_earlier_life(
     z.ask(get(90));
     let new = Solo::life(&table, x, 1, true).ask(send(right, TaskId(2), 2)).packets[0];
     assert_eq!(z.hear(new).words(), ["message [2] from T0 for 7"]);
-    // It waited for its way out of a relay for nearly all of its time.
+    // It waited in a relay for nearly all of its time.
     let late = Packet { remaining: Ticks(3), ..late };
     assert_eq!(y.hear(late).words(), ["message [1] from T0 for 1"], "that is not to be");
     assert_eq!(table.held_back(x), Ticks(20 + 2));

@@ -34,7 +34,7 @@ fn arm(port: PortId) -> Program {
     b.finish().expect("a checked program")
 }
 
-/// What the outside is asked for, in fixed room.
+/// The actions that run, in an array of fixed size.
 #[derive(Default)]
 struct Room {
     actions: [Option<(TaskId, u8)>; 4],

@@ -15,7 +15,7 @@ const B: NodeId = NodeId(1);
 const HALT: PortId = PortId(0);
 /// Commands from X or Z to Y, whose buffer holds one.
 const MOVE: PortId = PortId(1);
-/// Commands from X to Y or Z, sent again twice, 5 ticks apart.
+/// Commands from X to Y or Z, retransmitted twice, 5 ticks apart.
 const GRIP: PortId = PortId(2);
 
 /// X on node A; Y and Z on node B, two ticks away.
@@ -73,7 +73,7 @@ fn a_command_is_answered_with_the_way_back_reserved() {
     net.ask(X, send(MOVE, Y, 3));
     net.run(5);
     let message = net.message(Y);
-    // 20 ticks of life, 2 for the way there, 2 reserved for the way back (D18).
+    // A TTL of 20 ticks, less 2 for the way there and 2 reserved for the way back (D18).
     assert_eq!((message.budget, message.class), (Ticks(16), Class::Command));
     net.ask(Y, reply(&message, 4));
     net.run(2);
@@ -113,7 +113,7 @@ fn a_reply_after_the_budget_is_late_and_sends_nothing() {
     for _ in 0..2 {
         net.ask(Y, reply(&message, 4));
         assert_eq!(net.transcript(), [format!("{} T1: fault Late", net.now)]);
-        // Long after, when the memory of the message is gone too, the answer is the same.
+        // Long after, when the dedup entry of the message is gone too, the answer is the same.
         net.run(50);
         net.transcript();
     }
@@ -230,7 +230,7 @@ fn a_command_is_remembered_until_no_copy_can_be_on_the_way() {
     y.ask(get(9));
     let message = y.hear(Packet { remaining: Ticks(18), ..command }).delivery().expect("the message");
     y.ask(reply(&message, 9));
-    // The sender's wait has ended, but the link's bound has not: a copy whose way was charged too little.
+    // The sender no longer waits, but a copy that was charged too little may arrive within the link's bound.
     y.pass(19);
     let copy = Packet { remaining: Ticks(3), ..command };
     assert_eq!(y.hear(copy).words(), ["REPLY T1>T0 #0 [9] for 3"]);
@@ -372,7 +372,7 @@ fn a_user_re_sends_as_often_as_it_says_itself() {
 
 #[test]
 fn a_status_overtaken_by_more_than_the_window_counts_as_seen() {
-    // Every task of a one-to-many send takes a number of its source (D75).
+    // A one-to-many send uses a sequence number of its source for each destination (D75).
     let overtaken = |users: usize| {
         let mut cell = Cell::new("many", Ticks(1));
         let node = cell.node("n");

@@ -1,5 +1,5 @@
-//! A node looked at between its steps (D39): what it has yet to carry out within itself is part of its state, and packs
-//! as the rest does (D51).
+//! A node that is inspected between its steps (D39): its pending effects are part of its state, and are packed like the
+//! rest (D51).
 
 use crate::support::{
     NextExpiry, arrive, get, get_on, packet as packet_in_words, reply, send, send_for,
@@ -59,7 +59,7 @@ impl NodeOutbox for Outside {
     }
 }
 
-/// Without the numbers that are only relative in packed states.
+/// Removes the numbers that packed states hold only relative to others.
 fn unnumbered(words: &str) -> String {
     let round =
         |word: &str| word.strip_prefix('r').is_some_and(|n| n.starts_with(|c: char| c.is_ascii_digit()));
@@ -67,7 +67,7 @@ fn unnumbered(words: &str) -> String {
     words.split(' ').filter(number).collect::<Vec<_>>().join(" ")
 }
 
-/// The least round of the waitfor that a node shows, and its tasks' next numbers.
+/// The least round of the waitfor in the state of a node.
 #[derive(Default)]
 struct Bases {
     round: Option<Round>,
@@ -81,7 +81,7 @@ impl Walk for Bases {
     }
 }
 
-/// The node, one step of it at a time.
+/// A node that takes one step at a time.
 #[derive(Clone)]
 struct Steps(Node);
 
@@ -91,7 +91,7 @@ impl Steps {
         Self(Node::new(table, Incarnation(0), false, transit))
     }
 
-    /// What packed numbers are relative to. Z's numbers are those that the test gave them.
+    /// The reference points of packed numbers. The numbers of Z are chosen by the test.
     fn bases(&mut self) -> (Vec<Round>, Vec<Seq24>) {
         let mut bases = Bases::default();
         let mut sequences: Vec<Seq24> = Vec::new();
@@ -115,7 +115,7 @@ impl Steps {
         [all, transit, timer, work].map(|bytes| bytes.expect("it fits"))
     }
 
-    /// The node packed and read back: into what it was before its last step, so that nothing stays by chance.
+    /// Packs the node and reads it back into its state before the last step, so that no field is right by chance.
     fn read_back(&self, mut into: Self) -> Self {
         let mut buried = self.clone();
         buried.0.parts_mut().tasks.iter_mut().for_each(CommTask::bury);
@@ -168,7 +168,7 @@ impl Steps {
         (out, steps)
     }
 
-    /// A task takes the first input that waits; false where none does.
+    /// Hands the first queued input to its task; false if there is none.
     fn next(&mut self, out: &mut Outside) -> bool {
         let waits = self.0.is_busy();
         self.0.take(0, out);
@@ -248,14 +248,14 @@ fn delays_are_with_the_timer_at_once_and_its_word_may_be_looked_at_on_its_way() 
     let (out, steps) = node.take(NodeInput::Request(X, Request::Cancel), true);
     assert_eq!((out.words, steps), (vec!["T0: cancelled".into()], 0), "nor the disarming");
     assert_eq!(node.0.next_expiry(), None);
-    // What is not filed yet is told, not left out.
+    // An effect that is not filed yet is an error, and is not silently left out.
     node.0.begin(Instant::START, NodeInput::Request(X, delay(300)), &mut Outside::default());
     let (rounds, sequences) = node.bases();
     let frame = Frame { rounds: &rounds, sequences: &sequences, lives: true };
     assert_eq!(Encode::bytes(&frame, |w| node.0.walk_work(w)), Err(Overflow));
 }
 
-/// The Timer's word waits while its task takes the delay back, or begins it anew: then it says nothing any more.
+/// A time-out is queued while its task stops the timer, or starts it again: `file` drops the time-out.
 #[test]
 fn word_of_an_earlier_start_is_thrown_away() {
     let start = Request::Start { id: TimeId(1), length: Ticks(5) };
@@ -281,7 +281,7 @@ fn word_of_a_restart_may_be_looked_at_between_two_tasks() {
     assert_eq!((out.words, steps), (vec!["T0: PeerRestarted".into(), "T1: PeerRestarted".into()], 2));
 }
 
-/// What time makes two tasks do may be taken in either order, and looked at in between (D170).
+/// If two tasks have something due at the same time, either may be first, and the state in between is visible (D170).
 #[test]
 fn what_tasks_do_at_one_time_may_be_taken_in_either_order() {
     let mut node = Steps::new(4);
@@ -314,7 +314,7 @@ fn what_tasks_do_at_one_time_may_be_taken_in_either_order() {
     }
 }
 
-/// Of one task nothing that others bring is taken before the time that it has not noticed.
+/// A task handles passed time before it takes an input from others.
 #[test]
 fn a_task_takes_what_came_first_first() {
     let mut node = Steps::new(4);

@@ -71,7 +71,7 @@ fn a_delay_of_no_length_ends_with_the_next_look_at_the_clock() {
 
 #[test]
 fn a_delay_that_finds_the_timer_full_ends_at_once() {
-    // Eight entries for each task: only a task's own machine can have more, one at a time it never does.
+    // The Timer of a node has room for all entries of its tasks, so only a smaller one can be full.
     let mut timer = Timer::new(1);
     assert!(timer.arm(X, TimeId(0), 0, Ticks(9)));
     assert!(!timer.arm(Y, TimeId(0), 0, Ticks(1)));
@@ -90,7 +90,7 @@ fn an_unexpected_time_out_is_nothing() {
     assert_eq!(x.input(Input::TimeOut { id: TimeId(1), turn: 0 }).words(), ["time_out 1"]);
     assert!(x.input(Input::TimeOut { id: TimeId(1), turn: 0 }).is_nothing());
     x.ask(delay(1, 5));
-    // The word of the first delay was on its way when the second one began.
+    // This time-out belongs to the first delay and arrives after the second one began.
     assert!(x.input(Input::TimeOut { id: TimeId(1), turn: 0 }).is_nothing());
     assert_eq!(x.ask(Request::Cancel).timers, [(TimeId(1), None)]);
 }
@@ -166,7 +166,7 @@ fn start(id: u8, length: u64) -> Request {
     Request::Start { id: TimeId(id), length: Ticks(length) }
 }
 
-/// X works, and its timers interrupt it.
+/// A net in which the timers of X outrank its thread.
 fn working() -> Net {
     let mut net = Net::new(cell());
     net.ask(X, support::order(&[Ranked::Timers, Ranked::Own]));
@@ -193,7 +193,7 @@ fn a_stopped_timer_never_interrupts_and_leaves_nothing_behind() {
     net.ask(X, Request::Stop { id: TimeId(1) });
     let entries = net.nodes[0].parts().timer.entries();
     assert_eq!(entries, [(X, TimeId(2), Ticks(9))]);
-    // One that is over and whose handler has not begun is taken back, too.
+    // A timer that has ended, but whose handler has not begun, is taken back, too.
     net.run(9);
     net.ask(X, Request::Stop { id: TimeId(2) });
     net.ask(X, Request::Work);

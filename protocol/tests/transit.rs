@@ -10,7 +10,7 @@ use std::sync::Arc;
 const NEAR: NodeId = NodeId(1);
 const FAR: NodeId = NodeId(2);
 
-/// Node 0 joined with nodes 1 and 2, four ticks away each; tasks 0 and 1 on node 0, 2 on node 1, 3 on node 2.
+/// Node 0 linked to nodes 1 and 2, four ticks away each; tasks 0 and 1 on node 0, 2 on node 1, 3 on node 2.
 fn table(eviction: Eviction) -> NodeTable {
     let mut cell = Cell::new("star", Ticks(1));
     cell.rules.eviction = eviction;
@@ -101,7 +101,7 @@ impl Rig {
         out
     }
 
-    /// Everything that waits, in the order it leaves: number and what is left.
+    /// Takes out all waiting packets in the order in which they leave: number and remaining time.
     fn drain(&mut self) -> Vec<(u32, u64)> {
         let next = || self.transit.next(|_| true).map(|(_, p)| (p.id.sequence.get(), p.remaining.0));
         std::iter::from_fn(next).collect()
@@ -159,7 +159,7 @@ fn what_can_arrive_no_more_is_dropped_and_its_task_knows_that_it_never_left() {
     let mut rig = Rig::new(8);
     rig.offer(status(1, 10));
     rig.offer(command(2, 10));
-    // Four ticks of way.
+    // The link takes four ticks.
     assert_eq!(rig.advance(5), Out::default());
     let out = rig.advance(1);
     assert_eq!(out.drops, [(Reason::ExpiredInTransit, 2), (Reason::ExpiredInTransit, 1)]);
@@ -225,7 +225,7 @@ fn what_cannot_arrive_in_time_any_more_takes_neither_room_nor_the_link() {
 
 #[test]
 fn each_goes_as_long_as_its_own_way_lets_it() {
-    // The way on is five ticks where the way here is four.
+    // The second link takes five ticks, the first one four.
     let mut cell = Cell::new("line", Ticks(1));
     let [a, b, c] = ["a", "b", "c"].map(|name| cell.node(name));
     cell.link(a, b, Ticks(4));
@@ -272,8 +272,8 @@ fn steps() -> impl Strategy<Value = Vec<Step>> {
 }
 
 proptest! {
-    /// D60's invariant: no command that can still arrive is dropped for space while the buffer holds status. And the
-    /// clock may go back to zero at any moment.
+    /// No command that can still arrive is dropped for space while the buffer holds status (D60). And the clock may go back to
+    /// zero at any moment.
     #[test]
     fn no_command_goes_for_space_while_status_is_held(steps in steps(), capacity in 1..5_u16, mask: u64) {
         let (mut rig, mut rebased) = (Rig::new(capacity), Rig::new(capacity));
@@ -321,7 +321,7 @@ fn a_full_buffer_says_so_without_dropping_another_command() {
     let out = rig.offer(Packet { source: TaskId(3), ..command(2, 30) });
     let word = out.words.first().expect("the source hears of it");
     assert_eq!(word, "REFUSED ON THE WAY T2>T3 #2 for 30");
-    // The word itself, for a task of another node, comes back to the buffer and finds a place of its own.
+    // The refusal itself, for a task of another node, comes back to the buffer and finds room of its own.
     let said = Control::RefusedOnTheWay.to_contents();
     let word = Packet {
         kind: Kind::Control,
@@ -333,7 +333,7 @@ fn a_full_buffer_says_so_without_dropping_another_command() {
     for number in 0..4 {
         let id = MessageId { sequence: Seq24::new(number), ..word.id };
         let drops = rig.offer(Packet { id, ..word }).drops;
-        // There is one place for a word where there is one for a message.
+        // A buffer for one message has room for one refusal.
         let expected = if number == 0 { vec![] } else { vec![(Reason::Refused, number)] };
         assert_eq!(drops, expected);
     }
@@ -398,7 +398,7 @@ fn more_packets_than_the_packed_count_holds_are_an_overflow() {
 }
 
 proptest! {
-    /// The short way through does what the long one does, whatever waits and whichever links are ready.
+    /// `pass` does what `offer` and `next` do, whatever waits and whichever links are ready.
     #[test]
     fn to_pass_is_to_be_offered_and_to_leave(
         before in prop_oneof![Just(Vec::new()), steps()], life in 0..20_u64, asks: bool, far: bool, mask in 0..4_u64,

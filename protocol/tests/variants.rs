@@ -1,4 +1,4 @@
-//! The literal and naive readings of the paper's rules: each still does what it is there to show the fault of.
+//! Variants of the rules, the literal and naive readings of the paper: each still has the fault that it exists to show.
 
 use crate::support::net::Net;
 use crate::support::{NextExpiry, Solo, arrive, get, reply, send};
@@ -36,7 +36,7 @@ fn table(change: impl FnOnce(&mut Rules)) -> Arc<CellTable> {
     Arc::new(CellTable::new(cell(change)).expect("a checked cell"))
 }
 
-/// How much life is left to a message that waited ten ticks for a link, and ten in a receiver's buffer.
+/// The remaining time of a message that waited ten ticks for a link, and ten in a receiver's buffer.
 fn left_after_waiting(charged: bool) -> (Option<String>, Vec<String>) {
     let mut net = Net::new(cell(|rules| rules.charge_residence = charged));
     net.busy = vec![N1];
@@ -65,7 +65,7 @@ fn of_two_commands_that_live_alike_the_earlier_goes_first_whenever_the_state_is_
         let table = table(|rules| rules.charge_residence = false);
         let (mut x, mut z) = (Solo::new(&table, X), Solo::new(&table, Z));
         z.hear(x.ask(send(MOVE, Z, 1)).packets[0]);
-        // The first one is given up and forgotten, and still waits: that costs it nothing.
+        // X gives up the first command and Z drops its dedup entry. The command still waits and loses no time.
         x.pass(40);
         z.pass(40);
         let second = x.ask(send(MOVE, Z, 2)).packets[0];
@@ -74,7 +74,7 @@ fn of_two_commands_that_live_alike_the_earlier_goes_first_whenever_the_state_is_
         if packed {
             z.repack();
         }
-        // A copy of the second one was on its way for less time.
+        // A copy of the second command was charged less.
         z.hear(second);
         assert_eq!(z.queue(MOVE), [(X, 28), (X, 28)]);
         [(), ()].map(|()| z.ask(get(0)).words().remove(0))

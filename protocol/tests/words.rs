@@ -1,4 +1,4 @@
-//! What the protocol says of a fault, in words (R35): one sentence that names what is wrong, and what to do about it.
+//! The texts of faults (R35): each is one sentence that says what is wrong, and what to do about it.
 
 use imrs_protocol::*;
 
@@ -14,7 +14,7 @@ fn pair() -> Cell {
     cell
 }
 
-/// What is said of the pair after `change`.
+/// The texts of the faults of the pair after `change`.
 fn said(change: impl FnOnce(&mut Cell)) -> Vec<String> {
     let mut cell = pair();
     change(&mut cell);

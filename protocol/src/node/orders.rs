@@ -1,10 +1,10 @@
-//! What a node does at one time, in every order in which its threads may do it (D170).
+//! Explores the orders in which the threads of a node may handle what happens at one time (D170).
 //!
-//! Each communication task takes its inputs one after the other, and what follows from one is carried out by the thread that
-//! brought it. So of two tasks that have something to do at the same time either may be first, and what the first one sends to the
-//! second may come before or after what that one does. A checker lets time pass with [`let_pass`](Node::let_pass),
-//! takes the inputs of tasks that wait in any of the orders that [`open`](Node::open) says, by [`take`](Node::take), and files
-//! what came of each with [`file`](Node::file).
+//! Each communication task takes its inputs one after the other, and the thread that brought an input carries out its
+//! effects. If two tasks have an input at the same time, either may be first. What the first task sends to the second may
+//! arrive before or after the second task's own input. A checker lets time pass with [`let_pass`](Node::let_pass), takes
+//! one of the inputs that [`open`](Node::open) lists by [`take`](Node::take), and routes its effects with
+//! [`file`](Node::file).
 
 use super::work::Work;
 use super::{Node, NodeOutbox};
@@ -17,16 +17,16 @@ use alloc::collections::VecDeque;
 /// Who brings an input to a task.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Kind {
-    /// The time that the task has not noticed.
+    /// Time has passed that the task has not handled.
     Time,
-    /// The Timer's word.
+    /// A time-out of the Timer.
     Timer,
     /// Another task, or the node.
     Others,
 }
 
 impl Node {
-    /// Time passes as by [`NodeInput::Time`](super::NodeInput::Time), but what it makes tasks do waits.
+    /// Lets time pass as [`NodeInput::Time`](super::NodeInput::Time) does, but queues it for tasks that then have something due.
     pub fn let_pass(&mut self, now: Instant, out: &mut impl NodeOutbox) {
         let Some(elapsed) = self.begin_time(now, out) else { return };
         for at in 0..self.parts.tasks.len() {
@@ -41,17 +41,17 @@ impl Node {
         self.pass_in_timer(elapsed);
     }
 
-    /// Carries out all effects but the inputs of tasks, which stay in their order: what goes to links or to the Timer is in
-    /// nobody's way.
+    /// Carries out all pending effects except inputs of tasks, which stay queued in their order. Effects on links and on the
+    /// Timer need no interleaving.
     pub fn file(&mut self, out: &mut impl NodeOutbox) {
         let mut inputs = VecDeque::new();
         while let Some(work) = self.work.pop_front() {
             match work {
                 Work::Task(..) | Work::Pass(..) => inputs.push_back(work),
-                // For a task of this node it comes back as its input.
+                // A packet for a task of this node comes back as an input of that task.
                 Work::Route(_) => self.carry_out(work, out),
                 Work::Arm(task, id, ..) | Work::Disarm(task, id) => {
-                    // The Timer's word of an earlier start says nothing to the task any more: a packed state has no such word.
+                    // The task ignores a time-out of an earlier start, and a packed state cannot hold one.
                     inputs.retain(|input| !input.is_word_of(task, id));
                     self.carry_out(work, out);
                 }
@@ -60,13 +60,13 @@ impl Node {
         self.work = inputs;
     }
 
-    /// Sorts the inputs that wait by their tasks and kinds: only the order of those of one kind of one task matters.
+    /// Sorts the queued inputs by task and kind: order matters only among inputs of the same task and kind.
     pub fn sort_inputs(&mut self) {
         self.work.make_contiguous().sort_by_key(Work::stream);
     }
 
-    /// The positions of the inputs that may be taken next. A task first notices the time. Then the Timer's words come to it in
-    /// their order, and what others bring in theirs: of those two either may be first.
+    /// The positions of the inputs that may be taken next. A task handles passed time first. Then time-outs keep their order
+    /// and inputs from others keep theirs, but the two sequences may interleave.
     pub fn open(&self) -> impl Iterator<Item = usize> {
         let is_open = |&at: &usize| {
             let (task, kind) = self.work[at].stream();
@@ -77,13 +77,13 @@ impl Node {
         (0..self.work.len()).filter(is_open)
     }
 
-    /// How many inputs of tasks wait, once all else is [filed](Self::file).
+    /// How many inputs are queued, once everything else is [filed](Self::file).
     #[must_use]
     pub fn inputs(&self) -> usize {
         self.work.len()
     }
 
-    /// The task that takes the input at a position, and what that is.
+    /// The task and the input at a position.
     #[must_use]
     pub fn waiting(&self, at: usize) -> Option<(TaskId, Input)> {
         match *self.work.get(at)? {
@@ -93,7 +93,7 @@ impl Node {
         }
     }
 
-    /// How much time has passed that a task has not noticed.
+    /// How much passed time a task has not handled yet.
     #[must_use]
     pub fn late(&self, task: TaskId) -> Ticks {
         let of_task = self.work.iter().map(|work| match work {
@@ -103,7 +103,7 @@ impl Node {
         of_task.fold(Ticks::ZERO, |all, one| all + one)
     }
 
-    /// A task takes the input that waits at a position.
+    /// Hands the queued input at a position to its task.
     pub fn take(&mut self, at: usize, out: &mut impl NodeOutbox) {
         if let Some(work) = self.work.remove(at) {
             self.carry_out(work, out);
@@ -122,7 +122,7 @@ impl Work {
         }
     }
 
-    /// Whether it is the Timer's word of a task's delay or timer.
+    /// Whether it is the time-out of this delay or timer of the task.
     fn is_word_of(&self, task: TaskId, id: TimeId) -> bool {
         matches!(*self, Self::Task(of, Input::TimeOut { id: word, .. }) if (of, word) == (task, id))
     }

@@ -1,4 +1,4 @@
-//! The fields of effects within a node.
+//! Canonical packing of the queued inputs within a node.
 
 use super::Node;
 use super::work::Work;
@@ -9,7 +9,7 @@ use crate::state::{Walk, same_variant};
 use crate::task::Input;
 use crate::ticks::Ticks;
 
-/// The kinds of inputs that can wait in a state.
+/// The kinds of inputs that a packed state can hold.
 const WORKS: [Work; 5] = [
     Work::Pass(TaskId(0), Ticks::ZERO),
     Work::Task(TaskId(0), Input::Packet(Packet::BLANK)),
@@ -19,7 +19,7 @@ const WORKS: [Work; 5] = [
 ];
 
 impl Node {
-    /// Walks the inputs of tasks that wait, once all else is [filed](Self::file): other effects have no packed form.
+    /// Walks the queued inputs of tasks. Everything else must be [filed](Self::file): other effects have no packed form.
     pub fn walk_work<W: Walk>(&mut self, w: &mut W) {
         let count = w.count(self.work.len());
         if W::READS {
@@ -54,7 +54,7 @@ impl Work {
                 w.byte(&mut id.incarnation.0);
                 w.sequence(task, &mut id.sequence);
             }
-            // Word of an earlier start of a delay is thrown away where the later one is filed.
+            // The turn need not be packed: `file` drops time-outs of earlier starts.
             Self::Task(_, Input::TimeOut { id, turn: _ }) => w.byte(&mut id.0),
             Self::Task(_, Input::PeerRestarted(node)) => w.small(&mut node.0),
             Self::Task(_, Input::Time | Input::Request(_))

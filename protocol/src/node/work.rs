@@ -1,4 +1,4 @@
-//! Effects within a node that are not carried out yet.
+//! Pending effects within a node.
 
 use crate::ids::TaskId;
 use crate::packet::Packet;
@@ -10,7 +10,7 @@ use crate::ticks::Ticks;
 pub(super) enum Work {
     Route(Packet),
     Task(TaskId, Input),
-    /// So much time has passed that a task has not noticed.
+    /// Time has passed that the task has not handled.
     #[cfg(feature = "checker")]
     Pass(TaskId, Ticks),
     Arm(TaskId, TimeId, u8, Ticks),

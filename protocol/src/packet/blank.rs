@@ -1,11 +1,11 @@
-//! What packets say that nobody has filled in.
+//! The blank packet, from which others are built.
 
 use super::{Class, Contents, Kind, MAX_HOPS, Packet, Seal};
 use crate::ids::{MessageId, PortId, TaskId};
 use crate::ticks::Ticks;
 
 impl Packet {
-    /// A packet that says nothing.
+    /// A packet whose fields all have their default values.
     pub const BLANK: Self = Self {
         kind: Kind::Send,
         class: Class::Command,

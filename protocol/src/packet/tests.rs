@@ -1,4 +1,4 @@
-//! The layout, its checksum, and what of a packet a relay may change.
+//! Tests of the layout, of the checksum, and of the fields that a relay may change.
 
 use super::*;
 use proptest::prelude::*;
@@ -51,7 +51,7 @@ proptest! {
 
     #[test]
     fn any_bytes_behind_a_right_checksum_are_a_packet_or_an_error(mut bytes: [u8; 32], digest: u32, hash: u32) {
-        // Of random bytes most have another version, or filled padding.
+        // Most random bytes have another version or nonzero padding: force the version and a length of at least 12.
         bytes[0] = (bytes[0] & 0x3f) | (PACKET_VERSION << 6);
         bytes[1] |= 0xc0;
         let crc = checksum(&bytes, digest, hash);
@@ -149,8 +149,8 @@ fn lengths_and_padding_are_checked_behind_a_right_checksum() {
     assert_eq!(forge(|b| b[20] = 1), Err(PacketError::Malformed));
 }
 
-/// Every bit of what a relay holds of a packet, but for hops and remaining time, which it changes itself: flipped in its
-/// memory, it is found where the packet ends.
+/// Flips each bit that a relay holds of a packet, except hops and remaining time, which relays change themselves. The
+/// destination detects every flip.
 #[test]
 fn a_bit_that_falls_over_in_a_relay_is_found_at_the_destination() {
     let (mut flipped, mut found) = (0, 0);
@@ -183,7 +183,7 @@ fn a_bit_that_falls_over_in_a_relay_is_found_at_the_destination() {
             let bytes = packet.encode(1, 2);
             flipped += 1;
             found += u32::from(Packet::decode(&bytes, 1, |_| Some(2)) == Err(PacketError::Checksum));
-            // A checksum made anew would hide it.
+            // A recomputed checksum would hide the flip.
             let anew = Packet { seal: Seal::NONE, ..packet }.encode(1, 2);
             assert_ne!(Packet::decode(&anew, 1, |_| Some(2)), Err(PacketError::Checksum));
         }
@@ -208,9 +208,9 @@ fn control_contents_are_total() {
     assert_eq!(sample().control(), None);
 }
 
-/// The choice of polynomial (0xF4ACFB13) rests on this: no two to six flipped bits of the 256 that travel (224
-/// covered, 32 of the checksum) go unnoticed. A pattern of up to six bits is two disjoint patterns of up to three,
-/// so it is enough that no two of those have the same syndrome.
+/// The polynomial (0xF4ACFB13) was chosen for this: any one to six flipped bits of the 256 on the wire (224 covered, 32
+/// of the checksum) are detected. A pattern of up to six bits is the sum of two disjoint patterns of up to three, so it
+/// suffices that no two patterns of up to three bits share a syndrome.
 #[test]
 fn up_to_six_flipped_bits_are_always_noticed() {
     const PREFIX: usize = 8;

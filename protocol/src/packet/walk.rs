@@ -1,35 +1,35 @@
-//! The fields of a packet that a future depends on.
+//! Canonical packing of a packet: the fields that can affect future behaviour.
 
 use super::{Class, Kind, Meeting, Packet};
 use crate::ids::TaskId;
 use crate::state::{Pass, Walk, mark};
 
-/// The first byte: the kind, and these.
+/// The low bits of the first byte: the kind. The constants below are the flags above it.
 const KIND: u8 = 0x07;
 const STATUS: u8 = 0x08;
 const MORE: u8 = 0x10;
 const FRAGMENT: u8 = 0x20;
-/// An arrival brings something.
+/// Set if an ARRIVE has arguments.
 const BRINGS: u8 = 0x40;
 
-/// Both ends of a packet share a byte.
+/// The highest task number: source and destination share a byte.
 const MOST_TASKS: u16 = 15;
 
 impl Packet {
-    /// The task whose sequence the packet's id counts in: an answer carries the request's id (D47). On a port with
-    /// usage `reply` that is the destination, too (D11).
+    /// The task from whose sequence the packet's id comes. An answer carries the request's id, so that task is its
+    /// destination (D47), also on a port with usage `reply` (D11).
     #[must_use]
     pub fn id_source(&self) -> TaskId {
         self.kind.id_source(self.source, self.destination)
     }
 
-    /// Whether the packet speaks of a meeting, so that it has rounds and no id.
+    /// Whether the packet belongs to a rendezvous: then it carries rounds and no id.
     #[must_use]
     pub const fn is_of_meeting(&self) -> bool {
         self.kind.is_of_meeting()
     }
 
-    /// Walks it.
+    /// Walks the packet's fields.
     pub fn walk<W: Walk>(&mut self, w: &mut W) {
         if W::READS {
             *self = Self::BLANK;
@@ -41,7 +41,7 @@ impl Packet {
             // Only observers read these two.
             resent: _,
             urgent: _,
-            // Routes are shortest ways: where a packet is says how many relays it has passed.
+            // Routes are static: a packet's position determines how many relays it has passed.
             hops: _,
             fragment,
             destination,
@@ -50,7 +50,7 @@ impl Packet {
             id,
             remaining,
             contents,
-            // No part of what a packet says (D154).
+            // Comparisons ignore it (D154).
             seal: _,
         } = self;
         let mut meeting = Meeting::from_contents(contents);
@@ -195,7 +195,7 @@ mod tests {
             prop_assert_eq!(back, p);
         }
 
-        /// A shift of all ids of a source, and of all rounds of a port, is not seen.
+        /// Shifting all ids of a source and all rounds of a port does not change the bytes.
         #[test]
         fn equal_up_to_a_shift_are_equal_bytes(p in packet(), by: u16) {
             let mut moved = p;

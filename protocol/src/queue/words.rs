@@ -1,4 +1,4 @@
-//! An order of small numbers by an instant each.
+//! A 4-ary heap of slot numbers, ordered by one instant per slot.
 
 use super::{Slot, narrow};
 use crate::ticks::Instant;
@@ -6,44 +6,44 @@ use alloc::boxed::Box;
 use alloc::vec;
 use serde::{Deserialize, Serialize};
 
-/// How many low bits of a word are the number; the others are its instant.
+/// The number of low bits of a word that hold the slot number; the upper bits hold the instant.
 const NUMBER_BITS: u32 = 16;
-/// What stands where nothing stands, in each of four places: after every other word, and no two alike.
+/// Words of empty places, one per position in a group: greater than every other word, and pairwise different.
 const NOTHING: [u64; 4] = {
     let step = 1 << NUMBER_BITS;
     [u64::MAX - 3 * step, u64::MAX - 2 * step, u64::MAX - step, u64::MAX]
 };
 
-/// Where the first one stands: the last of the first group, so that the children of each are a group of their own.
+/// The place of the least word: the last of the first group, so that the four children of a place share one group.
 const ROOT: usize = 3;
 
-/// Four that stand side by side: half a line of the cache, and never a part of two.
+/// Four adjacent words: half a cache line, never split over two lines.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize)]
 #[repr(align(32))]
 struct Group([u64; 4]);
 
-/// Numbers in the order of an instant each and of what decides between equal ones, least first: a 4-ary heap, the children
-/// of the word at `i` in group `i - 2`.
+/// A 4-ary min-heap of slot numbers, ordered by an instant per number; a caller's key breaks ties. The children of
+/// the place `i` are group `i - 2`.
 ///
-/// An entry is one word: the instant above the number. Comparing two looks at nothing else unless the instants are equal.
-/// Instants past 2^48 - 5 ticks (8.9 years of microseconds) count as equal here.
+/// An entry is one word, the instant above the number, so a comparison needs the key only if the instants are equal.
+/// All instants from 2^48 - 5 ticks on (8.9 years of microseconds) count as equal.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Words {
     groups: Box<[Group]>,
-    /// How far behind the first place a number stands, if it does.
+    /// For each number its place, counted from `ROOT`. For a number outside the heap: what [`keep`](Self::keep) stored.
     places: Box<[u16]>,
     len: u16,
 }
 
-/// From here on all instants are one.
+/// All instants from here on count as equal.
 const LAST: u64 = (1 << (u64::BITS - NUMBER_BITS)) - 5;
 
-/// A number's word.
+/// Packs a number and its instant into a word.
 fn word(instant: Instant, slot: Slot) -> u64 {
     (instant.0.min(LAST) << NUMBER_BITS) | u64::from(slot)
 }
 
-/// The number of a word.
+/// The number in a word.
 #[expect(clippy::cast_possible_truncation, reason = "the low bits are the number")]
 const fn slot(word: u64) -> Slot {
     word as Slot
@@ -65,7 +65,7 @@ fn is_less<K: Ord>(a: u64, b: u64, key: &impl Fn(Slot) -> K) -> bool {
     if is_tie(a, b) { key(slot(a)) < key(slot(b)) } else { a < b }
 }
 
-/// Which of four words is the least.
+/// The position of the least of four words.
 #[inline]
 fn least<K: Ord>(Group(group): &Group, key: &impl Fn(Slot) -> K) -> usize {
     let [a, b, c, d] = *group;
@@ -75,7 +75,7 @@ fn least<K: Ord>(Group(group): &Group, key: &impl Fn(Slot) -> K) -> usize {
     if (a ^ b).min(c ^ d).min(low ^ high) >> NUMBER_BITS == 0 { least_of_equals(group, at, key) } else { at }
 }
 
-/// The same, where `at` is one of several of that instant.
+/// Breaks a tie by key: `at` is one of several least words with the same instant.
 #[cold]
 fn least_of_equals<K: Ord>(group: &[u64; 4], at: usize, key: &impl Fn(Slot) -> K) -> usize {
     let equal = (0..4).filter(|&i| is_tie(group[i], group[at]));
@@ -83,7 +83,7 @@ fn least_of_equals<K: Ord>(group: &[u64; 4], at: usize, key: &impl Fn(Slot) -> K
 }
 
 impl Words {
-    /// An order of numbers less than `capacity`. The only allocation it ever makes.
+    /// A heap for the numbers below `capacity`. Allocates here and nowhere else.
     pub fn new(capacity: u16) -> Self {
         let capacity = usize::from(capacity);
         let groups = if capacity == 0 { 0 } else { (ROOT + capacity).div_ceil(4) };
@@ -109,12 +109,12 @@ impl Words {
         }
     }
 
-    /// The number that stands first.
+    /// The number with the least instant.
     pub fn first(&self) -> Option<Slot> {
         self.word_at(ROOT).filter(|&word| !is_nothing(word)).map(slot)
     }
 
-    /// The instant of the number that stands first, or never; `exact` gives one that is too far ahead for a word.
+    /// The least instant, or never for an empty heap; `exact` looks up an instant too great for a word.
     #[inline]
     pub fn first_instant(&self, exact: impl FnOnce(Slot) -> Instant) -> Instant {
         match self.word_at(ROOT) {
@@ -133,8 +133,8 @@ impl Words {
         self.groups.iter().flat_map(|Group(group)| group).skip(ROOT).take(self.len()).copied()
     }
 
-    /// The numbers of the greatest part around the first one of which `is_in` holds, parents before children: where that
-    /// holds of all numbers before some instant, these.
+    /// Walks the heap from its root, parents before children, and skips the subtree below a number for which `is_in`
+    /// is false. If `is_in` means "before some instant", these are all such numbers.
     pub fn upper(&self, is_in: impl Fn(Slot) -> bool) -> impl Iterator<Item = Slot> {
         let mut at = Some(ROOT);
         let taken = |at: usize| at < ROOT + self.len();
@@ -155,7 +155,7 @@ impl Words {
         })
     }
 
-    /// The next place to look at when those below one are done with.
+    /// The next place in that walk, without the subtree below `place`.
     fn beside(&self, mut place: usize) -> Option<usize> {
         while place > ROOT {
             if place % 4 < 3 && place + 1 < ROOT + self.len() {
@@ -172,14 +172,14 @@ impl Words {
         stands.then_some(place)
     }
 
-    /// Keeps a number for a number that does not stand here, until it does.
+    /// Stores a value for a number outside the heap, until the number is pushed.
     pub fn keep(&mut self, number: Slot, kept: u16) {
         if let Some(place) = self.places.get_mut(usize::from(number)) {
             *place = kept;
         }
     }
 
-    /// What is kept for a number that does not stand here.
+    /// The value that [`keep`](Self::keep) stored for a number outside the heap.
     pub fn kept(&self, number: Slot) -> u16 {
         self.places.get(usize::from(number)).copied().unwrap_or_default()
     }
@@ -188,7 +188,7 @@ impl Words {
         self.place_of(number).is_some()
     }
 
-    /// Puts a number that does not stand here.
+    /// Adds a number that is not in the heap.
     #[inline]
     pub fn push<K: Ord>(&mut self, number: Slot, instant: Instant, key: impl Fn(Slot) -> K) {
         let at = ROOT + self.len();
@@ -196,7 +196,7 @@ impl Words {
         self.sift_up(at, word(instant, number), &key);
     }
 
-    /// Takes a number out, if it stands here.
+    /// Removes a number, if it is in the heap.
     pub fn remove<K: Ord>(&mut self, number: Slot, key: impl Fn(Slot) -> K) {
         if let Some(place) = self.place_of(number) {
             self.remove_at(place, &key);
@@ -210,7 +210,7 @@ impl Words {
         }
     }
 
-    /// Takes the number out that stands first.
+    /// Removes the number with the least instant.
     #[inline]
     pub fn pop<K: Ord>(&mut self, key: impl Fn(Slot) -> K) {
         if self.len > 0 {
@@ -221,7 +221,7 @@ impl Words {
         }
     }
 
-    /// Empties the last place.
+    /// Removes and returns the last word.
     #[inline]
     fn take_last(&mut self) -> u64 {
         self.len -= 1;
@@ -230,14 +230,14 @@ impl Words {
         group.map_or(u64::MAX, |Group(group)| core::mem::replace(&mut group[end % 4], NOTHING[end % 4]))
     }
 
-    /// A number has another instant or another key now.
+    /// Restores the order after the instant or key of a number changed.
     pub fn moved<K: Ord>(&mut self, number: Slot, instant: Instant, key: impl Fn(Slot) -> K) {
         if let Some(place) = self.place_of(number) {
             self.settle(place, word(instant, number), &key);
         }
     }
 
-    /// Puts a number, moves it or takes it out, so that it stands here where it has an instant.
+    /// Adds, moves or removes a number, so that it is in the heap exactly if it has an instant.
     pub fn set<K: Ord>(&mut self, number: Slot, instant: Option<Instant>, key: impl Fn(Slot) -> K) {
         match (self.place_of(number), instant) {
             (Some(place), Some(instant)) => self.settle(place, word(instant, number), &key),
@@ -253,7 +253,7 @@ impl Words {
         self.len = 0;
     }
 
-    /// All instants have changed.
+    /// Rebuilds the heap after any instants changed.
     pub fn order<K: Ord>(&mut self, instant: impl Fn(Slot) -> Instant, key: impl Fn(Slot) -> K) {
         for at in (ROOT..ROOT + self.len()).rev() {
             let number = self.word_at(at).map_or(0, slot);
@@ -261,7 +261,7 @@ impl Words {
         }
     }
 
-    /// Whether every number stands where its instant and its key say.
+    /// Whether every number is in the place that its instant and key require.
     pub fn is_in_order<K: Ord>(&self, instant: impl Fn(Slot) -> Instant, key: impl Fn(Slot) -> K) -> bool {
         let above = |at: usize| if at > ROOT { self.word_at(parent(at)) } else { None };
         let stands = |(at, found): (usize, u64)| {
@@ -275,8 +275,8 @@ impl Words {
             && all().filter(|&(at, _)| free(at)).all(|(at, &word)| word == NOTHING[at % 4])
     }
 
-    /// Whether every word names one of `capacity` numbers and every number that stands here knows its place: of an order
-    /// that was read from a file nothing else can be asked before.
+    /// Validates a deserialised heap: every word names one of `capacity` numbers, and every number in the heap has
+    /// the right place. Call it before anything else.
     pub fn is_whole(&self, capacity: usize) -> bool {
         let groups = if capacity == 0 { 0 } else { (ROOT + capacity).div_ceil(4) };
         let whole = self.places.len() == capacity && self.groups.len() == groups && self.len() <= capacity;
@@ -287,7 +287,7 @@ impl Words {
         whole && (ROOT..).zip(self.words()).all(placed)
     }
 
-    /// Finds the place of a word from one where it may stand.
+    /// Moves a word up or down from `at` until the heap order holds.
     fn settle<K: Ord>(&mut self, at: usize, moving: u64, key: &impl Fn(Slot) -> K) {
         let above = if at > ROOT { self.word_at(parent(at)) } else { None };
         if above.is_some_and(|above| is_less(moving, above, key)) {

@@ -1,15 +1,15 @@
-//! Whether a packet can have come the way it came (insertion and masquerade).
+//! The reverse-path check: whether a packet can have come from the neighbour that delivered it (insertion, masquerade).
 //!
-//! Routes are static (§5.2.3), so the way of every packet is known beforehand: a neighbour that hands over a packet that
-//! never passes it, is mistaken or speaks in another's name. What a packet says of its source is thereby believed only
-//! from the neighbour that the source's packets come through.
+//! Routes are static (§5.2.3), so the path of every packet is known in advance. A neighbour that is not on that path and
+//! delivers the packet is faulty or forges the source. So a source is believed only from the neighbour through which its
+//! packets come.
 
 use crate::ids::NodeId;
 use crate::packet::{Control, Kind, MAX_HOPS, Packet};
 use crate::table::{CellTable, NodeTable};
 
-/// Whether `packet`, handed over by the neighbour `from`, is on its declared way. Says nothing of tasks that the cell
-/// does not have.
+/// Whether `packet`, delivered by the neighbour `from`, is on its path. Packets of tasks that the cell does not have pass
+/// the check.
 pub(super) fn can_come(table: &NodeTable, from: NodeId, packet: &Packet) -> bool {
     let Some((source, destination)) = table.location(packet.source).zip(table.location(packet.destination))
     else {
@@ -18,16 +18,16 @@ pub(super) fn can_come(table: &NodeTable, from: NodeId, packet: &Packet) -> bool
     if enters_from(table, from, source, destination) {
         return true;
     }
-    // A relay that found no space for a command says so in the name of the command's destination (D19), and may have
-    // another way than that one, of the same length.
+    // A relay without space refuses a command in the name of the command's destination (D19). The relay's path back may
+    // differ from the destination's, where two paths have the same length.
     let of_a_relay = packet.kind == Kind::Control && packet.control() == Some(Control::RefusedOnTheWay);
     of_a_relay && way(table, destination, source).any(|relay| enters_from(table, from, relay, destination))
 }
 
 /// Whether packets that `source` sends to `destination` come to this node from `from`.
 ///
-/// The next hop from here back to the source would not do as a test: of two ways of the same length each direction may
-/// take its own.
+/// The next hop from here back to the source would be a wrong test: where two paths have the same length, each direction
+/// may take a different one.
 fn enters_from(table: &NodeTable, from: NodeId, source: NodeId, destination: NodeId) -> bool {
     let mut last = None;
     for node in way(table, source, destination) {
@@ -86,7 +86,7 @@ mod tests {
 
     #[test]
     fn a_neighbour_speaks_for_those_behind_it_only() {
-        // 0 - 1 - 2 - 3, and 4 beside 2. Bounds of zero hide nothing.
+        // 0 - 1 - 2 - 3, and 4 linked to 2. Link bounds of zero do not weaken the check.
         let table = table(5, &[(0, 1, 0), (1, 2, 0), (2, 3, 0), (2, 4, 0)]);
         let two = at(&table, 2);
         let from = |from, source, destination| can_come(&two, NodeId(from), &packet(source, destination));
@@ -100,12 +100,12 @@ mod tests {
 
     #[test]
     fn two_ways_of_one_length_are_told_apart_by_direction() {
-        // A ring of six: 0 - 1 - 4 - 5 and 0 - 2 - 3 - 5. From 0 by the lower 1, from 5 by the lower 3.
+        // A ring of six: 0 - 1 - 4 - 5 and 0 - 2 - 3 - 5. Routes prefer the lower next node: 1 from 0, and 3 from 5.
         let table = table(6, &[(0, 1, 10), (1, 4, 10), (4, 5, 10), (0, 2, 10), (2, 3, 10), (3, 5, 10)]);
         let (first, last) = (at(&table, 0), at(&table, 5));
         assert!(can_come(&last, NodeId(4), &packet(0, 5)) && !can_come(&last, NodeId(3), &packet(0, 5)));
         assert!(can_come(&first, NodeId(2), &packet(5, 0)) && !can_come(&first, NodeId(1), &packet(5, 0)));
-        // The relay 4 refuses a command from 0 to 5: its word comes through 1, in the name of 5.
+        // The relay 4 refuses a command from 0 to 5: its refusal comes through 1, in the name of 5.
         let word = |control: Control| Packet {
             kind: Kind::Control,
             contents: control.to_contents(),
@@ -117,7 +117,7 @@ mod tests {
     }
 
     proptest! {
-        /// In any cell: whatever a node sends, or a relay refuses, is taken by every node it passes.
+        /// In any cell every node on the path accepts what a node sends, and the refusals of relays.
         #[test]
         fn nothing_that_keeps_to_its_way_is_dropped(
             tree in proptest::collection::vec((any::<u16>(), 0..3_u64), 6),

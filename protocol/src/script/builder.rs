@@ -1,4 +1,4 @@
-//! Writing programs: by the compiler of the cell language, and by hand for tests and for the checker's worlds.
+//! A builder of programs, for the compiler of the cell language, for tests and for the checker's worlds.
 
 use super::check::ProgramError;
 use super::program::{Address, Format, Fusing, Handler, Op, Outcomes, Program, Trigger, Variable};
@@ -8,7 +8,7 @@ use crate::request::{Ranked, ServiceOrder, Target, TimeId};
 use crate::ticks::Ticks;
 use alloc::vec::Vec;
 
-/// A place in the code that is not known yet. It may be jumped to before it is put somewhere.
+/// A position in the code. Jumps may name it before [`ProgramBuilder::put`] places it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Label(Address);
 
@@ -61,7 +61,7 @@ impl ProgramBuilder {
         entry(&mut self.program.formats, format)
     }
 
-    /// The list of these places.
+    /// Adds these variables to the places that [`Op::Unpack`] reads into, and returns the position of the first.
     pub fn places(&mut self, places: &[Slot]) -> u16 {
         let at = position(self.program.places.len() + 1);
         self.program.places.extend_from_slice(places);
@@ -73,7 +73,7 @@ impl ProgramBuilder {
         entry(&mut self.program.actions, name.into())
     }
 
-    /// The number of one more action of this name: one whose results are not those of the others.
+    /// The number of one more action of this name, with results of its own.
     pub fn another_action(&mut self, name: &str) -> u16 {
         self.program.actions.push(name.into());
         position(self.program.actions.len())
@@ -97,7 +97,7 @@ impl ProgramBuilder {
         }
     }
 
-    /// Where the next operation will stand: for tables from code to source.
+    /// The address of the next operation, for tables from code to source.
     #[must_use]
     pub fn here(&self) -> Address {
         position(self.program.code.len() + 1)
@@ -139,12 +139,12 @@ impl ProgramBuilder {
         self.op(Op::Jump(to.0))
     }
 
-    /// Adds a jump that is taken where the last value is false.
+    /// Adds a jump that is taken if the last value is false.
     pub fn unless(&mut self, to: Label) -> &mut Self {
         self.op(Op::Unless(to.0))
     }
 
-    /// Adds a jump that is taken where the last statement ended so.
+    /// Adds a jump that is taken if the last statement ended with one of these outcomes.
     pub fn on(&mut self, outcomes: Outcomes, to: Label) -> &mut Self {
         self.op(Op::On { outcomes, to: to.0 })
     }
@@ -154,7 +154,7 @@ impl ProgramBuilder {
         self.statement().push(value).store(slot)
     }
 
-    /// `order a > b > c`. More levels than an `order` can name are an `order` of none.
+    /// `order a > b > c`. With more levels than an `order` can name it is an empty one.
     pub fn order(&mut self, named: &[Ranked]) -> &mut Self {
         let order = entry(&mut self.program.orders, ServiceOrder::new(named).unwrap_or_default());
         self.statement().op(Op::Order(order))
@@ -166,7 +166,7 @@ impl ProgramBuilder {
         self.op(Op::Send { port, to, format, time_out: None })
     }
 
-    /// `receive port(..)`, for so long. What comes is unpacked; where nothing came the variables keep their values.
+    /// `receive port(..)` with this time_out. The message is unpacked; if none came, the variables keep their values.
     pub fn receive(&mut self, port: PortId, time_out: Option<Ticks>, into: &[(Type, Slot)]) -> &mut Self {
         self.statement().op(Op::Get { port: Some(port), source: None, time_out });
         self.unpack(into)
@@ -205,20 +205,20 @@ impl ProgramBuilder {
         self.op(Op::Arrive { port, format, time_out: None })
     }
 
-    /// What a member told at the waitfor; where that is not known the variables keep their values.
+    /// Reads the arguments of a member at the waitfor; if they are not known, the variables keep their values.
     pub fn arrival(&mut self, port: PortId, task: TaskId, into: &[(Type, Slot)]) -> &mut Self {
         let format = self.format_of(into);
         self.op(Op::Arrival { port, task, format });
         self.unpack_if(into)
     }
 
-    /// What the partner of the couple published last; where that is nothing the variables keep their values.
+    /// Reads what the partner of the couple published last; if that is nothing, the variables keep their values.
     pub fn published(&mut self, into: &[(Type, Slot)]) -> &mut Self {
         self.op(Op::Published);
         self.unpack_if(into)
     }
 
-    /// Reads what came, where the last value says that something did.
+    /// Unpacks if the last value is true.
     fn unpack_if(&mut self, into: &[(Type, Slot)]) -> &mut Self {
         let format = self.format_of(into);
         let places: Vec<Slot> = into.iter().map(|&(_, slot)| slot).collect();
@@ -300,7 +300,7 @@ impl ProgramBuilder {
         self
     }
 
-    /// `on .. do .. end`: a handler. Write it after the end of the body: nothing runs into it.
+    /// `on .. do .. end`: a handler. Write it after the end of the body, so that no code runs into it.
     pub fn handler(&mut self, trigger: Trigger, body: impl FnOnce(&mut Self)) -> &mut Self {
         let entry = self.here();
         self.program.handlers.push(Handler { trigger, entry, locals: Vec::new() });
@@ -326,7 +326,7 @@ impl ProgramBuilder {
         })
     }
 
-    /// `takeover`: where the task goes on in its partner's place. Write it after the end of the body.
+    /// `takeover`: where the task continues in its partner's place. Write it after the end of the body.
     pub fn takeover(&mut self, body: impl FnOnce(&mut Self)) -> &mut Self {
         self.program.takeover = Some(self.here());
         body(self);
@@ -341,7 +341,7 @@ impl ProgramBuilder {
     /// The checked program.
     ///
     /// # Errors
-    /// What [`Program::check`] finds; a label that was never put is [`ProgramError::NoSuchAddress`].
+    /// What [`Program::check`] finds; a label that was never placed is [`ProgramError::NoSuchAddress`].
     pub fn finish(mut self) -> Result<Program, ProgramError> {
         for op in &mut self.program.code {
             if let Op::Jump(to) | Op::Unless(to) | Op::On { to, .. } = op {
@@ -367,7 +367,7 @@ impl ProgramBuilder {
     }
 }
 
-/// The position of an entry in its table; a new one where there is none.
+/// The position of an entry in its table; a missing entry is added.
 fn entry<T: PartialEq>(table: &mut Vec<T>, wanted: T) -> u16 {
     let at = table.iter().position(|known| *known == wanted).unwrap_or(table.len());
     if at == table.len() {

@@ -1,4 +1,4 @@
-//! Whether a program is one: every position it names exists, operands balance, and code ends where it must.
+//! Validation of programs: every position that a program names exists, operands balance, and code ends where it must.
 
 use super::program::{Address, MAX_MESSAGE, Op, Program, Trigger};
 use super::value::{Binary, Slot, Term};
@@ -8,7 +8,7 @@ use alloc::vec;
 use alloc::vec::Vec;
 use core::fmt;
 
-/// Why a program is none.
+/// Why a program is malformed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ProgramError {
     /// More operations, handlers or timers than their numbers can name.
@@ -29,10 +29,10 @@ pub enum ProgramError {
     /// The operation takes more operands than there are, leaves some where it waits, or is reached with different
     /// numbers of them.
     Operands(Address),
-    /// An atomic section is not closed, or not open, or reached both ways.
+    /// An atomic section is open at the end of a handler, is closed without being open, or may be either where paths meet.
     Atomic(Address),
-    /// The operation is for checks, or for handlers, or makes no sense: a choice among none, an action that takes at
-    /// least longer than at most.
+    /// The operation is for checks or for handlers only, or makes no sense: a choice among none, or an action whose shortest
+    /// duration exceeds its longest.
     Misplaced(Address),
 }
 
@@ -55,7 +55,7 @@ impl fmt::Display for ProgramError {
 
 impl core::error::Error for ProgramError {}
 
-/// What is known on the way to an operation.
+/// What is known before an operation: the operands held, and the open atomic sections.
 #[derive(Clone, Copy, PartialEq, Eq)]
 struct Known {
     held: usize,
@@ -96,7 +96,7 @@ impl Program {
         Ok(most)
     }
 
-    /// Follows every way from an entry, in the body or in a handler, and gives the most operands held.
+    /// Follows every path from an entry, in the body or in a handler, and gives the most operands held.
     fn walk(&self, entry: Address, handler: Option<u8>) -> Result<usize, ProgramError> {
         let mut known: Vec<Option<Known>> = vec![None; self.code.len()];
         let mut open = vec![(entry, Known { held: 0, atomic: 0 })];
@@ -195,7 +195,7 @@ impl Program {
         }
     }
 
-    /// Whether everything exists that an operation names.
+    /// Whether everything that an operation names exists.
     fn check_entries(&self, op: Op, handler: Option<u8>) -> Result<(), fn(Address) -> ProgramError> {
         let slot = |slot: Slot| match slot {
             Slot::Task(at) => usize::from(at) < self.variables.len(),
@@ -258,7 +258,7 @@ impl Program {
     }
 }
 
-/// Where a thread may go on after an operation.
+/// Where an activation may go on after an operation.
 fn follow(at: Address, op: Op) -> [Option<Address>; 2] {
     let next = Some(at.saturating_add(1));
     match op {
@@ -269,7 +269,7 @@ fn follow(at: Address, op: Op) -> [Option<Address>; 2] {
     }
 }
 
-/// Whether a handler may run, or the script rest, in the operation: then no operand may lie below its own.
+/// Whether a handler may run, or the script may wait, in the operation: then the stack must hold no operands but its own.
 const fn waits(op: Op) -> bool {
     matches!(
         op,

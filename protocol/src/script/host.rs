@@ -1,5 +1,5 @@
-//! A node with the scripts of its tasks, for drivers that run everything in one thread: the model checker, the
-//! simulator and the single-threaded runtime (D38, D45).
+//! A node with the scripts of its tasks, for drivers that run everything in one thread (D38, D45). The tests of the protocol
+//! and of the language are such drivers.
 
 use super::{
     Action, Activity, Address, End, Program, ProgramError, Script, ScriptFault, ScriptInput, ScriptOutbox,
@@ -17,18 +17,18 @@ use alloc::vec;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
-/// Everything that can happen to a node with scripts.
+/// An input of a node with scripts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum HostInput {
     /// All scripts that have not begun begin, in the order of their tasks.
     Begin,
-    /// What happens to the node; also a request of a task that has no script.
+    /// An input of the node itself, or a request of a task that has no script.
     Node(NodeInput),
     /// An action has ended.
     Acted {
-        /// Whose.
+        /// The task that ran it.
         task: TaskId,
-        /// Which of its threads, as [`Action::level`] said.
+        /// The activation that ran it, as [`Action::level`] said.
         level: u8,
         /// Whether it succeeded.
         ok: bool,
@@ -37,9 +37,9 @@ pub enum HostInput {
     },
     /// The driver chose.
     Chosen {
-        /// For this task.
+        /// The task that chose.
         task: TaskId,
-        /// What.
+        /// The chosen alternative.
         choice: u16,
     },
 }
@@ -48,7 +48,7 @@ pub enum HostInput {
 pub trait HostOutbox: NodeOutbox {
     /// Begins an action; [`HostInput::Acted`] ends it.
     fn run(&mut self, task: TaskId, action: Action<'_>);
-    /// Stops the action of a thread. No [`HostInput::Acted`] follows.
+    /// Stops the action of an activation. No [`HostInput::Acted`] follows.
     fn cut_short(&mut self, task: TaskId, level: u8);
     /// Chooses a number below `alternatives` at once, or `None` to give it later with [`HostInput::Chosen`].
     fn choose(&mut self, task: TaskId, alternatives: u16) -> Option<u16>;
@@ -66,7 +66,7 @@ pub trait HostOutbox: NodeOutbox {
     fn statement(&mut self, task: TaskId, at: Address) {
         let _ = (task, at);
     }
-    /// A script forgets a class-2 message that it never answered.
+    /// A script drops a class-2 message that it never answered.
     fn unanswered(&mut self, task: TaskId, message: ReplyTo) {
         let _ = (task, message);
     }
@@ -88,19 +88,19 @@ pub struct Hosted {
 pub struct ScriptedNode {
     node: Node,
     scripts: Box<[Hosted]>,
-    /// What the scripts have not taken yet. Empty between steps.
+    /// Inputs that the scripts have not taken yet. Empty between steps.
     inputs: VecDeque<(TaskId, ScriptInput)>,
-    /// What a script asked in its last step.
+    /// The requests that a script made in its last step.
     requests: VecDeque<Request>,
-    /// How many steps each script took at this input since a message last came to it.
+    /// How many steps each script took for the current input since it last received a message.
     steps: Box<[u32]>,
 }
 
-/// How many steps one input may cause of a script to which no message comes meanwhile: who goes on then never waits.
-/// Scripts that keep each other going with messages may take so many steps for each script of the node; then the one
-/// that took the most without a message ends, and the others may go on.
+/// How many steps a script may take for one input without receiving a message. A script that takes more never waits, and is
+/// ended. Scripts that keep each other going with messages may take this many steps per script of the node. Then the
+/// script with the most steps since its last message is ended, and the others may go on.
 pub const HOST_LIMIT: u32 = 10_000;
-/// How many signals one input of a node has room for without allocating.
+/// Preallocated room for the signals of one input.
 const SIGNALS: usize = 256;
 
 impl ScriptedNode {
@@ -129,7 +129,7 @@ impl ScriptedNode {
         &self.node
     }
 
-    /// The node, for canonical states.
+    /// The node, for code that packs or reads states.
     pub const fn node_mut(&mut self) -> &mut Node {
         &mut self.node
     }
@@ -140,7 +140,7 @@ impl ScriptedNode {
         &self.scripts
     }
 
-    /// The scripts, for canonical states.
+    /// The scripts, for code that packs or reads states.
     pub fn scripts_mut(&mut self) -> &mut [Hosted] {
         &mut self.scripts
     }
@@ -152,8 +152,8 @@ impl ScriptedNode {
         self.scripts.get(at).map(|hosted| &hosted.script)
     }
 
-    /// Has every script forget the messages that it can answer no more, so that equal futures have equal states. What
-    /// the scripts do does not change.
+    /// Makes every script drop the messages that it can no longer answer, so that states with equal futures are equal. The
+    /// behaviour of the scripts does not change.
     #[cfg(feature = "checker")]
     pub fn bury(&mut self) {
         for Hosted { task, script, .. } in &mut self.scripts {
@@ -162,7 +162,7 @@ impl ScriptedNode {
         }
     }
 
-    /// Whether a script waits for the driver's choice.
+    /// A task whose script waits for the driver's choice, and the number of alternatives.
     #[must_use]
     pub fn chooses(&self) -> Option<(TaskId, u16)> {
         self.scripts.iter().find_map(|hosted| match hosted.script.activity() {
@@ -175,8 +175,8 @@ impl ScriptedNode {
         })
     }
 
-    /// Takes one input at `now`, after what the time until then has made due, and runs everything that follows from it within
-    /// the node, until every script waits.
+    /// Takes one input at `now` and runs the node and its scripts until every script waits. What is due by `now` happens
+    /// first.
     pub fn step(&mut self, now: Instant, input: HostInput, out: &mut impl HostOutbox) {
         if now > self.node.now() && input != HostInput::Node(NodeInput::Time) {
             self.go_on(now, HostInput::Node(NodeInput::Time), out);
@@ -209,7 +209,7 @@ impl ScriptedNode {
         }
     }
 
-    /// The next input of the script that ran last, so that nothing comes between its steps; else of the first in line.
+    /// The next input of the script that ran last, so that nothing comes between its steps; otherwise the first in the queue.
     fn next(&mut self, last: Option<TaskId>) -> Option<(TaskId, ScriptInput)> {
         let own = self.inputs.iter().position(|&(task, _)| Some(task) == last);
         self.inputs.remove(own.unwrap_or(0))
@@ -228,7 +228,7 @@ impl ScriptedNode {
         self.ask(task, out);
     }
 
-    /// Ends the script that took the most steps without a message; false where all have ended.
+    /// Ends the script with the most steps since its last message; false if all have ended.
     fn stop_busiest(&mut self, out: &mut impl HostOutbox) -> bool {
         let lives = |hosted: &Hosted| !matches!(hosted.script.activity(), Activity::Ended(_));
         let living = (0..self.scripts.len()).filter(|&at| lives(&self.scripts[at]));
@@ -282,7 +282,7 @@ impl<O: HostOutbox> ScriptOutbox for ScriptEffects<'_, O> {
     }
 
     fn ended(&mut self, end: End) {
-        // D61: beats stop when the task has ended.
+        // The heartbeats of a task stop when it has ended (D61).
         if self.node.task(self.task).is_some_and(|task| task.epoch().is_some()) {
             self.requests.push_back(Request::End);
         }

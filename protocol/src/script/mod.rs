@@ -1,12 +1,12 @@
-//! The script of a task: the small-step machine that runs its compiled behaviour (D45), the third machine of a node.
+//! Scripts: the compiled behaviour of tasks, and its interpreter, a small-step state machine (D45).
 //!
-//! A [`Program`] is static; a [`Script`] is a program counter, a fixed stack of operands, the task's variables and one
-//! frame for each thread that a handler interrupted (R16, D15). [`Script::step`] takes one input and runs until the
-//! next thing that needs an answer: a request to the communication task, an action outside, a choice of the driver,
-//! the end. What lies between two of these follows each other without a gap, so it is one step for the model checker.
+//! A [`Program`] is static. A [`Script`] is a fixed stack of operands, the task's variables, and one frame with a program
+//! counter per *activation*: the task's own thread, and each running handler (R16, D15). [`Script::step`] takes one input and
+//! runs until the script ends or needs an answer: to a request, to an action outside, or to a choice of the driver. Nothing
+//! can come between the operations of such a run, so it is one step for the model checker.
 //!
-//! As for the communication task: no clock, no lock, no allocation after `new`, and no program and no input panics. A
-//! program that is none ends in [`End::Fault`]; [`Program::check`] finds it before.
+//! Like a communication task, a script uses no clock and no lock, allocates nothing after `new`, and panics on no program
+//! and no input. A malformed program ends in [`End::Fault`]; [`Program::check`] finds the fault beforehand.
 
 mod builder;
 mod check;
@@ -38,12 +38,12 @@ use turn::Turn;
 
 /// How many operands a script may hold at once: those of the longest message, and an expression.
 pub const MAX_OPERANDS: usize = MAX_MESSAGE + CHECK_DEPTH;
-/// How many operations a script may run from one input to its next request.
+/// How many operations a script may run from one input to the next operation that waits.
 pub const STEP_LIMIT: u32 = 4096;
-/// How many threads a script may have: its own, and the handlers that the communication task nests (D15).
+/// How many activations a script may have: the task's own thread, and the handlers that the communication task nests (D15).
 pub const MAX_THREADS: usize = ServiceOrder::LEVELS + 3;
 
-/// What can happen to a script.
+/// An input of a script.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum ScriptInput {
     /// The task begins.
@@ -52,7 +52,7 @@ pub enum ScriptInput {
     Signal(Signal),
     /// An action has ended.
     Acted {
-        /// The thread that ran it, as [`Action::level`] said.
+        /// The activation that ran it, as [`Action::level`] said.
         level: u8,
         /// Whether it succeeded.
         ok: bool,
@@ -66,26 +66,26 @@ pub enum ScriptInput {
 /// An action outside: of a robot's driver, of a PLC, or simulated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Action<'a> {
-    /// The thread that waits for it: 0 is the task's own, each handler has the next one. Handlers may run actions of
-    /// their own while that of the thread they interrupted goes on.
+    /// The activation that waits for it: 0 is the task's own thread, each nested handler has the next number. A handler may
+    /// run an action while the interrupted activation's action goes on.
     pub level: u8,
     /// Which of [`Program::actions`].
     pub action: u16,
     /// Its arguments.
     pub arguments: &'a [i64],
-    /// It takes no less
+    /// The shortest duration.
     pub least: Ticks,
-    /// and no more than this.
+    /// The longest duration.
     pub most: Ticks,
 }
 
 /// Where the effects of [`Script::step`] go.
 pub trait ScriptOutbox {
-    /// Asks the communication task. Requests of one step are made in their order.
+    /// A request to the communication task. The requests of one step keep their order.
     fn request(&mut self, request: Request);
     /// Begins an action; [`ScriptInput::Acted`] ends it.
     fn run(&mut self, action: Action<'_>);
-    /// Stops the action of this thread: the task must not act any more (D61). No [`ScriptInput::Acted`] follows.
+    /// Stops the action of this activation: the task must not act any more (D61). No [`ScriptInput::Acted`] follows.
     fn cut_short(&mut self, level: u8);
     /// Chooses a number below `alternatives` at once, or `None` to give it later with [`ScriptInput::Chosen`].
     fn choose(&mut self, alternatives: u16) -> Option<u16>;
@@ -95,11 +95,11 @@ pub trait ScriptOutbox {
     fn statement(&mut self, at: Address) {
         let _ = at;
     }
-    /// The thread forgets a class-2 message that it never answered: its sender will see a time_out.
+    /// An activation drops a class-2 message that it never answered: the sender will see a time_out.
     fn unanswered(&mut self, message: ReplyTo) {
         let _ = message;
     }
-    /// A fragment, from 1, of the message that came last (D28): [`CommTask::fragment`](crate::CommTask).
+    /// A fragment, from 1, of the message received last (D28): [`CommTask::fragment`](crate::CommTask).
     fn fragment(&mut self, index: u8) -> Option<Contents> {
         let _ = index;
         None
@@ -108,17 +108,17 @@ pub trait ScriptOutbox {
     fn published(&mut self) -> Option<Contents> {
         None
     }
-    /// What a member told at a waitfor: [`CommTask::meeting_arguments`](crate::CommTask).
+    /// The arguments of a member's arrival at a waitfor: [`CommTask::meeting_arguments`](crate::CommTask).
     fn arrival(&mut self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
         let _ = (port, task);
         None
     }
-    /// The message of a task that was taken on this port and not answered: [`CommTask::owed`](crate::CommTask).
+    /// The message of a task that was received on this port and not answered: [`CommTask::owed`](crate::CommTask).
     fn owed(&mut self, port: PortId, task: TaskId) -> Option<ReplyTo> {
         let _ = (port, task);
         None
     }
-    /// A fragment, from 0, of an answer to the last request on `port`: that of `task`, or of the only one asked.
+    /// A fragment, from 0, of the answer of `task` to the last request on `port`; `None` means the only task asked.
     fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
         let _ = (port, task, index);
         None
@@ -134,13 +134,13 @@ pub enum ScriptFault {
     DivisionByZero,
     /// A real that is not finite.
     NotFinite,
-    /// The program is none: see [`Program::check`].
+    /// The program is malformed: see [`Program::check`].
     Malformed,
-    /// More than [`STEP_LIMIT`] operations without a request, or requests without end in no time.
+    /// More than [`STEP_LIMIT`] operations without a wait, or endless requests while no time passes.
     Runaway,
-    /// More than [`MAX_THREADS`] threads.
+    /// More than [`MAX_THREADS`] activations.
     TooDeep,
-    /// The driver or the communication task said what was no answer.
+    /// An input of the driver or of the communication task that does not answer the current wait.
     Unexpected,
     /// A message or answer is not of the format that the program reads.
     WrongContents,
@@ -172,24 +172,24 @@ impl core::error::Error for ScriptFault {}
 /// How a script ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum End {
-    /// It came to its end.
+    /// It reached its end.
     Finished,
     /// It aborted, for one of [`Program::reasons`].
     Aborted(u16),
     /// An `assert` did not hold.
     Assertion(Address),
-    /// It lost its lease, and has no part to take over or will never hold one again (D61).
+    /// It lost its lease, and has no take-over part or can never hold a lease again (D61).
     Fenced,
     /// A fault, at this operation.
     Fault {
-        /// Which.
+        /// The fault.
         fault: ScriptFault,
-        /// Where.
+        /// The operation.
         at: Address,
     },
 }
 
-/// Where a script stands as a whole.
+/// The overall state of a script.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 enum Standing {
     NotBegun,
@@ -197,46 +197,46 @@ enum Standing {
     Ended(End),
 }
 
-/// Where a script begins anew.
+/// Where a script continues, once its handlers are registered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 enum Anew {
-    /// At its first operation. Where the body belongs to a lease, handlers that act are held off until it comes.
+    /// At its first operation. If the body waits for a lease, handlers that act are registered only with the lease.
     Begin,
-    /// At its take-over.
+    /// At its take-over part.
     TakeOver,
-    /// Behind the operation that asked for its lease: it has it now. The handlers that act are announced, too.
+    /// After the operation that waited for its lease, which is now granted. Handlers that act are registered, too.
     Granted,
-    /// Nowhere: it lost its lease and acts no more, unless it gets it back or takes over. Handlers that act are
-    /// withdrawn: what comes for them waits in its buffer. The others go on answering and taking notice.
+    /// Nowhere: it lost its lease and does not act until it gets the lease back or takes over. Handlers that act are
+    /// unregistered, so their messages wait in the buffer. The other handlers still run.
     Passive,
 }
 
-/// What a thread waits for. Only the top one may wait for nothing, and only within a step.
+/// What an activation waits for. Only the running one may wait for nothing, and only within a step.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 enum Wait {
     #[default]
     Nothing,
-    /// That the handler at this position is announced.
+    /// The answer to the registration of the handler at this position.
     Register(u8, Anew),
-    /// That this fragment is taken; its operands are still there.
+    /// The answer to this fragment. The operands of the message are still on the stack.
     Part(u8),
-    /// The answer to the operation it stands at.
+    /// The answer to its current operation.
     Signal,
-    /// Whether a handler comes before the statement it stands at.
+    /// Whether a handler runs before its current statement.
     Boundary,
     /// The end of its action.
     Working,
-    /// That the communication task knows of the end of the action.
+    /// The answer to [`Request::Done`], for an action that ended like this.
     Done(Acted),
-    /// A handler: the action has ended meanwhile.
+    /// The end of the handlers above it. Its own action has already ended like this.
     Kept(Acted),
-    /// The driver's choice among so many.
+    /// The driver's choice among this many alternatives.
     Choice(u16),
-    /// The answer to a Done that the handler's call crossed; then the handler begins with this.
+    /// The answer to a Done that crossed the call of this handler. Then the handler begins with this message.
     Entering(Option<Inbound>),
-    /// That everything is given up.
+    /// The answer to [`Request::Abandon`].
     Abandon(Anew),
-    /// Nothing any more, but its lease or a take-over.
+    /// Its lease, or a take-over.
     Passive,
 }
 
@@ -247,20 +247,20 @@ struct Acted {
     value: i32,
 }
 
-/// What came, for [`Op::Unpack`].
+/// The message or answer that [`Op::Unpack`] reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Inbound {
     contents: Contents,
     port: PortId,
-    /// Of a message, its source; of an answer, who gave it where several were asked.
+    /// The source of a message; for an answer, the task that gave it, if several were asked.
     task: Option<TaskId>,
     is_answer: bool,
 }
 
-/// A thread: the task's own, or a handler.
+/// The frame of an activation: the task's own thread, or a handler.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Frame {
-    /// The handler that it runs; none below.
+    /// The handler that it runs; `None` for the task's own thread.
     handler: Option<u8>,
     /// The operation that it runs, or waits in.
     at: Address,
@@ -269,26 +269,26 @@ struct Frame {
     message: Option<ReplyTo>,
 }
 
-/// The state of a task's script. Sized by its program; what is not in use is zero, so that equal states are equal.
+/// The state of a task's script, sized by its program. Unused room is zero, so that equal states compare equal.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Script {
     standing: Standing,
     frames: Box<[Frame]>,
-    /// The position of the running thread.
+    /// The position of the running activation.
     level: u8,
     operands: Box<[i64]>,
     held: usize,
     variables: Box<[i64]>,
-    /// The handlers' variables: so many per thread.
+    /// The handlers' variables: `width` for each activation.
     locals: Box<[i64]>,
     width: usize,
     /// How many atomic sections are open.
     atomic: u8,
-    /// Of the program, bit by bit: the handlers that act.
+    /// The handlers of the program that may begin an action, bit by bit.
     acting: u64,
 }
 
-/// What a script does, for showing.
+/// What a script is doing, for display.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Activity {
     /// It has not begun.
@@ -297,7 +297,7 @@ pub enum Activity {
     Waits,
     /// It waits for the end of its action.
     Acts,
-    /// It waits for the driver's choice among so many.
+    /// It waits for the driver's choice among this many alternatives.
     Chooses(u16),
     /// It lost its lease and waits to get it back or to take over.
     Passive,
@@ -306,7 +306,7 @@ pub enum Activity {
 }
 
 impl Script {
-    /// The script of a task that has not begun. Its only allocations.
+    /// The script of a task that has not begun. Only this allocates.
     #[must_use]
     pub fn new(program: &Program) -> Self {
         let threads = if program.handlers.is_empty() { 1 } else { MAX_THREADS };
@@ -326,7 +326,7 @@ impl Script {
         }
     }
 
-    /// Takes one input and runs until the next thing that needs an answer. Total: no program and no input panics.
+    /// Takes one input and runs until the script ends or needs an answer. Total: no program and no input panics.
     pub fn step(&mut self, program: &Program, input: ScriptInput, out: &mut impl ScriptOutbox) {
         match (self.standing, input) {
             (Standing::Ended(_), _)
@@ -351,7 +351,7 @@ impl Script {
         }
     }
 
-    /// What it does.
+    /// What it is doing.
     #[must_use]
     pub fn activity(&self) -> Activity {
         match (self.standing, self.top().wait) {
@@ -375,7 +375,7 @@ impl Script {
         }
     }
 
-    /// The operation that the running thread waits in.
+    /// The operation in which the running activation waits.
     #[must_use]
     pub fn position(&self) -> Address {
         match self.standing {
@@ -385,7 +385,7 @@ impl Script {
         }
     }
 
-    /// The operation that a thread waits in: the task's own at level 0, above it the handlers that run. `None` where there is none.
+    /// The operation in which an activation waits: the task's own thread at level 0, running handlers above it. `None` if absent.
     #[must_use]
     pub fn position_at(&self, level: u8) -> Option<Address> {
         match self.standing {

@@ -1,4 +1,4 @@
-//! What a task's script is compiled to: a flat list of operations and the tables they point into.
+//! The compiled form of a task's script: a flat list of operations and the tables that they refer to.
 
 use super::value::{Slot, Term, Type};
 use crate::ids::{PortId, TaskId};
@@ -20,7 +20,7 @@ pub const MAX_MESSAGE: usize = MAX_FRAGMENTS * CONTENTS_BYTES;
 /// A variable.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Variable {
-    /// Its name; of a field of a record, with the record's: `me.height`.
+    /// Its name; for a field of a record, with the record's name: `me.height`.
     pub name: String,
     /// What it holds.
     pub of: Type,
@@ -29,7 +29,7 @@ pub struct Variable {
 }
 
 impl Variable {
-    /// Its initial value; zero, which is of every type, where that is not of its type.
+    /// Its initial value, or zero, which every type holds, if that is not of its type.
     pub(super) fn first(&self) -> i64 {
         if self.of.holds(self.initial) { self.initial } else { 0 }
     }
@@ -50,7 +50,7 @@ impl Format {
         self.fields.iter().map(|field| field.bytes()).sum()
     }
 
-    /// The fields that stand whole in the first `bytes` of such a message, up to one that is no value of its type.
+    /// The fields that are complete in `bytes`, the start of such a message. Ends before a value that its type does not hold.
     pub fn values<'a>(&'a self, bytes: &'a [u8]) -> impl Iterator<Item = (Type, i64)> + 'a {
         let mut rest = bytes;
         self.fields.iter().map_while(move |&of| {
@@ -60,7 +60,7 @@ impl Format {
         })
     }
 
-    /// How many packets it takes: one even where it is empty.
+    /// How many packets it takes: at least one, even if it is empty.
     #[must_use]
     pub fn fragments(&self) -> usize {
         self.bytes().div_ceil(CONTENTS_BYTES).max(1)
@@ -78,7 +78,7 @@ pub enum Trigger {
     Fenced,
 }
 
-/// A handler: runs above the thread that it interrupts, with variables of its own.
+/// A handler: runs as an activation above the one that it interrupts, with variables of its own.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Handler {
     /// What calls it.
@@ -89,23 +89,23 @@ pub struct Handler {
     pub locals: Vec<Variable>,
 }
 
-/// How a statement that asks for something ended.
+/// How a statement that makes a request ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[repr(u8)]
 pub enum StatementOutcome {
-    /// It was accepted, or what it waited for is over; of an action: it succeeded.
+    /// It was accepted, or its wait is over; for an action: it succeeded.
     Done = 0,
-    /// The answer came; of a message to several: all answered.
+    /// The answer came; for a message to several: all answered.
     Reply = 1,
-    /// Refused for want of space; it did not run.
+    /// The receiver had no space; the command did not run.
     Refused = 2,
-    /// The time_out ended before a copy left the node; it did not run.
+    /// The time_out ended before a copy left the node; the command did not run.
     TimedOutUnsent = 3,
-    /// The time_out ended without an answer; it may have run.
+    /// The time_out ended without an answer; the command may have run.
     TimedOutUnknown = 4,
-    /// The destination restarted; it may have run.
+    /// The destination restarted; the command may have run.
     PeerRestarted = 5,
-    /// Of a message to several: not all answered.
+    /// For a message to several: not all answered.
     Incomplete = 6,
     /// A message came.
     Message = 7,
@@ -128,7 +128,7 @@ pub enum StatementOutcome {
 pub struct Outcomes(pub u16);
 
 impl Outcomes {
-    /// What `on time_out do` takes.
+    /// The outcomes that `on time_out do` handles.
     pub const TIME_OUT: Self = Self::of(&[
         StatementOutcome::TimedOutUnsent,
         StatementOutcome::TimedOutUnknown,
@@ -137,11 +137,11 @@ impl Outcomes {
         StatementOutcome::Nothing,
         StatementOutcome::GaveUp,
     ]);
-    /// What `on refused do` takes.
+    /// The outcome that `on refused do` handles.
     pub const REFUSED: Self = Self::of(&[StatementOutcome::Refused]);
-    /// What brings something to [`Op::Unpack`].
+    /// The outcomes that leave contents for [`Op::Unpack`].
     pub const BRINGS: Self = Self::of(&[StatementOutcome::Reply, StatementOutcome::Message]);
-    /// What a statement without a branch of its own ends the task on.
+    /// The outcomes that end the task, if the statement has no branch for them.
     pub const BAD: Self = Self(
         Self::TIME_OUT.0
             | Self::REFUSED.0
@@ -167,7 +167,7 @@ impl Outcomes {
     }
 }
 
-/// Which mask of a message to several [`Op::Mark`] looks at: see [`Answers`](crate::Answers).
+/// The mask that [`Op::Mark`] reads after a message to several: see [`Answers`](crate::Answers).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[expect(missing_docs, reason = "the names are those of the fields")]
 pub enum Mark {
@@ -178,44 +178,44 @@ pub enum Mark {
     Unsent,
 }
 
-/// One operation. Those that ask for something wait for the answer, which leaves a [`StatementOutcome`] and perhaps a
-/// value, an answer or a message. These last until the next statement begins, or the script asks for something else.
+/// One operation. An operation that makes a request waits for the answer, which leaves a [`StatementOutcome`] and perhaps a
+/// value, an answer or a message. These results last until the next statement or the next request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Op {
-    /// A statement begins here: what runs may be observed, and a handler may come first (D15).
+    /// A statement begins here: the driver is told, and a handler may run first (D15).
     Statement,
     /// A step of an expression.
     Term(Term),
     /// Pops a value into a variable.
     Store(Slot),
-    /// Pops a value and forgets it.
+    /// Pops a value and discards it.
     Pop,
-    /// Goes on elsewhere.
+    /// Jumps.
     Jump(Address),
-    /// Pops a truth value and goes on elsewhere where it is false.
+    /// Pops a truth value and jumps if it is false.
     Unless(Address),
-    /// Goes on elsewhere where the last statement ended in one of these ways.
+    /// Jumps if the last statement ended with one of these outcomes.
     On {
-        /// The ways.
+        /// The outcomes.
         outcomes: Outcomes,
-        /// Where.
+        /// The target.
         to: Address,
     },
     /// Pushes the number of the [`StatementOutcome`].
     Outcome,
-    /// Pushes the number that the last answer brought: the result of an action, how many copies a send made, the epoch
-    /// of a lease, or bit by bit who was missing at a `waitfor`.
+    /// Pushes the number that the last answer brought: the result of an action, how many copies a send made, or bit by bit
+    /// which members were missing at a `waitfor`.
     Value,
-    /// Pushes a mask of how the last message to several ended.
+    /// Pushes a mask of the answers to the last message to several.
     Mark(Mark),
-    /// Takes the answer of one of several that were asked as what [`Op::Unpack`] reads, and pushes whether it came.
+    /// Selects the answer of one of several asked tasks for [`Op::Unpack`], and pushes whether it came.
     Answer {
         /// The port.
         port: PortId,
         /// The task.
         task: TaskId,
     },
-    /// Reads the fields of the message or answer that came into [`Program::places`], from `into` on.
+    /// Reads the fields of the received message or answer into the variables of [`Program::places`], from `into` on.
     Unpack {
         /// Its format.
         format: u16,
@@ -226,15 +226,15 @@ pub enum Op {
     ReceivedPort,
     /// Pushes the task from which the last message came.
     ReceivedSource,
-    /// Pushes the number of the message that this thread received last and has to answer, a [`Type::Word`]; 0 where there is
-    /// none. With [`Op::ReceivedSource`] it names the message to a task that answers in this one's place. Such a number
-    /// in a variable or a message is no part of a canonical state (D51): a checker refuses the program.
+    /// Pushes the id of the message that this activation received last and must answer, a [`Type::Word`]; 0 if there is none.
+    /// With [`Op::ReceivedSource`] it names the message to a task that answers instead. A canonical state cannot hold such an
+    /// id in a variable or a message, so a checker refuses the program (D51).
     ReceivedId,
-    /// Takes what the task at the other end of the couple published last as what [`Op::Unpack`] reads, and pushes
-    /// whether there is anything (D61).
+    /// Selects what the task at the other end of the couple published last for [`Op::Unpack`], and pushes whether there is
+    /// anything (D61).
     Published,
-    /// Takes what a member told at the waitfor, in the round that this task waits in or was released from last, as what
-    /// [`Op::Unpack`] reads, and pushes whether that is known: after a release by a CONFIRM it may not be.
+    /// Selects the arguments of a member for [`Op::Unpack`], in the round that this task waits in or was released from last.
+    /// Pushes whether they are known: after a release by a CONFIRM they may not be.
     Arrival {
         /// The waitfor.
         port: PortId,
@@ -251,7 +251,7 @@ pub enum Op {
         to: Target,
         /// Its format.
         format: u16,
-        /// Its life, where it is shorter than the port's.
+        /// Its TTL, if shorter than the port's time_out.
         time_out: Option<Ticks>,
     },
     /// GET.
@@ -263,36 +263,36 @@ pub enum Op {
         /// How long to wait; `None` waits without end.
         time_out: Option<Ticks>,
     },
-    /// Reply or response to the message that this thread received last: pops the fields.
+    /// Reply or response to the message that this activation received last: pops the fields.
     Reply {
         /// Its format.
         format: u16,
     },
-    /// Reply to a message that another task received, or this one before: pops the fields, then the number of the message
-    /// ([`Op::ReceivedId`]), then its source.
+    /// Reply to a message that another task received, or that this one received earlier: pops the fields, then the id of the
+    /// message ([`Op::ReceivedId`]), then its source.
     ReplyFor {
         /// A port with usage `reply`, or the one that this task received the message on.
         port: PortId,
         /// Its format.
         format: u16,
     },
-    /// Reply to the message of `task` that this task took on `port` some time ago and has not answered (D93): pops the
-    /// fields. A task has one such message on a port at most (D75), so that no number is needed.
+    /// Reply to the message of `task` that this task received earlier on `port` and has not answered (D93): pops the fields.
+    /// There is at most one such message per task and port (D75), so no id is needed.
     ReplyOwed {
         /// The port that it came on.
         port: PortId,
-        /// Whose it is.
+        /// The task that sent it.
         task: TaskId,
         /// The format of the answer.
         format: u16,
     },
-    /// ARRIVE: pops the fields, at most 8 bytes of them. The others read them with [`Op::Arrival`].
+    /// ARRIVE: pops the fields, at most 8 bytes of them. The other members read them with [`Op::Arrival`].
     Arrive {
         /// The waitfor.
         port: PortId,
         /// The format of its arguments.
         format: u16,
-        /// The patience, where it is shorter than the port's.
+        /// The patience, if shorter than the port's time_out.
         time_out: Option<Ticks>,
     },
     /// ORDER: one of [`Program::orders`].
@@ -308,21 +308,21 @@ pub enum Op {
     },
     /// Stops a timer.
     Stop(TimeId),
-    /// An action outside, one of [`Program::actions`]: pops the arguments. Handlers may interrupt the waiting
-    /// for it; it goes on meanwhile.
+    /// An action outside, one of [`Program::actions`]: pops the arguments. Handlers may interrupt the wait for its end; the
+    /// action goes on meanwhile.
     Run {
         /// Which.
         action: u16,
         /// How many arguments.
         arguments: u8,
-        /// It takes no less
+        /// The shortest duration.
         least: Ticks,
-        /// and no more than this.
+        /// The longest duration.
         most: Ticks,
     },
     /// From `true` to `false` no handler interrupts. Such sections nest.
     Atomic(bool),
-    /// What the beats' answers carry from here on (D61): pops the fields, at most
+    /// Sets what the answers to heartbeats carry from here on (D61): pops the fields, at most
     /// [`PUBLISHED_BYTES`](crate::PUBLISHED_BYTES) of them.
     Publish {
         /// The format.
@@ -330,26 +330,26 @@ pub enum Op {
     },
     /// Waits for the lease (D61).
     Lease,
-    /// Pops a truth value; ends the task where it is false.
+    /// Pops a truth value; ends the task if it is false.
     Assert,
     /// Ends the task, for one of [`Program::reasons`].
     Abort(u16),
     /// Pushes a number below this one that the driver chooses.
     Choose(u16),
-    /// The handler ends; the thread that it interrupted goes on (R16).
+    /// The handler ends; the activation that it interrupted goes on (R16).
     HandlerEnd,
     /// The task ends.
     End,
 }
 
-/// When a statement asks whether a handler may come first.
+/// Which statements ask whether a handler may run first.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Fusing {
-    /// At the first statement after a wait, and after what changes ranks. Statements in between follow each other
-    /// without a gap in which a message could come, so nothing else could be answered there.
+    /// The first statement after a wait, or after an operation that changes ranks. No message can arrive between the other
+    /// statements, so asking there would change nothing.
     #[default]
     Fused,
-    /// At every statement.
+    /// Every statement.
     EveryStatement,
 }
 
@@ -362,7 +362,7 @@ pub struct Program {
     pub code: Vec<Op>,
     /// The handlers.
     pub handlers: Vec<Handler>,
-    /// Where the task goes on when it takes over from its partner (D61).
+    /// Where the task continues when it takes over from its partner (D61).
     pub takeover: Option<Address>,
     /// The task's variables: [`Slot::Task`].
     pub variables: Vec<Variable>,
@@ -378,7 +378,7 @@ pub struct Program {
     pub reasons: Vec<String>,
     /// Its `order`s.
     pub orders: Vec<ServiceOrder>,
-    /// When its statements ask for handlers.
+    /// Which of its statements ask for handlers.
     pub fusing: Fusing,
 }
 
@@ -389,7 +389,7 @@ impl Program {
         !self.handlers.is_empty() || self.takeover.is_some()
     }
 
-    /// Whether its variables or messages may hold numbers of messages, which no canonical state knows of (D51).
+    /// Whether its variables or messages may hold ids of messages, which a canonical state cannot represent (D51).
     #[must_use]
     pub fn names_messages(&self) -> bool {
         self.code.contains(&Op::ReceivedId)
@@ -400,13 +400,13 @@ impl Program {
         self.handlers.get(usize::from(handler?))?.locals.get(usize::from(at))
     }
 
-    /// The handler that this calls, and its position.
+    /// The handler of a trigger, and its position.
     pub(super) fn handler(&self, trigger: Trigger) -> Option<(u8, &Handler)> {
         let at = self.handlers.iter().position(|handler| handler.trigger == trigger)?;
         Some((u8::try_from(at).ok()?, &self.handlers[at]))
     }
 
-    /// The ports that have a handler, in the order of the handlers.
+    /// The ports that have a handler, in the order of the handlers, from position `from` on.
     pub(super) fn handled(&self, from: u8) -> impl Iterator<Item = (u8, PortId)> {
         let later = self.handlers.iter().enumerate().skip(usize::from(from));
         later.filter_map(|(i, handler)| match handler.trigger {

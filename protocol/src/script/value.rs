@@ -1,7 +1,7 @@
 //! The values of a script, and expressions over them.
 //!
-//! Every value is one `i64`: a truth value is 0 or 1, an integer is itself, a `real` is the bits of its `f32`. A
-//! variable holds only what its type holds; what leaves that range is a fault, never a wrap, and a checker shows it.
+//! Every value is one `i64`: a truth value is 0 or 1, an integer is itself, a `real` is the bits of its `f32`. To store a
+//! value outside the range of the variable's type is a fault, never a wrap, and a checker reports it.
 
 use super::ScriptFault;
 use crate::ids::{PortId, TaskId};
@@ -35,7 +35,7 @@ impl Type {
         }
     }
 
-    /// Whether `value` is one of this type.
+    /// Whether `value` is in the range of this type.
     #[must_use]
     pub fn holds(self, value: i64) -> bool {
         match self {
@@ -54,7 +54,7 @@ impl Type {
         Some(())
     }
 
-    /// Reads a value; `None` where `bytes` are too few or no value of this type.
+    /// Reads a value; `None` if `bytes` are too few or hold no value of this type.
     pub(super) fn read(self, bytes: &[u8]) -> Option<i64> {
         let mut raw = [0; 8];
         raw.get_mut(..self.bytes())?.copy_from_slice(bytes.get(..self.bytes())?);
@@ -89,7 +89,7 @@ pub enum Slot {
     Local(u16),
 }
 
-/// An operator with two operands. What compares or connects gives 0 or 1.
+/// An operator with two operands. Comparisons and connectives give 0 or 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[expect(missing_docs, reason = "the names say it")]
 pub enum Binary {
@@ -97,7 +97,7 @@ pub enum Binary {
     Subtract,
     Multiply,
     Divide,
-    /// What is left of a division, with the sign of the dividend; not of reals.
+    /// The remainder of a division, with the sign of the dividend; not for reals.
     Remainder,
     Equal,
     NotEqual,
@@ -114,8 +114,8 @@ pub enum Binary {
 /// What a `check` asks about a cell as a whole (D45).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Predicate {
-    /// `port.arrived(task)`: the task reached the waitfor, and no member has begun a later meeting there since. A task
-    /// that gave up had arrived all the same; one that restarted has not (D85).
+    /// `port.arrived(task)`: the task reached the waitfor, and no member has begun a later meeting there since. It stays
+    /// true if the task then gives up, but not if the task restarts (D85).
     Arrived {
         /// The waitfor.
         port: PortId,
@@ -129,16 +129,16 @@ pub enum Predicate {
         /// The port.
         port: PortId,
     },
-    /// `task.answered(port)`: the task's last request on the port has been answered, by all where it asked several.
-    /// Neither a refusal nor a time_out is an answer.
+    /// `task.answered(port)`: the task's last request on the port has been answered, by every task that was asked. Neither
+    /// a refusal nor a time_out is an answer.
     Answered {
         /// The task.
         task: TaskId,
         /// The port.
         port: PortId,
     },
-    /// `task.active`: the task may act: it has begun, has not ended, its node is up, and it holds its lease if it needs
-    /// one (D61).
+    /// `task.active`: the task may act. It has begun and not ended, its node is up, and it holds its lease if it needs one
+    /// (D61).
     Active(TaskId),
 }
 
@@ -147,7 +147,7 @@ pub enum Predicate {
 pub enum Term {
     /// A constant.
     Push(i64),
-    /// A variable of the own task or handler.
+    /// A variable of the same task or handler.
     Load(Slot),
     /// A variable of some task, in a `check`.
     Of {
@@ -177,11 +177,11 @@ pub enum Term {
 /// How many operands a `check` may hold at once.
 pub const CHECK_DEPTH: usize = 32;
 
-/// Evaluates an expression in which `look` gives the values of [`Term::Load`], [`Term::Of`] and [`Term::Is`]; `None`
-/// says that there is no such thing. The model checker and the cell language share it (D45).
+/// Evaluates an expression. `look` gives the values of [`Term::Load`], [`Term::Of`] and [`Term::Is`], or `None` if there
+/// is no such variable or predicate. The model checker and the cell language share this function (D45).
 ///
 /// # Errors
-/// [`ScriptFault::Malformed`] when the terms are no expression, and the faults of arithmetic.
+/// [`ScriptFault::Malformed`] if the terms are not an expression, and the faults of arithmetic.
 pub fn eval(terms: &[Term], mut look: impl FnMut(Term) -> Option<i64>) -> Result<i64, ScriptFault> {
     let (mut cells, mut len) = ([0; CHECK_DEPTH], 0);
     let mut operands = Operands { cells: &mut cells, len: &mut len };
@@ -192,7 +192,7 @@ pub fn eval(terms: &[Term], mut look: impl FnMut(Term) -> Option<i64>) -> Result
     if len == 0 { Ok(value) } else { Err(ScriptFault::Malformed) }
 }
 
-/// A stack of operands in fixed room. The room above its top is zero, so that equal stacks have equal bytes.
+/// A stack of operands in a fixed array. The cells above its top are zero, so that equal stacks have equal bytes.
 pub(super) struct Operands<'a> {
     pub cells: &'a mut [i64],
     pub len: &'a mut usize,

@@ -1,11 +1,11 @@
-//! The fields of a script (D165). Variables take the width of their type, truth values a bit; what is not in use takes
+//! Canonical packing of a script (D165). Variables take the width of their type, truth values one bit, and unused room
 //! nothing.
 //!
 //! ```text
 //! standing 2 | operands follow 1 | atomic follows 1 | level 4                     (high bits first)
-//! of one that lives: [atomic] [operands: count, 8 bytes each] variables, then each thread from the first:
+//! live:  [atomic] [operands: count, 8 bytes each] variables, then each activation from the first:
 //!     [handler] position, wait with its data, [port, source, id of the message to answer] [its variables]
-//! of one that ended: how, variables
+//! ended: how, variables
 //! ```
 
 use super::program::{Program, Variable};
@@ -21,7 +21,7 @@ const ENDED: u8 = 2;
 const OPERANDS: u8 = 0x20;
 const ATOMIC: u8 = 0x10;
 const LEVEL: u8 = 0x0f;
-/// Set in the number of a wait: the thread has a message to answer.
+/// Set in the number of a wait: the activation has a message to answer.
 const MESSAGE: u8 = 0x80;
 
 const SCRIPT_FAULTS: [ScriptFault; 9] = [
@@ -74,7 +74,7 @@ const ENDS: [End; 6] = [
 ];
 
 impl Script {
-    /// Walks it. A pass that reads must read bytes of a script of the same program.
+    /// Walks the script. A pass that reads needs bytes of a script of the same program.
     pub fn walk<W: Walk>(&mut self, program: &Program, w: &mut W) {
         let Self {
             standing,
@@ -84,7 +84,7 @@ impl Script {
             held,
             variables,
             locals,
-            // These two are of the program.
+            // These two follow from the program.
             width,
             acting: _,
             atomic,
@@ -139,14 +139,14 @@ impl Script {
         }
     }
 
-    /// Forgets the messages that cannot be answered any more: an answer to them and an answer to none end alike.
+    /// Drops the messages that can no longer be answered: a reply to such a message ends like a reply to none.
     pub fn bury(&mut self, answerable: impl Fn(&ReplyTo) -> bool) {
         for thread in &mut self.frames {
             thread.message = thread.message.filter(&answerable);
         }
     }
 
-    /// Forgets a variable that nothing reads before it is written anew, as a checker knows from the program.
+    /// Zeroes a dead variable: a checker knows from the program that it is written before it is read again.
     pub fn bury_variable(&mut self, index: u16) {
         if let Some(variable) = self.variables.get_mut(usize::from(index)) {
             *variable = 0;
@@ -178,7 +178,7 @@ impl Thread {
 }
 
 impl Wait {
-    /// Walks it with whether its thread has a message to answer, and gives that.
+    /// Walks the wait, with a flag for whether its activation has a message to answer. Returns the flag.
     fn walk<W: Walk>(&mut self, with_message: bool, w: &mut W) -> bool {
         let mut message = with_message;
         if W::PACKS {
@@ -261,7 +261,7 @@ fn walk_operand<W: Walk>(operand: &mut i64, w: &mut W) {
     *operand = i64::from_le_bytes(bytes);
 }
 
-/// First the truths, eight in a byte; then all others in their width.
+/// First the truth values, eight in a byte; then all others in the width of their type.
 fn walk_variables<W: Walk>(of: &[Variable], values: &mut [i64], w: &mut W) {
     if !W::PACKS {
         return;

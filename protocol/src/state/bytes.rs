@@ -6,21 +6,21 @@ use crate::ticks::{Instant, Ticks};
 use alloc::vec::Vec;
 use core::fmt;
 
-/// What packed ids are relative to.
+/// The reference points of packed ids.
 #[derive(Clone, Copy, Debug)]
 pub struct Frame<'a> {
     /// For each port, the least round in use anywhere in the cell.
     pub rounds: &'a [Round],
     /// For each task, the next sequence number it will use.
     pub sequences: &'a [Seq24],
-    /// Whether nodes restart: if not, everyone's first life needs no bytes.
+    /// Whether nodes restart. If not, every incarnation is the first one and takes no bytes.
     pub lives: bool,
 }
 
 impl Frame<'_> {
     /// The round that a packed zero is read as.
     pub const ROUND: Round = Round(0x1000);
-    /// The next sequence that packed sequences are read relative to.
+    /// The next sequence number after reading: packed sequences are relative to it.
     pub const SEQUENCE: Seq24 = Seq24::new(0x1000);
 }
 
@@ -37,7 +37,7 @@ impl fmt::Display for Overflow {
 
 impl core::error::Error for Overflow {}
 
-/// Writes canonical bytes: two states that differ by a shift of time or of ids have the same ones. A distance that
+/// Writes canonical bytes: states that differ only by a shift of time or of ids have the same bytes. A distance that
 /// outgrows its field is an [`Overflow`], never a saturated value.
 #[derive(Debug)]
 pub struct Encode<'a> {
@@ -138,7 +138,7 @@ impl Walk for Encode<'_> {
 }
 
 /// Reads bytes that an [`Encode`] wrote: rounds relative to [`Frame::ROUND`], sequences to [`Frame::SEQUENCE`], time to
-/// zero. Past the end there are zeros, and no bytes make it panic.
+/// zero. Bytes past the end read as zero, and no bytes make it panic.
 #[derive(Debug)]
 pub struct Decode<'a> {
     bytes: &'a [u8],
@@ -147,7 +147,7 @@ pub struct Decode<'a> {
 }
 
 impl<'a> Decode<'a> {
-    /// Reads what `walk` walks, and says how many bytes it took.
+    /// Reads what `walk` walks, and returns how many bytes it took.
     pub fn read(bytes: &'a [u8], lives: bool, walk: impl FnOnce(&mut Self)) -> usize {
         let mut pass = Self { bytes, at: 0, lives };
         walk(&mut pass);

@@ -1,16 +1,16 @@
-//! One walk over all state (D165). Each struct that a state is made of lists its fields once, in a function
-//! `walk(&mut self, .., w: &mut impl Walk)` that takes the struct apart without `..`: a field that is added is an error
-//! of the compiler until it stands there. What is done with the fields is a pass.
+//! One traversal of all state, for packing, reading and changing it (D165). Each struct of a state lists its fields once, in
+//! `walk(&mut self, .., w: &mut impl Walk)`. That function destructures the struct without `..`, so a new field does not
+//! compile until it is listed. A pass decides what is done with the fields.
 //!
 //! | pass | what it does with a field |
 //! |---|---|
-//! | [`Encode`] | writes it, canonical: times as what is left, numbers relative to the [`Frame`] (D51) |
+//! | [`Encode`] | writes it in canonical form: instants as remaining times, numbers relative to the [`Frame`] (D51) |
 //! | [`Decode`] | reads it back, relative to zero |
-//! | to look | shows what is relative: the least round in use, say |
-//! | to change | moves what is relative: rebasing, a shift of ids |
+//! | [`Pass::Look`] | reads relative values, for example to find the least round in use |
+//! | [`Pass::Change`] | shifts relative values: rebases a clock, adds a constant to ids |
 //!
-//! A field is *walked*, or *rebuilt* from others where the pass reads, or *of no account*: nothing that happens depends on
-//! it, and a comment says why.
+//! A field is *walked*, or *rebuilt* from others by a pass that reads, or *ignored*: behaviour does not depend on it, and a
+//! comment says why.
 
 mod bytes;
 
@@ -26,15 +26,15 @@ use alloc::vec::Vec;
 pub enum Pass {
     /// It writes bytes.
     Encode,
-    /// It reads bytes: what stood there before counts for nothing.
+    /// It reads bytes and overwrites the earlier values.
     Decode,
-    /// It looks, and changes nothing.
+    /// It looks at values and changes none.
     Look,
-    /// It changes what is relative, and keeps the order of instants.
+    /// It changes relative values and keeps the order of instants.
     Change,
 }
 
-/// A pass over a state. Of what it does not define it does nothing.
+/// A pass over a state. A method that a pass does not override does nothing.
 pub trait Walk {
     /// What it does.
     const PASS: Pass;
@@ -43,7 +43,7 @@ pub trait Walk {
     /// Whether it writes or reads bytes.
     const PACKS: bool = matches!(Self::PASS, Pass::Encode | Pass::Decode);
 
-    /// The clock that the instants behind it are on.
+    /// The clock of the instants that are walked after it.
     fn clock(&mut self, now: &mut Instant) {
         let _ = now;
     }
@@ -68,26 +68,26 @@ pub trait Walk {
         self.sequence(source, next);
     }
 
-    /// An epoch of the couple at this position in the cell. Those of the primary are odd, so only an even shift
-    /// changes nothing.
+    /// An epoch of the couple at this position in the cell. The primary's epochs are odd, so only an even shift preserves
+    /// behaviour.
     fn epoch(&mut self, couple: u8, epoch: &mut u8) {
         let _ = (couple, epoch);
     }
 
-    /// A byte that is as it is.
+    /// A byte, unchanged.
     fn byte(&mut self, byte: &mut u8) {
         let _ = byte;
     }
 
-    /// Whether nodes restart: if not, everyone's first life needs no bytes.
+    /// Whether nodes restart. If not, every incarnation is the first one and takes no bytes.
     fn lives(&self) -> bool {
         true
     }
 
-    /// The state does not fit its packed form.
+    /// Reports that the state does not fit its packed form.
     fn overflows(&mut self) {}
 
-    /// Writes a byte, or gives the one that is read in its place.
+    /// Writes a byte, or returns the byte that is read in its place.
     fn put(&mut self, mut byte: u8) -> u8 {
         self.byte(&mut byte);
         byte
@@ -102,7 +102,7 @@ pub trait Walk {
         if Self::PACKS { usize::from(self.put(byte)) } else { count }
     }
 
-    /// The same of another width.
+    /// The same for a `u16`.
     fn small(&mut self, number: &mut u16) {
         let read = self.count(usize::from(*number));
         if Self::READS {
@@ -110,7 +110,7 @@ pub trait Walk {
         }
     }
 
-    /// Up to eight truths, the first one in the lowest bit.
+    /// Up to eight booleans, the first one in the lowest bit.
     fn flags<const N: usize>(&mut self, flags: [bool; N]) -> [bool; N] {
         if !Self::PACKS {
             return flags;
@@ -120,12 +120,12 @@ pub trait Walk {
         if Self::READS { core::array::from_fn(|i| bits & (1 << i) != 0) } else { flags }
     }
 
-    /// A truth that takes a byte.
+    /// A boolean that takes a byte.
     fn flag(&mut self, flag: &mut bool) {
         *flag = self.flags([*flag])[0];
     }
 
-    /// Bytes as they are.
+    /// Bytes, unchanged.
     fn raw(&mut self, bytes: &mut [u8]) {
         if Self::PACKS {
             bytes.iter_mut().for_each(|byte| self.byte(byte));
@@ -146,7 +146,7 @@ pub trait Walk {
         *long = u64::from_le_bytes(bytes);
     }
 
-    /// A number of one byte, or behind a 255 of four.
+    /// A number in one byte, or 255 followed by four bytes.
     fn number(&mut self, number: &mut u32) {
         match self.put(u8::try_from(*number).unwrap_or(u8::MAX)) {
             u8::MAX => {
@@ -159,7 +159,7 @@ pub trait Walk {
         }
     }
 
-    /// A length of time: 255 for never, and behind a 254 what no single byte holds.
+    /// A length of time in one byte: 255 stands for [`Ticks::FAR`], and 254 is followed by four bytes for a longer one.
     fn length(&mut self, length: &mut Ticks) {
         const LONG: u8 = u8::MAX - 1;
         if !Self::PACKS {
@@ -183,7 +183,7 @@ pub trait Walk {
         }
     }
 
-    /// A byte of states that have it; in the others it is zero.
+    /// A byte that is packed only if `is`; otherwise it is zero.
     fn byte_if(&mut self, is: bool, byte: &mut u8) {
         if is {
             self.byte(byte);
@@ -192,7 +192,7 @@ pub trait Walk {
         }
     }
 
-    /// So many, and each.
+    /// A list: its length, then each element.
     fn list<T: Clone>(&mut self, list: &mut Vec<T>, blank: T, mut walk: impl FnMut(&mut T, &mut Self))
     where
         Self: Sized,
@@ -205,7 +205,7 @@ pub trait Walk {
         list.iter_mut().for_each(|one| walk(one, self));
     }
 
-    /// A list of states that have it; in the others it is empty.
+    /// A list that is packed only if `is`; otherwise it is empty.
     fn list_if<T: Clone>(
         &mut self,
         is: bool,
@@ -238,7 +238,7 @@ pub trait Walk {
         }
     }
 
-    /// What a member brings to a meeting, without the zeros at its end.
+    /// The arguments of a member's arrival, without trailing zeros.
     fn arguments(&mut self, arguments: &mut [u8; 8]) {
         if !Self::PACKS {
             return;
@@ -251,14 +251,14 @@ pub trait Walk {
         self.raw(&mut arguments[..len]);
     }
 
-    /// The life of a node.
+    /// The incarnation of a node.
     fn life(&mut self, life: &mut Incarnation) {
         if self.lives() {
             self.byte(&mut life.0);
         }
     }
 
-    /// A life that may not be known yet. Where no node restarts it is the first one.
+    /// An incarnation that may not be known yet. If no node restarts, it is the first one.
     fn known_life(&mut self, life: &mut Option<Incarnation>) {
         if !self.lives() {
             if Self::READS {
@@ -272,7 +272,7 @@ pub trait Walk {
         }
     }
 
-    /// The number of a message. Where no node restarts it is of `life`.
+    /// The id of a message. If no node restarts, its incarnation is `life`.
     fn id(&mut self, source: TaskId, life: Incarnation, id: &mut MessageId) {
         if Self::READS {
             id.incarnation = life;
@@ -281,8 +281,8 @@ pub trait Walk {
         self.sequence(source, &mut id.sequence);
     }
 
-    /// A value that is like one of these, but for what it holds: its place among them, or the one at the place that is read.
-    /// What it holds is walked then.
+    /// The variant of a value, packed as its position in `among`. A pass that reads sets the value to the template at the
+    /// position read. The caller then walks the fields of the variant.
     fn one_of<T: Copy>(&mut self, among: &[T], value: &mut T, is_like: impl Fn(&T, &T) -> bool) {
         if !Self::PACKS {
             return;
@@ -297,7 +297,7 @@ pub trait Walk {
         }
     }
 
-    /// What is in a place that may be empty. Where the pass reads, `is` says whether something comes.
+    /// The value in an `Option`. For a pass that reads, `is` says whether a value follows.
     fn some<'a, T>(&self, place: &'a mut Option<T>, is: bool, blank: T) -> Option<&'a mut T> {
         if Self::READS {
             *place = is.then_some(blank);
@@ -306,13 +306,13 @@ pub trait Walk {
     }
 }
 
-/// This bit of a byte, where it is set.
+/// `bit` if `set`, otherwise zero.
 #[must_use]
 pub const fn mark(set: bool, bit: u8) -> u8 {
     if set { bit } else { 0 }
 }
 
-/// Whether two places are empty, or hold values of the same variant.
+/// Whether two options are both empty, or hold values of the same variant.
 pub(crate) fn same_option<T>(a: &Option<T>, b: &Option<T>) -> bool {
     a.as_ref().map(core::mem::discriminant) == b.as_ref().map(core::mem::discriminant)
 }
@@ -325,7 +325,7 @@ pub(crate) fn same_variant<T>(a: &T, b: &T) -> bool {
 /// Moves a clock, and every instant on it.
 pub(crate) struct Clock<F>(pub F);
 
-/// Back to its beginning. What was over before comes to lie there.
+/// Sets a clock back to its start. Instants that are past become the start.
 pub(crate) fn restart(now: Instant) -> Clock<impl FnMut(Instant) -> Instant> {
     Clock(move |instant| Instant::START + (instant - now))
 }

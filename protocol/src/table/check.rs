@@ -1,4 +1,4 @@
-//! What may be wrong with a declared cell.
+//! Checks of a declared cell. Each fault becomes a [`CellError`].
 
 use super::{Hop, Port, farthest};
 use crate::cell::{Cell, CellError, MAX_FRAGMENTS, MAX_MEMBERS, MAX_NODES, Usage};
@@ -113,7 +113,7 @@ fn check_sizes(port: &Port, errors: &mut Vec<CellError>) {
     }
     for party in &port.parties {
         let Some(rate) = party.rate else { continue };
-        // D53: within one life a sender must stay within half the circle of its sequence numbers.
+        // Within one TTL a sender must use less than half of the range of sequence numbers (D53).
         let life = port.parties.iter().map(|p| p.time_out).max().unwrap_or_default();
         let sent = u128::from(rate.count) * port.peers(party.task).count() as u128 * u128::from(life.0);
         if rate.per.is_zero() || sent / u128::from(rate.per.0) >= u128::from(Seq24::MODULUS / 2) {
@@ -123,7 +123,7 @@ fn check_sizes(port: &Port, errors: &mut Vec<CellError>) {
     }
 }
 
-/// D9: what a user says of the message must be what the owner says.
+/// The class and the format that a user declares must equal the owner's (D9).
 fn check_users(cell: &Cell, port: &Port, errors: &mut Vec<CellError>) {
     let decl = &port.decl;
     for user in &decl.users {
@@ -167,7 +167,7 @@ fn check_ways(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mut Vec
                 errors.push(CellError::DeadlineTooShort { port, time_out, least });
             }
         }
-        // D53: who asks waits for the answer before it asks again.
+        // A sender of commands waits for the answer before it sends the next one (D53).
         let asks = matches!(party.usage, Usage::Send | Usage::Query) && decl.class == Class::Command;
         if let Some(rate) = party.rate.filter(|_| asks) {
             let least = Ticks(farthest.0.saturating_mul(u64::from(rate.count)));
@@ -289,7 +289,7 @@ mod tests {
             });
             assert_eq!(found, [CellError::Fragments(name("p"), wrong)]);
         }
-        // 2^23 messages of one sender in one life of 100 ticks.
+        // The limit: 2^23 messages of one sender within one TTL of 100 ticks.
         for (count, per, ports) in [(65_535, 1, 0), (1, 0, 1)] {
             let mut cell = three(1);
             cell.port(port().rate(count, Ticks(per)));

@@ -1,4 +1,4 @@
-//! What must hold of a declared couple (D30, D61): the compiler's checks of `couple work`.
+//! Checks of declared couples, `couple work`: their port, their times and the ports that they guard (D30, D61).
 
 use super::Port;
 use crate::cell::{Cell, CellError, CoupleDecl, Usage};
@@ -8,7 +8,7 @@ use alloc::format;
 use alloc::string::String;
 use alloc::vec::Vec;
 
-/// Checks all couples, and the ports that act under a lease. `bound` gives the path bound between two tasks.
+/// Checks all couples, and the ports guarded by a lease. `bound` gives the path bound between two tasks.
 pub(crate) fn check(
     cell: &Cell,
     ports: &[Port],
@@ -45,7 +45,7 @@ fn name(cell: &Cell, couple: &CoupleDecl) -> String {
     format!("{} -> {}", cell.tasks[couple.primary.index()].name, cell.tasks[couple.standby.index()].name)
 }
 
-/// The beats need a port of their own between the two: the standby asks, the primary responds.
+/// Heartbeats need a port that joins only the two tasks: the standby queries, the primary responds.
 fn check_via(couple: &CoupleDecl, via: &Port, errors: &mut Vec<CellError>) {
     let usage = |task| via.party(task).map(|party| party.usage);
     let fits = via.parties.len() == 2
@@ -74,7 +74,7 @@ fn check_times(
     let longest = |port: &Port| port.parties.iter().map(|party| party.time_out).max().unwrap_or_default();
     let residence = guarded.map(longest).max().unwrap_or(Ticks::ZERO);
     let margin = takeover_margin(couple.lease, couple.takeover, DRIFT_PPM, residence, cell.tick);
-    // An answer of an earlier time in office must be dead before the next one begins.
+    // An answer of an earlier epoch must have expired before the next epoch begins.
     let least = (couple.lease + margin).max(longest(via));
     if couple.takeover < least && !couple.trusted {
         let (couple, takeover) = (name(cell, couple), couple.takeover);

@@ -8,7 +8,7 @@ use alloc::vec::Vec;
 
 const CRC: crc::Crc<u32, crc::Table<1>> = crc::Crc::<u32, crc::Table<1>>::new(&crc::CRC_32_AUTOSAR);
 
-/// Feeds values to a checksum so that no two different tables feed the same bytes: everything carries its length.
+/// Feeds values to a checksum. Lengths precede texts and lists, so that different tables never feed the same bytes.
 struct Canonical<'a>(crc::Digest<'a, u32, crc::Table<1>>);
 
 impl Canonical<'_> {

@@ -12,13 +12,13 @@ pub struct Party {
     pub task: TaskId,
     /// What the task does with the port.
     pub usage: Usage,
-    /// How long the task's own requests on the port last, unless they say otherwise.
+    /// The default time_out of the task's own requests on the port.
     pub time_out: Ticks,
-    /// How often its class-2 messages are sent again within that time (D5).
+    /// How often its class-2 messages are retransmitted within that time (D5).
     pub retry: u8,
-    /// How often it sends at most (D53).
+    /// The highest rate at which it sends (D53).
     pub rate: Option<Rate>,
-    /// Where the port stands among those of the task: what its communication task has of it is found without a search.
+    /// The position of the port among those of the task, by which the communication task finds its state without a search.
     pub place: u16,
 }
 
@@ -66,7 +66,7 @@ impl Port {
         self.admitted(source, task).is_some()
     }
 
-    /// The ends of both, where it may.
+    /// The ends of both tasks, if `source` may send to `task`.
     pub(crate) fn admitted(&self, source: TaskId, task: TaskId) -> Option<(&Party, &Party)> {
         if let [owner, user] = &*self.parties {
             let ends = if source == owner.task { (owner, user) } else { (user, owner) };

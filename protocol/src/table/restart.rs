@@ -1,4 +1,4 @@
-//! For how long a task of a restarted node must reckon with what its earlier life left under way (D49, D67, D94, D157).
+//! How long messages to and from the earlier incarnation of a restarted node may still arrive (D49, D67, D94, D157).
 
 use super::{CellTable, Party, Port};
 use crate::cell::Usage;
@@ -8,9 +8,9 @@ use crate::ticks::Ticks;
 use alloc::boxed::Box;
 
 impl CellTable {
-    /// How long commands and arrivals that were sent to an earlier life of `task` may still arrive. For so long its
-    /// communication task answers commands with RESTARTED (D49) and drops arrivals (D67), but for those of its own node: tasks
-    /// there restarted with it, and nothing that they sent one another ever left the node.
+    /// How long commands and arrivals for an earlier incarnation of `task` may still arrive. During this time its communication
+    /// task answers commands with RESTARTED (D49) and drops arrivals (D67). Tasks of its own node are exempt: they restarted
+    /// too, and their packets to each other never left the node.
     #[must_use]
     pub fn quarantine(&self, task: TaskId) -> Ticks {
         let heard = self.lasting(task).filter(|(_, own)| hears(own.usage));
@@ -21,11 +21,11 @@ impl CellTable {
         lives.max().unwrap_or_default()
     }
 
-    /// How long a restarted node holds the script of `task` back (D94, D157), from the start of the node on. Until then
+    /// How long after its start a restarted node holds back the script of `task` (D94, D157). Until then
     ///
-    /// - commands and arrivals that were sent to its earlier life are turned away ([`quarantine`](Self::quarantine)): the script
+    /// - commands and arrivals for its earlier incarnation are turned away ([`quarantine`](Self::quarantine)), so the script
     ///   could only wait in vain;
-    /// - commands and arrivals that its earlier life sent may still arrive, and be carried out after what the new life does;
+    /// - commands and arrivals of its earlier incarnation may still arrive, and be carried out after those of the new one;
     /// - or a task of its own node that it asks or meets is held back.
     ///
     /// Zero for a task that the cell does not have, and for one without such ports.
@@ -34,7 +34,7 @@ impl CellTable {
         self.held_back.get(task.index()).copied().unwrap_or_default()
     }
 
-    /// How long each task is held back.
+    /// Computes [`held_back`](Self::held_back) for each task: a task waits for the tasks of its node that it asks or meets.
     pub(super) fn hold_back(&self) -> Box<[Ticks]> {
         let tasks = (0..self.locations.len()).map(TaskId::from_index);
         let mut held: Box<[Ticks]> = tasks.map(|task| self.quarantine(task).max(self.sent(task))).collect();
@@ -57,7 +57,7 @@ impl CellTable {
         }
     }
 
-    /// How long commands and arrivals that an earlier life of `task` sent may still arrive anywhere.
+    /// How long commands and arrivals of an earlier incarnation of `task` may still arrive anywhere.
     fn sent(&self, task: TaskId) -> Ticks {
         let ports = self.lasting(task).filter(|(_, own)| sends(own.usage));
         let lives = ports.flat_map(|(port, own)| {
@@ -66,8 +66,8 @@ impl CellTable {
         lives.max().unwrap_or_default()
     }
 
-    /// The ports of `task` that carry commands or arrivals. Heartbeats are none: a lease has its own rule for a later life (D80,
-    /// D135). Nor are replies to third parties: nobody carries them out, and they end as status messages do.
+    /// The ports of `task` that carry commands or arrivals. Heartbeat ports are left out: leases have their own rule for restarts
+    /// (D80, D135). So are ports for replies to third parties: nobody carries those out, and they expire as status messages do.
     fn lasting(&self, task: TaskId) -> impl Iterator<Item = (&Port, &Party)> {
         let ports = self.ports_of(task).iter().filter_map(|&id| self.port(id));
         let lasts = |port: &&Port| match port.decl.usage {
@@ -81,18 +81,18 @@ impl CellTable {
         ports.filter(lasts).filter_map(move |port| Some((port, port.party(task)?)))
     }
 
-    /// The tasks at the other end of a port that are on other nodes than `task`.
+    /// The tasks at the other end of a port that run on other nodes than `task`.
     fn elsewhere<'a>(&'a self, port: &'a Port, task: TaskId) -> impl Iterator<Item = TaskId> + 'a {
         port.peers(task).filter(move |&peer| self.location(peer) != self.location(task))
     }
 }
 
-/// Whether commands or arrivals come to who uses a port so.
+/// Whether a task with this usage receives commands or arrivals.
 const fn hears(usage: Usage) -> bool {
     matches!(usage, Usage::Receive | Usage::Response | Usage::Waitfor)
 }
 
-/// Whether who uses a port so sends commands or arrivals.
+/// Whether a task with this usage sends commands or arrivals.
 const fn sends(usage: Usage) -> bool {
     matches!(usage, Usage::Send | Usage::Query | Usage::Waitfor)
 }
@@ -106,7 +106,7 @@ mod tests {
     use alloc::vec::Vec;
 
     const FAR: TaskId = TaskId(0);
-    /// Tasks of one node, which is two ticks from that of [`FAR`].
+    /// Tasks of one node, at a link delay of two ticks from the node of [`FAR`].
     const A: TaskId = TaskId(1);
     const B: TaskId = TaskId(2);
     const C: TaskId = TaskId(3);
@@ -133,7 +133,7 @@ mod tests {
         let ports = |cell: &mut Cell| {
             cell.port(command(A, Usage::Receive, FAR, 90));
             cell.port(command(FAR, Usage::Receive, B, 20));
-            // A status is worth nothing to anybody who waits.
+            // A port for status messages holds back no task.
             cell.port(PortDecl::new("news", C, Usage::Send, &[FAR], Ticks(500)));
         };
         assert_eq!(held(ports), [92, 92, 22, 0]);

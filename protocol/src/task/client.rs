@@ -1,16 +1,16 @@
-//! The client: what the task sends, and the answers that it waits for (§4.1; D5, D6, D12).
+//! The client: messages that the task sends, and the answers to its outstanding requests (§4.1; D5, D6, D12).
 //!
-//! | input | what comes of it |
+//! | input | effect |
 //! |---|---|
-//! | [`send`](Client::send) | a class-1 message has gone, or the task waits for the answers at a desk |
-//! | [`answer`](Client::answer), [`third_party`](Client::third_party) | a packet of an answer; the last one that was missing ends the wait |
-//! | [`advance`](Client::advance) | the deadline ends the wait, or the request is sent again under the same id |
-//! | [`unsent`](Client::unsent), [`restarted`](Client::restarted) | a copy never left the node; a node that was asked has a new life |
-//! | [`close`](Client::close) | the task gives the request up |
+//! | [`send`](Client::send) | sends a class-1 message, or opens a desk at which the task waits for answers |
+//! | [`answer`](Client::answer), [`third_party`](Client::third_party) | takes a packet of an answer; the last one ends the wait |
+//! | [`advance`](Client::advance) | ends the wait at the deadline, or retransmits the request under the same id |
+//! | [`unsent`](Client::unsent), [`restarted`](Client::restarted) | a copy never left the node; an asked node restarted |
+//! | [`close`](Client::close) | the task cancels the request |
 //!
-//! A wait that ends is returned, never told: whoever calls knows whether the thread that waits is the one that runs.
-//! Between two inputs a desk is open exactly where a thread waits at it, and then the answer of somebody is missing, its
-//! deadline is not over and no copy is overdue.
+//! A *desk* is the state of one outstanding request. The end of a wait is returned and not signalled here: the caller
+//! knows whether the waiting activation is the running one. Between two inputs a desk is open exactly if an
+//! activation waits at it. Then an answer is missing, the deadline has not passed, and no copy is overdue.
 
 mod answers;
 mod check;
@@ -32,14 +32,14 @@ use alloc::boxed::Box;
 use desk::{Answer, Desk, Phase};
 use serde::{Deserialize, Serialize};
 
-/// The task's requests, and what was answered to the last one of each port.
+/// The desks of the task's requests, with the answers to the last request on each port.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Client {
     desks: Box<[Desk]>,
     overdue: Option<Overdue>,
 }
 
-/// Under the variant that takes late answers: the command that timed out last.
+/// The command that timed out last: under the variant that accepts late replies, its answer may still come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Overdue {
     port: PortId,
@@ -47,26 +47,26 @@ struct Overdue {
     id: MessageId,
 }
 
-/// What became of a message that the task wanted to send.
+/// The result of sending a message.
 pub(crate) enum Sent {
-    /// So many copies of it have gone.
+    /// This many copies of a class-1 message were sent.
     Copies(u16),
     /// The task waits for the answers at this desk.
     Asked(u16),
 }
 
-/// The port, the life and the contents of a message.
+/// The port, the TTL and the contents of a message.
 type Message<'a> = (&'a Port, Ticks, Contents);
 
 impl Client {
-    /// With a desk for each port that the task asks on.
+    /// A client with a desk for each port on which the task asks.
     pub fn new(table: &NodeTable, own: &Own) -> Self {
         let ports = own.ports(table, |role| matches!(role, Role::Asks(_)));
         let desks = ports.map(|(endpoint, port)| Desk::new(port, own.task, endpoint)).collect();
         Self { desks, overdue: None }
     }
 
-    /// SEND, or a query where that is the port's usage (R26, R40): a copy to each task it is for.
+    /// SEND, or a query if that is the port's usage: sends a copy to each receiver (R26, R40).
     pub fn send(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -124,53 +124,53 @@ impl Client {
         }
     }
 
-    /// When time alone makes a desk act.
+    /// The next instant at which time alone makes a desk act.
     pub fn due(&self, desk: u16) -> Instant {
         self.desks[usize::from(desk)].due()
     }
 
-    /// The task takes back what it asked at a desk.
+    /// Cancels the request at a desk.
     pub fn close(&mut self, desk: u16) {
         self.desks[usize::from(desk)].close();
     }
 
-    /// The task takes back all that it asked.
+    /// Cancels all requests.
     pub fn close_all(&mut self) {
         self.desks.iter_mut().for_each(Desk::close);
     }
 
-    /// The task is told how its request to several ended: what was answered may be read until it asks again.
+    /// Reports the outcome of a request to several tasks. The answers stay readable until the next request on the port.
     pub fn tell(&mut self, desk: u16) -> (PortId, Answers) {
         let desk = &mut self.desks[usize::from(desk)];
         desk.tell();
         (desk.port, desk.answers())
     }
 
-    /// Likewise of an answer in several packets: the first one.
+    /// Reports an answer of several fragments: returns the first one. The others stay readable likewise.
     pub fn tell_long(&mut self, desk: u16) -> Contents {
         let desk = &mut self.desks[usize::from(desk)];
         desk.tell();
         desk.long_answer().unwrap_or_default()
     }
 
-    /// Fragment `index` of what a task answered to the last request on a desk's port.
+    /// Fragment `index` of a task's answer to the last request on a desk's port.
     pub fn answer_fragment(&self, desk: u16, task: TaskId, index: u8) -> Option<&Contents> {
         let asked = self.desks[usize::from(desk)].asked.iter().find(|asked| asked.task == task)?;
         (asked.answer == Answer::Answered).then(|| asked.contents.get(index)).flatten()
     }
 
-    /// The requests whose answers the task waits for: port, who was asked, and the id.
+    /// The outstanding requests whose answers are missing: the port, the task that was asked, and the message id.
     pub fn outstanding(&self) -> impl Iterator<Item = (PortId, TaskId, MessageId)> {
         self.desks.iter().flat_map(|desk| desk.open().map(|asked| (desk.port, asked.task, asked.id)))
     }
 
-    /// The port of a desk, who has not answered there, and until when they may.
+    /// The port of a desk, the first task whose answer is missing there, and the deadline.
     pub fn wait_at(&self, desk: u16) -> (PortId, Option<TaskId>, Instant) {
         let desk = &self.desks[usize::from(desk)];
         (desk.port, desk.open().next().map(|asked| asked.task), desk.deadline)
     }
 
-    /// Something is [`due`](Self::due) at a desk: what is over ends, else it is sent again.
+    /// Does what is [`due`](Self::due) at a desk: times the request out, or retransmits it.
     pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>, desk: u16) -> Option<Ended> {
         let at = usize::from(desk);
         let desk = &self.desks[at];
@@ -195,7 +195,7 @@ impl Client {
         Some(self.end(at, outcome))
     }
 
-    /// D5: the same message_ID inside the one budget, to those that have not answered.
+    /// Retransmits the request to the tasks that have not answered: the same message_ID, within the same time_out (D5).
     fn send_again(&mut self, step: &mut Step<'_, impl Outbox>, at: usize) {
         let desk = &mut self.desks[at];
         let Some(port) = step.table.port(desk.port) else { return };
@@ -215,7 +215,7 @@ impl Client {
         }
     }
 
-    /// Whether a state that was read has the desks of a new one.
+    /// Validates a deserialised client: its desks are those of a new one.
     pub fn is_like(&self, new: &Self) -> bool {
         are_alike(&self.desks, &new.desks, Desk::is_like)
     }
@@ -226,7 +226,7 @@ impl Client {
     }
 }
 
-/// A class-2 message to one of the tasks that are asked.
+/// Sends a class-2 message to one of the tasks that are asked, and notes its id.
 fn ask(
     step: &mut Step<'_, impl Outbox>,
     (desk, place): (&mut Desk, usize),
@@ -241,7 +241,7 @@ fn ask(
     }
 }
 
-/// Sends a message, with what was staged for it, to one task.
+/// Sends a message with its staged fragments to one task.
 fn send_packets(
     step: &mut Step<'_, impl Outbox>,
     place: usize,

@@ -4,7 +4,7 @@ use crate::observe::PortCounters;
 use core::ops::AddAssign;
 use serde::{Deserialize, Serialize};
 
-/// A counter of 48 bits: of a million a second it is full after 8.9 years, and stays so.
+/// A saturating counter of 48 bits: at a million counts per second it is full after 8.9 years.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(from = "u64", into = "u64")]
 pub(crate) struct Count([u16; 3]);
@@ -33,7 +33,7 @@ impl AddAssign<u64> for Count {
     }
 }
 
-/// [`PortCounters`] in 66 bytes: every port of every task has them, used or not.
+/// [`PortCounters`] in 66 bytes, because every port of every task has them.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Counts {
     pub sent: Count,

@@ -1,4 +1,4 @@
-//! Two tasks for the tests of one part alone, and where its effects go.
+//! Two tasks on one node, to test a part by itself, and a record of its effects.
 
 use super::own::Own;
 use super::step::{Outbox, Step};
@@ -12,16 +12,16 @@ use crate::ticks::{Instant, Ticks};
 use alloc::sync::Arc;
 use alloc::vec::Vec;
 
-/// Task A may send a command here, and again.
+/// A may send commands to B here, with retransmissions.
 pub(super) const MOVE: PortId = PortId(0);
-/// The two meet here.
+/// The waitfor of A and B.
 pub(super) const LIFT: PortId = PortId(1);
-/// The two are a couple here: A acts, B takes over.
+/// The heartbeats of the couple: A is the primary, B the standby.
 pub(super) const ALIVE: PortId = PortId(2);
 pub(super) const A: TaskId = TaskId(0);
 pub(super) const B: TaskId = TaskId(1);
 
-/// What a part did.
+/// The recorded effects of a part.
 #[derive(Default)]
 pub(super) struct Effects {
     pub packets: Vec<Packet>,
@@ -48,7 +48,7 @@ impl Outbox for Effects {
     }
 }
 
-/// What a part of one of the two tasks works with.
+/// The context in which a part of one of the two tasks works.
 pub(super) struct Fixture {
     pub table: NodeTable,
     pub own: Own,
@@ -80,13 +80,13 @@ impl Fixture {
         Self { table, own, effects: Effects::default() }
     }
 
-    /// At an instant.
+    /// The step context at an instant.
     pub fn at(&mut self, now: Instant) -> Step<'_, Effects> {
         self.own.now = now;
         Step { table: &self.table, own: &mut self.own, out: &mut self.effects }
     }
 
-    /// The packets that went out since the last look.
+    /// The packets that were sent since the last call.
     pub fn packets(&mut self) -> Vec<Packet> {
         core::mem::take(&mut self.effects.packets)
     }

@@ -1,5 +1,5 @@
-//! Messages and answers longer than one packet (D28): fragments that share one id, whole before their one deadline or
-//! not at all.
+//! Messages and answers longer than one packet: fragments with one id, complete before their one deadline or dropped
+//! (D28).
 
 #[cfg(feature = "checker")]
 mod walk;
@@ -11,7 +11,7 @@ use alloc::boxed::Box;
 use alloc::vec;
 use serde::{Deserialize, Serialize};
 
-/// The fragments of a message after its first one. It has no room where the format takes one packet.
+/// The fragments of a message after the first. Allocates nothing if the format takes one packet.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Parts(Option<Box<Room>>);
 
@@ -23,14 +23,14 @@ struct Room {
 }
 
 impl Parts {
-    /// Room for a message of so many packets.
+    /// Room for a message of up to `fragments` packets.
     pub fn new(fragments: u8) -> Self {
         let room = usize::from(fragments.saturating_sub(1));
         let parts = || vec![Contents::EMPTY; room].into_boxed_slice();
         Self((room > 0).then(|| Box::new(Room { have: 0, parts: parts() })))
     }
 
-    /// For how many fragments there is room.
+    /// The capacity in fragments.
     pub fn room(&self) -> usize {
         self.0.as_ref().map_or(0, |room| room.parts.len())
     }
@@ -40,12 +40,12 @@ impl Parts {
         self.0.is_some()
     }
 
-    /// Which fragments are here. Bit `i`: fragment `i + 1`.
+    /// The fragments that are here. Bit `i`: fragment `i + 1`.
     pub fn have(&self) -> u16 {
         self.0.as_ref().map_or(0, |room| room.have)
     }
 
-    /// Puts fragment `index`, counted from 1; false where there is no room for it.
+    /// Stores fragment `index`, counted from 1; false if there is no room for it.
     pub fn put(&mut self, index: u8, contents: Contents) -> bool {
         let Some(room) = &mut self.0 else { return false };
         let at = usize::from(index).checked_sub(1);
@@ -55,7 +55,7 @@ impl Parts {
         true
     }
 
-    /// How many packets the message takes, or `None` where a fragment before a later one is missing.
+    /// The number of packets of the message; `None` if a fragment before a later one is missing.
     pub fn fragments(&self) -> Option<u8> {
         let have = self.have();
         let whole = have & have.wrapping_add(1) == 0;
@@ -69,7 +69,7 @@ impl Parts {
         room.parts.get(usize::from(at))
     }
 
-    /// Takes over what `from` has, as far as there is room.
+    /// Copies the fragments of `from`, as far as there is room.
     pub fn copy(&mut self, from: &Self) {
         match &from.0 {
             Some(room) => self.fill(room.have, room.parts.iter()),
@@ -77,7 +77,7 @@ impl Parts {
         }
     }
 
-    /// Takes over fragments from 1 on, of which `have` are there.
+    /// Copies fragments from 1 on; `have` says which of them are valid.
     pub fn fill<'a>(&mut self, have: u16, from: impl Iterator<Item = &'a Contents>) {
         let Some(room) = &mut self.0 else { return };
         let all = 1_u32.checked_shl(u32::try_from(room.parts.len()).unwrap_or(16)).unwrap_or(0);
@@ -93,55 +93,55 @@ impl Parts {
         }
     }
 
-    /// Whether what was read from a file has the room of a new one, and fits in it.
+    /// Validates deserialised fragments: their capacity is that of `new`, and no fragment is beyond it.
     pub fn has_room_of(&self, new: &Self) -> bool {
         self.room() == new.room() && is_within(self.have(), self.room())
     }
 }
 
-/// A message, or an answer, whose fragments are coming in.
+/// An incomplete message or answer, whose fragments are being received.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Assembly {
     pub id: MessageId,
-    /// Bit `i`: fragment `i` is here. Zero: nothing is being assembled.
+    /// Bit `i`: fragment `i` is here. Zero: no message is being received.
     pub have: u16,
-    /// How many there are, once the last one is here.
+    /// The number of fragments, known once the last one is here.
     pub fragments: Option<u8>,
-    /// When the least life of those here ends; of a command, with the way back taken off.
+    /// The earliest deadline of the fragments that are here. For a command, the link delay of the reply is subtracted.
     pub expires: Instant,
     pub contents: Box<[Contents]>,
 }
 
-/// What a fragment did to its assembly.
+/// The effect of a fragment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Progress {
-    /// Others are missing.
+    /// Other fragments are missing.
     Waits,
-    /// It was here already.
+    /// A copy: the fragment was here already.
     Again,
-    /// It contradicts the others: all of them are gone.
+    /// The fragment contradicts the others, and all are dropped.
     Broken,
-    /// The message is whole: so many fragments.
+    /// The message is complete, with this many fragments.
     Whole(u8),
 }
 
 impl Assembly {
-    /// Room for a message of so many packets.
+    /// Room for a message of up to `fragments` packets.
     pub fn new(fragments: u8) -> Self {
         Self { contents: vec![Contents::EMPTY; usize::from(fragments)].into_boxed_slice(), ..Self::default() }
     }
 
-    /// Whether fragments are here.
+    /// Whether any fragments are here.
     pub const fn is_open(&self) -> bool {
         self.have != 0
     }
 
-    /// Forgets everything and waits for the fragments of `id`.
+    /// Drops all fragments, and expects those of `id`.
     pub fn begin(&mut self, id: MessageId) {
         (self.id, self.have, self.fragments, self.expires) = (id, 0, None, Instant::NEVER);
     }
 
-    /// Forgets the fragments of `id`. Whether there were some.
+    /// Drops the fragments of `id`; true if there were any.
     pub fn close(&mut self, id: MessageId) -> bool {
         let closes = self.have != 0 && self.id == id;
         if closes {
@@ -150,7 +150,7 @@ impl Assembly {
         closes
     }
 
-    /// Puts a fragment that fits the room.
+    /// Stores a fragment that fits the room.
     pub fn put(&mut self, packet: &Packet, expires: Instant) -> Progress {
         if self.have == 0 && self.fragments.is_none() && packet.fragment == 0 && !packet.more {
             let Some(slot) = self.contents.first_mut() else { return Progress::Broken };
@@ -187,13 +187,13 @@ impl Assembly {
         }
     }
 
-    /// Fragment `index` of what is here.
+    /// Fragment `index`, if it is here.
     pub fn get(&self, index: u8) -> Option<&Contents> {
         let here = index < 16 && self.have & (1 << index) != 0;
         self.contents.get(usize::from(index)).filter(|_| here)
     }
 
-    /// Whether what was read from a file has the room of a new one, and fits in it.
+    /// Validates a deserialised assembly: its capacity is that of `new`, and nothing is beyond it.
     pub fn has_room_of(&self, new: &Self) -> bool {
         let most = self.contents.len();
         let known = self.fragments.is_none_or(|fragments| usize::from(fragments) <= most.max(1));
@@ -201,7 +201,7 @@ impl Assembly {
     }
 }
 
-/// Whether all bits of `have` are below `most`.
+/// Whether only bits below `most` are set in `have`.
 fn is_within(have: u16, most: usize) -> bool {
     u32::from(have).checked_shr(u32::try_from(most).unwrap_or(u32::MAX)).unwrap_or(0) == 0
 }
@@ -214,7 +214,7 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Fragments in any order, repeated or not: the message is whole with its last missing fragment, and never before.
+        /// Fragments in any order, with copies: the message is complete with its last missing fragment, and never before.
         #[test]
         fn a_message_is_whole_when_every_fragment_came(fragments in 1..=16_u8, order in proptest::collection::vec(0..16_u8, 0..60)) {
             let mut assembly = Assembly::new(16);

@@ -1,4 +1,4 @@
-//! Which packets no future of a communication task can notice (a reduction for the model checker).
+//! Packets that no future of a communication task can notice: a reduction for the model checker.
 
 use super::{CommTask, Role};
 use crate::ids::{Incarnation, PortId, Round, TaskId};
@@ -6,44 +6,44 @@ use crate::packet::{Kind, Packet};
 use crate::table::NodeTable;
 
 impl CommTask {
-    /// Whether this task's behaviour is the same with and without `packet`, whenever it arrives. Conservative: false
-    /// where that is not certain. Counters and observations do not count. `source` is the packet's sender now; in a
-    /// world whose nodes never restart, an answer that it would ignore need not be provoked.
+    /// Whether this task behaves the same with and without `packet`, whenever it arrives. Conservative: false if that
+    /// is not certain. Counters and observations do not count. `source` is the present state of the packet's sender:
+    /// in a world whose nodes never restart, an answer that the sender would ignore may be left out.
     #[must_use]
     pub fn ignores(&self, table: &NodeTable, packet: &Packet, source: &Self) -> bool {
         if let Some(meeting) = self.own.meeting(packet.port) {
-            // An ABORT in answer would still take an arrival from a CONFIRM that the source owes.
+            // An ABORT as an answer would void an arrival that the source still needs for a CONFIRM that it owes.
             let round = packet.meeting().round;
             let over_there = source.is_over(packet.port, round) && source.owes(packet.port) != Some(round);
             return self.machines.meetings.at(meeting).ignores(table, packet, over_there);
         }
-        // An answer to a request that has ended, or to none.
+        // It answers a request that has ended, or none.
         matches!(self.own.role(packet.port), Some(Role::Asks(_) | Role::Hears))
             && matches!(packet.kind, Kind::Reply | Kind::Response | Kind::Control)
             && table.rules().refuse_late_replies
             && !self.outstanding().any(|(_, _, id)| id == packet.id)
     }
 
-    /// Whether this task will never again wait in `round` of a waitfor port, or never does at all.
+    /// Whether this task never waits again in `round` of a waitfor port, or takes no part in it.
     #[must_use]
     pub fn is_over(&self, port: PortId, round: Round) -> bool {
         let meeting = self.own.meeting(port);
         meeting.is_none_or(|meeting| self.machines.meetings.at(meeting).never_again(round))
     }
 
-    /// The round of a waitfor port whose CONFIRM this task still has to send, or to send again.
+    /// The round of a waitfor port whose CONFIRM this task has yet to send, or to send again.
     #[must_use]
     pub fn owes(&self, port: PortId) -> Option<Round> {
         self.machines.meetings.at(self.own.meeting(port)?).owes()
     }
 
-    /// The life in which this task last heard a member of a waitfor port.
+    /// The incarnation in which this task last heard a member of a waitfor port.
     #[must_use]
     pub fn heard_in(&self, table: &NodeTable, port: PortId, member: TaskId) -> Option<Incarnation> {
         self.machines.meetings.at(self.own.meeting(port)?).heard_in(table.port(port)?, member)
     }
 
-    /// Forgets the CONFIRM that is still to be sent: for a checker that knows that everybody would ignore it.
+    /// Drops the CONFIRM that this task has yet to send: for a checker that knows that every receiver would ignore it.
     pub fn settle(&mut self, port: PortId) {
         self.due = None;
         if let Some(meeting) = self.own.meeting(port) {

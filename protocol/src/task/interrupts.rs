@@ -1,15 +1,18 @@
-//! Interruption (R15, R16, D15): the task's thread, the handlers that interrupted it and each other, and its timers.
+//! Interruption: the task's own thread, the handlers that interrupt it and each other, and its timers (R15, R16, D15). An
+//! *activation* is the thread or one handler; the type is [`Level`].
 //!
-//! | call | what it does |
+//! | call | effect |
 //! |---|---|
-//! | [`wait`](Interrupts::wait), [`end_wait`](Interrupts::end_wait) | the running thread begins, or ends, to wait |
-//! | [`conclude`](Interrupts::conclude) | a wait is over: if the thread that waits runs, it is to be told; if handlers run above it, the end is kept until they have ended |
-//! | [`outranks`](Interrupts::outranks), [`is_interruptible`](Interrupts::is_interruptible) | whether something may interrupt the running thread, now |
-//! | [`begin`](Interrupts::begin), [`resume`](Interrupts::resume) | a handler interrupts the running thread; it ends, and the thread goes on |
-//! | [`delay`](Interrupts::delay), [`start`](Interrupts::start), [`stop`](Interrupts::stop), [`time_is_over`](Interrupts::time_is_over) | the task's delays and timers, which the node's Timer counts |
+//! | [`wait`](Interrupts::wait), [`end_wait`](Interrupts::end_wait) | the running activation begins to wait, or stops waiting |
+//! | [`conclude`](Interrupts::conclude) | a wait ended: signal it now, or keep the end until the handlers above have ended |
+//! | [`is_interruptible`](Interrupts::is_interruptible) | whether a handler may begin now |
+//! | [`outranks`](Interrupts::outranks) | whether something of a given rank may interrupt the running activation |
+//! | [`begin`](Interrupts::begin), [`resume`](Interrupts::resume) | a handler interrupts the running activation; it ends |
+//! | [`delay`](Interrupts::delay), [`start`](Interrupts::start), [`stop`](Interrupts::stop) | arm or disarm the node's Timer |
+//! | [`time_is_over`](Interrupts::time_is_over) | the node's Timer reports an end |
 //!
-//! Between two inputs at most [`DEPTH`] handlers run, none ranks lower than what it interrupted, and each thread below the
-//! running one waits or has its end kept. No two delays and timers of a task have one name.
+//! Between two inputs at most [`DEPTH`] handlers run, and none ranks lower than what it interrupted. Each interrupted activation
+//! waits, or the end of its wait is kept. Delays and timers of a task have different names.
 
 mod check;
 mod offer;
@@ -29,20 +32,20 @@ use alloc::boxed::Box;
 use serde::{Deserialize, Serialize};
 use timers::Timers;
 
-/// How many handlers run at a time, each having interrupted the one before.
+/// How many handlers can run at the same time, each having interrupted the one before.
 pub(crate) const DEPTH: usize = ServiceOrder::LEVELS + 2;
 
-/// How many timers of one task run at a time.
+/// How many timers of one task can run at the same time.
 pub(crate) const TIMERS: usize = 8;
 
-/// The task's thread, or a handler.
+/// An activation: the task's own thread, or a handler.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Level {
-    /// What a message must outrank to interrupt it. Of the task's thread that is the rank of `self`.
+    /// The rank that a message must outrank to interrupt this handler. The `order` has that of the task's own thread.
     rank: u8,
     atomic: bool,
     pub pending: Pending,
-    /// How its wait ended while a handler ran above it.
+    /// The end of its wait, kept because a handler ran above it.
     pub finished: Option<Finished>,
 }
 
@@ -50,17 +53,17 @@ impl Level {
     const NEW: Self = Self { rank: 0, atomic: false, pending: Pending::Nothing, finished: None };
 }
 
-/// The task's threads and timers.
+/// The activations and timers of a task.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Interrupts {
-    /// The thread that runs: the task's own, or the handler that interrupted last.
+    /// The running activation: the task's own thread, or the handler that interrupted last.
     running: Level,
-    /// What was interrupted, `depth` of them: the task's thread, then handlers.
+    /// A stack of the interrupted activations, `depth` deep: the task's own thread, then handlers.
     interrupted: Box<[Level]>,
     depth: u8,
-    /// The handler that began last ran for a message at its cap (D76).
+    /// Whether the handler that began last took a capped message (D76).
     capped_last: bool,
-    /// Tells the starts of the task's delays and timers apart.
+    /// The number of the next start of a delay or timer, by which a stale report is recognised.
     next_turn: u8,
     timers: Timers,
 }
@@ -79,49 +82,49 @@ impl Default for Interrupts {
 }
 
 impl Interrupts {
-    /// What the running thread waits for.
+    /// The wait of the running activation.
     pub const fn pending(&self) -> Pending {
         self.running.pending
     }
 
-    /// The running thread waits from here on.
+    /// The running activation waits from here on.
     pub const fn wait(&mut self, pending: Pending) {
         self.running.pending = pending;
     }
 
-    /// The running thread waits no more. Returns what it waited for.
+    /// Ends the wait of the running activation, and returns it.
     pub const fn end_wait(&mut self) -> Pending {
         core::mem::replace(&mut self.running.pending, Pending::Nothing)
     }
 
-    /// The task's thread and the handlers that run, the interrupting after the interrupted.
+    /// All activations, from the task's own thread up to the running one.
     pub fn threads(&self) -> impl Iterator<Item = &Level> {
         self.interrupted.iter().take(usize::from(self.depth)).chain([&self.running])
     }
 
-    /// Whether a thread waits so.
+    /// Whether an activation has this wait.
     pub fn waits(&self, wait: Pending) -> bool {
         self.threads().any(|level| level.pending == wait)
     }
 
-    /// The desks at which a thread waits.
+    /// The desks at which activations wait.
     pub fn open_desks(&self) -> impl Iterator<Item = u16> {
         self.threads()
             .filter_map(|level| if let Pending::Reply(desk) = level.pending { Some(desk) } else { None })
     }
 
-    /// How many handlers run, each having interrupted the one before or the task's thread.
+    /// The number of running handlers: each has interrupted the one before, or the task's own thread.
     pub const fn depth(&self) -> u8 {
         self.depth
     }
 
-    /// Begins or ends an atomic section of the running thread: only the lease interrupts it there.
+    /// Begins or ends an atomic section of the running activation, in which only the lease interrupts.
     pub const fn set_atomic(&mut self, atomic: bool) {
         self.running.atomic = atomic;
     }
 
-    /// Ends the wait of the thread that waits so. True where it runs: it is to be told now, else when it
-    /// [resumes](Self::resume).
+    /// Ends a wait. True if the running activation had it: then its end must be signalled now. Otherwise the end is
+    /// kept until that activation [resumes](Self::resume).
     pub fn conclude(&mut self, wait: Pending, finished: &Finished) -> bool {
         if self.running.pending == wait {
             self.running.pending = Pending::Nothing;
@@ -134,7 +137,7 @@ impl Interrupts {
         false
     }
 
-    /// The action of the running thread has ended.
+    /// The external action of the running activation has ended.
     pub fn done(&mut self) -> Result<(), Fault> {
         if self.running.pending == Pending::Work {
             self.end_wait();
@@ -143,27 +146,27 @@ impl Interrupts {
         Err(if self.waits(Pending::Work) { Fault::Busy } else { Fault::WrongUsage })
     }
 
-    /// Whether a handler may interrupt the running thread: it waits, or stands between two statements. `called`: the lease
-    /// has word for the task.
+    /// Whether a handler may interrupt the running activation, because that waits or is between two statements.
+    /// `called`: the lease has a pending call.
     pub fn is_interruptible(&self, at_boundary: bool, called: bool) -> bool {
         let running = &self.running;
         let room = usize::from(self.depth) < DEPTH;
-        // D61: who lost its lease must stop acting, whatever section it is in.
+        // A task that lost its lease must stop acting, even in an atomic section (D61).
         let open = !running.atomic || called;
         room && open && (at_boundary || running.pending != Pending::Nothing)
     }
 
-    /// In a plain GET there is no thread to interrupt.
+    /// Whether the task's own thread waits in a GET: then a handler interrupts nothing.
     fn is_idle_get(&self) -> bool {
         self.depth == 0 && matches!(self.running.pending, Pending::Get { .. })
     }
 
-    /// What a message must outrank.
+    /// The rank that a message must outrank.
     fn rank_of_running(&self, own: &Own) -> u8 {
         if self.depth == 0 { own.order.own() } else { self.running.rank }
     }
 
-    /// Whether what has this rank may interrupt the running thread. `capped`: it was rejected as often as it can be.
+    /// Whether something of this rank may interrupt the running activation. `capped`: it was rejected as often as it can be.
     pub fn outranks(&self, table: &NodeTable, own: &Own, rank: u8, capped: bool) -> bool {
         !table.rules().obey_order
             || self.is_idle_get()
@@ -171,23 +174,23 @@ impl Interrupts {
             || (capped && self.depth == 0)
     }
 
-    /// Whether a message of this port and source is what the running thread waits for in a GET.
+    /// Whether the running activation waits in a GET for a message of this port and source.
     pub fn gets(&self, id: PortId, from: TaskId, handled: bool) -> bool {
         matches!(self.running.pending, Pending::Get { port, source, .. }
             if port.map_or(!handled, |port| port == id) && source.is_none_or(|source| source == from))
     }
 
-    /// Until when messages are due to be offered: in a plain GET all are.
+    /// The instant up to which messages are due to be offered: in a GET without a handler running, all are.
     pub fn due_by(&self, now: Instant) -> Instant {
         if self.is_idle_get() { Instant::NEVER } else { now }
     }
 
-    /// Whose turn it is that was rejected so often, and so early.
+    /// The turn of a capped message, by its first rejection.
     pub fn capped_turn(&self, rejected_first: u64) -> Turn {
         if self.capped_last { Turn::CappedAgain(rejected_first) } else { Turn::Capped(rejected_first) }
     }
 
-    /// It was the turn of what was offered first.
+    /// Notes whose turn it was: that of the first offer.
     pub fn note_turn(&mut self, turn: Turn) {
         match turn {
             Turn::Capped(_) | Turn::CappedAgain(_) => self.capped_last = true,
@@ -196,7 +199,7 @@ impl Interrupts {
         }
     }
 
-    /// D15: a handler never ranks lower than what it interrupted.
+    /// Begins a handler. It never ranks lower than what it interrupts (D15).
     pub fn begin(&mut self, own: &Own, rank: u8) {
         let rank = rank.min(self.rank_of_running(own));
         if self.running.pending == Pending::Nothing {
@@ -207,7 +210,7 @@ impl Interrupts {
         self.depth += 1;
     }
 
-    /// A handler ended (R16). The thread below goes on where it was. Returns how its wait ended meanwhile, if it did.
+    /// Ends the running handler and resumes the activation below it. Returns the end of that one's wait, if it was kept (R16).
     pub fn resume(&mut self) -> Result<Option<Finished>, Fault> {
         if self.depth == 0 {
             return Err(Fault::NotInterrupted);
@@ -216,8 +219,8 @@ impl Interrupts {
         Ok(self.running.finished.take())
     }
 
-    /// Ends the running handler and goes back to what it interrupted; without a handler, the task's thread begins anew. Returns
-    /// whether there was a handler.
+    /// Drops the running handler and returns to the activation below. Without a handler, resets the task's own
+    /// thread. True if there was a handler.
     pub fn drop_running(&mut self) -> bool {
         self.running = Level::NEW;
         let handler = self.depth > 0;
@@ -228,7 +231,7 @@ impl Interrupts {
         handler
     }
 
-    /// Whether a state that was read has so many threads, and all that they wait for is there.
+    /// Validates deserialised activations: the stack has its capacity, and everything that they wait for exists.
     pub fn is_whole(&self, is: impl Fn(Pending) -> bool) -> bool {
         let named = |level: &Level| {
             let ended = match level.finished {

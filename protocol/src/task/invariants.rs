@@ -1,12 +1,12 @@
-//! What holds of every communication task after every input. The checker, the simulator, the validator of recordings
-//! and debug runs all call [`check`]; a violation is a fault of the machine, never of a program or of the network.
+//! The invariants of a communication task after every input. The checker, the simulator, the replay of recordings and
+//! debug runs call [`check`]. A violation is a fault of the machine, never of a program or of the network.
 
 pub use super::violation::Violation;
 
 use super::CommTask;
 use crate::table::NodeTable;
 
-/// Checks one communication task between two inputs. Costs one look at everything it holds; allocates nothing.
+/// Checks one communication task between two inputs. Scans its whole state, and allocates nothing.
 ///
 /// # Errors
 /// The first violation found.

@@ -1,30 +1,29 @@
-//! Work-coupled tasks (§2; D30, D61): one of the two acts, and when it fails the other takes over.
+//! The lease of a couple: of two work-coupled tasks one acts, and when it fails the other takes over (§2; D30, D61).
 //!
-//! A time_out cannot tell a dead partner from a slow one, so the one that acts holds a *lease*. The other sends it
-//! *beats*; every answer has its number, and a beat echoes the newest answer that came. Only such an echo renews the
-//! lease, and it counts from when the echoed answer was *sent*: whoever sends the beats has that answer, so it knows an
-//! instant, on its own clock and no earlier, from which to wait longer than the lease before it takes over. So both
-//! never act at a time, however slow the network, as long as the take-over exceeds the lease by the clocks' drift and
-//! a tick.
+//! A time_out cannot tell a dead partner from a slow one, so the task that acts holds a *lease*. Its partner sends it
+//! *heartbeats*. Each one is answered, and a heartbeat echoes the newest answer that its sender received. Only such
+//! an echo renews the lease, and the lease counts from the *sending* of the echoed answer. The partner received that
+//! answer no earlier, and from then on waits longer than the lease before it takes over. So the two never act at the
+//! same time, however slow the network, as long as the take-over exceeds the lease by the clock drift and a tick.
 //!
-//! Each time in office has an *epoch* of its own, and actuators drop commands of an older one. The primary's epochs are
-//! odd and the standby's even, so both can count up without hearing of each other. The primary says the epoch that it
-//! would act in before it does, with an answer, and begins by an echo of that: so whenever the standby takes over it
-//! has heard of every epoch that the primary began (D80). A node that starts again has forgotten the epochs, and where it
-//! begins may seem newer than any: it says so until it has heard of one, and nobody takes its own for news (D135).
+//! Each period of acting has its own *epoch*, and actuators drop commands of an older one. The primary's epochs are
+//! odd and the standby's even, so each can count up alone. Before the primary acts, its answers propose the epoch,
+//! and only an echo of such an answer lets it act. So a standby that takes over has heard of every epoch that the
+//! primary began (D80). A restarted node has forgotten the epochs, and its first one could seem newer than any. It
+//! marks its epoch as a guess until it hears of another, and its partner does not take a guess for newer (D135).
 //!
-//! With `<->` the roles are exchanged at a take-over. The one that took over acts alone until its partner is back, so
-//! a partner that was away must not take over before it knows that the other one depends on its beats: an answer says so.
+//! With `<->` a take-over exchanges the roles. The task that took over acts alone until its partner is back. So a partner that
+//! was away may take over only once an answer says that the other task depends on its heartbeats.
 //!
-//! | input | what comes of it |
+//! | input | effect |
 //! |---|---|
-//! | [`advance`](Lease::advance) | the lease ends, the task takes over, a beat is sent |
-//! | [`hear`](Lease::hear) | a beat of the partner is answered, and its echo may renew the lease; an answer puts the take-over off |
-//! | [`publish`](Lease::publish) | what the answers carry from here on |
-//! | [`retire`](Lease::retire) | the task does not act any more: its partner shall take over |
+//! | [`advance`](Lease::advance) | the lease ends, the task takes over, or a heartbeat is sent |
+//! | [`hear`](Lease::hear) | a heartbeat is answered, and its echo may renew the lease; an answer postpones the take-over |
+//! | [`publish`](Lease::publish) | sets what the answers carry from here on |
+//! | [`retire`](Lease::retire) | the task stops acting for good, so that its partner takes over |
 //!
-//! The first two give the epoch where the task begins to act. Between two inputs nobody acts past its lease, and what the
-//! task was not told yet ([`called`](Lease::called)) is so.
+//! The first two return the epoch if the task begins to act. Between two inputs no task acts past its lease, and a
+//! pending call ([`called`](Lease::called)) is still true.
 
 mod beats;
 mod check;
@@ -42,31 +41,31 @@ use crate::table::{NodeTable, Port};
 use crate::ticks::{Instant, Ticks};
 use serde::{Deserialize, Serialize};
 
-/// How many answers whose echo may still come are remembered.
+/// How many recent answers are remembered, whose echoes may still come.
 const ANSWERS: usize = 4;
 
-/// What one of the two tasks is doing.
+/// The present role of one task of the couple.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 enum Post {
-    /// It does not act: it waits to be given the lease, or to take over.
+    /// The task does not act. It waits for the lease, or to take over.
     Waits,
-    /// It acts until this instant, unless the lease is renewed.
+    /// The task acts until this instant, unless the lease is renewed.
     Leased(Instant),
-    /// It acts after a take-over, and nobody can take over from it.
+    /// The task acts after a take-over, and its partner cannot take over from it.
     Alone,
-    /// It does not act any more in this life.
+    /// The task never acts again in this incarnation.
     Passive,
 }
 
-/// A beat that was answered. To the one who answered: until when its echo renews the lease. To the other: until when
-/// echoing it may be of use.
+/// A heartbeat that was answered. For the task that answered: until when an echo of it renews the lease. For the
+/// partner: until when it is worth echoing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Answered {
     beat: Seq24,
     until: Instant,
 }
 
-/// One task's side of a couple.
+/// The lease state of one task of a couple.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Lease {
     /// The couple's position in the cell.
@@ -74,52 +73,53 @@ pub(crate) struct Lease {
     primary: bool,
     partner: TaskId,
     post: Post,
-    /// The epoch it acts under, or the newest that it heard of, or that it would act under.
+    /// The epoch under which the task acts or would act, or the newest one that it has heard of.
     epoch: u8,
-    /// Whether `epoch` is one that the task would act under: its answers say so, and nobody has acted in it.
+    /// Whether `epoch` is a proposal: the task's answers announce it, and no task has acted in it.
     proposed: bool,
-    /// Whether it has started again and since then neither heard of an epoch nor acted: then `epoch` is a guess.
+    /// Whether `epoch` is a guess: since its restart, the task has neither heard of an epoch nor acted.
     guessed: bool,
-    /// The partner's life: the answers below went to it, and the echo is of one of its answers.
+    /// The partner's incarnation: it received the answers below, and sent the echoed one.
     life: Option<Incarnation>,
-    /// The last beats that were answered, newest first.
+    /// The heartbeats that were answered last, newest first.
     answered: [Option<Answered>; ANSWERS],
-    /// The newest of all that were answered: a copy of an older one counts for nothing, so no answer counts from a copy's.
+    /// The newest heartbeat that was answered. An older one or a copy is answered, too, but not recorded: the lease never counts
+    /// from the answer to a copy.
     newest: Option<Seq24>,
-    /// The newest own beat that was answered: the next one echoes it, while that can renew anything.
+    /// The newest own heartbeat that was answered. The next heartbeat echoes it, as long as that may renew the lease.
     echo: Option<Answered>,
-    /// When the next beat is sent.
+    /// When the next heartbeat is due.
     beat_at: Instant,
-    /// When this task takes over if no answer comes.
+    /// When this task takes over if no answer comes before.
     takeover_at: Instant,
-    /// What the answers carry, and what the partner's carried last.
+    /// The data that this task's answers carry, and that the partner's last answer carried.
     published: Contents,
     said: Contents,
-    /// What the task has not been told yet.
+    /// The pending call: a fence or a take-over that the task has not been told of.
     call: Option<Call>,
 }
 
-/// How a beat's answer says what its sender does.
+/// The sender's role in the answer to a heartbeat.
 const WAITS: u8 = 0;
 const LEASED: u8 = 1;
 const ALONE: u8 = 2;
-/// The bytes of a beat before whether it guesses, and those of an answer before what was published.
+/// The length of a heartbeat before its guess flag, and of an answer before the published data.
 const ECHO_BYTES: usize = 4;
 
 impl Lease {
-    /// The task's side of its couple at the start of its node's life, the first one or a later one; none where it is in none.
+    /// The task's side of its couple at the start of an incarnation; `None` if it is in no couple.
     pub fn new(table: &NodeTable, own: &Own) -> Option<Self> {
         let beats = own.endpoints.iter().rfind(|endpoint| endpoint.role == Role::Beats)?;
         let (couple, decl) = couple_of(table, beats.port, own.task)?;
         let (primary, restarted) = (decl.primary == own.task, own.restarted);
-        // A restarted standby waits for the whole take-over: its earlier life may have renewed the lease just before.
+        // A restarted standby waits for the whole take-over: its earlier incarnation may just have renewed the lease.
         let armed = !primary && !decl.mutual;
         Some(Self {
             couple,
             primary,
             partner: if primary { decl.standby } else { decl.primary },
             post: Post::Waits,
-            // An earlier life may have taken over without having heard of anybody.
+            // Its earlier incarnation may have taken over without having heard of any epoch.
             epoch: if restarted { 2 } else { 0 },
             proposed: false,
             guessed: restarted,
@@ -140,7 +140,7 @@ impl Lease {
         matches!(self.post, Post::Leased(_) | Post::Alone)
     }
 
-    /// The earliest instant at which time alone makes this task act.
+    /// The next instant at which time alone makes this task act.
     pub fn due(&self) -> Instant {
         match self.post {
             Post::Waits => self.beat_at.min(self.takeover_at),
@@ -149,24 +149,24 @@ impl Lease {
         }
     }
 
-    /// The task ended or panicked: its partner shall take over.
+    /// The task ended or panicked: it stops acting, so that its partner takes over.
     pub fn retire(&mut self) {
         self.stop(Post::Passive);
         self.call = None;
     }
 
-    /// The couple that it is a side of.
+    /// The position of its couple in the cell.
     #[cfg(feature = "checker")]
     pub const fn couple(&self) -> u8 {
         self.couple
     }
 
-    /// The epoch that the task acts under, or the newest it heard of.
+    /// The epoch under which the task acts, or the newest that it has heard of.
     pub const fn epoch(&self) -> u8 {
         self.epoch
     }
 
-    /// How long the task may act without hearing from its partner, where that ends by itself.
+    /// The remaining lease, if one runs.
     pub fn left(&self, now: Instant) -> Option<Ticks> {
         match self.post {
             Post::Leased(until) => Some(until - now),
@@ -174,22 +174,22 @@ impl Lease {
         }
     }
 
-    /// What the partner published last.
+    /// The data that the partner published last.
     pub const fn said(&self) -> &Contents {
         &self.said
     }
 
-    /// Whether there is something that the task was not told yet.
+    /// Whether a fence or a take-over is pending, of which the task has not been told.
     pub const fn called(&self) -> bool {
         self.call.is_some()
     }
 
-    /// What the task was not told yet: it is told now.
+    /// Takes the pending call, to tell the task.
     pub const fn take_call(&mut self) -> Option<Call> {
         self.call.take()
     }
 
-    /// The task waits for the lease: the epoch, where it has it.
+    /// The task waits for the lease. Returns the epoch if it may act already.
     pub fn await_it(&mut self) -> Result<Option<u8>, Fault> {
         if self.post == Post::Passive {
             return Err(Fault::Fenced);
@@ -201,7 +201,7 @@ impl Lease {
         Ok(Some(self.epoch))
     }
 
-    /// What the answers carry from here on.
+    /// Sets the data that answers carry from here on.
     pub fn publish(&mut self, contents: Contents) -> Result<(), Fault> {
         if contents.as_bytes().len() > PUBLISHED_BYTES {
             return Err(Fault::WrongLength);
@@ -210,7 +210,7 @@ impl Lease {
         Ok(())
     }
 
-    /// What a message says on the wire through a port that acts under the lease of `couple`: with the epoch behind it.
+    /// The wire form of a message on a port that acts under the lease of `couple`: the contents, then the epoch.
     pub fn with_epoch(&self, couple: u8, contents: Contents) -> Result<Contents, Fault> {
         if self.couple != couple || !self.acts() {
             return Err(Fault::Fenced);
@@ -221,17 +221,17 @@ impl Lease {
         Contents::new(&bytes[..=len]).ok_or(Fault::WrongLength)
     }
 
-    /// Time has passed: the lease ends, the task takes over, a beat is sent.
+    /// Does what is due: ends the lease, takes over, or sends a heartbeat. Returns the epoch if the task begins to act.
     pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>) -> Option<u8> {
         self.noting(step, Self::pass)
     }
 
-    /// A beat of the partner, or its answer to one.
+    /// Takes a heartbeat of the partner, or its answer to one. Returns the epoch if the task begins to act.
     pub fn hear(&mut self, step: &mut Step<'_, impl Outbox>, port: &Port, packet: &Packet) -> Option<u8> {
         self.noting(step, |lease, step| lease.beat_came(step, port, packet))
     }
 
-    /// Does something after which the task may act, or must stop, and notes that.
+    /// Runs a step, and emits an observation if the task begins or stops to act in it.
     fn noting<O: Outbox>(
         &mut self,
         step: &mut Step<'_, O>,
@@ -287,7 +287,7 @@ impl Lease {
         }
     }
 
-    /// Stops what it did so far. What was answered meanwhile is of no use to the next time in office: its epoch is over.
+    /// Ends the present role. The recorded answers are void: their epoch is over.
     fn stop(&mut self, post: Post) {
         self.stand(post);
         self.disown();
@@ -300,13 +300,13 @@ impl Lease {
         self.echo = None;
     }
 
-    /// No echo of what was answered so far makes the task act.
+    /// Voids the recorded answers: no echo of them makes the task act.
     fn disown(&mut self) {
         self.proposed = false;
         self.answered = [None; ANSWERS];
     }
 
-    /// Chooses the epoch that the task would act in, if it has not yet.
+    /// Proposes the epoch in which the task would act, if it has not yet.
     fn propose(&mut self) {
         if !self.proposed {
             self.disown();
@@ -314,13 +314,13 @@ impl Lease {
         }
     }
 
-    /// The next of this side's epochs: those of the primary are odd.
+    /// The next epoch of this side: the primary's are odd, the standby's even.
     const fn next_epoch(&self) -> u8 {
         let own = self.epoch % 2 == self.primary as u8;
         self.epoch.wrapping_add(if own { 2 } else { 1 })
     }
 
-    /// Whether a state that was read is of the same side as a new one.
+    /// Validates a deserialised lease: it is of the same couple and side as a new one.
     pub fn is_like(&self, new: &Self) -> bool {
         (self.couple, self.primary, self.partner) == (new.couple, new.primary, new.partner)
     }

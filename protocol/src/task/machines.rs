@@ -1,4 +1,4 @@
-//! The dispatcher: which part of the communication task takes an input, and what the others make of what comes of it.
+//! The dispatcher: hands each input to the part that it is for, and the part's results to the other parts.
 
 use super::client::Client;
 use super::interrupts::{Interrupts, Offer, What};
@@ -25,7 +25,7 @@ pub(crate) struct Machines {
     pub server: Server,
     pub interrupts: Interrupts,
     pub meetings: Meetings,
-    /// The task's side of its couple, if it is in one (D61).
+    /// The task's side of its couple, if there is one (D61).
     pub lease: Option<Lease>,
 }
 
@@ -40,17 +40,17 @@ impl Machines {
         }
     }
 
-    /// Whether the lease has word for the task.
+    /// Whether the lease has a pending call for the task: a fence or a take-over.
     fn called(&self) -> bool {
         self.lease.as_ref().is_some_and(Lease::called)
     }
 
-    /// Whether a handler may interrupt the running thread, which waits.
+    /// Whether a handler may interrupt the running activation while that waits.
     fn is_interruptible(&self) -> bool {
         self.interrupts.is_interruptible(false, self.called())
     }
 
-    /// A packet for the task.
+    /// Dispatches a packet by its kind and the role of its port.
     pub fn packet(&mut self, step: &mut Step<'_, impl Outbox>, packet: &Packet) {
         let port = step.table.port(packet.port);
         let ends = port.and_then(|port| Some((port, port.admitted(packet.source, step.own.task)?)));
@@ -113,7 +113,7 @@ impl Machines {
         }
     }
 
-    /// Time has passed (§5.1.2). Only what is due is touched: the rest keeps its expiry instant.
+    /// Does what is due by now, and touches nothing else (§5.1.2).
     pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>) {
         self.server.advance(step);
         if let Pending::Get { deadline, .. } = self.interrupts.pending()
@@ -137,12 +137,12 @@ impl Machines {
         self.grant(step, granted);
     }
 
-    /// The lowest desk from one on that has something to do.
+    /// The lowest desk, `from` or later, at which something is due.
     fn due_desk(&self, from: u16, now: Instant) -> Option<u16> {
         self.interrupts.open_desks().filter(|&desk| desk >= from && self.client.due(desk) <= now).min()
     }
 
-    /// When time alone makes the task act.
+    /// The next instant at which time alone makes the task act.
     pub fn due(&self) -> Instant {
         let wait = match self.interrupts.pending() {
             Pending::Get { deadline, .. } => deadline,
@@ -154,18 +154,18 @@ impl Machines {
             | Pending::Lease
             | Pending::Boundary => Instant::NEVER,
         };
-        // As of most tasks between two inputs: nothing else can be due.
+        // Fast path for most tasks between two inputs: nothing but this wait can be due.
         let quiet = self.server.is_empty() && self.meetings.are_quiet() && self.lease.is_none();
         if quiet && self.interrupts.depth() == 0 {
             return wait;
         }
-        // When the first rejected message is to be offered again, where that could matter.
+        // A rejected message that is offered again matters only if a handler could begin.
         let offered = self.server.has_offers() && self.is_interruptible();
         let offer = if offered { self.server.next_offer() } else { Instant::NEVER };
         let lease = self.lease.as_ref().map_or(Instant::NEVER, Lease::due);
         let waits = wait.min(offer).min(lease).min(self.server.next_end()).min(self.meetings.next_act());
-        // Of the waits of interrupted threads only those for answers can end here: a GET goes on when its thread does, and
-        // waitfors and the lease are counted above.
+        // Of the interrupted activations only those that wait for answers add a deadline: a GET resumes with its
+        // activation, and waitfors and the lease are included above.
         if self.interrupts.depth() == 0 {
             waits
         } else {
@@ -173,14 +173,14 @@ impl Machines {
         }
     }
 
-    /// The node's Timer says that a delay or a timer is over.
+    /// The node's Timer reports the end of a delay or a timer.
     pub fn time_is_over(&mut self, step: &mut Step<'_, impl Outbox>, (id, turn): (TimeId, u8)) {
         if self.interrupts.time_is_over(id, turn) {
             self.tell(step, &Finished::TimeOut(id));
         }
     }
 
-    /// A node has a new life.
+    /// A node has a new incarnation.
     pub fn peer_restarted(&mut self, step: &mut Step<'_, impl Outbox>, node: NodeId) {
         while let Some(ended) = self.client.restarted(step, node) {
             self.end(step, Some(ended));
@@ -188,7 +188,7 @@ impl Machines {
         self.meetings.restarted(step, node);
     }
 
-    /// A part says that a wait ended.
+    /// Takes the report of a part that a wait ended.
     pub fn end(&mut self, step: &mut Step<'_, impl Outbox>, ended: Option<Ended>) {
         match ended {
             Some(Ended { wait: Some(wait), finished }) => self.conclude(step, wait, &finished),
@@ -197,15 +197,15 @@ impl Machines {
         }
     }
 
-    /// The task acts from now on under this epoch. A thread that waits for the lease is told so. Else the call of a take-over
-    /// stays; a grant by an echo is only observed.
+    /// From now on the task acts under this epoch: completes the request that waits for the lease. Without such a request, a
+    /// take-over stays a pending call, and a grant by an echo is only observed.
     fn grant(&mut self, step: &mut Step<'_, impl Outbox>, epoch: Option<u8>) {
         let Some(epoch) = epoch.filter(|_| self.interrupts.waits(Pending::Lease)) else { return };
         self.lease.as_mut().and_then(Lease::take_call);
         self.conclude(step, Pending::Lease, &Finished::Granted(epoch));
     }
 
-    /// Ends the wait of the thread that waits so: tells it, or leaves word for when it resumes.
+    /// Ends a wait. Signals its end if the running activation had it; otherwise stores it until that activation resumes.
     fn conclude(&mut self, step: &mut Step<'_, impl Outbox>, wait: Pending, finished: &Finished) {
         if self.interrupts.conclude(wait, finished) {
             self.tell(step, finished);
@@ -227,7 +227,7 @@ impl Machines {
         });
     }
 
-    /// Hands over the most urgent message of what is asked for; false where there is none.
+    /// Delivers the most urgent message that matches a GET; false if there is none.
     pub fn serve(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -244,8 +244,8 @@ impl Machines {
         step.out.signal(Signal::Message(delivery));
     }
 
-    /// Offers what waits to the running thread, if that waits: while nothing is due this looks at no port, else at each of
-    /// them and at everything that is due.
+    /// If the running activation waits, offers it everything that is due. O(1) while nothing is due; otherwise visits
+    /// each port and each due message.
     pub fn offer_to_waiting(&mut self, step: &mut Step<'_, impl Outbox>) {
         if matches!(self.interrupts.pending(), Pending::Nothing) {
             return;
@@ -267,7 +267,7 @@ impl Machines {
         }
     }
 
-    /// Offers everything that is due to the running thread, which can be interrupted. True where a handler begins.
+    /// Offers everything that is due to the running activation, which can be interrupted. True if a handler begins.
     fn offer(&mut self, step: &mut Step<'_, impl Outbox>) -> bool {
         let message = self.server.first_offer(step.table, step.own, &self.interrupts);
         let timer = self.interrupts.first_timer(step.table, step.own);
@@ -304,7 +304,7 @@ impl Machines {
         step.out.signal(Signal::Interrupt(call));
     }
 
-    /// A message interrupts the running thread.
+    /// A handler for a message interrupts the running activation.
     fn interrupt(&mut self, step: &mut Step<'_, impl Outbox>, inbox: usize, held: &Held) {
         let port = self.server.port(inbox);
         let rank = step.own.order.rank(port, held.source);
@@ -315,12 +315,12 @@ impl Machines {
         step.out.signal(Signal::Interrupt(Call::Message(delivery)));
     }
 
-    /// A handler ended (R16). The thread below goes on where it was: its wait may be over by now.
+    /// A handler ended: the activation below resumes its wait, which may have ended meanwhile (R16).
     pub fn resume(&mut self, step: &mut Step<'_, impl Outbox>) -> Result<(), Fault> {
         let finished = self.interrupts.resume()?;
         note_handler(step, Event::Resumed, self.interrupts.depth());
         if let Some(finished) = finished {
-            // The lease was granted and lost again while the handler ran: the thread goes on waiting for it.
+            // The lease was granted and lost again while the handler ran: the activation goes on waiting for it.
             if matches!(finished, Finished::Granted(_)) && !self.lease.as_ref().is_none_or(Lease::acts) {
                 self.interrupts.wait(Pending::Lease);
             } else {
@@ -352,7 +352,7 @@ impl Machines {
         Ok(())
     }
 
-    /// Checks all parts.
+    /// Checks the invariants of all parts.
     pub fn check(&self, table: &NodeTable, own: &Own) -> Result<(), Violation> {
         self.server.check(table, own, self.is_interruptible())?;
         self.interrupts.check(table, own, self.called())?;
@@ -362,7 +362,7 @@ impl Machines {
     }
 }
 
-/// Makes an observation about a handler.
+/// Emits an observation about a handler.
 fn note_handler(step: &mut Step<'_, impl Outbox>, event: Event, number: u8) {
     let (port, peer, number) = (PortId::NONE, step.own.task, u32::from(number));
     step.out.observe(Observation { event, port, peer, number, remaining: Ticks::ZERO });

@@ -1,22 +1,22 @@
-//! The communication task `T_ic` (§5): the port manipulator of one task.
+//! The communication task `T_ic`, the port manipulator of one task (§5).
 //!
-//! It is a pure state machine. [`CommTask::handle`] takes one input and fills an outbox; it reads no clock, takes no
-//! lock, allocates nothing and accepts every input in every state. Each input comes with the time at which it comes. The
-//! drivers (the model checker, the threaded runtime, the simulator, the validator) differ in where inputs come from.
+//! It is a pure state machine. [`CommTask::handle`] takes one input with its time and fills an outbox. It reads no clock, takes
+//! no lock, accepts every input in every state, and allocates only for the first handler of a port. The drivers (model checker,
+//! threaded runtime, simulator, replay of recordings) differ only in where the inputs come from.
 //!
-//! It is made of five parts, each of which owns its state and can be read by itself:
+//! It consists of five parts. Each owns its state and can be read by itself:
 //!
-//! | part | what it is about |
+//! | part | responsible for |
 //! |---|---|
-//! | [`client`] | what the task sends, and the answers that it waits for |
-//! | [`server`] | the messages that come to it, from their first packet until they are answered |
-//! | [`interrupts`] | its thread, the handlers that interrupt it, and its timers |
-//! | [`rendezvous`] | the `waitfor`s that it takes part in |
-//! | [`lease`] | its side of a couple, of which one acts |
+//! | [`client`] | messages that the task sends, and their answers |
+//! | [`server`] | messages to the task, from their first packet until they are answered |
+//! | [`interrupts`] | the task's own thread, the handlers that interrupt it, and its timers |
+//! | [`rendezvous`] | the `waitfor`s in which it takes part |
+//! | [`lease`] | its side of a couple, of which one task acts |
 //!
-//! [`own`] is what all share: who the task is, its clock, its order of service, its ports. [`machines`] hands each input to
-//! the part that it is for, and [`requests`] what the task asks (the user layer of §5.2). Below, [`mapping`](crate::mapping)
-//! turns names into packets, [`route`](crate::route) finds the succeeding node, and the primitive layer is the driver's link.
+//! All parts share [`own`]: identity, clock, order of service, ports. [`machines`] dispatches each input to its part, and
+//! [`requests`] does so for the task's requests (the user layer of §5.2). Below them, [`mapping`](crate::mapping) turns names
+//! into packets, [`route`](crate::route) finds the next hop, and the driver's link is the primitive layer.
 
 mod client;
 mod counts;
@@ -59,48 +59,49 @@ use serde::{Deserialize, Serialize};
 use step::Step;
 use wait::Pending;
 
-/// Everything that can happen to a communication task.
+/// An input of a communication task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Input {
-    /// Nothing but the time at which it comes.
+    /// No event: only the time passes.
     Time,
-    /// Its task asks for something.
+    /// A request of its task.
     Request(Request),
-    /// A packet for its task arrived; the way is already taken from its remaining time.
+    /// A packet for its task. The link delays are already subtracted from its remaining time.
     Packet(Packet),
-    /// The node's Timer says that this delay or timer is over.
+    /// The node's Timer reports that this delay or timer has ended.
     TimeOut {
-        /// Which one.
+        /// The name of the delay or timer.
         id: TimeId,
-        /// Which start of it: word of an earlier one is stale.
+        /// The number of its start: the report of an earlier start is stale.
         turn: u8,
     },
     /// The transit buffer dropped a copy of this request before it left the node.
     Unsent(MessageId),
-    /// This node has a new incarnation.
+    /// The named node has a new incarnation.
     PeerRestarted(NodeId),
 }
 
-/// A communication task. Sized from the declaration by [`CommTask::new`], which makes its only allocations.
+/// The communication task of one task. [`CommTask::new`] allocates its storage, sized from the declaration. Only the first
+/// [`Request::Handle`] of a port adds to it (D108).
 ///
-/// Serialised whole it is a keyframe of a recording; the packed bytes of an [`Encode`](crate::Encode) are for checkers.
+/// Serialised as a whole, it is a keyframe of a recording. The packed bytes of an [`Encode`](crate::Encode) are for checkers.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct CommTask {
     own: Own,
     machines: Machines,
-    /// When time alone next makes the task act; `None` where that is to be looked up. Derived from the rest.
+    /// Cache of the next deadline; `None` if it must be recomputed.
     #[serde(skip)]
     due: Option<Instant>,
 }
 
 impl CommTask {
-    /// How many timers of one task run at a time.
+    /// How many timers of one task can run at the same time.
     pub const TIMERS: usize = interrupts::TIMERS;
-    /// How many entries of the node's Timer one task can have: its timers, and a delay of every thread.
+    /// How many entries of the node's Timer one task can use: its timers, and one delay per activation.
     pub const ENTRIES: usize = Self::TIMERS + DEPTH + 1;
 
-    /// The communication task of `task` in this life of its node. `restarted` says that an earlier life may have run
-    /// commands: for as long as any of them can live, commands are answered with RESTARTED (D49).
+    /// The communication task of `task` in this incarnation of its node. `restarted`: an earlier incarnation may have
+    /// run commands. Until no copy of those can arrive any more, commands are answered with RESTARTED (D49).
     #[must_use]
     pub fn new(table: &NodeTable, task: TaskId, incarnation: Incarnation, restarted: bool) -> Self {
         let own = Own::new(table, task, incarnation, restarted);
@@ -108,21 +109,22 @@ impl CommTask {
         Self { own, machines, due: None }
     }
 
-    /// The task it belongs to.
+    /// The task that it speaks for.
     #[must_use]
     pub const fn task(&self) -> TaskId {
         self.own.task
     }
 
-    /// The life of its node.
+    /// The incarnation of its node.
     #[must_use]
     pub const fn incarnation(&self) -> Incarnation {
         self.own.incarnation
     }
 
-    /// Takes one input at `now` and fills the outbox: first comes what the time since the last input has made due, each once
-    /// and with less remaining, then the input. A `now` before the last one is no time (D42). Total: no input in any state
-    /// panics. The task gets at most one signal of the time, and one of the input.
+    /// Takes one input at `now` and fills the outbox. First everything happens that became due since the last input, then the
+    /// input is taken. A retransmission that is overdue is sent once, with the time that remains now. An earlier `now` than the
+    /// last one counts as no time (D42). Total: no input in any state panics. The task gets at most one signal for the time and
+    /// one for the input.
     pub fn handle(&mut self, table: &NodeTable, now: Instant, input: &Input, out: &mut impl Outbox) {
         let only_time = matches!(input, Input::Time);
         if only_time || now > self.own.now {
@@ -131,7 +133,7 @@ impl CommTask {
                 return;
             }
         }
-        // What was asked meanwhile by a thread that waits is answered: it gets no second signal.
+        // A request of a waiting activation gets its signal below: an offer would be a second one.
         let answered = matches!(input, Input::Request(_)) && !self.is_idle();
         let Self { own, machines, due } = self;
         let step = &mut Step { table, own, out };
@@ -149,19 +151,19 @@ impl CommTask {
         *due = Some(machines.due());
     }
 
-    /// The time of the last input, on the task's own clock.
+    /// The task's clock: the time of the last input.
     #[must_use]
     pub const fn now(&self) -> Instant {
         self.own.now
     }
 
-    /// When time alone next makes this task act: until then an [`Input::Time`] does nothing.
+    /// The next instant at which time alone makes the task act. Until then an [`Input::Time`] does nothing.
     #[must_use]
     pub fn next_deadline(&self) -> Instant {
         self.due.unwrap_or_else(|| self.machines.due())
     }
 
-    /// The task's clock goes on, and what is due happens.
+    /// Moves the task's clock to `now` and does what is due.
     #[inline(never)]
     fn pass(&mut self, table: &NodeTable, now: Instant, out: &mut impl Outbox) {
         let elapsed = now - self.own.now;
@@ -175,7 +177,7 @@ impl CommTask {
         }
     }
 
-    /// What time alone makes the task do.
+    /// Does what time alone makes due.
     fn act(&mut self, table: &NodeTable, out: &mut impl Outbox) {
         let step = &mut Step { table, own: &mut self.own, out };
         self.machines.advance(step);
@@ -183,28 +185,28 @@ impl CommTask {
         self.due = Some(self.machines.due());
     }
 
-    /// Whether the thread that runs, the task's own or a handler, has no outstanding request.
+    /// Whether the running activation, the task's own thread or a handler, has no outstanding request.
     #[must_use]
     pub fn is_idle(&self) -> bool {
         matches!(self.machines.interrupts.pending(), Pending::Nothing)
     }
 
-    /// How many handlers run, each having interrupted the one before or the task's thread.
+    /// The number of running handlers: each has interrupted the one before, or the task's own thread.
     #[must_use]
     pub const fn depth(&self) -> u8 {
         self.machines.interrupts.depth()
     }
 
-    /// Fragment `index` of the message the task took last; the first one is 0. A packed state leaves it out: a checker
-    /// reads it when the message comes.
+    /// Fragment `index` of the message that the task took last; the first one is 0. Packed states leave it out: a
+    /// checker reads it when the message is delivered.
     #[must_use]
     pub fn fragment(&self, index: u8) -> Option<&Contents> {
         self.machines.server.fragment(index)
     }
 
-    /// What a task answered to the last request on a port, where several were asked or an answer takes several packets:
-    /// until the next request there. A packed state leaves it out once the request has ended: a checker reads it with the
-    /// signal.
+    /// The answer of a task to the last request on a port, if several tasks were asked or answers take several
+    /// packets. Valid until the next request on that port. Packed states leave it out once the request has ended: a
+    /// checker reads it with the signal.
     #[must_use]
     pub fn answer_of(&self, port: PortId, task: TaskId) -> Option<&Contents> {
         self.answer_fragment(port, task, 0)
@@ -216,12 +218,12 @@ impl CommTask {
         self.machines.client.answer_fragment(self.own.desk(port)?, task, index)
     }
 
-    /// The requests whose answers the task waits for: port, who was asked, and the id.
+    /// The outstanding requests whose answers are missing: the port, the task that was asked, and the message id.
     pub fn outstanding(&self) -> impl Iterator<Item = (PortId, TaskId, MessageId)> {
         self.machines.client.outstanding()
     }
 
-    /// Whether a reply to this message would still go out.
+    /// Whether a reply to this message would still be sent.
     #[must_use]
     pub fn can_answer(&self, to: &ReplyTo) -> bool {
         let server = &self.machines.server;
@@ -229,34 +231,34 @@ impl CommTask {
             || self.own.inbox(to.port).is_some_and(|inbox| server.can_answer(inbox, to, self.own.now))
     }
 
-    /// The message of a task that was taken on this port and not answered: one at most (D75).
+    /// The message of `task` that was taken on this port and is not answered; there is at most one (D75).
     #[must_use]
     pub fn owed(&self, port: PortId, task: TaskId) -> Option<ReplyTo> {
         self.machines.server.owed(self.own.inbox(port)?, task)
     }
 
-    /// Whether this task may act now: it holds the lease of its couple, or took over (D61). A task in no couple always may.
+    /// Whether this task may act now: it is in no couple, holds the lease of its couple, or has taken over (D61).
     #[must_use]
     pub fn is_active(&self) -> bool {
         self.machines.lease.as_ref().is_none_or(Lease::acts)
     }
 
-    /// The epoch that this task acts under, or the newest it heard of; `None` where it is in no couple.
+    /// The epoch under which this task acts, or the newest that it has heard of; `None` if it is in no couple.
     #[must_use]
     pub fn epoch(&self) -> Option<u8> {
         self.machines.lease.as_ref().map(Lease::epoch)
     }
 
-    /// How long from [`now`](Self::now) this task may act without hearing from its partner: what is left
-    /// of its lease. `None` where no lease ends by itself: the task is in no couple, acts alone after a take-over, or does not act.
+    /// The remaining lease: how long from [`now`](Self::now) this task may act without hearing from its partner. `None` if no
+    /// lease runs: the task is in no couple, acts alone after a take-over, or does not act.
     ///
-    /// A driver that was stopped asks whether the lease is over that it has not looked at since.
+    /// After a driver was suspended, it compares this with the time that passed, to learn whether the lease has ended.
     #[must_use]
     pub fn lease_left(&self) -> Option<Ticks> {
         self.machines.lease.as_ref()?.left(self.own.now)
     }
 
-    /// What the partner published last (D61).
+    /// The data that the partner published last (D61).
     #[must_use]
     pub fn partner_published(&self) -> Option<&Contents> {
         self.machines.lease.as_ref().map(Lease::said)

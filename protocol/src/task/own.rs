@@ -1,4 +1,4 @@
-//! What all parts of a communication task share: who the task is, its clock, its order of service and its ports.
+//! State that all parts of a communication task share: identity, clock, order of service, and ports.
 
 #[cfg(feature = "checker")]
 mod walk;
@@ -15,32 +15,32 @@ use alloc::boxed::Box;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
-/// What the task does with a port, and where the state for it stands.
+/// The task's use of a port, with the position of the state for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) enum Role {
-    /// Sends what is not answered.
+    /// Sends class-1 messages, which are not answered.
     Sends,
-    /// Sends what is answered, at this desk of the client.
+    /// Sends class-2 messages, tracked at this desk of the client.
     Asks(u16),
-    /// Takes messages, at this inbox of the server.
+    /// Receives messages into this inbox of the server.
     Receives(u16),
-    /// Meets the others, at this rendezvous.
+    /// Takes part in this rendezvous.
     Meets(u16),
-    /// Answers for others (D11).
+    /// Sends third-party replies (D11).
     Replies,
-    /// Takes such answers.
+    /// Receives third-party replies.
     Hears,
-    /// Carries the beats of its couple (D61).
+    /// Carries the heartbeats of its couple (D61).
     Beats,
 }
 
-/// The task's end of one port.
+/// An endpoint: the task's side of one port.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Endpoint {
     pub port: PortId,
     pub role: Role,
     pub counters: Counts,
-    /// The fragments of the next message or answer (D28).
+    /// Fragments staged for the next message or answer (D28).
     pub staged: Parts,
 }
 
@@ -54,25 +54,25 @@ impl Endpoint {
     }
 }
 
-/// What all parts share.
+/// The shared state.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Own {
     pub task: TaskId,
     pub incarnation: Incarnation,
     pub restarted: bool,
-    /// The clock that every instant of the task is on.
+    /// The task's clock, which all its instants are on.
     pub now: Instant,
     pub next_sequence: Seq24,
-    /// Until when a restarted task cannot know what its earlier life ran (D49).
+    /// The end of the quarantine of a restarted task (D49).
     pub quarantine_until: Instant,
-    /// What the task said outranks what (D16).
+    /// The ranks that the task has set (D16).
     pub order: ServiceOrder,
     /// Ascending by port.
     pub endpoints: Box<[Endpoint]>,
 }
 
 impl Own {
-    /// The task at the start of a life of its node.
+    /// The state of a task at the start of an incarnation of its node.
     pub fn new(table: &NodeTable, task: TaskId, incarnation: Incarnation, restarted: bool) -> Self {
         let (mut endpoints, [mut desks, mut inboxes, mut meetings]) = (Vec::new(), [0; 3]);
         for &id in table.ports_of(task) {
@@ -112,7 +112,7 @@ impl Own {
         }
     }
 
-    /// The task's ports that it has in such a role, each with its place.
+    /// The ports that the task has in a role for which `has` is true, each with its endpoint's position.
     pub fn ports<'a>(
         &self,
         table: &'a NodeTable,
@@ -122,13 +122,13 @@ impl Own {
         mine.filter_map(|(place, endpoint)| Some((index(place), table.port(endpoint.port)?)))
     }
 
-    /// Whether what `source` sent to an earlier life of the task may still arrive (D49). Tasks of the same node restarted with
-    /// it: what they send is new (D157).
+    /// Whether a message of `source` may have been meant for an earlier incarnation of the task (D49). Tasks of the
+    /// same node restarted together with it, so their messages are new (D157).
     pub fn turns_away(&self, table: &NodeTable, source: TaskId) -> bool {
         self.now < self.quarantine_until && table.rules().quarantine && !table.is_here(source)
     }
 
-    /// Where a port stands among the task's own.
+    /// The position of the endpoint of a port.
     pub fn place(&self, port: PortId) -> Option<usize> {
         self.endpoints.binary_search_by_key(&port, |endpoint| endpoint.port).ok()
     }
@@ -142,28 +142,28 @@ impl Own {
         Some(self.endpoints[self.place(port)?].role)
     }
 
-    /// The inbox of a port that the task receives on.
+    /// The inbox of a port on which the task receives.
     pub fn inbox(&self, port: PortId) -> Option<u16> {
         self.receiving(port).ok()
     }
 
-    /// The desk of a port that it asks on.
+    /// The desk of a port on which the task asks.
     pub fn desk(&self, port: PortId) -> Option<u16> {
         if let Role::Asks(desk) = self.role(port)? { Some(desk) } else { None }
     }
 
-    /// Where its side of a `waitfor` stands.
+    /// The position of its rendezvous on a port.
     pub fn meeting(&self, port: PortId) -> Option<u16> {
         if let Role::Meets(meeting) = self.role(port)? { Some(meeting) } else { None }
     }
 
-    /// The inbox of a port, or what is wrong with a request that needs one.
+    /// The inbox of a port, or the fault of a request that needs one.
     pub fn receiving(&self, port: PortId) -> Result<u16, Fault> {
         let Some(role) = self.role(port) else { return Err(Fault::NotYourPort) };
         if let Role::Receives(inbox) = role { Ok(inbox) } else { Err(Fault::WrongUsage) }
     }
 
-    /// Whether the message that was staged on a port is whole. Where a packet of it is missing, nothing stays staged.
+    /// Whether all fragments of the staged message are here. If one is missing, drops them all.
     pub fn staged(&mut self, endpoint: usize) -> Result<(), Fault> {
         let staged = &mut self.endpoints[endpoint].staged;
         if staged.fragments().is_some() {
@@ -173,7 +173,7 @@ impl Own {
         Err(Fault::WrongLength)
     }
 
-    /// Notes one more fragment of the next message or answer on a port.
+    /// Stages one more fragment of the next message or answer on a port.
     pub fn stage(&mut self, port: PortId, index: u8, contents: Contents) -> Result<Signal, Fault> {
         let endpoint = self.endpoint(port).ok_or(Fault::NotYourPort)?;
         match endpoint.role {
@@ -183,7 +183,7 @@ impl Own {
         if endpoint.staged.put(index, contents) {
             return Ok(Signal::Accepted(0));
         }
-        // All of a message or nothing (D28): what was noted of this one is not for the next.
+        // All of a message is sent or nothing: its fragments must not end up in the next one (D28).
         endpoint.staged.clear();
         Err(Fault::WrongLength)
     }
@@ -194,12 +194,12 @@ impl Own {
         }
     }
 
-    /// How often a port may be passed over before it goes first (D58).
+    /// How often a port may be bypassed before it goes first (D58).
     pub fn bypass_limit(&self) -> u16 {
         index(self.endpoints.len() + self.order.ranked().len()).max(4)
     }
 
-    /// Whether it has the ports of another.
+    /// Validates deserialised shared state: its endpoints are those of a new one.
     pub fn is_like(&self, new: &Self) -> bool {
         are_alike(&self.endpoints, &new.endpoints, |read, new| {
             (read.port, read.role) == (new.port, new.role) && read.staged.has_room_of(&new.staged)
@@ -207,19 +207,19 @@ impl Own {
     }
 }
 
-/// Whether `port` carries the beats of a couple, and which.
+/// The couple whose heartbeats `port` carries, with its position in the cell, if any.
 pub(crate) fn couple_of(table: &NodeTable, port: PortId, task: TaskId) -> Option<(u8, &CoupleDecl)> {
     let couples = table.cell().couples.iter().enumerate();
     let mine = |c: &CoupleDecl| c.via == port && (c.primary == task || c.standby == task);
     couples.filter(|(_, c)| mine(c)).find_map(|(i, c)| Some((u8::try_from(i).ok()?, c)))
 }
 
-/// Whether a list that was read from a file has the length of a new one, and each of it is like its counterpart.
+/// Whether a deserialised list matches a new one: the same length, and each element like its counterpart.
 pub(crate) fn are_alike<T>(read: &[T], new: &[T], is_like: impl Fn(&T, &T) -> bool) -> bool {
     read.len() == new.len() && read.iter().zip(new).all(|(read, new)| is_like(read, new))
 }
 
-/// Positions in a task's own lists; a cell has at most 65,536 ports.
+/// Narrows a position in one of the task's lists; a cell has at most 65,536 ports.
 #[expect(clippy::cast_possible_truncation, reason = "a cell has at most 65,536 ports")]
 pub(crate) const fn index(i: usize) -> u16 {
     i as u16

@@ -1,19 +1,21 @@
-//! `waitfor`: the n-way rendezvous with confirmation (§4.3; D1 to D3, D54 to D57).
+//! The n-way rendezvous `waitfor`, with confirmation (§4.3; D1 to D3, D54 to D57).
 //!
-//! A task that reaches the waitfor announces a *round* to every other member. It is released when it holds the
-//! arrivals of all others in one round, each with more than the safety margin left, or when it learns that another
-//! member was released from that round. Nothing but its own time_out, or its task's CANCEL, ends its wait without a release.
+//! A task that reaches the waitfor announces a *round* to every other member. It is released when it holds the arrivals of all
+//! others in one round, each with more patience left than the margin. It is also released when it learns that another member was
+//! released from that round. Without a release, only its own time_out or its task's CANCEL ends the wait.
 //!
-//! | input | what comes of it |
+//! | input | effect |
 //! |---|---|
-//! | [`reach`](Rendezvous::reach) | ARRIVE to all others; released at once if all are here |
-//! | [`hear`](Rendezvous::hear) | an ARRIVE may complete the round; a CONFIRM of the round waited in releases; an ABORT takes an arrival back, and may call to a fresher round or tell of a release |
-//! | [`advance`](Rendezvous::advance) | what is due is sent again |
-//! | [`leave`](Rendezvous::leave) | patience ended, or the wait was cancelled: ABORT to all others (but under the variant without) |
-//! | [`forget`](Rendezvous::forget) | a member's node restarted: its arrival is void |
+//! | [`reach`](Rendezvous::reach) | sends ARRIVE to all others; releases at once if all are here |
+//! | [`hear`](Rendezvous::hear) of ARRIVE | may complete the round |
+//! | [`hear`](Rendezvous::hear) of CONFIRM | releases, if it is of the round waited in |
+//! | [`hear`](Rendezvous::hear) of ABORT | voids an arrival; may name a fresher round or prove a release |
+//! | [`advance`](Rendezvous::advance) | retransmits what is due |
+//! | [`leave`](Rendezvous::leave) | the patience ended, or the wait was cancelled: sends ABORT, except under one variant |
+//! | [`forget`](Rendezvous::forget) | a member's node restarted: voids its arrival |
 //!
-//! A release is left in [`At::released`]. Between two inputs the task waits here exactly where there is a deadline, no
-//! round heard of is fresher than `fresh`, and no arrival is held of a round that its member gave up.
+//! [`At::released`] reports a release. Between two inputs the task waits here exactly if `deadline` is set. It has heard of no
+//! round fresher than `fresh`, and holds no arrival in a round that the member gave up.
 
 mod check;
 mod hear;
@@ -39,11 +41,11 @@ use crate::ticks::{Instant, Ticks};
 use alloc::boxed::Box;
 use serde::{Deserialize, Serialize};
 
-/// What one member holds of another one's arrival.
+/// An arrival of another member.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Arrived {
     round: Round,
-    /// When the sender's patience ends, on this task's counter: an arrival lives no longer than its sender waits (D3).
+    /// When the sender's patience ends, on this task's clock: an arrival counts only as long as its sender waits (D3).
     expires: Instant,
     arguments: [u8; 8],
 }
@@ -51,15 +53,15 @@ struct Arrived {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Member {
     arrived: Option<Arrived>,
-    /// The freshest round the member gave up: later copies of its arrival there do not count (D54).
+    /// The freshest round that the member gave up: copies of its arrival in that round or an older one do not count (D54).
     barred: Option<Round>,
-    /// The life of the member that it was last heard in.
+    /// The member's incarnation, as last heard.
     life: Option<Incarnation>,
-    /// The member restarted since this task's last release: that release says nothing about the new life.
+    /// Whether the member restarted since this task's last release: its new incarnation was not part of that meeting.
     reborn: bool,
-    /// Known to have released the round that this task is in; shown, not acted on.
+    /// Whether the member is known to have released this task's round. Shown to monitors only.
     confirmed: bool,
-    /// What it brought to the round that this task left last: what comes after that changes nothing of it.
+    /// The member's arguments in the round that this task left last; later packets do not change them.
     told: Option<[u8; 8]>,
 }
 
@@ -67,35 +69,35 @@ struct Member {
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Rendezvous {
     port: PortId,
-    /// Whether meetings are numbered: the variant without rounds keeps all of them alike (D3).
+    /// Whether meetings are numbered: under the variant without rounds, all have the same number (D3).
     numbered: bool,
-    /// The last round this task announced; while it waits, the round it waits in.
+    /// The round that this task announced last. While it waits, it waits in this round.
     announced: Round,
-    /// The freshest round heard of.
+    /// The freshest round that this task has heard of.
     fresh: Round,
-    /// The round this task last released.
+    /// The round that this task released last.
     released: Option<Round>,
-    /// While waiting: when this task's patience ends.
+    /// While the task waits: the end of its patience.
     deadline: Option<Instant>,
-    /// While waiting: when the arrival is announced again.
+    /// While the task waits: when the next ARRIVE is sent.
     resend_at: Instant,
-    /// All parties of the port, owner first; the own entry stays empty.
+    /// The members in the order of the port's parties, owner first. The task's own entry stays empty.
     members: Box<[Member]>,
-    /// How many more copies of the CONFIRM of `released` are to be sent, and when the next one.
+    /// The remaining copies of the CONFIRM of `released`, and when the next one is sent.
     copies_left: u8,
     copy_at: Instant,
-    /// Released by a CONFIRM without all arrivals; confirms when it has them (`EveryComplete`).
+    /// Whether a CONFIRM released the task before it held all arrivals. It confirms once it holds them (`EveryComplete`).
     owes_confirm: bool,
-    /// What this task tells the others.
+    /// This task's arguments to the other members.
     arguments: [u8; 8],
 }
 
-/// Where a rendezvous works: the step, the port, and where that stands among the task's own.
+/// The step context of a rendezvous: the step, the port, and the position of its endpoint.
 struct At<'a, 'b, O> {
     step: &'a mut Step<'b, O>,
     port: &'b Port,
     endpoint: usize,
-    /// The task is released from this round: to be told.
+    /// The round from which the task was released in this step, and how.
     released: Option<(Round, ReleasedBy)>,
 }
 
@@ -127,7 +129,7 @@ impl Rendezvous {
         }
     }
 
-    /// The earliest instant at which time alone makes this task act.
+    /// The next instant at which time alone makes this task act.
     fn due(&self) -> Instant {
         self.deadline.unwrap_or(Instant::NEVER).min(self.resend_at).min(self.copy_at)
     }
@@ -135,7 +137,7 @@ impl Rendezvous {
     /// The task reaches the waitfor.
     fn reach(&mut self, at: &mut At<'_, '_, impl Outbox>, arguments: [u8; 8], patience: Ticks) {
         if self.numbered {
-            // D54: joins the round that others wait in, if there is one.
+            // Joins the round in which others wait, if there is one (D54).
             let fresh = if at.step.table.rules().join_fresher { self.fresh } else { self.announced };
             self.enter(self.announced.next().fresher(fresh), at.now());
             self.fresh = self.announced;
@@ -153,7 +155,7 @@ impl Rendezvous {
         self.release_if_complete(at);
     }
 
-    /// The task leaves without a release: its patience ended, or it was cancelled before. Returns who had not arrived.
+    /// Leaves without a release: the patience ended, or the wait was cancelled before. Returns the missing members as bits.
     fn leave(&mut self, at: &mut At<'_, '_, impl Outbox>) -> u64 {
         let in_vain = self.deadline.is_some_and(|deadline| deadline <= at.now());
         at.counters().timed_out += u64::from(in_vain);
@@ -173,7 +175,7 @@ impl Rendezvous {
         missing
     }
 
-    /// Time has passed: sends again what is due. The deadline is the caller's to notice.
+    /// Retransmits what is due. The caller checks the deadline.
     fn advance(&mut self, at: &mut At<'_, '_, impl Outbox>) {
         if self.copy_at <= at.now() {
             self.copies_left = self.copies_left.saturating_sub(1);
@@ -191,7 +193,7 @@ impl Rendezvous {
         }
     }
 
-    /// The node of a member restarted: its arrival is void, and it cannot have been in the meeting released last.
+    /// The node of a member restarted: its arrival is void, and its new incarnation was not in the meeting released last.
     fn forget(&mut self, member: usize) {
         let life = self.members[member].life;
         self.members[member] = Member { life, reborn: true, ..Member::default() };
@@ -202,8 +204,8 @@ impl Rendezvous {
         self.announced.is_newer_than(round) || (round == self.announced && self.deadline.is_none())
     }
 
-    /// Goes on to a round. What the circle of rounds would show as fresh again one day is forgotten: a bar before this
-    /// round, a release half the circle ago, and an arrival whose patience ended before this task came.
+    /// Enters a round, and forgets what would seem fresh once the round numbers wrap: bars of earlier rounds, a
+    /// release half the number circle ago, and arrivals whose patience has ended.
     fn enter(&mut self, round: Round, now: Instant) {
         self.announced = round;
         self.released = self.released.filter(|released| !released.is_newer_than(round));
@@ -233,10 +235,10 @@ impl Rendezvous {
         member.arrived.is_some_and(|a| a.round == self.announced && a.expires > now)
     }
 
-    /// The least patience left among the others, if all of them are here.
+    /// The least remaining patience of the other members, if all of them are here.
     fn least_patience(&self, at: &At<'_, '_, impl Outbox>) -> Option<Ticks> {
         let mut least = Ticks::FAR;
-        // From the end: those who come in the order of the list are missed there longest.
+        // From the end: if members arrive in the order of the list, the last ones are missing longest.
         for (member, party) in self.members.iter().zip(&at.port.parties).rev() {
             if party.task != at.step.own.task {
                 let arrived = member.arrived.filter(|_| self.is_here(member, at.now()))?;
@@ -295,13 +297,13 @@ impl Rendezvous {
         }
     }
 
-    /// A member's arrival in this task's round; one whose patience ended just before was here all the same.
+    /// A member's arrival in this task's round. With numbered rounds it counts even if the member's patience has ended since.
     fn came(&self, member: &Member, now: Instant) -> Option<Arrived> {
         let is_over = |arrived: &Arrived| !self.numbered && arrived.expires <= now;
         member.arrived.filter(|arrived| arrived.round == self.announced && !is_over(arrived))
     }
 
-    /// What the members brought to the round that this task leaves now.
+    /// Keeps the members' arguments in the round that this task leaves now.
     fn keep_told(&mut self, now: Instant) {
         for i in 0..self.members.len() {
             self.members[i].told = self.came(&self.members[i], now).map(|arrived| arrived.arguments);

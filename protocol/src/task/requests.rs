@@ -1,4 +1,4 @@
-//! The user layer (§5.2.1), down: what the task asks for. What comes up to it is taken in by `machines`.
+//! The user layer, downwards: requests of the task (§5.2.1). `machines` takes in what comes up to it.
 
 use super::client::Sent;
 use super::machines::Machines;
@@ -12,13 +12,13 @@ use crate::packet::Contents;
 use crate::request::{Fault, ReplyTo, Request, Signal, Target};
 use crate::ticks::{Instant, Ticks};
 
-/// Answered at once, or not before something else happens.
+/// The signal to give at once, or `None` if it comes later.
 type Done = Result<Option<Signal>, Fault>;
 
 const ACCEPTED: Option<Signal> = Some(Signal::Accepted(0));
 
 impl Machines {
-    /// The task's request: it always outranks what the communication task is doing (§5.2.1).
+    /// Carries out a request of the task, which goes before everything else that the communication task does (§5.2.1).
     pub(super) fn request(&mut self, step: &mut Step<'_, impl Outbox>, request: &Request) {
         let done = match *request {
             Request::Cancel => Ok(Some(self.cancel(step))),
@@ -71,7 +71,7 @@ impl Machines {
             Ok(Some(signal)) => step.out.signal(signal),
             Ok(None) => {}
             Err(fault) => {
-                // What was staged for a message that is not sent is no part of the next one.
+                // Fragments staged for a message that is not sent must not end up in the next one.
                 if let Request::Send { port, .. } | Request::Reply { to: ReplyTo { port, .. }, .. } = *request
                 {
                     step.own.unstage(port);
@@ -89,7 +89,7 @@ impl Machines {
         (contents, time_out): (Contents, Option<Ticks>),
     ) -> Done {
         let (port, party) = mapping::own_end(step.table, id, step.own.task)?;
-        // The declared life is what receivers and a restarted node reckon with: a request may only shorten it.
+        // Receivers and a restarted node rely on the declared TTL: a request may only shorten it.
         let life = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
         let contents = match port.decl.guard {
             None => contents,
@@ -104,7 +104,7 @@ impl Machines {
         }
     }
 
-    /// §5.2.1, procedure `get`: the most urgent message over the port heads, or remember what was asked for.
+    /// Takes the most urgent message over the port heads, or waits for one (procedure `get`, §5.2.1).
     fn get(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -156,7 +156,7 @@ impl Machines {
         if self.meetings.at(meeting).is_waiting() {
             return Err(Fault::Busy);
         }
-        // As for messages: the declared patience is what a restarted partner waits for, so it may only be shortened.
+        // A restarted partner relies on the declared patience: a request may only shorten it.
         let patience = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
         self.interrupts.wait(Pending::Meeting(meeting));
         let ended = self.meetings.reach(step, meeting, (arguments, patience));
@@ -192,7 +192,7 @@ impl Machines {
         Signal::Cancelled
     }
 
-    /// Every wait ends, and every handler: the task begins anew. What waits for it stays.
+    /// Ends every wait and every handler: the task starts again from its beginning. Waiting messages stay.
     fn abandon(&mut self, step: &mut Step<'_, impl Outbox>) -> Signal {
         loop {
             self.cancel(step);

@@ -1,22 +1,21 @@
-//! The server: the messages that come to the task (§5.1.1, §5.2.1), from their first packet until they are answered.
+//! The server: messages to the task, from their first packet until they are answered (§5.1.1, §5.2.1).
 //!
-//! | input | what comes of it |
+//! | input | effect |
 //! |---|---|
-//! | [`hear`](Server::hear) | a packet of a message: it is stored; dropped, as a copy or in vain; or given back, where the running thread takes it at once |
-//! | [`next`](Server::next) | a GET: the most urgent message, if there is one |
-//! | [`deliver`](Server::deliver) | the task has it: from here on its execution budget runs |
-//! | [`reply`](Server::reply) | the task answers it; a copy gets the same answer |
-//! | [`first_offer`](Server::first_offer), [`reject_the_others`](Server::reject_the_others) | what may interrupt the running thread; what may not is offered again later, one level higher |
-//! | [`advance`](Server::advance) | what has no time left is dropped |
+//! | [`hear`](Server::hear) | a packet of a message is stored, dropped, or returned for the running activation to take |
+//! | [`next`](Server::next) | a GET takes the most urgent message, if there is one |
+//! | [`deliver`](Server::deliver) | the task gets the message, and its execution budget begins |
+//! | [`reply`](Server::reply) | the task answers the message; copies get the same answer |
+//! | [`first_offer`](Server::first_offer) | what may interrupt the running activation first |
+//! | [`reject_the_others`](Server::reject_the_others) | other due messages are rejected: offered again later, one rank higher |
+//! | [`advance`](Server::advance) | what has expired is dropped |
 //!
-//! A packet goes through these stages: it has no more fragments than the port's messages, time is left to answer it, no
-//! message to an earlier life of the task can still be under way (D49), it is of the present life of its source, it is new
-//! (`memory`), all its fragments are here (`assembly`, where the port's messages take several), and nobody acts in a newer
-//! epoch (`epochs`, where the port's commands are given under a lease).
+//! A packet passes these checks in turn. It has no more fragments than the port allows, and time is left to answer it. No copy
+//! of a command to an earlier incarnation of the task can still arrive (D49). It is from the present incarnation of its source,
+//! and new (`memory`). All fragments of its message are here (`assembly`), and no newer epoch has begun (`epochs`).
 //!
-//! Between two inputs nothing waits that has no time left, every command that waits is remembered as waiting (but under the
-//! rule variants that keep no memory or lengthen lives), and the orders over the inboxes (`heads`) are those that a look at
-//! all of them would give.
+//! Between two inputs nothing expired waits, the ready set (`heads`) agrees with a scan of all inboxes, and every waiting command
+//! has a dedup entry that says so. Rule variants that keep no memory or extend TTLs break only the last of these.
 
 mod admission;
 mod assembly;
@@ -54,51 +53,51 @@ use serde::{Deserialize, Serialize};
 pub(crate) use delivery::send_answer;
 pub(crate) use inbox::Held;
 
-/// The messages that wait for the task, and what is remembered of those that came.
+/// The waiting messages, and the dedup entries of the received ones.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Server {
     inboxes: Box<[Inbox]>,
     heads: Heads,
-    /// How many GETs over all ports were served (D58).
+    /// The number of GETs over all ports that were served (D58).
     served: u64,
-    /// Numbers messages in the order they were stored: the last key of the service order (D14).
+    /// Numbers messages in the order of storing: the last key of the service order (D14).
     arrivals: u64,
-    /// Numbers the rounds of rejections (D58).
+    /// The number of the next round of rejections (D58).
     rejections: u64,
-    /// One per task that may send to this one, ascending.
+    /// The last known incarnation of each task that may send to this one, ascending by task.
     lives: Box<[Known]>,
-    /// Of each couple that gives it orders: the newest epoch (D61).
+    /// The newest epoch of each couple that commands this task (D61).
     guards: Box<[Guard]>,
-    /// The message the task took last (D28).
+    /// The message that the task took last (D28).
     taken: (Option<Contents>, Parts),
-    /// Room for those that are rejected together; empty between two inputs.
+    /// Scratch buffer for messages that are rejected together; empty between two inputs.
     #[serde(skip)]
     turned: Vec<Slot>,
 }
 
-/// The life of a source's node that it was last heard in.
+/// The incarnation in which a source's node was last heard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Known {
     task: TaskId,
     life: Option<Incarnation>,
 }
 
-/// A message that the running thread takes as it arrives.
+/// A message that the running activation takes as it arrives.
 pub(crate) struct Arrival {
     pub inbox: usize,
     pub held: Held,
-    /// Whether it interrupts that thread; else the thread waited for it.
+    /// Whether a handler for it interrupts the running activation; otherwise that waits for it in a GET.
     pub interrupts: bool,
 }
 
-/// An inbox and one of those that may send to it.
+/// An inbox, and the position of a source in it.
 type Way = (usize, usize);
 
-/// Counts grow by one an input: from here on there is room for more inputs than any recording has.
+/// Limit of counters in a deserialised state. They grow by one per input, so below it no recording makes them overflow.
 const MOST: u64 = 1 << 62;
 
 impl Server {
-    /// With an inbox for each port that the task receives on.
+    /// A server with an inbox for each port on which the task receives.
     pub fn new(table: &NodeTable, own: &Own) -> Self {
         let (mut inboxes, mut sources, mut guards, mut longest) = (Vec::new(), Vec::new(), Vec::new(), 1);
         for (endpoint, port) in own.ports(table, |role| matches!(role, Role::Receives(_))) {
@@ -130,7 +129,7 @@ impl Server {
         self.inboxes[inbox].port
     }
 
-    /// A packet of a message for the task. `threads`: the threads, and whether the lease has word for the task.
+    /// Takes a packet of a message. `threads`: the activations, and whether the lease has a pending call.
     pub fn hear(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -144,7 +143,7 @@ impl Server {
         arrival
     }
 
-    /// What is new in the packet goes on once the message is whole.
+    /// Checks a packet, and takes the message in once it is complete.
     fn message(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -192,7 +191,7 @@ impl Server {
         }
     }
 
-    /// Whether the message was not taken before, and comes from the present life of its source.
+    /// Whether the message is new, and from the present incarnation of its source. Copies are answered here.
     fn is_fresh(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -201,7 +200,7 @@ impl Server {
         (packet, reserved): (&Packet, Ticks),
     ) -> bool {
         if packet.class == Class::Command && step.own.turns_away(step.table, packet.source) {
-            // D49: it may be a copy of one that the earlier life ran.
+            // It may be a copy of a command that the earlier incarnation ran (D49).
             control(step, packet, Control::Restarted);
             return false;
         }
@@ -213,7 +212,7 @@ impl Server {
             Seen::New => return true,
             Seen::Again(Fate::Held) => self.prolong((inbox, source), packet, reserved, step.now()),
             Seen::Older | Seen::Again(Fate::Lapsed | Fate::Delivered(_)) => {}
-            // Of several fragments the last one is answered.
+            // Only the last fragment of a copy is answered.
             Seen::Again(_) if packet.more => {}
             Seen::Again(Fate::Refused) => control(step, packet, Control::Refused),
             Seen::Again(Fate::Answered(contents)) => {
@@ -228,8 +227,8 @@ impl Server {
         false
     }
 
-    /// A whole message that is new: handed over at once if the task has asked for it, offered if there is a handler, else
-    /// stored (R24, R25).
+    /// Takes in a complete, new message. It is delivered at once if the task waits for it, offered if there is a
+    /// handler, and stored otherwise (R24, R25).
     fn take_in(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -244,8 +243,8 @@ impl Server {
             Some(couple) => self.within_epoch(step, port, (couple, way), packet)?,
         };
         let now = step.now();
-        // What a link charges is only a bound: this copy may have been charged more than a later one will be. So copies
-        // are remembered as long as the declared life lets any of them arrive, not as long as this one seems to live.
+        // A link charges an upper bound, so a later copy may have been charged less than this one. The dedup entry is
+        // therefore kept for the declared TTL, not for the remaining time of this copy (D20).
         let until = now + from.time_out.max(packet.remaining) + way_back;
         match packet.class {
             Class::Status => {
@@ -292,7 +291,7 @@ impl Server {
         None
     }
 
-    /// Time has passed: drops what has no time left, simple removal at the local station (§5.1.1).
+    /// Drops expired messages and fragments: the simple removal at the local station (§5.1.1).
     pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>) {
         while let Some(inbox) = self.expired(step.now()) {
             while let Some(held) =
@@ -312,7 +311,7 @@ impl Server {
         }
     }
 
-    /// The literal reading without residence: waiting costs no life.
+    /// The variant without residence: waiting does not reduce the remaining time.
     pub fn give_back(&mut self, own: &Own, elapsed: Ticks) {
         for inbox in &mut self.inboxes {
             inbox.queue.change_all(|held, _| held.expires += elapsed);
@@ -320,7 +319,7 @@ impl Server {
         self.touch_all(own);
     }
 
-    /// The task has a handler for messages of this port, or has none any more.
+    /// Notes whether the task has a handler for messages of this port.
     pub fn set_handled(&mut self, own: &Own, inbox: u16, handled: bool) {
         let inbox = usize::from(inbox);
         let entry = &mut self.inboxes[inbox];
@@ -333,7 +332,7 @@ impl Server {
         self.touch(own, inbox);
     }
 
-    /// Whether a state that was read has the inboxes of a new one.
+    /// Validates a deserialised server: its inboxes, sources and capacities are those of a new one.
     pub fn is_like(&self, new: &Self) -> bool {
         let counts = [self.arrivals, self.rejections, self.served].into_iter().all(|count| count < MOST);
         are_alike(&self.inboxes, &new.inboxes, Inbox::is_like)
@@ -358,7 +357,7 @@ fn discard(step: &mut Step<'_, impl Outbox>, port: PortId, held: &Held, reason: 
     step.note(Event::Discarded(reason), port, held.source, held.id(), left);
 }
 
-/// Which fragments a message has after its first one.
+/// The bit set of the fragments after the first one.
 fn rest_of(fragments: u8) -> u16 {
     1_u16.checked_shl(u32::from(fragments.saturating_sub(1))).map_or(u16::MAX, |bit| bit.wrapping_sub(1))
 }

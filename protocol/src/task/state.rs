@@ -1,13 +1,12 @@
-//! Whether a state of a communication task that was read from a file can be worked on.
+//! Validation of a deserialised communication task.
 
 use super::{CommTask, Machines, Pending};
 use crate::table::NodeTable;
 
 impl CommTask {
-    /// Whether a state that was read from a file has the lists of a new machine of its task, of the same lengths and for the
-    /// same ports and tasks, and every position in it names something that is there. Then no input makes it panic: a keyframe
-    /// of a recording is bytes that anybody may have written. [`invariants::check`](crate::invariants::check) says what else
-    /// must hold.
+    /// Validates a deserialised state: a keyframe of a recording may come from anybody. Its lists have the lengths,
+    /// ports and tasks of a new machine of the same task, and every position in it exists. Then no input makes it
+    /// panic. [`invariants::check`](crate::invariants::check) checks everything else.
     #[must_use]
     pub fn is_whole(&self, table: &NodeTable) -> bool {
         if table.location(self.own.task).is_none() {
@@ -54,7 +53,7 @@ mod tests {
         assert_eq!(check(&task, &table), Err(Violation::WrongDeadline));
     }
 
-    /// Bytes that anybody may have written: what an input would work on must be there.
+    /// A keyframe may come from anybody, so everything that an input works on must exist.
     #[test]
     fn a_wait_for_what_is_not_there_is_not_whole() {
         let table = Fixture::new(A).table;
@@ -66,7 +65,7 @@ mod tests {
         let get = |port| Pending::Get { port, source: None, deadline: Instant::NEVER };
         assert!(waiting(get(None)) && waiting(Pending::Reply(0)) && waiting(Pending::Meeting(0)));
         assert!(waiting(Pending::Lease) && waiting(Pending::Work));
-        // A asks on one of these ports, and meets B on the other: it receives on neither.
+        // A sends commands on one of these ports, and meets B on the other: it receives on neither.
         assert!(!waiting(get(Some(MOVE))) && !waiting(get(Some(LIFT))));
         assert!(!waiting(Pending::Reply(1)) && !waiting(Pending::Meeting(1)));
     }

@@ -1,4 +1,4 @@
-//! One step of a communication task: what its parts work with while they take an input, and where effects go.
+//! The step context of a communication task: what its parts work with during one input, and the outbox for effects.
 
 use super::counts::Counts;
 use super::own::Own;
@@ -10,23 +10,24 @@ use crate::rules::TimeStamp;
 use crate::table::NodeTable;
 use crate::ticks::{Instant, Ticks};
 
-/// Where the effects of [`CommTask::handle`](crate::CommTask::handle) go. They are carried out after it returned.
+/// The receiver of the effects of [`CommTask::handle`](crate::CommTask::handle). A driver carries them out after `handle` has
+/// returned.
 pub trait Outbox {
     /// Hands a packet to the route layer.
     fn transmit(&mut self, packet: Packet);
     /// Answers the task.
     fn signal(&mut self, signal: Signal);
-    /// Asks the node's Timer for a time_out. `turn` is to come back with it.
+    /// Arms an entry of the node's Timer. The Timer returns `turn` at its end.
     fn arm(&mut self, id: TimeId, turn: u8, length: Ticks);
-    /// Takes a request to the Timer back.
+    /// Disarms an entry of the node's Timer.
     fn disarm(&mut self, id: TimeId);
-    /// Notes what happened.
+    /// Records an observation.
     fn observe(&mut self, observation: Observation) {
         let _ = observation;
     }
 }
 
-/// What a part of the task works with.
+/// The step context: the table, the shared state, and the outbox.
 pub(crate) struct Step<'a, O> {
     pub table: &'a NodeTable,
     pub own: &'a mut Own,
@@ -38,7 +39,7 @@ impl<O: Outbox> Step<'_, O> {
         self.own.now
     }
 
-    /// Makes an observation about a message.
+    /// Emits an observation about a message.
     pub fn note(&mut self, event: Event, port: PortId, peer: TaskId, id: MessageId, remaining: Ticks) {
         self.out.observe(Observation { event, port, peer, number: id.sequence.get(), remaining });
     }
@@ -49,21 +50,21 @@ impl<O: Outbox> Step<'_, O> {
         }
     }
 
-    /// The same, where it is known which of the task's own ports it is.
+    /// The same, by the position of the port's endpoint.
     pub fn count_at(&mut self, endpoint: u16, count: impl FnOnce(&mut Counts)) {
         if let Some(endpoint) = self.own.endpoints.get_mut(usize::from(endpoint)) {
             count(&mut endpoint.counters);
         }
     }
 
-    /// The id of the task's next message.
+    /// Takes the id for the task's next message.
     pub fn next_id(&mut self) -> MessageId {
         let id = MessageId { incarnation: self.own.incarnation, sequence: self.own.next_sequence };
         self.own.next_sequence = id.sequence.next();
         id
     }
 
-    /// The time a message carries: what remains (§5.1), or under the variant the instant on this node's clock.
+    /// The time that a message carries: its remaining time (§5.1), or under the variant an instant on this node's clock.
     pub fn stamp(&self, life: Ticks) -> Ticks {
         match self.table.rules().time_stamp {
             TimeStamp::Remaining => life,

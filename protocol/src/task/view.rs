@@ -1,4 +1,4 @@
-//! How a communication task looks to a monitor. Allocates; never called on the message path.
+//! A communication task as a monitor sees it. Allocates; never called on the message path.
 
 use super::CommTask;
 use crate::ids::{PortId, Round, TaskId};
@@ -10,13 +10,13 @@ use crate::ticks::Instant;
 use alloc::vec::Vec;
 
 impl CommTask {
-    /// The task and its ports now, with at most `queue_limit` waiting messages of each port.
+    /// The task and its ports now, with up to `queue_limit` waiting messages per port.
     #[must_use]
     pub fn view(&self, table: &NodeTable, queue_limit: usize) -> TaskView {
         self.view_of(table, |_| queue_limit)
     }
 
-    /// [`view`](Self::view), with a number of messages for each port of its own.
+    /// Like [`view`](Self::view), with a separate limit for each port.
     #[must_use]
     pub fn view_of(&self, table: &NodeTable, queue_limit: impl Fn(PortId) -> usize) -> TaskView {
         TaskView {
@@ -27,20 +27,20 @@ impl CommTask {
         }
     }
 
-    /// What another member brought to the round that this task left last; none where it was not heard there.
+    /// Another member's arguments in the round that this task left last; `None` if that member had not arrived.
     #[must_use]
     pub fn meeting_arguments(&self, table: &NodeTable, port: PortId, of: TaskId) -> Option<[u8; 8]> {
         self.machines.meetings.at(self.own.meeting(port)?).told(table.port(port)?, of)
     }
 
-    /// The round that the task announced last at this waitfor, in its present life: while it waits there, the one that it
-    /// waits in. Of a task that was never there it means nothing.
+    /// The round that the task announced last at this waitfor in its present incarnation. While it waits there, it
+    /// waits in this round. Meaningless for a task that was never there.
     #[must_use]
     pub fn announced(&self, port: PortId) -> Option<Round> {
         Some(self.machines.meetings.at(self.own.meeting(port)?).announced())
     }
 
-    /// What the task is doing: while a handler runs, what that does.
+    /// The state of the running activation: of a handler, if one runs.
     #[must_use]
     pub fn state(&self) -> TaskState {
         let now = self.own.now;
@@ -80,19 +80,19 @@ impl CommTask {
         self.own.endpoints.iter().filter_map(view).collect()
     }
 
-    /// What waits at a port where the task receives, with at most `limit` messages.
+    /// The waiting messages of a port on which the task receives, up to `limit` of them.
     #[must_use]
     pub fn queue_view(&self, port: PortId, limit: usize) -> Option<QueueView> {
         Some(self.machines.server.queue_view(&self.own, self.own.inbox(port)?, limit))
     }
 
-    /// The sequence number that the task's next message will have.
+    /// The sequence number of the task's next message.
     #[must_use]
     pub const fn next_sequence(&self) -> crate::ids::Seq24 {
         self.own.next_sequence
     }
 
-    /// Who was asked, and the id of the command, where the task waits to have one answered: the first of several.
+    /// The task that was asked and the id of the command, if an answer is missing; the first of several.
     #[must_use]
     pub fn awaits(&self) -> Option<(TaskId, crate::ids::MessageId)> {
         self.outstanding().next().map(|(_, task, id)| (task, id))

@@ -1,59 +1,59 @@
-//! What does not hold of a communication task though it should.
+//! The ways in which the invariants of a communication task can be violated.
 
 use crate::ids::{MessageId, PortId, Round, TaskId};
 use crate::request::TimeId;
 use crate::ticks::Instant;
 use core::fmt;
 
-/// An invariant that does not hold.
+/// An invariant that is violated.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Violation {
-    /// A port's buffer holds more than its `bounded_buffer` (§5.1.1).
+    /// A port's buffer holds more messages than its `bounded_buffer` (§5.1.1).
     Overfull(PortId),
-    /// A buffer holds a message that has no time left (§5.1.1).
+    /// A buffer holds an expired message (§5.1.1).
     HoldsExpired(PortId, TaskId, MessageId),
     /// A buffer holds a message of a class or from a task that the port does not admit.
     HoldsForeign(PortId, TaskId, MessageId),
-    /// A buffer holds a command that the memory of its source does not know as held: a copy would run twice (D52).
+    /// A buffer holds a command without a dedup entry that says so: a copy of it would run twice (D52).
     NotRemembered(PortId, TaskId, MessageId),
-    /// The memory of a command ends before its sender's wait, or its execution budget ends after it (D6, D18).
+    /// A dedup entry ends before its sender's wait, or the execution budget ends after it (D6, D18).
     MemoryTooShort(TaskId, MessageId),
     /// The task waits past its deadline.
     Overdue(Instant),
-    /// The task waits for an answer that nobody was asked for, or for one under another life's id; or the other way round.
+    /// The task waits at a desk without an open request, or the other way round; or a request has a foreign id.
     WaitsForNothing(PortId),
-    /// The task waits at a `waitfor` that does not know of it, or the other way round.
+    /// The task waits at a `waitfor` that has no deadline, or the other way round.
     MeetingAndWaitDiffer(PortId),
-    /// A re-sending instant does not follow from the deadline, or stands where nothing is to be sent (D5, D55).
+    /// A retransmission is due at an instant that the deadline does not imply, or without a reason (D5, D55).
     ResendInstant(PortId),
-    /// A `waitfor` released a round that it never announced, or forgot the freshest one it heard of (D54).
+    /// A `waitfor` has released a round that it never announced, or forgotten the freshest round that it heard of (D54).
     Rounds(PortId),
-    /// A `waitfor` holds the arrival of a member in a round that the member has given up (D54).
+    /// A `waitfor` holds the arrival of a member in a round that this member gave up (D54).
     HoldsBarred(PortId, TaskId, Round),
-    /// A `waitfor` owes a CONFIRM of nothing, or while it waits for the next meeting (D1).
+    /// A `waitfor` owes a CONFIRM without a release, or while it waits for the next meeting (D1).
     OwesConfirm(PortId),
-    /// More handlers run than may, one ranks lower than what it interrupted, or what it interrupted neither waits nor
-    /// stands between two statements (D15).
+    /// Too many handlers run, or one ranks lower than what it interrupted, or an interrupted activation neither waits
+    /// nor is between two statements (D15).
     Levels(u8),
-    /// A message for a handler is due, and was not offered to a thread that can be interrupted (D15).
+    /// A message for a handler is due and was not offered, though the running activation can be interrupted (D15).
     NotOffered(PortId, TaskId, MessageId),
-    /// A message was rejected more often than ranks stand above it, or at all where rejections do not count (D58).
+    /// A message was rejected more often than ranks are above it, or at all where rejections do not count (D58).
     RejectedTooOften(PortId, TaskId, MessageId),
-    /// A message that was rejected waits longer than the port's penalty until it is offered again (D58).
+    /// A rejected message is not offered again when the port's penalty is over (D58).
     RejectedTooLong(PortId, TaskId, MessageId),
-    /// Two of the task's timers and delays have one name.
+    /// Two timers or delays of the task have the same name.
     Timers(TimeId),
-    /// A timer is over and outranks a thread that can be interrupted, and its handler has not begun (D15).
+    /// A timer has ended and outranks an interruptible activation, but its handler has not begun (D15).
     TimerNotOffered(TimeId),
-    /// A message that is not whole has no time left, or is held where messages take one packet (D28).
+    /// An incomplete message has expired, or is held on a port whose messages take one packet (D28).
     HoldsFragments(PortId, TaskId),
     /// The task acts past its lease, or has not taken over when it should have (D61).
     PastLease(Instant),
-    /// What the task is to be told of its lease is not so.
+    /// A pending call of the lease is not true.
     WrongCall,
-    /// An order that is kept over what waits is not what a look at all of it says.
+    /// A heap disagrees with a scan of the entries that it orders.
     OutOfOrder(PortId),
-    /// The next deadline that is kept is not what a look at all parts says.
+    /// The cached next deadline disagrees with a scan of all parts.
     WrongDeadline,
 }
 

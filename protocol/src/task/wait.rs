@@ -1,11 +1,11 @@
-//! What a thread of the task waits for, and how its wait ended.
+//! The waits of activations, and how they end.
 
 use crate::ids::{PortId, Round, TaskId};
 use crate::request::{Outcome, ReleasedBy, TimeId};
 use crate::ticks::Instant;
 use serde::{Deserialize, Serialize};
 
-/// What a thread of the task waits for: one outstanding communication (R93).
+/// The wait of an activation: each has at most one (R93).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) enum Pending {
     Nothing,
@@ -14,27 +14,27 @@ pub(crate) enum Pending {
         source: Option<TaskId>,
         deadline: Instant,
     },
-    /// The answers to the request at this desk; its deadline stands there.
+    /// For the answers to the request at this desk, which has the deadline.
     Reply(u16),
-    /// The rendezvous at this position of the list; its deadline stands there.
+    /// At the rendezvous at this position, which has the deadline.
     Meeting(u16),
-    /// A delay, and which start of it.
+    /// A delay, by its name and the number of its start.
     Delay(TimeId, u8),
-    /// The end of an action outside.
+    /// For the end of an external action.
     Work,
-    /// The lease (D61).
+    /// For the lease (D61).
     Lease,
-    /// Nothing, but a handler runs between two of its statements.
+    /// For nothing: a handler runs between two of its statements.
     Boundary,
 }
 
-/// How a wait ended. It is told at once, or when the handlers above the thread that waited have ended.
+/// The end of a wait. It is signalled at once, or when the handlers above the waiting activation have ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) enum Finished {
     Outcome(Outcome),
-    /// The request at this desk, to several tasks.
+    /// The request at this desk to several tasks has ended.
     Answers(u16),
-    /// The request at this desk, with an answer in several packets.
+    /// The request at this desk has ended with an answer of several packets.
     Long(u16),
     Released {
         port: PortId,
@@ -50,10 +50,10 @@ pub(crate) enum Finished {
     Granted(u8),
 }
 
-/// A wait that ended, as the part that it was for says it.
+/// The end of a wait, as a part reports it to the dispatcher.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Ended {
-    /// What was waited for. None: under the variant that takes late answers, whoever runs is told.
+    /// The wait that ended. `None` under the variant that accepts late replies: then the running activation is told.
     pub wait: Option<Pending>,
     pub finished: Finished,
 }

@@ -1,4 +1,4 @@
-//! The whole state of a communication task for a checker: its one walk (D165), the moves of its clock, and what of it is dead.
+//! The state of a communication task for a checker: visiting its fields (D165), shifting its clock, and dropping dead state.
 
 use super::lease::Lease;
 use super::step::Outbox;
@@ -8,32 +8,32 @@ use crate::state::{Clock, Pass, Walk, restart};
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
 
-/// A message that may still come to a task: it is on a link or in a buffer, or its sender waits for the answer and may send
-/// it again.
+/// A message that may still arrive at a task: on a link, in a buffer, or retransmitted by a sender that waits for the
+/// answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Coming {
-    /// On which port.
+    /// Its port.
     pub port: PortId,
-    /// From whom.
+    /// Its sender.
     pub source: TaskId,
-    /// To whom.
+    /// Its receiver.
     pub to: TaskId,
-    /// Its number.
+    /// Its sequence number.
     pub sequence: Seq24,
 }
 
 impl CommTask {
-    /// Walks the state. [`bury`](Self::bury) it before it is written.
+    /// Visits the state. Call [`bury`](Self::bury) before the state is encoded.
     ///
-    /// A pass that changes it keeps the order of instants; one that reads must read bytes of the same task.
+    /// A pass that changes the state must keep the order of instants. A pass that decodes must read bytes of the same task.
     pub fn walk<W: Walk>(&mut self, table: &NodeTable, w: &mut W) {
         let Self { own, machines, due } = self;
         let Machines { client, server, interrupts, meetings, lease } = machines;
         if matches!(W::PASS, Pass::Decode | Pass::Change) {
             *due = None;
         }
-        // In the order of packed bytes (D51): a checker sorts equal members by their bytes, so another order would pick others
-        // and change the numbers of states.
+        // This is the order of the packed bytes (D51). A checker sorts equal members by their bytes, so another order
+        // would pick other representatives and change the numbers of states.
         own.walk(w);
         interrupts.walk(&mut own.order, lease.as_ref().map(Lease::couple), w);
         client.walk_overdue(table, (own.task, own.incarnation), w);
@@ -49,26 +49,26 @@ impl CommTask {
         server.walk_guards(w);
     }
 
-    /// Looks for what time alone makes the task do, whether its deadline has come or not: where it has not, nothing comes of it.
+    /// Does what time alone makes due, without comparing the next deadline first. Does nothing if that has not come.
     pub fn look_around(&mut self, table: &NodeTable, out: &mut impl Outbox) {
         self.act(table, out);
     }
 
-    /// Sets the internal clock back to zero; behaviour does not change. Dead state is dropped first, so that no
-    /// forgotten instant lies before the new zero.
+    /// Sets the clock back to zero; behaviour does not change. Dead state is dropped first, so that no instant is
+    /// before the new zero.
     pub fn rebase(&mut self, table: &NodeTable) {
         self.bury();
         let now = self.own.now;
         self.walk(table, &mut restart(now));
     }
 
-    /// Moves the internal clock `ahead`, and every instant with it; behaviour does not change, however far, because
-    /// no instant ever leaves the task (D37).
+    /// Moves the clock and every instant `ahead`. Behaviour does not change, however far, because no instant ever
+    /// leaves the task (D37).
     pub fn set_ahead(&mut self, table: &NodeTable, ahead: Ticks) {
         self.walk(table, &mut Clock(|instant| instant + ahead));
     }
 
-    /// Drops what can never matter again, so that equal futures have equal states. Behaviour does not change.
+    /// Drops dead state, so that equal futures have equal states. Behaviour does not change.
     pub fn bury(&mut self) {
         self.due = None;
         let now = self.own.now;
@@ -81,8 +81,8 @@ impl CommTask {
         }
     }
 
-    /// Forgets which messages it has taken where no copy of them can come any more: for a checker, which knows all that
-    /// may still come. Behaviour does not change.
+    /// Drops dedup entries whose messages can have no further copies. Only a checker knows all messages in `coming`
+    /// that may still arrive. Behaviour does not change.
     pub fn bury_seen(&mut self, coming: &[Coming]) {
         let own = self.own.task;
         self.machines.server.bury_seen(|port, task| {

@@ -1,4 +1,4 @@
-//! The entries of a Timer, and those of them that were armed last.
+//! The entries of a Timer, and the small unsorted set of those armed last.
 
 use crate::ids::TaskId;
 use crate::queue;
@@ -11,7 +11,7 @@ pub(super) struct Entry {
     pub id: TimeId,
     pub turn: u8,
     pub expires: Instant,
-    /// Of entries that end together the one armed first goes first.
+    /// Counts the arming calls. It breaks ties: of entries that end together, the one armed first goes first.
     pub armed: u64,
 }
 
@@ -35,18 +35,18 @@ pub(super) fn name(owner: TaskId, id: TimeId) -> u32 {
     (u32::from(owner.0) << 8) | u32::from(id.0)
 }
 
-/// How many entries have no place in the order yet.
+/// The capacity of the unsorted set.
 pub(super) const FRESH: usize = 4;
-/// No entry's name.
+/// The name in an empty place.
 pub(super) const NOBODY: u32 = u32::MAX;
 
-/// The entries armed last, in no order: most are taken back soon, and never need a place among all others (D123).
+/// The entries armed last, unsorted. Most are disarmed soon, and so never pay for a place in the queue (D123).
 #[derive(Clone, Debug)]
 pub(super) struct Fresh {
     pub names: [u32; FRESH],
-    /// Where nobody stands: one that never ends.
+    /// An empty place has an entry that never ends.
     pub entries: [Entry; FRESH],
-    /// Whose turn it is to make room.
+    /// The place whose entry moves to the queue next, modulo the number of places.
     pub next: u8,
 }
 
@@ -68,7 +68,7 @@ impl Fresh {
         core::mem::replace(&mut self.entries[at], Self::HOLE)
     }
 
-    /// When the first of them is over.
+    /// The instant at which the first of them ends.
     pub fn end(&self) -> Instant {
         self.entries.iter().map(|entry| entry.expires).fold(Instant::NEVER, Instant::min)
     }

@@ -1,4 +1,4 @@
-//! The fields of a Timer.
+//! Visits the fields of a Timer, for the checker's packed states.
 
 use super::Timer;
 use super::entries::{Entry, Fresh, NOBODY};
@@ -6,22 +6,22 @@ use crate::state::{Pass, Walk, restart};
 use alloc::vec::Vec;
 
 impl Timer {
-    /// The internal clock goes back to zero; behaviour does not change.
+    /// Sets the clock back to zero, and all instants with it; behaviour does not change.
     pub fn rebase(&mut self) {
         let now = self.now;
         self.walk(&mut restart(now));
     }
 
-    /// Walks the entries, earliest first.
+    /// Visits the entries, earliest first.
     pub fn walk<W: Walk>(&mut self, w: &mut W) {
         w.clock(&mut self.now);
         let Self {
             now: _,
-            // Only the order of arming matters: that in which entries are packed.
+            // Not packed: entries are packed in the order of their ends, and ties in the order of arming.
             armed,
             fresh,
             queue,
-            // Rebuilt by arming.
+            // Rebuilt when the entries are armed again.
             index,
         } = self;
         if W::PASS == Pass::Change {
@@ -51,7 +51,7 @@ impl Entry {
         let Self {
             owner,
             id,
-            // One thread drives a packed node: no word of an earlier start can still be on its way.
+            // Not packed: a single thread drives a packed node, so no message of an earlier start is in flight.
             turn: _,
             expires,
             armed: _,

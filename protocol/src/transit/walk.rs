@@ -1,4 +1,4 @@
-//! The fields of a transit buffer.
+//! Canonical packing of a transit buffer.
 
 use super::{Transit, Waiting};
 use crate::packet::Packet;
@@ -7,27 +7,27 @@ use crate::state::{Pass, Walk, restart};
 use crate::table::NodeTable;
 use alloc::vec::Vec;
 
-/// Set in the first packed byte where words of a refusal wait.
+/// Set in the first packed byte if refusals wait.
 const WITH_WORDS: u8 = 0x80;
 
 impl Transit {
-    /// The internal clock goes back to zero; behaviour does not change.
+    /// Sets the internal clock back to zero. Behaviour does not change.
     pub fn rebase(&mut self, table: &NodeTable) {
         let now = self.now;
         self.walk(table, &mut restart(now));
     }
 
-    /// Walks what waits, the most urgent first. Packed it is packets with what is left of each, and where it is read their way
-    /// says the rest.
+    /// Walks the waiting packets, most urgent first. The packed form is packets with their remaining times; a pass that reads
+    /// computes the rest from their routes.
     pub fn walk<W: Walk>(&mut self, table: &NodeTable, w: &mut W) {
         w.clock(&mut self.now);
         let Self {
             now,
-            // Only the order of arrival matters: that in which they are packed.
+            // Only the order of arrival matters, and the order of packing keeps it.
             arrivals,
             queue,
             words,
-            // Only counted.
+            // Counters only.
             forwarded: _,
             discarded: _,
         } = self;
@@ -45,7 +45,7 @@ impl Transit {
             let both = queue.sorted().into_iter().chain(words.sorted());
             waiting.extend(both.map(|(_, waiting)| waiting.left(*now)));
         }
-        // Seven bits of messages, and one that says whether words follow.
+        // Seven bits for the number of messages, and one bit for whether refusals follow.
         let messages = u8::try_from(queue.len()).ok().filter(|&messages| messages < WITH_WORDS);
         if messages.is_none() {
             w.overflows();
@@ -59,7 +59,7 @@ impl Transit {
         }
     }
 
-    /// Reads a packet that waits.
+    /// Reads one waiting packet.
     fn take_in<W: Walk>(&mut self, table: &NodeTable, is_message: bool, w: &mut W) {
         let mut packet = Packet::BLANK;
         packet.walk(w);
@@ -76,7 +76,7 @@ impl Waiting {
             packet,
             expires,
             leave_by,
-            // The order of arrival is that of the entries, and where a packet goes is its way.
+            // These two are not relative: an arrival number, and the next hop.
             arrival: _,
             next: _,
         } = self;

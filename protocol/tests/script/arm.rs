@@ -144,6 +144,6 @@ fn a_state_in_mid_lift_takes_a_few_bytes() {
     let mut rig = lifting();
     assert_eq!(same_when_packed(&rig.program, &rig.script).len(), 6);
     rig.tell(call(ASK, 1, &[7, 0, 1]));
-    // The handler, where it is, what it waits for, whom it answers (4), its record.
+    // Added by the handler: itself, its position and its wait (3), the message to answer (4), its record (3).
     assert_eq!(same_when_packed(&rig.program, &rig.script).len(), 6 + 3 + 4 + 3);
 }

@@ -1,4 +1,4 @@
-//! Programs and what happens to them, read from bytes: what the fuzz target `script` runs.
+//! Decodes bytes into programs and their inputs, for the fuzz target `script`.
 
 use super::fake::Rig;
 use super::random::answer;
@@ -8,7 +8,7 @@ use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::{RngAlgorithm, TestRng, TestRunner};
 
-/// What a strategy gives under this seed.
+/// The value that a strategy draws with this seed.
 fn drawn<T>(strategy: impl Strategy<Value = T>, seed: [u8; 4]) -> T {
     let seed = std::array::from_fn::<u8, 16, _>(|i| seed[i % 4].wrapping_add(u8::try_from(i).unwrap_or(0)));
     let rng = TestRng::from_seed(RngAlgorithm::XorShift, &seed);
@@ -16,9 +16,9 @@ fn drawn<T>(strategy: impl Strategy<Value = T>, seed: [u8; 4]) -> T {
     strategy.new_tree(&mut runner).expect("it rejects nothing").current()
 }
 
-/// Runs a program under inputs, both read from `data`: where two random programs begin, how their operations are put
-/// together, and what each input is. Every state is packed and unpacked ([`Rig::step`]); a program that passes its check
-/// never turns out to be malformed; an end is one.
+/// Runs a program with inputs, both read from `data`: the seeds of two random programs, how their operations are mixed, and
+/// each input. Checks that every state packs and unpacks ([`Rig::step`]), that a program that passes its check is never
+/// malformed, and that an ended script stays ended.
 pub fn script(data: &[u8]) {
     let mut rest = data.iter().copied();
     let mut word = || std::array::from_fn::<u8, 4, _>(|_| rest.next().unwrap_or(0));
@@ -46,7 +46,7 @@ pub fn script(data: &[u8]) {
     }
 }
 
-/// Puts an operation of another program, or of another place, into this one.
+/// Mutates a program: inserts, replaces or removes an operation, or changes its handlers.
 fn graft(program: &mut Program, other: &Program, [what, at, from, to]: [u8; 4]) {
     let (at, from) = (usize::from(at), usize::from(from));
     let code = &mut program.code;

@@ -1,4 +1,4 @@
-//! What `Program::check` finds, and programs as data.
+//! The faults that `Program::check` finds, and their texts.
 
 use super::fake::*;
 use imrs_protocol::script::*;
@@ -10,7 +10,7 @@ fn fault(write: impl FnOnce(&mut ProgramBuilder)) -> ProgramError {
     b.finish().expect_err("a fault")
 }
 
-/// A program of this code alone.
+/// The check of a program that has only this code.
 fn raw(code: &[Op]) -> Result<usize, ProgramError> {
     Program { code: code.into(), ..Program::default() }.check()
 }

@@ -1,4 +1,4 @@
-//! Drivers of nodes with scripts: one that looks at little, a couple's lease, scripts packed at every tick.
+//! Drivers of nodes with scripts: one without the optional callbacks, a couple's lease, scripts packed at every tick.
 
 use super::arm;
 use super::floor::Floor;
@@ -7,7 +7,7 @@ use imrs_protocol::script::*;
 use imrs_protocol::*;
 use std::sync::Arc;
 
-/// A driver that has no use for what scripts say of themselves.
+/// A driver that ignores the optional callbacks of scripts.
 #[derive(Default)]
 struct Quiet {
     ended: Vec<TaskId>,
@@ -83,7 +83,7 @@ fn the_end_of_a_couples_script_ends_its_beats_and_a_fence_its_action() {
     let log = floor.log();
     assert_eq!(log[0], "5 T0: run 0 [] at 0", "granted at the second beat");
     assert_eq!(log[1], "40 T1: ended Finished");
-    // No beat came after that, so the lease ended and the action with it.
+    // No heartbeat came after that, so the lease ended and the action with it.
     let fenced: Vec<&String> = log[2..].iter().collect();
     assert!(fenced[0].ends_with("T0: cut short 0") && fenced[1].ends_with("T0: ended Fenced"), "{log:?}");
 }

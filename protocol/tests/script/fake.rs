@@ -155,7 +155,7 @@ pub fn same_when_packed(program: &Program, script: &Script) -> Vec<u8> {
     bytes
 }
 
-/// A message with this much age in ids.
+/// A message whose id is `age` before the sender's next one.
 pub fn message(port: PortId, class: Class, age: u32, bytes: &[u8]) -> Delivery {
     let sequence = Frame::SEQUENCE.plus(Seq24::MODULUS - age);
     let id = MessageId { incarnation: Incarnation(3), sequence };

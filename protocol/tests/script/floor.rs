@@ -1,10 +1,10 @@
-//! Nodes with scripts in virtual time: every packet takes its link's bound, every action its least time.
+//! Nodes with scripts in virtual time: every packet takes one tick, every action its shortest duration.
 
 use imrs_protocol::script::*;
 use imrs_protocol::*;
 use std::sync::Arc;
 
-/// Whatever reached the outside, as `time task: what`.
+/// The effects of all nodes. The log has lines of the form `time task: what`.
 #[derive(Default)]
 struct Outside {
     now: u64,
@@ -117,7 +117,7 @@ impl Floor {
         self.step(node, HostInput::Node(NodeInput::Request(task, request)));
     }
 
-    /// What a task without a script was told since the last look.
+    /// The signals that a task without a script received since the last call.
     pub fn told(&mut self, task: TaskId) -> Vec<Signal> {
         let (mine, rest) = std::mem::take(&mut self.out.told).into_iter().partition(|&(to, _)| to == task);
         self.out.told = rest;
@@ -157,7 +157,7 @@ impl Floor {
         self.out.choice = Some(choice);
     }
 
-    /// How the scripts stand, ascending by task.
+    /// What the scripts are doing, node by node.
     pub fn activities(&self) -> Vec<Activity> {
         let scripts = self.nodes.iter().flat_map(ScriptedNode::scripts);
         scripts.map(|hosted| hosted.script.activity()).collect()
@@ -167,7 +167,7 @@ impl Floor {
         self.out.now
     }
 
-    /// So many requests but boundaries, statements, and commands never answered.
+    /// The numbers of requests other than boundaries, of statements, and of commands never answered.
     pub const fn counts(&self) -> (usize, usize, usize) {
         (self.out.requests, self.out.statements, self.out.unanswered)
     }

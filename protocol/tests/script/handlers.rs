@@ -33,7 +33,7 @@ fn fused(body: impl FnOnce(&mut ProgramBuilder)) -> Rig {
     with_handlers(Fusing::Fused, body)
 }
 
-/// Answers the announcements of the handlers and the first boundary.
+/// Accepts the registrations of the handlers and the first boundary.
 fn begun(rig: &mut Rig) -> Vec<String> {
     assert_eq!(rig.begin(), ["handle P0 true"]);
     assert_eq!(rig.accept(), ["handle P4 true"]);
@@ -137,7 +137,7 @@ fn the_end_of_an_action_and_a_call_may_cross() {
     rig.tell(Signal::TimeOut(TimeId(2)));
     assert_eq!(rig.accept(), ["reply P0 T7 [4]"]);
     assert_eq!(rig.accept(), ["return", "done"]);
-    // The next handler comes at once.
+    // The next handler is called at once.
     assert_eq!(rig.tell(Signal::Interrupt(Call::Timer(HELD))), [""; 0]);
     assert_eq!(rig.tell(Signal::Fault(Fault::Busy)), ["return", "done"]);
     assert_eq!(rig.accept(), ["boundary"]);

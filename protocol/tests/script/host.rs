@@ -145,7 +145,7 @@ fn dresser() -> ProgramBuilder {
     b
 }
 
-/// Asks for the tool until it is granted, works for `work`, frees it where it is `honest`, and ends.
+/// Asks for the tool until it is granted, works for `work`, frees it if `honest`, and ends.
 fn robot(work: u64, honest: bool) -> ProgramBuilder {
     let mut b = ProgramBuilder::new("robot");
     let (spot, ok, asks) =
@@ -382,8 +382,8 @@ fn a_handler_waits_for_the_end_of_an_atomic_section() {
     assert_eq!(floor.told(A), [Signal::Outcome(Outcome::Reply(Contents::EMPTY))], "at 6, and one tick back");
 }
 
-/// The action ends while the first handler runs; when that returns, the second one begins before the communication task
-/// hears of the end of the action.
+/// The action ends while the first handler runs. When that handler returns, the second one begins before the communication
+/// task is told of the end of the action.
 #[test]
 fn a_handler_that_comes_at_once_after_another_crosses_the_end_of_the_action() {
     let mut cell = triangle();
@@ -496,7 +496,7 @@ fn a_node_says_who_waits_for_a_choice() {
     );
 }
 
-/// Two tasks that do at random what scripts can do, with handlers on both sides, on one node or on two.
+/// Two tasks with random scripts and handlers, on one node or on two.
 fn random_pair(genes: [&[u8]; 2], together: bool) -> Floor {
     let mut cell = Cell::new("pair", Ticks(1));
     let (na, nb) = (cell.node("na"), cell.node("nb"));
@@ -523,7 +523,7 @@ fn random_pair(genes: [&[u8]; 2], together: bool) -> Floor {
 
 fn ended_well(activity: Activity) -> bool {
     match activity {
-        // A handler may ask on a port whose answer its thread waits for; and statuses may be sent without end.
+        // A handler may ask on a port on which an interrupted activation waits; and a script may send statuses without end.
         Activity::Ended(End::Fault { fault, .. }) => {
             fault == ScriptFault::Request(Fault::Busy) || fault == ScriptFault::Runaway
         }
@@ -537,7 +537,7 @@ fn ended_well(activity: Activity) -> bool {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Scripts and communication tasks understand each other: no answer is unexpected, whatever interrupts whatever.
+    /// Scripts and communication tasks agree: no answer is unexpected, whatever interrupts whatever.
     #[test]
     fn random_tasks_get_along_with_their_communication_tasks(
         a in proptest::collection::vec(any::<u8>(), 0..200),
@@ -550,7 +550,7 @@ proptest! {
     }
 }
 
-/// Such runs are worth something only if they come far.
+/// Random runs are useful only if they get far.
 #[test]
 fn random_tasks_come_far() {
     let mut runner = proptest::test_runner::TestRunner::deterministic();

@@ -95,8 +95,8 @@ fn who_can_take_over_waits_for_that_when_fenced() {
     assert_eq!(rig.accept(), ["abandon", "ended Finished"]);
 }
 
-/// A task of a work couple. It takes notice of the word on ASK; on TELL it would act, and so it would at the end of a timer
-/// that ASK starts.
+/// A task of a work couple. Its handler for ASK records the message and starts a timer. Its handlers for TELL and for the
+/// timer would act.
 fn attentive(takeover: bool) -> Rig {
     let mut b = ProgramBuilder::new("test");
     let (said, outcome) = (b.variable("said", Type::Int8), b.variable("outcome", Type::Int8));
@@ -123,7 +123,7 @@ fn attentive(takeover: bool) -> Rig {
     Rig::of(b.finish().expect("a checked program"))
 }
 
-/// One of a mutual couple that was fenced.
+/// A fenced task of a mutual couple.
 fn passive() -> Rig {
     let mut rig = attentive(true);
     let mut said = rig.begin();
@@ -210,7 +210,7 @@ fn a_fence_without_a_handler_leaves_who_can_take_over() {
 const A: TaskId = TaskId(0);
 const B: TaskId = TaskId(1);
 
-/// Two robots of a mutual couple: each welds for ever while it acts, and repeats on `spot` what the other one says.
+/// Two robots of a mutual couple: each welds for ever while it acts. After a take-over it reads what the other one published.
 fn robots() -> Floor {
     let mut cell = Cell::new("couple", Ticks(1));
     let nodes = ["na", "nb"].map(|name| cell.node(name));

@@ -1,4 +1,4 @@
-//! The operations that ask for nothing, and the contents of messages.
+//! Operations that make no request, and the contents of messages.
 
 use super::fake::*;
 use imrs_protocol::script::*;

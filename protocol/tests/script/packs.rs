@@ -1,10 +1,10 @@
-//! What packed scripts must hold (D51), the sets of outcomes that branches name, and drivers that look at little.
+//! What packed scripts must hold (D51), the sets of outcomes that branches name, and drivers without optional callbacks.
 
 use super::fake::*;
 use imrs_protocol::script::*;
 use imrs_protocol::*;
 
-/// Accepts what a script asks until it says something that begins so.
+/// Accepts the requests of a script until it says something that begins with `word`.
 fn until(rig: &mut Rig, mut said: Vec<String>, word: &str) -> Vec<String> {
     for _ in 0..1000 {
         if said.iter().any(|words| words.starts_with(word)) {
@@ -58,7 +58,7 @@ fn a_long_program_keeps_its_place() {
     assert!(until(&mut rig, said, "delay")[0].ends_with(" 8"), "it goes on there");
 }
 
-/// A script that works for a command, and holds an operand more than its statements leave.
+/// A script that runs an action for a command that it must answer.
 fn serving() -> Rig {
     let mut rig = Rig::new(|b| {
         let n = b.variable("n", Type::Int32);
@@ -130,7 +130,7 @@ fn every_way_to_end_keeps_its_form_when_packed() {
     let end = End::Fault { fault: ScriptFault::Runaway, at: 0 };
     assert_eq!(script.activity(), Activity::Ended(end));
     same_when_packed(&fault.program, &script);
-    // What has ended takes no second end.
+    // An ended script does not end again.
     script.stop(&fault.program, ScriptFault::Overflow, &mut said);
     assert_eq!(script.activity(), Activity::Ended(end));
 }
@@ -170,7 +170,7 @@ fn a_branch_takes_the_outcomes_that_its_words_say() {
     assert_eq!(taken(Outcomes::of(&[])), []);
 }
 
-/// A driver that only sends and answers.
+/// A driver that keeps only the last request and the end.
 #[derive(Default)]
 struct Bare {
     asked: Option<Request>,
@@ -238,7 +238,7 @@ fn reals_are_reckoned_as_reals() {
     assert_eq!(reals(Binary::Divide, f32::MAX, 0.5), Err(ScriptFault::NotFinite));
 }
 
-/// Of a message of several packets the first one holds some fields whole.
+/// The first packet of a long message holds some of its fields completely.
 #[test]
 fn values_are_read_as_far_as_they_stand_whole() {
     let format = Format { fields: vec![Type::Int16, Type::Bool, Type::Real, Type::Word, Type::Int32] };

@@ -7,7 +7,7 @@ use imrs_protocol::*;
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-/// Answers what the script waits for, where that is possible: so that runs come far. `pick` chooses among answers.
+/// An answer to what the script waits for, if there is one, so that runs get far. `pick` chooses among answers.
 pub fn answer(rig: &Rig, pick: u8) -> Option<ScriptInput> {
     let signal = match rig.script.activity() {
         Activity::Acts => {
@@ -91,7 +91,7 @@ proptest! {
         }
     }
 
-    /// D51: a shift of the ids of a source changes no bytes, and any bytes are loaded without a panic.
+    /// A shift of the ids of a source changes no bytes, and any bytes are loaded without a panic (D51).
     #[test]
     fn packed_states_are_relative_and_total(
         program in programs(),
@@ -124,8 +124,8 @@ proptest! {
     }
 }
 
-/// The next request that is no boundary, and what was said besides. A task that runs on and on is stopped, as a node
-/// does it.
+/// Accepts boundaries until the next other request, and returns everything else that was said. A script that never waits is
+/// stopped, as a node does it.
 fn past_boundaries(rig: &mut Rig, mut said: Vec<String>) -> Vec<String> {
     let mut all = Vec::new();
     for _ in 0..STEP_LIMIT {
@@ -148,7 +148,7 @@ fn ran_away(rig: &Rig) -> bool {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 500, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// D45: where no handler is called at a boundary, it does not matter how many there are.
+    /// If no handler is called at a boundary, the number of boundaries does not matter (D45).
     #[test]
     fn fused_statements_reach_the_same_states(program in well_formed(), inputs in vec((any::<u8>(), inputs()), 1..60)) {
         let rig = |fusing| Rig::of(Program { fusing, ..program.clone() });
@@ -170,7 +170,7 @@ proptest! {
     }
 }
 
-/// Random runs are worth something only if they come far.
+/// Random runs are useful only if they get far.
 #[test]
 fn random_programs_reach_what_they_are_for() {
     use proptest::strategy::ValueTree;

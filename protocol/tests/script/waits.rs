@@ -1,11 +1,11 @@
-//! Every statement that asks for something, and every way it can end.
+//! Every statement that makes a request, and every way it can end.
 
 use super::fake::*;
 use imrs_protocol::script::StatementOutcome as Ended;
 use imrs_protocol::script::*;
 use imrs_protocol::*;
 
-/// Runs one statement, answers it, and gives what was asked, how it ended and the value it brought.
+/// Runs one statement and answers it. Returns its request, its outcome and its value.
 fn end_of(op: impl FnOnce(&mut ProgramBuilder), signal: Signal) -> (String, i64, i64) {
     let mut rig = Rig::new(|b| {
         let (outcome, value) = (b.variable("outcome", Type::Int8), b.variable("value", Type::Int32));

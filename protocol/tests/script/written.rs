@@ -46,7 +46,7 @@ fn terms() -> impl Strategy<Value = Term> {
     ]
 }
 
-/// Every operation, most of them naming what exists.
+/// All operations; most of them name entries that exist.
 fn ops() -> impl Strategy<Value = Op> {
     let port = || (0..4_u16).prop_map(PortId);
     let small = || 0..5_u16;
@@ -143,7 +143,7 @@ pub struct Ends {
 const ALONE: Ends =
     Ends { asks: [ASK, ASK], tells: TELL, hears: TELL, handled: [ASK, PortId(3)], real: false };
 
-/// Writes statements as random bytes say; what they say is always well formed.
+/// Writes statements that random bytes choose. The program is always well formed.
 struct Writer<'a> {
     genes: std::slice::Iter<'a, u8>,
     variables: Vec<(Type, Slot)>,
@@ -160,7 +160,7 @@ impl Writer<'_> {
         self.variables[at]
     }
 
-    /// So many fields that one, two or three packets are needed.
+    /// Fields for one, two or three packets.
     fn fields(&mut self) -> Vec<(Type, Slot)> {
         if self.ends.real {
             return vec![self.variables[4]; 4];
@@ -262,7 +262,7 @@ impl Writer<'_> {
         }
     }
 
-    /// What a loop does each time.
+    /// The body of a loop.
     fn turn(&mut self, b: &mut ProgramBuilder, depth: u8) {
         if self.ends.real {
             b.delay(Ticks(1));
@@ -321,7 +321,7 @@ pub fn programs() -> impl Strategy<Value = Program> {
     })
 }
 
-/// What a communication task may say, and what it never would.
+/// Inputs that a communication task may give, and inputs that it never gives.
 pub fn inputs() -> impl Strategy<Value = ScriptInput> {
     let bytes = || vec(0..3_u8, 0..=12);
     let port = || (0..4_u16).prop_map(PortId);

@@ -1,5 +1,5 @@
-//! Cells and what happens to them, read from bytes: what the fuzz targets of `fuzz/` run, and plain tests too
-//! (`tests/fuzzing.rs`). Any bytes mean something, and more bytes only continue what fewer begin.
+//! Decodes bytes into cells and their inputs, for the fuzz targets of `fuzz/` and for plain tests (`tests/fuzzing.rs`).
+//! Any bytes are valid, and more bytes only continue a run.
 
 use super::Effects;
 use super::NextExpiry;
@@ -8,7 +8,7 @@ use super::plan::Plan;
 use super::world::World;
 use imrs_protocol::*;
 
-/// The bytes of an input, zeros when they are over.
+/// The bytes of an input, followed by zeros.
 struct Bytes<'a>(&'a [u8]);
 
 impl Bytes<'_> {
@@ -28,9 +28,9 @@ impl Bytes<'_> {
 /// How many operations one input makes at most.
 const OPERATIONS: usize = 300;
 
-/// Drives the communication tasks of a cell, both read from `data`, and checks after every operation the invariants, that
-/// the next expiry is exact, and that a second world behaves the same whose clocks go back to zero now and then, and
-/// whose states are packed and read back.
+/// Drives the communication tasks of a cell, both read from `data`. Checks after every operation that the invariants hold
+/// and the next expiry is exact. Also checks that a second world behaves the same, although its clocks go back to zero now
+/// and then and its states are packed and read back.
 pub fn inputs(data: &[u8]) {
     let mut bytes = Bytes(data);
     let [flags, mask] = bytes.take();
@@ -70,7 +70,7 @@ pub fn inputs(data: &[u8]) {
     }
 }
 
-/// One tick before the next expiry nothing happens, then something does.
+/// Checks that nothing happens one tick before the next expiry, and that something happens at it.
 fn next_expiry_is_exact(world: &World, task: usize) {
     let mut ahead = world.clone();
     ahead.looks_around = true;
@@ -88,15 +88,15 @@ fn next_expiry_is_exact(world: &World, task: usize) {
     assert!(!residence || on_time != Effects::default(), "nothing after {due}");
 }
 
-/// Reads packets from `data`: any bytes are a packet or an error, what was a packet is one again, no flipped bit goes
-/// unnoticed, and no life is gained.
+/// Reads packets from `data`. Checks that any bytes are a packet or an error, that a packet encodes to itself, that every
+/// flipped bit is detected, and that remaining time never grows.
 pub fn packets(data: &[u8]) {
     let mut bytes = Bytes(data);
     while !bytes.0.is_empty() {
         let flipped = usize::from(bytes.byte());
         let mut raw: [u8; PACKET_BYTES] = bytes.take();
         let _ = Packet::decode(&raw, DIGEST, port_hash);
-        // Behind a right checksum.
+        // The same bytes with a valid checksum.
         let hash = port_hash(PortId(u16::from_le_bytes([raw[6], raw[7]]))).unwrap_or(0);
         let crc = checksum(&raw, DIGEST, hash);
         raw[28..].copy_from_slice(&crc.to_le_bytes());
@@ -121,7 +121,7 @@ fn gains_no_life(packet: &Packet, remaining: u64, hash: u32) {
     let decoded = Packet::decode(&sent.encode(DIGEST, hash), DIGEST, port_hash).expect("a packet");
     assert!(decoded.remaining <= sent.remaining, "{} became {}", sent.remaining, decoded.remaining);
     assert_eq!(decoded, Packet { remaining: decoded.remaining, ..sent });
-    // Less than one part in 2^23 is lost, or a step of the wire; what is past the scale becomes its end.
+    // Less than one part in 2^23 is lost, or one step of the wire. A time beyond the scale becomes its end.
     let end = Ticks((((1 << 24) - 1) << 15) * WIRE_STEP_US);
     let kept = sent.remaining.min(end);
     assert!(
@@ -131,7 +131,7 @@ fn gains_no_life(packet: &Packet, remaining: u64, hash: u32) {
     );
 }
 
-/// One flipped bit is an error, but in the fields that relays change: those the envelope covers.
+/// Checks that a flipped bit is an error, except in the fields that relays change, which the envelope covers.
 fn notices(encoded: &[u8; PACKET_BYTES], packet: &Packet, flipped: usize) {
     let mut damaged = *encoded;
     damaged[flipped / 8] ^= 1 << (flipped % 8);
@@ -150,7 +150,7 @@ fn notices(encoded: &[u8; PACKET_BYTES], packet: &Packet, flipped: usize) {
     }
 }
 
-/// The checksum of a packet as page one of the format tells it (D47), made apart from the code under test.
+/// The checksum of a packet as the format defines it (D47), computed independently of the code under test.
 pub fn checksum(bytes: &[u8; PACKET_BYTES], digest: u32, port_hash: u32) -> u32 {
     let mut covered = [&digest.to_le_bytes()[..], &port_hash.to_le_bytes(), &bytes[..28]].concat();
     covered[8 + 1] &= 0b1111_0001;

@@ -1,4 +1,4 @@
-//! What the tests of the protocol share: one communication task alone ([`Solo`]), a cell of nodes in virtual time
+//! Fixtures that the tests of the protocol share: one communication task alone ([`Solo`]), a cell of nodes in virtual time
 //! ([`net::Net`]) and a cell driven at random ([`world::World`]). Every step checks the invariants.
 
 pub mod bytes;
@@ -19,7 +19,7 @@ pub struct Effects {
     pub signals: Vec<Signal>,
     /// Timer requests: armed with a length, or disarmed.
     pub timers: Vec<(TimeId, Option<Ticks>)>,
-    /// Which start of it each armed one is.
+    /// The turn with which each timer was armed: which start it is.
     pub turns: Vec<(TimeId, u8)>,
     pub observations: Vec<Observation>,
 }
@@ -73,7 +73,7 @@ impl Effects {
     }
 }
 
-/// One communication task and whoever looks at what it does.
+/// One communication task alone.
 #[derive(Clone)]
 pub struct Solo {
     pub table: NodeTable,
@@ -85,7 +85,7 @@ impl Solo {
         Self::life(table, task, 0, false)
     }
 
-    /// The task in a certain life of its node.
+    /// The task in a given incarnation of its node.
     pub fn life(table: &Arc<CellTable>, task: TaskId, life: u8, restarted: bool) -> Self {
         let node = table.location(task).expect("a task of the cell");
         let table = NodeTable::new(Arc::clone(table), node);
@@ -97,7 +97,7 @@ impl Solo {
         self.input_after(0, input)
     }
 
-    /// So much later than the last input.
+    /// An input, `ticks` after the last one.
     fn input_after(&mut self, ticks: u64, input: Input) -> Effects {
         let now = self.task.now() + Ticks(ticks);
         let mut out = Effects::default();
@@ -133,7 +133,7 @@ impl Solo {
         view.ports.iter().find(|p| p.port == port).expect("a port of the task").counters
     }
 
-    /// The waiting messages of a port in the order of service: first byte, and what is left.
+    /// The waiting messages of a port in the order of service: source and remaining time.
     pub fn queue(&self, port: PortId) -> Vec<(TaskId, u64)> {
         let view = self.task.view(&self.table, usize::MAX);
         let port = view.ports.into_iter().find(|p| p.port == port).expect("a port of the task");
@@ -141,7 +141,7 @@ impl Solo {
     }
 }
 
-/// How long until time alone makes something act.
+/// How long until time alone makes a machine act.
 pub trait NextExpiry {
     fn next_expiry(&self) -> Option<Ticks>;
 }
@@ -174,8 +174,8 @@ fn until(deadline: Instant, now: Instant) -> Option<Ticks> {
     (deadline != Instant::NEVER).then(|| deadline - now)
 }
 
-/// The state has the same canonical bytes after it was read back from them, where it fits them at all; and the state that was
-/// read, with the ids that it had.
+/// Checks that a state that was packed and read back packs to the same bytes. Returns the state that was read, with its
+/// original ids, or `None` if it does not fit its packed form.
 fn packs_and_unpacks(task: &CommTask, table: &NodeTable) -> Option<CommTask> {
     struct Ids(Vec<Option<Round>>, Vec<Option<Seq24>>);
     impl Walk for Ids {
@@ -220,7 +220,7 @@ pub fn send(port: PortId, to: TaskId, byte: u8) -> Request {
     Request::Send { port, to: Target::One(to), contents: contents(byte), time_out: None }
 }
 
-/// A message to one task with a life of its own.
+/// A message to one task with a TTL of its own.
 pub fn send_for(port: PortId, to: TaskId, byte: u8, life: u64) -> Request {
     Request::Send { port, to: Target::One(to), contents: contents(byte), time_out: Some(Ticks(life)) }
 }
@@ -230,7 +230,7 @@ pub fn send_all(port: PortId, byte: u8) -> Request {
     Request::Send { port, to: Target::All, contents: contents(byte), time_out: None }
 }
 
-/// Says that the task has a handler for a port.
+/// Registers a handler for a port.
 pub fn handle(port: PortId) -> Request {
     Request::Handle { port, handled: true }
 }
@@ -240,7 +240,7 @@ pub fn order(named: &[Ranked]) -> Request {
     Request::Order(ServiceOrder::new(named).expect("few levels"))
 }
 
-/// A GET over all ports, for so long; zero polls.
+/// A GET over all ports with this time_out; zero polls.
 pub fn get(time_out: u64) -> Request {
     Request::Get { port: None, source: None, time_out: Some(Ticks(time_out)) }
 }
@@ -319,7 +319,7 @@ pub fn signal(s: &Signal) -> String {
     }
 }
 
-/// The neighbour that hands a packet over to the node that it is for.
+/// The neighbour that delivers a packet to its destination node.
 pub fn neighbour_before(table: &NodeTable, packet: &Packet) -> NodeId {
     let next = |&node: &NodeId| table.next_hop(node, table.node).filter(|&next| next != table.node);
     let way = std::iter::successors(table.location(packet.source), next);

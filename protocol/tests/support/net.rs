@@ -23,7 +23,7 @@ pub struct Net {
     pub now: u64,
     flying: Vec<Flight>,
     loss: Loss,
-    /// The nodes whose links take nothing.
+    /// The nodes to which links take no packets.
     pub busy: Vec<NodeId>,
     /// Everything that left a node or reached a task, in words: `3 N0>N1 SEND ...`, `4 T1: message ...`.
     pub log: Vec<String>,
@@ -74,7 +74,7 @@ impl Net {
         Self::with_transit(cell, 16)
     }
 
-    /// Nodes whose transit buffers hold so many packets.
+    /// Nodes whose transit buffers hold `capacity` packets.
     pub fn with_transit(cell: Cell, capacity: u16) -> Self {
         let table = Arc::new(CellTable::new(cell).expect("a checked cell"));
         let node =
@@ -94,7 +94,7 @@ impl Net {
         }
     }
 
-    /// From now on packets are lost where `loss` says so.
+    /// From now on `loss` decides which packets are lost.
     pub fn lose(&mut self, loss: impl FnMut(NodeId, NodeId, &Packet) -> bool + 'static) {
         self.loss = Box::new(loss);
     }
@@ -104,7 +104,7 @@ impl Net {
         self.step(node, NodeInput::Request(task, request));
     }
 
-    /// Replaces a node by its next life, and tells the others.
+    /// Replaces a node by the incarnation `life`, and tells the others.
     pub fn restart(&mut self, node: NodeId, life: u8) {
         let table = NodeTable::new(Arc::clone(&self.table), node);
         self.nodes[node.index()] = Node::new(table, Incarnation(life), true, 16);
@@ -119,12 +119,12 @@ impl Net {
         self.step_after(node, 0, input);
     }
 
-    /// So many ticks pass for one node.
+    /// Lets `ticks` pass for one node.
     pub fn pass(&mut self, node: NodeId, ticks: u64) {
         self.step_after(node, ticks, NodeInput::Time);
     }
 
-    /// An input so many ticks after the last one.
+    /// An input, `ticks` after the last one.
     pub fn step_after(&mut self, node: NodeId, ticks: u64, input: NodeInput) {
         let mut wires = Wires {
             from: node,
@@ -147,7 +147,7 @@ impl Net {
         }
     }
 
-    /// Lets so many ticks pass, one by one: time first, then what arrives.
+    /// Lets `ticks` pass, one by one: first time passes in all nodes, then packets arrive.
     pub fn run(&mut self, ticks: u64) {
         for _ in 0..ticks {
             self.now += 1;
@@ -164,7 +164,7 @@ impl Net {
         }
     }
 
-    /// What the task was told since the last look.
+    /// The signals that the task received since the last call.
     pub fn told(&mut self, task: TaskId) -> Vec<Signal> {
         let (mine, rest) = self.signals.drain(..).partition(|(to, _)| *to == task);
         self.signals = rest;
@@ -172,12 +172,12 @@ impl Net {
         mine.into_iter().map(|(_, signal)| signal).collect()
     }
 
-    /// What the task was told since the last look, in words.
+    /// The signals that the task received since the last call, in words.
     pub fn heard(&mut self, task: TaskId) -> Vec<String> {
         self.told(task).iter().map(signal_in_words).collect()
     }
 
-    /// The message the task was given since the last look.
+    /// The message that the task received since the last call.
     pub fn message(&mut self, task: TaskId) -> Delivery {
         let told = self.told(task);
         let delivery = told.iter().find_map(|s| match s {
@@ -187,7 +187,7 @@ impl Net {
         delivery.unwrap_or_else(|| panic!("{task} was told {told:?}"))
     }
 
-    /// The log since the last look.
+    /// The log since the last call.
     pub fn transcript(&mut self) -> Vec<String> {
         std::mem::take(&mut self.log)
     }

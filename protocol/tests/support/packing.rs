@@ -1,11 +1,11 @@
-//! Packed states read back: what they keep and what they leave out.
+//! Packs states and reads them back, and leaves out of a comparison what packing does not keep.
 
 use super::Effects;
 use super::shift::Shift;
 use super::world::World;
 use imrs_protocol::*;
 
-/// Packs a task, reads it back into itself and gives its ids their world's place again. A state that does not fit its
+/// Packs a task, reads it back into itself and shifts its ids back to those of its world. A state that does not fit its
 /// packed form stays as it is.
 pub fn repack(world: &mut World, task: usize) {
     let Ok(bytes) = world.bytes(task) else { return };
@@ -25,11 +25,11 @@ pub fn repack(world: &mut World, task: usize) {
         ..Shift::default()
     };
     loaded.walk(&table, &mut &shift);
-    // Packed states forget which start of a timer runs.
+    // A packed state does not record which start of a timer runs.
     world.turns[task].iter_mut().for_each(|turn| turn.1 = 0);
 }
 
-/// Packed states leave out what members tell each other at a waitfor.
+/// Leaves out what packing need not keep: the turns of timers, and the arguments of arrivals, which `bury` may drop.
 pub fn without_arguments(effects: &Effects) -> Effects {
     let mut effects = effects.clone();
     effects.turns.clear();

@@ -5,7 +5,7 @@ use imrs_protocol::*;
 use proptest::prelude::*;
 use std::sync::Arc;
 
-/// What a random cell is built from.
+/// The numbers from which a random cell is built.
 #[derive(Clone, Debug)]
 pub struct Plan {
     tasks: u16,
@@ -33,7 +33,7 @@ pub fn plans() -> impl Strategy<Value = Plan> {
 }
 
 impl Plan {
-    /// A cell of any numbers.
+    /// A plan from any numbers.
     pub fn new([tasks, nodes, delay]: [u8; 3], ports: Vec<[u8; 6]>, rules: [u8; 4], couple: u8) -> Self {
         let within = |n: u8, most: u8| 1 + n % most;
         let (tasks, nodes) = (u16::from(within(tasks, 4)), u16::from(within(nodes, 3)));
@@ -81,7 +81,7 @@ impl Plan {
         self.couple & 3 == 3 && self.tasks > 1
     }
 
-    /// Of short times, so that leases end and are taken over while the operations last.
+    /// Adds a couple with short times, so that leases end and are taken over while the operations last.
     fn couple(&self, cell: &mut Cell) {
         let (primary, standby) = (TaskId(0), TaskId(1));
         let via = cell.port(PortDecl::new("alive", primary, Usage::Response, &[standby], Ticks(14)));

@@ -1,26 +1,26 @@
-//! Another choice of all numbers that only matter beside each other: what a world does under it is the same.
+//! A shift of all numbers that are only compared with each other. It must not change what a world does.
 
 use super::Effects;
 use imrs_protocol::*;
 
-/// How far the ids of each source, the rounds of each port and the epochs of all couples are moved.
+/// How far the ids of each source, the rounds of each port and the epochs of all couples are shifted.
 #[derive(Clone, Debug, Default)]
 pub struct Shift {
     pub sequences: Vec<u32>,
     pub rounds: Vec<u16>,
-    /// Even.
+    /// Even, because the epochs of a primary are odd.
     pub epochs: u8,
-    /// For each port, what of its packets is an epoch.
+    /// For each port, where its packets carry an epoch.
     pub places: Vec<EpochAt>,
 }
 
-/// Where packets of a port say an epoch.
+/// Where packets of a port carry an epoch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EpochAt {
     Nowhere,
-    /// In the beats of a couple and in their answers.
+    /// In the heartbeats of a couple and in their answers.
     Beats,
-    /// Behind what an order says.
+    /// In the last byte of an order.
     Orders,
 }
 
@@ -77,7 +77,7 @@ impl Shift {
         Self { sequences, rounds, epochs: self.epochs.wrapping_neg(), places: self.places.clone() }
     }
 
-    /// Moves the epochs back and nothing else: packed states say epochs as they are.
+    /// Shifts only the epochs back: packed states hold epochs as they are.
     pub fn epochs_back(&self) -> Self {
         let (sequences, rounds) = (vec![0; self.sequences.len()], vec![0; self.rounds.len()]);
         Self { sequences, rounds, ..self.back() }
@@ -113,7 +113,7 @@ impl Shift {
         moved
     }
 
-    /// Effects with all ids moved. Observations carry bare numbers of one kind or the other: they are left out.
+    /// Effects with all ids shifted. Observations are left out: their numbers may be of any kind.
     pub fn effects(&self, effects: &Effects) -> Effects {
         let packets = effects.packets.iter().map(|p| self.packet(p)).collect();
         let signals = effects.signals.iter().map(|s| match *s {

@@ -14,7 +14,7 @@ pub fn ops() -> impl Strategy<Value = Vec<Op>> {
     proptest::collection::vec(any::<Op>(), 1..120)
 }
 
-/// Mostly time that passes and packets that arrive, so that leases are given, end and are taken over.
+/// Mostly passing time and arriving packets, so that leases are granted, end and are taken over.
 pub fn lively() -> impl Strategy<Value = Vec<Op>> {
     let what = prop_oneof![3 => 0..2_u8, 6 => 2..8_u8, 2 => any::<u8>()];
     proptest::collection::vec((what, any::<u8>(), any::<u16>(), any::<u16>()), 20..240)
@@ -26,20 +26,20 @@ pub struct World {
     pub tables: Vec<NodeTable>,
     pub tasks: Vec<CommTask>,
     pub flying: Vec<Packet>,
-    /// The commands each task was given.
+    /// The commands that each task received.
     got: Vec<Vec<ReplyTo>>,
     lives: Vec<u8>,
     /// The latest start of each of a task's delays and timers.
     pub turns: Vec<Vec<(TimeId, u8)>>,
     /// How far this world's ids are from those of the plain world.
     pub shift: Shift,
-    /// Whether nodes restart and packets of other lives appear.
+    /// Whether nodes restart and packets of other incarnations appear.
     pub restarts: bool,
     /// How many ticks pass before each input that is not time itself.
     pub lag: u64,
-    /// Whether they come as an input of their own.
+    /// Whether these ticks come as an input of their own.
     pub splits: bool,
-    /// Whether whatever time alone could bring about is looked at, due or not.
+    /// Whether every deadline is checked after time has passed, due or not.
     pub looks_around: bool,
 }
 
@@ -70,7 +70,7 @@ impl World {
         self.tasks.iter_mut().zip(&self.tables).for_each(|(task, table)| task.rebase(table));
     }
 
-    /// Moves all ids of this world.
+    /// Shifts all ids of this world.
     pub fn moved(mut self, shift: Shift) -> Self {
         for (task, table) in self.tasks.iter_mut().zip(&self.tables) {
             task.walk(table, &mut &shift);
@@ -83,7 +83,7 @@ impl World {
         self
     }
 
-    /// Carries out one operation and returns what it caused; the packets are then between the tasks.
+    /// Carries out one operation and returns its effects; its packets are then in flight.
     pub fn step(&mut self, op: Op) -> Effects {
         let (what, which, a, b) = op;
         let task = usize::from(which) % self.tasks.len();
@@ -103,12 +103,12 @@ impl World {
         self.input_after(self.lag, task, input)
     }
 
-    /// So many ticks pass for one task.
+    /// Lets `ticks` pass for one task.
     pub fn pass(&mut self, task: usize, ticks: u64) -> Effects {
         self.input_after(ticks, task, Input::Time)
     }
 
-    /// An input so many ticks after the last one.
+    /// An input, `ticks` after the last one.
     fn input_after(&mut self, ticks: u64, task: usize, input: Input) -> Effects {
         let mut out = Effects::default();
         let now = self.tasks[task].now() + Ticks(ticks);
@@ -118,7 +118,7 @@ impl World {
             self.tasks[task].handle(&self.tables[task], now, &Input::Time, &mut out);
         }
         if passes && self.looks_around {
-            // Nothing may come of it: what is due has just happened.
+            // This must have no effect: everything due has just happened.
             self.tasks[task].look_around(&self.tables[task], &mut out);
         }
         self.tasks[task].handle(&self.tables[task], now, &input, &mut out);
@@ -203,7 +203,7 @@ impl World {
         }
     }
 
-    /// An answer to whatever request is on its way to anybody.
+    /// An answer to a request in flight, whoever it is for.
     fn third_party(&self, port: &Port, a: u16, b: u16) -> Request {
         let asked =
             self.flying.iter().filter(|p| matches!(p.kind, Kind::Send | Kind::Query)).nth(usize::from(a) % 4);
@@ -214,7 +214,7 @@ impl World {
 
     fn answer(&mut self, task: usize, a: u16, b: u16) -> Effects {
         let got = &self.got[task];
-        // The latest one as a rule, an earlier one now and then.
+        // Usually the latest one, sometimes an earlier one.
         let back = if b.is_multiple_of(4) { usize::from(a) } else { 0 };
         let Some(&to) = got.iter().rev().cycle().nth(back % got.len().max(1)) else {
             return Effects::default();
@@ -227,7 +227,7 @@ impl World {
         self.input(task, Input::Request(Request::Reply { to, contents }))
     }
 
-    /// A packet that nobody of the cell sent, behind a right checksum.
+    /// A forged packet with a valid checksum.
     fn forged(&mut self, a: u16, b: u16) -> Effects {
         let mut bytes = [0; PACKET_BYTES];
         let mut seed = (u64::from(a) << 16 | u64::from(b)).wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
@@ -288,14 +288,14 @@ impl World {
         }
     }
 
-    /// One of the delays and timers of a task is over, or one that was taken back or never was.
+    /// A time-out of one of the task's delays and timers, or of one that was stopped or never started.
     fn time_out(&mut self, task: usize, b: u16) -> Effects {
         let id = TimeId(u8::try_from(b % 3).expect("small"));
         let turn = self.turns[task].iter().rev().find(|t| t.0 == id).map_or(0, |t| t.1);
         self.input(task, Input::TimeOut { id, turn })
     }
 
-    /// The next life of a node: its tasks know nothing of the one before.
+    /// The next incarnation of a node: its tasks know nothing of the one before.
     fn restart(&mut self, node: usize) -> Effects {
         self.lives[node] += 1;
         for (t, table) in self.tables.iter().enumerate().filter(|(_, table)| table.node.index() == node) {
@@ -307,13 +307,13 @@ impl World {
         Effects::default()
     }
 
-    /// What packed ids are relative to: every source's next sequence, and rounds from the plain world's zero.
+    /// The reference points of packed ids: every source's next sequence, and rounds from the plain world's zero.
     pub fn frame(&self) -> (Vec<Round>, Vec<Seq24>) {
         let next = self.tasks.iter().map(CommTask::next_sequence);
         (self.shift.rounds.iter().map(|&r| Round(r)).collect(), next.collect())
     }
 
-    /// The canonical bytes of one task, with what is dead dropped first.
+    /// The canonical bytes of one task, after dead state is dropped.
     pub fn bytes(&self, task: usize) -> Result<Vec<u8>, Overflow> {
         let (rounds, sequences) = self.frame();
         let frame = Frame { rounds: &rounds, sequences: &sequences, lives: self.restarts };
@@ -324,7 +324,7 @@ impl World {
     }
 }
 
-/// Requests that do not fit the cell, and those that fit always.
+/// Requests that do not fit the cell, and requests that fit any cell.
 fn odd_request(a: u16, b: u16) -> Request {
     let port = PortId(a % 5);
     let id = TimeId(u8::try_from(a % 3).expect("small"));

@@ -1,4 +1,4 @@
-//! From operands to the contents of messages, and back (D28).
+//! Packs operands into the contents of messages, and unpacks them (D28).
 
 use super::{Flow, Step, Turn};
 use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
@@ -8,8 +8,8 @@ use crate::script::program::{Format, MAX_MESSAGE, Op, StatementOutcome};
 use crate::script::{ScriptFault, ScriptOutbox, Wait};
 
 impl<'a, O: ScriptOutbox> Turn<'a, O> {
-    /// Sends the operands of a SEND or REPLY: first the fragments from `part` on, one by one, then the first with the
-    /// request itself (D28).
+    /// Sends the operands of a SEND or REPLY: the fragments from `part` on, one by one, and then fragment 0 with the request
+    /// itself (D28).
     pub(super) fn transfer(&mut self, part: u8) -> Step {
         let op = self.op()?;
         let (Op::Send { format, .. }
@@ -54,7 +54,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         Ok(Flow::Wait(Wait::Signal))
     }
 
-    /// The message that the operands below the fields name.
+    /// The message whose source and id are the two operands below the fields.
     fn named(&self, port: PortId, format: u16) -> Result<ReplyTo, ScriptFault> {
         let script = &*self.script;
         let first = script.held.checked_sub(self.format(format)?.fields.len() + 2);
@@ -89,7 +89,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         Ok((bytes, len))
     }
 
-    /// One fragment of it.
+    /// One fragment of that message.
     pub(super) fn part(&self, format: u16, index: u8) -> Result<Contents, ScriptFault> {
         let (bytes, len) = self.pack(format)?;
         let from = usize::from(index) * CONTENTS_BYTES;
@@ -97,7 +97,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         Contents::new(bytes).ok_or(ScriptFault::Malformed)
     }
 
-    /// Takes the fields of an operation from the operands.
+    /// Pops the fields of an operation.
     pub(super) fn drop_fields(&mut self, op: &Op) -> Result<(), ScriptFault> {
         let (Op::Send { format, .. }
         | Op::Reply { format }
@@ -121,7 +121,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         script.held = first;
     }
 
-    /// Reads the fields of what came into their places.
+    /// Reads the fields of the message or answer into their variables.
     pub(super) fn unpack(&mut self, format: u16, into: u16) -> Result<(), ScriptFault> {
         let inbound = self.inbound.ok_or(ScriptFault::NothingReceived)?;
         let format = self.format(format)?;

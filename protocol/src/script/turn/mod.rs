@@ -1,4 +1,4 @@
-//! One step of a script: what an input means, and the operations that follow from it.
+//! The interpreter of scripts: handles one input, and runs the operations that follow from it.
 
 mod contents;
 mod ops;
@@ -11,7 +11,7 @@ use super::{
 use crate::packet::Class;
 use crate::request::{Answers, Call, Delivery, Fault, Outcome, Request, Signal, TimeId};
 
-/// A script in a step, and what the last answer left. That is gone when the step ends, so it is in no state.
+/// The interpreter of one step, with the results of the last answer. They do not outlive the step, so no state has them.
 pub(super) struct Turn<'a, O> {
     script: &'a mut Script,
     program: &'a Program,
@@ -20,7 +20,7 @@ pub(super) struct Turn<'a, O> {
     value: i64,
     inbound: Option<Inbound>,
     answers: Answers,
-    /// Whether a message may have come since a handler could last begin.
+    /// Whether a message may have arrived since a handler could last begin.
     fresh: bool,
 }
 
@@ -57,12 +57,12 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
     pub fn signal(&mut self, signal: Signal) {
         let wait = self.frame().wait;
         match (wait, signal) {
-            // What was asked before everything was given up may still be answered.
+            // Requests made before the `Abandon` may still be answered.
             (Wait::Abandon(anew), Signal::Cancelled) => self.register(0, anew),
             (Wait::Abandon(_), _) => {}
             (Wait::Passive, Signal::Granted(_)) => self.begin_anew(Anew::TakeOver),
             (Wait::Passive, Signal::Fault(Fault::Fenced)) => self.finish(End::Fenced),
-            // The lease was lost before the script began, as behind a restart: the body belongs to the lease (D156).
+            // The lease was lost before the script began, as after a restart: the body must not run without it (D156).
             (Wait::Signal, Signal::Fault(Fault::Fenced)) if matches!(self.op(), Ok(Op::Lease)) => {
                 self.finish(End::Fenced);
             }
@@ -99,7 +99,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         }
     }
 
-    /// An action has ended: its thread goes on, or keeps that until the handlers above it have ended.
+    /// An action has ended. Its activation goes on, or keeps the result until the handlers above it have ended.
     pub fn acted(&mut self, level: u8, acted: Acted) {
         let running = level == self.script.level;
         let Some(frame) = self.script.frames.get_mut(usize::from(level)) else { return };
@@ -116,7 +116,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         match self.frame().wait {
             Wait::Choice(alternatives) if choice < alternatives => self.resume(|turn| {
                 turn.operands().push(i64::from(choice))?;
-                // The driver may have taken its time.
+                // Time may have passed until the driver chose.
                 turn.fresh = true;
                 Ok(Flow::Next)
             }),
@@ -125,7 +125,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         }
     }
 
-    /// Ends the script: nothing more is done at any input.
+    /// Ends the script with a fault: later inputs have no effect.
     pub fn fault(&mut self, fault: ScriptFault) {
         let at = self.frame().at;
         self.finish(End::Fault { fault, at });
@@ -137,7 +137,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         self.out.ended(end);
     }
 
-    /// Stops every action, drops every thread and has the communication task do the same.
+    /// Stops every action, and drops every activation here and in the communication task.
     fn give_up(&mut self) {
         self.cut_short();
         let script = &mut *self.script;
@@ -164,12 +164,12 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         }
     }
 
-    /// Says which ports have handlers, one after another, and begins.
+    /// Registers the handlers with the communication task, one after another, and then continues as `anew` says.
     fn register(&mut self, from: u8, anew: Anew) {
         let acting = self.script.acting;
         let acts = |handler: u8| acting >> handler & 1 == 1;
         let mut handlers = self.program.handled(from);
-        // With the lease come those that were held off for the want of it.
+        // The grant of the lease registers only the handlers that had to wait for it.
         if let Some((handler, port)) = handlers.find(|&(handler, _)| anew != Anew::Granted || acts(handler)) {
             self.frame().wait = Wait::Register(handler, anew);
             let lacks = match anew {
@@ -196,7 +196,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         self.run();
     }
 
-    /// Suspends the running thread for a handler (R16).
+    /// Suspends the running activation for a handler (R16).
     fn interrupt(&mut self, call: Call) {
         let interruptible = match self.frame().wait {
             Wait::Signal | Wait::Boundary | Wait::Working | Wait::Done(_) | Wait::Passive => true,
@@ -223,7 +223,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         let handler = self.program.handler(trigger);
         if call == Call::Fenced {
             self.cut_short();
-            // The thread does not go on, whatever section it was in.
+            // The interrupted activation does not go on, so open atomic sections end here.
             self.script.atomic = 0;
             if handler.is_none() {
                 return self.fenced();
@@ -260,7 +260,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         self.frame().wait = Wait::Abandon(anew);
     }
 
-    /// D61: who lost its lease does not go on with what it did. It may still take over later.
+    /// The task lost its lease: it does not go on with its work, but may take over later (D61).
     fn fenced(&mut self) {
         if self.program.takeover.is_some() {
             self.begin_anew(Anew::Passive);
@@ -269,7 +269,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         }
     }
 
-    /// Notes a message as the one that the thread received last.
+    /// Records a message as the one that the running activation received last.
     fn take(&mut self, delivery: &Delivery) {
         self.outcome = StatementOutcome::Message;
         self.inbound = Some(Inbound {
@@ -287,7 +287,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         }
     }
 
-    /// What the answer to the operation that the thread waits in means.
+    /// Records the results of the answer to the operation in which the running activation waits.
     fn answered(&mut self, signal: Signal) -> Result<(), ScriptFault> {
         let op = self.op()?;
         if let Wait::Part(_) = self.frame().wait {
@@ -345,7 +345,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         Ok(())
     }
 
-    /// The thread goes on after what it waited for, in the way that `step` finds.
+    /// Ends the wait of the running activation and continues as `step` says.
     fn resume(&mut self, step: impl FnOnce(&mut Self) -> Step) {
         let flow = step(self);
         self.frame().wait = Wait::Nothing;
@@ -354,7 +354,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         }
     }
 
-    /// Runs until the next thing that needs an answer.
+    /// Runs operations until one waits or the script ends.
     fn run(&mut self) {
         for _ in 0..STEP_LIMIT {
             let flow = self.op().and_then(|op| self.execute(op));
@@ -365,7 +365,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         self.fault(ScriptFault::Runaway);
     }
 
-    /// Moves the program counter; false where the step ends.
+    /// Moves the program counter; false if the step ends.
     fn go_on(&mut self, flow: Step) -> bool {
         let frame = self.frame();
         match flow {
@@ -389,7 +389,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         self.program.code.get(usize::from(at)).ok_or(ScriptFault::Malformed)
     }
 
-    /// The name of this thread's delay: a thread has one, and timers have the names before.
+    /// The name of the running activation's delay: each activation has one, and the timers have the names before.
     fn delay_id(&self) -> TimeId {
         let timers = u8::try_from(self.program.timers.len()).unwrap_or(u8::MAX);
         TimeId(timers.saturating_add(self.script.level))

@@ -1,4 +1,4 @@
-//! What each operation does.
+//! The operations of the interpreter: what each one does.
 
 use super::{Flow, Step, Turn};
 use crate::ids::{PortId, TaskId};
@@ -114,7 +114,7 @@ impl<O: ScriptOutbox> Turn<'_, O> {
         Ok(Flow::Next)
     }
 
-    /// Makes this what [`Op::Unpack`] reads, and pushes whether there is anything.
+    /// Sets what [`Op::Unpack`] reads, and pushes whether there is anything.
     fn bring(
         &mut self,
         port: PortId,
@@ -125,7 +125,7 @@ impl<O: ScriptOutbox> Turn<'_, O> {
         self.operands().push(i64::from(came.is_some()))
     }
 
-    /// Begins an action. Who lost its lease begins none (D61): the handler of the fence itself still may, to come to rest.
+    /// Begins an action. A task that waits for its lease begins none (D61). The handler of the fence still may, to come to rest.
     fn act(&mut self, action: u16, arguments: u8, least: Ticks, most: Ticks) -> Step {
         let script = &*self.script;
         let first = script.held.checked_sub(usize::from(arguments)).ok_or(ScriptFault::Malformed)?;
@@ -178,7 +178,7 @@ impl<O: ScriptOutbox> Turn<'_, O> {
         })
     }
 
-    /// Sections nest; the communication task is told of each, and knows only whether one is open.
+    /// Opens or closes an atomic section. Sections nest; the communication task only learns whether any is open.
     fn atomic(&mut self, opens: bool) -> Result<Request, ScriptFault> {
         let open = self.script.atomic;
         self.script.atomic =
@@ -186,7 +186,7 @@ impl<O: ScriptOutbox> Turn<'_, O> {
         Ok(Request::Atomic(self.script.atomic > 0))
     }
 
-    /// A boundary, if a handler may be waiting for one (D15).
+    /// Begins a statement, and asks for a boundary if a handler may be waiting for one (D15).
     fn statement(&mut self) -> Flow {
         let at = self.frame().at;
         self.out.statement(at);

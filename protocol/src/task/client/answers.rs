@@ -1,4 +1,4 @@
-//! What comes of the answers, and of the refusals, of those that were asked.
+//! Answers, refusals and restarts that end the task's outstanding requests.
 
 use super::desk::{Answer, Asked, Desk, Phase};
 use super::{Client, Overdue};
@@ -12,7 +12,7 @@ use crate::task::step::{Outbox, Step};
 use crate::task::wait::{Ended, Finished, Pending};
 
 impl Client {
-    /// The answer of one task came in, or its refusal: the request ends with the last one.
+    /// Records the result for one asked task. The last missing result ends the request.
     fn mark(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -48,7 +48,7 @@ impl Client {
         } else if matches!(outcome, Outcome::Reply(_)) && desk.asked.iter().any(is_long) {
             Finished::Long(at)
         } else {
-            // The outcome says all there is.
+            // Nothing else of the request needs to be kept.
             desk.close();
             return Ended { wait: Some(Pending::Reply(at)), finished: Finished::Outcome(outcome) };
         };
@@ -57,7 +57,7 @@ impl Client {
         Ended { wait: Some(Pending::Reply(at)), finished }
     }
 
-    /// An answer to the task's own class-2 message.
+    /// Takes an answer to the task's own class-2 message.
     pub fn answer(&mut self, step: &mut Step<'_, impl Outbox>, at: u16, packet: &Packet) -> Option<Ended> {
         let at = usize::from(at);
         let desk = &self.desks[at];
@@ -70,7 +70,7 @@ impl Client {
         }
     }
 
-    /// The answer of another task than the one that was asked (D11).
+    /// Takes an answer of another task than the one that was asked (D11).
     pub fn third_party(&mut self, step: &mut Step<'_, impl Outbox>, packet: &Packet) -> Option<Ended> {
         let found = self.desks.iter().enumerate().find_map(|(at, d)| Some((at, d.waits_for(packet.id)?)));
         match found {
@@ -79,7 +79,7 @@ impl Client {
         }
     }
 
-    /// An answer that nobody waits for; the variant takes it for one that somebody does.
+    /// Drops an answer that no request waits for. The variant with late replies accepts it for the command that timed out last.
     fn late(&mut self, step: &mut Step<'_, impl Outbox>, packet: &Packet) -> Option<Ended> {
         let fits = |o: &Overdue| o.id == packet.id && o.port == packet.port && o.to == packet.source;
         let answers =
@@ -122,7 +122,7 @@ impl Client {
             (_, Some(Control::Refused)) => Event::RefusedByPeer,
             (_, Some(Control::RefusedOnTheWay)) if unsent => Event::RefusedByPeer,
             (_, Some(Control::Restarted)) => Event::PeerRestarted,
-            // A copy was refused on the way, but another one may have arrived: only the time_out tells.
+            // Another copy may have arrived, so that only the time_out ends the request.
             (_, Some(Control::RefusedOnTheWay)) => return None,
             (_, None) => {
                 step.drop_packet(packet, Reason::Unexpected);
@@ -141,7 +141,7 @@ impl Client {
         }
     }
 
-    /// The node of tasks that were asked has a new incarnation: they answer no more. To be called until no wait ends by it.
+    /// A node has a new incarnation: its tasks do not answer any more. Ends at most one wait: call it until it returns `None`.
     pub fn restarted(&mut self, step: &mut Step<'_, impl Outbox>, node: NodeId) -> Option<Ended> {
         let table = step.table;
         let is_there =

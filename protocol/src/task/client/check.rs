@@ -1,4 +1,4 @@
-//! What holds of a client between two inputs.
+//! The invariants of a client between two inputs.
 
 use super::Client;
 use super::desk::{Desk, Phase};
@@ -10,7 +10,7 @@ use crate::task::wait::{Finished, Pending};
 use crate::ticks::Instant;
 
 impl Client {
-    /// Whether a thread waits at each desk that is open, and each is due in time.
+    /// Checks that an activation waits at each open desk, and that nothing is overdue there.
     ///
     /// # Errors
     /// The first violation found.

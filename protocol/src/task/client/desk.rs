@@ -1,4 +1,4 @@
-//! A class-2 message that waits for its answers: one desk for each port that the task asks on (§4.1, D5, D6, D12).
+//! A desk: the state of one outstanding class-2 request. Each port on which the task asks has one (§4.1, D5, D6, D12).
 
 use crate::ids::{MessageId, PortId, TaskId};
 use crate::observe::Reason;
@@ -11,20 +11,20 @@ use crate::ticks::{Instant, Ticks};
 use alloc::boxed::Box;
 use serde::{Deserialize, Serialize};
 
-/// Whether a request is outstanding.
+/// The state of a desk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) enum Phase {
-    /// No: what the tasks answered last may be read.
+    /// No request is outstanding. The answers to the last one can be read.
     #[default]
     Closed,
-    /// Yes.
+    /// A request is outstanding.
     Open,
-    /// It ended while a handler ran above the thread that asked, which was not told yet: what was answered stays here
-    /// until it is, and nothing else is asked.
+    /// The request ended while a handler ran above the activation that waits for it. The answers stay here until that
+    /// activation resumes, and no other request may begin.
     Ended,
 }
 
-/// What became of the request at one task.
+/// The state of the request to one task.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) enum Answer {
     #[default]
@@ -35,43 +35,43 @@ pub(super) enum Answer {
     Restarted,
 }
 
-/// A task that may be asked.
+/// A task that may be asked on the port, and the state of the request to it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Asked {
     pub task: TaskId,
-    /// Its position among the parties of the port.
+    /// The task's position among the parties of the port.
     pub party: u8,
     pub id: MessageId,
     pub answer: Answer,
-    /// Packets of the request that may have left the node.
+    /// The number of packets of the request that may have left the node.
     pub packets_out: u16,
-    /// What it answered, or another for it (D11).
+    /// Its answer, or a third-party reply in its place (D11).
     pub contents: Assembly,
-    /// On which port, and who, while fragments are missing: those of two who answer make no message.
+    /// The port and sender of an incomplete answer: fragments of two senders do not make one answer.
     pub by: Option<(PortId, TaskId)>,
 }
 
-/// One port on which the task asks.
+/// The state of one outstanding request, or of the last one, on one port.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Desk {
     pub port: PortId,
-    /// Where the port stands among the task's own.
+    /// The position of the port's endpoint.
     pub endpoint: u16,
     pub phase: Phase,
-    /// Whether several tasks were asked.
+    /// Whether the request goes to several tasks.
     pub set: bool,
     pub deadline: Instant,
-    /// How often the request may still be sent again, and when next (D5).
+    /// How many retransmissions remain, and when the next is due (D5).
     pub copies_left: u8,
     pub copy_at: Instant,
     pub contents: Contents,
     pub parts: Parts,
-    /// All tasks that may be asked, in the order of the parties.
+    /// All tasks that may be asked, in the order of the port's parties.
     pub asked: Box<[Asked]>,
 }
 
 impl Asked {
-    /// Takes a packet of its answer; the reason where it is none.
+    /// Takes a packet of the task's answer, or returns the reason to drop it.
     pub fn take(&mut self, packet: &Packet) -> Result<Progress, Reason> {
         let index = packet.fragment.saturating_add(u8::from(packet.more));
         if usize::from(index) >= self.contents.contents.len() {
@@ -80,7 +80,7 @@ impl Asked {
         let whole = packet.fragment == 0 && !packet.more;
         let by = (packet.port, packet.source);
         if self.contents.is_open() && self.by != Some(by) {
-            // D11: who began first goes on, unless somebody says it all at once.
+            // The sender that began an answer completes it, unless another one sends a whole answer in one packet (D11).
             if !whole {
                 return Err(Reason::Unexpected);
             }
@@ -117,7 +117,7 @@ impl Desk {
         }
     }
 
-    /// When time alone makes this desk act.
+    /// The next instant at which time alone makes this desk act.
     pub fn due(&self) -> Instant {
         match self.phase {
             Phase::Open => self.deadline.min(self.copy_at),
@@ -125,7 +125,7 @@ impl Desk {
         }
     }
 
-    /// The tasks whose answers are still waited for.
+    /// The asked tasks whose answers are missing.
     pub fn open(&self) -> impl Iterator<Item = &Asked> {
         let open = self.phase == Phase::Open;
         self.asked.iter().filter(move |asked| open && asked.answer == Answer::Open)
@@ -135,27 +135,27 @@ impl Desk {
         self.asked.iter().position(|asked| asked.task == task)
     }
 
-    /// Which of the open requests has this id.
+    /// The position of the asked task whose open request has this id.
     pub fn waits_for(&self, id: MessageId) -> Option<usize> {
         let open = self.phase == Phase::Open;
         self.asked.iter().position(|asked| open && asked.answer == Answer::Open && asked.id == id)
     }
 
-    /// The task is told: what was answered may be read until it asks again.
+    /// The outcome was reported. The answers stay readable until the next request.
     pub fn tell(&mut self) {
         self.phase = Phase::Closed;
     }
 
-    /// Takes back the request.
+    /// Cancels the request.
     pub fn close(&mut self) {
         self.phase = Phase::Closed;
         self.settle();
         self.forget();
     }
 
-    /// Forgets what was answered.
+    /// Forgets the answers.
     pub fn forget(&mut self) {
-        // Of who was not asked since there is nothing to forget.
+        // A task that was not asked since the last time has nothing to forget.
         for asked in self.asked.iter_mut().filter(|asked| asked.answer != Answer::NotAsked) {
             (asked.answer, asked.packets_out, asked.id) = (Answer::NotAsked, 0, MessageId::default());
             asked.by = None;
@@ -164,7 +164,7 @@ impl Desk {
         }
     }
 
-    /// The request is out: from here on its answers are waited for.
+    /// Opens the desk: the request was sent, and its answers are awaited.
     pub fn open_for(
         &mut self,
         set: bool,
@@ -177,7 +177,7 @@ impl Desk {
         self.copy_at = if retries > 0 { now + port.decl.resend } else { Instant::NEVER };
     }
 
-    /// Whether it has the port of a new one, and room for the same answers.
+    /// Validates a deserialised desk: its port and capacities are those of a new one.
     pub fn is_like(&self, new: &Self) -> bool {
         let is = |read: &Asked, new: &Asked| {
             (read.task, read.party) == (new.task, new.party) && read.contents.has_room_of(&new.contents)
@@ -187,20 +187,20 @@ impl Desk {
             && are_alike(&self.asked, &new.asked, is)
     }
 
-    /// Nothing is outstanding.
+    /// Clears the deadline, the retransmissions and the request itself.
     pub fn settle(&mut self) {
         (self.deadline, self.copy_at, self.copies_left) = (Instant::NEVER, Instant::NEVER, 0);
         self.contents = Contents::EMPTY;
         self.parts.clear();
     }
 
-    /// The first packet of the one answer, where answers take several.
+    /// The first packet of the only answer, if answers may take several.
     pub fn long_answer(&self) -> Option<Contents> {
         let answered = self.asked.iter().find(|asked| asked.answer == Answer::Answered)?;
         answered.contents.get(0).copied()
     }
 
-    /// How a request to several tasks stands.
+    /// The state of a request to several tasks.
     pub fn answers(&self) -> Answers {
         let mut answers = Answers::default();
         for asked in &self.asked {

@@ -23,7 +23,7 @@ fn asked() -> (Fixture, Client, Interrupts) {
     (bench, client, threads)
 }
 
-/// What B answers to the request that went out.
+/// B's answer to the request that A sent.
 fn answer(bench: &mut Fixture) -> Packet {
     let request = bench.packets()[0];
     let to = ReplyTo { port: MOVE, source: A, id: request.id };

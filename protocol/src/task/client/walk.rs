@@ -1,4 +1,4 @@
-//! The fields of the requests that a task waits to have answered.
+//! Visits the fields of a client, for the checker's packed states.
 
 use super::desk::{Answer, Asked, Desk, Phase};
 use super::{Client, Overdue};
@@ -6,7 +6,7 @@ use crate::ids::{Incarnation, MessageId, PortId, TaskId};
 use crate::state::{Walk, mark, same_variant};
 use crate::table::NodeTable;
 
-/// The first byte of a desk: its phase, and whether it asked several.
+/// Layout of a desk's first byte: its phase, and whether several tasks were asked.
 const PHASE: u8 = 3;
 const SET: u8 = 4;
 
@@ -14,7 +14,7 @@ const PHASES: [Phase; 3] = [Phase::Closed, Phase::Open, Phase::Ended];
 const ANSWERS: [Answer; 5] =
     [Answer::NotAsked, Answer::Open, Answer::Answered, Answer::Refused, Answer::Restarted];
 
-/// What the port's declaration leaves out of the bytes.
+/// Fields that the packed bytes contain only if the port's declaration needs them.
 #[derive(Clone, Copy)]
 struct Form {
     retries: bool,
@@ -32,7 +32,7 @@ impl Form {
     }
 }
 
-/// What became of the request to one task, where the desk is not closed.
+/// The state of the request to the only asked task, implied by the phase of a desk that is not closed.
 const fn one(phase: Phase) -> Answer {
     match phase {
         Phase::Closed | Phase::Open => Answer::Open,
@@ -47,7 +47,7 @@ impl Client {
         own: (TaskId, Incarnation),
         w: &mut W,
     ) {
-        // What is overdue is walked apart, below.
+        // Visited by `walk_overdue`.
         let Self { desks, overdue: _ } = self;
         desks.iter_mut().for_each(|desk| desk.walk(table, own, w));
     }
@@ -112,7 +112,7 @@ impl Desk {
             }
             return;
         }
-        // Of one that was asked, the phase says what became of it.
+        // The state of a request to one task is not packed: the phase implies it.
         let at = asked.iter().position(|asked| asked.answer == one(*phase));
         if !W::READS && at.is_none() {
             return;
@@ -134,7 +134,7 @@ impl Asked {
         if *answer == Answer::NotAsked {
             return;
         }
-        // Of a request that ended nobody's answer is waited for.
+        // Once the request has ended, no answer is matched to this id.
         if open && phase == Phase::Open {
             w.id(own, life, id);
         }
@@ -143,7 +143,7 @@ impl Asked {
         }
         if form.long_answers {
             contents.walk_answer(w);
-            // Whose answer it is that is not whole.
+            // The sender of an answer that is incomplete.
             let missing = open && contents.is_open() && (W::READS || by.is_some());
             if let Some((port, task)) = w.some(by, missing, (PortId(0), TaskId(0))) {
                 w.small(&mut port.0);

@@ -1,4 +1,4 @@
-//! The fields of what takes several packets.
+//! Visits fragments, for the checker's packed states.
 
 use super::{Assembly, Parts};
 use crate::ids::{Incarnation, MessageId, TaskId};
@@ -27,7 +27,7 @@ impl Parts {
 }
 
 impl Assembly {
-    /// Walks an answer that is coming in; the desk says whose it is, and until when.
+    /// Visits an incomplete answer. Its desk has the id and the deadline.
     pub fn walk_answer<W: Walk>(&mut self, w: &mut W) {
         w.word(&mut self.have);
         self.walk_fragments(w);
@@ -36,7 +36,7 @@ impl Assembly {
         }
     }
 
-    /// Walks a message of `source` that is coming in.
+    /// Visits an incomplete message of `source`.
     pub fn walk_message<W: Walk>(&mut self, source: TaskId, w: &mut W) {
         w.word(&mut self.have);
         if self.is_open() {

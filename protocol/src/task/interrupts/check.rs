@@ -1,4 +1,4 @@
-//! What holds of a task's threads and timers between two inputs.
+//! The invariants of the activations and timers between two inputs.
 
 use super::offer::What;
 use super::{DEPTH, Interrupts};
@@ -8,7 +8,7 @@ use crate::task::violation::Violation;
 use crate::task::wait::Pending;
 
 impl Interrupts {
-    /// Whether threads interrupt each other by rank, and timers have names of their own.
+    /// Checks that activations interrupt each other by rank, and that timers have different names.
     ///
     /// # Errors
     /// The first violation found.
@@ -56,7 +56,7 @@ impl Interrupts {
             }
             names[word] |= bit;
         }
-        // One that is over and outranks a thread that could be interrupted should have been offered.
+        // An ended timer that outranks an interruptible activation should have been offered.
         let kept = self.first_timer(table, own).filter(|_| self.is_interruptible(false, called));
         let Some(What::Timer(at)) = kept.map(|offer| offer.what) else { return Ok(()) };
         let kept = self.timers.slots[at];

@@ -62,7 +62,7 @@ fn what_a_timer_s_earlier_start_says_is_stale() {
     assert!(bench.effects.disarmed.is_empty(), "it was over");
 }
 
-/// What `check` says after a fault was planted.
+/// The violation that `check` finds after a fault was planted.
 fn planted(fault: impl FnOnce(&mut Interrupts)) -> Violation {
     let mut bench = Fixture::new(B);
     bench.own.now = Instant(10);

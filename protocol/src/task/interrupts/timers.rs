@@ -1,4 +1,4 @@
-//! A task's delays and timers as the node's Timer serves them (Figure 3, §5.1.2).
+//! A task's delays and timers, which the node's Timer counts (Figure 3, §5.1.2).
 
 use super::offer::{Offer, Turn, What};
 use super::{Interrupts, TIMERS};
@@ -12,11 +12,11 @@ use crate::task::wait::{Finished, Pending};
 use crate::ticks::{Instant, Ticks};
 use serde::{Deserialize, Serialize};
 
-/// One timer of the task.
+/// A started timer of the task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) struct Started {
     pub id: TimeId,
-    /// Which start of it.
+    /// The number of its start.
     pub turn: u8,
 }
 
@@ -24,7 +24,7 @@ pub(super) struct Started {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) struct Timers {
     pub slots: [Option<Started>; TIMERS],
-    /// Bit `i`: that of slot `i` is over, and its handler has not begun.
+    /// Bit `i`: the timer in slot `i` has ended, and its handler has not begun.
     pub ended: u8,
 }
 
@@ -33,13 +33,13 @@ impl Timers {
         self.slots.iter().position(|slot| slot.is_some_and(|started| started.id == id))
     }
 
-    /// Whether only timers are over that there are.
+    /// Validates deserialised timers: only slots in use are marked as ended.
     pub fn is_whole(&self) -> bool {
         let is_there = |at: usize| self.slots[at].is_some() || self.ended & (1 << at) == 0;
         (0..TIMERS).all(is_there)
     }
 
-    /// Takes out the timer of a slot. Whether it was over.
+    /// Frees a slot; true if its timer had ended.
     fn take(&mut self, at: usize) -> bool {
         let ended = self.ended & (1 << at) != 0;
         self.slots[at] = None;
@@ -47,7 +47,7 @@ impl Timers {
         ended
     }
 
-    /// The timers that are over, and where they stand.
+    /// The ended timers and their slots.
     pub fn ended(&self) -> impl Iterator<Item = (TimeId, usize)> {
         let is_over = |&(at, _): &(usize, _)| self.ended & (1 << at) != 0;
         let over = self.slots.iter().enumerate().filter(is_over);
@@ -62,12 +62,12 @@ impl Interrupts {
         turn
     }
 
-    /// Whether a thread delays under this name.
+    /// Whether an activation delays under this name.
     fn is_named(&self, id: TimeId) -> bool {
         self.threads().any(|level| matches!(level.pending, Pending::Delay(delay, _) if delay == id))
     }
 
-    /// The running thread delays.
+    /// The running activation delays.
     pub fn delay(&mut self, id: TimeId, length: Ticks, out: &mut impl Outbox) -> Result<(), Fault> {
         if self.is_named(id) || self.timers.find(id).is_some() {
             return Err(Fault::Busy);
@@ -78,7 +78,7 @@ impl Interrupts {
         Ok(())
     }
 
-    /// Starts a timer, anew where it runs.
+    /// Starts a timer, or restarts it if it runs.
     pub fn start(&mut self, id: TimeId, length: Ticks, out: &mut impl Outbox) -> Result<(), Fault> {
         if self.is_named(id) {
             return Err(Fault::Busy);
@@ -92,7 +92,7 @@ impl Interrupts {
         Ok(())
     }
 
-    /// Stops a timer, and takes back its end where that was not offered yet.
+    /// Stops a timer. If it has ended and no handler has begun for it, none will.
     pub fn stop(&mut self, id: TimeId, out: &mut impl Outbox) {
         if let Some(at) = self.timers.find(id)
             && !self.timers.take(at)
@@ -103,13 +103,13 @@ impl Interrupts {
 
     /// Stops all timers.
     pub fn stop_all(&mut self, out: &mut impl Outbox) {
-        // In the order of their names: where they stand is not part of a packed state.
+        // In the order of their names, because packed states do not contain the slots.
         while let Some(id) = self.timers.slots.iter().flatten().map(|started| started.id).min() {
             self.stop(id, out);
         }
     }
 
-    /// The node's Timer says that a delay or a timer is over. Whether it was the delay of the running thread.
+    /// The node's Timer reports the end of a delay or a timer. True if it was the delay of the running activation.
     pub fn time_is_over(&mut self, id: TimeId, turn: u8) -> bool {
         let Timers { slots, ended } = &mut self.timers;
         if let Some(at) = slots.iter().position(|slot| *slot == Some(Started { id, turn })) {
@@ -118,12 +118,12 @@ impl Interrupts {
         self.conclude(Pending::Delay(id, turn), &Finished::TimeOut(id))
     }
 
-    /// Whether a timer is over whose handler has not begun.
+    /// Whether a timer has ended whose handler has not begun.
     pub const fn has_ended_timer(&self) -> bool {
         self.timers.ended != 0
     }
 
-    /// The first timer that is over and outranks the running thread.
+    /// The first ended timer that outranks the running activation.
     pub fn first_timer(&self, table: &NodeTable, own: &Own) -> Option<Offer> {
         let offers = self.timers.ended().filter_map(|(id, at)| {
             let rank = own.order.timer(id);
@@ -133,7 +133,7 @@ impl Interrupts {
         offers.min()
     }
 
-    /// Takes out a timer that is over: its handler begins.
+    /// Takes an ended timer, whose handler begins.
     pub fn take_timer(&mut self, at: usize) -> TimeId {
         let id = self.timers.slots[at].map_or(TimeId(0), |started| started.id);
         self.timers.take(at);

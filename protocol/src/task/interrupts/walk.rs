@@ -1,4 +1,4 @@
-//! The fields of a task's threads, of its timers and of its `order`.
+//! Visits the activations, the timers and the `order` of a task, for the checker's packed states.
 
 use super::timers::{Started, Timers};
 use super::{DEPTH, Interrupts, Level};
@@ -9,14 +9,14 @@ use crate::state::{Walk, mark, same_option, same_variant};
 use crate::task::wait::{Finished, Pending};
 use crate::ticks::Instant;
 
-/// The first byte: how many levels the `order` names, and what else there is.
+/// Layout of the first byte: the number of entries of the `order`, and flags.
 const LEVELS: u8 = 0x0f;
 const HANDLERS: u8 = 0x10;
 const TIMERS: u8 = 0x20;
 const ATOMIC: u8 = 0x40;
 const CAPPED: u8 = 0x80;
 
-/// The codes of waits below these name themselves; from them on they count desks and meetings.
+/// Codes of waits: the lower ones are fixed, and from each of these on they count desks or meetings.
 const DESKS: u8 = 0x10;
 const MEETINGS: u8 = 0x80;
 
@@ -44,11 +44,11 @@ const FINISHED: [Option<Finished>; 12] = [
 ];
 
 impl Interrupts {
-    /// Walks the threads that run, with the order of service: it shares their first byte.
+    /// Visits the activations, and the order of service, which shares their first byte.
     pub(in crate::task) fn walk<W: Walk>(&mut self, order: &mut ServiceOrder, couple: Option<u8>, w: &mut W) {
         let Self { running, interrupted, depth, capped_last, next_turn, timers } = self;
         if W::READS {
-            // One thread drives a packed task: no word of an earlier start can still be on its way.
+            // Not packed: a single thread drives a packed task, so no report of an earlier start is in flight.
             *next_turn = 0;
         }
         let started = timers.slots.iter().flatten().count();
@@ -84,7 +84,7 @@ impl Interrupts {
                     (*rank, *atomic) = (byte & LEVELS, byte & ATOMIC != 0);
                 }
             }
-            // The running thread has been told how its wait ended.
+            // The running activation has been told how its wait ended.
             if i < top {
                 walk_finished(finished, couple, w);
             }
@@ -97,7 +97,7 @@ impl Interrupts {
         }
     }
 
-    /// Whether a thread that a handler interrupts left a meeting of this port: it has not read yet what the others brought.
+    /// Whether an interrupted activation has left a meeting of this port: it has yet to read the members' arguments.
     pub(in crate::task) fn is_unread(&self, port: PortId) -> bool {
         self.threads().any(|level| match &level.finished {
             Some(Finished::Released { port: of, .. } | Finished::GaveUp { port: of, .. }) => *of == port,
@@ -133,14 +133,14 @@ fn walk_order<W: Walk>(order: &mut ServiceOrder, count: usize, w: &mut W) {
     }
 }
 
-/// In the order of their names: which place a timer has does not matter.
+/// In the order of their names: the slots do not matter.
 fn walk_timers<W: Walk>(timers: &mut Timers, started: usize, w: &mut W) {
     let Timers { slots, ended } = timers;
     let mut sorted: [_; super::TIMERS] = core::array::from_fn(|at| (slots[at], *ended & (1 << at) != 0));
     sorted.sort_unstable_by_key(|(started, _)| started.map_or(u16::MAX, |started| u16::from(started.id.0)));
     let started = w.count(started);
     for (place, over) in sorted.iter_mut().take(started) {
-        // Which start of it runs: one thread drives a packed task, so no word of an earlier one can still be on its way.
+        // Not packed: which start it is. A single thread drives a packed task, so no report of an earlier one is in flight.
         let Started { id, turn: _ } = place.get_or_insert(Started { id: TimeId(0), turn: 0 });
         w.byte(&mut id.0);
         w.flag(over);
@@ -187,14 +187,14 @@ impl Pending {
                 w.instant(deadline);
             }
             Self::Delay(id, _) => w.byte(&mut id.0),
-            // The code says it all.
+            // The code contains everything.
             Self::Nothing | Self::Work | Self::Boundary | Self::Lease | Self::Reply(_) | Self::Meeting(_) => {
             }
         }
     }
 }
 
-/// A number, or none: zero.
+/// A number plus one, or zero for none.
 fn or_none<W: Walk>(w: &mut W, number: Option<u16>) -> Option<u16> {
     let read = w.count(number.map_or(0, |number| usize::from(number) + 1));
     u16::try_from(read).ok()?.checked_sub(1)

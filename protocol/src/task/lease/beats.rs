@@ -1,4 +1,4 @@
-//! The beats of a couple and their answers: what they say, and what is made of them.
+//! Heartbeats of a couple and their answers: encoding, and what the receiver does with them.
 
 use super::{ALONE, ANSWERS, Answered, ECHO_BYTES, LEASED, Lease, Post, WAITS, is_newer_epoch};
 use crate::cell::CoupleDecl;
@@ -24,7 +24,7 @@ impl Lease {
         let contents = Contents::new(&[back[0], back[1], self.epoch, whose, guessed]).unwrap_or_default();
         let packet = mapping::message(port, step.own.task, self.partner, id, life, contents);
         step.out.transmit(Packet { kind: Kind::Query, ..packet });
-        // Counted from when it was due, so that lateness does not add up; after a pause one beat, not all that were due.
+        // Counted from the due instant: lateness does not add up. After a pause one heartbeat is sent, not all missed ones.
         let next = self.beat_at + couple.every;
         self.beat_at = if next > step.now() { next } else { step.now() + couple.every };
     }
@@ -36,7 +36,7 @@ impl Lease {
         port: &Port,
         packet: &Packet,
     ) {
-        // Of two that wait the primary answers, so that it gets the lease.
+        // If both tasks wait, only the primary answers, so that it gets the lease.
         if self.post == Post::Passive || (self.post == Post::Waits && !self.primary) {
             return;
         }
@@ -50,7 +50,7 @@ impl Lease {
         let echoed = packet.id.sequence.plus(Seq24::MODULUS - back);
         let renewed = match step.table.rules().lease {
             LeaseRule::Echoed => {
-                // An earlier life may have answered the same beat: that was sooner.
+                // An echo of an earlier incarnation's answer does not count: that answer was sent earlier (D81).
                 let own = back != 0 && whose == step.own.incarnation.0;
                 let answered = self.answered.iter().flatten().find(|a| own && a.beat == echoed);
                 answered.map(|answered| answered.until)
@@ -60,12 +60,12 @@ impl Lease {
         if let Some(until) = renewed.filter(|&until| until > step.now()) {
             match self.post {
                 Post::Leased(held) => self.post = Post::Leased(held.max(until)),
-                // Not before the task knows that it was fenced: it may still be about to act.
+                // The task may still be about to act: it must first learn that it was fenced.
                 Post::Waits if self.call.is_some() => {}
-                // All answers that can be echoed say this epoch, so each of them renews the lease, too.
+                // All recorded answers announce this epoch, so an echo of any of them renews the lease, too.
                 Post::Waits => {
                     self.stand(Post::Leased(until));
-                    // A plain heartbeat is no echo.
+                    // The heartbeat variant has no answer that proposed the epoch.
                     self.propose();
                     (self.proposed, self.guessed) = (false, false);
                 }
@@ -120,15 +120,15 @@ impl Lease {
             (self.answered, self.newest, self.echo) = ([None; ANSWERS], None, None);
         }
         self.hear_of(epoch, guessed != 0);
-        // One that is of no use any more counts as none, whether a beat has dropped it since or not.
+        // An echo that can renew nothing counts as none, even before a heartbeat drops it.
         self.echo = self.echo.filter(|echo| echo.until > step.now());
         let newest = self.echo.is_none_or(|echo| packet.id.sequence.is_newer_than(echo.beat));
         if newest {
-            // The lease counts from when the answer was sent, so whatever the clocks do an echo is of no use after that.
+            // The partner's lease counts from the sending: it has ended by then whatever the drift, so a later echo is of no use.
             self.echo = Some(Answered { beat: packet.id.sequence, until: step.now() + couple.takeover });
             self.said = Contents::new(bytes.get(ECHO_BYTES..).unwrap_or(&[])).unwrap_or_default();
         }
-        // An older answer was sent earlier than the newest one, so it may only put the take-over off.
+        // An older answer than the newest may only postpone the take-over, not disarm it.
         let may = !couple.mutual || mode == LEASED || self.takeover_at != Instant::NEVER;
         self.takeover_at = if mode == ALONE && newest {
             Instant::NEVER
@@ -139,9 +139,9 @@ impl Lease {
         };
     }
 
-    /// Whether a beat comes from the partner's present life. A new life has got none of the answers, and an earlier one, of
-    /// either side, may have acted in an epoch that nobody knows of any more: of each side one is left out. One that guesses may
-    /// have had an earlier life that guessed, too, and acted: that was two above its guess.
+    /// Whether a heartbeat is from the partner's present incarnation. A new incarnation has received no answer. The earlier one
+    /// may have acted in an epoch that is unknown now, and so may this task's own: one epoch of each side is skipped. If the
+    /// partner guesses, its earlier incarnation may have guessed, too, and acted two epochs above its guess.
     fn enter_life(&mut self, life: Incarnation, epoch: u8, guessed: bool) -> bool {
         if self.life.is_some_and(|known| life.is_older_than(known)) {
             return false;
@@ -157,8 +157,8 @@ impl Lease {
         true
     }
 
-    /// The partner says an epoch. If exactly one side guesses, both use the epoch of the side that knows. What this side proposed from a
-    /// guess is over then, though it may be the same number.
+    /// Takes note of the partner's epoch. If exactly one side guesses, both use the epoch of the side that knows. A
+    /// proposal that this side made from a guess is then void, even if the number is the same.
     fn hear_of(&mut self, epoch: u8, guessed: bool) {
         if self.acts() {
             return;

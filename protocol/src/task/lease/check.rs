@@ -1,4 +1,4 @@
-//! What holds of a lease between two inputs.
+//! The invariants of a lease between two inputs.
 
 use super::{Lease, Post};
 use crate::request::Call;
@@ -6,7 +6,7 @@ use crate::task::violation::Violation;
 use crate::ticks::Instant;
 
 impl Lease {
-    /// Nobody acts past its lease, and whoever acts does so in an epoch (D61).
+    /// Checks that neither the end of the lease nor the take-over is overdue, and that a pending call is true (D61).
     ///
     /// # Errors
     /// The first violation found.

@@ -2,7 +2,7 @@ use super::*;
 use crate::task::fixture::{A, ALIVE, B, Fixture};
 use crate::task::violation::Violation;
 
-/// One side of the couple, at 5.
+/// One side of the couple, after its first step at 5.
 fn side(task: TaskId) -> (Fixture, Lease) {
     let mut bench = Fixture::new(task);
     let mut lease = Lease::new(&bench.table, &bench.own).expect("a couple");
@@ -11,7 +11,7 @@ fn side(task: TaskId) -> (Fixture, Lease) {
     (bench, lease)
 }
 
-/// Hands what one side sent to the other.
+/// Delivers all packets of one side to the other.
 fn carry(from: &mut Fixture, (to, lease): (&mut Fixture, &mut Lease), now: Instant) -> Option<u8> {
     let table = to.table.clone();
     let port = table.port(ALIVE).unwrap();
@@ -25,9 +25,9 @@ fn an_echo_of_an_answer_gives_the_lease_and_silence_ends_it() {
     assert_eq!(carry(&mut b, (&mut a, &mut primary), Instant(6)), None, "a beat is no echo");
     assert_eq!(carry(&mut a, (&mut b, &mut standby), Instant(7)), None);
     assert_eq!(standby.advance(&mut b.at(Instant(9))), None);
-    // An epoch that no earlier life of the partner can know, and an odd one.
+    // An odd epoch, above any that an earlier incarnation of the partner may have acted in.
     assert_eq!(carry(&mut b, (&mut a, &mut primary), Instant(10)), Some(3));
-    // It counts from the answer, at 6.
+    // The lease counts from the answer, which was sent at 6.
     assert_eq!((primary.acts(), primary.left(Instant(10))), (true, Some(Ticks(10))));
     assert_eq!(primary.advance(&mut a.at(Instant(20))), None);
     assert_eq!((primary.acts(), primary.take_call()), (false, Some(Call::Fenced)));

@@ -1,4 +1,4 @@
-//! The fields of a task's side of its couple.
+//! Visits the fields of a lease, for the checker's packed states.
 
 use super::{Answered, Lease, Post};
 use crate::ids::{Incarnation, Seq24, TaskId};
@@ -6,7 +6,7 @@ use crate::request::Call;
 use crate::state::{Walk, mark};
 use crate::ticks::Instant;
 
-/// The first byte: the post, then what else there is.
+/// Layout of the first byte: the role, and flags.
 const POST: u8 = 0x03;
 const ECHO: u8 = 0x04;
 const FENCED: u8 = 0x08;
@@ -62,7 +62,7 @@ impl Lease {
             (*beat_at, *takeover_at) = (Instant::NEVER, Instant::NEVER);
             *guessed = false;
         }
-        // A take-over is into the epoch that the task stands in.
+        // The epoch of a take-over is not packed: it is `epoch`.
         match call {
             Some(Call::TakeOver(into)) if !W::PACKS => w.epoch(couple, into),
             _ if W::READS && first & FENCED != 0 => *call = Some(Call::Fenced),
@@ -76,7 +76,7 @@ impl Lease {
         } else if W::READS {
             met = Incarnation(0);
         } else if met != Incarnation(0) {
-            // A forged answer may speak of a life where there are none.
+            // A forged answer may name an incarnation in a world without restarts.
             w.overflows();
         }
         if W::READS {
@@ -118,7 +118,7 @@ impl Answered {
 }
 
 impl Lease {
-    /// Drops what can never matter again.
+    /// Drops dead state: answers and echoes that have ended by `now`.
     pub fn bury(&mut self, now: Instant) {
         for answered in &mut self.answered {
             *answered = answered.filter(|a| a.until > now && self.post != Post::Passive);

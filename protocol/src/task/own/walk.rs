@@ -1,11 +1,11 @@
-//! The fields that all parts share.
+//! Visits the state that all parts share, for the checker's packed states.
 
 use super::Own;
 use crate::state::Walk;
 use crate::ticks::Instant;
 
 impl Own {
-    /// Walks the clock. The order of service is packed with the threads; life and staged fragments are walked apart, below.
+    /// Visits the clock. The `order` is packed with the activations; incarnation and staged fragments are visited below.
     pub fn walk<W: Walk>(&mut self, w: &mut W) {
         let Self {
             task,
@@ -21,7 +21,7 @@ impl Own {
         w.next_sequence(*task, next_sequence);
     }
 
-    /// Walks the life.
+    /// Visits the incarnation.
     pub fn walk_life<W: Walk>(&mut self, w: &mut W) {
         if w.lives() {
             w.instant(&mut self.quarantine_until);
@@ -32,7 +32,7 @@ impl Own {
         }
     }
 
-    /// Walks the fragments that are staged; what else an endpoint has is declared, or counted for monitors alone.
+    /// Visits the staged fragments. The rest of an endpoint is declared, or counted for monitors only.
     pub fn walk_staged<W: Walk>(&mut self, w: &mut W) {
         for endpoint in self.endpoints.iter_mut().filter(|endpoint| endpoint.staged.has_room()) {
             endpoint.staged.walk(w);

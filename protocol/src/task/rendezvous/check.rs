@@ -1,4 +1,4 @@
-//! What holds of a rendezvous between two inputs.
+//! The invariants of a rendezvous between two inputs.
 
 use super::{Meetings, Rendezvous};
 use crate::table::NodeTable;
@@ -9,7 +9,7 @@ use crate::task::wait::Pending;
 use crate::ticks::{Instant, Ticks};
 
 impl Meetings {
-    /// Whether a thread waits where there is a deadline, each waitfor is sound, and they are in order.
+    /// Checks that an activation waits exactly where a deadline is set, that each rendezvous is consistent, and their order.
     ///
     /// # Errors
     /// The first violation found.
@@ -30,7 +30,7 @@ impl Meetings {
 }
 
 impl Rendezvous {
-    /// Whether its instants follow from its deadline and its rounds from each other.
+    /// Checks the instants against the deadline, and the rounds against each other.
     ///
     /// # Errors
     /// The first violation found.
@@ -63,7 +63,7 @@ impl Rendezvous {
         Ok(())
     }
 
-    /// When the arrival is announced again: whole periods before the deadline, later than now (D55).
+    /// When the next ARRIVE is sent: the first instant after `now` that is whole periods before the deadline (D55).
     pub(super) fn resend_instant(deadline: Instant, now: Instant, period: Ticks) -> Instant {
         let period = period.0.max(1);
         let more = (deadline - now).0.saturating_sub(1) / period;

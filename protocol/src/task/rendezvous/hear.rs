@@ -1,4 +1,4 @@
-//! What a member of a rendezvous makes of the packets of the others.
+//! Reception of ARRIVE, CONFIRM and ABORT from the other members.
 
 use super::{Arrived, At, Rendezvous};
 use crate::ids::Round;
@@ -10,7 +10,7 @@ use crate::task::step::Outbox;
 use crate::ticks::Ticks;
 
 impl Rendezvous {
-    /// A packet of another member came in.
+    /// Takes a packet of another member.
     pub(super) fn hear(&mut self, at: &mut At<'_, '_, impl Outbox>, packet: &Packet) {
         let Some(from) = at.port.party_index(packet.source) else {
             return self.drop_packet(at, packet, Reason::NotAllowed);
@@ -39,7 +39,7 @@ impl Rendezvous {
     fn hear_arrival(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, packet: &Packet) {
         let Meeting { round, released, arguments } = packet.meeting();
         if at.step.own.turns_away(at.step.table, packet.source) {
-            // It may be meant for an earlier life of this task, and its sender may have been released with that one.
+            // It may be meant for this task's earlier incarnation, with which its sender may have been released.
             return self.drop_packet(at, packet, Reason::StaleIncarnation);
         }
         let arrived = Arrived { round, expires: at.now() + packet.remaining, arguments };
@@ -74,7 +74,7 @@ impl Rendezvous {
 
     fn hear_confirm(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, packet: &Packet, round: Round) {
         self.hear_of(round);
-        // The CONFIRM names the life of the arrival it confirms: one meant for an earlier life releases nobody.
+        // A CONFIRM names the incarnation whose arrival it confirms: one for an earlier incarnation releases nobody (D67).
         let mine = round == self.announced && packet.id.incarnation == at.step.own.incarnation;
         if mine {
             self.members[from].confirmed = true;
@@ -99,7 +99,7 @@ impl Rendezvous {
             return;
         }
         member.barred = Some(member.barred.map_or(round, |barred| barred.fresher(round)));
-        // Word of a round that this task has left says nothing about the one it is in (D68).
+        // An ABORT of a round that this task has left says nothing about its present round (D68).
         if self.is_over(round) {
             return;
         }
@@ -115,19 +115,19 @@ impl Rendezvous {
         }
     }
 
-    /// Whether a packet of `round` with this `released` field proves that its sender released the round waited in.
-    /// A field equal to the packet's round means that its sender has released nothing yet.
+    /// Whether a packet of `round` with this `released` field proves that its sender released the round waited in. If
+    /// the field equals the packet's round, the sender has released nothing yet (D69).
     fn says_released(&self, at: &At<'_, '_, impl Outbox>, round: Round, released: Round) -> bool {
-        // A restarted task cannot tell its own meeting from one of its earlier life by the number alone, so it does
-        // not believe the hint before its first release.
+        // A restarted task cannot tell its meeting from an earlier incarnation's by the number alone. So it ignores
+        // the field before its first release (D67).
         let believes = !at.step.own.restarted || self.released.is_some();
         at.step.table.rules().last_released && believes && released != round && released == self.announced
     }
 
-    /// Remembers an arrival, unless its sender has given the round up or is known to be further on.
+    /// Stores an arrival, unless its sender gave that round up or has arrived in a fresher one. Returns whether it did.
     fn record(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, arrived: Arrived) -> bool {
         let member = &mut self.members[from];
-        // An arrival lives no longer than its sender waits: one that has ended says nothing any more.
+        // An arrival whose patience has ended does not count.
         let held = member.arrived.filter(|held| held.expires > at.now());
         let barred = member.barred.is_some_and(|barred| !arrived.round.is_newer_than(barred));
         let behind = held.is_some_and(|held| held.round.is_newer_than(arrived.round));
@@ -154,7 +154,7 @@ impl Rendezvous {
         true
     }
 
-    /// D54: a late arrival of the round released last is confirmed; of any other older round, aborted.
+    /// Answers a late arrival: by CONFIRM if its round was released last, and by ABORT otherwise (D54).
     fn answer_late(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, packet: &Packet) {
         let round = packet.meeting().round;
         if !at.step.table.rules().answer_late_arrivals {
@@ -171,8 +171,8 @@ impl Rendezvous {
         }
     }
 
-    /// Takes note of a round that was heard of. Distances are no order across half the circle, so only what is fresher
-    /// than the own round counts.
+    /// Notes a round that the task heard of, if it is fresher than its own. Round numbers have no order beyond half
+    /// the circle.
     fn hear_of(&mut self, round: Round) {
         if self.numbered && round.is_newer_than(self.announced) {
             self.fresh = self.fresh.fresher(round);

@@ -1,4 +1,4 @@
-//! Which packets no future of a rendezvous can notice (a reduction for the model checker).
+//! Packets that no future of a rendezvous can notice: a reduction for the model checker.
 
 use super::{Meetings, Rendezvous};
 use crate::ids::{Incarnation, Round, TaskId};
@@ -7,12 +7,12 @@ use crate::table::{NodeTable, Port};
 use crate::ticks::Instant;
 
 impl Rendezvous {
-    /// The life in which this task last heard a member.
+    /// The incarnation in which this task last heard a member.
     pub fn heard_in(&self, port: &Port, member: TaskId) -> Option<Incarnation> {
         self.members[port.party_index(member)?].life
     }
 
-    /// The round whose CONFIRM this task still has to send, or to send again.
+    /// The round whose CONFIRM this task has yet to send, or to send again.
     pub fn owes(&self) -> Option<Round> {
         self.released.filter(|_| self.owes_confirm || self.copies_left > 0)
     }
@@ -22,8 +22,8 @@ impl Rendezvous {
         self.numbered && self.is_over(round)
     }
 
-    /// Whether the task's behaviour is the same with and without a packet of another member. `over_there`: its sender would
-    /// make nothing of an answer.
+    /// Whether the task behaves the same with and without a packet of another member. `over_there`: the sender would
+    /// ignore an answer.
     pub fn ignores(&self, table: &NodeTable, packet: &Packet, over_there: bool) -> bool {
         if !self.numbered {
             return false;
@@ -42,7 +42,7 @@ impl Rendezvous {
 }
 
 impl Meetings {
-    /// Forgets the CONFIRM that is still to be sent at one.
+    /// Drops the CONFIRM that a rendezvous has yet to send.
     pub fn settle(&mut self, meeting: u16) {
         let rendezvous = &mut self.list[usize::from(meeting)];
         rendezvous.owes_confirm = false;

@@ -1,4 +1,4 @@
-//! The waitfors of a task, and when each acts next.
+//! All rendezvous of a task, and which one acts next.
 
 use super::{At, Rendezvous};
 use crate::ids::NodeId;
@@ -13,16 +13,16 @@ use crate::ticks::{Instant, Ticks};
 use alloc::boxed::Box;
 use serde::{Deserialize, Serialize};
 
-/// The task's side of each waitfor that it takes part in.
+/// The task's side of each rendezvous in which it takes part.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Meetings {
     pub(super) list: Box<[Rendezvous]>,
-    /// Where something is to be done next (D108).
+    /// The rendezvous by when they act next (D108).
     pub(super) next: Words,
 }
 
 impl Meetings {
-    /// All waitfors that the task takes part in.
+    /// One rendezvous for each port on which the task takes part in a `waitfor`.
     pub fn new(table: &NodeTable, own: &Own) -> Self {
         let ports = own.ports(table, |role| matches!(role, Role::Meets(_)));
         let numbered = table.rules().rounds;
@@ -31,7 +31,7 @@ impl Meetings {
         Self { next: Words::new(index(list.len())), list }
     }
 
-    /// Runs a step of a rendezvous. With what came of it comes the release, where it releases the task.
+    /// Runs a step of one rendezvous. Returns its result, and the end of the wait if the step released the task.
     fn run<R, O: Outbox>(
         &mut self,
         step: &mut Step<'_, O>,
@@ -52,7 +52,7 @@ impl Meetings {
         Some((done, released.map(|finished| left(meeting, finished))))
     }
 
-    /// The task reaches a waitfor.
+    /// The task reaches a waitfor. Returns the end of the wait if the task is released at once.
     pub fn reach(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -62,17 +62,18 @@ impl Meetings {
         self.run(step, meeting, |rendezvous, at| rendezvous.reach(at, arguments, patience))?.1
     }
 
-    /// A packet of another member.
+    /// Takes a packet of another member. Returns the end of the wait if the packet releases the task.
     pub fn hear(&mut self, step: &mut Step<'_, impl Outbox>, meeting: u16, packet: &Packet) -> Option<Ended> {
         self.run(step, meeting, |rendezvous, at| rendezvous.hear(at, packet))?.1
     }
 
-    /// The task leaves before its time_out.
+    /// The task cancels its wait.
     pub fn leave(&mut self, step: &mut Step<'_, impl Outbox>, meeting: u16) {
         self.run(step, meeting, Rendezvous::leave);
     }
 
-    /// Time has passed: the first waitfor from `from` on where something is due, and how the wait there ended, where it did.
+    /// Finds the first rendezvous, `from` or later, where something is due, and does it. Returns its position, and the end of
+    /// the wait if the patience ended.
     pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>, from: u16) -> Option<(u16, Option<Ended>)> {
         let now = step.now();
         if self.next_act() > now {
@@ -89,7 +90,7 @@ impl Meetings {
         Some((meeting, gave_up.map(|finished| left(meeting, finished))))
     }
 
-    /// A node has a new life: what its tasks brought is void.
+    /// A node has a new incarnation: the arrivals of its tasks are void.
     pub fn restarted(&mut self, step: &Step<'_, impl Outbox>, node: NodeId) {
         for rendezvous in &mut self.list {
             let Some(port) = step.table.port(rendezvous.port) else { continue };
@@ -101,39 +102,39 @@ impl Meetings {
         }
     }
 
-    /// One of them.
+    /// The rendezvous at a position.
     pub fn at(&self, meeting: u16) -> &Rendezvous {
         &self.list[usize::from(meeting)]
     }
 
-    /// How they look to a monitor.
+    /// All rendezvous as a monitor sees them.
     pub fn view(&self, table: &NodeTable, own: &Own) -> impl Iterator<Item = MeetingView> {
         self.list.iter().filter_map(|rendezvous| Some(rendezvous.view(own, table.port(rendezvous.port)?)))
     }
 
-    /// Whether none of them acts by itself.
+    /// Whether time alone makes no rendezvous act.
     pub fn are_quiet(&self) -> bool {
         self.next.len() == 0
     }
 
-    /// When one of them acts next.
+    /// The next instant at which time alone makes one of them act.
     pub fn next_act(&self) -> Instant {
         self.next.first_instant(|at| self.list[usize::from(at)].due())
     }
 
-    /// Finds a waitfor's place in the order.
+    /// Restores the order after a change of a rendezvous.
     pub(super) fn touch(&mut self, at: u16) {
         let list = &self.list;
         let act = |at: u16| (list[usize::from(at)].due(), at);
         self.next.set(at, Some(act(at).0).filter(|&due| due != Instant::NEVER), act);
     }
 
-    /// Whether there is such a waitfor.
+    /// Whether a rendezvous has this position.
     pub fn has(&self, meeting: u16) -> bool {
         usize::from(meeting) < self.list.len()
     }
 
-    /// Whether a state that was read has the waitfors of a new one.
+    /// Validates deserialised rendezvous: their ports and numbers of members are those of new ones.
     pub fn is_like(&self, new: &Self) -> bool {
         let is = |read: &Rendezvous, new: &Rendezvous| {
             (read.port, read.numbered, read.members.len()) == (new.port, new.numbered, new.members.len())
@@ -142,7 +143,7 @@ impl Meetings {
     }
 }
 
-/// The task left a waitfor.
+/// The end of the wait at a rendezvous.
 fn left(meeting: u16, finished: Finished) -> Ended {
     Ended { wait: Some(Pending::Meeting(meeting)), finished }
 }

@@ -1,4 +1,4 @@
-//! What a member of a rendezvous tells the others: ARRIVE, CONFIRM, ABORT.
+//! Transmission of ARRIVE, CONFIRM and ABORT to the other members.
 
 use super::{At, Rendezvous};
 use crate::ids::{Incarnation, MessageId, Round, Seq24};
@@ -16,7 +16,7 @@ impl Rendezvous {
         }
     }
 
-    /// Sends the CONFIRM now and leaves `losses` more copies to be sent while the task already runs (D55).
+    /// Sends the CONFIRM now, and `losses` more copies later, while the task already runs (D55).
     pub(super) fn confirm_with_copies(&mut self, at: &mut At<'_, '_, impl Outbox>, round: Round) {
         self.copies_left = at.port.decl.losses;
         self.copy_at = if self.copies_left == 0 { Instant::NEVER } else { at.now() + at.port.decl.resend };
@@ -26,7 +26,7 @@ impl Rendezvous {
     pub(super) fn confirm(&mut self, at: &mut At<'_, '_, impl Outbox>, round: Round, resent: bool) {
         self.note(Event::Confirmed, at.step.own.task, Ticks::ZERO, at);
         for i in 0..self.members.len() {
-            // A member that restarted since is another one: it was not in this meeting.
+            // A member that restarted since was not in this meeting.
             if !self.members[i].reborn {
                 let life = self.members[i].life.unwrap_or_default();
                 self.send_confirm(at, i, round, life, resent);
@@ -34,11 +34,11 @@ impl Rendezvous {
         }
     }
 
-    /// Announces the arrival to every other member: separately addressed packets, no broadcast (§4.3, R19).
+    /// Sends ARRIVE to every other member: separately addressed packets, no broadcast (§4.3, R19).
     pub(super) fn announce(&mut self, at: &mut At<'_, '_, impl Outbox>, resent: bool) {
         let now = at.now();
         let Some(deadline) = self.deadline else { return };
-        // D55: counted back from the deadline, so that the last copies leave at fixed distances from it.
+        // Counted back from the deadline, so that the last copies leave at fixed distances from it (D55).
         self.resend_at = Self::resend_instant(deadline, now, at.port.decl.resend);
         let round = self.announced;
         let meeting = Meeting { round, released: self.released.unwrap_or(round), arguments: self.arguments };
@@ -57,7 +57,7 @@ impl Rendezvous {
         resent: bool,
     ) {
         let meeting = Meeting { round, released: round, arguments: [0; 8] };
-        // Tagged by its round, a CONFIRM can do no harm late: it lives as long as any member may wait for it.
+        // A late CONFIRM does no harm, because it names its round. So its TTL is the longest patience of any member.
         let packet = self.packet(at, Kind::Confirm, meeting);
         let id = MessageId { incarnation: life, ..packet.id };
         send(at, to, Packet { id, resent, ..packet });
@@ -70,7 +70,7 @@ impl Rendezvous {
         send(at, to, packet);
     }
 
-    /// A packet to another member, which `send` names.
+    /// A packet without its receiver, which `send` fills in.
     fn packet(&self, at: &At<'_, '_, impl Outbox>, kind: Kind, meeting: Meeting) -> Packet {
         Packet {
             kind,
@@ -85,7 +85,7 @@ impl Rendezvous {
     }
 }
 
-/// Sends a packet to a member, but not to the task itself.
+/// Sends a packet to a member, unless that is the task itself.
 fn send(at: &mut At<'_, '_, impl Outbox>, to: usize, packet: Packet) {
     let destination = at.port.parties[to].task;
     if destination != at.step.own.task {

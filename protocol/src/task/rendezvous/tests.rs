@@ -6,7 +6,7 @@ use crate::task::violation::Violation;
 use crate::task::wait::{Ended, Finished, Pending};
 use alloc::format;
 
-/// A task that waits at the waitfor since 10, with a patience of 30.
+/// A task that has waited at the waitfor since 10, with a patience of 30.
 fn waiting(task: TaskId) -> (Fixture, Meetings, Interrupts) {
     let mut bench = Fixture::new(task);
     let (mut meetings, mut threads) = (Meetings::new(&bench.table, &bench.own), Interrupts::default());
@@ -58,7 +58,7 @@ fn whose_patience_ends_tells_the_others_and_who_was_missing() {
         assert!(due <= Instant(40));
         end = of_a.advance(&mut a.at(due), 0).and_then(|(_, ended)| Some((due, ended?)));
     }
-    // B owns the port: it is the first of its parties.
+    // B owns the port, so it is the first party.
     let gave_up = ended(Finished::GaveUp { port: LIFT, round: Round(1), missing: 1 });
     assert_eq!(end, Some((Instant(40), gave_up)));
     assert_eq!(a.packets().last().unwrap().kind, Kind::Abort);

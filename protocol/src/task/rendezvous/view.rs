@@ -1,4 +1,4 @@
-//! How a rendezvous looks from outside.
+//! A rendezvous as its task and a monitor see it.
 
 use super::{Member, Rendezvous};
 use crate::ids::{Round, TaskId};
@@ -9,7 +9,7 @@ use crate::ticks::Instant;
 use alloc::vec::Vec;
 
 impl Rendezvous {
-    /// The round that the task announced last: while it waits, the one that it waits in.
+    /// The round that the task announced last. While the task waits, it waits in this round.
     pub fn announced(&self) -> Round {
         self.announced
     }
@@ -19,17 +19,17 @@ impl Rendezvous {
         self.deadline.is_some()
     }
 
-    /// What another member brought to the round that this task left last; none where it was not heard there.
+    /// Another member's arguments in the round that this task left last; `None` if that member had not arrived.
     pub fn told(&self, port: &Port, of: TaskId) -> Option<[u8; 8]> {
         self.members.get(port.party_index(of)?)?.told
     }
 
-    /// What the task is doing while it waits here.
+    /// The state of the task while it waits here.
     pub fn state(&self, now: Instant) -> TaskState {
         TaskState::Waiting { port: self.port, round: self.announced, remaining: self.left(now) }
     }
 
-    /// How this rendezvous looks to a monitor.
+    /// This rendezvous as a monitor sees it.
     pub(super) fn view(&self, own: &Own, port: &Port) -> MeetingView {
         let waiting = self.deadline.is_some();
         let round = if waiting { self.announced } else { self.announced.next().fresher(self.fresh) };

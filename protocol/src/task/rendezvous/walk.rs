@@ -1,4 +1,4 @@
-//! The fields of a rendezvous.
+//! Visits the fields of a rendezvous, for the checker's packed states.
 
 use super::{Arrived, Meetings, Member, Rendezvous};
 use crate::ids::{PortId, Round};
@@ -10,7 +10,7 @@ use crate::ticks::{Instant, Ticks};
 
 impl Meetings {
     pub fn walk<W: Walk>(&mut self, table: &NodeTable, threads: &Interrupts, w: &mut W) {
-        // The order is rebuilt.
+        // Rebuilt below.
         let Self { list, next: _ } = self;
         list.iter_mut().for_each(|meeting| meeting.walk(table, threads.is_unread(meeting.port), w));
         if matches!(W::PASS, Pass::Decode | Pass::Change) {
@@ -20,7 +20,7 @@ impl Meetings {
 }
 
 impl Rendezvous {
-    /// Walks it. `unread` says that its task has yet to read what the others told at the last one.
+    /// Visits a rendezvous. `unread`: the task has yet to read the members' arguments of the last meeting.
     pub(super) fn walk<W: Walk>(&mut self, table: &NodeTable, unread: bool, w: &mut W) {
         let Self {
             port,
@@ -102,14 +102,14 @@ impl Member {
         }
         w.known_life(life);
         if W::READS {
-            // Only the count of confirmations that are shown depends on it.
+            // Not packed: shown to monitors only.
             *confirmed = false;
         }
     }
 }
 
 impl Rendezvous {
-    /// Drops what can never matter again.
+    /// Drops dead state, so that equal futures have equal states.
     pub(super) fn bury(&mut self, now: Instant) {
         if !self.fresh.is_newer_than(self.announced) {
             self.fresh = self.announced;
@@ -119,7 +119,7 @@ impl Rendezvous {
             self.arguments = [0; 8];
         }
         let Self { announced, released, owes_confirm: owes, numbered, .. } = *self;
-        // An arrival counts in the round waited in and in fresher ones, and in the released one for an owed CONFIRM.
+        // Arrivals and bars count in the round waited in and in fresher rounds, and in the released one while a CONFIRM is owed.
         let counts = |round: Round| {
             !numbered
                 || round.is_newer_than(announced)
@@ -127,7 +127,7 @@ impl Rendezvous {
                 || (owes && released == Some(round))
         };
         for member in &mut self.members {
-            // Even when its patience has ended, a partner that came to this round was not the one that was missing.
+            // An arrival in this round counts even if its patience has ended: that member is not among the missing ones.
             let came = |a: &Arrived| numbered && waiting && a.round == announced;
             member.arrived = member.arrived.filter(|a| came(a) || (a.expires > now && counts(a.round)));
             if let Some(arrived) = &mut member.arrived {
@@ -142,14 +142,14 @@ impl Rendezvous {
 }
 
 impl Meetings {
-    /// Drops what can never matter again.
+    /// Drops dead state in all rendezvous.
     pub fn bury(&mut self, now: Instant) {
         for rendezvous in &mut self.list {
             rendezvous.bury(now);
         }
     }
 
-    /// Finds all places again.
+    /// Rebuilds the order.
     pub(super) fn touch_all(&mut self) {
         self.next.clear();
         (0..index(self.list.len())).for_each(|at| self.touch(at));

@@ -1,4 +1,4 @@
-//! Room for a message: the bounded_buffer (§5.1.1, D60), and what goes for another one.
+//! Admission of messages to the bounded_buffer, and eviction (§5.1.1, D60).
 
 use super::inbox::{Admission, Aged};
 use super::memory::Fate;
@@ -13,8 +13,9 @@ use crate::task::step::{Outbox, Step};
 use crate::ticks::{Instant, Ticks};
 
 impl Server {
-    /// A copy of a command that waits: what a link charges is only a bound (D20), so the one that has most time left says
-    /// best when the sender's wait ends. Of a long message the first whole copy counts.
+    /// Extends the deadline of a waiting command by a copy that has more time left. A link charges an upper bound, so the copy
+    /// with the most time left tells the end of the sender's wait best (D20). Of a long message only the first complete copy
+    /// counts.
     pub(super) fn prolong(&mut self, (inbox, source): Way, packet: &Packet, reserved: Ticks, now: Instant) {
         let sender_until = now + packet.remaining;
         let expires = sender_until - reserved;
@@ -31,7 +32,7 @@ impl Server {
         }
     }
 
-    /// On a port where the latest message counts: whether this one is it. The one it takes the place of goes.
+    /// Whether the newcomer is the latest message of its source, on a port that keeps only that. Drops the one it replaces.
     pub(super) fn supersedes(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -81,7 +82,7 @@ impl Server {
         }
     }
 
-    /// D21: the source of a refused command hears of it at once, and again for every copy (D52).
+    /// Tells the source of a refused command at once (D21). Every copy gets the same answer (D52).
     fn refuse(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -95,8 +96,8 @@ impl Server {
         step.out.transmit(mapping::control(to, step.own.task, Control::Refused, life));
     }
 
-    /// Whether a message comes from the present life of its source. What an earlier life left waiting goes with the
-    /// memory of it: nobody waits for its answer.
+    /// Whether a message is from the present incarnation of its source. A new incarnation clears the dedup entries of
+    /// the earlier one, and drops its waiting commands, because nobody waits for their answers.
     pub(super) fn enter_life(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -121,7 +122,8 @@ impl Server {
         true
     }
 
-    /// The source has one outstanding request on a port: a newer command means that it gave the held one up (D12).
+    /// Drops the waiting command of a source that sends a newer one: with one outstanding request per port, it has given the
+    /// older one up (D12).
     pub(super) fn withdraw_superseded(&mut self, step: &mut Step<'_, impl Outbox>, (inbox, source): Way) {
         let entry = &self.inboxes[inbox].sources[source];
         let task = entry.task;

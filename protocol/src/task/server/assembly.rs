@@ -1,5 +1,5 @@
-//! Messages of several packets (D28): whole before their one deadline or not at all. A stage that the ports without such
-//! messages do not have.
+//! Reassembly of messages of several packets: complete before their one deadline, or dropped. Ports whose messages
+//! take one packet skip this stage (D28).
 
 use super::{Server, Way};
 use crate::ids::{MessageId, PortId, TaskId};
@@ -10,8 +10,8 @@ use crate::task::step::{Outbox, Step};
 use crate::ticks::Ticks;
 
 impl Server {
-    /// One of several packets of a message. Returns the message once it is whole, as one packet with the least life of
-    /// all. Of each life the way back is `reserved`, so that what is held here has time left to be answered (D18).
+    /// Adds a fragment. Returns the message once it is complete, as one packet with the least remaining time of all fragments.
+    /// The link delay of the reply is `reserved`: a message expires here once its answer could not arrive in time (D18).
     pub(super) fn assemble(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -53,7 +53,7 @@ impl Server {
         }
     }
 
-    /// A newer message of the source came: what is missing of an older one is not waited for any more.
+    /// A newer message of the source came: drops the fragments of an older incomplete one.
     pub(super) fn overtake(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -68,7 +68,7 @@ impl Server {
         }
     }
 
-    /// Drops the assemblies of a port whose deadline has come.
+    /// Drops the incomplete messages of a port that have expired.
     pub(super) fn discard_incomplete(&mut self, step: &mut Step<'_, impl Outbox>, inbox: usize) {
         for at in 0..self.inboxes[inbox].sources.len() {
             let entry = &mut self.inboxes[inbox];

@@ -1,4 +1,4 @@
-//! What holds of a server between two inputs.
+//! The invariants of a server between two inputs.
 
 use super::Server;
 use super::inbox::{Aged, Held, Inbox};
@@ -13,7 +13,7 @@ use crate::task::violation::Violation;
 use crate::ticks::{Instant, Ticks};
 
 impl Server {
-    /// `open`: whether the running thread can be interrupted.
+    /// Checks all inboxes and the ready set. `open`: whether the running activation can be interrupted.
     ///
     /// # Errors
     /// The first violation found.
@@ -30,7 +30,7 @@ impl Inbox {
         if self.queue.len() > usize::from(port.decl.bounded_buffer) {
             return Err(Violation::Overfull(self.port));
         }
-        // The variants lengthen lives where a message waits: it outlives what its sender, and the memory, think of it.
+        // Some variants extend the deadline of a waiting message, beyond its sender's wait and its dedup entry.
         let exact = table.rules().charge_residence && !port.decl.lengthens_lives();
         for (slot, held) in self.queue.iter() {
             let aged = self.queue.side(slot);
@@ -68,7 +68,7 @@ impl Inbox {
     }
 }
 
-/// How often and for how long a message was rejected (D58).
+/// Checks the number of rejections and the back-off (D58).
 fn check_rejections(
     table: &NodeTable,
     own: &Own,

@@ -1,4 +1,4 @@
-//! From a message that waits to its answer: GET, the delivery with its execution budget, REPLY (§5.2.1).
+//! From a waiting message to its answer: GET, delivery with the execution budget, and REPLY (§5.2.1).
 
 use super::inbox::Inbox;
 use super::memory::Fate;
@@ -16,7 +16,7 @@ use crate::task::step::{Outbox, Step};
 use crate::ticks::{Instant, Ticks};
 
 impl Server {
-    /// Takes out the most urgent message of what is asked for: of an inbox, or of all without a handler; of a source, or of
+    /// Removes and returns the most urgent message: of one inbox, or of all without a handler; of one source, or of
     /// any.
     pub fn next(
         &mut self,
@@ -26,14 +26,14 @@ impl Server {
     ) -> Option<(usize, Held)> {
         let (at, slot) = self.most_urgent(step.own, inbox, source)?;
         if inbox.is_none() && source.is_none() && step.table.rules().aging != Aging::Off {
-            // All other ports without a handler were passed over.
+            // This GET bypasses all other ports without a handler.
             self.served += 1;
         }
         Some((at, self.take(step.own, at, slot)?))
     }
 
-    /// D14: a GET chooses among port heads: first one that was passed over too often (D58); then by urgency, class,
-    /// `order`, port, source and arrival. Ports with a handler are not looked at unless they are named.
+    /// Chooses the message for a GET. Over all ports, one that was bypassed too often goes first (D58); then urgency,
+    /// class, `order`, port, source and arrival decide. Ports with a handler are served only if they are named (D14).
     fn most_urgent(&self, own: &Own, inbox: Option<u16>, source: Option<TaskId>) -> Option<(usize, Slot)> {
         let head = |at: usize| self.inboxes.get(at)?.head(source).map(|(slot, _)| (at, slot));
         if let Some(inbox) = inbox {
@@ -51,7 +51,7 @@ impl Server {
         heads.min_by_key(|&(key, _)| key).map(|(_, place)| place)
     }
 
-    /// Takes a message out of a port's buffer to hand it over.
+    /// Removes a message from a port's buffer to deliver it.
     pub fn take(&mut self, own: &Own, inbox: usize, slot: Slot) -> Option<Held> {
         let entry = &mut self.inboxes[inbox];
         let held = entry.queue.remove(slot)?;
@@ -65,7 +65,7 @@ impl Server {
         Some(held)
     }
 
-    /// As [`take`](Self::take), of a message that was never stored.
+    /// Like [`take`](Self::take), for a message that was never stored.
     pub(super) fn take_assembled(&mut self, (inbox, source): Way, held: &Held) {
         self.taken.0 = Some(held.contents);
         if held.fragments < 2 {
@@ -76,12 +76,12 @@ impl Server {
         }
     }
 
-    /// Fragment `index` of the message the task took last; the first one is 0.
+    /// Fragment `index` of the message that the task took last; the first one is 0.
     pub fn fragment(&self, index: u8) -> Option<&Contents> {
         if index == 0 { self.taken.0.as_ref() } else { self.taken.1.get(index) }
     }
 
-    /// The task takes a message: from here on its execution budget runs.
+    /// Delivers a message to the task: its execution budget begins.
     pub fn deliver(&mut self, step: &mut Step<'_, impl Outbox>, inbox: usize, message: &Held) -> Delivery {
         let entry = &mut self.inboxes[inbox];
         let (port, endpoint) = (entry.port, entry.endpoint);
@@ -102,7 +102,7 @@ impl Server {
         }
     }
 
-    /// The task answers a message that it took: what is left of the wait of its sender.
+    /// Records the task's answer to a message. Returns the remaining time of the sender's wait.
     pub fn reply(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -124,13 +124,13 @@ impl Server {
         Ok(left)
     }
 
-    /// Whether a reply to this message would still go out.
+    /// Whether a reply to this message would still be sent.
     pub fn can_answer(&self, inbox: u16, to: &ReplyTo, now: Instant) -> bool {
         let inbox = &self.inboxes[usize::from(inbox)];
         inbox.source(to.source).is_some_and(|source| inbox.answerable(source, *to, now).is_ok())
     }
 
-    /// The message of a task that was taken at an inbox and not answered: one at most (D75).
+    /// The message of `task` that was taken at an inbox and is not answered; there is at most one (D75).
     pub fn owed(&self, inbox: u16, task: TaskId) -> Option<ReplyTo> {
         let inbox = self.inboxes.get(usize::from(inbox))?;
         let known = inbox.sources[inbox.source(task)?].command()?;
@@ -140,13 +140,13 @@ impl Server {
 }
 
 impl Inbox {
-    /// What is left of the wait of the sender of a message that can still be answered.
+    /// The remaining wait of the sender, if the message can still be answered.
     fn answerable(&self, source: usize, to: ReplyTo, now: Instant) -> Result<Ticks, Fault> {
-        // What is not remembered any more is over, and so is its sender's wait.
+        // If the dedup entry has ended, so has the sender's wait.
         let known = self.sources[source].command().filter(|c| c.until > now);
         let Some(remembered) = known else { return Err(Fault::Late) };
         if remembered.id != to.id {
-            // A newer message took the slot: its sender has given this one up.
+            // A newer command has replaced the entry: the sender has given this one up.
             let newer = remembered.id.sequence.is_newer_than(to.id.sequence);
             return Err(if newer { Fault::Late } else { Fault::NothingToAnswer });
         }
@@ -158,7 +158,7 @@ impl Inbox {
     }
 }
 
-/// Sends an answer, with what was staged for it.
+/// Sends an answer with its staged fragments.
 pub(crate) fn send_answer(
     step: &mut Step<'_, impl Outbox>,
     (port, place): (&Port, usize),

@@ -1,5 +1,5 @@
-//! Commands that are given under a lease (D61): those of an epoch that has passed are dropped. A stage that other ports do
-//! not have.
+//! Fencing of commands that are sent under a lease: those of a past epoch are dropped. Ports without a lease skip
+//! this stage (D61).
 
 use super::{Held, Server, Way, discard};
 use crate::observe::Reason;
@@ -12,8 +12,8 @@ use crate::task::step::{Outbox, Step};
 use crate::ticks::{Instant, Ticks};
 use serde::{Deserialize, Serialize};
 
-/// What a receiver of commands that are given under a lease remembers of the couple, whichever of its ports they come
-/// through: the newest epoch, for as long as commands of an older one may still arrive (D61).
+/// The newest epoch of a couple that this task has heard of, on any of the ports that the couple commands it through.
+/// Kept for as long as a command of an older epoch may arrive (D61).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) struct Guard {
     /// The couple's position in the cell.
@@ -27,8 +27,8 @@ impl Guard {
         Self { couple, epoch: 0, until: Instant::START }
     }
 
-    /// Whether a command of this epoch is taken. Whoever acted in an older epoch was fenced before the newer one began,
-    /// so what it sent is over by `until`.
+    /// Whether a command of this epoch is accepted. An older holder was fenced before the newer epoch began, so its
+    /// commands have expired by `until`.
     fn admit(&mut self, epoch: u8, now: Instant, until: Instant) -> bool {
         if self.until > now && is_newer_epoch(self.epoch, epoch) {
             return false;
@@ -37,7 +37,7 @@ impl Guard {
         true
     }
 
-    /// Forgets an epoch of which nothing can come any more.
+    /// Forgets an epoch of which no command can arrive any more.
     #[cfg(feature = "checker")]
     pub fn bury(&mut self, now: Instant) {
         if self.until <= now {
@@ -54,8 +54,8 @@ impl Guard {
 }
 
 impl Server {
-    /// What a message says under the lease of a couple, without its epoch; `None` where a newer one was heard of. With a newer
-    /// one goes what still waits of older ones.
+    /// Returns the contents of a message sent under a lease, without the epoch behind them. `None` if a newer epoch
+    /// is known. A new epoch drops all waiting commands of older ones.
     pub(super) fn within_epoch(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -83,7 +83,7 @@ impl Server {
         Some(Contents::new(bytes).unwrap_or_default())
     }
 
-    /// Drops what still waits of an epoch that has passed, on every port of the couple.
+    /// Drops the waiting commands of past epochs, on every port of the couple.
     fn drop_orders(&mut self, step: &mut Step<'_, impl Outbox>, couple: u8) {
         for inbox in 0..self.inboxes.len() {
             let port = self.inboxes[inbox].port;

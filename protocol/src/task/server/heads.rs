@@ -1,8 +1,8 @@
-//! The orders over a task's inboxes: which one is served next, and where time alone does something first (D108).
+//! The ready set: heaps over a task's inboxes, by which port is served next and where something is due next (D108).
 //!
-//! Each is a heap of positions. After every change of an inbox [`Server::touch`] finds its places again, so that a GET over
-//! all ports (§5.2.1) and [`CommTask::next_deadline`](crate::CommTask::next_deadline) look at the first ones only, however many
-//! ports there are.
+//! Each heap holds inbox positions. [`Server::touch`] restores their order after every change of an inbox. So a GET
+//! over all ports (§5.2.1) and [`CommTask::next_deadline`](crate::CommTask::next_deadline) look only at the roots,
+//! however many ports there are.
 
 use super::Server;
 use super::inbox::Inbox;
@@ -14,22 +14,21 @@ use crate::task::own::{Own, index};
 use crate::ticks::Instant;
 use serde::{Deserialize, Serialize};
 
-/// The orders.
+/// The heaps of the ready set.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Heads {
-    /// Of the ports without a handler where something waits: the most urgent head.
+    /// Non-empty ports without a handler, by the urgency of their head.
     urgent: Words,
-    /// Of the same: the one that has been passed over longest (D58).
+    /// The same ports, by how long they have been bypassed (D58).
     eldest: Words,
-    /// Of the ports with a handler where something waits: where something is to be offered next. There is room for it from
-    /// the task's first handler on.
+    /// Non-empty ports with a handler, by the next offer. Allocated with the task's first handler.
     offers: Words,
-    /// Of the ports with a handler, or with messages of several packets: where something expires next. Likewise, or from the
-    /// beginning where a message of several packets can come.
+    /// Ports with a handler or with messages of several packets, by the next expiry. Allocated with the first
+    /// handler, or from the start if messages may take several packets.
     ends: Words,
 }
 
-/// D14: what decides between the heads of two ports.
+/// The key that orders the heads of two ports (D14).
 fn urgency(inboxes: &[Inbox], order: &ServiceOrder, at: u16) -> (Instant, Class, u8, PortId) {
     let inbox = &inboxes[usize::from(at)];
     let head = inbox.queue.first();
@@ -38,7 +37,7 @@ fn urgency(inboxes: &[Inbox], order: &ServiceOrder, at: u16) -> (Instant, Class,
     })
 }
 
-/// Of ports that were passed over equally often the lower one goes first: not the more urgent one.
+/// The key that orders ports by bypasses. Ties go by class and then the lower port, not by urgency.
 fn age(inboxes: &[Inbox], at: u16) -> (u64, Class, PortId) {
     let inbox = &inboxes[usize::from(at)];
     let class = inbox.queue.first().map_or(Class::Status, |(_, held)| held.class);
@@ -65,7 +64,7 @@ impl Heads {
         }
     }
 
-    /// Makes room for ports with a handler.
+    /// Allocates the heaps that ports with a handler need.
     pub fn watch(&mut self, inboxes: &[Inbox]) {
         if self.offers.capacity() == 0 {
             self.offers = Words::new(index(inboxes.len()));
@@ -80,7 +79,7 @@ impl Heads {
         let head = inbox.queue.first().map(|(_, held)| held.expires);
         let open = head.filter(|_| !inbox.handled);
         self.urgent.set(at, open, |at| urgency(inboxes, order, at));
-        // Counts of messages served, ordered as instants are.
+        // The count takes the place of the instant in the heap.
         self.eldest.set(at, open.map(|_| Instant(inbox.since)), |at| age(inboxes, at));
         if self.offers.capacity() > 0 {
             let offered = head.filter(|_| inbox.handled).map(|_| inbox.queue.next_due());
@@ -93,12 +92,12 @@ impl Heads {
         }
     }
 
-    /// Whether nothing of a port stands in any order.
+    /// Whether the inbox is in no heap. Conservative once `offers` or `ends` is allocated.
     fn is_without(&self, at: u16) -> bool {
         !self.urgent.has(at) && self.offers.capacity() == 0 && self.ends.capacity() == 0
     }
 
-    /// Whether a state that was read has orders over so many inboxes.
+    /// Validates deserialised heaps: their capacities fit the number of inboxes.
     pub fn is_whole(&self, inboxes: usize) -> bool {
         let Self { urgent, eldest, offers, ends } = self;
         urgent.is_whole(inboxes)
@@ -106,7 +105,7 @@ impl Heads {
             && [offers, ends].into_iter().all(|order| order.is_whole(inboxes) || order.is_whole(0))
     }
 
-    /// The first port where an order is not what a look at all of them says.
+    /// The first port for which a heap disagrees with a scan of all inboxes.
     pub fn out_of_order(&self, inboxes: &[Inbox], order: &ServiceOrder) -> Option<PortId> {
         let is = |at: u16, inbox: &Inbox| {
             let waits = inbox.queue.len() > 0;
@@ -135,7 +134,7 @@ impl Heads {
 }
 
 impl Server {
-    /// Something changed in an inbox.
+    /// Restores the heaps after a change of an inbox.
     pub(super) fn touch(&mut self, own: &Own, inbox: usize) {
         let at = index(inbox);
         if self.inboxes[inbox].queue.len() > 0 || !self.heads.is_without(at) {
@@ -143,7 +142,7 @@ impl Server {
         }
     }
 
-    /// Everything may have changed.
+    /// Rebuilds the heaps after any inboxes changed.
     pub(super) fn touch_all(&mut self, own: &Own) {
         let Self { heads, inboxes, .. } = self;
         for words in [&mut heads.urgent, &mut heads.eldest, &mut heads.offers, &mut heads.ends] {
@@ -152,8 +151,8 @@ impl Server {
         (0..index(inboxes.len())).for_each(|at| heads.touch(inboxes, &own.order, at));
     }
 
-    /// The inbox without a handler that a GET over all ports takes from (D14): one that was passed over too often, the longest
-    /// first (D58), else that with the most urgent head.
+    /// The inbox without a handler that a GET over all ports serves (D14). A port that was bypassed too often goes
+    /// first, the longest bypassed before others (D58); then the one with the most urgent head.
     pub(super) fn next_served(&self, own: &Own) -> Option<usize> {
         let eldest = self.heads.eldest.first().map(usize::from);
         let limit = own.bypass_limit();
@@ -162,30 +161,30 @@ impl Server {
             .or_else(|| self.heads.urgent.first().map(usize::from))
     }
 
-    /// When the first rejected message is to be offered again, whoever could be interrupted.
+    /// The next instant at which a message for a handler is due to be offered, whether or not it can be then.
     pub fn next_offer(&self) -> Instant {
         self.heads.offers.first_instant(|at| next_due(&self.inboxes, at).0)
     }
 
-    /// Whether something waits on a port with a handler.
+    /// Whether a message waits on a port with a handler.
     pub fn has_offers(&self) -> bool {
         self.heads.offers.len() > 0
     }
 
-    /// An inbox where something has no time left.
+    /// An inbox where something has expired.
     pub(super) fn expired(&self, now: Instant) -> Option<usize> {
         let is_over = |&at: &usize| self.inboxes[at].due() <= now;
         let first = |order: &Words| order.first().map(usize::from).filter(is_over);
         first(&self.heads.urgent).or_else(|| first(&self.heads.ends))
     }
 
-    /// Whether nothing waits, and no fragments do.
+    /// Whether no message waits, and no incomplete one.
     pub fn is_empty(&self) -> bool {
         let Heads { urgent, eldest: _, offers, ends } = &self.heads;
         urgent.len() + offers.len() + ends.len() == 0
     }
 
-    /// When time alone makes something expire.
+    /// The next instant at which something expires.
     pub fn next_end(&self) -> Instant {
         let first = |order: &Words| order.first_instant(|at| self.inboxes[usize::from(at)].due());
         first(&self.heads.urgent).min(first(&self.heads.ends))

@@ -1,4 +1,4 @@
-//! The receiving end of a port at its task: the bounded_buffer (§5.1.1) and the memory of what was taken.
+//! The receiver's state of one port: the bounded_buffer (§5.1.1) and the dedup entries of its sources.
 
 use super::memory::{Fate, Memory, Source};
 use crate::cell::PortDecl;
@@ -20,35 +20,35 @@ pub(crate) struct Held {
     pub incarnation: Incarnation,
     pub sequence: Seq24,
     pub class: Class,
-    /// When its life here ends, on this task's counter; of a command, with the way back taken off (D18).
+    /// When the remaining time ends, on this task's clock. For a command the link delay of the reply is subtracted (D18).
     pub expires: Instant,
     pub contents: Contents,
-    /// How many packets it takes; those after the first one lie in the inbox (D28).
+    /// The number of fragments. The inbox stores those after the first one (D28).
     pub fragments: u8,
-    /// Numbers the messages of the task as they were stored. In a state that was read back only the order among those of one
-    /// source on one port holds.
+    /// Numbers the task's messages in the order of storing. In a decoded state, only the order among messages of one
+    /// source on one port is meaningful.
     pub arrival: u64,
 }
 
 impl Held {
-    /// Its id. The parts of it take the room that alignment leaves between others.
+    /// The message id. Its fields are stored separately, because they fit into the padding.
     pub const fn id(&self) -> MessageId {
         MessageId { incarnation: self.incarnation, sequence: self.sequence }
     }
 }
 
-/// What a waiting message has been through on a port with a handler.
+/// The retry state of a waiting message, on a port with a handler.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Aged {
-    /// How often it was rejected by rank, while that counts (D58), and which rejection was the first.
+    /// The number of rejections by rank, up to the cap, and the number of the round with the first one (D58).
     pub rejections: u8,
     pub rejected_first: u64,
-    /// Before this instant it is not offered again.
+    /// The message is not offered again before this instant.
     pub not_before: Instant,
 }
 
-/// The order of service within a port (D14): least time_out first, then commands, then the lower source, then the earlier
-/// arrival. The order among ports is the user layer's.
+/// The order of service within a port: earliest deadline, then commands, then the lower source, then the earlier
+/// arrival. The order among ports is the server's (D14).
 impl Entry for Held {
     type Side = Aged;
 
@@ -63,45 +63,45 @@ impl Entry for Held {
         aged.not_before
     }
 
-    /// All messages of a port are of one class.
+    /// Never: all messages of a port have the same class.
     fn yields(&self) -> bool {
         false
     }
 }
 
-/// The receiving end of a port.
+/// An inbox: the receiver's state of one port.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Inbox {
     pub port: PortId,
-    /// Where the port stands among the task's own.
+    /// The position of the port's endpoint.
     pub endpoint: u16,
     pub queue: Queue<Held>,
-    /// Whether the task has a handler for its messages (D15).
+    /// Whether the task has a handler for messages of this port (D15).
     pub handled: bool,
-    /// Whether a message takes the place of the one of the same source that still waits.
+    /// Whether a message replaces the waiting one of the same source.
     pub latest: bool,
-    /// Since which GET over all ports this one has had something to offer, or was not served itself; of one with a handler:
-    /// how often others were served meanwhile (D58).
+    /// Without a handler: the count of GETs over all ports when the port became non-empty or was last served. With a
+    /// handler: how often other ports were served since (D58).
     pub since: u64,
-    /// What is remembered of each task that may send here, ascending.
+    /// The dedup entries per source, ascending by task.
     pub sources: Box<[Source]>,
-    /// Room for several packets (D28), where the port's format needs it.
+    /// Storage for fragments after the first, if the port's format needs any (D28).
     pub long: Option<Box<Long>>,
 }
 
-/// Messages and answers of several packets.
+/// Storage for messages and answers of several fragments.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Long {
-    /// For each slot of the queue, what comes after the first packet; none where a message takes one.
+    /// For each slot of the queue, the fragments after the first. Empty if messages take one packet.
     bodies: Box<[Parts]>,
-    /// For each source, a message that is not whole yet. Likewise.
+    /// For each source, an incomplete message. Empty if messages take one packet.
     pub assemblies: Box<[Assembly]>,
-    /// For each source, what comes after the first packet of its answer.
+    /// For each source, the fragments of its answer after the first.
     pub answers: Box<[Parts]>,
 }
 
 impl Long {
-    /// Keeps what came after the first packet of a whole message beside the slot that has it.
+    /// Moves the fragments of a complete message to the slot where it waits.
     pub fn keep(&mut self, (slot, source): (Slot, usize), have: u16) {
         let from = self.assemblies.get(source);
         if let (Some(body), Some(assembly)) = (self.bodies.get_mut(usize::from(slot)), from) {
@@ -109,7 +109,7 @@ impl Long {
         }
     }
 
-    /// Whether it has the room that another has.
+    /// Whether it has the capacities of `other`.
     fn is_like(&self, other: &Self) -> bool {
         are_alike(&self.bodies, &other.bodies, Parts::has_room_of)
             && are_alike(&self.answers, &other.answers, Parts::has_room_of)
@@ -129,14 +129,14 @@ impl Long {
     }
 }
 
-/// What happened to a message offered to a full buffer.
+/// The result of offering a message to the buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Admission {
-    /// It is in, in this slot.
+    /// The message is stored in this slot.
     Kept(Slot),
-    /// It is in, and this one went for it.
+    /// The message is stored in this slot, and the other one was evicted for it.
     Replaced(Slot, Held),
-    /// It is not in.
+    /// The message was refused.
     Turned,
 }
 
@@ -157,8 +157,8 @@ impl Inbox {
         }
     }
 
-    /// What became of a command of a source, where it is the one that is remembered. Returns the place of the source, if it
-    /// is one of the port's.
+    /// Sets the status of a command, if the dedup entry of its source is about it. Returns the position of the
+    /// source, if it belongs to the port.
     pub fn settle(&mut self, source: TaskId, id: MessageId, fate: Fate) -> Option<usize> {
         let at = self.source(source)?;
         if let Some(remembered) = self.sources[at].command_mut()
@@ -169,7 +169,7 @@ impl Inbox {
         Some(at)
     }
 
-    /// Whether a state that was read has the port of a new one, its sources and its room.
+    /// Validates a deserialised inbox: its port, sources and capacities are those of a new one.
     pub fn is_like(&self, new: &Self) -> bool {
         let long = match (&self.long, &new.long) {
             (Some(read), Some(new)) => read.is_like(new),
@@ -186,12 +186,12 @@ impl Inbox {
             && long
     }
 
-    /// Whether messages of several packets can come.
+    /// Whether messages of this port may take several packets.
     pub fn is_long(&self) -> bool {
         self.long.as_ref().is_some_and(|long| !long.assemblies.is_empty())
     }
 
-    /// What comes after the first packet of the message in a slot, where there is room for it.
+    /// The fragments after the first of the message in a slot, if the port stores any.
     pub fn body(&self, slot: Slot) -> Option<&Parts> {
         self.long.as_ref()?.bodies.get(usize::from(slot))
     }
@@ -202,7 +202,7 @@ impl Inbox {
         self.long.as_mut()?.bodies.get_mut(usize::from(slot))
     }
 
-    /// The message of several packets that comes from a source, where one can.
+    /// The incomplete message of a source, if messages may take several packets.
     pub fn assembly(&self, source: usize) -> Option<&Assembly> {
         self.long.as_ref()?.assemblies.get(source)
     }
@@ -212,12 +212,12 @@ impl Inbox {
         self.long.as_mut()?.assemblies.get_mut(source)
     }
 
-    /// Forgets the fragments of a message. Whether there were some.
+    /// Drops the fragments of a message; true if there were any.
     pub fn close(&mut self, source: usize, id: MessageId) -> bool {
         self.assembly_mut(source).is_some_and(|assembly| assembly.close(id))
     }
 
-    /// What comes after the first packet of the answer to a source, where something can.
+    /// The fragments after the first of the answer to a source, if answers may have any.
     pub fn answer(&self, source: usize) -> Option<&Parts> {
         self.long.as_ref()?.answers.get(source)
     }
@@ -227,7 +227,7 @@ impl Inbox {
         self.long.as_mut()?.answers.get_mut(source)
     }
 
-    /// A source's node has a new life: nothing that the earlier one sent matters any more.
+    /// Forgets a source's earlier incarnation: the dedup entry and an incomplete message.
     pub fn forget(&mut self, source: usize) {
         self.sources[source].forget();
         if let Some(assembly) = self.assembly_mut(source) {
@@ -235,8 +235,8 @@ impl Inbox {
         }
     }
 
-    /// How many others were served since this port had something to offer, or was served itself (D58). `served` is the number
-    /// of GETs over all ports that were.
+    /// How often other ports were served since this port became non-empty or was last served. `served` is the number
+    /// of GETs over all ports (D58).
     pub fn bypassed(&self, served: u64) -> u16 {
         let times = match (self.queue.len(), self.handled) {
             (0, _) => 0,
@@ -246,25 +246,25 @@ impl Inbox {
         u16::try_from(times).unwrap_or(u16::MAX)
     }
 
-    /// It has something to offer from now on, or was served.
+    /// Restarts the count of bypasses: the port became non-empty, or was served.
     pub fn begin(&mut self, served: u64) {
         self.since = if self.handled { 0 } else { served };
     }
 
-    /// Where the memory of a source stands.
+    /// The position of a source.
     pub fn source(&self, task: TaskId) -> Option<usize> {
         self.sources.binary_search_by_key(&task, |source| source.task).ok()
     }
 
-    /// When time alone makes something of this port expire.
+    /// The next instant at which a message or an incomplete one expires.
     pub fn due(&self) -> Instant {
         let first = self.queue.first().map_or(Instant::NEVER, |(_, held)| held.expires);
         let Some(long) = &self.long else { return first };
         long.assemblies.iter().filter(|a| a.is_open()).map(|a| a.expires).fold(first, Instant::min)
     }
 
-    /// Offers a message (D60): of status messages the one with most time left goes, the newcomer included; a command
-    /// is turned away unless it is more urgent than the least urgent one held.
+    /// Stores a message. A full buffer evicts its least urgent message if the newcomer is more urgent; otherwise the
+    /// newcomer is refused (D60).
     ///
     /// `served`: see [`bypassed`](Self::bypassed).
     pub fn admit(&mut self, held: Held, aged: Aged, served: u64) -> Admission {
@@ -287,7 +287,7 @@ impl Inbox {
         }
     }
 
-    /// The most urgent message, of any source at once or of one: that is looked for.
+    /// The most urgent message, or the most urgent one of a source. The latter takes a linear search.
     pub fn head(&self, source: Option<TaskId>) -> Option<(Slot, &Held)> {
         match source {
             None => self.queue.first(),
@@ -298,20 +298,20 @@ impl Inbox {
         }
     }
 
-    /// The message of a source that waits, if one does: where at most one of each can. It is looked for among as many
-    /// messages as there are sources.
+    /// The waiting message of a source, on ports where each source has at most one. A linear search, over at most as
+    /// many messages as there are sources.
     pub fn of_source(&self, source: TaskId) -> Option<(Slot, &Held)> {
         self.queue.iter().find(|(_, held)| held.source == source)
     }
 
-    /// Where a command waits. It is looked for likewise: of each source at most one waits (D75). Only a variant lets one wait
-    /// that was forgotten, so that it can come again (no residence, the literal penalty, no memory): then the later one is meant.
+    /// The slot of a waiting command. A linear search: each source has at most one waiting command (D75). Variants that forget
+    /// early (no residence, the literal penalty, no memory) may queue a command twice: then the later copy counts.
     pub fn find(&self, source: TaskId, id: MessageId) -> Option<Slot> {
         let alike = self.queue.iter().filter(|(_, held)| held.source == source && held.id() == id);
         alike.max_by_key(|(_, held)| held.arrival).map(|(slot, _)| slot)
     }
 
-    /// Takes out a message by its source and id.
+    /// Removes a command by its source and id.
     pub fn withdraw(&mut self, source: TaskId, id: MessageId) -> Option<Held> {
         let slot = self.find(source, id)?;
         self.queue.remove(slot)
@@ -323,8 +323,8 @@ mod tests {
     use super::*;
     use crate::task::own::Endpoint;
 
-    /// What a port of one source takes at its receiver, whatever its class, with room for one message; two words of eight
-    /// bytes and their places stand in the orders over the ports.
+    /// The receiver's memory of an idle port with one source and room for one message, in either class. The heaps of
+    /// the ready set take two words and two positions of it.
     #[test]
     fn an_idle_port_takes_at_most_256_bytes() {
         let orders = 2 * (size_of::<u64>() + size_of::<u16>());

@@ -1,4 +1,4 @@
-//! What a communication task remembers of the messages it took, so that none is executed twice (D6, D52).
+//! Duplicate detection: what a receiver remembers of messages, so that none is executed twice (D6, D52).
 
 use crate::cell::PortDecl;
 use crate::ids::{MessageId, Seq24, TaskId};
@@ -6,15 +6,15 @@ use crate::packet::{Class, Contents};
 use crate::ticks::Instant;
 use serde::{Deserialize, Serialize};
 
-/// What became of a class-2 message.
+/// The status of a received command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) enum Fate {
     /// It waits in the port's buffer.
     Held,
-    /// Its time ended in the buffer, before the task heard of it. A later copy may have more time left: what a link
-    /// charges is only a bound (D20). Nothing ran, so that copy is as good as the first.
+    /// It expired in the buffer, before the task took it. Nothing ran, so a later copy with time left is taken in as
+    /// new. A copy may have more time left, because a link charges only an upper bound (D20).
     Lapsed,
-    /// The task has it and has not answered. Its execution budget ends at this instant.
+    /// The task has taken it and not yet answered. Its execution budget ends at this instant.
     Delivered(Instant),
     /// It was refused; a copy is refused again.
     Refused,
@@ -22,34 +22,34 @@ pub(super) enum Fate {
     Answered(Contents),
 }
 
-/// The last class-2 message of one source on one port. One slot is enough: a task has at most one outstanding request on a
-/// port (D75).
+/// The dedup entry of the last command of one source on one port. One is enough, because a task has at most one
+/// outstanding request per port (D75).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) struct Remembered {
     pub id: MessageId,
     pub fate: Fate,
-    /// When the sender's wait ends at the latest, on this task's counter.
+    /// The latest end of the sender's wait, on this task's clock.
     pub sender_until: Instant,
-    /// When no copy can arrive any more: the life and the link bound have passed.
+    /// The entry's end: TTL and link delay have passed, so that no copy can arrive any more.
     pub until: Instant,
 }
 
-/// The class-1 messages of one source that were seen: the newest and the 64 numbers before it.
+/// A sliding window over the received class-1 messages of one source: the newest number and the 64 before it.
 ///
-/// A source numbers all that it sends, on whatever port and to whomever (D6): a send to `n` tasks takes `n` numbers. So a
-/// message that a later one of this port overtook is taken if the source sent at most 63 others in between; else it counts
-/// as seen. It is class 1: lost or not, it is not missed (R53, D75).
+/// A source numbers all its messages in one sequence, on all ports and to all receivers; a send to `n` tasks takes
+/// `n` numbers (D6). So an overtaken message is taken if the source sent at most 63 others in between, and dropped as
+/// a duplicate otherwise. Its class allows that loss (R53, D75).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) struct Window {
     pub newest: Option<Seq24>,
     /// Bit `i`: the message `i + 1` before the newest was seen.
     pub seen: u64,
-    /// When no copy of any of them can arrive any more: then they are forgotten, before their numbers come again (D6).
+    /// When no copy of any of them can arrive any more. Then the window is cleared, before sequence numbers repeat (D6).
     pub until: Instant,
 }
 
 impl Window {
-    /// Takes note of a message whose copies are gone by `until`; false where it was seen, or is too old to tell.
+    /// Records a message whose copies are gone by `until`; false if it is a duplicate or below the window.
     pub fn admit(&mut self, sequence: Seq24, now: Instant, until: Instant) -> bool {
         if self.until <= now {
             *self = Self::default();
@@ -60,7 +60,7 @@ impl Window {
         admitted
     }
 
-    /// Whether a message was seen, or is too old to tell.
+    /// Whether a message is a duplicate or below the window.
     pub fn has(&self, sequence: Seq24, now: Instant) -> bool {
         let newest = self.newest.filter(|_| self.until > now);
         newest.is_some_and(|newest| {
@@ -94,28 +94,28 @@ impl Window {
     }
 }
 
-/// Everything remembered of what one task sends on one port (D75).
+/// The duplicate detection for one source on one port (D75).
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Source {
     pub task: TaskId,
     pub memory: Memory,
 }
 
-/// As the port's class has it.
+/// Dedup state by the class of the port.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Memory {
     Command(Option<Remembered>),
     Status(Window),
 }
 
-/// How a class-2 message relates to what is remembered.
+/// The result of looking a message up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Seen {
-    /// Never seen, or only in copies whose time ended unheard.
+    /// New, or known only by copies that expired before the task took them.
     New,
-    /// A copy of a remembered message.
+    /// A copy of the command of the entry.
     Again(Fate),
-    /// Seen, or older than the last one: its sender has gone on.
+    /// A duplicate status message, or a command older than the entry's: its sender has gone on.
     Older,
 }
 
@@ -128,7 +128,7 @@ impl Source {
         Self { task, memory }
     }
 
-    /// What is remembered of its last class-2 message.
+    /// The dedup entry of its last command.
     pub fn command(&self) -> Option<&Remembered> {
         match &self.memory {
             Memory::Command(command) => command.as_ref(),
@@ -144,7 +144,7 @@ impl Source {
         }
     }
 
-    /// Remembers a class-2 message, or forgets it.
+    /// Sets or clears the dedup entry.
     pub fn remember(&mut self, new: Option<Remembered>) {
         match &mut self.memory {
             Memory::Command(command) => *command = new,
@@ -152,7 +152,7 @@ impl Source {
         }
     }
 
-    /// Takes note of a class-1 message whose copies are gone by `until`.
+    /// Records a class-1 message whose copies are gone by `until`.
     pub fn admit(&mut self, sequence: Seq24, now: Instant, until: Instant) {
         match &mut self.memory {
             Memory::Status(window) => {
@@ -162,7 +162,7 @@ impl Source {
         }
     }
 
-    /// The source's node has a new life: nothing that the earlier one sent matters any more.
+    /// Forgets the earlier incarnation of the source's node.
     pub fn forget(&mut self) {
         match &mut self.memory {
             Memory::Command(command) => *command = None,
@@ -170,7 +170,7 @@ impl Source {
         }
     }
 
-    /// Drops what can never matter again.
+    /// Clears what has ended by `now`.
     #[cfg(feature = "checker")]
     pub fn bury(&mut self, now: Instant) {
         match &mut self.memory {
@@ -180,11 +180,11 @@ impl Source {
         }
     }
 
-    /// Forgets the messages that were taken where no copy of them can come any more. `copies` are the numbers of those that
-    /// may still come.
+    /// Clears entries whose messages can have no further copies. `copies` gives the numbers of those that may still
+    /// come.
     #[cfg(feature = "checker")]
     pub fn bury_seen<I: Iterator<Item = Seq24>>(&mut self, copies: impl Fn() -> I) {
-        // One that is newer than all that was seen is taken, remembered or not.
+        // A copy newer than all received messages is taken in whether the entry exists or not.
         let may_come = |newest: Seq24| copies().any(|copy| !copy.is_newer_than(newest));
         match &mut self.memory {
             Memory::Command(command) => {
@@ -204,7 +204,7 @@ impl Source {
         }
     }
 
-    /// Looks a message of the present life up.
+    /// Looks up a message of the source's present incarnation.
     pub fn look_up(&self, id: MessageId, now: Instant) -> Seen {
         let command = match &self.memory {
             Memory::Status(window) if window.has(id.sequence, now) => return Seen::Older,
@@ -228,8 +228,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Against a set of everything seen: never admits twice, and admits everything new within the window,
-        /// wherever the sequence wraps.
+        /// Compares the window with a set of all received numbers. It admits no number twice, and every new one
+        /// within the window, wherever the sequence wraps.
         #[test]
         fn the_window_admits_each_message_once(base in 0..Seq24::MODULUS, offsets in proptest::collection::vec(0..200_u32, 1..80)) {
             let mut window = Window::default();

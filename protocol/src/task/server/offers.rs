@@ -1,4 +1,4 @@
-//! Messages for handlers (D16, D58): which of them goes first, and what becomes of those that have to wait.
+//! Messages for handlers: which one interrupts first, and how the others are rejected (D16, D58).
 
 use super::inbox::Aged;
 use super::{Held, Server};
@@ -13,7 +13,7 @@ use crate::task::own::Own;
 use crate::task::step::{Outbox, Step};
 use crate::ticks::Ticks;
 
-/// Whether a message may interrupt the running thread: each rejection has made it rank one level higher.
+/// Whether a message may interrupt the running activation. Each rejection has raised its rank by one.
 pub(super) fn outranks(
     table: &NodeTable,
     own: &Own,
@@ -28,7 +28,7 @@ pub(super) fn outranks(
 }
 
 impl Server {
-    /// The message that goes first among those that are due and may interrupt the running thread.
+    /// The message that goes first among those that are due and may interrupt the running activation.
     pub fn first_offer(&self, table: &NodeTable, own: &Own, threads: &Interrupts) -> Option<Offer> {
         let (limit, due_by) = (own.bypass_limit(), threads.due_by(own.now));
         let handled = self.inboxes.iter().enumerate().filter(|(_, inbox)| inbox.handled);
@@ -53,7 +53,7 @@ impl Server {
         offers.min()
     }
 
-    /// Ports whose offer was as good as any, but for their place in the order, were passed over (D58).
+    /// Counts a bypass for each other port that had a message due which may interrupt the running activation, too (D58).
     pub fn count_bypasses(&mut self, step: &Step<'_, impl Outbox>, threads: &Interrupts, first: What) {
         if step.table.rules().aging == Aging::Off {
             return;
@@ -71,7 +71,7 @@ impl Server {
         }
     }
 
-    /// Every message that is due and does not outrank the running thread is rejected (R16, D58).
+    /// Rejects every message that is due and does not outrank the running activation (R16, D58).
     pub fn reject_the_others(&mut self, step: &mut Step<'_, impl Outbox>, threads: &Interrupts) {
         let (due_by, round) = (threads.due_by(step.now()), self.rejections);
         for i in 0..self.inboxes.len() {
@@ -95,7 +95,7 @@ impl Server {
         }
     }
 
-    /// A message for a handler came in and does not outrank the running thread: it was offered before it is stored (R25).
+    /// Rejects a message on arrival: it was offered before it is stored, and does not outrank the running activation (R25).
     pub(super) fn reject_arrived(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -107,8 +107,8 @@ impl Server {
         self.rejections += 1;
     }
 
-    /// The task says what outranks what (D16). What was rejected so often that it outranks the thread does so under the new
-    /// order, too, and nothing counts for more than the new order's ranks: so no change of order takes a turn away (D58).
+    /// Applies a new `order`. A message that was capped stays capped, and other rejections count up to the new cap at
+    /// most. So no change of the order costs a message its turn (D16, D58).
     pub fn reorder(&mut self, own: &Own, old: &ServiceOrder) {
         for inbox in &mut self.inboxes {
             let port = inbox.port;
@@ -121,7 +121,7 @@ impl Server {
     }
 }
 
-/// The message does not outrank the running thread: it is offered again later, one level higher (D4, D58).
+/// Rejects a message: it is offered again after the penalty, one rank higher (D4, D58).
 fn reject(step: &mut Step<'_, impl Outbox>, port: PortId, (held, aged): (&mut Held, &mut Aged), round: u64) {
     let penalty = step.table.port(port).and_then(|port| port.decl.penalty);
     let length = penalty.map_or(step.table.cell().tick, |penalty| penalty.length);
@@ -129,7 +129,7 @@ fn reject(step: &mut Step<'_, impl Outbox>, port: PortId, (held, aged): (&mut He
     let left = held.expires - now;
     step.note(Event::Rejected, port, held.source, held.id(), left);
     if penalty.is_some_and(|penalty| penalty.literal) {
-        // The Appendix's `save`: the penalty lengthens the life that it makes less urgent.
+        // The Appendix's `save` adds the penalty to the deadline: less urgent, but with more time left.
         held.expires += length;
         aged.not_before = now + length.max(Ticks(1));
         return;

@@ -15,7 +15,7 @@ fn command(bench: &Fixture, remaining: Ticks) -> Packet {
     mapping::message(port, A, B, MessageId::default(), remaining, contents)
 }
 
-/// B, that hears a packet at 10 while its thread does something else.
+/// B receives a packet at 10, while its thread does not wait.
 fn hear(bench: &mut Fixture, server: &mut Server, threads: &Interrupts, packet: &Packet) -> Option<Arrival> {
     let table = bench.table.clone();
     let port = table.port(MOVE).unwrap();
@@ -74,7 +74,7 @@ fn what_has_no_time_left_is_dropped() {
     assert_eq!(bench.effects.observed.last().unwrap().event, Event::Discarded(Reason::ExpiredOnTheWay));
 }
 
-/// What `check` says after a fault was planted.
+/// The violation that `check` finds after a fault was planted.
 fn planted(fault: impl FnOnce(&mut Server)) -> Violation {
     let (bench, mut server) = holding();
     fault(&mut server);

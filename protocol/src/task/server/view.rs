@@ -1,4 +1,4 @@
-//! How what waits looks to a monitor.
+//! The waiting messages as a monitor sees them.
 
 use super::{Held, Server};
 use crate::observe::{HeldView, QueueEntry, QueueView};
@@ -9,19 +9,19 @@ use crate::ticks::{Instant, Ticks};
 use alloc::vec::Vec;
 
 impl Server {
-    /// How many messages wait at an inbox, and how long the most urgent one has left.
+    /// The number of waiting messages of an inbox, and the remaining time of the most urgent one.
     pub fn waiting(&self, inbox: u16, now: Instant) -> (u16, Option<Ticks>) {
         let queue = &self.inboxes[usize::from(inbox)].queue;
         (index(queue.len()), queue.first().map(|(_, held)| held.expires - now))
     }
 
-    /// What waits at an inbox, most urgent first, as far as `limit`.
+    /// The `limit` most urgent waiting messages of an inbox.
     pub fn entries(&self, inbox: u16, limit: usize, now: Instant) -> Vec<QueueEntry> {
         let waiting = self.inboxes[usize::from(inbox)].queue.sorted();
         waiting.iter().take(limit).map(|(_, held)| held.entry(now)).collect()
     }
 
-    /// The same with what decides about their order.
+    /// The same, with everything that decides their order.
     pub fn queue_view(&self, own: &Own, inbox: u16, limit: usize) -> QueueView {
         let inbox = &self.inboxes[usize::from(inbox)];
         let held = |(slot, held): &(Slot, &Held)| {

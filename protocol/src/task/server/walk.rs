@@ -1,4 +1,4 @@
-//! The fields of a port's receiving end.
+//! Visits the fields of a server, for the checker's packed states.
 
 use super::inbox::{Aged, Held, Inbox};
 use super::memory::{Fate, Memory, Remembered, Source, Window};
@@ -13,7 +13,7 @@ use crate::task::own::Own;
 use crate::ticks::Instant;
 use alloc::vec::Vec;
 
-/// The first byte of an inbox: how many messages wait, and what else there is.
+/// Layout of an inbox's first byte: the number of waiting messages, and flags.
 const WAITING: u8 = 0x3f;
 const BYPASSED: u8 = 0x40;
 const HANDLED: u8 = 0x80;
@@ -27,7 +27,7 @@ const FATES: [Option<Fate>; 6] = [
     Some(Fate::Lapsed),
 ];
 
-/// What the port's declaration leaves out of the bytes.
+/// Fields that the packed bytes contain only if the port's declaration needs them.
 #[derive(Clone, Copy)]
 struct Form {
     long: bool,
@@ -47,28 +47,28 @@ impl Form {
     }
 }
 
-/// Whether the order in which messages of one source arrived can matter once they wait: where the life of one that waits
-/// may become longer, it may become that of another, and then the earlier arrival goes first. The literal penalty (D4)
-/// lengthens lives, and so do copies of commands. But a copy does so only while the command is remembered, and where waiting
-/// costs life a remembered one waits alone: the next command of its source takes its place (D12).
+/// Whether the arrival order of one source's waiting messages can matter. It does only if a waiting deadline can be
+/// extended and so become equal to another: then the earlier arrival goes first. The literal penalty extends
+/// deadlines (D4), and so do copies of commands. A copy does so only while its dedup entry exists. Where waiting is
+/// charged, such a command waits alone: the next one of its source replaces it (D12).
 fn arrival_matters(table: &NodeTable, port: &Port) -> bool {
     port.decl.lengthens_lives() || (port.decl.class == Class::Command && !table.rules().charge_residence)
 }
 
-/// The numbers that only their order matters of.
+/// Counters of which only the relative order is packed.
 struct Counters<'a> {
     arrivals: &'a mut u64,
     rejections: &'a mut u64,
 }
 
-/// A message that waits, as it is written: with ranks in the place of numbers that grow for ever.
+/// A waiting message as it is packed, with ranks in place of ever-growing numbers.
 struct Waiting {
     slot: Slot,
     held: Held,
     aged: Aged,
 }
 
-/// What waits at an inbox, in the order of service.
+/// The waiting messages of an inbox in the order of service.
 fn waiting(inboxes: &[Inbox], form: Form, at: usize) -> Vec<Waiting> {
     let queue = &inboxes[at].queue;
     if queue.len() == 0 {
@@ -77,12 +77,12 @@ fn waiting(inboxes: &[Inbox], form: Form, at: usize) -> Vec<Waiting> {
     let ranked = |(slot, held): (Slot, &Held)| {
         let (mut held, mut aged) = (*held, queue.side(slot));
         if form.ranks_arrivals {
-            // Among those of its source that wait here.
+            // Its rank among the waiting messages of its source.
             let before = |other: &Held| other.source == held.source && other.arrival < held.arrival;
             held.arrival = queue.iter().filter(|(_, other)| before(other)).count() as u64;
         }
         if aged.rejections > 0 {
-            // Among all that wait for the task.
+            // Its rank among all waiting messages of the task.
             let queues = inboxes.iter().map(|inbox| &inbox.queue);
             let all = queues.flat_map(|queue| queue.iter().map(|(slot, _)| queue.side(slot)));
             let before = |other: &Aged| other.rejections > 0 && other.rejected_first < aged.rejected_first;
@@ -97,25 +97,25 @@ impl Server {
     pub(in crate::task) fn walk<W: Walk>(&mut self, table: &NodeTable, own: &Own, w: &mut W) {
         let Self {
             inboxes,
-            // Rebuilt from the inboxes, below.
+            // Rebuilt from the inboxes below.
             heads,
             served,
             arrivals,
             rejections,
-            // Walked apart, below.
+            // Visited by `walk_lives` and `walk_guards`.
             lives: _,
             guards: _,
-            // A thread has read it when the task is packed.
+            // Not packed: the task has read the message by then.
             taken,
-            // Empty between two inputs.
+            // Not packed: empty between two inputs.
             turned: _,
         } = self;
         if W::READS {
             taken.0 = None;
             taken.1.clear();
-            // These only number what comes: their order is in the ranks of what waits.
+            // New numbers count from here: the ranks of the waiting messages keep their order.
             (*arrivals, *rejections) = (0, 1);
-            // As if that many had been served: no port was passed over more often.
+            // At least as great as any packed count of bypasses.
             *served = u64::from(u8::MAX);
         }
         for at in 0..inboxes.len() {
@@ -145,7 +145,7 @@ impl Server {
 }
 
 impl Inbox {
-    /// Walks it. What waits is given where the pass does not change it.
+    /// Visits an inbox. `waiting` holds its messages, unless the pass fills or changes them.
     fn walk<W: Walk>(
         &mut self,
         form: Form,
@@ -207,7 +207,7 @@ impl Inbox {
         }
     }
 
-    /// Reads a message that waits.
+    /// Decodes a waiting message.
     fn take_in<W: Walk>(&mut self, form: Form, counters: &mut Counters<'_>, w: &mut W) {
         let (mut held, mut aged) = (Held::BLANK, Aged::default());
         held.walk(&mut aged, Instant::START, form, w);
@@ -260,7 +260,7 @@ impl Held {
             w.byte(rejections);
             rank(rejected_first, w);
         }
-        // One that is over counts as none.
+        // An instant that has passed is packed as none.
         if later || W::PASS == Pass::Change {
             w.instant(not_before);
         }
@@ -273,7 +273,7 @@ impl Held {
     }
 }
 
-/// A number that stands for its rank where a pass packs it.
+/// Visits a number that is packed as its rank.
 fn rank<W: Walk>(number: &mut u64, w: &mut W) {
     if W::PACKS {
         *number = w.count(usize::try_from(*number).unwrap_or(usize::MAX)) as u64;
@@ -340,7 +340,7 @@ fn walk_command<W: Walk>(
 }
 
 impl Server {
-    /// Drops what can never matter again.
+    /// Drops dead state: entries that have ended by `now`.
     pub fn bury(&mut self, now: Instant) {
         for guard in &mut self.guards {
             guard.bury(now);
@@ -352,8 +352,8 @@ impl Server {
         }
     }
 
-    /// Forgets the messages that were taken where no copy of them can come any more; `copies` are those that may still come
-    /// from a source on a port.
+    /// Clears dedup entries whose messages can have no further copies. `copies` gives those that may still come from
+    /// a source on a port.
     pub fn bury_seen<I: Iterator<Item = Seq24>>(&mut self, copies: impl Fn(PortId, TaskId) -> I) {
         for inbox in &mut self.inboxes {
             let port = inbox.port;
