@@ -1,4 +1,4 @@
-//! A counterexample as a sequence chart: what happened, in words, and who had a part in it.
+//! Counterexamples as sequence charts: what happened, in words, and at which tasks.
 
 mod draw;
 
@@ -13,7 +13,7 @@ use imrs_protocol::{Call, Control, Event, Kind, Observation, Outcome, Packet, Po
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// A shortest way to a violation.
+/// A shortest path to a violation.
 #[derive(Clone, Debug, Serialize)]
 pub struct Counterexample {
     /// How many steps it has.
@@ -31,11 +31,11 @@ pub enum Note {
     Event {
         /// Ticks since the start.
         tick: u32,
-        /// Where.
+        /// The lane.
         lane: usize,
-        /// What.
+        /// What happens.
         text: String,
-        /// The line of the cell's text that it belongs to, from 1.
+        /// The line of the cell's source text that it belongs to, from 1.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         line: Option<u32>,
     },
@@ -43,15 +43,15 @@ pub enum Note {
     Packet {
         /// Ticks since the start.
         tick: u32,
-        /// From this lane
+        /// The lane of the sender.
         from: usize,
-        /// to this one.
+        /// The lane of the receiver.
         to: usize,
-        /// What it is.
+        /// The packet in words.
         label: String,
-        /// What became of it, where it did not simply arrive.
+        /// What became of the packet; empty if it simply arrived.
         fate: String,
-        /// The line of the cell's text that sent it, from 1.
+        /// The line of the cell's source text that sent it, from 1.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         line: Option<u32>,
     },
@@ -59,7 +59,7 @@ pub enum Note {
     Remark {
         /// Ticks since the start.
         tick: u32,
-        /// What.
+        /// What happens.
         text: String,
     },
 }
@@ -71,7 +71,7 @@ impl Note {
         *tick
     }
 
-    /// The line of the cell's text that it belongs to.
+    /// The line of the cell's source text that it belongs to.
     pub(crate) const fn line(&self) -> Option<u32> {
         match self {
             Self::Event { line, .. } | Self::Packet { line, .. } => *line,
@@ -79,7 +79,7 @@ impl Note {
         }
     }
 
-    /// Adds what the cell's text says of it: its line, and values behind its words.
+    /// Adds what the cell's source text says of the note: its line, and values behind the words.
     pub(crate) fn explain(&mut self, of: Option<u32>, values: Option<&str>) {
         let (Self::Event { text, line, .. } | Self::Packet { label: text, line, .. }) = self else { return };
         *line = of;
@@ -89,7 +89,7 @@ impl Note {
         }
     }
 
-    /// The line in words, where the lanes have these names.
+    /// The note in words, with these names for the lanes.
     pub(crate) fn words(&self, names: &[String]) -> String {
         let name = |lane: usize| names.get(lane).map_or("?", String::as_str);
         match self {
@@ -103,7 +103,7 @@ impl Note {
     }
 }
 
-/// What became of a packet that did not simply arrive.
+/// Words for what became of a packet.
 fn fate_words(fate: &str) -> &str {
     match fate {
         "LOST" => "is LOST",
@@ -154,7 +154,7 @@ fn flight_of(world: &World, action: Action) -> Option<Flight> {
     }
 }
 
-/// One step from a packed state, drawn. Members have the places that the state gives them.
+/// Draws one step from a packed state. Members stand where the packed state has them.
 pub(crate) fn one_step(scenario: &Arc<Scenario>, state: &Packed, action: Action) -> Pen {
     let (mut pen, mut world) = (pen(scenario), World::new(scenario));
     world.load(state, None);
@@ -166,8 +166,8 @@ pub(crate) fn one_step(scenario: &Arc<Scenario>, state: &Packed, action: Action)
     pen
 }
 
-/// The step of `world` whose canonical result is `target`. States on a path name members by their sorted position; the
-/// chart must keep everybody's name, so the path is walked again with the names kept.
+/// The step of `world` whose canonical result is `target`. States on a path have their members sorted, but a chart
+/// must keep each member's name: so the path is walked again without sorting.
 fn concrete_step(world: &World, target: &Packed) -> Option<(Action, World)> {
     let mut actions = Vec::new();
     world.actions(&mut actions);
@@ -184,14 +184,14 @@ fn concrete_step(world: &World, target: &Packed) -> Option<(Action, World)> {
     })
 }
 
-/// Takes down what happens, one lane for each name.
+/// Records what happens as notes, with a lane for each name.
 pub(crate) struct Pen {
     names: Vec<String>,
-    /// The names of the ports, by port; empty where a port says nothing.
+    /// Names of the ports, by port; empty if notes name no ports.
     ports: Vec<String>,
-    /// The names of each task's timers; empty where they have none.
+    /// Names of each task's timers, by task; empty if notes name no timers.
     timers: Vec<Vec<String>>,
-    /// What was drawn.
+    /// The notes recorded so far.
     pub notes: Vec<Note>,
 }
 
@@ -200,12 +200,12 @@ impl Pen {
         Self { names, ports: Vec::new(), timers: Vec::new(), notes: Vec::new() }
     }
 
-    /// Says which port each message is on, and which timer of its task ends.
+    /// Lets notes name the port of each message and the timer that ends.
     pub fn naming(self, ports: Vec<String>, timers: Vec<Vec<String>>) -> Self {
         Self { ports, timers, ..self }
     }
 
-    /// Whose lanes are drawn.
+    /// The names of the lanes.
     pub fn names(&self) -> &[String] {
         &self.names
     }
@@ -215,7 +215,7 @@ impl Pen {
         &self.ports
     }
 
-    /// Something happens at a lane. What is said twice in a row is said once.
+    /// Adds an event at a lane. An event that repeats the last note is left out.
     pub fn event(&mut self, tick: u32, lane: usize, text: &str) {
         let same = |note: &Note| matches!(note, Note::Event { tick: t, lane: l, text: x, .. } if (*t, *l, &x[..]) == (tick, lane, text));
         if !self.notes.last().is_some_and(same) {
@@ -223,7 +223,7 @@ impl Pen {
         }
     }
 
-    /// A packet between two lanes.
+    /// Adds a packet between two lanes.
     pub fn arrow(&mut self, tick: u32, (from, to): (usize, usize), packet: &Packet, fate: &str) {
         let label = label(packet, &self.ports);
         self.notes.push(Note::Packet { tick, from, to, label, fate: fate.into(), line: None });
@@ -256,7 +256,7 @@ impl Pen {
         }
     }
 
-    /// What a step showed about a task.
+    /// Adds what a step showed of a task.
     pub fn shown(&mut self, tick: u32, lane: usize, shown: &Shown) {
         let text = match shown {
             Shown::Seen(seen) => self.told(seen),
@@ -312,7 +312,7 @@ impl Pen {
     }
 }
 
-/// A message or a round of a port: with the port's name, where it has one.
+/// A message or a round, with the name of its port if ports have names.
 fn named(port: PortId, ports: &[String], what: std::fmt::Arguments<'_>) -> String {
     match ports.get(port.index()) {
         Some(name) => format!("{name} {what}"),
@@ -320,7 +320,7 @@ fn named(port: PortId, ports: &[String], what: std::fmt::Arguments<'_>) -> Strin
     }
 }
 
-/// A packet in a word, with the port that it is for, where ports have names, and its number.
+/// A packet in words: its kind, its port if ports have names, and its number.
 pub(crate) fn label(packet: &Packet, ports: &[String]) -> String {
     let number = packet.id.sequence.get();
     let message = |kind: &str| format!("{kind} {}", named(packet.port, ports, format_args!("#{number}")));
@@ -345,7 +345,7 @@ pub(crate) fn label(packet: &Packet, ports: &[String]) -> String {
     }
 }
 
-/// An answer to a task, whose timers have these names.
+/// A signal to a task, in words; `None` if charts leave it out.
 fn said(signal: &Signal, ports: &[String], timers: &[String]) -> Option<String> {
     match signal {
         Signal::Outcome(Outcome::Reply(_)) => Some("gets the answer".into()),
@@ -359,7 +359,7 @@ fn said(signal: &Signal, ports: &[String], timers: &[String]) -> Option<String> 
             Some(name) => format!("timer {name} ends, its handler runs"),
             None => "a timer ends, its handler runs".into(),
         }),
-        // What fences it, or makes it take over, is said just before.
+        // The event before it says that the task is fenced or takes over.
         Signal::Interrupt(Call::Fenced | Call::TakeOver(_)) => Some("is interrupted".into()),
         Signal::Fault(fault) => Some(format!("is told: {fault}")),
         _ => None,

@@ -1,4 +1,4 @@
-//! The claims: for each sentence that the paper or a decision asserts, the worlds that settle it. A claim holds under
+//! The claims: sentences of the paper or of a decision, with the state spaces that settle them. A claim holds under
 //! the default rules, and fails, with its shortest counterexample, under each named variant.
 
 mod commands;
@@ -24,36 +24,36 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// What to verify, and with how much.
+/// What to verify, and with which resources.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// The large bounds.
+    /// Whether to take the large bounds.
     pub full: bool,
-    /// One claim only.
+    /// The only claim to settle; `None`: all.
     pub claim: Option<String>,
-    /// How many claims at the same time.
+    /// How many claims to settle at the same time.
     pub jobs: usize,
-    /// Resident memory of the process at most, in bytes.
+    /// Most resident memory of the process, in bytes.
     pub memory: u64,
 }
 
-/// Hears how the work goes on, from several threads.
+/// Receives progress, from several threads.
 pub trait Progress: Sync {
     /// A claim begins.
     fn started(&self, name: &str, rule: &str, parties: u32) {
         let _ = (name, rule, parties);
     }
-    /// It has looked at so many states so far.
+    /// The claim has explored this many states so far.
     fn states(&self, name: &str, states: u64) {
         let _ = (name, states);
     }
-    /// It is settled.
+    /// A claim is settled.
     fn finished(&self, verdict: &Verdict) {
         let _ = verdict;
     }
 }
 
-/// No word of progress.
+/// Ignores progress.
 #[derive(Clone, Copy, Debug)]
 pub struct Silent;
 
@@ -71,19 +71,19 @@ pub(crate) struct Claim {
     pub settle: Box<dyn Fn(&mut Work<'_>) -> Settled + Send + Sync>,
 }
 
-/// What settling a claim came to.
+/// The result of settling a claim.
 pub(crate) struct Settled {
     pub outcome: Outcome,
     pub bounds: Bounds,
     pub found: Found,
     pub counterexample: Option<Counterexample>,
-    /// Whether what was searched for was found.
+    /// Whether the claim's own checks passed: numbers were found, and it does not hold vacuously.
     pub sound: bool,
-    /// A variant that was settled on the way and must fail.
+    /// A variant that the same search settled, and that must fail.
     pub variant: Option<Box<Variant>>,
 }
 
-/// A variant settled in the course of another claim.
+/// A variant that another claim's search settles.
 pub(crate) struct Variant {
     pub rule: &'static str,
     pub about: &'static str,
@@ -91,7 +91,7 @@ pub(crate) struct Variant {
     pub counts: Counts,
 }
 
-/// How much was looked at.
+/// How much was explored.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Counts {
     states: u64,
@@ -116,16 +116,16 @@ impl Counts {
     }
 }
 
-/// A world that a claim explores.
+/// A state space that a claim explores.
 #[derive(Clone, Debug)]
 pub(crate) enum Explored {
     World(Arc<Scenario>),
     Floor(Arc<FloorPlan>),
 }
 
-/// The first world that is explored for a claim, in its first row that does.
+/// The first state space that the rows of a claim explore.
 pub(crate) fn first_explored(name: &str) -> Option<Explored> {
-    // One state is enough to know which world it is.
+    // One state is enough to know which state space it is.
     let limits = Limits { states: 1, ..Limits::default() };
     all().into_iter().filter(|claim| claim.name == name).find_map(|claim| {
         let mut work =
@@ -135,9 +135,9 @@ pub(crate) fn first_explored(name: &str) -> Option<Explored> {
     })
 }
 
-/// Explorations in the service of one claim.
+/// The explorations of one claim.
 pub(crate) struct Work<'a> {
-    /// The first world that was explored.
+    /// The first state space that was explored.
     first: Option<Explored>,
     name: &'static str,
     limits: Limits,
@@ -166,7 +166,7 @@ impl Work<'_> {
         self.progress.states(self.name, self.counts.states);
     }
 
-    /// Explores a floor and judges.
+    /// Explores a floor: the outcome, and the counterexample if there is one.
     pub fn judge_floor(&mut self, plan: &Arc<FloorPlan>) -> (Outcome, Option<Counterexample>) {
         self.first.get_or_insert_with(|| Explored::Floor(Arc::clone(plan)));
         let found = explore_floor(plan, self.limits);
@@ -174,12 +174,12 @@ impl Work<'_> {
         (outcome(&found), unless_it_panics(|| draw_floor(plan, &found)))
     }
 
-    /// Different states looked at so far.
+    /// Distinct states explored so far.
     pub const fn states(&self) -> u64 {
         self.counts.states
     }
 
-    /// Does a part of the work and says what that part alone looked at.
+    /// Does a part of the work. Returns its result, and the counts of that part alone.
     pub fn part<R>(&mut self, part: impl FnOnce(&mut Self) -> R) -> (R, Counts) {
         let before = std::mem::replace(&mut self.counts, Counts::NONE);
         let result = part(self);
@@ -189,14 +189,14 @@ impl Work<'_> {
         (result, counts)
     }
 
-    /// Explores and judges: holds, fails (with its chart) or unknown.
+    /// Explores a scenario: the outcome, and the counterexample if there is one.
     pub fn judge(&mut self, scenario: &Arc<Scenario>) -> (Outcome, Option<Counterexample>) {
         let found = self.explore(scenario);
         (outcome(&found), unless_it_panics(|| draw(scenario, &found)))
     }
 }
 
-/// A chart makes the moves of a counterexample again. Where the last of them panics there is no chart.
+/// Draws a chart, for which the transitions of a counterexample are made again; `None` if the last of them panics.
 pub(crate) fn unless_it_panics<T>(draw: impl FnOnce() -> Option<T>) -> Option<T> {
     catch_unwind(AssertUnwindSafe(draw)).unwrap_or(None)
 }
@@ -242,7 +242,7 @@ pub fn verify(options: &Options, progress: &dyn Progress) -> Report {
     let limits = Limits { memory: options.memory, ..Limits::default() };
     let next = AtomicUsize::new(0);
     let verdicts: Mutex<Vec<(usize, Verdict)>> = Mutex::new(Vec::new());
-    // Independent claims side by side: two threads in one exploration gain little.
+    // Claims run in parallel, because two threads in one exploration gain little.
     side_by_side(0..options.jobs.clamp(1, claims.len().max(1)), |_| {
         while let Some((at, claim)) = take(&claims, &next) {
             for verdict in settle(claim, limits, progress) {
@@ -261,7 +261,7 @@ fn take<'a>(claims: &'a [Claim], next: &AtomicUsize) -> Option<(usize, &'a Claim
     claims.get(at).map(|claim| (at, claim))
 }
 
-/// Settles a claim, and with it the variant that comes of the same search.
+/// Settles a claim, and the variant that the same search settles.
 fn settle(claim: &Claim, limits: Limits, progress: &dyn Progress) -> Vec<Verdict> {
     progress.started(claim.name, claim.rule, claim.parties);
     let mut work = Work { first: None, name: claim.name, limits, progress, counts: Counts::NONE };

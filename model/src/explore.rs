@@ -1,8 +1,8 @@
-//! Worlds under stateright's breadth-first search, with what stateright 0.31 leaves to its user.
+//! The search of a state space: stateright's breadth-first search, and what stateright 0.31 leaves to its user.
 //!
-//! One property, one thread, breadth first: then the first counterexample found is a shortest one (with several
-//! properties a later, longer one would replace it). There is no cancel: a budget works by offering no more actions.
-//! A panic of the machine would lose its path: it is caught and becomes an absorbing state against the property.
+//! There is one property and one thread, so the first counterexample is a shortest one (with several properties
+//! stateright would replace it by a later, longer one). A search cannot be cancelled: when its budget ends, no more
+//! transitions are offered. A panic of the machine would lose its path, so it becomes an absorbing state.
 
 use crate::scenario::{Scenario, Watch};
 use crate::state::{Packed, Violation};
@@ -14,10 +14,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-/// How much an exploration may use.
+/// Limits of an exploration.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// States to look at.
+    /// Most states to expand.
     pub states: u64,
     /// Resident memory of the whole process, in bytes.
     pub memory: u64,
@@ -32,17 +32,17 @@ impl Default for Limits {
 /// What an exploration found.
 #[derive(Clone, Debug)]
 pub struct Exploration<A = Action> {
-    /// The shortest path to a violation, if there is one.
+    /// A shortest path to a violation, if there is one.
     pub path: Option<Vec<A>>,
     /// The states on that path, the first included.
     pub states_on_path: Option<Vec<Packed>>,
-    /// What is violated at its end.
+    /// The violation at the end of the path.
     pub violation: Option<Violation>,
-    /// Different states.
+    /// Distinct states.
     pub states: u64,
     /// Transitions taken.
     pub transitions: u64,
-    /// The longest shortest path from the start.
+    /// The depth: the longest shortest path from the initial state.
     pub depth: u64,
     /// Whether everything within the bounds was explored, or a violation found.
     pub complete: bool,
@@ -52,25 +52,25 @@ pub struct Exploration<A = Action> {
     pub seconds: f64,
 }
 
-/// A world that can be explored: a scratch pad over packed states. Every call starts from the state it is given.
+/// A state space to explore: a scratch pad over packed states. Every call starts from the state that it is given.
 pub(crate) trait Ground: Send {
-    /// One thing that can happen next.
+    /// A transition.
     type Action: Copy + Debug + PartialEq + Send + Sync + 'static;
 
-    /// The first state.
+    /// The initial state.
     fn first(&mut self) -> Packed;
-    /// What may happen in a state that is not final.
+    /// Lists the enabled transitions of a state that is not final.
     fn actions(&mut self, state: &Packed, actions: &mut Vec<Self::Action>);
-    /// What comes of it. May panic where the machine does.
+    /// The state after a transition. May panic if the machine does.
     fn step(&mut self, state: &Packed, action: Self::Action) -> Packed;
     /// Makes the pad fit for use again after a panic.
     fn renew(&mut self);
 }
 
-/// How a search is told to report: the number of states looked at.
+/// Receives progress: the number of states expanded.
 pub(crate) type Hear = Arc<dyn Fn(u64) + Send + Sync>;
 
-/// A world as a stateright model.
+/// A state space as a stateright model.
 pub(crate) struct Grounded<G> {
     pub scratch: Mutex<G>,
     limits: Limits,
@@ -81,11 +81,11 @@ pub(crate) struct Grounded<G> {
     progress: Option<Hear>,
 }
 
-/// How many states pass between two looks at the memory and two words of progress.
+/// States between two looks at the memory, and between two reports of progress.
 const LOOK: u64 = 8192;
 
 impl<G: Ground> Grounded<G> {
-    /// The model over a pad.
+    /// The model over a scratch pad.
     pub fn new(pad: G, limits: Limits, progress: Option<Hear>) -> Self {
         Self {
             scratch: Mutex::new(pad),
@@ -98,7 +98,7 @@ impl<G: Ground> Grounded<G> {
         }
     }
 
-    /// Uses the pad.
+    /// Runs `work` on the scratch pad, under its lock.
     pub fn with<R>(&self, work: impl FnOnce(&mut G) -> R) -> R {
         work(&mut self.scratch.lock().unwrap_or_else(PoisonError::into_inner))
     }
@@ -154,7 +154,7 @@ impl<G: Ground> Model for Grounded<G> {
     }
 }
 
-/// Explores a world until everything is seen, a violation is found or a limit is reached.
+/// Explores a state space until it is covered, a violation is found or a limit is reached.
 pub(crate) fn search<G: Ground + 'static>(
     pad: G,
     limits: Limits,
@@ -163,7 +163,7 @@ pub(crate) fn search<G: Ground + 'static>(
     let start = Instant::now();
     let checker = Grounded::new(pad, limits, progress).checker().threads(1).spawn_bfs().join();
     let cut = checker.model().over.swap(false, Ordering::Relaxed);
-    // Paths are rebuilt by asking the model again: it must offer what it offered then.
+    // stateright rebuilds a path by asking the model again, so the model must offer the same transitions as before.
     checker.model().replaying.store(true, Ordering::Relaxed);
     let path = checker.discoveries().remove("claim");
     let violation = path.as_ref().and_then(|path| path.last_state().violation());
@@ -218,7 +218,7 @@ enum Touch {
     Destination,
 }
 
-/// Which node a step needs unpacked: one, where the watch and the reductions look at no other.
+/// Which nodes a transition needs unpacked: only one, if neither the property nor a reduction looks at others.
 fn touched(scenario: &Scenario, action: Action) -> Touch {
     let local = scenario.is_meeting()
         && !scenario.reductions.ignores
@@ -243,7 +243,7 @@ impl WorldModel {
         Self(Grounded::new(World::new(scenario), limits, None))
     }
 
-    /// The state that stands for `state` under this scenario's reductions.
+    /// The canonical form of `state` under this scenario's reductions.
     #[doc(hidden)]
     #[must_use]
     pub fn canonical(&self, state: &Packed) -> Packed {
@@ -263,7 +263,7 @@ impl WorldModel {
         })
     }
 
-    /// The state without what the order of turns keeps in it: just after a tick the same with and without turns.
+    /// The state without its turns. Just after a tick it is the same with and without that reduction.
     #[doc(hidden)]
     #[must_use]
     pub fn without_turns(&self, state: &Packed) -> Packed {
@@ -274,7 +274,7 @@ impl WorldModel {
         })
     }
 
-    /// Whether nobody waits for anything, nobody has anything left to do and nothing is on the way.
+    /// Whether all tasks are idle with nothing left to do, and no packet is in flight.
     #[doc(hidden)]
     #[must_use]
     pub fn is_finished(&self, state: &Packed) -> bool {
@@ -306,7 +306,7 @@ impl Model for WorldModel {
     }
 }
 
-/// Explores a scenario until everything is seen, a violation is found or a limit is reached.
+/// Explores a scenario until its state space is covered, a violation is found or a limit is reached.
 #[must_use]
 pub fn explore(
     scenario: &Arc<Scenario>,
@@ -316,7 +316,7 @@ pub fn explore(
     search(World::new(scenario), limits, progress)
 }
 
-/// The resident memory of this process, where the system tells.
+/// The resident memory of this process in bytes, if the system tells it.
 pub(crate) fn resident_bytes() -> Option<u64> {
     let statm = std::fs::read_to_string("/proc/self/statm").ok()?;
     let pages: u64 = statm.split_whitespace().nth(1)?.parse().ok()?;

@@ -1,4 +1,4 @@
-//! A claim's world to walk through by hand: stateright's Explorer, with each path as a sequence chart.
+//! Serves the state space of a claim in stateright's Explorer, with each path as a sequence chart.
 
 use crate::cell::svg;
 use crate::chart::{self, Pen};
@@ -13,12 +13,12 @@ use std::net::{SocketAddr, TcpListener};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-/// Why nothing is served.
+/// Why the Explorer is not served.
 #[derive(Debug)]
 pub enum ExplorerError {
-    /// The address is one that others can reach: what is served asks nobody who they are.
+    /// The address is not loopback: the Explorer has no authentication.
     NotLoopback(SocketAddr),
-    /// The claim is settled without a search, or there is none of this name.
+    /// The claim is settled without a search, or no claim has this name.
     NothingToExplore,
     /// The address cannot be served.
     Unavailable(SocketAddr, io::Error),
@@ -40,12 +40,12 @@ impl std::fmt::Display for ExplorerError {
 
 impl std::error::Error for ExplorerError {}
 
-/// The first world that a claim is settled in, ready to be explored.
+/// The first state space that settles a claim, ready to be explored.
 #[derive(Clone, Debug)]
 pub struct Explorer(Explored);
 
 impl Explorer {
-    /// The world of a claim, in the first of its rows.
+    /// The first state space that the rows of a claim explore.
     ///
     /// # Errors
     /// [`ExplorerError::NothingToExplore`].
@@ -53,7 +53,7 @@ impl Explorer {
         crate::claims::first_explored(name).map(Self).ok_or(ExplorerError::NothingToExplore)
     }
 
-    /// Serves the Explorer until the process ends; says on which address before it does. Port 0: any that is free.
+    /// Serves the Explorer until the process ends. Calls `ready` with the address before. Port 0: any free port.
     ///
     /// # Errors
     /// [`ExplorerError::NotLoopback`] and [`ExplorerError::Unavailable`].
@@ -66,7 +66,7 @@ impl Explorer {
         if !address.ip().is_loopback() {
             return Err(ExplorerError::NotLoopback(address));
         }
-        // stateright panics where it cannot bind: this finds out before, and finds a free port.
+        // stateright panics if it cannot bind, so the address is tried first. This also finds a free port.
         let probe = TcpListener::bind(address).and_then(|probe| probe.local_addr());
         let address = probe.map_err(|error| ExplorerError::Unavailable(address, error))?;
         ready(address);
@@ -101,7 +101,7 @@ type Way = Box<dyn Fn(&[Packed]) -> Option<Pen> + Send + Sync>;
 /// Draws one step from a state.
 type OneStep<A> = Box<dyn Fn(&Packed, A) -> Pen + Send + Sync>;
 
-/// A world as a stateright model that draws its paths and steps.
+/// A state space as a stateright model that draws its paths and steps.
 struct Drawn<G: Ground> {
     grounded: Grounded<G>,
     way: Way,
@@ -128,10 +128,10 @@ impl<G: Ground + 'static> Model for Drawn<G> {
         vec![Property::always("claim", |_, state: &Packed| state.violation().is_none())]
     }
 
-    /// What happens, and what is wrong then: the bytes of a state say nothing to a person.
+    /// Tells a step and its violation in words: the bytes of a state say nothing to a person.
     fn format_step(&self, state: &Packed, action: G::Action) -> Option<String> {
         let wrong = self.next_state(state, action)?.violation();
-        // What panics was told by the state after it.
+        // A step that panics has no notes; the violation below says that it panicked.
         let pen = catch_unwind(AssertUnwindSafe(|| (self.step)(state, action))).ok();
         let words = pen.iter().flat_map(|pen| pen.notes.iter().map(|note| note.words(pen.names())));
         let words = words.chain(wrong.map(|wrong| format!("=> {}", wrong.text())));
@@ -141,7 +141,7 @@ impl<G: Ground + 'static> Model for Drawn<G> {
     fn as_svg(&self, path: Path<Packed, G::Action>) -> Option<String> {
         let cause = path.last_state().violation().map_or("", |violation| violation.text());
         let states = path.into_states();
-        // The way to a panic of the machine panics again.
+        // Replaying a path to a panic of the machine panics again.
         let pen = catch_unwind(AssertUnwindSafe(|| (self.way)(&states))).ok()??;
         Some(svg(pen.names(), &pen.notes, cause))
     }

@@ -1,4 +1,4 @@
-//! What the checker remembers beside the machine to judge it: the truth that no member of the cell can see.
+//! The specification state of a world: what its judge must remember and no task of the cell can see.
 
 use crate::scenario::{Behaviour, Scenario, Watch};
 use crate::state::Violation;
@@ -6,34 +6,34 @@ use imrs_protocol::{
     Contents, Event, Frame, MessageId, Observation, Outcome, Overflow, ReplyTo, Round, Seq24, Signal, TaskId,
 };
 
-/// Rounds and counts of one task that the watch needs, and what its behaviour has left.
+/// The specification state of one task: rounds and counts that the property needs, and attempts or sends left.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct Ghost {
-    /// Attempts or sends left; [`Ghost::ENDLESS`] for ever.
+    /// Attempts or sends left; [`Ghost::ENDLESS`] for no limit.
     pub left: u8,
-    /// The round it waits in.
+    /// The round that the task waits in.
     pub waits_in: Option<Round>,
-    /// Rounds it announced, released, and left without a release: bit `i` is the loaded base plus `i`.
+    /// Rounds that the task announced, was released from, and left without a release: bit `i` is the base plus `i`.
     pub announced: u32,
     pub released: u32,
     pub gave_up: u32,
-    /// Rounds that another member had left when this task's node restarted: the new life cannot meet it there.
+    /// Rounds that another member had left when this node restarted: the new incarnation cannot meet it there.
     pub missed: u32,
-    /// How often it reached and was released, and its last round (pairing).
+    /// How often the task reached and was released, and its last round (for pairing).
     pub reached: u8,
     pub releases: u8,
     pub last_released: Option<Round>,
-    /// Attempts since the faults stopped and before its first release since.
+    /// Attempts since the faults ended, up to the first release since then.
     pub since_heal: u8,
-    /// It was released since the faults stopped.
+    /// Whether the task was released since the faults ended.
     pub met: bool,
-    /// A command it must answer.
+    /// The command that the task must answer.
     pub serving: Option<ReplyTo>,
-    /// Ticks since its open command was sent.
+    /// Ticks since its outstanding command was sent, or its wait at the waitfor began.
     pub open: Option<u8>,
     /// Bit `i`: its message `next - 1 - i` was handed over.
     pub executed: u8,
-    /// True lives of its status messages: `(sequence, ticks left)`.
+    /// True remaining times of its status messages: `(sequence, ticks)`.
     pub statuses: Vec<(Seq24, u8)>,
 }
 
@@ -66,7 +66,7 @@ pub(crate) struct Judge<'a> {
     pub ghosts: &'a mut [Ghost],
     pub healed: bool,
     pub base: Round,
-    /// Set when the world has nothing more to show.
+    /// Set when the property is shown: the state is then final.
     pub done: bool,
 }
 
@@ -121,7 +121,7 @@ impl Judge<'_> {
                 let command = delivery.class == imrs_protocol::Class::Command;
                 if command {
                     self.ghosts[at.index()].serving = Some(delivery.from);
-                    // What it says tells which one it is, even where numbers wrap.
+                    // The contents identify the command, even where sequence numbers wrap.
                     let left = delivery.contents.as_bytes().first().copied().unwrap_or(0);
                     let back = left.saturating_sub(self.ghosts[source.index()].left).saturating_add(1);
                     self.executed(source, back)?;
@@ -182,7 +182,7 @@ impl Judge<'_> {
         }
     }
 
-    /// Its message but `back - 1` was handed over.
+    /// Records a delivery: of the command that `source` sent `back - 1` commands before its last one.
     fn executed(&mut self, source: TaskId, back: u8) -> Result<(), Violation> {
         let bit = 1_u8.checked_shl(u32::from(back.saturating_sub(1))).ok_or(Violation::Overflow)?;
         let ghost = &mut self.ghosts[source.index()];
@@ -209,7 +209,7 @@ impl Judge<'_> {
         }
     }
 
-    /// After a step: is one round both released by somebody and left by somebody without a release?
+    /// Judges all rounds after a step: no round may be released at one member and left without a release by another.
     pub fn judge_round(&self) -> Result<(), Violation> {
         if self.scenario.watch != Watch::AllOrNone {
             return Ok(());
@@ -220,12 +220,12 @@ impl Judge<'_> {
     }
 }
 
-/// What the command with so many left after it says: an answer must repeat it.
+/// The contents of the command after which `left` sends remain. Its answer must repeat them.
 pub(crate) fn question(left: u8) -> Contents {
     Contents::new(&[left]).unwrap_or_default()
 }
 
-/// Packs what the watch needs of a ghost. `shift` is how far the base moved.
+/// Packs what the property needs of the specification state of one task. `shift` is how far the base has moved.
 pub(crate) fn store(
     ghost: &Ghost,
     watch: Watch,
@@ -289,7 +289,7 @@ pub(crate) fn store(
     Ok(())
 }
 
-/// Unpacks a ghost and says how many bytes it took.
+/// Unpacks the specification state of one task. Returns the number of bytes read.
 pub(crate) fn load(ghost: &mut Ghost, watch: Watch, lives: bool, bytes: &[u8]) -> usize {
     let mut at = 0;
     let mut byte = || {

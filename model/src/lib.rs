@@ -1,7 +1,7 @@
-//! The checkers: worlds over the one state machine of `imrs-protocol`, explored exhaustively by stateright.
+//! The model checkers: exhaustive searches through the states of the one state machine of `imrs-protocol`.
 //!
-//! A [`Scenario`] says what a world is made of; [`explore`] looks at every state within its bounds; [`verify`] settles
-//! the protocol's claims, each under the default rules and under the variants that must fail.
+//! A [`Scenario`] describes nodes, tasks, faults and a property; [`explore`] visits every state within its bounds.
+//! [`verify`] settles the protocol's claims, each under the default rules and under the variants that must fail.
 
 #![forbid(unsafe_code)]
 

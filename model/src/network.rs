@@ -1,4 +1,4 @@
-//! Packets on the way, and their packed form.
+//! Packets in flight between the nodes of a world, and their packed form.
 
 use crate::scenario::Scenario;
 use imrs_protocol::{
@@ -6,28 +6,28 @@ use imrs_protocol::{
     Ticks,
 };
 
-/// A packet on the way.
+/// A packet in flight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Flight {
     pub packet: Packet,
-    /// How many ticks it has been on the way.
+    /// Ticks since it was sent.
     pub age: u8,
-    /// The life of the node that sent it, as its envelope says.
+    /// The incarnation of the node that sent it, as its envelope says.
     pub life: Incarnation,
-    /// It was sent between the last two ticks, after its receiver's turn.
+    /// Whether it was sent since the last tick, after its receiver's turn (see `world::turns`).
     pub fresh: bool,
 }
 
-/// The most bytes that one packed flight takes.
+/// Most bytes of a packed packet.
 pub(crate) const FLIGHT_BYTES: usize = 32;
 
-/// The age that half a byte holds beside the mark of a fresh packet, whose age is 0.
+/// The greatest age that half a byte holds beside the mark of a fresh packet, whose age is 0.
 const OLDEST: u8 = 14;
 const FRESH: u8 = 15;
-/// The same in the two bits of a compact flight.
+/// The mark of a fresh packet in the two age bits of the compact form.
 const COMPACT_FRESH: u8 = 3;
 
-/// One packed flight.
+/// A packed packet.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Packed {
     bytes: [u8; FLIGHT_BYTES],
@@ -48,13 +48,13 @@ impl Packed {
     }
 }
 
-/// How flights are packed in one world.
+/// How packets in flight are packed in one world.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Codec {
-    /// Only meetings of at most four tasks on port 0, at most two ticks on the way: kind, ends and age in one byte.
+    /// Whether kind, ends and age fit one byte: one waitfor of at most four tasks, link delays of at most two ticks.
     compact: bool,
     lives: bool,
-    /// What a CONFIRM and an ABORT live: it is not written down.
+    /// The TTL of a CONFIRM or an ABORT. It is constant, so it is not packed.
     patience: Ticks,
 }
 
@@ -65,7 +65,7 @@ impl Codec {
         Self { compact, lives: scenario.lives(), patience }
     }
 
-    /// Packs a flight, its ends renamed by `rename`.
+    /// Packs a packet in flight, its ends renamed by `rename`.
     pub fn encode(
         self,
         flight: &Flight,
@@ -110,7 +110,7 @@ impl Codec {
         let base = frame.rounds.get(packet.port.index()).copied().unwrap_or_default();
         let relative =
             |round: Round| u8::try_from(round.steps_from(base)).ok().filter(|&r| r < 15).ok_or(Overflow);
-        // 15: nothing to say, the sender has released nothing yet or what it released is the round itself.
+        // 15: no hint. A sender that has released no other round names the round itself.
         let hint = if meeting.released == meeting.round { 15 } else { relative(meeting.released)? };
         out.push((relative(meeting.round)? << 4) | hint)?;
         match packet.kind {
@@ -122,7 +122,7 @@ impl Codec {
         Ok(out)
     }
 
-    /// Unpacks one flight and says how many bytes it took.
+    /// Unpacks a packet in flight. Returns it and the number of bytes read.
     pub fn decode(self, bytes: &[u8]) -> (Flight, usize) {
         let mut at = 0;
         let mut byte = || {

@@ -3,15 +3,15 @@
 use crate::chart::Counterexample;
 use serde::Serialize;
 
-/// Whether a property holds in a world.
+/// Whether a property holds in a state space.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Outcome {
-    /// In every state within the bounds.
+    /// It holds in every state within the bounds.
     Holds,
     /// A counterexample was found.
     Fails,
-    /// The budget ended first.
+    /// A budget ended the search before a verdict.
     Unknown,
 }
 
@@ -22,41 +22,41 @@ pub struct Bounds {
     pub loss: u32,
     /// Duplicated packets.
     pub dup: u32,
-    /// The longest way of a packet, in ticks; absent where no time passes and packets arrive in any order.
+    /// The longest link delay, in ticks; absent: no time passes, and packets arrive in any order.
     pub delay: Option<u32>,
     /// Crashes.
     pub crash: u32,
-    /// Meetings each member tries, or messages sent; absent: without end.
+    /// Meetings that each member tries, or messages that are sent; absent: without limit.
     pub rounds: Option<u32>,
-    /// The time_out, in ticks; absent: nobody gives up.
+    /// The time_out, in ticks; absent: no member gives up.
     pub time_out: Option<u64>,
-    /// The period of re-sending, in ticks; absent: every packet is sent once.
+    /// The period of retransmissions, in ticks; absent: every packet is sent once.
     pub resend: Option<u64>,
     /// The margin, in ticks.
     pub margin: Option<u64>,
 }
 
-/// What a search found.
+/// Numbers that a search found.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Found {
-    /// The least number of lost packets that strands a member, every packet sent once.
+    /// Fewest lost packets that strand a member, if every packet is sent once.
     pub least_losses_to_strand: Option<u32>,
-    /// The same with re-sending.
+    /// Fewest lost packets that let a member give up though all have arrived, with retransmission.
     pub least_losses_with_resending: Option<u32>,
     /// The least margin that holds, in ticks: one less fails.
     pub least_safe_margin: Option<u64>,
     /// The margin the compiler uses for the same bounds (D56).
     pub closed_form_margin: Option<u64>,
-    /// A bound that was searched for, in ticks.
+    /// The closed form of a bound, in ticks.
     pub bound_ticks: Option<u64>,
-    /// The least such bound that was found to be enough.
+    /// The least bound that the search found to be enough, in ticks.
     pub least_bound_ticks: Option<u64>,
     /// The least number of attempts within which the members meet.
     pub attempts: Option<u32>,
 }
 
 impl Found {
-    /// No number.
+    /// No numbers.
     pub const NOTHING: Self = Self {
         least_losses_to_strand: None,
         least_losses_with_resending: None,
@@ -71,39 +71,39 @@ impl Found {
 /// One claim under one rule.
 #[derive(Clone, Debug, Serialize)]
 pub struct Verdict {
-    /// The claim.
+    /// The name of the claim.
     pub name: String,
     /// The rule variant: `default`, or what differs from it.
     pub rule: String,
     /// How many tasks take part.
     pub parties: u32,
-    /// One plain sentence.
+    /// The claim in one sentence.
     pub about: String,
-    /// What should come out.
+    /// The expected outcome.
     pub expect: Outcome,
-    /// What came out.
+    /// The outcome.
     pub outcome: Outcome,
-    /// Whether the two agree, and what was searched for was found and is the number written down for it.
+    /// Whether the outcome is the expected one, and every number searched for was found and is the pinned one.
     pub as_expected: bool,
-    /// Within which bounds.
+    /// The bounds of the verdict.
     pub bounds: Bounds,
-    /// Different states, over all explorations of this verdict.
+    /// Distinct states, over all explorations of this verdict.
     pub states: u64,
     /// Transitions, likewise.
     pub transitions: u64,
-    /// The longest of the shortest ways to a state.
+    /// The depth: the longest of the shortest paths to a state.
     pub depth: u32,
-    /// Whether everything within the bounds was seen, or a counterexample found.
+    /// Whether everything within the bounds was explored, or a counterexample found.
     pub complete: bool,
-    /// How likely it is that two states share a fingerprint and one was not looked at.
+    /// The probability that two states share a fingerprint, so that one of them was not explored.
     pub collision_probability: f64,
     /// The bytes of the longest state.
     pub longest_state: u64,
     /// Wall-clock seconds.
     pub seconds: f64,
-    /// Different states a second.
+    /// Distinct states a second.
     pub states_per_second: u64,
-    /// What a search found.
+    /// Numbers that the search found.
     pub found: Found,
     /// A shortest counterexample.
     pub counterexample: Option<Counterexample>,
@@ -121,7 +121,7 @@ pub struct Report {
 }
 
 impl Report {
-    /// Whether every claim came out as it should.
+    /// Whether every claim has its expected outcome.
     #[must_use]
     pub fn as_expected(&self) -> bool {
         self.claims.iter().all(|claim| claim.as_expected)

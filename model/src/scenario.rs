@@ -1,62 +1,62 @@
-//! What a world is made of: a cell, what its tasks may do, which faults the network may have, what is watched.
+//! Scenarios to explore: a cell, what its tasks may do, fault budgets, reductions, and the property that is checked.
 
 use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, PortId, TaskId};
 use std::sync::Arc;
 
-/// What a task may do whenever it is free. It may also wait as long as it likes, so every program that uses its port
+/// What a task may do whenever it is idle. It may also stay idle for any time, so every program that uses its port
 /// this way is covered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Behaviour {
-    /// Reaches the waitfor, at most so many times (`None`: for ever).
+    /// Reaches the waitfor of a port.
     Member {
         /// The port.
         port: PortId,
-        /// How many times.
+        /// How many times at most; `None`: without limit.
         attempts: Option<u8>,
     },
-    /// Sends commands or statuses, at most so many.
+    /// Sends commands or statuses on a port.
     Sender {
         /// The port.
         port: PortId,
-        /// How many.
+        /// How many at most.
         sends: u8,
     },
-    /// Receives from any of its ports and answers commands, each whenever it likes.
+    /// Receives from any of its ports and answers commands, each at any time.
     Receiver,
 }
 
-/// What is watched. Each is one claim's question; a world answers one.
+/// The property that is checked. Each belongs to one claim; a scenario checks one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Watch {
-    /// Nobody leaves a waitfor before all arrived in its round.
+    /// No member is released from a waitfor before all have arrived in its round.
     FalseRelease,
-    /// The k-th release of every member is the same round, and none comes before everyone's k-th arrival.
+    /// The k-th release of every member is the same round, and none comes before the k-th arrival of every member.
     Pairing,
-    /// When nothing is on the way any more, nobody waits in a meeting that all have reached.
+    /// When no packet is in flight, no member waits in a meeting that all have reached.
     Stranded,
-    /// Nobody gives up a meeting that all have reached.
+    /// No member gives up a meeting that all have reached.
     GaveUpAfterAllArrived,
-    /// Nobody is released from a round that another member leaves without a release.
+    /// No member is released from a round that another member leaves without a release.
     AllOrNone,
     /// A member can be released at all (shown by a counterexample to "never").
     Reachable,
-    /// After the faults stopped, nobody starts more than so many attempts before it is released, and everybody is.
+    /// After the faults end, every member is released within this many attempts.
     MeetAgain {
         /// How many attempts.
         attempts: u8,
     },
-    /// No message is handed over after its sender's patience ended.
+    /// No message is handed over after its sender's time_out.
     Stale,
-    /// Every command ends in exactly one outcome within its time_out and one tick; no answer belongs to another one.
+    /// Every command ends in one outcome within its time_out and one tick, never with another command's answer.
     Resolves,
-    /// No command ends twice: the part of `Resolves` that does not ask when an answer comes.
+    /// As `Resolves`, whenever the outcome comes: no command ends twice or with another command's answer.
     ResolvesOnce,
     /// Every command ends with its answer.
     Answered,
     /// No command is handed over twice.
     AtMostOnce,
-    /// Every wait ends within its time_out and one tick, so much and no more happens between two ticks, and nobody is
-    /// stuck.
+    /// Every wait ends within its time_out and one tick, the number of steps between two ticks is bounded, and no
+    /// task is stuck.
     Waits,
 }
 
@@ -67,29 +67,30 @@ pub struct Budget {
     pub loss: u8,
     /// Duplicated packets.
     pub dup: u8,
-    /// Crashed nodes; each restarts whenever it likes, or never.
+    /// Crashes; a crashed node restarts at any time, or never.
     pub crash: u8,
 }
 
-/// How time may be off, beside packets that take from nothing to their longest way.
+/// Deviations of time, beside link delays, which take any time up to the link's bound.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Timing {
-    /// By how many ticks more than its longest way any packet may be charged.
+    /// How many ticks above the link's bound a packet may be charged.
     pub overcharge: u8,
     /// How often the timer of a node may fire a tick late (at most 15).
     pub late: u8,
 }
 
-/// Which reductions are on. Each can be switched off, and then reaches the same verdict and the same shortest length.
+/// Which reductions of the state space are on. Without each of them the verdict is the same, and so is the length of
+/// the shortest counterexample (except for [`Watch::MeetAgain`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reductions {
-    /// Equal parties are sorted.
+    /// Symmetry: members that are alike are sorted into a canonical order.
     pub symmetry: bool,
-    /// Packets that nobody can notice any more vanish.
+    /// Packets that no future can notice are dropped.
     pub ignores: bool,
-    /// A packet is lost only at its last tick: before, a loss cannot be observed.
+    /// A packet is lost only at its last tick, because an earlier loss cannot be observed.
     pub lose_last: bool,
-    /// What commutes between two ticks happens in one order only.
+    /// Partial order: commuting steps between two ticks are explored in one interleaving only.
     pub turns: bool,
 }
 
@@ -100,26 +101,26 @@ impl Reductions {
     pub const NONE: Self = Self { symmetry: false, ignores: false, lose_last: false, turns: false };
 }
 
-/// A whole world to explore.
+/// All that a search needs: a cell, its tasks' behaviour, fault budgets, reductions and a property.
 #[derive(Clone, Debug)]
 pub struct Scenario {
     /// The cell's table.
     pub cell: Arc<CellTable>,
     /// What each task may do, by task.
     pub behaviours: Vec<Behaviour>,
-    /// The longest time a packet is on the way, in ticks; `None`: no time passes, packets arrive in any order.
+    /// The longest link delay, in ticks; `None`: no time passes, and packets arrive in any order.
     pub delay: Option<u8>,
     /// How many faults there may be.
     pub budget: Budget,
-    /// How time may be off.
+    /// Deviations of time.
     pub timing: Timing,
-    /// After how many messages the numbers of messages wrap: a variant; `None`: never within a world.
+    /// After how many messages sequence numbers wrap (a variant); `None`: never.
     pub wrap: Option<u8>,
-    /// What is watched.
+    /// The property that is checked.
     pub watch: Watch,
-    /// Whether every task acts at once when it can, before time passes.
+    /// Whether every task is eager: it acts as soon as it can, before time passes.
     pub hurry: bool,
-    /// For each node, how far its clock is ahead.
+    /// For each node, how many ticks its clock is ahead.
     pub clocks: Vec<u64>,
     /// Which reductions are on.
     pub reductions: Reductions,
@@ -144,24 +145,24 @@ impl Scenario {
         self.cell.cell().tasks.get(task.index()).map_or("?", |t| &t.name)
     }
 
-    /// Whether all tasks do the same on one waitfor port: then they are interchangeable.
+    /// Whether all tasks are members of one waitfor port, the only port: then they are interchangeable.
     #[must_use]
     pub fn is_meeting(&self) -> bool {
         self.behaviours.iter().all(|b| matches!(b, Behaviour::Member { .. })) && self.cell.ports().len() == 1
     }
 
-    /// Whether states that differ only in who is who count as one.
+    /// Whether states that are equal up to renaming of the members count as one.
     #[must_use]
     pub fn members_alike(&self) -> bool {
         self.reductions.symmetry && self.is_meeting()
     }
 
-    /// Whether nodes can have more than one life.
+    /// Whether nodes can have more than one incarnation.
     #[must_use]
     pub const fn lives(&self) -> bool {
         self.budget.crash > 0
     }
 
-    /// The first life of every node.
+    /// The first incarnation of every node.
     pub const FIRST_LIFE: Incarnation = Incarnation(0);
 }

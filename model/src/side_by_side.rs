@@ -1,12 +1,12 @@
-//! Work that threads share.
+//! Runs workers on several threads.
 
 use std::thread;
 
-/// Lets each worker work: the first in this thread, the others in threads beside it as far as there is room for them. Work that
-/// goes to whoever asks for it next is done by those that there are.
+/// Runs each worker: the first on this thread, the others on threads of their own. A worker whose thread cannot be
+/// started is left out; workers that take their work from a shared queue then do its share.
 ///
 /// # Panics
-/// A worker does.
+/// If a worker panics.
 pub fn side_by_side<W: Send>(workers: impl IntoIterator<Item = W>, work: impl Fn(W) + Sync) {
     let mut workers = workers.into_iter();
     let Some(first) = workers.next() else { return };

@@ -1,34 +1,34 @@
-//! The hashed state: one block of bytes.
+//! Packed states: what a search hashes and compares, one block of bytes each.
 
 use std::fmt;
 
-/// Bytes before the ghosts: violation, budgets, flags, steps since the last tick.
+/// Bytes before the specification state: violation, budgets, flags, steps since the last tick.
 pub(crate) const HEADER: usize = 7;
 
-/// A packed state. Equal bytes are equal futures.
+/// A packed state. States with equal bytes have equal futures.
 #[derive(Clone, PartialEq, Eq, Hash)]
 pub struct Packed(pub(crate) Box<[u8]>);
 
 impl Packed {
-    /// What went wrong, if anything did: the state is then absorbing.
+    /// The violation, if there is one: the state is then absorbing.
     #[must_use]
     pub fn violation(&self) -> Option<Violation> {
         Violation::from_code(self.0.first().copied().unwrap_or(0))
     }
 
-    /// Whether nothing more happens: something is wrong, or the world has shown what it was made for.
+    /// Whether the state has no successors: it is a violation, or the property is already shown.
     #[must_use]
     pub fn is_final(&self) -> bool {
         self.violation().is_some() || self.0.len() <= HEADER
     }
 
-    /// How many bytes it has.
+    /// Its length in bytes.
     #[must_use]
     pub fn len(&self) -> usize {
         self.0.len()
     }
 
-    /// Never: a state has at least its header.
+    /// Never: every state has at least a violation code.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()
@@ -43,7 +43,7 @@ impl fmt::Debug for Packed {
 
 macro_rules! violations {
     ($($name:ident $code:literal $text:literal),* $(,)?) => {
-        /// What a world found to be wrong.
+        /// How a state violates a property.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum Violation {
             $(#[doc = $text] $name),*
@@ -58,7 +58,7 @@ macro_rules! violations {
                 match code { $($code => Some(Self::$name),)* _ => None }
             }
 
-            /// One line that says it.
+            /// The violation in one line.
             #[must_use]
             pub const fn text(self) -> &'static str {
                 match self { $(Self::$name => $text),* }

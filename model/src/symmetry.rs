@@ -1,12 +1,12 @@
-//! Equal parties are sorted: of all renamings of the members of a meeting, the state with the least bytes stands for
-//! all of them. It is a full key, computed inside `next_state`, so it works in every search (stateright's own
-//! `symmetry` is ignored by its breadth-first search).
+//! The symmetry reduction: members of a meeting are interchangeable, so of all their renamings the least bytes are
+//! the canonical form. It is computed inside `next_state`, so that every search uses it (stateright's breadth-first
+//! search ignores stateright's own `symmetry`).
 
 use crate::network::{Codec, Flight, Packed};
 use crate::state::HEADER;
 use imrs_protocol::{Frame, Overflow, TaskId};
 
-/// From so many members on, trying all renamings of those that look alike from outside costs more than looking closer.
+/// With this many members, `views` costs less than trying all renamings of members that differ in nothing else.
 const MANY: usize = 4;
 
 /// The parts that a packed state is put together from.
@@ -20,7 +20,7 @@ pub(crate) struct Parts<'a> {
 }
 
 impl Parts<'_> {
-    /// The state as it is.
+    /// The packed state with its members as they are.
     pub fn in_order(&self) -> Result<Vec<u8>, Overflow> {
         let mut bytes = Vec::with_capacity(96);
         bytes.extend(self.header);
@@ -30,8 +30,8 @@ impl Parts<'_> {
         Ok(bytes)
     }
 
-    /// The least of all renamings, and the order of the members in it. Only those are tried that sort the members by
-    /// what renaming does not change.
+    /// The canonical form: the least bytes of all renamings, and its order of the members. Only orders that sort the
+    /// members by their renaming-invariant features are tried.
     pub fn least(&self) -> Result<(Vec<u8>, Vec<usize>), Overflow> {
         let n = self.blocks.len();
         let mut order: Vec<usize> = (0..n).collect();
@@ -42,7 +42,7 @@ impl Parts<'_> {
         };
         order.sort_by(|&a, &b| signature(a).cmp(&signature(b)));
         let mut best = (self.renamed(&order)?, order.clone());
-        // Members that look alike from outside may still differ in what they know of each other.
+        // Members with equal features may still differ in what they know of each other.
         let mut permutation = order.clone();
         while next_permutation(&mut permutation, |a, b| signature(a) == signature(b), &order) {
             let candidate = self.renamed(&permutation)?;
@@ -53,8 +53,8 @@ impl Parts<'_> {
         Ok(best)
     }
 
-    /// What else of each member no renaming changes: what it knows of the others, what they know of it, and what is on
-    /// the way from it and to it.
+    /// More renaming-invariant features of each member: what it knows of the others, what they know of it, and the
+    /// packets in flight from it and to it.
     fn views(&self) -> Result<Vec<Vec<u8>>, Overflow> {
         let n = self.blocks.len();
         let entries: Vec<_> = (0..n).map(|i| self.entries(&self.block(i))).collect();
@@ -82,7 +82,7 @@ impl Parts<'_> {
         Ok((0..n).map(view).collect())
     }
 
-    /// The state in which the member `order[k]` stands at position `k`.
+    /// The packed state in which the member `order[k]` stands at position `k`.
     pub fn renamed(&self, order: &[usize]) -> Result<Vec<u8>, Overflow> {
         let mut bytes = Vec::with_capacity(96);
         bytes.extend(self.header);
@@ -114,16 +114,16 @@ impl Parts<'_> {
     }
 }
 
-/// A node's block, taken apart into what renaming leaves as it is and what it moves.
+/// A packed node, split into what a renaming leaves as it is and what it permutes.
 struct Block<'a> {
     len: u8,
-    /// Its least round and, where nodes have lives, whether it is up and in which life.
+    /// Its least round and, if nodes can restart, whether it is up and its incarnation.
     node: &'a [u8],
-    /// Where nodes have lives: in which one it knows each of the others.
+    /// If nodes can restart: the incarnation in which it knows each of the others.
     known: &'a [u8],
-    /// Its task without what it holds of the members.
+    /// Its task without the entries for the members.
     task: &'a [u8],
-    /// What it holds of each member.
+    /// The entries for the members.
     members: &'a [u8],
 }
 
@@ -131,11 +131,11 @@ impl Parts<'_> {
     fn block(&self, i: usize) -> Block<'_> {
         let block = self.blocks[i].as_slice();
         let lives = self.frame.lives;
-        // See `store_place`: the length, the least round, and with lives whether it is up, its life, those of the others.
+        // See `store_place`: length, least round; if nodes can restart: up, own incarnation, known incarnations.
         let known = if lives { 4 } else { 2 };
         let start = if lives { known + self.blocks.len() } else { known };
-        // See `CommTask::store`: the levels of the order, the wait (a byte, of a task that only meets), with lives three
-        // bytes of its own, then the meeting's flags, round and what the flags announce.
+        // See `CommTask::walk`: the ranks of the order, the wait (one byte for a task that only meets), three more
+        // bytes if nodes can restart, then the meeting's flags, round and the fields that the flags announce.
         let mut at = start;
         at += 1 + 2 * usize::from(block.get(at).copied().unwrap_or(0) & 0x0f);
         at += if lives { 4 } else { 1 };
@@ -143,7 +143,7 @@ impl Parts<'_> {
         at += 2;
         at += usize::from(flags & 1 != 0) + usize::from(flags & 2 != 0) + usize::from(flags & 4 != 0);
         at += if flags & 16 != 0 { 2 } else { 0 };
-        // Of a node that is down there is no task.
+        // A node that is down has no task.
         let at = at.min(block.len());
         Block {
             len: block[0],
@@ -154,7 +154,7 @@ impl Parts<'_> {
         }
     }
 
-    /// The members' entries of a block, in order.
+    /// The entries for the members, in order.
     fn entries<'a>(&self, block: &Block<'a>) -> Vec<&'a [u8]> {
         let mut entries = Vec::with_capacity(4);
         let mut bytes = block.members;
@@ -168,7 +168,7 @@ impl Parts<'_> {
     }
 }
 
-/// The next arrangement that only exchanges members alike in `same`. Positions count from `order`.
+/// Steps to the next permutation that only exchanges members alike in `same`. Ranks are positions in `order`.
 fn next_permutation(p: &mut [usize], same: impl Fn(usize, usize) -> bool, order: &[usize]) -> bool {
     let rank = |i: usize| order.iter().position(|&o| o == i).unwrap_or(0);
     // Odometer over the runs of equal members: advance the last run that has a next arrangement, reset those after it.

@@ -1,8 +1,8 @@
-//! A world: the nodes of a cell, the packets between them, the faults that are left, and what the watch remembers.
+//! The unpacked state of a world: nodes with one task each, packets in flight, fault budgets and specification state.
 //!
-//! A world is only ever a scratch pad. States are packed bytes; [`World::load`] unpacks one, a step changes it, and
-//! [`World::store`] packs the result with everything relative: remaining times, rounds counted from the least one in
-//! use, sequences counted back from the next one (D51).
+//! A world is only a scratch pad. States are packed bytes: [`World::load`] unpacks one, a step changes it, and
+//! [`World::store`] packs the result. Packed numbers are relative: remaining times, rounds counted from the least one
+//! in use, sequences counted back from the next one (D51).
 
 use crate::ghost::{Ghost, Judge, question};
 use crate::network::{Codec, FLIGHT_BYTES, Flight};
@@ -22,45 +22,45 @@ mod turns;
 pub(crate) use canon::Form;
 use canon::FromBase;
 
-/// One thing that can happen next.
+/// A transition of a world.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Action {
     /// A tick passes on every node and for every packet.
     Tick,
     /// A tick passes, and the timer of this node fires only at the next one.
     Late(u8),
-    /// Packet number so of the state arrives.
+    /// The packet at this position in the state arrives.
     Deliver(u8),
-    /// It arrives and is charged so many ticks more than its longest way.
+    /// The packet at the first position arrives, charged the second number of ticks above the link's bound.
     Overcharge(u8, u8),
-    /// It is lost.
+    /// The packet at this position is lost.
     Lose(u8),
-    /// It arrives, and a copy of it stays on the way.
+    /// The packet at this position arrives, and a copy of it stays in flight.
     Duplicate(u8),
-    /// The task does what its behaviour allows.
+    /// The task makes the API call that its behaviour allows.
     Act(u8),
     /// A receiver answers the command it holds.
     Answer(u8),
     /// The node crashes.
     Crash(u8),
-    /// It starts again, in its next life.
+    /// The node restarts, in its next incarnation.
     Restart(u8),
-    /// From here on there are no faults, and every task hurries.
+    /// The faults end: from here on every task is eager and acts as soon as it can.
     Heal,
 }
 
-/// A node of a world. Every node runs one task, with the same index.
+/// The state of a node. Every node runs one task, with the same index.
 #[derive(Clone, Debug)]
 pub(crate) struct Place {
     pub node: Node,
     pub table: NodeTable,
     pub up: bool,
     pub life: Incarnation,
-    /// The lives in which this node knows the others.
+    /// The incarnation in which this node knows each other node.
     pub known: Vec<Incarnation>,
 }
 
-/// The unpacked state.
+/// The unpacked state: nodes, packets in flight and specification state. Transitions work on it.
 #[derive(Clone, Debug)]
 pub(crate) struct World {
     pub scenario: Arc<Scenario>,
@@ -73,39 +73,39 @@ pub(crate) struct World {
     pub crash: u8,
     /// How often a timer may still be late.
     pub late: u8,
-    /// Steps since the last tick, where they are watched.
+    /// Transitions since the last tick; counted only for [`Watch::Waits`].
     pub steps: u16,
     pub healed: bool,
     pub done: bool,
-    /// For each port the round, for each task the next sequence, that loaded numbers are relative to.
+    /// For each port, the round that loaded rounds are relative to.
     rounds: Vec<Round>,
     codec: Codec,
     effects: Effects,
-    /// The packed nodes that were not unpacked, of the state loaded last.
+    /// Packed nodes; those of the loaded state that [`World::load`] left packed.
     blocks: Vec<Vec<u8>>,
     loaded: Vec<bool>,
-    /// Whose turn is not over (see `turns`), and in which order turns are taken.
+    /// For each node, whether its turn is not over yet (see `turns`).
     open: Vec<bool>,
-    /// Whose timer has not fired yet since the last tick.
+    /// For each node, whether its timer is late: it has not fired since the last tick.
     owed: Vec<bool>,
+    /// The order in which the nodes take turns.
     order: Vec<usize>,
-    /// The members in the order of the state stored last.
+    /// The order of the members in the state stored last.
     pub named: Vec<usize>,
-    /// What the last step showed, task by task: for charts.
+    /// What the last transition showed of each task, for charts.
     pub log: Vec<(TaskId, Shown)>,
-    /// Whether to keep it.
     pub keep_log: bool,
 }
 
-/// The transit buffers of a world are emptied at once, so they need little room.
+/// Packets in a transit buffer. Few are enough, because a world empties its transit buffers at once.
 const TRANSIT: u16 = 64;
 
 /// What a step showed about a task.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Shown {
-    /// An observation of its communication task.
+    /// An event that its communication task reported.
     Seen(Observation),
-    /// An answer to the task.
+    /// A signal to the task.
     Told(Signal),
 }
 
@@ -130,7 +130,7 @@ impl NodeOutbox for Effects {
 }
 
 impl World {
-    /// The world in its first state.
+    /// The initial state.
     pub fn new(scenario: &Arc<Scenario>) -> Self {
         let n = scenario.tasks();
         let place = |i: usize| {
@@ -170,7 +170,7 @@ impl World {
         self.places.len()
     }
 
-    /// What may happen in this state. The order is part of the state space: a path is a list of positions here.
+    /// Lists the enabled transitions. Their order decides which of several shortest counterexamples is found.
     pub fn actions(&self, actions: &mut Vec<Action>) {
         if self.violation.is_some() || self.done {
             return;
@@ -182,19 +182,19 @@ impl World {
         }
     }
 
-    /// The same where nobody takes turns.
+    /// Lists the enabled transitions without the reduction by turns.
     fn free_actions(&self, actions: &mut Vec<Action>) {
         for i in 0..self.n() {
             self.task_actions(i, actions);
         }
         for (i, flight) in self.flights.iter().enumerate() {
             let i = small(i);
-            // Equal packets are one choice.
+            // Delivering either of two equal packets gives the same state.
             if i > 0 && self.flights[usize::from(i) - 1] == *flight {
                 continue;
             }
             self.arrivals(i, actions);
-            // Before its last tick a loss cannot be observed, unless the end of all faults comes first.
+            // Nobody can notice a loss before the packet's last tick, unless the faults end first.
             let may_heal = matches!(self.scenario.watch, Watch::MeetAgain { .. });
             let last = may_heal || self.scenario.delay.is_none_or(|delay| flight.age == delay);
             if self.loss > 0 && !self.healed && (last || !self.scenario.reductions.lose_last) {
@@ -209,7 +209,7 @@ impl World {
         }
     }
 
-    /// How a packet may arrive.
+    /// Lists the ways in which a packet may arrive.
     fn arrivals(&self, i: u8, actions: &mut Vec<Action>) {
         actions.push(Action::Deliver(i));
         if self.healed {
@@ -221,7 +221,7 @@ impl World {
         }
     }
 
-    /// How a tick may pass.
+    /// Lists the ways in which a tick may pass.
     fn ticks(&self, actions: &mut Vec<Action>) {
         actions.push(Action::Tick);
         if self.late > 0 && !self.healed {
@@ -230,7 +230,7 @@ impl World {
         }
     }
 
-    /// Crashes, restarts and the end of faults.
+    /// Lists crashes, restarts and the end of faults.
     fn crashes(&self, actions: &mut Vec<Action>) {
         if self.crash > 0 {
             for (i, place) in self.places.iter().enumerate() {
@@ -288,13 +288,13 @@ impl World {
         &self.places[i].node.parts().tasks[0]
     }
 
-    /// Whether nobody waits for anything, nobody has anything left to do and nothing is on the way.
+    /// Whether all tasks are idle with nothing left to do, and no packet is in flight.
     pub fn is_finished(&self) -> bool {
         let rests = |i: usize| self.task(i).is_idle() && self.ghosts[i].left == 0;
         self.flights.is_empty() && (0..self.n()).all(rests)
     }
 
-    /// Carries an action out. What the watch finds wrong becomes the state's violation.
+    /// Makes a transition. If it violates the watched property, that becomes the state's violation.
     pub fn apply(&mut self, action: Action) {
         if self.takes_turns() {
             self.take_turn(action);
@@ -358,7 +358,7 @@ impl World {
         }
     }
 
-    /// The rounds that some other member than `i` announced and does not wait in any more.
+    /// The rounds that members other than `i` announced and no longer wait in, as a mask.
     fn left_by_others(&self, i: usize) -> u32 {
         let others = (0..self.n()).filter(|&other| other != i);
         others.fold(0, |mask, other| {
@@ -372,7 +372,7 @@ impl World {
         })
     }
 
-    /// A packet arrives. Its envelope says how long it was on the way at most, and `extra` more.
+    /// A packet arrives. It is charged the link's bound and `extra` ticks.
     fn deliver(&mut self, mut flight: Flight, extra: u8) -> Result<(), Violation> {
         self.wrap_around(&mut flight);
         let to = flight.packet.destination.index();
@@ -381,7 +381,7 @@ impl World {
             return Ok(());
         }
         self.catch_up(to)?;
-        // The envelope announces a new life before any packet of it is handed on (D49).
+        // An envelope announces a new incarnation before any of its packets is handed on (D49).
         let known = self.places[to].known[from.index()];
         if self.scenario.lives() && flight.life != known {
             if flight.life.0 < known.0 {
@@ -417,7 +417,7 @@ impl World {
     fn answer(&mut self, i: usize) -> Result<(), Violation> {
         self.catch_up(i)?;
         let Some(to) = self.ghosts[i].serving.take() else { return Ok(()) };
-        // The answer repeats the question, so that a mix-up shows: it is kept in the number of sends left.
+        // The answer repeats the question, so that a mix-up shows. The question is derived from the sends left.
         let asked = self.ghosts[to.source.index()].left;
         let back = self.next_sequence(to.source.index()).steps_from(to.id.sequence).saturating_sub(1);
         let contents = question(asked.saturating_add(u8::try_from(back).unwrap_or(u8::MAX)));
@@ -428,7 +428,7 @@ impl World {
         self.task(i).next_sequence()
     }
 
-    /// Steps one node after so much time and lets the judge look at what came of it.
+    /// Steps one node after `elapsed` ticks and judges the effects.
     fn step(&mut self, i: usize, elapsed: Ticks, input: NodeInput) -> Result<(), Violation> {
         let task = TaskId::from_index(i);
         self.ghosts[i].waits_in = match self.task(i).state() {
@@ -481,7 +481,7 @@ impl World {
         let answer_on_the_way =
             |flight: &Flight| flight.packet.kind == Kind::Reply && flight.packet.destination == at;
         let current = self.flights.iter().any(|f| answer_on_the_way(f) && f.packet.id == self.last_id(at));
-        // An answer with too little left for the way never sets out (D83).
+        // The node drops an answer whose remaining time is less than the link delay (D83).
         let kept = effects.seen.iter().any(|seen| {
             seen.event == Event::Discarded(Reason::ExpiredInTransit)
                 && awaits(seen.peer).is_some_and(|(_, id)| id.sequence.get() == seen.number)
@@ -505,7 +505,7 @@ impl World {
         MessageId { incarnation: self.places[task.index()].life, sequence }
     }
 
-    /// What can only be judged when nothing is on the way.
+    /// Judges [`Watch::Stranded`], which only a state without packets in flight can violate.
     fn judge_quiet(&self) -> Result<(), Violation> {
         if self.scenario.watch != Watch::Stranded || !self.flights.is_empty() {
             return Ok(());

@@ -1,4 +1,4 @@
-//! The worlds of the protocol's claims.
+//! The scenarios of the protocol's claims.
 
 use crate::scenario::{Behaviour, Budget, Reductions, Scenario, Timing, Watch};
 use imrs_protocol::rules::Rules;
@@ -8,32 +8,32 @@ use std::sync::Arc;
 /// The names of members, for charts.
 const NAMES: [&str; 5] = ["A", "B", "C", "D", "E"];
 
-/// A rendezvous of equal members, each on a node of its own, every two joined by a link.
+/// A rendezvous of interchangeable members, each on a node of its own, with a link between every two nodes.
 #[derive(Clone, Debug)]
 pub struct Meeting {
     /// How many members.
     pub members: usize,
-    /// Their patience in ticks; `None`: they never give up.
+    /// Their time_out in ticks; `None`: they never give up.
     pub time_out: Option<u64>,
-    /// The longest way of a packet in ticks; `None`: no time passes at all.
+    /// The longest link delay in ticks; `None`: no time passes at all.
     pub delay: Option<u8>,
-    /// The period of re-sending (D55); `None`: every packet is sent once.
+    /// The period of retransmissions in ticks; `None`: every packet is sent once (D55).
     pub resend: Option<u64>,
-    /// How many losses a meeting is built for: copies of the CONFIRM (D55).
+    /// How many losses a meeting must bear: the CONFIRM is sent that many times more (D55).
     pub losses: u8,
-    /// The margin, where it is not the closed form.
+    /// The margin in ticks; `None`: the closed form.
     pub margin: Option<u64>,
-    /// How often each member reaches the waitfor; `None`: for ever.
+    /// How often each member reaches the waitfor; `None`: without limit.
     pub attempts: Option<u8>,
     /// Faults.
     pub budget: Budget,
-    /// How time may be off.
+    /// Deviations of time.
     pub timing: Timing,
     /// Rules.
     pub rules: Rules,
-    /// What is watched.
+    /// The property that is checked.
     pub watch: Watch,
-    /// Whether all members reach the waitfor at once.
+    /// Whether the members are eager: each reaches the waitfor as soon as it can.
     pub hurry: bool,
     /// Reductions.
     pub reductions: Reductions,
@@ -95,11 +95,11 @@ impl Meeting {
 pub struct Exchange {
     /// Whether commands are sent (class 2), else statuses (class 1).
     pub command: bool,
-    /// The life of each message in ticks.
+    /// The TTL of each message in ticks.
     pub time_out: u64,
-    /// The longest way of a packet in ticks.
+    /// The longest link delay in ticks.
     pub delay: u8,
-    /// How often a command is sent again, and how far apart.
+    /// How often a command is retransmitted, and the period in ticks.
     pub retry: (u8, u64),
     /// `bounded_buffer[n]`.
     pub buffer: u16,
@@ -107,15 +107,15 @@ pub struct Exchange {
     pub sends: u8,
     /// Faults.
     pub budget: Budget,
-    /// How time may be off.
+    /// Deviations of time.
     pub timing: Timing,
     /// Rules.
     pub rules: Rules,
-    /// What is watched.
+    /// The property that is checked.
     pub watch: Watch,
-    /// How far ahead the clocks of the sender's and the receiver's node are.
+    /// How many ticks ahead the clocks of the sender's and the receiver's node are.
     pub clocks: (u64, u64),
-    /// After how many messages their numbers wrap (a variant).
+    /// After how many messages sequence numbers wrap (a variant); `None`: never.
     pub wrap: Option<u8>,
 }
 

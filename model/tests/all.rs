@@ -1,4 +1,4 @@
-//! Every test of this room in one program: it is linked once.
+//! All tests of this crate in one program, so that it is linked once.
 
 mod agreement;
 mod cell_examples;

@@ -6,7 +6,7 @@ use imrs_model::cell::{Kind, Verdicts};
 const WELD: &str = include_str!("../../examples/weld_cell.cell");
 const PRESS: &str = include_str!("../../examples/press_line.cell");
 
-/// Checks a cell within so many states for each phase.
+/// Checks a cell with at most `states` states in each phase.
 fn checked(text: &str, states: u64) -> (Text, Verdicts) {
     let mut cell = Text::new(text);
     cell.plan.budget = within(states);
@@ -19,7 +19,7 @@ fn four_tasks_and_six_ports_are_looked_at_whole() {
     let (cell, verdicts) = checked(PRESS, 500_000);
     assert!(verdicts.is_complete(), "{:?}", verdicts.phases);
     assert_eq!(cell.found(&verdicts), []);
-    // Where nothing is sent again and no branch helps, a lost packet ends a task.
+    // Without retransmission and without a branch for it, a lost packet ends a task.
     let helpless = PRESS
         .replace("class = 2 retry = 2 resend = 40 msec", "class = 2 retry = 0")
         .replace(" on time_out do abort \"left is gone\"; end on refused do abort \"left is full\"; end", "");

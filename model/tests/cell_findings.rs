@@ -32,7 +32,7 @@ pub fn found(kind: Kind, at: &str) -> (Kind, String) {
     (kind, at.into())
 }
 
-/// What is found in a cell that can be looked at whole.
+/// What a complete search finds in a cell.
 pub fn all(text: &Text) -> Vec<(Kind, String)> {
     let verdicts = text.check();
     assert!(verdicts.is_complete());
@@ -110,7 +110,7 @@ fn two_that_wait_for_each_other_are_a_deadlock() {
     let deadlock = verdicts.of(Kind::Deadlock).next().expect("a deadlock");
     assert!(cell.source(deadlock).starts_with("receive got(m)"));
     assert_eq!(deadlock.cause, "a waits at receive `got` for b; b waits at receive `put` for a");
-    // Who has told all lets the other wait in peace.
+    // A server that waits for more messages after its sender has ended is at rest.
     assert_eq!(all(&two(PUT, USE_PUT, "send put(m);", TAKE, "")), []);
 }
 
@@ -148,9 +148,9 @@ fn a_statement_that_nothing_leads_to_is_unreached() {
     assert!(found_here[0].0 == Kind::Unreached && found_here[0].1.starts_with("delay 3 msec"));
 }
 
-/// Of what an action may give, both ends of its range are tried and both sides of what it is compared with. Where its result
-/// goes elsewhere, another one may lead on: a statement that none of these leads to is not said to be superfluous, nor a
-/// check to say nothing.
+/// Results of an action are tried at both ends of their range and on both sides of what they are compared with. If a
+/// result goes elsewhere, another value may lead on: then a statement that no tried value reaches is not reported as
+/// superfluous, nor a check as vacuous.
 #[test]
 fn results_lead_to_every_branch_that_compares_them_and_elsewhere_perhaps() {
     let of = |range: &str, branch: &str, check: &str| {
@@ -174,7 +174,7 @@ fn results_lead_to_every_branch_that_compares_them_and_elsewhere_perhaps() {
     assert_eq!(kinds, [Kind::Unreached, Kind::Vacuous]);
 }
 
-/// Who says what is to be done when nothing came in time asked whether something comes, also where the task ends there.
+/// A `receive` with a branch for the time_out expects that nothing may come, even if the task then ends.
 #[test]
 fn a_receive_that_says_what_then_may_end_the_task() {
     let put = PUT.replace("class = 2", "class = 1");
@@ -212,8 +212,8 @@ fn a_node_that_crashes_and_a_link_that_is_cut_are_the_named_ones() {
     assert!(with("dup 1").is_none());
 }
 
-/// Task `b` begins 21 ticks after a restart of its node, because `put` may still be under way; `c` need not wait for it, unless it
-/// asks it something.
+/// Task `b` is held back for 21 ticks after a restart of its node, because `put` may still be in flight. Task `c`
+/// need not wait for `b`, unless it sends `b` a command.
 #[test]
 fn after_a_restart_a_task_waits_for_its_own_ports_and_those_that_it_asks() {
     let early = |port: &str, uses: &str, answer: &str, ask: &str| {
@@ -249,7 +249,7 @@ fn a_budget_that_ends_the_search_gives_a_part() {
 
 #[test]
 fn an_end_between_least_and_most_is_looked_at_without_faults() {
-    // At 5 and at 60 ticks all is well; whoever ends while the other's beat of 20 ticks passes is not.
+    // The check holds for an end at 5 or 60 ticks. It fails for an end while `y` is set, after 20 ticks.
     let a = "run work takes 5..60 msec; x := 1; delay 1 msec; x := 0;";
     let b = "delay 20 msec; y := 1; delay 1 msec; y := 0;";
     let mut cell = two(
@@ -327,7 +327,7 @@ fn a_query_may_not_last_longer_than_its_answer_takes() {
     );
 }
 
-/// What members bring to a meeting is there when the others read it: at once, and after a handler that interrupted the wait.
+/// Values that members bring to a meeting are there when others read them, also after a handler in the wait.
 #[test]
 fn what_members_bring_to_a_meeting_is_what_the_others_read() {
     let meet = MEET.replace("meet()", "meet(h: int8)");
@@ -434,7 +434,7 @@ fn what_monitors_see_of_a_finding_is_what_the_checker_saw() {
     }
 }
 
-/// Tasks that ask one answerer, which tells them what it was told and one more.
+/// Tasks that query one task, which answers with the number that it was sent plus one.
 const ASKERS: &str = "cell askers;
 tick 1 msec;
 node na; node nb; node nt;
@@ -513,7 +513,7 @@ fn a_chart_says_the_line_and_the_values_of_each_step() {
     }
 }
 
-/// A couple's beats have a layout of the machine's own: no values of the cell are read from them.
+/// A couple's heartbeats have a layout of the machine's own: no values of the cell are read from them.
 #[test]
 fn what_beats_carry_is_not_taken_for_values() {
     let text = std::fs::read_to_string("../examples/weld_cell.cell").expect("the example");
@@ -527,7 +527,7 @@ fn what_beats_carry_is_not_taken_for_values() {
 #[test]
 fn tasks_with_the_same_statements_have_their_finding_told_once() {
     let assertions = |b: String| -> Vec<(TaskId, Vec<TaskId>)> {
-        // Either may come first: the search does not go on behind what ends a task.
+        // Either task may fail first: the search does not go on past a finding that ends a task.
         let text = format!("{ASKERS}{b}").replace("  query grab", "  run think takes 1..9 msec; query grab");
         let verdicts = Text::new(&text).check();
         let of = |finding: &Finding| (finding.task.expect("a task"), finding.also.clone());
@@ -535,6 +535,6 @@ fn tasks_with_the_same_statements_have_their_finding_told_once() {
     };
     let (a, b) = (TaskId(2), TaskId(3));
     assert_eq!(assertions(asker("b", 300)), [(a, vec![b])]);
-    // Another value is another text, and another cause.
+    // Another value makes another text, and another cause.
     assert_eq!(assertions(asker("b", 301)), [(a, vec![]), (b, vec![])]);
 }

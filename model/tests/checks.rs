@@ -12,7 +12,7 @@ fn explored(plan: &Arc<FloorPlan>) -> Exploration<Move> {
     explore_floor(plan, Limits { states: 200_000, memory: 1 << 30 })
 }
 
-/// `a` enters the shared place after each meeting with `b`, released or not; `b` meets it so many times.
+/// `a` enters the shared place after each meeting, if `honest` only when released; `b` comes to `meetings` of them.
 fn entering(meetings: u8, honest: bool) -> Arc<FloorPlan> {
     let mut cell = Cell::new("entering", Ticks(1));
     let nodes = ["left", "right"].map(|name| cell.node(name));
@@ -58,7 +58,7 @@ fn checks_ask_who_has_arrived_at_the_newest_meeting() {
     assert_eq!(explored(&entering(0, false)).violation, Some(Violation::Check));
 }
 
-/// `a` asks `b` once and notes when that is over; each check is `done` and a predicate about it.
+/// Task `a` queries `b` once and then sets `done`. The check reads `done` and a predicate about that query.
 fn asking(
     loss: u8,
     deaf: bool,

@@ -10,7 +10,7 @@ use std::sync::LazyLock;
 const RULES: [Confirmation; 4] =
     [Confirmation::None, Confirmation::FirstComplete, Confirmation::EveryComplete, Confirmation::PassOn];
 
-/// What two tests look at.
+/// The report that two tests read.
 static UNDER_LOSS: LazyLock<Report> = LazyLock::new(|| settle("rendezvous-under-loss"));
 
 fn settle(claim: &str) -> Report {
@@ -33,7 +33,7 @@ fn the_default_is_to_confirm_when_complete_and_it_matters() {
         let without = least_losses(members, Confirmation::None);
         assert!(without < with, "{members} members: {without} and {with}");
     }
-    // The same with re-sending, where a member gives up though all have arrived.
+    // The same with retransmission: a member gives up though all have arrived.
     let gives_up = |confirmation, loss| {
         let rules = Rules { confirmation, ..Rules::DEFAULT };
         let meeting = Meeting { rules, hurry: true, ..timed(2, Watch::GaveUpAfterAllArrived, loss, 3, 8) };

@@ -1,4 +1,4 @@
-//! The lease of a couple under the checker (D78): what is left at the least lease that the declaration admits.
+//! The lease of a couple under the checker: how tight the least lease that a declaration admits is (D78).
 
 use imrs_model::floor::explore_floor;
 use imrs_model::floor::plan::{Faults, FloorWatch, Goal};
@@ -36,8 +36,8 @@ fn is_ever_fenced(couple: &Couple) -> bool {
     found.violation.is_some()
 }
 
-/// Whatever the packets do within their ways, the lease is renewed in time; one tick that a clock counts too much is more than
-/// there is to spare, and a lease that is a tick shorter is no declaration.
+/// With any link delays within their bounds the least lease is renewed in time. One tick of clock drift is too much
+/// for it, and a lease that is a tick shorter is an error of the declaration.
 #[test]
 fn the_least_lease_lasts_and_has_no_tick_to_spare() {
     for (delay, every) in [(1, 2), (1, 3), (2, 3)] {

@@ -1,5 +1,5 @@
-//! Cells of `examples/faulty` with one fault each that shows only when the cell runs: the checker finds it, and nothing
-//! else, where the file says; and where its wrong lines are put right, nothing.
+//! Cells of `examples/faulty`, each with one fault that shows only when the cell runs. The checker finds it where the
+//! file says, and nothing else. With the wrong lines corrected it finds nothing.
 //!
 //! The first lines of such a file are comments:
 //! ```text
@@ -18,10 +18,10 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
 
-/// Fewer say too little about the checker.
+/// Fewer cells would say too little about the checker.
 const FEWEST: usize = 25;
 
-/// Every kind of finding of a cell. No cell makes the machine itself go wrong, as far as is known.
+/// Every kind of finding except `Kind::Machine`: no known cell makes the machine itself fail.
 const KINDS: [Kind; 15] = [
     Kind::Deadlock,
     Kind::TimeOut,
@@ -40,7 +40,7 @@ const KINDS: [Kind; 15] = [
     Kind::WaitsForEver,
 ];
 
-/// What is said of a cell that the checker cannot look at.
+/// What a file says if the checker cannot search its cell.
 const NOT_CHECKED: &str = "\"not checked\"";
 
 struct Faulty {
@@ -50,7 +50,7 @@ struct Faulty {
     finds: String,
 }
 
-/// A cell and what the checker says of the whole of it.
+/// A cell and its verdicts from a complete search.
 struct Checked {
     name: String,
     finds: String,
@@ -62,7 +62,7 @@ struct Checked {
 static CHECKED: LazyLock<Vec<Checked>> = LazyLock::new(|| {
     let checked = |Faulty { name, text, finds }| {
         let mut cell = cell(&text);
-        // Two tests wait for this: together they have two cores.
+        // Two tests wait for this search, so it may use two cores.
         cell.plan.jobs = 2;
         let verdicts = check(&cell);
         Checked { name, finds, cell, verdicts }
@@ -70,7 +70,7 @@ static CHECKED: LazyLock<Vec<Checked>> = LazyLock::new(|| {
     faulty().into_iter().map(checked).collect()
 });
 
-/// The cells of which something is said to be found by the checker.
+/// The cells whose files say what the checker finds.
 fn faulty() -> Vec<Faulty> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/faulty");
     let mut all = Vec::new();
@@ -90,7 +90,7 @@ pub fn comment<'a>(line: &'a str, name: &str) -> Option<&'a str> {
     Some(line.strip_prefix("(* ")?.strip_prefix(name)?.strip_prefix(": ")?.strip_suffix("*)")?.trim())
 }
 
-/// The text with its wrong lines put right; `None` where it says nothing about them.
+/// The text with its wrong lines corrected; `None` if the file does not say how.
 pub fn right(text: &str) -> Option<String> {
     let mut lines: Vec<&str> = text.lines().collect();
     let said: Vec<&str> = text.lines().filter_map(|line| comment(line, "right")).collect();
@@ -112,7 +112,7 @@ fn is_packet(note: &Note) -> bool {
     matches!(note, Note::Packet { .. })
 }
 
-/// The whole of a cell: bounded by its states, however long that takes.
+/// Checks a cell completely: bounded by states, however long that takes.
 fn check(text: &Text) -> Verdicts {
     let verdicts = text.check();
     assert!(verdicts.refused.is_some() || verdicts.is_complete(), "{:?}", verdicts.phases);
@@ -125,13 +125,13 @@ fn cell(text: &str) -> Text {
     cell
 }
 
-/// States that a second search may take. Every finding comes within them; the largest cell has four times as many, which
-/// `IMRS_AGAIN=250000` takes.
+/// States that a second search may keep. Every finding comes within them. The largest cell has four times as many,
+/// for which `IMRS_AGAIN=250000` is enough.
 fn states_again() -> u64 {
     std::env::var("IMRS_AGAIN").map_or(60_000, |states| states.parse().expect("a number of states"))
 }
 
-/// A finding as the files say it, its cause only where the file has one, too.
+/// A finding in the notation of the files. Its cause is given only if the file has one, too.
 pub fn told(cell: &Text, finding: &Finding, finds: &str) -> String {
     let place = cell.place(finding).map_or_else(String::new, |(line, column)| format!(" {line}:{column}"));
     let short = format!("\"{}\"{place}", finding.kind.name());
@@ -157,7 +157,7 @@ fn each_fault_is_found_where_its_cell_says_and_nothing_else() {
     assert_eq!(kinds, BTreeSet::from(KINDS), "each kind has its cell");
 }
 
-/// A stranger has to see where, and what the others do instead.
+/// A reader must see where a finding is, and where the other tasks concerned are.
 #[test]
 fn every_finding_has_a_place_and_those_whom_it_concerns_have_theirs() {
     for Checked { name, cell, verdicts, .. } in CHECKED.iter() {
@@ -191,7 +191,7 @@ fn every_finding_has_a_place_and_those_whom_it_concerns_have_theirs() {
     }
 }
 
-/// That nothing is found takes a search that ends: the largest cell alone has 250,000 states.
+/// To find nothing takes a complete search: the largest cell alone has 250,000 states.
 #[test]
 fn where_the_wrong_lines_are_right_nothing_is_found() {
     for Faulty { name, text, finds } in faulty() {
@@ -236,7 +236,7 @@ fn the_way_to_each_fault_is_told_and_the_same_twice() {
             assert!(names.iter().all(|name| drawn.contains(&format!(">{name}</text>"))), "{name}: {names:?}");
             assert!(chart.lines().all(|line| line.chars().count() <= 78), "{name}:\n{chart}");
             assert!(chart.lines().any(|line| line.trim_start().starts_with("=> ")), "{name}:\n{chart}");
-            // A cell that declares faults is wrong only where they come about.
+            // A cell that declares faults shows its finding only with a fault.
             let phase =
                 if plan.faults.iter().all(CellFaults::are_none) { Phase::FaultFree } else { Phase::Faults };
             assert_eq!(finding.phase, phase, "{name}");
@@ -244,14 +244,14 @@ fn the_way_to_each_fault_is_told_and_the_same_twice() {
     }
 }
 
-/// What only a whole search can know, and one overlap that takes a cut and four ticks of one clock, each at its instant.
+/// Findings that random runs miss: two take a complete search, one a cut and four ticks of drift at their instants.
 const NOT_AT_RANDOM: [(&str, Kind); 3] = [
     ("check_of_a_door_that_never_opens.cell", Kind::Vacuous),
     ("standby_of_a_slow_clock.cell", Kind::TwoOwners),
     ("statement_after_the_last_recipe.cell", Kind::Unreached),
 ];
 
-/// A cell that the search refuses is run all the same. `IMRS_SEEDS` says how many runs of each: 300 in `.ci/long`.
+/// Cells that the checker cannot search are run, too: `IMRS_SEEDS` runs of each cell, 300 in `.ci/long`.
 #[test]
 fn random_runs_show_what_the_search_finds_and_nothing_else() {
     let mut missed = Vec::new();

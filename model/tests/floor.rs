@@ -1,4 +1,4 @@
-//! Floors: whole nodes, relays, links that take only so much, handlers, scripts.
+//! Floors: whole nodes, relays, links of limited capacity, handlers, scripts.
 
 use imrs_model::floor::plan::{Faults, FloorPlan, FloorWatch, Goal, TaskPlan};
 use imrs_model::floor::worlds::{
@@ -26,8 +26,8 @@ fn explored(plan: &Arc<FloorPlan>) -> Exploration<Move> {
     found
 }
 
-/// Explores a floor that must fail, level by level with whole states: the counterexample is a run of the floor, and no
-/// shorter one exists.
+/// Explores a floor that must fail, and once more level by level with whole states: the counterexample is a run of
+/// the floor, and there is no shorter one.
 fn fails(plan: &Arc<FloorPlan>) -> Violation {
     let found = explored(plan);
     let drawn = draw_floor(plan, &found).expect("a chart");
@@ -126,7 +126,7 @@ fn clocks_apart_make_no_difference() {
         (found.states, found.transitions)
     });
     assert!(counts.iter().all(|count| *count == counts[0]));
-    // A status that its receiver's node holds while it misses a tick comes out one tick late, and no more.
+    // If the receiver's node misses a tick while it holds a status, the status comes out one tick late, and no more.
     let faults = Faults { drift: 1, ..Faults::default() };
     let late = |slack| {
         let watches = vec![FloorWatch::Stale { slack }];
@@ -217,7 +217,7 @@ fn a_script_shows_that_the_literal_penalty_revives_commands() {
     assert_eq!(fails(&penalised(true).expect("a sound declaration")), Violation::Stale);
 }
 
-/// Two tasks that meet at a waitfor, again and again, and note whether they are in the shared place.
+/// Two tasks that enter a shared place once each, ordered by a waitfor if `meet`, and note whether they are in it.
 fn sharing(meet: bool) -> Arc<FloorPlan> {
     let mut cell = Cell::new("sharing", Ticks(1));
     let nodes = ["left", "right"].map(|name| cell.node(name));

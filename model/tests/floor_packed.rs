@@ -16,7 +16,7 @@ fn successors(model: &FloorModel, state: &Packed) -> HashSet<Packed> {
     moves.into_iter().filter_map(|step| model.next_state(state, step)).collect()
 }
 
-/// Walks the floor with whole copies, and asks of every state that its packed form has the same successors.
+/// Explores the floor with unpacked copies, and asks of every state that its packed form has the same successors.
 fn live_and_packed_agree(plan: &Arc<FloorPlan>) -> usize {
     let model = FloorModel::new(plan, Limits::default());
     let start = LiveFloor::new(plan);
@@ -170,20 +170,20 @@ fn reachable(plan: &Arc<FloorPlan>) -> (FloorModel, HashSet<Packed>) {
     (model, seen)
 }
 
-/// What a floor reaches by whole steps; and what it reaches, where nothing waits any more, by taking the inputs of a node's tasks in
-/// every order.
+/// The quiescent states that a floor reaches by fused steps, and those that it reaches by taking the inputs of a
+/// node's tasks in every order.
 fn both_ways(plan: fn(bool) -> Arc<FloorPlan>) -> [HashSet<Packed>; 2] {
     let (fused_model, fused) = reachable(&plan(true));
     let (model, unfused) = reachable(&plan(false));
     assert!(!unfused.iter().any(Packed::is_final), "a watch found something, or a state outgrew its form");
-    // The unfused form also says that nothing is outstanding: compare what a fused floor makes of it.
+    // The unfused form also packs queued inputs, so a fused floor packs these states again.
     let quiet = unfused.iter().filter(|s| model.is_quiescent(s)).map(|s| model.as_fused(s)).collect();
     println!("{} fused, {} unfused", fused.len(), unfused.len());
     assert!(unfused.len() > fused.len() && fused.iter().all(|s| fused_model.is_quiescent(s)));
     [fused, quiet]
 }
 
-/// The steps commute: whatever order the tasks of a node take their inputs in.
+/// The steps commute: the tasks of a node may take their inputs in any order.
 #[test]
 fn fused_and_unfused_steps_reach_the_same_quiescent_states() {
     let [fused, quiet] = both_ways(neighbours);
@@ -191,8 +191,8 @@ fn fused_and_unfused_steps_reach_the_same_quiescent_states() {
     live_and_packed_agree(&neighbours(false));
 }
 
-/// Arrivals within a node may cross: then both members are released by the arrival of the other, and neither by a CONFIRM. More
-/// states are reached than by whole steps, none is lost, and no watch finds anything.
+/// Arrivals within a node may cross: then each member is released by the other's arrival, and neither by a CONFIRM.
+/// More states are reached than by fused steps, none is lost, and no property is violated.
 #[test]
 fn arrivals_that_cross_within_a_node_reach_states_of_their_own() {
     let [fused, quiet] = both_ways(members);

@@ -1,4 +1,4 @@
-//! What is found in cells with tasks whose body is outside.
+//! Findings in cells with extern tasks, whose bodies are outside the cell.
 
 use crate::cell_findings::{all, found};
 use crate::cells::{Text, within};
@@ -14,7 +14,7 @@ fn a_task_outside_makes_any_use_of_its_ports() {
         task b on nb\nuse_port put(m: Num) usage = receive;\nvar y: bool; var m: Num;\nbegin\n\
         loop receive put(m); y := true; reply(); y := false; run work takes 1..5 msec; end;\nend b;\n\
         check c: never b.y;\n";
-    // It may say anything that its format holds.
+    // An extern task may send any value of its format.
     for never in ["never b.m.n > 0", "never b.m.n > 7", "never b.m.n < -7"] {
         let cell = Text::new(&text.replace("never b.y", never));
         assert_eq!(cell.found(&cell.check()), [found(Kind::Check, "")], "{never}");
@@ -25,8 +25,8 @@ fn a_task_outside_makes_any_use_of_its_ports() {
     assert!(verdicts.statements[1].0 == verdicts.statements[1].1, "what a sends arrives");
 }
 
-/// A task outside may tell one of several receivers something. What it does otherwise than once in its period is not looked at: what
-/// only that leads to is not said to be superfluous, nor a check that waits for it to say nothing.
+/// An extern task may send to one of several receivers. Other timings than one use in each period are not tried:
+/// statements that only these reach are not reported as superfluous, nor checks that only these decide as vacuous.
 #[test]
 fn a_task_outside_tells_one_of_several_and_may_come_at_other_times() {
     let takes = |name: &str| {
@@ -55,7 +55,7 @@ fn a_task_outside_tells_one_of_several_and_may_come_at_other_times() {
     assert_eq!(verdicts.not_tried.len(), 1, "{:?}", verdicts.not_tried);
 }
 
-/// The first statement that asks does not read the answer, the second one does.
+/// The first statement does not read the answer, the second one does.
 #[test]
 fn a_task_outside_answers_in_the_format_that_any_statement_reads() {
     let text = "cell out;\ntick 1 msec;\nnode na;\ntype Num is record n: int8; end;\n\
@@ -69,7 +69,7 @@ fn a_task_outside_answers_in_the_format_that_any_statement_reads() {
     assert!(said.iter().all(|(kind, _)| *kind != Kind::ScriptFault), "{said:?}");
 }
 
-/// What a task outside goes on with is not known: it is in no standstill, also where it asks in vain again and again.
+/// What an extern task does next is unknown: it is in no standstill, even if it asks in vain again and again.
 #[test]
 fn a_task_outside_is_at_no_standstill() {
     let asks = |a: &str| {
@@ -86,8 +86,8 @@ fn a_task_outside_is_at_no_standstill() {
     assert_eq!(still(&Text::new(&asks(&format!("extern rate = 1/10 msec\n{port}")))), 0);
 }
 
-/// What a task outside says is no zero: a branch on it is reached with the constant that it asks for, and one that none of
-/// the values that are tried leads to is not said to be superfluous.
+/// Values of extern tasks include the constants that branches compare them with. A branch that no tried value reaches
+/// is not reported as superfluous.
 #[test]
 fn a_task_outside_says_what_others_ask_for() {
     let text = |condition: &str| {
@@ -109,7 +109,7 @@ fn a_task_outside_says_what_others_ask_for() {
     assert!(beyond.findings.iter().all(|finding| finding.kind == Kind::TimeOut), "{:?}", beyond.findings);
     let [(task, _)] = beyond.not_tried[..] else { panic!("{:?}", beyond.not_tried) };
     assert_eq!(task.index(), 0);
-    // What is compared by order is tried on both sides of the constant.
+    // A constant that a value is compared with by order is tried with its neighbours.
     let beside = checked("m.n > 9 and m.n < 12");
     assert!(beside.findings.iter().any(|finding| finding.kind == Kind::Check), "{:?}", beside.findings);
     assert_eq!(
@@ -119,7 +119,7 @@ fn a_task_outside_says_what_others_ask_for() {
     assert!(beside.outside.real.is_empty());
 }
 
-/// A task outside that says reals: constants, and the next numbers on both sides.
+/// The reals of an extern task: constants, and the adjacent floats on both sides.
 #[test]
 fn reals_of_a_task_outside_come_on_both_sides_of_what_they_are_compared_with() {
     let checked = |condition: &str| {
@@ -143,8 +143,8 @@ fn reals_of_a_task_outside_come_on_both_sides_of_what_they_are_compared_with() {
     assert_eq!(tried.real_left_out, [12.5, 13.5, 14.5, 15.5]);
 }
 
-/// Beats are the machine's own: a task outside does not use their port. It takes over as any other task does, and goes on where
-/// it has the lease again.
+/// Heartbeats are the machine's own: an extern task does not use their port. It takes over as any other task does,
+/// and goes on when it has the lease again.
 #[test]
 fn a_task_outside_takes_over_and_leaves_the_beats_alone() {
     let text = "cell out;\ntick 1 msec;\nnode na; node nb; node nc;\n\
@@ -168,7 +168,7 @@ fn a_task_outside_takes_over_and_leaves_the_beats_alone() {
     let verdicts = cell.check();
     assert_eq!(verdicts.of(Kind::ScriptFault).count(), 0, "{:?}", verdicts.findings);
     assert_eq!(verdicts.of(Kind::TwoOwners).count(), 0);
-    // The second one acts where the first one pauses, and not without a fault.
+    // The second task acts only while the first one is paused, so only with a fault.
     let check = verdicts.of(Kind::Check).next().expect("the second one welds");
     assert_eq!(check.phase, Phase::Faults);
 }

@@ -1,4 +1,4 @@
-//! Independent parts of a cell, each searched by itself, against the same cells searched as a whole.
+//! Searches of the independent parts of a cell, against searches of the same cells as a whole.
 
 use crate::cells::{Text, within};
 use crate::guard::{is_sound, number, random_text};
@@ -7,8 +7,8 @@ use imrs_protocol::TaskId;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// A line: a feeder puts parts on a belt, through a relay. All names end with its letter. The feeder does not
-/// think of a lost answer.
+/// A line: a feeder puts parts on a belt, over a relay. All names end with the letter of the line. The feeder does
+/// not handle a lost answer.
 fn line(of: char) -> String {
     format!(
         "node f{of}; node r{of}; node b{of};\nlink f{of} -- r{of} delay 1 msec;\nlink r{of} -- b{of} delay 1 msec;\n\
@@ -23,7 +23,7 @@ fn line(of: char) -> String {
     )
 }
 
-/// Another one: two arms that meet once, or give up.
+/// A different part: two arms that meet once, or give up.
 const MEETING: &str = "node l; node r;\nlink l -- r delay 1 msec;\n\
     task left on l\nport lift() usage = waitfor user_list = {right} time_out = 30 msec class = 2;\n\
     var up: bool;\nbegin\nrun grip takes 1..8 msec; waitfor lift() on time_out do abort \"alone\"; end; up := true;\n\
@@ -34,7 +34,7 @@ const MEETING: &str = "node l; node r;\nlink l -- r delay 1 msec;\n\
 
 const HEAD: &str = "cell lines;\ntick 1 msec;\n";
 
-/// A check that is true in every state, and reads tasks of two parts: so they are one.
+/// Adds checks that are true in every state and read tasks of several parts, which joins the parts.
 fn joined(text: &str, tasks: &[&str]) -> String {
     let pairs = tasks.windows(2).enumerate();
     let checks: Vec<String> = pairs
@@ -55,7 +55,7 @@ fn cell(text: &str, times: Times) -> Text {
 
 type Key = (Kind, Phase, Vec<TaskId>, Option<u16>, Option<usize>, Option<usize>);
 
-/// What is found, but for how a task starves: that is told of one way only.
+/// The findings by key. Starvation counts as a time_out, because it is judged on one path only.
 fn keys(verdicts: &Verdicts) -> BTreeSet<String> {
     let key = |finding: &Finding| -> Key {
         let kind = if finding.kind == Kind::Starves { Kind::TimeOut } else { finding.kind };
@@ -74,7 +74,7 @@ fn parts(verdicts: &Verdicts) -> Vec<u32> {
     verdicts.phases.iter().map(|phase| phase.parts).collect()
 }
 
-/// Loss, a crash and a cut in turn, in two copies of a line, and beside a third part that is different.
+/// Loss, a crash and a cut in turn: in two copies of a line, and in a line beside a different part.
 #[test]
 fn parts_by_themselves_show_what_the_whole_shows() {
     let lines = format!("{HEAD}{}{}", line('x'), line('y'));
@@ -105,7 +105,7 @@ fn parts_by_themselves_show_what_the_whole_shows() {
     assert!(by_parts * 10 < at_once, "{by_parts} states, as a whole {at_once}");
 }
 
-/// Without any reduction the whole is searched at once.
+/// Without any reduction the cell is searched as a whole.
 #[test]
 fn the_plain_form_finds_the_same() {
     let short = |of: char| line(of).replace("if n = 3", "if n = 2");
@@ -122,7 +122,7 @@ fn the_plain_form_finds_the_same() {
     assert!(states(&apart) * 5 < states(&whole));
 }
 
-/// What two tasks share makes them one part: a node, a relay, a couple, a check. Without it they are two.
+/// What two tasks share makes them one part: a node, a relay, a check. Without it they are in two parts.
 #[test]
 fn what_is_shared_joins() {
     let two = format!("{HEAD}{}{}", line('x'), line('y')).replace("n > 3", "n > 1");
@@ -140,12 +140,12 @@ fn what_is_shared_joins() {
             .iter()
             .map(|finding| (finding.kind, [finding.task.as_slice(), &finding.also].concat()))
             .collect();
-        // Both checks are broken, and nothing ends by its time_out: every packet finds its way.
+        // Both checks are broken, and no request ends by its time_out: every packet is routed.
         assert_eq!(kinds, [(Kind::Check, Vec::new()), (Kind::Check, Vec::new())], "{text}");
     }
 }
 
-/// A clock that drifts between two events is at the mercy of all events of the cell.
+/// How far a clock drifts between two events depends on all events of the cell.
 #[test]
 fn with_drift_a_cell_is_searched_as_a_whole() {
     let short = |of: char| line(of).replace("if n = 3", "if n = 1").replace("5..9 msec", "5 msec");
@@ -155,7 +155,7 @@ fn with_drift_a_cell_is_searched_as_a_whole() {
     assert_eq!(parts(&verdicts), [2, 1]);
 }
 
-/// Tasks that wait for each other are found while another part goes on for ever, and where all is searched as a whole.
+/// A deadlock is found beside a part that goes on for ever, by parts and as a whole.
 #[test]
 fn a_part_at_its_end_is_seen_beside_one_that_goes_on() {
     let ring = "node a; node b;\nlink a -- b delay 1 msec;\n\
@@ -171,8 +171,8 @@ fn a_part_at_its_end_is_seen_beside_one_that_goes_on() {
     assert_eq!(whole.of(Kind::Deadlock).count(), 1);
 }
 
-/// An `abort` ends all ways of the search without faults, and none of those with a fault. So what needs no fault in one part,
-/// and comes after an `abort` of another, shows in the whole with a fault alone: the parts say that it takes none.
+/// An `abort` ends all paths of the search without faults, and none of those with a fault. So a finding that needs no
+/// fault, but comes after an `abort` of another part, takes a fault in the whole. The parts show it without one.
 #[test]
 fn what_comes_after_an_abort_of_another_part_is_said_to_need_no_fault() {
     let text = "cell two;\ntick 1 msec;\nnode na; node nb; node nc;\nlink na -- nb delay 1 msec;\n\
@@ -192,7 +192,7 @@ fn what_comes_after_an_abort_of_another_part_is_said_to_need_no_fault() {
     assert_eq!(difference(&apart, &whole), None);
 }
 
-/// Charts have the lanes of the part, and the way replays in it.
+/// The chart of a finding has the lanes of its part, and its moves are replayed within the part.
 #[test]
 fn a_finding_is_drawn_and_replayed_within_its_part() {
     let text = format!("{HEAD}{}{}faults loss 1;\n", line('x'), line('y').replace("n > 3", "n > 1"));
@@ -216,7 +216,7 @@ fn a_finding_is_drawn_and_replayed_within_its_part() {
     assert_eq!(scenes.len(), broken.moves.len() + 1);
     let last = scenes.last().expect("a scene");
     assert_eq!(last.tick, broken.at_ticks);
-    // The task of the other part stays as it is, and its node is shown as it began.
+    // The tasks of the other part do not change, and their nodes are shown in their initial state.
     assert!(scenes.iter().all(|scene| scene.nodes.iter().all(|node| node.snapshot.is_some())));
     assert!(scenes.iter().all(|scene| scene.tasks[0] == scenes[0].tasks[0]));
     let counts = |scene: &imrs_model::cell::Scene| scene.tasks[3].variables.clone();
@@ -253,8 +253,8 @@ fn renamed(text: &str) -> String {
     out.lines().filter(|line| !is_head(line)).map(|line| format!("{line}\n")).collect()
 }
 
-/// The cells of two seeds beside each other, and the same joined by a check. None where they cannot be searched apart, or the
-/// compiler turns them down.
+/// The cells of two seeds beside each other, and the same joined by a check. `None` if they cannot be searched apart,
+/// or the compiler does not accept them.
 fn pair(seed: u64) -> Option<[String; 2]> {
     let [one, other] = [random_text(2 * seed + 1), random_text(2 * seed + 2)];
     let unlike =
@@ -264,7 +264,7 @@ fn pair(seed: u64) -> Option<[String; 2]> {
     (!unlike(&one) && !unlike(&other) && is_sound(&whole)).then_some([text, whole])
 }
 
-/// What is found in this phase, for each task by itself, but for deadlocks: a part may stand still while another goes on.
+/// The findings of this phase by key and task. Deadlocks are left out: a part may have one while another goes on.
 fn judged(verdicts: &Verdicts, phase: Phase) -> BTreeSet<String> {
     let mut verdicts = verdicts.clone();
     verdicts.findings.retain(|finding| finding.kind != Kind::Deadlock && finding.phase == phase);
@@ -276,11 +276,11 @@ fn judged(verdicts: &Verdicts, phase: Phase) -> BTreeSet<String> {
     keys(&verdicts)
 }
 
-/// What the parts of a cell do not show of what the whole shows, or show beyond it.
+/// How the findings of the parts and of the whole differ; `None` if they agree.
 ///
-/// What ends the ways of one part hides in the whole what comes later in the other. A phase of the whole in which nothing ends
-/// them is seen to its end: the parts show the same there. Where the phase without faults is not, the whole may show with a fault
-/// what the parts show without.
+/// A finding that ends paths in one part hides later findings of the other part in the whole. If no path of a phase
+/// of the whole is ended (pruned), the parts show the same there. If the phase without faults is pruned, the whole
+/// may show with a fault what the parts show without one.
 fn difference(apart: &Verdicts, whole: &Verdicts) -> Option<String> {
     let hides = |phase: Phase| whole.phases.iter().any(|one| one.phase == phase && one.pruned);
     let hidden = [Phase::FaultFree, Phase::Faults].map(hides);
@@ -308,7 +308,7 @@ fn difference(apart: &Verdicts, whole: &Verdicts) -> Option<String> {
     (!agree).then(|| format!("reached {:?}, as a whole {:?}", apart.statements, whole.statements))
 }
 
-/// A pair of random cells by parts and as a whole, both searched to their ends. None where the whole is too large.
+/// The verdicts on a pair of random cells, by parts and as a whole; `None` if the whole is too large.
 fn searched(text: &str, whole: &str) -> Option<[Verdicts; 2]> {
     let check = |text: &str| {
         let mut cell = Text::new(text);
@@ -320,13 +320,13 @@ fn searched(text: &str, whole: &str) -> Option<[Verdicts; 2]> {
     whole.is_complete().then(|| [check(text), whole])
 }
 
-/// Pairs of which the whole is not seen to its end where its parts are: what needs no fault in one part lies behind an `abort` of
-/// the other, and shows in the whole with a fault alone; a part outgrows its packed states behind a broken check of the other; and
-/// what lies behind an `abort` of a part that no fault touches is seen by a search with faults alone.
+/// Pairs whose whole is pruned and whose parts are complete. An `abort` of one part hides a finding without a fault,
+/// which the whole shows only with one. A part overflows its packed states behind a broken check of the other. States
+/// behind an `abort` that no fault touches are seen only by a search with faults.
 const HIDDEN: [u64; 3] = [243, 409, 531];
 
-/// Two random cells beside each other, by parts and joined by a check. `PAIRS` says how many pairs, `PAIR_SEED` the first one's
-/// seed, `PAIR_STATES` how many states a search keeps: 600 pairs and 20,000 states in `.ci/long`.
+/// Pairs of random cells, by parts and joined by a check. `PAIRS` is the number of pairs, `PAIR_SEED` the first seed,
+/// `PAIR_STATES` how many states a search keeps: 600 pairs and 20,000 states in `.ci/long`.
 #[test]
 fn random_cells_beside_each_other() {
     let (mut compared, mut shown, mut whole_seen, mut apart_states, mut whole_states) = (0, 0, 0, 0, 0);
@@ -336,8 +336,8 @@ fn random_cells_beside_each_other() {
         let Some([text, joined]) = pair(seed) else { continue };
         let Some([apart, whole]) = searched(&text, &joined) else { continue };
         let pruned = whole.phases.iter().any(|phase| phase.pruned);
-        // What the whole can look at, its parts can: together they have no more states. Behind what ends its ways it looks at
-        // nothing, and a part may be too large there.
+        // If the whole can be searched, so can its parts: together they have no more states. But where the whole is
+        // pruned, a part may be too large.
         assert!(apart.is_complete() || pruned, "PAIR_SEED={seed}:\n{text}");
         if !apart.is_complete() {
             continue;
@@ -355,7 +355,7 @@ fn random_cells_beside_each_other() {
         "{compared} pairs, {whole_seen} seen whole, {shown} with findings: {apart_states} states, as a whole {whole_states}"
     );
     assert!(differing.is_empty(), "{}", differing.join("\n"));
-    // A single pair need not show anything.
+    // A single pair need not have a finding.
     if pairs < 60 {
         return;
     }

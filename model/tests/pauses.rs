@@ -1,4 +1,4 @@
-//! Nodes that pause: what the checker finds with them, and that what it leaves out changes nothing.
+//! Nodes that pause: findings with pauses, and that the reduction of pauses changes no finding.
 
 use crate::cells::{Text, within};
 use crate::faulty_cells::right;
@@ -51,12 +51,12 @@ fn a_lease_holds_however_long_its_owner_pauses() {
     for length in ["", " up to 3 msec", " up to 24 msec", " up to 60 msec"] {
         let verdicts = checked(&couple(&format!("faults pause r1{length};")), Times::Ends, |_| ());
         assert!(verdicts.findings.is_empty(), "{length}: {:?}", verdicts.findings);
-        // A pause that is shorter than the lease less a heartbeat is nothing; a longer one makes the other take over.
+        // A pause shorter than the lease less a heartbeat has no effect; a longer one makes the standby take over.
         let took_over = verdicts.statements[1];
         assert_eq!(took_over.0 == took_over.1, length != " up to 3 msec", "{length}: {took_over:?}");
         assert!(verdicts.still.is_empty() == (length != " up to 3 msec"), "{length}: {:?}", verdicts.still);
     }
-    // So it does when any node may pause, twice.
+    // The lease also holds if any node may pause, twice.
     let verdicts = checked(&couple(""), Times::Ends, |cell| {
         let pause = Pause::new(&cell.plan.table, None, Some(Ticks(30)));
         cell.plan.faults = vec![CellFaults { pause: vec![pause; 2], ..CellFaults::default() }];
@@ -82,7 +82,7 @@ fn a_standby_that_takes_silence_for_death_is_found_and_its_chart_shows_the_pause
     assert!(verdicts.of(Kind::Check).next().is_none(), "and a long one");
 }
 
-/// One task decides and acts; it is over in 25 msec unless it pauses before the action that it has decided on.
+/// One task decides and acts. It is done within 25 msec unless it pauses between the decision and the action.
 const DECIDED: &str = "cell decided; tick 1 msec; node na;
 task a on na
   var goes, done: bool;
@@ -109,13 +109,13 @@ fn a_pause_may_come_between_a_decision_and_its_deed() {
             found.moves
         );
         assert!(found.chart.contains("PAUSES, before its action"), "{}", found.chart);
-        // An action that goes on in the pause is over with it.
+        // An action that runs during the pause has ended with it.
         let verdicts = checked(&text.replace("within 25", "within 30"), times, |_| ());
         assert!(verdicts.of(Kind::Check).next().is_none(), "{:?}", verdicts.findings);
     }
 }
 
-/// What waited for a paused node is as old as it is: it hears of nothing that has expired.
+/// A packet ages while it waits for a paused node, so the node gets nothing that has expired.
 #[test]
 fn a_message_that_waits_for_a_paused_node_ages() {
     let text = "cell old; tick 1 msec; node na; node nb; link na -- nb delay 1 msec;
@@ -143,7 +143,7 @@ end b;";
     assert_eq!([24, 58, 59].map(|lasts| misses(&longer, lasts)), [false, false, true]);
 }
 
-/// A pause of 10 ticks is 10 ticks to the node, too: a timer that ends later ends when it would have ended.
+/// A node counts the ticks of its pause, so a timer that outlasts the pause ends on time.
 #[test]
 fn a_timer_that_outlasts_a_pause_ends_on_time() {
     let text = "cell ring; tick 1 msec; node na;
@@ -170,7 +170,7 @@ check in_time: a.begun leads a.rang within 20 msec;";
     assert!(breaks(&text.replace("within 20", "within 19")));
 }
 
-/// A node that could not pause in the reduced search at some moment, or not go on, would hide a finding here.
+/// If a node could not pause or wake at some moment in the reduced search, a finding would be missing here.
 #[test]
 fn pauses_at_any_moment_find_no_more() {
     for text in [SILENCE, DECIDED, &couple("faults pause r1 up to 30 msec;")] {
@@ -189,7 +189,7 @@ fn pauses_at_any_moment_find_no_more() {
     }
 }
 
-/// The same of random cells: 400 in `.ci/long`. `PAUSE_SEED` is the first one's seed.
+/// The same for random cells: 400 in `.ci/long`. `PAUSE_SEED` is the first seed.
 #[test]
 fn random_pauses_at_any_moment_find_no_more() {
     let (cells, first) = (number("PAUSE_CELLS", 40), number("PAUSE_SEED", 1));
@@ -211,7 +211,7 @@ fn random_pauses_at_any_moment_find_no_more() {
         cell.plan.everything = false;
         let reduced = cell.check();
         assert!(reduced.is_complete(), "PAUSE_SEED={seed}:\n{text}");
-        // A part may stand still where the whole goes on (D138).
+        // A part may be at a standstill while the whole goes on (D138).
         if reduced.phases.iter().any(|phase| phase.parts > 1) {
             continue;
         }

@@ -1,4 +1,4 @@
-//! Each reduction can be switched off, and then reaches the same verdict and the same shortest length.
+//! Each reduction can be switched off without changing the verdict or the length of the shortest counterexample.
 
 use crate::support::walk::{successors, walk};
 use crate::support::worlds::{commands, endless, literal, scenario, timed, with};
@@ -24,7 +24,7 @@ fn run(reductions: Reductions, meeting: &Meeting) -> Exploration {
     found
 }
 
-/// Compares all reductions with each one off and with all off. Returns how many times fewer states there are.
+/// Compares all reductions with each one off and with none. Returns by which factor all of them reduce the states.
 fn same(meeting: &Meeting) -> f64 {
     let reduced = run(Reductions::ALL, meeting);
     let mut ratio = 0.0;
@@ -33,11 +33,11 @@ fn same(meeting: &Meeting) -> f64 {
         assert_eq!(found.violation, reduced.violation, "{reductions:?}");
         let length = |found: &Exploration| found.path.as_ref().map(Vec::len);
         assert_eq!(length(&found), length(&reduced), "{reductions:?}");
-        // A failing search stops somewhere within a level: its counts say nothing. Turns leave fewer transitions, but
-        // tell states apart by whose turn it is.
+        // A failing search stops within a level, so its counts say nothing. Turns leave fewer transitions, but
+        // distinguish states by whose turn it is.
         let fewer = found.states >= reduced.states || (!reductions.turns && reductions.ignores);
         assert!(found.violation.is_some() || fewer, "{reductions:?}");
-        // After a crash all nodes take turns again, and some orders of one tick come twice.
+        // After a crash all nodes take turns again, so some interleavings of a tick are explored twice.
         let crashes = meeting.budget.crash > 0 && !reductions.turns && reductions.ignores;
         let fewer = found.transitions >= reduced.transitions || crashes;
         assert!(found.violation.is_some() || fewer, "{reductions:?}");
@@ -54,7 +54,7 @@ fn two_members_hold() {
     same(&Meeting { attempts: Some(2), ..endless(2, 1) });
 }
 
-/// Equal members are sorted with their lives, and once no node can start again, what nobody notices vanishes.
+/// Equal members are sorted with their incarnations. Once no node can crash any more, unnoticed packets are dropped.
 #[test]
 fn members_that_restart() {
     let crash = Budget { loss: 0, dup: 0, crash: 1 };
@@ -80,9 +80,9 @@ fn two_members_fail() {
     same(&timed(2, Watch::Reachable, 1, 3, 5));
 }
 
-/// A loss just before the faults stop must not be lost to a reduction. Only verdicts are compared: where a packet that
-/// nobody notices does not vanish, it must still arrive before time can pass, and the way is longer. (With packets that
-/// nobody notices kept, the endless attempts of these worlds take minutes.)
+/// No reduction may miss a loss just before the faults end. Only verdicts are compared: an unnoticed packet that is
+/// not dropped must still arrive before time can pass, which makes paths longer. (With such packets kept, the endless
+/// attempts of these scenarios take minutes.)
 #[test]
 fn two_members_meet_again() {
     for (attempts, holds) in [(1, false), (2, true)] {
@@ -115,14 +115,14 @@ fn stranding_needs_as_many_losses() {
     }
 }
 
-/// Without a reduction there are 340,000 states. The verdict takes all of them.
+/// Without reductions there are 340,000 states. The verdict takes all of them.
 #[test]
 fn three_members_hold_in_far_fewer_states() {
     let ratio = same(&timed(3, Watch::FalseRelease, 0, 0, 2));
     assert!(ratio >= 5.0, "only {ratio:.1}");
 }
 
-/// Without a reduction there are 480,000 states. The verdict takes all of them.
+/// Without reductions there are 480,000 states. The verdict takes all of them.
 #[test]
 fn all_reductions_together_leave_a_twentieth_of_the_states() {
     let meeting = Meeting { resend: None, ..timed(3, Watch::FalseRelease, 0, 1, 3) };
@@ -131,7 +131,7 @@ fn all_reductions_together_leave_a_twentieth_of_the_states() {
     assert!(none.states >= 20 * all.states, "{} states and {}", all.states, none.states);
 }
 
-/// The states that a tick, a restart, a crash or the end of faults leads to.
+/// The states that a tick, a restart or the end of faults leads to, without their turns.
 fn after_barriers(scenario: &Arc<Scenario>) -> HashSet<Packed> {
     let model = WorldModel::new(scenario, Limits::default());
     let mut found = HashSet::new();
@@ -146,7 +146,7 @@ fn after_barriers(scenario: &Arc<Scenario>) -> HashSet<Packed> {
     found
 }
 
-/// In whatever order things happen between two ticks, what the ticks find is the same.
+/// Whatever the interleaving between two ticks, the states after the ticks are the same.
 #[test]
 fn turns_lead_to_the_same_states_after_every_tick() {
     let crash = Budget { loss: 0, dup: 0, crash: 1 };
@@ -160,8 +160,7 @@ fn turns_lead_to_the_same_states_after_every_tick() {
         Meeting { delay: Some(2), ..timed(2, Watch::AllOrNone, 0, 2, 5) },
         timed(3, Watch::AllOrNone, 0, 0, 2),
     ];
-    // Where rounds or commands follow each other, when a packet is found to be unnoticed depends on the states on the
-    // way.
+    // If rounds or commands follow each other, the intermediate states decide when a packet is found to be unnoticed.
     let noticed = Reductions { ignores: false, ..Reductions::ALL };
     let exchanges = [Watch::AtMostOnce, Watch::Resolves];
     let exchanges = exchanges.map(|watch| {

@@ -1,4 +1,4 @@
-//! Random runs of a cell: what they show, how that is shrunk, and that they make only moves that the search makes.
+//! Random runs of a cell: their findings, how these are shrunk, and that the runs make only moves of the search.
 
 use crate::cells::{Text, is_alike, within};
 use crate::guard::{number, random_cell};
@@ -61,7 +61,7 @@ fn the_same_seeds_show_the_same_for_any_number_of_threads() {
     }
 }
 
-/// What one seed of many shows it shows alone, too, and so does its schedule.
+/// A seed shows alone what it shows among many, and so does its schedule.
 #[test]
 fn a_seed_and_a_schedule_show_again_what_was_found() {
     for name in
@@ -89,13 +89,13 @@ fn a_seed_and_a_schedule_show_again_what_was_found() {
     }
 }
 
-/// Charts, recordings and causes make the moves of a finding again. A move that panics there is the last one shown.
+/// Charts, recordings and causes replay the moves of a finding. A move that panics there is the last one shown.
 #[test]
 fn a_finding_whose_last_move_panics_is_shown() {
     let mut plan = example("faulty/part_placed_twice.cell").plan;
     let mut found = seeds(&plan, 1_000, (1, 50)).found.remove(0);
     let steps = found.finding.moves.len();
-    // No cell has 200 packets in flight here, so the machine has none of that number.
+    // This cell never has 200 packets in flight, so the machine has none of that number.
     found.finding.moves.insert(steps / 2, CellMove::Duplicate(200));
     found.finding.phase = Phase::Faults;
     plan.faults = vec![found.faults];
@@ -103,7 +103,7 @@ fn a_finding_whose_last_move_panics_is_shown() {
     assert_eq!(shown.len(), 1 + steps / 2 + 1, "the start, the moves before the panic, and the panic");
 }
 
-/// A flag that is set ends batches and shrinking, and what was found until then is the answer, each finding whole.
+/// The stop flag ends batches and shrinking. What was found until then is returned, each finding complete.
 #[test]
 fn a_stop_ends_batches_and_shrinking() {
     let mut plan = example("faulty/part_placed_twice.cell").plan;
@@ -131,8 +131,8 @@ fn a_stop_ends_batches_and_shrinking() {
     }
 }
 
-/// With quick packets the question is rejected until it ends: it starves. With slow ones, which shrinking prefers, it ends
-/// by its time_out.
+/// With fast packets the query is rejected until its time_out: it starves. With slow packets, which shrinking
+/// prefers, the query just times out.
 const NOT_SERVED: &str = "cell served;
 tick 1 msec;
 node n1; node n2;
@@ -192,7 +192,7 @@ fn what_is_sound_shows_nothing() {
     }
 }
 
-/// Random runs make moves of the search alone: what they show it finds, and what it says is never reached they do not reach.
+/// Random runs make only moves of the search: it finds what they show, and they reach nothing it calls unreached.
 #[test]
 fn the_search_finds_what_random_runs_of_random_cells_show() {
     let cells = number("IMRS_CELLS", 70);
@@ -226,7 +226,7 @@ fn the_search_finds_what_random_runs_of_random_cells_show() {
     );
 }
 
-/// One robot asks another one three times.
+/// One robot queries another one three times.
 const ASKS: &str = "cell asks;
 tick 1 msec;
 node n1; node n2;
@@ -268,12 +268,12 @@ fn one_fault_happens_where_the_plan_says() {
         let checks: Vec<_> = all.found.iter().map(|found| found.finding.check).collect();
         assert_eq!((checks, &all.idle[..]), (vec![Some(0)], &[][..]), "{fault:?}");
         assert!(all.found[0].with_faults(), "{fault:?}");
-        // The same plan for whatever is chosen.
+        // The same faults with random choices.
         let any = simulator.seeds((1, 20), Some(std::slice::from_ref(&fault)), &mut |_, _| ());
         assert!(any.found[0].runs == 20 && any.with_faults == 20, "{fault:?}: {any:?}");
         assert!(any.idle.is_empty(), "{fault:?}: {any:?}");
     }
-    // These harm nobody: a copy is answered as before, and a cut of a link that carries nothing shows to nobody.
+    // A duplicate happens but has no effect: it is answered as before. The faults after it never happen.
     let copied = Fault::Copy { link: to, nth: 2 };
     let all = simulator.schedule(&with(&copied), false);
     assert!(all.found.is_empty() && all.idle.is_empty(), "{all:?}");
@@ -290,11 +290,11 @@ fn one_fault_happens_where_the_plan_says() {
         let any = simulator.seeds((1, 20), Some(&[fault.clone(), drift.clone()]), &mut |_, _| ());
         assert_eq!(any.idle, [fault], "the clock was wrong in each run");
     }
-    // A packet lost takes one request, whichever: the other check holds.
+    // Without faults the run goes to its end.
     assert_eq!(simulator.schedule(&Schedule::default(), false).ended[Ended::Over as usize], 1);
 }
 
-/// The choices of a fault that is left out do not go to those that are left.
+/// Leaving out a fault does not shift the choices of the other choosers.
 #[test]
 fn each_chooser_has_choices_of_its_own() {
     let cell = Text::new(ASKS);

@@ -1,4 +1,4 @@
-//! Tasks that go on for ever without coming further: told where nothing can come of it, and nowhere else.
+//! Standstills: tasks that go on for ever without progress are reported, and no others.
 
 use crate::cells::{Text, within};
 use crate::faulty_cells::right;
@@ -7,7 +7,7 @@ use imrs_protocol::NodeId;
 
 const ZONES: &str = include_str!("../../examples/faulty/robots_poll_for_each_others_zone.cell");
 
-/// Both take the left zone first: what the file says is right.
+/// The file with its wrong lines corrected: both tasks take the left zone first.
 fn in_order() -> String {
     right(ZONES).expect("it says what is right")
 }
@@ -21,7 +21,7 @@ fn checked(text: &str, change: impl FnOnce(&mut Text)) -> (Text, Verdicts) {
     (cell, verdicts)
 }
 
-/// The node of `a` stops, and may stay down.
+/// The node of `a` may crash, and may stay down.
 fn dead() -> CellFaults {
     CellFaults { crash: vec![NodeId(0)], ..CellFaults::default() }
 }
@@ -41,7 +41,7 @@ fn two_that_poll_for_what_the_other_has_are_told_at_any_times() {
         );
         let warning = &verdicts.warnings[0];
         assert!(warning.kind == Kind::Standstill && warning.chart.contains("RESPONSE take"));
-        // The way ends with one round in which nobody's action ends.
+        // The path ends with one round in which no action ends.
         let last = warning.moves.iter().rposition(|step| matches!(step, CellMove::Acted(..)));
         assert!(last.is_some_and(|last| last + 8 < warning.moves.len()), "{:?}", warning.moves);
     }
@@ -61,10 +61,10 @@ fn one_that_polls_for_what_a_dead_one_has_is_told_and_no_fault_free_run() {
     assert_eq!(cell.place(warning).map(|(line, _)| line), Some(53), "where it polls");
 }
 
-/// Asks for ever.
+/// A loop that asks for ever.
 const ASKS: &str = "loop query ask(1) -> ok on time_out do ok := false; end on refused do ok := false; end; delay 10 msec; end;";
 
-/// A cell of two tasks: `a` has a message for `b`.
+/// A cell of two tasks: `a` may send `news` to `b`, and `b` may query `a`.
 fn two(a: &str, b: &str) -> String {
     format!(
         "cell two; tick 1 msec; node na; node nb; link na -- nb delay 1 msec;
@@ -88,11 +88,11 @@ end b;
 
 #[test]
 fn what_nobody_waits_for_and_what_still_changes_is_no_standstill() {
-    // One that reports for ever, and one that hears it: nobody asks for anything.
+    // One task reports for ever, and the other receives: no task asks for anything.
     let reports = "loop send news(1); delay 10 msec; end;";
     let (_, verdicts) = checked(&two(reports, "loop receive news(n); end;"), |_| ());
     assert_eq!(causes(&verdicts), [""; 0]);
-    // One that asks until it is told yes, which a variable says that changes.
+    // One task asks until it is answered `true`, and the variable with the answer changes.
     let counts = "order ask > self;
   on query ask(k) do yes := not yes; response(yes); end;";
     let (_, verdicts) = checked(&two(counts, ASKS), |_| ());
@@ -104,7 +104,7 @@ fn what_nobody_waits_for_and_what_still_changes_is_no_standstill() {
     assert_eq!(causes(&verdicts), ["b goes on for ever, and nothing comes further any more"]);
 }
 
-/// (Members that give up alone for ever outgrow their packed form: a search that is not whole says nothing.)
+/// Members that give up alone for ever overflow their packed state, and an incomplete search reports no standstill.
 #[test]
 fn meetings_that_complete_are_progress() {
     let text = |b: &str| {
@@ -128,7 +128,7 @@ end b;
     assert_eq!(causes(&verdicts), [""; 0]);
 }
 
-/// What happened on the way to a standstill is no part of it: neither an answer nor a meeting.
+/// What happened on the path to a standstill is no part of it: neither an answer nor a meeting.
 #[test]
 fn a_task_is_named_for_what_it_does_there_and_not_for_what_it_did_before() {
     let answers = "order ask > self;

@@ -1,4 +1,4 @@
-//! What stateright 0.31 leaves to its user, one regression test for each.
+//! Regression tests for what stateright 0.31 leaves to its user.
 
 use crate::support::walk::{Dice, Walk, successors, walk};
 use crate::support::worlds::{commands, endless, literal, scenario, timed, with};
@@ -8,7 +8,7 @@ use imrs_protocol::rules::{Confirmation, Memory, Rules};
 use stateright::{Checker, Model};
 use std::sync::{Arc, LazyLock};
 
-/// Worlds with a violation, of every kind of watch.
+/// Scenarios with a violation, of many kinds of property.
 fn failing() -> Vec<Arc<Scenario>> {
     let unnumbered = Rules { rounds: false, ..Rules::DEFAULT };
     let silent = Rules { last_released: false, ..Rules::DEFAULT };
@@ -32,7 +32,7 @@ fn failing() -> Vec<Arc<Scenario>> {
     meetings.iter().map(scenario).chain(exchanges).collect()
 }
 
-/// Worlds without a violation.
+/// Scenarios without a violation.
 fn holding() -> Vec<Arc<Scenario>> {
     let crash = Meeting {
         budget: Budget { loss: 0, dup: 0, crash: 1 },
@@ -46,7 +46,7 @@ fn holding() -> Vec<Arc<Scenario>> {
     meetings.iter().map(scenario).chain(exchanges).collect()
 }
 
-/// A world without a violation: what the checker finds in it, and every state of it.
+/// A scenario without a violation: what the checker finds in it, and all its states.
 struct Held {
     scenario: Arc<Scenario>,
     found: Exploration,
@@ -56,7 +56,7 @@ struct Held {
 /// Searched once for all tests.
 static HELD: LazyLock<Vec<Held>> = LazyLock::new(|| {
     let held = |scenario| {
-        // Two tests wait for this: together they have two cores.
+        // Two tests wait for this search, so it may use two cores.
         let (walk, found) = std::thread::scope(|scope| {
             let found = scope.spawn(|| explore(&scenario, Limits::default(), None));
             // `successors` asserts on the way that every listed action leads somewhere.
@@ -71,7 +71,7 @@ static HELD: LazyLock<Vec<Held>> = LazyLock::new(|| {
 fn a_counterexample_is_a_shortest_one() {
     for scenario in failing() {
         let found = explore(&scenario, Limits::default(), None);
-        // The other search keeps whole states and goes level by level: below the one it names there is no violation.
+        // The other search goes level by level with whole states: no level before this one has a violation.
         let shortest = walk(&scenario).violated_at;
         assert!(shortest.is_some_and(|depth| depth > 1), "{:?}", scenario.watch);
         assert_eq!(found.path.map(|path| path.len()), shortest, "{:?}", scenario.watch);
@@ -151,7 +151,7 @@ fn every_renaming_of_a_state_has_one_canonical_form() {
     ];
     let mut dice = Dice(0x1987_0701);
     for meeting in worlds {
-        // Whose turn it is goes by the names, so renamed parties take other turns: that is compared elsewhere.
+        // Turns depend on the order of members, so renamed members take other turns. Another test compares turns.
         let free = Reductions { turns: false, ..Reductions::ALL };
         let named = with(Reductions { symmetry: false, ..free }, &meeting);
         let named = WorldModel::new(&named, Limits::default());
@@ -164,7 +164,7 @@ fn every_renaming_of_a_state_has_one_canonical_form() {
             let other = named.renamed(&state, &order);
             renamings += usize::from(other != state);
             assert_eq!(sorted.canonical(&state), sorted.canonical(&other), "{state:?} renamed by {order:?}");
-            // Renamed parties do renamed things: the futures are the same, too.
+            // Renamed members take renamed actions, so the successors have the same canonical forms, too.
             let futures = |state| {
                 let mut futures: Vec<_> = successors(&named, state)
                     .iter()
@@ -178,7 +178,7 @@ fn every_renaming_of_a_state_has_one_canonical_form() {
             assert_eq!(futures(&state), futures(&other), "after {state:?} renamed by {order:?}");
             let open: Vec<_> =
                 successors(&named, &state).into_iter().filter(|(_, after)| !after.is_final()).collect();
-            // From time to time from the start again: a world in which all have finished only ticks.
+            // Restarts from time to time, because a world in which all have finished only ticks.
             state = match open.len() {
                 n if n > 0 && dice.below(25) > 0 => open[dice.below(n)].1.clone(),
                 _ => named.init_states().remove(0),
@@ -220,7 +220,7 @@ fn no_state_is_a_dead_end_unless_everybody_has_finished() {
         [2, 3].map(|n| scenario(&Meeting { attempts: Some(2), ..Meeting::new(n, Watch::FalseRelease) }));
     let mut ends = 0;
     for scenario in holding().into_iter().chain(untimed) {
-        // Who has ended its turn waits for what never comes in some orders that lead nowhere.
+        // With turns, some interleavings lead nowhere: a closed node waits there for a packet that never comes.
         let mut free = Scenario::clone(&scenario);
         free.reductions.turns = false;
         let scenario = Arc::new(free);

@@ -1,4 +1,4 @@
-//! Verdicts that were wrong once: dangers that were missed, and findings that nothing can lead to.
+//! Verdicts that were wrong once: violations that were missed, and findings that no run leads to.
 
 use crate::cell_findings::all;
 use crate::cells::Text;
@@ -11,7 +11,7 @@ fn kinds(text: &str) -> Vec<Kind> {
     all(&Text::new(text)).into_iter().map(|(kind, _)| kind).collect()
 }
 
-/// Nothing orders two nodes within a tick: what one shows at its begin and what the other shows at its end may be so at a time.
+/// Nodes are not ordered within a tick: a value from its beginning and one from its end may hold at once.
 #[test]
 fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
     let gate = |left: &str, right: &str, turn: &str| {
@@ -27,7 +27,7 @@ fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
         assert_eq!(kinds(&gate(left, right, "5..10 msec")), [Kind::Check], "left on {left}");
         assert_eq!(kinds(&gate(left, right, "5..9 msec")), [], "left on {left}");
     }
-    // Both ends of a time in one step of the search, too.
+    // The same with two delays that end in one step of the search.
     let waits = |a: &str, b: &str| {
         format!(
             "{TWO}task a on {a}\nvar x: bool;\nbegin x := true; delay 5 msec; x := false; end a;\n\
@@ -36,11 +36,11 @@ fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
     };
     assert_eq!(kinds(&waits("na", "nb")), [Kind::Check]);
     assert_eq!(kinds(&waits("nb", "na")), [Kind::Check]);
-    // On one node, too: which of two tasks goes on first is the threads' choice.
+    // The same on one node: its threads may run two tasks in either order.
     assert_eq!(kinds(&waits("na", "na")), [Kind::Check]);
 }
 
-/// Of two tasks of a node that have something to do in one tick either goes on first, whichever the cell declares first.
+/// Two tasks of a node that have something to do in one tick run in either order, whichever the cell declares first.
 #[test]
 fn of_two_tasks_of_a_node_either_goes_on_first() {
     let gate = [
@@ -51,7 +51,7 @@ fn of_two_tasks_of_a_node_either_goes_on_first() {
         let text = format!("{ONE}{}check c: never a.x and b.y;\n", tasks.concat());
         assert_eq!(kinds(&text), [Kind::Check], "{text}");
     }
-    // What one of them says comes first, too, and leads to every statement.
+    // Either message may come first, too, so every statement is reached.
     let says = |name: &str, port: &str| {
         format!(
             "task {name} on na\nport {port}() usage = send user_list = {{c}} time_out = 50 msec;\nbegin delay 5 msec; send {port}(); end {name};\n"
@@ -66,7 +66,7 @@ fn of_two_tasks_of_a_node_either_goes_on_first() {
     );
 }
 
-/// Each of two tasks of a node says that it goes in unless it has heard so of the other: both may have spoken before either hears.
+/// Two tasks of a node each go in unless the other has said so: both may send before either hears it.
 #[test]
 fn what_two_tasks_of_a_node_send_each_other_may_cross() {
     let enters = |name: &str, (own, other): (&str, &str), takes: &str| {
@@ -85,8 +85,8 @@ fn what_two_tasks_of_a_node_send_each_other_may_cross() {
     assert!(!zone("6 msec"), "what was said a tick ago was heard");
 }
 
-/// A message comes before or after what its receiver does by itself in the same tick: a delay or timer that ends, an action that
-/// ends well or fails.
+/// A message comes before or after what its receiver does by itself in the same tick: a delay or timer that ends, an
+/// action that succeeds or fails.
 #[test]
 fn a_message_of_a_tick_comes_before_or_after_what_its_receiver_does_by_itself() {
     let ends = |wait: &str, faults: &str| {
@@ -109,7 +109,7 @@ fn a_message_of_a_tick_comes_before_or_after_what_its_receiver_does_by_itself() 
     assert_eq!(ends(&format!("order m > self; delay 4 msec; {told}"), ""), 1);
 }
 
-/// A script that was held back begins before or after what another one does in the same tick.
+/// A script that was held back begins before or after what another script does in the same tick.
 #[test]
 fn a_script_that_was_held_back_begins_before_or_after_the_others() {
     let x = "task x on na\nport p() usage = send user_list = {z} time_out = 10 msec class = 2;\nvar begun: bool;\nbegin begun := true; delay 500 msec;\n\
@@ -132,8 +132,8 @@ fn a_script_that_was_held_back_begins_before_or_after_the_others() {
     }
 }
 
-/// Two scripts that were held back equally long begin one after the other: others go on between them, and a time_out of a task that
-/// has nothing to do with them comes before or after.
+/// Two scripts that were held back equally long begin one by one: other scripts go on between them, and the time_out
+/// of an unrelated task comes before or after.
 #[test]
 fn scripts_that_were_held_back_begin_one_by_one() {
     let held = |name: &str, port: &str, (hello, say): (&str, &str)| {
@@ -144,7 +144,7 @@ fn scripts_that_were_held_back_begin_one_by_one() {
     };
     let hello = (" port hello() usage = send user_list = {y} time_out = 10 msec;", "send hello(); ");
     let (x, v) = (held("x", "p", hello), held("v", "r", ("", "")));
-    // It knows by whether it hears `hello` that this is not its first life.
+    // Task `y` hears no `hello` after a restart, because `x` is held back then: so it knows its second incarnation.
     let y = |ports: &str, then: &str| {
         format!(
             "task y on na\nuse_port hello() usage = receive;{ports}\nvar second, done: bool;\nbegin\n\
@@ -169,7 +169,7 @@ fn scripts_that_were_held_back_begin_one_by_one() {
     assert!(broken(&[&x, &v, &times_out, w], "y.second and y.done and not x.begun"));
 }
 
-/// A packet that is lost lets the next one of its link arrive in the same tick, before or after what a task does by itself.
+/// After a lost packet the link's next one may arrive in the same tick, before or after a task's own event.
 #[test]
 fn a_packet_behind_one_that_is_lost_comes_among_what_tasks_do_by_themselves() {
     let cell = |faults: &str| {
@@ -196,7 +196,7 @@ fn two_checks_that_one_step_breaks_are_two_findings() {
     assert_eq!(kinds(&text), [Kind::Check, Kind::Check]);
 }
 
-/// A token that is lost: two tasks wait for each other for ever, whatever a third one does.
+/// A lost token: two tasks wait for each other for ever, whatever a third task does.
 #[test]
 fn a_deadlock_is_found_beside_a_task_that_goes_on() {
     let ring = |other: &str| {
@@ -212,7 +212,7 @@ fn a_deadlock_is_found_beside_a_task_that_goes_on() {
     for other in ["", idle, acts] {
         assert_eq!(kinds(&ring(other)), [Kind::Deadlock], "{other}");
     }
-    // A task that hears of a third one may be helped by it.
+    // A task with a handler for a third task's messages may still be helped by that task.
     let helps = "task c on na\nport r() usage = send user_list = {a} time_out = 20 msec;\n\
         begin loop delay 50 msec; send r(); end; end c;\n";
     let heard = ring(helps).replace(
@@ -222,7 +222,7 @@ fn a_deadlock_is_found_beside_a_task_that_goes_on() {
     assert_eq!(kinds(&heard), []);
 }
 
-/// Two tasks of handlers alone, the first of which tells the second: all work is done, nobody waits for the other.
+/// Two tasks that only have handlers, the first of which sends to the second: at rest, neither waits for the other.
 #[test]
 fn servers_at_rest_are_no_deadlock() {
     let text = format!(
@@ -235,7 +235,7 @@ fn servers_at_rest_are_no_deadlock() {
     assert_eq!(kinds(&text), []);
 }
 
-/// The outside gives a real by its bits: on both sides of a constant stand its neighbours.
+/// An action gives a real by its bits: the adjacent floats on both sides of a constant are tried.
 #[test]
 fn a_real_result_comes_on_both_sides_of_what_it_is_compared_with() {
     let text = |range: &str, when: &str| {
@@ -250,7 +250,7 @@ fn a_real_result_comes_on_both_sides_of_what_it_is_compared_with() {
     assert_eq!(kinds(&text("in -3 .. -1", "r < -1.5")), [Kind::Check]);
 }
 
-/// Each statement has the results of its own range and type, also where another one runs an action of the same name.
+/// Each statement gets results of its own range and type, even if another statement runs an action of the same name.
 #[test]
 fn statements_of_one_action_have_their_own_results() {
     let text = |first: &str, second: &str, of: &str, check: &str| {
@@ -268,7 +268,7 @@ fn statements_of_one_action_have_their_own_results() {
     assert_eq!(kinds(&wide), breaks);
 }
 
-/// A state from which nothing comes further without anybody who asks in vain does not hide one in which somebody does.
+/// A state without progress in which no task asks in vain does not hide another one in which a task does.
 #[test]
 fn one_standstill_does_not_hide_another() {
     let text = |k: &str| {
@@ -285,8 +285,8 @@ fn one_standstill_does_not_hide_another() {
     }
 }
 
-/// A task that answered a question long ago, while the one who asked has gone on sending since: the search looks at it whole, and
-/// finds that the two wait for ever.
+/// A task that answered a query long ago, while the asking task has gone on sending since: the search completes, and
+/// reports a standstill.
 #[test]
 fn an_answer_of_long_ago_ends_no_search() {
     let text = format!(
@@ -303,8 +303,8 @@ fn an_answer_of_long_ago_ends_no_search() {
     assert_eq!(verdicts.warnings.iter().map(|warning| warning.kind).collect::<Vec<_>>(), [Kind::Standstill]);
 }
 
-/// What a task does after a time_out that no search had a fault for may lead to statements that need none by themselves: nobody is
-/// told to remove them.
+/// A branch for a time_out that no searched fault causes may lead to statements that need no fault themselves. These
+/// are not reported as unreached.
 #[test]
 fn what_only_an_untried_fault_leads_to_is_no_finding() {
     let asks = |first: &str, on_time_out: &str| {
@@ -320,8 +320,8 @@ fn what_only_an_untried_fault_leads_to_is_no_finding() {
     assert_eq!(kinds(&asks("1", "abort \"late\";")), [Kind::Unreached]);
 }
 
-/// A task that waits in the middle of its work for one that has ended is told. One that has done all that it was asked for, and
-/// waits for the next order, is not.
+/// A task that waits in the middle of its work for a task that has ended is reported. A task that has done all that
+/// it was asked for, and waits for the next message, is not.
 #[test]
 fn who_waits_for_ever_for_one_that_has_ended_is_told() {
     let told = |sends: &str, takes: &str, other: &str| {
@@ -332,7 +332,7 @@ fn who_waits_for_ever_for_one_that_has_ended_is_told() {
         );
         let verdicts = Text::new(&text).check();
         assert!(verdicts.is_complete(), "{text}");
-        // What would follow is never reached.
+        // The statements behind an endless wait are never reached.
         assert!(
             verdicts.findings.iter().all(|found| found.kind == Kind::Unreached),
             "{:?}",
@@ -347,13 +347,13 @@ fn who_waits_for_ever_for_one_that_has_ended_is_told() {
     for other in ["", acts] {
         assert_eq!(told("send p();", twice, other), waits, "{other}");
         assert_eq!(told("send p();", once, other), [], "{other}");
-        // It was told that two come.
+        // The loop says that the task expects two messages.
         assert_eq!(told("send p();", "while n < 2 do receive p(); reply(); n := n + 1; end;", other), waits);
         assert_eq!(
             told("send p(); send p();", "while n < 2 do receive p(); reply(); n := n + 1; end;", other),
             []
         );
-        // A server, and one whose orders come in pairs.
+        // Servers: one that takes single messages, and one that takes them in pairs.
         assert_eq!(told("send p();", "loop receive p(); reply(); end;", other), []);
         assert_eq!(
             told("send p();", "loop n := 0; receive p(); reply(); run pick takes 5 msec; end;", other),
@@ -364,7 +364,7 @@ fn who_waits_for_ever_for_one_that_has_ended_is_told() {
     }
 }
 
-/// A standby that has ended grants no lease: its primary waits for ever.
+/// A standby that goes on, or that ends after its primary got the lease, leaves no primary waiting for ever.
 #[test]
 fn a_primary_whose_standby_has_ended_is_told() {
     let told = |standby: &str| {

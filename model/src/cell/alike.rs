@@ -1,4 +1,4 @@
-//! Findings that tasks with the same statements have alike: told once.
+//! Merges equal findings of tasks with the same statements, so that each is reported once.
 
 use super::judge::Shown;
 use super::plan::{CellPlan, Conduct};
@@ -6,7 +6,7 @@ use super::verdict::Finding;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Program;
 
-/// Puts the tasks of findings that repeat an earlier one into that one's [`Finding::also`].
+/// Merges findings that repeat an earlier one: its [`Finding::also`] gets their tasks.
 pub(super) fn told_once(plan: &CellPlan, findings: Vec<Finding>) -> Vec<Finding> {
     let mut kept: Vec<Finding> = Vec::new();
     for finding in findings {
@@ -19,7 +19,7 @@ pub(super) fn told_once(plan: &CellPlan, findings: Vec<Finding>) -> Vec<Finding>
     kept
 }
 
-/// Whether it is the same finding at the same statement of another task that does the same.
+/// Whether two findings are the same, at the same statement of two tasks with the same program.
 fn repeats(plan: &CellPlan, first: &Finding, other: &Finding) -> bool {
     let key = |finding: &Finding| (finding.kind, finding.phase, finding.hypothesis, finding.address);
     let (Some(one), Some(two)) = (first.task, other.task) else { return false };
@@ -28,7 +28,7 @@ fn repeats(plan: &CellPlan, first: &Finding, other: &Finding) -> bool {
         && is_alike(plan, (one, &first.cause), (two, &other.cause))
 }
 
-/// The same of something that runs show, with whatever faults.
+/// The same for findings of runs, whatever their faults.
 pub(super) fn shows_alike(plan: &CellPlan, first: &Shown, other: &Shown) -> bool {
     let (Some(one), Some(two)) = (first.task, other.task) else { return false };
     let [one, two] = [one, two].map(TaskId::from_index);
@@ -47,7 +47,7 @@ fn does_the_same(plan: &CellPlan, one: TaskId, two: TaskId) -> bool {
         Some(Conduct::Program { program, values, .. }) => {
             let mut program = Program::clone(program);
             program.name.clear();
-            // Of what the compiler gives as a reason only the line is the task's own.
+            // The compiler writes the reasons, which differ only in the line numbers of the tasks.
             program.reasons.iter_mut().for_each(|reason| *reason = without_line(reason).into());
             Some((program, values))
         }
@@ -56,7 +56,7 @@ fn does_the_same(plan: &CellPlan, one: TaskId, two: TaskId) -> bool {
     of(one).is_some_and(|program| Some(program) == of(two))
 }
 
-/// A reason without the line that the compiler puts at its end.
+/// A reason without the line number that the compiler appends.
 fn without_line(reason: &str) -> &str {
     match reason.rsplit_once(", line ") {
         Some((what, line)) if line.bytes().all(|byte| byte.is_ascii_digit()) => what,
@@ -64,14 +64,14 @@ fn without_line(reason: &str) -> &str {
     }
 }
 
-/// Whether two sentences say the same, each of its own task.
+/// Whether two sentences differ only in the names of their own tasks.
 fn reads_alike(one: &str, two: &str, (a, b): (&str, &str)) -> bool {
     let (one, two) = (words(without_line(one)), words(without_line(two)));
     one.len() == two.len()
         && one.iter().zip(&two).all(|(x, y)| x == y || (*x, *y) == (a, b) || (*x, *y) == (b, a))
 }
 
-/// The names and numbers of a text, and what lies between them.
+/// Splits a text into its names and numbers, and what lies between them.
 fn words(text: &str) -> Vec<&str> {
     let part = |c: char| c.is_alphanumeric() || c == '_';
     let chars: Vec<(usize, char)> = text.char_indices().collect();

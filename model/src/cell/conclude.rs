@@ -1,4 +1,4 @@
-//! The verdict on a cell, put together from what its searches found and reached.
+//! Joins the results of all searches to the verdict on a cell.
 
 use super::course::Course;
 use super::done::Done;
@@ -12,17 +12,17 @@ use imrs_protocol::TaskId;
 use imrs_protocol::script::{Address, Term};
 use std::sync::Arc;
 
-/// `is_open`: tasks outside the cell may use their ports at other times and say other things than was tried, or actions give
-/// other results.
+/// Joins the phases. `is_open`: tasks outside the cell may use their ports at other times or with other values than those tried,
+/// or actions may give other results.
 pub(super) fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open): (Tried, bool)) -> Verdicts {
-    // What nobody reached before a finding that ends its way may lie behind it.
+    // A finding that ends a path may hide what lies behind it, so then no statement counts as unreachable.
     let complete = done.iter().all(|done| done.coverage.complete && !done.coverage.pruned);
     let mut verdicts = Verdicts { outside, ..Verdicts::default() };
     let missed = plan.tasks.iter().enumerate().map(|(number, conduct)| {
         Missed::of(conduct, |at| done.iter().any(|done| done.reached.statements[number][at]))
     });
     let missed: Vec<Missed> = missed.collect();
-    // What such a statement stores or sends may lead to others that need no fault by themselves, in any task.
+    // What such a statement stores or sends may lead any task to statements that need no fault of their own.
     let leads_on = missed.iter().any(|missed| missed.leads_on);
     for (number, missed) in missed.into_iter().enumerate() {
         verdicts.statements.push(missed.counts);
@@ -51,7 +51,7 @@ pub(super) fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open)
     verdicts.still = still(plan, &done);
     for done in done {
         verdicts.phases.push(done.coverage);
-        // The same tasks at the same statement: with faults it is no news.
+        // A warning for the same task and statement is not repeated for later phases.
         let is_known = |new: &Finding| {
             let mut known = verdicts.warnings.iter();
             known.any(|known| (known.task, known.address) == (new.task, new.address))
@@ -64,7 +64,7 @@ pub(super) fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open)
             }
         }
     }
-    // A task that waits for ever in a deadlock is told there.
+    // An endless wait at the place of a deadlock is already part of the deadlock.
     let place = |found: &Finding| (found.task, found.address);
     let deadlocks: Vec<_> = verdicts.of(Kind::Deadlock).map(place).collect();
     verdicts.warnings.retain(|warning| !deadlocks.contains(&place(warning)));
@@ -73,14 +73,14 @@ pub(super) fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open)
     verdicts
 }
 
-/// Whether two findings are of the same place, whatever moves lead to them.
+/// Whether two findings are about the same place, whatever moves lead to them.
 fn is_the_same(one: &Finding, other: &Finding) -> bool {
     let key =
         |finding: &Finding| (finding.kind, finding.task, finding.address, finding.check, finding.couple);
     key(one) == key(other) && (one.kind != Kind::Machine || one.cause == other.cause)
 }
 
-/// What checks read and what never changed in any state of any phase: `r2.active = false`.
+/// Terms of checks that never changed in any state of any phase: `r2.active = false`.
 fn still(plan: &Arc<CellPlan>, done: &[Done]) -> Vec<(usize, String)> {
     let start = Course::new(plan, &CellFaults::default());
     let all = done.iter().map(|done| done.reached.clone()).reduce(Reached::join).unwrap_or_default();

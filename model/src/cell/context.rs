@@ -1,4 +1,4 @@
-//! What stands beside a finding: the values that it is about, and what the tasks concerned do then.
+//! Adds to a finding the values that explain it, and what the tasks that it concerns do then.
 
 use super::course::Course;
 use super::judge::{Shown, name, program};
@@ -11,8 +11,7 @@ use imrs_protocol::TaskId;
 use imrs_protocol::script::{Activity, Address, End, Op, Predicate, Slot, Term, Variable};
 use std::fmt::Write as _;
 
-/// The cause with the values that it is about, and the tasks that it concerns. `begun`: for each task, the statement that
-/// it began last.
+/// The cause with the values that explain it, and the tasks that it concerns. `begun`: the statement that each task began last.
 pub(super) fn context(course: &Course, shown: &Shown, begun: &[Option<Address>]) -> (String, Vec<Concerned>) {
     let values = match shown.kind {
         Kind::Assertion | Kind::ScriptFault => of_statement(course, shown),
@@ -68,7 +67,7 @@ fn ended(course: &Course, task: usize, end: End) -> String {
     }
 }
 
-/// The variables that the statement of a finding reads: `height = 42`. Those of handlers are gone with their thread.
+/// The variables that the statement of a finding reads, such as `height = 42`. Those of handlers ended with their activation.
 fn of_statement(course: &Course, shown: &Shown) -> Vec<String> {
     let read = || {
         let (task, at) = (shown.task?, usize::from(shown.address?));
@@ -93,24 +92,24 @@ fn equals(name: &str, declared: &Variable, value: i64) -> String {
     format!("{name} = {}", shown(declared.of, value))
 }
 
-/// What a broken check goes back to.
+/// Explains since when and by whose step a check is broken.
 pub(super) struct Origin {
     check: Option<usize>,
-    /// Since when, in ticks, the right side of a `leads` is owed, and what its left side read then.
+    /// The tick since which a `leads` check owes its right side, and the values that its left side read then.
     owed: Option<(u64, Vec<String>)>,
-    /// The tasks whose scripts acted in the last step.
+    /// The tasks whose scripts ran in the last step.
     acted: Vec<usize>,
 }
 
 impl Origin {
-    /// Of a check, from the start of a way.
+    /// Begins at the start of a path.
     pub fn new(start: &Course, check: Option<usize>) -> Self {
         let mut origin = Self { check, owed: None, acted: Vec::new() };
         origin.note(start, &[]);
         origin
     }
 
-    /// Another step of the way.
+    /// Adds a step of the path.
     pub fn note(&mut self, course: &Course, turns: &[ScriptTurn]) {
         let Some(check) = self.check else { return };
         self.acted = turns.iter().map(|turn| turn.task).collect();
@@ -130,7 +129,7 @@ impl Origin {
         }
     }
 
-    /// What follows the cause of the finding.
+    /// The words to append to the cause of the finding.
     pub fn words(&self, end: &Course) -> String {
         let Some(holds) = self.check.and_then(|check| end.plan.checks.get(check)).map(|check| &check.holds)
         else {
@@ -156,7 +155,7 @@ impl Origin {
     }
 }
 
-/// What a check reads and what it was: `robot.height = 42`.
+/// The terms of a check with their values, such as `robot.height = 42`.
 fn of_check(course: &Course, check: usize) -> Vec<String> {
     let mixed = course.mixed.iter().find(|(of, _)| *of == check).map(|(_, seen)| seen);
     let seen = |term: Term| match mixed {
@@ -166,7 +165,7 @@ fn of_check(course: &Course, check: usize) -> Vec<String> {
     course.plan.terms(check).into_iter().filter_map(|term| said(course, term, seen(term)?)).collect()
 }
 
-/// What a term of a check is now, in the words of the check.
+/// The present value of a term, in the words of the check.
 pub(super) fn value(course: &Course, term: Term) -> Option<String> {
     said(course, term, course.floor.look_up(term)?)
 }

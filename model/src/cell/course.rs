@@ -1,4 +1,4 @@
-//! The running cell: a floor whose scripts are judged and not stopped, and the faults that are named in the cell.
+//! The unpacked state of a cell during a search: the nodes and packets in flight, the remaining faults, and the checks.
 
 mod between;
 pub(super) mod canon;
@@ -24,13 +24,13 @@ use pause::Asleep;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-/// What a declared cut of a link is at. An earlier one allows all that a later one does: what is over allows nothing, an
-/// open cut may end before the next packet, and one that is unused may begin with it.
+/// State of a declared cut of a link. A larger one covers a smaller one: a cut that is over allows nothing, an open cut may end
+/// before the next packet, and an unused cut may begin with it.
 pub(super) const UNUSED: u8 = 2;
 pub(super) const OPEN: u8 = 1;
 const OVER: u8 = 0;
 
-/// What the cell's state has beside the floor's.
+/// The fields of a cell state beside its [`Floor`]: remaining fault budgets, postponed events, restarts, obligations of checks.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Beside {
     pub loss: u8,
@@ -38,53 +38,53 @@ pub(super) struct Beside {
     pub reorder: u8,
     pub fail: u8,
     pub drift: u8,
-    /// For each declared crash, whether it happened.
+    /// For each declared crash, 1 once it happened.
     pub crashed: Vec<u8>,
     pub cuts: Vec<u8>,
-    /// For each declared pause, 1 as long as it has not begun.
+    /// For each declared pause, 1 until it begins.
     pub paused: Vec<u8>,
-    /// The nodes that are paused.
+    /// For each node, its pause if it is paused.
     pub asleep: Vec<Option<Asleep>>,
-    /// For each check that has to lead somewhere, the ticks left, once it must.
+    /// For each `leads` check with an open obligation, the ticks left to fulfil it.
     pub due: Vec<Option<u32>>,
-    /// Actions that do not end before something else happens, or their most time is over: task and thread.
+    /// Actions postponed until another event, or until their most time is over: task and activation.
     pub stays: Vec<(u8, u8)>,
-    /// Links, bit by bit, whose first packet does not arrive before something else happens, or its bound is over.
+    /// Links, as a bit set, whose first packet is postponed until another event, or until the link's bound is over.
     pub slow: u64,
-    /// For each node, in how many ticks the last of its scripts begins: they are held back after a restart (D94).
+    /// For each node, the ticks until the last of its scripts begins, which a restart holds back (D94).
     pub held_back: Vec<Option<u32>>,
-    /// For each node, those that are to begin in this tick.
+    /// For each node, the scripts that begin in this tick.
     pub begins: Vec<Begins>,
-    /// The nodes that did something in this tick, bit by bit: those that may crash now. A crash between two steps of a
-    /// node and one right after the first of them are the same to everybody. And those that crashed in this tick.
+    /// Nodes that took a step or crashed in this tick, as a bit set. Only these may crash, or restart at once. Nobody can tell
+    /// a crash before a node's next step from one right after its last step.
     pub acted: u64,
 }
 
-/// The unpacked state of a cell.
+/// The unpacked state of a cell: its floor (nodes and packets in flight), the remaining faults, what the last move broke.
 #[derive(Clone, Debug)]
 pub(super) struct Course {
     pub plan: Arc<CellPlan>,
     pub faults: CellFaults,
     pub floor: Floor,
     pub beside: Beside,
-    /// When actions end, and packets arrive.
+    /// When actions may end and packets may arrive.
     pub times: Times,
-    /// The checks that were broken by the last move.
+    /// The checks that the last move broke.
     pub broken: Vec<usize>,
-    /// Ticks that passed since this was last set to zero.
+    /// Ticks since the start, or since the caller set this to zero.
     pub passed: u64,
-    /// For each check, whether what makes it matter was ever seen.
+    /// For each check, whether its left side ever held.
     pub mattered: Vec<bool>,
-    /// What nodes show to the checks that read several of them.
+    /// The checks that read several nodes.
     pub spread: Vec<Spread>,
     pub sights: Vec<Sights>,
-    /// The checks that no state broke, but a mixture of what their nodes showed in one tick.
+    /// Checks that no single state breaks, but a combination of what their nodes showed in one tick.
     pub mixed: Vec<(usize, Mixture)>,
-    /// Whether both tasks of a couple act.
+    /// Whether both tasks of some couple act.
     pub both_active: bool,
-    /// The variables of each task that are dead, by operation.
+    /// For each task the dead variables, by operation.
     dead: Vec<Dead>,
-    /// Room for the variables before a move.
+    /// Scratch buffer for the variables before a move.
     pub before: Vec<Option<i64>>,
 }
 
@@ -93,7 +93,7 @@ impl Course {
         Self::begun(plan, faults, false)
     }
 
-    /// For a run that is followed from here on: it is judged by what came before, too.
+    /// The start of a run that is followed and never packed: rules over the history of the run are judged, too.
     pub fn with_history(plan: &Arc<CellPlan>, faults: &CellFaults) -> Self {
         Self::begun(plan, faults, true)
     }
@@ -158,13 +158,13 @@ impl Course {
         course
     }
 
-    /// The variables of a task, bit by bit, that nobody reads any more.
+    /// The dead variables of a task at its present operation, as a bit set.
     pub fn dead_variables(&self, task: usize) -> u64 {
         let actor = self.floor.bodies[task].actor.as_ref();
         self.dead.get(task).zip(actor).map_or(0, |(dead, actor)| dead.at(actor.script.position_at(0)))
     }
 
-    /// Forgets the variables that nobody reads any more.
+    /// Resets the dead variables, so that states that differ only in these become equal.
     pub fn bury(&mut self) {
         for task in 0..self.floor.bodies.len() {
             let mut left = self.dead_variables(task);
@@ -176,7 +176,7 @@ impl Course {
         }
     }
 
-    /// The floor after a move that nothing is wrong with.
+    /// The packed floor after a move; `None` if the move breaks a check, an invariant or the rule of one owner.
     pub fn after(&mut self, state: &[u8], step: CellMove) -> Option<Packed> {
         self.load(state);
         self.apply(step);
@@ -185,19 +185,19 @@ impl Course {
         sound.then(|| self.floor.store())
     }
 
-    /// The floor without one of its packets.
+    /// The packed floor without one of its packets in flight.
     pub fn without(&mut self, state: &[u8], packet: u8) -> Packed {
         self.load(state);
         self.floor.crossings.remove(usize::from(packet));
         self.floor.store()
     }
 
-    /// Carries a move out and looks at what came of it.
+    /// Makes a move, lets the scripts run, and evaluates the checks.
     pub fn apply(&mut self, step: CellMove) {
         self.broken.clear();
         if let Some(node) = self.node_of(step) {
             self.beside.acted |= bit(node);
-            // The move that brought the input has stirred already, and so did the time that lets scripts begin.
+            // Not again for these: `stir` ran in the move that queued the input, or when the passed time made the script due.
             if !matches!(step, CellMove::Take(..) | CellMove::Begin(_)) {
                 self.stir();
             }
@@ -206,19 +206,19 @@ impl Course {
         if let Err(violation) = result {
             self.floor.violation = Some(violation);
         }
-        // As the packed state has them: positions mean the same in a state that was never packed.
+        // Sort as packing does, so that packet positions are the same in a state that was never packed.
         self.floor.crossings.sort_by_key(|crossing| crossing.link);
         self.floor.sort_inputs();
         self.settle();
         self.look();
     }
 
-    /// Carries a move out; false where that panics.
+    /// Makes a move; false if that panics.
     pub fn survives(&mut self, step: CellMove) -> bool {
         catch_unwind(AssertUnwindSafe(|| self.apply(step))).is_ok()
     }
 
-    /// The node at which a move happens.
+    /// The node that takes a step in a move.
     fn node_of(&self, step: CellMove) -> Option<usize> {
         match step {
             CellMove::Deliver(i) | CellMove::Duplicate(i) | CellMove::Mend(i, _) => {
@@ -267,7 +267,7 @@ impl Course {
                 let next = self.next_event();
                 self.fall_asleep(number, usize::from(node), Vec::new());
                 let result = self.pass(next, None);
-                // Its first moment is the one in which the node would have noticed something.
+                // The bound counts from the tick in which the node would have noticed something.
                 let most = self.faults.pause[usize::from(number)].most;
                 self.beside.asleep[usize::from(node)].iter_mut().for_each(|asleep| asleep.left = most);
                 result
@@ -334,7 +334,7 @@ impl Course {
                 self.forget_pause(node);
                 self.beside.held_back[node] = None;
                 self.beside.begins[node] = Begins::default();
-                // It may come back at once.
+                // The node may restart in this tick.
                 self.beside.acted |= bit(node);
                 Ok(())
             }
@@ -348,7 +348,7 @@ impl Course {
         }
     }
 
-    /// A packet leaves its link and arrives nowhere.
+    /// Removes a packet from its link without delivering it.
     fn take_off(&mut self, packet: u8) {
         let link = self.floor.crossings.remove(usize::from(packet)).link;
         self.beside.slow &= !bit(usize::from(link));
@@ -382,7 +382,7 @@ impl Course {
             if self.is_asleep(node) {
                 self.sleep_on(node, (ticks, counted));
             } else {
-                self.notice(node, counted, counted)?;
+                self.notice(node, counted)?;
             }
         }
         if self.beside.acted != 0 {
@@ -393,7 +393,7 @@ impl Course {
         Ok(())
     }
 
-    /// Looks at the checks and at who acts.
+    /// Evaluates the checks, and whether both tasks of a couple act.
     fn look(&mut self) {
         let is = |floor: &Floor, terms: &[_]| {
             eval(terms, |term| floor.look_up(term)).is_ok_and(|value| value != 0)
@@ -426,12 +426,12 @@ impl Course {
             couples.iter().any(|couple| self.acts(couple.primary) && self.acts(couple.standby));
     }
 
-    /// Whether a task of a couple acts (D61).
+    /// Whether a task of a couple is active: holds its lease or took over (D61).
     pub fn acts(&self, task: TaskId) -> bool {
         self.floor.is_active(task)
     }
 
-    /// What a task does.
+    /// What a task's script does; `None` without a script.
     pub fn activity(&self, task: usize) -> Option<Activity> {
         Some(self.floor.bodies[task].actor.as_ref()?.script.activity())
     }
@@ -440,7 +440,7 @@ impl Course {
         self.floor.stations[self.floor.station_of(task)].up
     }
 
-    /// Whether a node may start again. One outside the part that is searched never does.
+    /// Whether a node is down and may restart. Nodes outside the searched part never do.
     pub fn is_down(&self, node: usize) -> bool {
         !self.floor.stations[node].up && self.plan.has_node(node)
     }
@@ -450,7 +450,7 @@ impl Course {
     }
 }
 
-/// The bit of a node; those past the last one share it.
+/// The bit of a node or link; those past 63 share the last bit.
 pub(super) fn bit(node: usize) -> u64 {
     1 << node.min(63)
 }

@@ -1,31 +1,32 @@
-//! What a phase of the check of a cell comes to.
+//! The result of one phase of a check, before the verdict.
 
 use super::judge::Reached;
 use super::plan::Part;
 use super::verdict::{Coverage, Finding};
 
-/// What a phase comes to.
+/// The result of a phase, or of the search of one part in it.
 pub(super) struct Done {
     pub coverage: Coverage,
     pub findings: Vec<Finding>,
     pub warnings: Vec<Finding>,
     pub reached: Reached,
-    /// For each check, whether what makes it matter was ever seen.
+    /// For each check, whether its left side ever held.
     pub mattered: Vec<bool>,
 }
 
 impl Done {
-    /// What was found, and reached, on the way to this search, too.
+    /// Adds what an earlier search of the same phase found and reached, at other event times.
     pub fn with(mut self, earlier: Option<Self>) -> Self {
         if let Some(earlier) = earlier {
             self.findings.extend(earlier.findings);
+            self.warnings.extend(earlier.warnings);
             self.reached = self.reached.join(earlier.reached);
             self.mattered.iter_mut().zip(earlier.mattered).for_each(|(all, one)| *all |= one);
         }
         self
     }
 
-    /// Both of what two parts came to; `part` is that of the other.
+    /// Joins the results of two parts; `part` is that of `other`.
     pub fn beside(mut self, other: Self, part: &Part) -> Self {
         let (all, one) = (&mut self.coverage, other.coverage);
         let whole = match (all.complete, one.complete) {
@@ -55,7 +56,7 @@ impl Done {
     }
 }
 
-/// Takes what another has of the checks of a part.
+/// Copies the entries of the checks that belong to a part.
 pub(super) fn take_checks<T>(all: &mut [T], other: Vec<T>, part: &Part) {
     for (check, (mine, other)) in all.iter_mut().zip(other).enumerate() {
         if part.has_check(check) {

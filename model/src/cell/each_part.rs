@@ -1,4 +1,4 @@
-//! The search of each independent part of a cell by itself.
+//! Searches each independent part of a cell by itself.
 
 use super::course::Course;
 use super::done::{Done, take_checks};
@@ -7,11 +7,11 @@ use super::parts::only;
 use super::plan::{CellFaults, CellPlan, Part};
 use std::sync::Arc;
 
-/// Searches each part by itself and joins what was found. A part that a hypothesis cannot touch was searched without
-/// faults: `plain` is what that came to.
+/// Searches each part by itself and joins the results. For parts that no fault of the hypothesis can touch, `plain` stands: the
+/// result of the search without faults.
 ///
-/// A clock that drifts does so between two events, a pause ends after one, and events of other parts lie between those of
-/// this one. So with drift and with pauses the cell is searched as a whole.
+/// A clock drifts between two events, and a pause ends after an event. Events of other parts lie between those of this part, so a
+/// cell with drift or pauses is searched as a whole.
 pub(super) fn look_at_each(
     plan: &Arc<CellPlan>,
     parts: &[Part],
@@ -22,7 +22,7 @@ pub(super) fn look_at_each(
     if parts.is_empty() || !faults.may_be_apart() {
         return look(plan);
     }
-    // An `abort` ends ways of the search without faults, and none of those with them: so what lies behind it was not seen yet.
+    // A search without faults stops at an `abort`, one with faults goes on. So a pruned result cannot stand for any part.
     let is_seen = plain.is_some_and(|plain| !plain.coverage.pruned);
     let touched = |part: &&Part| !is_seen || part.is_touched_by(plan, faults);
     let mut searched: Vec<&Part> = parts.iter().filter(touched).collect();

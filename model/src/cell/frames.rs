@@ -1,4 +1,4 @@
-//! The way to a finding as monitors see nodes: after each step the state of every node, and what was observed at it.
+//! Shows the path to a finding as a monitor sees nodes: after each step the state and the observations of every node.
 
 use super::course::Course;
 use super::parts::{only, parts};
@@ -14,45 +14,46 @@ use imrs_protocol::{Event, Incarnation, NodeId, Observation, Reason, TaskId};
 use imrs_wire::obs::{Gathering, Liveness, Snapshot, TimerEntry};
 use std::sync::Arc;
 
-/// How many waiting messages of each port a snapshot lists.
+/// The most waiting messages of a port that a snapshot lists.
 const QUEUE_LIMIT: usize = 64;
 
 /// A node after a step.
 #[derive(Clone, Debug)]
 pub struct NodeFrame {
-    /// Its life.
+    /// Its incarnation.
     pub life: Incarnation,
-    /// Its state; none while it is down.
+    /// Its state; `None` while it is down.
     pub snapshot: Option<Snapshot>,
-    /// What was observed in the step: at a task, or in the transit buffer.
+    /// Observations of the step: at a task, or at the transit buffer (`None`).
     pub observed: Vec<(Option<TaskId>, Observation)>,
 }
 
 /// Something that happened in a step.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Shows {
-    /// In words.
+    /// A text.
     Said(String),
     /// A task began the statement at this operation of its program.
     Began(TaskId, Address),
 }
 
-/// A step of the way to a finding.
+/// A step of the path to a finding.
 #[derive(Clone, Debug)]
 pub struct Scene {
     /// Ticks since the start.
     pub tick: u64,
-    /// Whether a fault happens in it, or a wait or a script ends badly.
+    /// Whether the step stands out: it has a fault, a packet that does not simply arrive, or a script that ends badly, or it is
+    /// the last.
     pub odd: bool,
-    /// What happened, in its order.
+    /// What happened, in order.
     pub happened: Vec<Shows>,
-    /// What each task does after it, by task.
+    /// What each task does after it, by position.
     pub tasks: Vec<TaskView>,
-    /// The nodes after it, by node.
+    /// The nodes after it, by position.
     pub nodes: Vec<NodeFrame>,
 }
 
-/// The way to a finding of `plan`: the state before its first step, then each step. Empty for a finding without a way.
+/// The path to a finding of `plan`: the state before the first step, then each step. Empty for a finding without moves.
 #[must_use]
 pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
     let plan = &super::outside::with_programs(plan);
@@ -126,7 +127,7 @@ fn nodes(course: &Course, log: &[Effect], dropped: &[[u64; Reason::ALL.len()]]) 
     course.floor.stations.iter().enumerate().map(frame).collect()
 }
 
-/// Clocks are left at zero: the model's time belongs to who shows it.
+/// Clocks stay at zero: the caller knows the time of the model.
 fn snapshot(course: &Course, node: usize, dropped: [u64; Reason::ALL.len()]) -> Snapshot {
     let station = &course.floor.stations[node];
     let parts = station.node.parts();
@@ -147,14 +148,14 @@ fn snapshot(course: &Course, node: usize, dropped: [u64; Reason::ALL.len()]) -> 
         gathering.task(liveness, 0, machine.view(&station.table, QUEUE_LIMIT), &[]);
     }
     let entry = |(owner, id, remaining)| TimerEntry { owner, id, remaining };
-    // What the transit buffer drops was observed, and is counted with the rest.
+    // The log already counts the packets that the transit buffer drops.
     let mut transit = parts.transit.view();
     transit.discarded.clear();
     let timers = parts.timer.entries().into_iter().map(entry).collect();
     Snapshot { timers, ..gathering.snapshot(transit) }
 }
 
-/// What happened in a step: what came, what it began, what it ended and what left.
+/// What happened in a step, in order: what came, which statements it began, which scripts ended, which packets left.
 fn happenings(walked: &Walked<'_>, passed: u64) -> Vec<Shows> {
     let (came, ended) = walked.notes.split_at(walked.notes.len() - walked.ended);
     let words = |note: &Note| note.words(&walked.lanes.names);
@@ -174,7 +175,7 @@ fn happenings(walked: &Walked<'_>, passed: u64) -> Vec<Shows> {
     came.map(said).chain(began(walked.turns)).chain(ended.chain(left).map(said)).collect()
 }
 
-/// Whether what a chart shows went wrong. A packet's fate that is not to arrive does.
+/// Whether a note shows something wrong: a packet whose fate is not a plain arrival.
 fn went_wrong(note: &Note) -> bool {
     matches!(note, Note::Packet { fate, .. } if !fate.is_empty())
 }

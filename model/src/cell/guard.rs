@@ -1,15 +1,15 @@
-//! The checker against the cell as it runs: walks at random through a cell that is never packed.
+//! Compares the search with random walks through the same cell, which are never packed.
 //!
 //! ```text
 //!   never packed   s0 --move--> s1 --move--> s2 ...      each move drawn among those that may happen
 //!                   |            |            |
-//!   as searched   load(store) --move--> the same turns, the same next moves, the same bytes, and kept by the search
+//!   as searched   load(store) --move--> the same script steps, next moves and bytes, and a state that the search has kept
 //! ```
 //!
-//! Where a cell has independent parts, the searches of the parts, too, must have found and reached what a walk does.
+//! If a cell has independent parts, their searches must have found and reached what a walk does, too.
 //!
-//! What the search says of a cell is only as good as its packed states: what they leave out must be of no account to any
-//! program, and what a reduction leaves out must show nothing new. Here both are asked for at every step.
+//! A verdict is only as good as its packed states. What packing omits must not matter to any program, and what a reduction omits
+//! must show nothing new. The walks check both at every step.
 
 use super::course::{CellMove, Course};
 use super::follow::plain;
@@ -29,24 +29,24 @@ use std::fmt;
 use std::ops::AddAssign;
 use std::sync::Arc;
 
-/// What the walks came to where nothing differed.
+/// Counts of a comparison in which nothing differed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Agreement {
     /// Searches: one without faults, one for each hypothesis.
     pub searches: u32,
-    /// Those that looked at everything.
+    /// Searches that covered everything.
     pub complete: u32,
-    /// States that they kept.
+    /// States that the searches kept.
     pub states: u64,
-    /// Moves that were walked.
+    /// Moves of the walks.
     pub steps: u64,
-    /// States of walks that were looked for among those kept.
+    /// States of walks that were looked up among the kept states.
     pub looked_up: u64,
-    /// Findings whose way was walked again.
+    /// Findings whose paths were replayed.
     pub findings: u64,
     /// Pauses that began in walks.
     pub pauses: u64,
-    /// Those that ended in them.
+    /// Pauses that ended in walks.
     pub wakes: u64,
 }
 
@@ -74,12 +74,12 @@ impl AddAssign for Agreement {
     }
 }
 
-/// Where the checker and the cell differ.
+/// A difference between the search and the cell that is never packed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Disagreement {
     /// What differs.
     pub what: String,
-    /// The moves to there.
+    /// The moves that lead to it.
     pub moves: Vec<CellMove>,
 }
 
@@ -89,22 +89,22 @@ impl fmt::Display for Disagreement {
     }
 }
 
-/// How far it goes.
+/// How much to compare.
 #[derive(Clone, Copy, Debug)]
 pub struct Effort {
     /// Walks for each search.
     pub walks: u32,
-    /// Moves of one walk.
+    /// The most moves of one walk.
     pub length: u32,
     /// When actions end and packets arrive.
     pub times: Times,
 }
 
-/// Searches a cell, and compares what the search says with walks through the cell that are never packed. `draw` gives a
-/// number below its argument.
+/// Searches a cell, and compares the result with random walks through the cell that is never packed. `draw` returns a number
+/// below its argument.
 ///
 /// # Errors
-/// [`Disagreement`]: the first thing that differs.
+/// [`Disagreement`]: the first difference.
 pub fn compare_with_walks(
     plan: &Arc<CellPlan>,
     effort: Effort,
@@ -138,8 +138,7 @@ struct Apart {
     reached: Reached,
 }
 
-/// Searches the parts of a cell. None where it has one only, where they do not stand for all of it, and where one of them
-/// is too large.
+/// Searches the parts of a cell. `None` if there is only one, if parts cannot stand for the whole, or if a search was incomplete.
 fn search_apart(
     plan: &Arc<CellPlan>,
     phase: Phase,
@@ -169,7 +168,7 @@ fn search_apart(
     Ok(apart)
 }
 
-/// A finding's way, walked without packing, ends in what the finding says.
+/// Replays the path of a finding without packing: it must end in the same finding.
 fn shows(
     plan: &Arc<CellPlan>,
     phase: Phase,
@@ -195,16 +194,17 @@ fn shows(
     Err(Disagreement { what, moves: finding.moves.clone() })
 }
 
-/// A walk, and its twin that is packed and loaded before each move.
+/// A walk, and its twin, which is packed and loaded before each move.
 struct Walk<'a> {
     own: Unpacked,
     twin: Unpacked,
     kept: &'a Kept,
     apart: Option<&'a Apart>,
     moves: Vec<CellMove>,
-    /// A new life began farther behind the others' rounds than packed states tell apart: they do the same, with other rounds.
+    /// A restarted node is farther behind the others' rounds than packed states tell. Both do the same then, with other round
+    /// numbers.
     far: bool,
-    /// Its states are covered by some that the search has kept, in a way that cannot be looked up.
+    /// Kept states cover its states in a way that a lookup cannot find.
     unlisted: bool,
 }
 
@@ -215,8 +215,8 @@ impl<'a> Walk<'a> {
         faults: &CellFaults,
         (kept, apart): (&'a Kept, Option<&'a Apart>),
     ) -> Self {
-        // A lost packet that nobody would have noticed is left out of the search. What is kept for it may do more: where a cut
-        // is unused all that an open one allows, and where a packet came to a node that is down, start that node.
+        // The search omits the loss of a packet that nobody would notice. The state kept instead may allow more than its budgets
+        // tell: an unused cut allows what an open one does, and a packet that arrived at a node that is down may restart it.
         let doubles = faults.dup > 0 || faults.reorder > 0;
         let takes = faults.loss > 0 || !faults.cut.is_empty();
         let unlisted = !faults.cut.is_empty() && doubles || takes && !faults.crash.is_empty();
@@ -275,7 +275,7 @@ impl<'a> Walk<'a> {
         self.end()
     }
 
-    /// Judges the last move of both; whether anything that follows is looked at.
+    /// Judges the last move of both; returns whether the walk goes on.
     fn looked_at(&mut self) -> Result<bool, Disagreement> {
         let (shown, others) = (self.own.shown(), self.twin.shown());
         if shown.len() != others.len() || shown.iter().zip(&others).any(|(a, b)| !a.is_same(b)) {
@@ -294,7 +294,7 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// Whatever was reached the search has reached, too.
+    /// The search must have reached every operation that the walk reached.
     fn end(self) -> Result<(), Disagreement> {
         let whole = self.kept.complete.then_some(&self.kept.reached);
         for searched in whole.into_iter().chain(self.apart.map(|apart| &apart.reached)) {
@@ -313,7 +313,7 @@ impl<'a> Walk<'a> {
     }
 }
 
-/// What the scripts did, but for numbers of messages and rounds: in a packed state they are others.
+/// What the scripts did, without the numbers of messages and rounds, which differ in a packed state.
 fn turns(course: &Course) -> Vec<String> {
     let all = course.floor.turns.iter().flatten();
     let told = |turn: &ScriptTurn| {

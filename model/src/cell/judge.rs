@@ -1,4 +1,4 @@
-//! What a move showed: findings, and the statements that were reached.
+//! Judges a move: its findings, and the statements that it reached.
 
 use super::course::Course;
 use super::plan::Conduct;
@@ -10,7 +10,7 @@ use imrs_protocol::script::{Address, End, Op, Program, ScriptInput, Term};
 use imrs_protocol::{CellTable, Outcome, PortId, Signal, Target, TaskId};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// Something that a move showed to be wrong.
+/// A finding of one move, before it becomes a [`Finding`](super::verdict::Finding) with its path.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Shown {
     pub kind: Kind,
@@ -18,7 +18,7 @@ pub(super) struct Shown {
     pub address: Option<Address>,
     pub check: Option<usize>,
     pub cause: String,
-    /// Whether nothing that follows is looked at.
+    /// Whether the search stops after this move.
     pub last: bool,
     /// The couple, by position among the cell's work couples.
     pub couple: Option<usize>,
@@ -27,30 +27,30 @@ pub(super) struct Shown {
 }
 
 impl Shown {
-    /// Something that is wrong with no task in particular.
+    /// A finding that belongs to no single task.
     pub fn whole(kind: Kind, cause: &str) -> Self {
         let (cause, others) = (cause.into(), Vec::new());
         Self { kind, task: None, address: None, check: None, cause, last: true, couple: None, others }
     }
 
-    /// Whether it is the same finding, whatever moves lead to it.
+    /// Whether both are the same finding, whatever moves lead to them.
     pub fn is_same(&self, other: &Self) -> bool {
         let key = |shown: &Self| (shown.kind, shown.task, shown.address, shown.check, shown.couple);
         key(self) == key(other) && (self.kind != Kind::Machine || self.cause == other.cause)
     }
 }
 
-/// What was reached.
+/// The coverage of a search or of a run.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Reached {
-    /// For each task, its operations.
+    /// For each task, which of its operations were reached.
     pub statements: Vec<Vec<bool>>,
-    /// For each check, what it reads that never changed yet, and what that is.
+    /// For each check, the terms that never changed so far, with their values.
     pub still: Vec<Vec<(Term, Option<i64>)>>,
 }
 
 impl Reached {
-    /// What was reached by the one or by the other.
+    /// Joins two coverages.
     pub fn join(mut self, other: Self) -> Self {
         for (all, one) in self.statements.iter_mut().flatten().zip(other.statements.into_iter().flatten()) {
             *all |= one;
@@ -89,7 +89,7 @@ pub(super) fn program(course: &Course, task: usize) -> Option<&Program> {
     }
 }
 
-/// Takes what the scripts did since the last call, and judges the state. A panic is a violation of the machine.
+/// Judges the present state, and what the scripts did since the last call. A panic becomes a violation.
 pub(super) fn judge(course: &mut Course, phase: Phase, reached: &mut Reached) -> Vec<Shown> {
     let judged = catch_unwind(AssertUnwindSafe(|| judge_turns(course, phase, reached)));
     judged.unwrap_or_else(|_| vec![Shown::whole(Kind::Machine, Violation::Panic.text())])
@@ -122,7 +122,7 @@ fn judge_turns(course: &mut Course, phase: Phase, reached: &mut Reached) -> Vec<
     shown
 }
 
-/// The couple of which both tasks act.
+/// The first couple of which both tasks act.
 fn two_owners(course: &Course) -> Option<Shown> {
     let couples = &course.plan.table.cell().couples;
     let at = couples.iter().position(|couple| course.acts(couple.primary) && course.acts(couple.standby))?;
@@ -132,7 +132,7 @@ fn two_owners(course: &Course) -> Option<Shown> {
     Some(Shown { couple: Some(at), others: both.into(), ..Shown::whole(Kind::TwoOwners, &cause) })
 }
 
-/// A request that ended badly although nothing went wrong.
+/// A request that ended badly in a search without faults.
 fn outcome(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
     let ScriptInput::Signal(signal) = turn.input else { return None };
     if phase == Phase::Faults {
@@ -150,7 +150,7 @@ fn outcome(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
         Signal::Answers { answers, .. } if answers.answered != answers.asked => {
             (Kind::TimeOut, format!("{name}: {what} ends without all answers"))
         }
-        // Who asks for a time and says what then, asks whether there is something. Who does not, ends at the statement.
+        // A `receive` with a time and a branch only polls. Without a branch the task ends here, and that is a finding.
         Signal::Nothing if !(matches!(turn.end, Some(End::Aborted(_))) && turn.passed.is_empty()) => {
             return None;
         }
@@ -192,10 +192,10 @@ fn end(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
         End::Fault { fault, at } => (Kind::ScriptFault, at, format!("{name}: {fault}")),
         End::Aborted(reason) => {
             let why = program.reasons.get(usize::from(reason)).map_or("", String::as_str);
-            // A statement that asked whether a handler comes first had begun before this turn.
+            // If the script waited at `Op::Statement` for handlers, the statement had begun before this step.
             let begun = program.code.get(usize::from(turn.at)) == Some(&Op::Statement);
             match turn.passed.last().copied().or_else(|| begun.then_some(turn.at)) {
-                // A bad end without a branch goes to no statement of the task.
+                // A bad end without a branch reaches no other statement of the task.
                 None => (Kind::Ends, turn.at, format!("{name} ends: {why}")),
                 Some(at) if fault_free => (Kind::Aborts, at, format!("{name} aborts: {why}")),
                 Some(_) => return None,
@@ -238,7 +238,7 @@ pub(super) fn statement(table: &CellTable, program: &Program, at: Address) -> St
     }
 }
 
-/// Whom a request that ended badly was for: those who should have answered, or come.
+/// The tasks that should have answered a request that ended badly, or have sent what it waited for.
 fn partners(course: &Course, task: usize, at: Address) -> Vec<usize> {
     let peers = |port| {
         let table = &course.plan.table;

@@ -1,21 +1,21 @@
-//! What the text of a cell adds to a chart: the line of each step, and the values that messages carry.
+//! What charts show of a cell's text: the line of each step, and the values that messages carry.
 
 use imrs_protocol::script::{Address, Format, Program, Trigger, Type};
 use imrs_protocol::{CONTENTS_BYTES, Kind, Packet, PortId};
 
-/// What a cell's text says of its programs and ports. Without it charts show neither lines nor values.
+/// Lines and formats of a cell's text. Without them charts show neither lines nor values.
 #[derive(Clone, Debug, Default)]
 pub struct Legend {
-    /// By task, for each operation of its program the line of its statement, from 1.
+    /// For each task and operation of its program, the line of the statement, from 1.
     pub lines: Vec<Vec<u32>>,
-    /// By task, for each handler of its program the line of its head, from 1.
+    /// For each task and handler of its program, the line of the handler's head, from 1.
     pub handlers: Vec<Vec<u32>>,
-    /// By port, what its messages hold and what its answers hold.
+    /// For each port, the formats of its messages and of its answers.
     pub formats: Vec<(Format, Format)>,
 }
 
 impl Legend {
-    /// The values in a packet: `(3, true)`. Of a message of several packets those that are whole in the first one.
+    /// The values in a packet: `(3, true)`. Of a message in several packets, those that fit into the first one.
     pub(super) fn of_packet(&self, packet: &Packet) -> Option<String> {
         let arguments;
         let (bytes, is_answer) = match packet.kind {

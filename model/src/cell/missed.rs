@@ -1,4 +1,4 @@
-//! The statements that no search reached, and whether only a fault leads to them.
+//! Finds the statements that no search reached, and whether they need a fault.
 
 use super::plan::Conduct;
 use imrs_protocol::script::{Op, Outcomes, Program, Trigger};
@@ -6,12 +6,12 @@ use imrs_protocol::script::{Op, Outcomes, Program, Trigger};
 /// The statements of a task that no search reached.
 #[derive(Default)]
 pub(super) struct Missed {
-    /// How many statements were reached, of how many.
+    /// The number of statements reached, and of all statements.
     pub counts: (u32, u32),
-    /// Those that were not, and whether only a fault leads there.
+    /// The unreached statements: the operation, and whether it needs a fault.
     pub statements: Vec<(usize, bool)>,
-    /// Whether something follows from one that needs a fault: the task goes on, with values that it has in no other way, or
-    /// sends something.
+    /// Whether an unreached statement that needs a fault may affect others: the task goes on with values that it has on no other
+    /// path, or sends something.
     pub leads_on: bool,
 }
 
@@ -33,7 +33,7 @@ impl Missed {
     }
 }
 
-/// Whether others, or the thread that a handler has interrupted, may notice an operation.
+/// Whether other tasks, or the activation that a handler has interrupted, may notice an operation.
 fn is_heard(op: &Op) -> bool {
     matches!(
         op,
@@ -47,7 +47,7 @@ fn is_heard(op: &Op) -> bool {
     )
 }
 
-/// The operations that follow one that needs a fault, up to the first ones on each way that need none.
+/// The operations that may follow one that needs a fault, on each path up to the first one that needs none.
 fn behind(program: &Program, from: usize, plain: &[bool]) -> Vec<usize> {
     let (mut open, mut found) = (vec![from], Vec::new());
     while let Some(at) = open.pop() {
@@ -62,8 +62,7 @@ fn behind(program: &Program, from: usize, plain: &[bool]) -> Vec<usize> {
     found
 }
 
-/// The operations that are reached when nothing ends badly and no timer, fence or take-over calls: what lies beyond
-/// needs a fault.
+/// For each operation, whether it is reached although nothing ends badly, and no timer, fence or take-over interrupts the task.
 fn needs_no_fault(program: &Program) -> Vec<bool> {
     let messages = program.handlers.iter().filter(|handler| matches!(handler.trigger, Trigger::Message(_)));
     let mut open: Vec<usize> = messages.map(|handler| usize::from(handler.entry)).collect();
@@ -73,7 +72,7 @@ fn needs_no_fault(program: &Program) -> Vec<bool> {
         let Some(flag) = reached.get_mut(at).filter(|flag| !**flag) else { continue };
         *flag = true;
         match program.code[at] {
-            // The answer of a statement may bring a message or none: only bad ends need a fault.
+            // A branch that takes only bad outcomes needs a fault. All others do not: a message may come or not.
             Op::On { outcomes, .. } if outcomes.0 & !Outcomes::BAD.0 == 0 => open.push(at + 1),
             op => open.extend(next(&op, at)),
         }
@@ -81,7 +80,7 @@ fn needs_no_fault(program: &Program) -> Vec<bool> {
     reached
 }
 
-/// Where a program may go on after an operation.
+/// The operations that may follow an operation.
 pub(super) fn next(op: &Op, at: usize) -> impl Iterator<Item = usize> {
     let (there, after) = match *op {
         Op::Jump(to) => (Some(to), false),

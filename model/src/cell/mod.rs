@@ -1,39 +1,38 @@
-//! Checks a whole cell: the scripts of its tasks over the machine, every interleaving within declared faults.
+//! Checks a whole cell: runs its scripts on the protocol's state machine, in every interleaving within the declared faults.
 //!
 //! ```text
-//!   CellPlan --> independent parts, each a Course (a Floor whose time jumps from event to event)
+//!   CellPlan --> independent parts, each a Course (a cell state whose time jumps from event to event)
 //!                                                                           |
 //!                                                                         search, without faults and with them
 //!                                                                           |
-//!   Verdicts: findings, each with the shortest way to it; bounds, sizes, coverage  <--+
+//!   Verdicts: findings, each with its shortest counterexample; bounds, sizes, coverage  <--+
 //! ```
 //!
-//! What is looked at, and what is not:
-//! - A packet takes its link's bound, in the order sent; it may be lost, doubled or cut off within the budgets, or
-//!   arrive right before one that was sent earlier.
-//! - An action ends when its least time is over or when its most is. Each end gives each of the values worth trying, and
-//!   may fail within the budget.
-//! - That is [`Times::Ends`]. The finer [`Times`] let actions end and packets arrive right after whatever else happens in the
-//!   cell meanwhile, or at every tick.
-//! - What two nodes do in the same tick cannot reach each other in it: the nodes take turns in their order, and checks
-//!   are looked at after each turn. On one node every order of arrivals and ends of actions is tried, after what the
-//!   tick itself brings there (time_outs, timers, beats).
-//! - A named node crashes after any of its steps, and comes back in its next life at once, when a packet comes for it, or
-//!   when nothing else happens any more; or it stays down. With [`CellPlan::everything`] also at every other event.
-//! - A named link is cut from any packet on, in both directions, until any later one.
-//! - A named node pauses before anything that it would do, and goes on after any later event, when its own next deadline
-//!   or lease is over, or when the pause has lasted as long as it may (`course::pause`).
-//! - A time_out and a packet of the same tick: the time_out comes first.
-//! - The script of a task whose node came back begins when nothing of its earlier life is under way any more, as on real nodes (D157).
-//! - A task outside the cell chooses among all uses of its ports, or none, once in its period; what it says is one of a few
-//!   values: zero, one, constants of the other tasks and what lies next to those ([`Tried`]).
+//! What the search covers:
+//! - A packet takes its link's bound, in the order sent. Within the budgets it may be lost, duplicated or cut off, or arrive
+//!   right before a packet that was sent earlier.
+//! - An action ends at its least or most time. Each end gives each of the values worth trying, or fails within the budget.
+//! - That is [`Times::Ends`]. The finer [`Times`] also let actions end and packets arrive right after any other event of the
+//!   cell, or at every tick.
+//! - Two nodes cannot reach each other within a tick, so nodes act one after the other. Checks are evaluated after every step.
+//!   A check that reads several nodes must hold in any order of these nodes (D161).
+//! - On one node the search tries every order of what its tasks do, of arrivals and of ends of actions. Each task notices the
+//!   time first, so its time_out comes before a packet of the same tick (D170).
+//! - A node named for a crash crashes at the end of any tick in which it took a step. It restarts in its next incarnation at
+//!   once, when a packet arrives for it, or when nothing else happens any more; or it stays down. With [`CellPlan::everything`]
+//!   both happen at every other event, too.
+//! - A link named for a cut loses every packet in both directions, from any packet on until any later one.
+//! - A node named for a pause pauses before any of its steps. It wakes after any later event, at its own next deadline or end
+//!   of lease, or when the pause reaches its bound (`course::pause`).
+//! - The script of a restarted node begins once no message of its earlier incarnation is in flight, as on real nodes (D157).
+//! - A task outside the cell chooses one use of its ports, or none, once in its period. Its messages carry one of a few values:
+//!   zero, one, constants of the other tasks and their neighbours ([`Tried`]).
 //!
-//! Tasks that share no port, node, link, couple or check are in independent parts (`parts`), each searched by itself. With
-//! [`Times::Between`], and when a node that is down starts again, what happens "in the cell" is what happens in the part.
+//! Tasks that share no port, node, link, couple or check are in independent parts (`parts`), and each part is searched by
+//! itself. So for [`Times::Between`], and for a restart "when nothing else happens", only events of the same part count.
 //!
-//! A request that ends by its time_out without a fault is starvation where it was put off more often than aging allows.
-//! Where all tasks go on for ever and nothing comes further any more, that is a warning (`standstill`). Not looked at: a task that
-//! goes on for ever without coming further while another one of its part does come further.
+//! A request that ends by its time_out without a fault is starvation if it was rejected or bypassed more often than aging
+//! allows. A livelock of all tasks is a warning (`standstill`); that of one task beside others that progress is not detected.
 
 mod alike;
 mod conclude;

@@ -1,4 +1,4 @@
-//! Tasks whose body is outside the cell: any legal use of their ports, no more often than they may.
+//! Programs for tasks whose body is outside the cell: any legal use of their ports, at most at the declared rate.
 
 use super::plan::{CellPlan, Conduct};
 use super::values::Tried;
@@ -8,7 +8,7 @@ use imrs_protocol::script::{
 use imrs_protocol::{Class, PortId, Rate, Target, TaskId, Ticks, Usage};
 use std::sync::Arc;
 
-/// The plan with a program for each task that has none.
+/// The plan with a program for each task whose body is outside the cell.
 pub(super) fn with_programs(plan: &Arc<CellPlan>) -> Arc<CellPlan> {
     if !plan.has_extern() {
         return Arc::clone(plan);
@@ -24,10 +24,10 @@ pub(super) fn with_programs(plan: &Arc<CellPlan>) -> Arc<CellPlan> {
     Arc::new(whole)
 }
 
-/// A program that chooses again and again what to do with its ports, or to do nothing.
+/// A program that again and again chooses one use of its ports, or none.
 ///
-/// A task of a work couple does so with the lease and without it. It begins anew when it takes over. When it loses its lease,
-/// it gives up what it was about and does nothing until it has the lease again.
+/// A task of a work couple does so with and without its lease. After a take-over it starts over. When it loses its lease, it
+/// gives up its present use and does nothing until the lease comes back.
 fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>) -> Program {
     let table = &plan.table;
     let pause = Ticks(rate.map_or(1, |rate| rate.per.0.div_ceil(u64::from(rate.count).max(1))).max(1));
@@ -44,14 +44,14 @@ fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>) -> Program {
         .iter()
         .filter(|couple| [couple.primary, couple.standby].contains(&task))
         .collect();
-    // Beats are the machine's own: no task uses their port.
+    // The protocol itself sends heartbeats: no task uses their port.
     let carries_beats = |port: PortId| couples.iter().any(|couple| couple.via == port);
     for &port in table.ports_of(task).iter().filter(|&&port| !carries_beats(port)) {
         for to in targets(plan, task, port) {
             for number in 0..values.len() {
                 let value = |of: Type| values.value(of, number);
                 let Some(once) = once(plan, task, (port, to), &value, pause, &mut program) else { break };
-                // Where nothing is said there is one way to say it.
+                // For messages without fields all values give the same use.
                 if !uses.contains(&once) {
                     uses.push(once);
                 }
@@ -64,7 +64,7 @@ fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>) -> Program {
     for (number, body) in (0_i64..).zip(uses) {
         let load = Op::Term(Term::Load(Slot::Task(0)));
         program.code.extend([load, Op::Term(Term::Push(number)), Op::Term(Term::Int(Binary::Equal))]);
-        // The body, what forgets the choice, and the way back.
+        // The branch skips two operations that reset the choice, the body, and the jump back.
         let beyond = address(program.code.len() + 1 + 2 + body.len() + 1);
         program.code.push(Op::Unless(beyond));
         forget(&mut program.code);
@@ -81,7 +81,7 @@ fn address(at: usize) -> Address {
     Address::try_from(at).unwrap_or(Address::MAX)
 }
 
-/// A body's jumps are relative to its start.
+/// Relocates the jumps of a body, which are relative to its start.
 const fn moved(op: Op, start: Address) -> Op {
     match op {
         Op::On { outcomes, to } => Op::On { outcomes, to: to.saturating_add(start) },
@@ -94,8 +94,7 @@ fn forget(code: &mut Vec<Op>) {
     code.extend([Op::Term(Term::Push(0)), Op::Store(Slot::Task(0))]);
 }
 
-/// What the messages of the tasks outside the cell are tried with. None where no such task says anything that a branch may
-/// depend on.
+/// The values for messages of tasks outside the cell; `None` if these messages have no fields that a program reads.
 pub(super) fn tried(plan: &CellPlan) -> Option<Tried> {
     let outside = |task: &usize| matches!(plan.tasks[*task], Conduct::Extern(_));
     let ports =
@@ -107,14 +106,14 @@ pub(super) fn tried(plan: &CellPlan) -> Option<Tried> {
     (!fields.is_empty()).then(|| Tried::of(plan, fields.contains(&Type::Real)))
 }
 
-/// Whom a message may go to: all at the other end of the port, or each of them alone.
+/// The possible receivers of a message: all peers of the port, or each of them alone.
 fn targets(plan: &CellPlan, task: TaskId, port: PortId) -> Vec<Target> {
     let peers: Vec<TaskId> = plan.table.port(port).map_or_else(Vec::new, |port| port.peers(task).collect());
     let alone = peers.iter().filter(|_| peers.len() > 1).map(|&peer| Target::One(peer));
     std::iter::once(Target::All).chain(alone).collect()
 }
 
-/// One use of a port, with this value in each field of a type of what is said, to these.
+/// One use of a port, as operations: `value` gives the value of each field by its type.
 fn once(
     plan: &CellPlan,
     task: TaskId,
@@ -175,7 +174,7 @@ fn programs(plan: &CellPlan) -> impl Iterator<Item = &Program> {
     })
 }
 
-/// The format of a port's messages, as those programs that send or read them have it.
+/// The format of a port's messages, as some program sends or reads them.
 fn message(plan: &CellPlan, port: PortId) -> Format {
     let find = |program: &Program| {
         let sent = program.code.iter().find_map(|op| match *op {
@@ -193,7 +192,7 @@ fn message(plan: &CellPlan, port: PortId) -> Format {
     programs(plan).find_map(find).unwrap_or_default()
 }
 
-/// The format of the answers.
+/// The format of a port's answers, as some program reads them.
 fn answer(plan: &CellPlan, port: PortId) -> Format {
     let find = |program: &Program| {
         // Not every statement that sends reads the answer.
@@ -204,7 +203,7 @@ fn answer(plan: &CellPlan, port: PortId) -> Format {
     programs(plan).find_map(find).unwrap_or_default()
 }
 
-/// Where such operations stand.
+/// The positions of all operations that satisfy `is`.
 fn positions(program: &Program, is: impl Fn(&Op) -> bool) -> impl Iterator<Item = usize> {
     program.code.iter().enumerate().filter(move |(_, op)| is(op)).map(|(at, _)| at)
 }
@@ -216,7 +215,7 @@ const fn unpacked(op: &Op) -> Option<u16> {
     }
 }
 
-/// The first such operation before the next request.
+/// The first result of `is` behind an operation, before the next request.
 fn next(program: &Program, from: usize, is: impl Fn(&Op) -> Option<u16>) -> Option<u16> {
     let after = program.code.iter().skip(from + 1);
     after.take_while(|op| !matches!(op, Op::Send { .. } | Op::Get { .. } | Op::Run { .. })).find_map(is)

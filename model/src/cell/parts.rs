@@ -1,18 +1,18 @@
-//! Independent parts of a cell: each is searched by itself, because what happens in one is invisible to the others.
+//! Splits a cell into independent parts. Each is searched by itself, because no part notices what happens in another one (D138).
 //!
-//! Two tasks are in one part when they share a node, a port, a couple or a check, and when packets of both may pass one
-//! node. So a part has whole nodes, and a node that relays for two ports joins the tasks of both. Every run of the cell,
-//! seen from one part, is a run of that part within the same budgets of faults, and every run of a part is one of the cell.
+//! Two tasks are in one part if they share a node, port, couple or check, or if one node may pass packets of both. So a part
+//! consists of whole nodes, and a node that relays for two ports joins their tasks. Every run of the cell, restricted to a part,
+//! is a run of that part within the same fault budgets; and every run of a part is a run of the cell.
 //!
-//! A part keeps the numbers, tables and plans of the whole cell. The nodes outside it are down for ever and are not
-//! packed, so the same moves replay a finding with the same part.
+//! A part keeps the numbers, tables and plans of the whole cell. Nodes outside it stay down and are not packed. So the same moves
+//! replay a finding, if the same part is given.
 
 use super::course::bit;
 use super::plan::{CellPlan, Part, about, node_of};
 use imrs_protocol::{CellTable, NodeId};
 use std::sync::Arc;
 
-/// The same cell, of which only this part is searched.
+/// The plan, restricted to a part.
 pub(super) fn only(plan: &Arc<CellPlan>, part: Option<&Part>) -> Arc<CellPlan> {
     match part {
         Some(part) => Arc::new(CellPlan { part: Some(part.clone()), ..CellPlan::clone(plan) }),
@@ -20,7 +20,7 @@ pub(super) fn only(plan: &Arc<CellPlan>, part: Option<&Part>) -> Arc<CellPlan> {
     }
 }
 
-/// The independent parts of a cell; none where it has one only, and where all of it is to be searched at once.
+/// The independent parts of a cell; empty if there is only one, or if the whole cell is to be searched at once.
 pub(super) fn parts(plan: &CellPlan) -> Vec<Part> {
     if plan.everything {
         return Vec::new();
@@ -37,7 +37,7 @@ pub(super) fn parts(plan: &CellPlan) -> Vec<Part> {
     for couple in &table.cell().couples {
         sets.join(node_of(table, couple.primary.index()), node_of(table, couple.standby.index()));
     }
-    // The nodes of the tasks that each check reads.
+    // For each check, the nodes of the tasks that it reads.
     let nodes = |check| plan.terms(check).iter().filter_map(about).map(|task| node_of(table, task)).collect();
     let read: Vec<Vec<usize>> = (0..plan.checks.len()).map(nodes).collect();
     for nodes in &read {
@@ -53,7 +53,7 @@ pub(super) fn parts(plan: &CellPlan) -> Vec<Part> {
     let part = |(number, &root): (usize, &usize)| Part {
         number,
         nodes: (0..sets.0.len()).filter(|&node| sets.root(node) == root).fold(0, |all, node| all | bit(node)),
-        // What reads no task belongs to the first part.
+        // A check that reads no task belongs to the first part.
         checks: read
             .iter()
             .map(|nodes| nodes.first().map_or(number == 0, |&node| sets.root(node) == root))
@@ -62,7 +62,7 @@ pub(super) fn parts(plan: &CellPlan) -> Vec<Part> {
     roots.iter().enumerate().map(part).collect()
 }
 
-/// Nodes in disjoint sets: each points to one with a lower or the same number, the lowest of its set to itself.
+/// Disjoint sets of nodes (union-find): each node points to one with a lower number, the root of a set to itself.
 struct Sets(Vec<usize>);
 
 impl Sets {
@@ -78,7 +78,7 @@ impl Sets {
         self.0[a.max(b)] = a.min(b);
     }
 
-    /// Joins all nodes that a packet passes on its way.
+    /// Joins all nodes on the route of a packet.
     fn join_route(&mut self, table: &CellTable, from: usize, to: usize) {
         let mut at = from;
         while at != to {

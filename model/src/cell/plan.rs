@@ -1,4 +1,4 @@
-//! What of a cell is checked, and within which bounds.
+//! The plan of a check: the cell, its tasks, checks, faults and budgets.
 
 use super::legend::Legend;
 use imrs_protocol::script::{Op, Predicate, Program, Term};
@@ -13,27 +13,27 @@ pub enum Conduct {
     Program {
         /// The program, its durations in ticks.
         program: Arc<Program>,
-        /// For each of its actions the results worth trying; where there is none, 0.
+        /// For each of its actions, the results worth trying; 0 if there are none.
         values: Vec<Vec<i32>>,
-        /// Whether other results of its actions may lead where none of these does.
+        /// Whether other results of its actions may lead to other statements.
         open: bool,
     },
-    /// A program outside the cell makes any legal use of its ports, at most so often.
+    /// The body of the task is outside the cell: it makes any legal use of its ports, at most at this rate.
     Extern(Option<Rate>),
 }
 
-/// How many faults there may be.
+/// A hypothesis of faults: the most faults of each kind.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct CellFaults {
     /// Lost packets.
     pub loss: u8,
     /// Packets that arrive twice.
     pub dup: u8,
-    /// Packets that arrive before one that was sent earlier on their link.
+    /// Packets that overtake one that was sent earlier on their link.
     pub reorder: u8,
     /// Actions that fail.
     pub fail: u8,
-    /// Ticks that some node's clock leaves out or counts twice.
+    /// Ticks that the clock of some node leaves out or counts twice.
     pub drift: u8,
     /// Nodes that crash, one entry for each crash.
     pub crash: Vec<NodeId>,
@@ -43,18 +43,18 @@ pub struct CellFaults {
     pub pause: Vec<Pause>,
 }
 
-/// A pause of a node: for a while it takes no step, as when its process is stopped (SIGSTOP) or gets no processor.
+/// A pause of a node, which takes no step for a while, as when its process is stopped (SIGSTOP) or not scheduled.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Pause {
-    /// Which node; none: any one.
+    /// The node; `None`: any node.
     pub node: Option<NodeId>,
-    /// The ticks that it lasts at most, counted from the first thing that the node would have done.
+    /// The most ticks that it lasts, counted from the first step that the node misses.
     pub most: u32,
 }
 
 impl Pause {
-    /// A pause of this node, or of any one, of so many ticks at most. Without a number: one tick longer than the longest
-    /// time_out or take-over of the cell, so that whatever waits for the node when it begins is over before it ends.
+    /// A pause of this node, or of any node, of at most `most` ticks. `None`: one tick longer than the longest time_out
+    /// or take-over of the cell: every wait for the node that is open when the pause begins is then over before it ends.
     #[must_use]
     pub fn new(table: &CellTable, node: Option<NodeId>, most: Option<Ticks>) -> Self {
         let parties = table.ports().iter().flat_map(|port| &port.parties);
@@ -65,19 +65,19 @@ impl Pause {
         Self { node, most: u32::try_from(most).unwrap_or(u32::MAX - 1) }
     }
 
-    /// Whether this node may pause so.
+    /// Whether this node may pause in this way.
     pub(super) fn is_of(&self, node: usize) -> bool {
         self.node.is_none_or(|of| of.index() == node)
     }
 }
 
 impl CellFaults {
-    /// Whether independent parts of a cell stand for all of it: not where something happens between two events.
+    /// Whether independent parts may be searched one by one: not with drift or pauses, which lie between events of the cell.
     pub(super) const fn may_be_apart(&self) -> bool {
         self.drift == 0 && self.pause.is_empty()
     }
 
-    /// Whether nothing may go wrong.
+    /// Whether no fault may happen.
     #[must_use]
     pub fn are_none(&self) -> bool {
         *self == Self::default()
@@ -87,15 +87,15 @@ impl CellFaults {
 /// What a check demands.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Holds {
-    /// This is true in every state.
+    /// The expression is true in every state.
     Always(Vec<Term>),
-    /// Whenever `when` is true, `then` is, at once or within so many ticks.
+    /// Whenever `when` is true, `then` becomes true, at once or within the bound.
     Leads {
-        /// The one.
+        /// The left side.
         when: Vec<Term>,
-        /// The other.
+        /// The right side.
         then: Vec<Term>,
-        /// How long.
+        /// The bound.
         within: Ticks,
     },
 }
@@ -109,7 +109,7 @@ pub struct CellCheck {
     pub holds: Holds,
 }
 
-/// How much the search may use, in each phase for each independent part of the cell; what ends it first is told.
+/// Limits of the search, for each phase and each independent part. [`Coverage`](super::Coverage) tells which limit ended it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Budget {
     /// States kept.
@@ -126,24 +126,24 @@ impl Default for Budget {
     }
 }
 
-/// When actions end, between their least and their most time, and packets arrive, between one tick and their link's bound.
+/// The times at which actions end, from their least to their most time, and packets arrive, from one tick to their link's bound.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Times {
-    /// As [`Every`](Self::Every) where that takes no more than [`AUTO_STATES`](Self::AUTO_STATES), or
-    /// [`AUTO_STATES_WITH_FAULTS`](Self::AUTO_STATES_WITH_FAULTS); else as [`Between`](Self::Between) where that takes no
-    /// more; else as [`Ends`](Self::Ends).
+    /// [`Every`](Self::Every) if that takes at most [`AUTO_STATES`](Self::AUTO_STATES) states, with faults
+    /// [`AUTO_STATES_WITH_FAULTS`](Self::AUTO_STATES_WITH_FAULTS), and a quarter of the time; else [`Between`](Self::Between)
+    /// within the same limits; else [`Ends`](Self::Ends).
     #[default]
     Auto,
     /// Actions at their least or most time, packets at their bound.
     Ends,
-    /// At both ends, or right after anything that happens between them in the same independent part of the cell.
+    /// At both ends, or right after any event between them in the same independent part of the cell.
     Between,
-    /// At every tick from the one to the other, or every [`CellPlan::step`] of them.
+    /// At every tick between the ends, or at every tick that [`CellPlan::step`] leaves.
     Every,
 }
 
 impl Times {
-    /// How many states the finer times may take without faults before coarser ones are looked at.
+    /// The most states that finer times may take without faults before coarser ones are tried.
     pub const AUTO_STATES: u64 = 30_000;
     /// The same with faults.
     pub const AUTO_STATES_WITH_FAULTS: u64 = 8_000;
@@ -152,32 +152,32 @@ impl Times {
 /// A cell to check.
 #[derive(Clone, Debug)]
 pub struct CellPlan {
-    /// The declarations, in ticks.
+    /// The declarations, with durations in ticks.
     pub table: Arc<CellTable>,
-    /// What each task does, by task.
+    /// What each task does, by position.
     pub tasks: Vec<Conduct>,
-    /// Hypotheses of what may go wrong, each looked at by itself.
+    /// Hypotheses of faults, each searched by itself.
     pub faults: Vec<CellFaults>,
-    /// What must hold.
+    /// The checks.
     pub checks: Vec<CellCheck>,
-    /// How much the search may use.
+    /// Limits of the search.
     pub budget: Budget,
-    /// When actions end and packets arrive.
+    /// When actions may end and packets may arrive.
     pub times: Times,
-    /// Of how many ticks [`Times::Every`] takes one: counted back from the most time.
+    /// The distance of the ticks that [`Times::Every`] tries, counted back from the most time.
     pub step: u32,
-    /// Whether to do without reductions, to check that they change no finding: also faults that nobody can notice, states
-    /// that others cover, variables that nobody reads any more, restarts at every event, and independent parts together.
+    /// Switches off all reductions, to check that they change no finding. The search then also covers faults that nobody notices,
+    /// covered states, dead variables, crashes, restarts and pauses at every event, and all independent parts together.
     pub everything: bool,
-    /// How many packets a node's transit buffer holds.
+    /// Packets that a node's transit buffer holds.
     pub transit: u16,
-    /// How many threads search.
+    /// Threads that search.
     pub jobs: usize,
-    /// What charts say besides: it changes no verdict.
+    /// What charts show of the cell's text. It changes no verdict.
     pub legend: Legend,
-    /// The tasks whose bodies are outside the cell, where they have got programs that try any use of their ports.
+    /// Tasks whose bodies are outside the cell, and which have got programs that try any use of their ports.
     pub(super) outside: Vec<usize>,
-    /// What of the cell is searched; none: all of it.
+    /// The part that is searched; `None`: the whole cell.
     pub(super) part: Option<Part>,
 }
 
@@ -202,13 +202,13 @@ impl CellPlan {
         }
     }
 
-    /// Whether a task's body is outside the cell.
+    /// Whether the body of some task is outside the cell.
     #[must_use]
     pub fn has_extern(&self) -> bool {
         self.tasks.iter().any(|task| matches!(task, Conduct::Extern(_)))
     }
 
-    /// Whether actions give numbers.
+    /// Whether some action has results other than 0 and 1.
     #[must_use]
     pub fn takes_numbers(&self) -> bool {
         let numbers = |values: &Vec<i32>| !values.is_empty() && values[..] != [0, 1];
@@ -217,13 +217,13 @@ impl CellPlan {
         self.tasks.iter().any(takes)
     }
 
-    /// Whether actions may give other results than those that are tried.
+    /// Whether actions may give results that are not tried.
     #[must_use]
     pub fn has_open_results(&self) -> bool {
         self.tasks.iter().any(|task| matches!(task, Conduct::Program { open: true, .. }))
     }
 
-    /// Whether every action and every packet takes one time only.
+    /// Whether every action and every packet has only one possible duration.
     pub(super) fn is_exact(&self) -> bool {
         let exact = |conduct: &Conduct| match conduct {
             Conduct::Program { program, .. } => {
@@ -235,7 +235,7 @@ impl CellPlan {
             && self.table.cell().links.iter().all(|link| !self.has_node(link.a.index()) || link.delay.0 <= 1)
     }
 
-    /// Whether a node takes part in the search.
+    /// Whether a node is in the searched part.
     pub(super) fn has_node(&self, node: usize) -> bool {
         self.part.as_ref().is_none_or(|part| part.has_node(node))
     }
@@ -248,7 +248,7 @@ impl CellPlan {
         self.part.as_ref().is_none_or(|part| part.has_check(check))
     }
 
-    /// What a check reads, both sides of it where one leads to the other.
+    /// The terms that a check reads, of a `leads` check those of both sides.
     pub(super) fn terms(&self, check: usize) -> Vec<Term> {
         let looks = |term: &Term| matches!(term, Term::Of { .. } | Term::Is(_));
         let mut all: Vec<Term> = Vec::new();
@@ -280,12 +280,12 @@ pub(super) fn about(term: &Term) -> Option<usize> {
     }
 }
 
-/// A set of nodes that no packet and no check connects with the others.
+/// An independent part of a cell: nodes that no packet and no check connects with the others.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Part {
-    /// Its place among the parts of the cell.
+    /// Its position among the parts of the cell.
     pub number: usize,
-    /// Bit by bit.
+    /// Its nodes, as a bit set.
     pub nodes: u64,
     pub checks: Vec<bool>,
 }
@@ -299,7 +299,7 @@ impl Part {
         self.checks.get(check).copied().unwrap_or(false)
     }
 
-    /// The nodes outside it, bit by bit.
+    /// The nodes outside it, as a bit set.
     pub const fn left_out(&self) -> u64 {
         !self.nodes
     }

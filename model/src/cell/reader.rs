@@ -1,4 +1,4 @@
-//! The line of the cell's text that each step of a way belongs to, and the values that its messages carry.
+//! Finds the line of the cell's text that each step of a path belongs to, and the values that its messages carry.
 
 use super::course::Course;
 use super::judge::program;
@@ -11,34 +11,34 @@ use imrs_protocol::{
 };
 use std::collections::BTreeMap;
 
-/// A message or a round by the task that sent or reached it, the port, and its number.
+/// A message or a round: the task that sent or reached it, the port, its number.
 type Named = (usize, PortId, u32);
 
-/// Finds the line and the values of each thing that a step shows.
+/// Finds the line and the values of everything that a step shows.
 #[derive(Default)]
 pub(super) struct Reader {
-    /// Where each message was sent and answered, and each round reached.
+    /// The statement that sent or answered each message, or reached each round.
     sent: BTreeMap<Named, Address>,
     step: StepAt,
 }
 
-/// Where the tasks are in one step.
+/// What the reader knows of one step.
 #[derive(Default)]
 struct StepAt {
-    /// The operation at which each task stood before it.
+    /// The operation of each task before the step.
     before: Vec<Address>,
-    /// The statements that each task may have carried out in it, and how often each was told.
+    /// The statements that each task may have executed in the step, each with the number of observations matched to it.
     begun: Vec<Vec<(Address, usize)>>,
-    /// The statement whose outcome each task is told next.
+    /// The statement whose outcome each task learns next.
     outcome: Vec<Option<Address>>,
-    /// What the messages held that tasks took.
+    /// The contents of the messages that tasks took.
     taken: BTreeMap<Named, Contents>,
     /// The packet whose values are drawn.
     drawn: Option<Packet>,
 }
 
 impl Reader {
-    /// A step begins: `begun` is the statement that each task began last.
+    /// Begins a step. `begun` is the statement that each task began last.
     pub fn before(&mut self, course: &Course, begun: &[Option<Address>], drawn: Option<Packet>) {
         let tasks = course.plan.tasks.len();
         self.step = StepAt {
@@ -50,7 +50,7 @@ impl Reader {
         };
     }
 
-    /// What the scripts did in it, and what was seen.
+    /// Takes what the scripts did in the step, and the log of the step.
     pub fn after(&mut self, turns: &[ScriptTurn], log: &[Effect]) {
         for turn in turns {
             if let Some(begun) = self.step.begun.get_mut(turn.task) {
@@ -77,7 +77,7 @@ impl Reader {
         };
         let task = packet.source.index();
         let named = (task, packet.port, number);
-        // What left before the first step was not seen: its task still stands in the statement.
+        // No step shows packets that left before the first one. Their task is still at the statement.
         let at = self.sent.get(&named).copied().or_else(|| {
             let begun = self.step.begun.get(task)?.first()?.0;
             let program = program(course, task)?;
@@ -87,7 +87,7 @@ impl Reader {
         course.plan.legend.line(task, at)
     }
 
-    /// The line of an action that ends, of this thread.
+    /// The line of the action that ends in this activation.
     pub fn of_action(&self, course: &Course, task: usize, level: u8) -> Option<u32> {
         let script = &course.floor.bodies.get(task)?.actor.as_ref()?.script;
         let at = match level {
@@ -107,7 +107,7 @@ impl Reader {
         course.plan.legend.line(turn.task, at)
     }
 
-    /// The line of what a task shows, and the values that it takes or is told.
+    /// The line of an effect, and the values that its task takes or is told.
     pub fn of_effect(&mut self, course: &Course, effect: &Effect) -> (Option<u32>, Option<String>) {
         match effect {
             Effect::Seen(_, Some(task), seen) => self.of_observation(course, task.index(), seen),
@@ -210,14 +210,14 @@ impl Reader {
         }
     }
 
-    /// The statement of this step that sends, answers or reaches what was seen.
+    /// The statement of this step that sends, answers or reaches what was observed.
     fn carried_out(&mut self, course: &Course, task: usize, seen: &Observation) -> Option<Address> {
         let program = program(course, task)?;
         let peers = course.plan.table.port(seen.port)?.peers(TaskId::from_index(task)).count();
         let begun = self.step.begun.get_mut(task)?;
         let mut doing = begun.iter_mut().filter_map(|(at, told)| {
             let op = operations(program, *at).find(|op| does(op, seen.event, seen.port))?;
-            // One statement sends to one task or to all of them; the next one of the step comes after it.
+            // A statement sends to one task, or to all peers. Further observations belong to the next statement.
             let most =
                 if matches!(op, Op::Send { to, .. } if !matches!(to, Target::One(_))) { peers } else { 1 };
             (*told < most).then_some((*at, told))
@@ -227,7 +227,7 @@ impl Reader {
         Some(at)
     }
 
-    /// The statement of this step, or the one before it, that takes what comes on a port: the last one.
+    /// The last statement, of this step or begun before it, that takes messages of a port.
     fn taken_at(&self, course: &Course, task: usize, on: PortId) -> Option<Address> {
         let program = program(course, task)?;
         let takes = |op: &Op| matches!(op, Op::Get { port, .. } if port.is_none_or(|port| port == on));
@@ -235,7 +235,7 @@ impl Reader {
         begun.into_iter().find(|&at| operations(program, at).any(takes))
     }
 
-    /// The port on which the statement of an operation sends.
+    /// The port on which the statement at an address sends.
     fn asks(&self, course: &Course, task: usize, at: Address) -> Option<PortId> {
         let program = program(course, task)?;
         let sends = |op: &Op| match op {
@@ -252,7 +252,7 @@ fn operations(program: &Program, at: Address) -> impl Iterator<Item = &Op> {
     program.code.iter().skip(usize::from(at) + 1).take_while(|op| **op != Op::Statement)
 }
 
-/// Whether an operation is what shows as this event on this port.
+/// Whether an operation shows as this event on this port.
 fn does(op: &Op, event: Event, on: PortId) -> bool {
     match (event, op) {
         (Event::Sent, Op::Send { port, .. })

@@ -1,7 +1,7 @@
-//! Breadth-first over the states in which there is a choice; what has none is walked through.
+//! Searches the state space breadth-first. Only states with a choice are kept; the search passes through the others.
 //!
-//! A batch of kept states is walked on from in parallel, against what was kept before it; then what that came to is taken in
-//! in the order of the batch. So the answer is the same for any number of threads.
+//! Threads expand a batch of kept states in parallel, and look up only states that were kept before the batch. Then one thread
+//! merges the results in the order of the batch, so the answer is the same for any number of threads.
 
 use super::conclude::conclude;
 use super::course::{CellMove, Course};
@@ -25,12 +25,12 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
-/// How many states are walked on from between two looks at the budget.
+/// States expanded between two looks at the budget.
 const BATCH: usize = 1024;
-/// How many of them a thread takes at a time.
+/// States of a batch that a thread takes at a time.
 const PART: usize = 32;
 
-/// A state to walk on from, and its number.
+/// A kept state that is still to be expanded, and its number.
 type Queued = (u32, Box<[u8]>);
 
 #[derive(Default)]
@@ -43,13 +43,13 @@ struct Search {
     longest: usize,
     outgrown: bool,
     ways: Ways,
-    /// The fingerprint of each kept state.
+    /// For each kept state, the fingerprint of its core: all but its remaining faults.
     cores: Vec<u64>,
-    /// The least depth of a batch that was not taken in to its end.
+    /// The least depth in the last batch, if a budget ended the search before all its results were merged.
     batch: Option<u16>,
 }
 
-/// What a search came to, and the states that it kept.
+/// The result of a search, and the states that it kept.
 pub(super) struct Kept {
     pub seen: Seen,
     pub states: u64,
@@ -59,7 +59,7 @@ pub(super) struct Kept {
     pub reached: Reached,
 }
 
-/// Searches, and keeps the states.
+/// Searches, and returns the states that it kept, too.
 pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Kept {
     let (search, done) = search(plan, (phase, 0), faults);
     let hits = search.hits.into_iter().map(|hit| hit.shown).collect();
@@ -67,7 +67,7 @@ pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &Cell
     Kept { seen: search.seen, states: coverage.states, complete: coverage.complete, hits, findings, reached }
 }
 
-/// Checks a cell: first without faults, which says what takes no fault to go wrong, then with those declared.
+/// Checks a cell: first without faults, then within each hypothesis of faults. The first search finds what goes wrong by itself.
 #[must_use]
 pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
     let outside = tried(plan).unwrap_or_default();
@@ -86,17 +86,17 @@ pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
     conclude(plan, done, (outside, is_open))
 }
 
-/// The same cell with other times.
+/// The same plan with other event times.
 pub(super) fn timed(plan: &Arc<CellPlan>, times: Times) -> Arc<CellPlan> {
     Arc::new(CellPlan { times, ..CellPlan::clone(plan) })
 }
 
-/// Searches at the finest times that are not too much.
+/// Searches with the finest event times that take no more states than [`Times::Auto`] allows.
 fn look(plan: &Arc<CellPlan>, phase: (Phase, usize), faults: &CellFaults) -> Done {
     if plan.times != Times::Auto {
         return explore(plan, phase, faults);
     }
-    // What is exact without pauses is not with them: when one ends is a time, too.
+    // If each action and packet takes one time only, the ends are all times. Pauses change that, because they end at any time.
     if plan.is_exact() && faults.pause.is_empty() {
         let mut done = explore(&timed(plan, Times::Ends), phase, faults);
         done.coverage.times = Times::Every;
@@ -111,7 +111,7 @@ fn look(plan: &Arc<CellPlan>, phase: (Phase, usize), faults: &CellFaults) -> Don
         let mut done = explore(&Arc::new(short.clone()), phase, faults).with(tried);
         if done.coverage.complete {
             if !done.findings.is_empty() {
-                // What shows at the ends, too, is told as it happens there: their round times are easier to follow.
+                // A finding that `Times::Ends` shows as well is reported with those times: round times are easier to follow.
                 short.times = Times::Ends;
                 done.findings.splice(0..0, explore(&Arc::new(short), phase, faults).findings);
             }
@@ -122,10 +122,10 @@ fn look(plan: &Arc<CellPlan>, phase: (Phase, usize), faults: &CellFaults) -> Don
     explore(&timed(plan, Times::Ends), phase, faults).with(tried)
 }
 
-/// What one search can hold: a bit for each node and for each way of a link, a byte for a task.
+/// What one search can hold: a bit for each node and each direction of a link, a byte for a task.
 const MOST: (usize, usize, usize) = (64, 255, 32);
 
-/// A cell that is too large, or a program that keeps numbers of messages: no canonical state could hold them (D51).
+/// Refuses a cell that is too large, or whose programs store message numbers: no canonical state could hold them (D51).
 fn refused(plan: &CellPlan) -> Option<Refused> {
     let names = |task: &Conduct| match task {
         Conduct::Program { program, .. } => program.code.iter().position(|op| *op == Op::ReceivedId),
@@ -141,7 +141,7 @@ fn refused(plan: &CellPlan) -> Option<Refused> {
     too_large(plan).or_else(keeps)
 }
 
-/// A cell with more than moves have numbers for.
+/// Refuses a cell with more nodes, tasks or links than moves can number.
 pub(super) fn too_large(plan: &CellPlan) -> Option<Refused> {
     let cell = plan.table.cell();
     let (nodes, tasks, links) = MOST;
@@ -180,7 +180,7 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
             Err(OutOfMemory) => ended_by = Some(out_of_memory(plan)),
         }
     }
-    // What repeats from one of them may be nobody's standstill, and that from another one may be.
+    // Several still states are tried, because not in every cycle a task waits for others.
     let mut idle = HashSet::new();
     let told = still.into_iter().take(standstill::MOST_TOLD).find_map(|at| {
         if idle.contains(&search.cores[at]) {
@@ -204,7 +204,7 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
         whole_depth: left.map_or(depth, u64::from),
         ticks: findings.iter().map(|finding| finding.at_ticks).max().unwrap_or(0),
         complete: ended_by.is_none(),
-        // What tasks in a deadlock would have done is not looked at either.
+        // What tasks in a deadlock would have done is not searched either.
         pruned: search.hits.iter().any(|hit| hit.shown.last || hit.shown.kind == Kind::Deadlock),
         ended_by,
         longest_state: search.longest as u64,
@@ -223,7 +223,7 @@ fn out_of_memory(plan: &CellPlan) -> String {
 }
 
 impl Search {
-    /// Says which budget ended it.
+    /// Searches until the queue is empty, or returns the budget that ended the search.
     fn run(&mut self, plan: &CellPlan, walkers: &mut [Walker], start: Instant) -> Option<String> {
         let budget = plan.budget;
         if let Some(first) = walkers.first_mut() {
@@ -250,7 +250,7 @@ impl Search {
         None
     }
 
-    /// Walks on from each state of a batch, and gives what that came to in the batch's order.
+    /// Expands each state of a batch, and returns the results in the order of the batch.
     fn walk_on(&self, batch: &[Queued], walkers: &mut [Walker]) -> Vec<Walks> {
         let parts: Vec<&[Queued]> = batch.chunks(PART).collect();
         let done: Vec<OnceLock<Walks>> = parts.iter().map(|_| OnceLock::new()).collect();
@@ -262,7 +262,7 @@ impl Search {
                 for (state_at, state) in *part {
                     walker.expand(*state_at, self.origins[*state_at as usize].depth, state, &self.seen);
                 }
-                // Each part is taken by one thread.
+                // Only one thread takes this part, so the place is empty.
                 let _ = done[at].set(walker.take());
             }
         };
@@ -290,7 +290,7 @@ impl Search {
         }
     }
 
-    /// The moves to where this leads, walked through ones included.
+    /// The moves from the start to `origin`, including those between kept states.
     fn path(&self, plan: &Arc<CellPlan>, faults: &CellFaults, mut origin: Origin) -> Vec<CellMove> {
         let mut walks = Vec::new();
         while origin.parent != u32::MAX {

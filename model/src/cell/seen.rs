@@ -1,11 +1,11 @@
-//! The states that a search has kept.
+//! The set of states that a search has kept.
 
 use super::course::canon::Left;
 use std::collections::HashMap;
 use std::collections::hash_map::{DefaultHasher, Entry};
 use std::hash::{BuildHasherDefault, Hash, Hasher};
 
-/// Hashes fingerprints to themselves.
+/// A hasher for fingerprints, which are hashes already.
 #[derive(Default)]
 struct Same(u64);
 
@@ -23,15 +23,14 @@ impl Hasher for Same {
 
 type Map<T> = HashMap<u64, T, BuildHasherDefault<Same>>;
 
-/// What stands for a state: the fingerprint of what it is, and what may still go wrong in it.
+/// The entry of a state in the set: the fingerprint of its core, and its remaining faults.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Mark {
     core: u64,
     left: Left,
 }
 
-/// Of so many states without an alternative one is kept: which depends on the state alone, so that two ways through it both
-/// stop there, and the second goes no further.
+/// On chains without a choice one state in four is kept, chosen by its hash. So a second path through such a state stops there.
 const POSTS: u64 = 4;
 
 impl Mark {
@@ -41,37 +40,37 @@ impl Mark {
         Self { core: hasher.finish(), left }
     }
 
-    /// The fingerprint of what it is.
+    /// The fingerprint of the state without its remaining faults.
     pub const fn core(self) -> u64 {
         self.core
     }
 
-    /// Whether it is kept although only one thing can happen next.
+    /// Whether the state is kept although only one move is possible.
     pub fn is_post(self) -> bool {
         self.core.is_multiple_of(POSTS)
     }
 }
 
-/// The states that were kept: for each fingerprint, what may still go wrong.
+/// The states that were kept: for each fingerprint, the remaining faults.
 ///
-/// Two states that differ only in that: the one with less does nothing that the one with more cannot do too. So it is not
-/// looked at once the other one was.
+/// If two states differ only in their remaining faults, the one with more allows every move of the other: it covers that one. A
+/// covered state is not expanded.
 #[derive(Default)]
 pub(super) struct Seen {
     first: Map<Left>,
-    /// Where neither covers the other.
+    /// Further entries, none of which covers another.
     more: Map<Vec<Left>>,
 }
 
 impl Seen {
-    /// Whether a state was kept that may do all that this one may.
+    /// Whether a kept state covers this one.
     pub fn covers(&self, mark: Mark) -> bool {
         let Some(first) = self.first.get(&mark.core) else { return false };
         let others = || self.more.get(&mark.core).into_iter().flatten();
         first.covers(mark.left) || others().any(|other| other.covers(mark.left))
     }
 
-    /// Keeps a state, unless one is kept that covers it.
+    /// Keeps a state unless a kept one covers it; returns whether it is new.
     pub fn insert(&mut self, mark: Mark) -> bool {
         match self.first.entry(mark.core) {
             Entry::Vacant(place) => {

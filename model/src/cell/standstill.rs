@@ -1,9 +1,9 @@
-//! Standstill: tasks that go on for ever without coming further. Two robots, each of which holds a zone and polls for the
-//! other's; one that polls for a zone whose holder is dead.
+//! Detects a standstill (livelock): tasks go on for ever without progress. Two robots each hold a zone and poll for the other's;
+//! or one robot polls for a zone whose holder is dead.
 //!
-//! A step is *progress* when an action ends well, a meeting completes, or a variable that somebody may still read takes another
-//! value. From a state at a standstill no way leads to progress, nor to an end, unless a fault or a restart comes. What
-//! repeats there is told where a task waits for others in it: a camera that goes on by itself is at no standstill.
+//! *Progress* is a step in which an action ends well, a rendezvous completes, or a live variable changes its value. A state is
+//! *still* if no path without faults and restarts leads from it to progress or to an end. A cycle of still states is reported
+//! if a task in it waits for others. So a camera that loops by itself is no standstill.
 
 use super::course::{CellMove, Course};
 use super::judge::{Shown, name};
@@ -17,30 +17,30 @@ use imrs_protocol::script::{Address, ScriptInput};
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::sync::Arc;
 
-/// So many states of a standstill are walked through to tell what repeats in it.
+/// The most states of a standstill that are explored to find what repeats in it.
 const MOST_STATES: usize = 4096;
 
-/// So many states from which nothing comes further are asked whether that is a standstill.
+/// The most still states that are tried until one of them shows a standstill.
 pub(super) const MOST_TOLD: usize = 64;
 
-/// What [`Ways::all_still`] takes for a state at most: its entry in a map and on a stack, and two flags.
+/// The most bytes that [`Ways::all_still`] needs for a state: an entry in a map and on a stack, and two flags.
 const BYTES_OF_A_STATE: usize = 64;
 
-/// The pass does not fit into the memory of a search.
+/// The analysis does not fit into the memory budget of the search.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct OutOfMemory;
 
-/// What the walks between kept states are: where each leads, as far as that matters.
+/// The graph of kept states for the livelock analysis. Its edges are walks without faults and restarts.
 #[derive(Default)]
 pub(super) struct Ways {
-    /// From which state to which, by its core's fingerprint.
+    /// Edges without progress: the number of the state, and the core fingerprint of the state that it leads to.
     steps: Vec<(u32, u64)>,
-    /// States from which a way makes progress, or ends.
+    /// States with a walk that makes progress or ends.
     free: Vec<u32>,
 }
 
 impl Ways {
-    /// A walk from a kept state leads to this one; `None`: to progress or to an end.
+    /// Notes a walk from a kept state to another one; `None`: to progress or to an end.
     pub fn note(&mut self, from: u32, to: Option<u64>) {
         match to {
             Some(to) => self.steps.push((from, to)),
@@ -49,14 +49,14 @@ impl Ways {
         }
     }
 
-    /// Takes in what other walks noted.
+    /// Adds the walks that another thread noted.
     pub fn take_in(&mut self, other: Self) {
         self.steps.extend(other.steps);
         self.free.extend(other.free);
     }
 
-    /// The states from which no way leads to progress or to an end. `cores` are the kept states' fingerprints, `room`
-    /// the bytes that this may take.
+    /// The still states: no path leads from them to progress or to an end. `cores` are the fingerprints of the kept states,
+    /// `room` is the number of bytes that the analysis may use.
     ///
     /// # Errors
     /// [`OutOfMemory`].
@@ -71,7 +71,7 @@ impl Ways {
         for &(from, _) in &self.steps {
             leads[from as usize] = true;
         }
-        // A state without any way that needs no fault is an end, too.
+        // A state without any walk free of faults is an end, too.
         let ends = (0_u32..).zip(&leads).filter(|(_, leads)| !**leads).map(|(at, _)| at);
         for at in self.free.iter().copied().chain(ends) {
             if !std::mem::replace(&mut free[at as usize], true) {
@@ -89,7 +89,7 @@ impl Ways {
         back.extend(self.steps.iter().filter_map(|&(from, to)| Some((*places.get(&to)?, from))));
         back.sort_unstable();
         while let Some(at) = open.pop() {
-            // States that differ only in what may still go wrong have the same ways without faults.
+            // States that differ only in their remaining faults have the same walks without faults.
             let first = places.get(&cores[at as usize]).copied().unwrap_or(at);
             let begin = back.partition_point(|&(to, _)| to < first);
             for &(_, from) in back[begin..].iter().take_while(|&&(to, _)| to == first) {
@@ -102,13 +102,13 @@ impl Ways {
     }
 }
 
-/// Whether a move is a fault, or a restart: a node that stopped may stay down.
+/// Whether a move is a fault or a restart. Restarts count, because a node that crashed may stay down.
 pub(super) const fn is_outside(step: CellMove) -> bool {
     step.is_fault() || matches!(step, CellMove::Restart(_))
 }
 
-/// Walks through a standstill and says what repeats in it. None where nobody waits for others, where something does come
-/// further after all, or where there is too much of it. `idle`: states, by their cores' fingerprints, from which nobody waits.
+/// Explores a standstill and reports what repeats in it. `None` if nobody waits for others, if some path makes progress after
+/// all, or if it has too many states. `idle` collects the core fingerprints of states from which nobody waits.
 pub(super) fn tell(
     plan: &Arc<CellPlan>,
     (phase, hypothesis): (Phase, usize),
@@ -120,7 +120,7 @@ pub(super) fn tell(
     if !moves.iter().all(|&step| course.survives(step)) {
         return None;
     }
-    // What scripts did on the way there is no part of it.
+    // What scripts did before the standstill is no part of it.
     course.floor.turns.iter_mut().for_each(Vec::clear);
     let seen = Round::walk(&mut course, &mut moves)?;
     let asks = seen.asks();
@@ -142,17 +142,17 @@ pub(super) fn tell(
     Some(story::finding(plan, (phase, hypothesis), faults, moves, &shown))
 }
 
-/// The states of a standstill, by their cores' fingerprints.
+/// The explored states of a standstill, by core fingerprint.
 #[derive(Default)]
 struct Round {
     known: HashSet<u64>,
     leads: HashMap<u64, Vec<u64>>,
-    /// Who was told what became of something, at which statement, and between which states.
+    /// Outcomes that tasks were told: the task, the statement, the state before and the state after.
     told: BTreeSet<(usize, Address, u64, u64)>,
 }
 
 impl Round {
-    /// Walks through all of it. The chart shows one round: to `moves` the first one of each state is added.
+    /// Explores all states. Appends the first move of each state to `moves`, so that the chart shows one cycle.
     fn walk(course: &mut Course, moves: &mut Vec<CellMove>) -> Option<Self> {
         let mut round = Self::default();
         let mut open = vec![(course.store().ok()?, true)];
@@ -178,7 +178,7 @@ impl Round {
                 let next = course.store().ok()?;
                 let to = Mark::of(course.split(&next)).core();
                 round.leads.entry(from).or_default().push(to);
-                // What a task outside the cell goes on with is not known.
+                // Outcomes told to a task outside the cell do not count: nobody knows what its real program does next.
                 let told = turns
                     .iter()
                     .filter(|turn| is_answered(turn) && !course.plan.outside.contains(&turn.task));
@@ -193,8 +193,8 @@ impl Round {
         Some(round)
     }
 
-    /// The tasks that are told again and again what became of something, each with the statement. What is told once, on the way
-    /// into what repeats, is no part of it.
+    /// The tasks that are told an outcome again and again, each with the statement. An outcome that is told only once, on the
+    /// path into the cycle, does not count.
     fn asks(&self) -> BTreeMap<usize, Address> {
         let mut asks = BTreeMap::new();
         for &(task, at, from, to) in &self.told {
@@ -206,7 +206,7 @@ impl Round {
     }
 }
 
-/// Whether one state leads to another, by one step or more.
+/// Whether one state leads to another in one step or more.
 fn comes_to(leads: &HashMap<u64, Vec<u64>>, from: u64, to: u64) -> bool {
     let (mut open, mut seen) = (vec![from], HashSet::from([from]));
     while let Some(state) = open.pop() {
@@ -218,7 +218,7 @@ fn comes_to(leads: &HashMap<u64, Vec<u64>>, from: u64, to: u64) -> bool {
     false
 }
 
-/// Whether a script is told what became of something that it asked of others.
+/// Whether a script is told the outcome of a request to other tasks.
 const fn is_answered(turn: &ScriptTurn) -> bool {
     match turn.input {
         ScriptInput::Signal(Signal::Outcome(_) | Signal::Answers { .. } | Signal::GaveUp { .. }) => true,
@@ -240,7 +240,7 @@ const fn is_answered(turn: &ScriptTurn) -> bool {
 }
 
 impl Course {
-    /// Makes a move and says whether it was progress; none where it panics.
+    /// Makes a move; returns whether it was progress, `None` if it panics.
     pub fn progresses(&mut self, step: CellMove) -> Option<bool> {
         let mut before = std::mem::take(&mut self.before);
         before.clear();
@@ -258,8 +258,7 @@ impl Course {
         survived.then_some(further)
     }
 
-    /// The variables of all tasks, one after the other; none for one that nobody reads any more: packing forgets those, so what they
-    /// were says nothing.
+    /// Passes the variables of all tasks to `each`, `None` for a dead one: packing resets it, so its old value means nothing.
     fn live_variables(&self, each: &mut impl FnMut(Option<i64>)) {
         for (task, body) in self.floor.bodies.iter().enumerate() {
             let Some(actor) = &body.actor else { continue };
@@ -275,7 +274,7 @@ impl Course {
 mod tests {
     use super::*;
 
-    /// Whether progress or an end can be reached, asked state by state.
+    /// Whether no path leads to progress or to an end, computed for one state by a plain search.
     fn is_still(ways: &Ways, cores: &[u64], from: usize) -> bool {
         let (mut seen, mut open) = (vec![from], vec![from]);
         while let Some(at) = open.pop() {

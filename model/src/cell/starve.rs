@@ -1,8 +1,8 @@
-//! Starvation: a request that is there all the time, and is put off more often than aging allows (§5.1.1, D58, D59).
+//! Detects starvation: a request waits all the time, and is put off more often than aging allows (§5.1.1, D58, D59).
 //!
-//! A request that ends by its time_out may have come late, or may have been passed over while it waited. On the way to
-//! such an end each request is watched where it waits: how often it was rejected by rank, and how many other messages were
-//! taken before it. Aging bounds both. What goes beyond a bound `K` never was to be served, however long it lived.
+//! A request that ended by its time_out may have arrived late, or may have been bypassed while it waited. So the path to the
+//! finding is replayed, and the request is watched at each receiver: how often it is rejected by rank, and how many other
+//! messages are taken before it. Aging bounds both. A request beyond a bound `K` would not have been served with any time_out.
 
 use super::judge::{Shown, name, statement};
 use super::plan::{CellFaults, CellPlan, Conduct};
@@ -13,20 +13,20 @@ use imrs_protocol::script::{Address, Op, ScriptInput};
 use imrs_protocol::{PortId, Signal, TaskId};
 use std::sync::Arc;
 
-/// What a request met where it waits.
+/// What a request met at one receiver.
 #[derive(Clone, Copy, Default)]
 struct Wait {
-    /// Rejections counted on its port up to now.
+    /// Rejections that its port has counted so far.
     counted: u64,
-    /// Those of them since it is there.
+    /// Rejections since the request arrived.
     rejected: u64,
-    /// Messages of others that were taken meanwhile.
+    /// Messages of others that were taken since then.
     passed: u64,
-    /// How many messages its port holds at most.
+    /// The most messages that its port's buffer holds.
     capacity: u64,
 }
 
-/// The last of these moves shows this. If it is a request that ended by its time_out because it starved, says so.
+/// Makes a time_out a starvation if the moves show that the request starved. `shown` is what the last of the moves shows.
 pub(super) fn decided(plan: &Arc<CellPlan>, moves: &[super::CellMove], shown: Shown) -> Shown {
     match (shown.kind, shown.task.zip(shown.address)) {
         (Kind::TimeOut, Some(place)) => match starved(plan, moves, place) {
@@ -37,7 +37,7 @@ pub(super) fn decided(plan: &Arc<CellPlan>, moves: &[super::CellMove], shown: Sh
     }
 }
 
-/// Says how a request that ended by its time_out starved, if it did.
+/// How a request that ended by its time_out starved; `None` if it did not.
 fn starved(
     plan: &Arc<CellPlan>,
     moves: &[super::CellMove],
@@ -89,7 +89,7 @@ fn starved(
     Some(format!("{asker}: {what} starves: {how} {times} times at {asked}, where aging allows K = {most}"))
 }
 
-/// How often aging lets a message be rejected by rank, and passed over by GETs (D58, D59).
+/// How often aging lets a message be rejected by rank, and bypassed by GETs (D58, D59).
 fn bounds(plan: &CellPlan, task: usize, port: PortId, source: TaskId) -> (u64, u64) {
     let orders = match &plan.tasks[task] {
         Conduct::Program { program, .. } => program.orders.as_slice(),

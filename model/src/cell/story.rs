@@ -1,4 +1,4 @@
-//! The way to a finding: step by step with what each task does, and as a chart.
+//! Replays the path to a finding: step by step with what each task does, and as a chart.
 
 use super::context::{Origin, context};
 use super::course::{CellMove, Course};
@@ -16,20 +16,20 @@ use imrs_protocol::TaskId;
 use imrs_protocol::script::{Address, End};
 use std::sync::Arc;
 
-/// The most lines of a chart: what lies before the last ones is left out.
+/// The most lines of a chart. A longer one loses lines between its head and its end.
 const LINES: usize = 160;
 
-/// A way told.
+/// A path with its steps, its chart and its cause.
 pub(super) struct Told {
     pub steps: Vec<Step>,
     pub chart: String,
     pub ticks: u64,
-    /// The cause, with the values that it is about.
+    /// The cause, with the values that explain it.
     pub cause: String,
     pub others: Vec<Concerned>,
 }
 
-/// Walks a way again with everything kept.
+/// Replays a path, and records its steps and its chart.
 pub(super) fn tell(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove], shown: &Shown) -> Told {
     let mut steps = Vec::new();
     let mut origin = Origin::new(&Course::new(plan, faults), shown.check);
@@ -44,7 +44,7 @@ pub(super) fn tell(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove]
     Told { steps, chart: shorten(&drawn), ticks: course.passed, cause, others }
 }
 
-/// Something that the last of these moves shows, told.
+/// The finding that the last of these moves shows.
 pub(super) fn finding(
     plan: &Arc<CellPlan>,
     (phase, hypothesis): (Phase, usize),
@@ -74,30 +74,30 @@ pub(super) fn finding(
     }
 }
 
-/// A step of a way that is walked.
+/// A step of a path that is replayed.
 pub(super) struct Walked<'a> {
-    /// The cell after it; its log has what the step showed.
+    /// The cell after the step. Its log holds what the step showed.
     pub course: &'a Course,
     pub lanes: &'a Lanes,
     /// The names of the ports.
     pub ports: &'a [String],
     pub step: CellMove,
     pub notes: &'a [Note],
-    /// How many of the notes, the last ones, tell that scripts ended.
+    /// How many notes, the last ones, are about scripts that ended.
     pub ended: usize,
-    /// What scripts did.
+    /// What the scripts did.
     pub turns: &'a [ScriptTurn],
 }
 
 impl Walked<'_> {
-    /// The step for those who have no cell at hand.
+    /// The step as data that is independent of the cell.
     pub fn step(&self) -> Step {
         let tasks = (0..self.course.plan.tasks.len()).map(|task| view(self.course, task)).collect();
         Step { tick: self.course.passed, step: self.step, notes: self.notes.to_vec(), tasks }
     }
 }
 
-/// A way that was walked.
+/// A path that was replayed.
 pub(super) struct Way {
     pub pen: Pen,
     /// The cell at its end.
@@ -106,7 +106,7 @@ pub(super) struct Way {
     pub begun: Vec<Option<Address>>,
 }
 
-/// Walks a way, and shows each step to `each`.
+/// Replays a path, and passes each step to `each`.
 pub(super) fn walk(
     plan: &Arc<CellPlan>,
     faults: &CellFaults,
@@ -123,7 +123,7 @@ pub(super) fn walk(
     };
     let timers = plan.tasks.iter().map(timers).collect();
     let mut pen = Pen::new(lanes.names.clone()).naming(ports, timers);
-    // What scripts do before anything happens is drawn with the first step.
+    // What scripts do before the first move is drawn with it.
     let turns = course.floor.turns.replace(Vec::new()).unwrap_or_default();
     let mut begun = vec![None; plan.tasks.len()];
     let mut reader = Reader::default();
@@ -174,7 +174,7 @@ pub(super) fn walk(
     Way { pen, course, begun }
 }
 
-/// A panic leaves the cell half changed, so the moves before it are made again on a new one.
+/// A panic leaves the cell half changed, so this makes the moves before it again on a new one.
 fn before_panic(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove]) -> Course {
     let mut course = Course::new(plan, faults);
     moves.iter().for_each(|&step| course.apply(step));
@@ -183,7 +183,7 @@ fn before_panic(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove]) -
     course
 }
 
-/// Draws something, with its line and its values.
+/// Draws notes, and adds their line and their values.
 fn explained(pen: &mut Pen, line: Option<u32>, values: Option<&str>, draw: impl FnOnce(&mut Pen)) {
     let before = pen.notes.len();
     draw(pen);
@@ -265,7 +265,7 @@ fn describe(course: &Course, step: CellMove) -> Option<(Lane, String)> {
     })
 }
 
-/// Scripts that ended with the last move.
+/// Draws the scripts that ended with the last move.
 fn ends(course: &Course, turns: &[ScriptTurn], pen: &mut Pen, tick: u32, reader: &Reader) {
     for turn in turns {
         let text = match &turn.end {
@@ -280,7 +280,7 @@ fn ends(course: &Course, turns: &[ScriptTurn], pen: &mut Pen, tick: u32, reader:
     }
 }
 
-/// The head and the end of a long chart.
+/// Keeps the head and the end of a long chart.
 pub(super) fn shorten(chart: &str) -> String {
     let lines: Vec<&str> = chart.lines().collect();
     if lines.len() <= LINES {
@@ -292,14 +292,14 @@ pub(super) fn shorten(chart: &str) -> String {
     format!("{head}\n      ... {left_out} lines left out ...\n{tail}")
 }
 
-/// The names of the lanes of a part, and notes of it with their lanes renumbered. Without a part, those of the whole cell.
+/// The lane names of a part, and notes with their lanes renumbered for it. `None`: those of the whole cell.
 #[must_use]
 pub fn drawn(plan: &CellPlan, part: Option<usize>, notes: Vec<Note>) -> (Vec<String>, Vec<Note>) {
     let part = part.and_then(|number| parts(plan).into_iter().nth(number));
     within(plan, part.as_ref(), notes)
 }
 
-/// The same, of a part at hand.
+/// The same for a given part.
 pub(super) fn within(plan: &CellPlan, part: Option<&Part>, mut notes: Vec<Note>) -> (Vec<String>, Vec<Note>) {
     let lanes = Lanes::of(&plan.table);
     let Some(part) = part else { return (lanes.names, notes) };

@@ -1,18 +1,18 @@
-//! The way to a finding as a drawing.
+//! Draws the path to a finding as SVG.
 
 use crate::chart::Note;
 use std::fmt::Write;
 
-/// Columns of the drawing for a lane, at least and at most.
+/// Least and most width of a lane, in pixels.
 const LANE: (usize, usize) = (120, 360);
-/// Columns that a character takes, in tenths.
+/// Width of a character, in tenths of a pixel.
 const CHARACTER: usize = 73;
 const LINE: usize = 18;
-/// Where the ticks end, and behind them the lines of the cell's text, where there are any.
+/// Width of the column of ticks, and of the column of line numbers behind it, if there is one.
 const TICKS: usize = 60;
 const LINES: usize = 50;
 
-/// Draws lines of a chart: one lane for each name. Colours are those of the page around it.
+/// Draws the lines of a chart as SVG, one lane for each name. It has no background: that of the page shows.
 #[must_use]
 pub fn svg<'a>(names: &[String], notes: impl IntoIterator<Item = &'a Note>, cause: &str) -> String {
     let notes: Vec<&Note> = notes.into_iter().collect();
@@ -61,12 +61,12 @@ pub fn svg<'a>(names: &[String], notes: impl IntoIterator<Item = &'a Note>, caus
     out
 }
 
-/// How wide a text is.
+/// The width of a text in pixels.
 fn wide(text: &str) -> usize {
     text.chars().count() * CHARACTER / 10
 }
 
-/// Wide enough for the texts of events, and for the labels of packets between two lanes.
+/// The width of a lane, enough for the texts of events and for the labels of packets between two lanes.
 fn lane_width(notes: &[&Note]) -> usize {
     let widest = notes.iter().map(|note| match note {
         Note::Event { text, .. } => wide(text) + 24,

@@ -1,4 +1,4 @@
-//! A cell on the machine itself: moves are carried out and judged, and no state is ever packed.
+//! Runs a cell without packing: makes moves on the protocol's state machine and judges them.
 
 use super::course::{CellMove, Course};
 use super::judge::{Reached, Shown, judge, nothing_reached};
@@ -7,7 +7,7 @@ use super::verdict::Phase;
 use crate::state::Violation;
 use std::sync::Arc;
 
-/// A cell that is never packed, and what its scripts have reached.
+/// A cell that is never packed, and the statements that its scripts have reached.
 #[derive(Clone)]
 pub(super) struct Unpacked {
     pub course: Course,
@@ -16,27 +16,27 @@ pub(super) struct Unpacked {
 }
 
 impl Unpacked {
-    /// The start of a cell.
+    /// The start of a cell, with the history of the run.
     pub fn new(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Self {
         let course = Course::with_history(plan, faults);
         let reached = nothing_reached(&course);
         Self { course, reached, phase }
     }
 
-    /// The same without what came before: to be loaded from packed states.
+    /// The same without history, so that packed states can be loaded.
     pub fn without_history(mut self) -> Self {
         self.course.floor.forget_history();
         self
     }
 
-    /// Carries a move out. A panic is a violation of the machine.
+    /// Makes a move. A panic becomes a violation.
     pub fn take(&mut self, step: CellMove) {
         if !self.course.survives(step) {
             self.course.floor.violation = Some(Violation::Panic);
         }
     }
 
-    /// What the last move showed, or the start. To be asked once after each.
+    /// The findings of the last move, or of the start. Call it once after each move.
     pub fn shown(&mut self) -> Vec<Shown> {
         judge(&mut self.course, self.phase, &mut self.reached)
     }

@@ -1,30 +1,30 @@
-//! What messages from tasks outside the cell are tried with.
+//! Chooses the values to try in messages from tasks outside the cell.
 
 use super::plan::{CellPlan, Conduct, Holds};
 use imrs_protocol::script::{Binary, Op, Term, Type, real};
 use serde::{Deserialize, Serialize};
 
-/// The most values that a field is tried with.
+/// The most values to try in a field.
 const MOST: usize = 12;
 
-/// The values with which messages from outside the cell are tried. A message has one of them in all of its fields.
+/// The values to try in messages from outside the cell. A message has one of them in all of its fields.
 ///
-/// Where scripts and checks compare with constants, other values lead nowhere else: so there are zero, one, all constants,
-/// and the next smaller and greater value of each constant that something is compared with by order.
+/// Scripts and checks compare with constants, so values between these constants lead nowhere else. The values are zero, one, all
+/// constants, and the two neighbours of each constant that is compared by order.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Tried {
-    /// In fields that are no reals.
+    /// Values for fields that are not reals.
     pub whole: Vec<i64>,
-    /// In fields that are reals; empty where no field is.
+    /// Values for fields that are reals; empty if there are none.
     pub real: Vec<f32>,
-    /// Those that were left out, because there are too many: the greatest.
+    /// Values beyond the limit, which are not tried.
     pub left_out: Vec<i64>,
-    /// The same of reals.
+    /// The same for reals.
     pub real_left_out: Vec<f32>,
 }
 
 impl Tried {
-    /// What the tasks and the checks of a cell suggest. `has_real`: whether a field of such a message is a real.
+    /// Collects the values from the scripts and checks of a cell. `has_real`: whether such a message has a real field.
     pub(super) fn of(plan: &CellPlan, has_real: bool) -> Self {
         let mut whole = Candidates { all: vec![0, 1], near: vec![] };
         let mut real = Candidates { all: vec![0.0, 1.0], near: vec![] };
@@ -47,24 +47,24 @@ impl Tried {
         let (whole, left_out) = whole.cut(|value| (value.unsigned_abs(), *value < 0));
         let mut tried = Self { whole, left_out, ..Self::default() };
         if has_real {
-            // Of finite numbers without a sign the bits are in the order of the numbers.
+            // The bits of finite numbers without a sign sort like the numbers.
             (tried.real, tried.real_left_out) = real.cut(|value| (value.abs().to_bits(), *value < 0.0));
         }
         tried
     }
 
-    /// Whether no task outside the cell says anything.
+    /// Whether no task outside the cell sends values.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.whole.is_empty()
     }
 
-    /// How many different messages there are.
+    /// The number of different messages.
     pub(super) fn len(&self) -> usize {
         self.whole.len().max(self.real.len())
     }
 
-    /// The value of a field in the message of this number: the nearest that its type has.
+    /// The value of a field in the message of this number: the nearest value that its type has.
     pub(super) fn value(&self, of: Type, number: usize) -> i64 {
         let whole = self.whole.get(number).or(self.whole.last()).copied().unwrap_or(0);
         match of {
@@ -78,7 +78,7 @@ impl Tried {
     }
 }
 
-/// Constants, and what lies next to those that something is compared with by order.
+/// Constants, and the neighbours of those that are compared by order.
 struct Candidates<T> {
     all: Vec<T>,
     near: Vec<T>,
@@ -92,7 +92,7 @@ impl<T: PartialEq + Copy> Candidates<T> {
         }
     }
 
-    /// The constants and then the others, each in this order, and those that are too many.
+    /// The values to try, constants first, both sorted by `order`; then those beyond the limit.
     fn cut<K: Ord>(self, order: impl Fn(&T) -> K) -> (Vec<T>, Vec<T>) {
         let mut kept: Vec<T> = Vec::new();
         for mut some in [self.all, self.near] {
@@ -108,7 +108,7 @@ impl<T: PartialEq + Copy> Candidates<T> {
     }
 }
 
-/// The expressions of the cell's scripts, with a gap where another operation stands, and of its checks.
+/// The expressions of scripts and checks. `None` stands for any other operation of a script.
 fn expressions(plan: &CellPlan) -> impl Iterator<Item = Vec<Option<Term>>> {
     let term = |op: &Op| if let Op::Term(term) = op { Some(*term) } else { None };
     let bodies = plan.tasks.iter().filter_map(move |task| match task {
@@ -122,7 +122,7 @@ fn expressions(plan: &CellPlan) -> impl Iterator<Item = Vec<Option<Term>>> {
     bodies.chain(checks.map(|terms| terms.iter().copied().map(Some).collect()))
 }
 
-/// The operator that takes a constant: it comes right behind it, or behind one other operand.
+/// The operator that takes a constant: it follows at once, or after one other operand.
 fn operator(behind: &[Option<Term>]) -> Option<Term> {
     let near = behind.iter().take(2).map_while(|term| *term);
     near.into_iter().find(|term| matches!(term, Term::Int(_) | Term::Real(_)))

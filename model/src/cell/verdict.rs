@@ -1,4 +1,4 @@
-//! What the check of a cell says.
+//! The verdicts of a check: findings, warnings and coverage.
 
 use super::course::CellMove;
 use super::plan::Times;
@@ -8,22 +8,22 @@ use imrs_protocol::script::Address;
 use imrs_protocol::{PortId, TaskId};
 use serde::{Deserialize, Serialize};
 
-/// What is wrong.
+/// The kind of a finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Kind {
-    /// Tasks wait for each other for ever, and nothing can happen any more.
+    /// Tasks wait for each other for ever, even if other tasks go on.
     Deadlock,
-    /// A request ends by its time_out although nothing went wrong.
+    /// A request ends by its time_out without a fault.
     TimeOut,
-    /// A request is put off more often than aging allows, although nothing went wrong (D58).
+    /// A request is rejected or bypassed more often than aging allows, without a fault (D58).
     Starves,
-    /// A member waits at a waitfor in vain although nothing went wrong.
+    /// A member waits at a `waitfor` in vain, without a fault.
     Stranded,
-    /// A message is refused although nothing went wrong.
+    /// A message is refused without a fault.
     Refused,
-    /// A statement without a branch for it ends badly, and its task with it.
+    /// A statement ends badly and has no branch for that, so its task ends.
     Ends,
-    /// A task aborts as it is told to, although nothing went wrong.
+    /// A task reaches an `abort` without a fault.
     Aborts,
     /// An `assert` does not hold.
     Assertion,
@@ -35,24 +35,24 @@ pub enum Kind {
     TwoOwners,
     /// A statement is never reached.
     Unreached,
-    /// A check says nothing: what makes it matter never happens.
+    /// A `leads` check never applies: its left side is never true.
     Vacuous,
-    /// Tasks go on for ever without coming further: a warning.
+    /// Tasks go on for ever without progress (livelock): a warning.
     Standstill,
-    /// A task is left waiting when all that could help it have ended, or are down: a warning.
+    /// A task waits for ever, because all tasks that could help have ended or wait themselves: a warning.
     WaitsForEver,
-    /// The machine itself is at fault, or the state outgrew its packed form.
+    /// The protocol's state machine is at fault, or a state has no packed form.
     Machine,
 }
 
 impl Kind {
-    /// Whether it may well be meant: it fails nothing.
+    /// Whether the behaviour may be intended: a warning fails no check.
     #[must_use]
     pub const fn is_warning(self) -> bool {
         matches!(self, Self::Standstill | Self::WaitsForEver)
     }
 
-    /// One or two words for a heading.
+    /// A heading of a few words.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -76,96 +76,96 @@ impl Kind {
     }
 }
 
-/// Which search found it.
+/// The phase of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Phase {
-    /// Nothing goes wrong.
+    /// The search without faults.
     FaultFree,
-    /// What is declared goes wrong.
+    /// A search with the faults of one hypothesis.
     Faults,
 }
 
-/// What a task that a finding concerns does when it is found.
+/// A task that a finding concerns, and what it does then.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Concerned {
-    /// Which.
+    /// The task.
     pub task: TaskId,
-    /// The operation that it is at, or was at last; none where it began no statement.
+    /// The operation that it is at or was at last; `None` if it began no statement.
     pub at: Option<Address>,
     /// What it does, in words.
     pub does: String,
 }
 
-/// Something that is wrong, and the shortest way to it.
+/// Something that is wrong, and the shortest path to it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Finding {
-    /// What.
+    /// Its kind.
     pub kind: Kind,
-    /// Whether it takes a fault.
+    /// The phase that found it, which tells whether it takes a fault.
     pub phase: Phase,
-    /// With faults, which of the plan's hypotheses.
+    /// The position of its hypothesis in the plan, in a phase with faults.
     pub hypothesis: usize,
-    /// At which times it was found.
+    /// The event times of the search that found it.
     pub times: Times,
-    /// In which independent part of the cell it was found; none: the cell was searched as a whole.
+    /// The position of the independent part in which it was found; `None`: the cell was searched as a whole.
     #[serde(default)]
     pub part: Option<usize>,
-    /// Whose it is.
+    /// The task that it belongs to.
     pub task: Option<TaskId>,
-    /// The tasks with the same statements that have the same finding at theirs.
+    /// Other tasks with the same statements, each with the same finding.
     #[serde(default)]
     pub also: Vec<TaskId>,
-    /// The operation of its program.
+    /// The operation in the task's program.
     pub address: Option<Address>,
     /// The check, by its position.
     pub check: Option<usize>,
     /// The work couple, by its position among the cell's.
     pub couple: Option<usize>,
-    /// What the other tasks that it concerns do.
+    /// The other tasks that it concerns.
     pub others: Vec<Concerned>,
     /// One line in the cell's words.
     pub cause: String,
-    /// When, in ticks from the start.
+    /// Ticks from the start to the finding.
     pub at_ticks: u64,
-    /// The moves that lead there: with the same plan they replay it.
+    /// The moves that lead to it. They can be replayed with the same plan.
     pub moves: Vec<CellMove>,
-    /// The same, to be shown.
+    /// The same moves with what they show.
     pub steps: Vec<Step>,
-    /// The same as a sequence chart of at most 78 columns: what happens again and again is drawn once.
+    /// The same as a sequence chart of at most 78 columns, in which repetitions are drawn once.
     pub chart: String,
 }
 
-/// What a phase has looked at.
+/// What one phase has covered.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Coverage {
-    /// Which.
+    /// The phase.
     pub phase: Phase,
-    /// With faults, which of the plan's hypotheses.
+    /// The position of its hypothesis in the plan, in a phase with faults.
     pub hypothesis: usize,
-    /// At which times: never [`Times::Auto`]. Where parts were searched at different ones, the coarsest.
+    /// The event times, never [`Times::Auto`]; the coarsest ones if parts were searched at different ones.
     pub times: Times,
-    /// How many independent parts were searched, each by itself. What follows counts all of them.
+    /// The number of independent parts, each searched by itself. The following fields cover all of them.
     #[serde(default = "one")]
     pub parts: u32,
-    /// Different states kept; between two of them only one thing can happen.
+    /// Different states that were kept; between two of them only one move is possible.
     pub states: u64,
     /// Moves made.
     pub moves: u64,
-    /// The most choices on a shortest way to a state.
+    /// The largest number of choices on a shortest path to a state.
     pub depth: u64,
-    /// Everything that takes at most so many choices was looked at.
+    /// Every path of at most this many choices was covered.
     pub whole_depth: u64,
-    /// Ticks of the longest shortest way.
+    /// Ticks to the latest finding.
     pub ticks: u64,
-    /// Whether everything within the bounds was looked at.
+    /// Whether everything within the bounds was covered.
     pub complete: bool,
-    /// Whether what follows some finding was not looked at.
+    /// Whether the search left out what follows some finding.
     pub pruned: bool,
-    /// Which budget ended it.
+    /// The budget that ended the search, if one did.
     pub ended_by: Option<String>,
-    /// Bytes of the longest state.
+    /// Bytes of the longest packed state.
     pub longest_state: u64,
-    /// Seconds that it took.
+    /// Duration in seconds.
     pub seconds: f64,
 }
 
@@ -173,48 +173,48 @@ const fn one() -> u32 {
     1
 }
 
-/// Why a cell is not checked.
+/// Why a cell cannot be checked.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Refused {
-    /// Whose it is.
+    /// The task that cannot be checked, or the first one if the whole cell cannot.
     pub task: TaskId,
-    /// The operation of its program.
+    /// The operation in the task's program.
     pub at: Address,
-    /// One line.
+    /// The reason in one line.
     pub why: String,
 }
 
-/// What the check of a cell found.
+/// The result of checking a cell.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Verdicts {
-    /// Why nothing was looked at, if so.
+    /// Why the cell was not checked; `None` if it was.
     pub refused: Option<Refused>,
-    /// What is wrong, in the order of [`Kind`].
+    /// Findings, in the order of [`Kind`].
     pub findings: Vec<Finding>,
-    /// What may well be meant ([`Kind::is_warning`]). Of standstills, one for each phase, and in it for each independent
-    /// part, that was searched to its end.
+    /// Findings that may be intended ([`Kind::is_warning`]). Only a complete search looks for standstills: it reports at most one
+    /// for each phase and independent part.
     #[serde(default)]
     pub warnings: Vec<Finding>,
-    /// What was looked at.
+    /// What each phase has covered.
     pub phases: Vec<Coverage>,
-    /// What checks read that never changed in any state: the check's position, and what it was, as `r2.active = false`.
+    /// Terms of checks that never changed in any state: the check's position, and the value, such as `r2.active = false`.
     pub still: Vec<(usize, String)>,
-    /// For each task the statements reached, and how many it has.
+    /// For each task, the number of statements reached, and of all its statements.
     pub statements: Vec<(u32, u32)>,
-    /// Statements of branches, timers and take-overs that these faults never called for: task and operation.
+    /// Unreached statements that may need a fault, such as those of branches, timers and take-overs: task and operation.
     pub not_exercised: Vec<(TaskId, Address)>,
-    /// The values with which messages from tasks outside the cell were tried; empty where no such task says anything.
+    /// The values tried in messages from tasks outside the cell; empty if no such task sends values.
     pub outside: Tried,
-    /// Statements never reached with these values and those tried as results of actions: other ones may lead there. Task and
+    /// Unreached statements to which other values may lead, in messages from outside or as results of actions: task and
     /// operation.
     pub not_tried: Vec<(TaskId, Address)>,
-    /// Statements not reached where a budget ended a search, or a finding the way to them, which proves nothing: task and
-    /// operation.
+    /// Unreached statements about which nothing is proved, because a budget ended a search, or a finding ended a path to them:
+    /// task and operation.
     pub not_seen: Vec<(TaskId, Address)>,
 }
 
 impl Verdicts {
-    /// Whether every phase looked at everything at its times.
+    /// Whether every phase covered everything at its event times.
     #[must_use]
     pub fn is_complete(&self) -> bool {
         self.refused.is_none() && self.phases.iter().all(|phase| phase.complete)
@@ -226,32 +226,32 @@ impl Verdicts {
     }
 }
 
-/// What a task does after a step.
+/// A task after a step.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskView {
     /// Whether its node runs.
     pub up: bool,
-    /// The operation that it waits in.
+    /// The operation in which it waits.
     pub at: Address,
     /// What it does, in words.
     pub does: String,
     /// Its variables, in the program's order.
     pub variables: Vec<i64>,
-    /// Its ports and how many messages wait there.
+    /// Its ports, each with the number of waiting messages.
     pub queues: Vec<(PortId, u16)>,
-    /// Its actions: the thread, and the least and the most ticks that each takes yet.
+    /// Its running actions: activation, and the remaining ticks, at least and at most.
     pub acts: Vec<(u8, u32, u32)>,
 }
 
-/// A step of a way.
+/// A step of a path.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Step {
     /// Ticks since the start.
     pub tick: u64,
-    /// What happened.
+    /// The move.
     pub step: CellMove,
-    /// What it showed.
+    /// What it shows in a chart.
     pub notes: Vec<Note>,
-    /// The tasks after it, by task.
+    /// The tasks after it, by position.
     pub tasks: Vec<TaskView>,
 }

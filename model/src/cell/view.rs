@@ -1,4 +1,4 @@
-//! What a task does at a point of a way, in words.
+//! Describes in words what a task does at a point of a path.
 
 use super::course::Course;
 use super::judge::{name, statement};
@@ -8,7 +8,7 @@ use super::waiting::position;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Activity;
 
-/// What a task does now.
+/// The present view of a task.
 pub(super) fn view(course: &Course, task: usize) -> TaskView {
     let plan = &course.plan;
     let outside = !plan.has_task(task);

@@ -1,4 +1,4 @@
-//! Tasks that wait for ever: for each other, or for one that says nothing any more.
+//! Detects tasks that wait for ever: for each other (deadlock), or for a task that sends nothing any more.
 
 use super::course::Course;
 use super::judge::{Shown, name, program, statement};
@@ -7,18 +7,18 @@ use super::verdict::Kind;
 use imrs_protocol::script::{Activity, Address, Op, Program};
 use imrs_protocol::{CellTable, Instant, Packet, PortId, TaskId, Usage};
 
-/// Whether some tasks wait for each other, or one is left waiting. `goes_on`: other things can still happen.
+/// Tasks that wait for each other, or else one that is left waiting. `goes_on`: other moves are still possible.
 pub(super) fn for_ever(course: &Course, goes_on: bool) -> Option<Shown> {
     let closed = closed(course, goes_on);
     ring(course, closed.clone(), goes_on).or_else(|| left(course, closed))
 }
 
-/// Whether some tasks wait for each other.
+/// Tasks that wait for each other.
 pub(super) fn deadlock(course: &Course, goes_on: bool) -> Option<Shown> {
     ring(course, closed(course, goes_on), goes_on)
 }
 
-/// The tasks that wait while nobody but these can do anything for them.
+/// The waiting tasks that nobody outside this set can help any more.
 fn closed(course: &Course, goes_on: bool) -> Vec<bool> {
     let waits = |task: usize| {
         course.is_up(task) && matches!(course.activity(task), Some(Activity::Waits | Activity::Acts))
@@ -28,7 +28,7 @@ fn closed(course: &Course, goes_on: bool) -> Vec<bool> {
         .collect();
     if goes_on {
         keep_closed(course, &mut closed);
-        // Of most states nobody is left, so that nothing on its way need be looked for.
+        // This scan of all packets comes second, because in most states no task is left by now.
         closed
             .iter_mut()
             .enumerate()
@@ -38,13 +38,13 @@ fn closed(course: &Course, goes_on: bool) -> Vec<bool> {
     closed
 }
 
-/// Those of them that wait for each other.
+/// The tasks of the set that wait for each other, as a finding.
 fn ring(course: &Course, mut alive: Vec<bool>, goes_on: bool) -> Option<Shown> {
     let n = alive.len();
-    // Whoever waits can be helped by anybody who could still send it what it waits for.
+    // A helper of a waiting task is any task that could still send what it waits for.
     let helpers: Vec<Vec<usize>> =
         (0..n).map(|task| if alive[task] { senders(course, task) } else { Vec::new() }).collect();
-    // Tasks whose helpers have all ended are at rest; what is left waits in a ring.
+    // A task whose helpers have all ended is at rest. The tasks that remain wait in a cycle.
     loop {
         let at_rest = (0..n).find(|&task| alive[task] && !helpers[task].iter().any(|&helper| alive[helper]));
         let Some(task) = at_rest else { break };
@@ -70,7 +70,7 @@ fn ring(course: &Course, mut alive: Vec<bool>, goes_on: bool) -> Option<Shown> {
     })
 }
 
-/// Whether a task stands at a `receive` that no time ends, and nothing is there that would end it.
+/// Whether a task is at a `receive` without a time_out, and no deadline or lease of its communication task ends the wait.
 fn waits_for_good(course: &Course, task: usize) -> bool {
     let at = usize::from(position(course, task));
     let op = program(course, task).and_then(|program| program.code.get(at));
@@ -84,7 +84,7 @@ fn waits_for_good(course: &Course, task: usize) -> bool {
             .is_some_and(|machine| machine.next_deadline() == Instant::NEVER && machine.epoch().is_none())
 }
 
-/// Whether a packet is on its way to a task, or a timer of it runs.
+/// Whether a packet for a task is in flight, or a timer of it runs.
 fn is_coming(course: &Course, task: usize) -> bool {
     let id = TaskId::from_index(task);
     let for_it = |packet: &Packet| packet.destination == id;
@@ -96,7 +96,7 @@ fn is_coming(course: &Course, task: usize) -> bool {
         })
 }
 
-/// Leaves those of them for which nobody else can do anything any more.
+/// Removes tasks from the set until nobody outside it can help any of its members.
 fn keep_closed(course: &Course, closed: &mut [bool]) {
     let has_ended =
         |task: usize| course.is_up(task) && matches!(course.activity(task), Some(Activity::Ended(_)));
@@ -109,7 +109,7 @@ fn keep_closed(course: &Course, closed: &mut [bool]) {
     }
 }
 
-/// Who can send anything to a task, for its body or for a handler.
+/// The tasks that can send anything to a task, for its body or for a handler.
 fn heard_by(course: &Course, task: usize) -> impl Iterator<Item = usize> {
     let (table, id) = (&course.plan.table, TaskId::from_index(task));
     let ports = receives(table, id).into_iter().filter_map(move |port| table.port(port));
@@ -120,7 +120,7 @@ pub(super) fn position(course: &Course, task: usize) -> Address {
     course.floor.bodies[task].actor.as_ref().map_or(0, |actor| actor.script.position())
 }
 
-/// Who could send what this task waits for, in a GET or for its lease.
+/// The tasks that could send what this task waits for, in a GET or for its lease.
 fn senders(course: &Course, task: usize) -> Vec<usize> {
     let table = &course.plan.table;
     let at = TaskId::from_index(task);
@@ -129,7 +129,7 @@ fn senders(course: &Course, task: usize) -> Vec<usize> {
         match program.code.get(usize::from(position(course, task))) {
             Some(Op::Get { port: Some(port), source, .. }) => (vec![*port], *source),
             Some(Op::Get { port: None, source, .. }) => (receives(table, at), *source),
-            // The standby's heartbeats bring it.
+            // The standby's heartbeats grant the lease.
             Some(Op::Lease) => {
                 let couples = table.cell().couples.iter();
                 (couples.filter(|couple| couple.primary == at).map(|couple| couple.via).collect(), None)
@@ -144,18 +144,18 @@ fn senders(course: &Course, task: usize) -> Vec<usize> {
     peers
 }
 
-/// The ports on which messages come for a task.
+/// The ports on which a task receives messages.
 fn receives(table: &CellTable, task: TaskId) -> Vec<PortId> {
     let usage = |port: &PortId| table.port(*port)?.party(task).map(|party| party.usage);
     let takes = |port: &PortId| matches!(usage(port), Some(Usage::Receive | Usage::Response));
     table.ports_of(task).iter().copied().filter(takes).collect()
 }
 
-/// Who of them is left waiting: its body stands at a `receive` in the middle of its work, or at its lease, and whoever could
-/// help has ended, or waits for messages itself. A node that is down may come back.
+/// A task of the set that is left waiting: its body is at a `receive` in the middle of its work, or waits for its lease. All
+/// tasks that could help have ended or wait for messages themselves. A task of a node that is down may help after a restart.
 ///
-/// A server that stands at the head of its endless loop is at rest: it has done all that it was asked for. So is a primary whose
-/// standby has taken over and come to its end.
+/// A server at the head of its endless loop is at rest: it has done all that it was asked for. So is a primary whose standby has
+/// taken over and ended.
 fn left(course: &Course, mut closed: Vec<bool>) -> Option<Shown> {
     keep_closed(course, &mut closed);
     let is_left = |&task: &usize| {
@@ -184,7 +184,7 @@ fn left(course: &Course, mut closed: Vec<bool>) -> Option<Shown> {
     Some(Shown { task, address, others, last: false, ..Shown::whole(Kind::WaitsForEver, &cause) })
 }
 
-/// Whether a task that has ended can only have come to that by taking over: its body has no end.
+/// Whether a task that has ended must have taken over first: its body has no end.
 fn has_taken_over(course: &Course, task: usize) -> bool {
     let Some(program) = program(course, task).filter(|program| program.takeover.is_some()) else {
         return false;
@@ -200,7 +200,7 @@ fn has_taken_over(course: &Course, task: usize) -> bool {
     true
 }
 
-/// Whether the `receive` at this address is where an endless loop waits first in each round.
+/// Whether the `receive` at this address is the first wait of an endless loop.
 fn is_served_at(program: &Program, at: usize) -> bool {
     let code = &program.code;
     let backward = (0..code.len()).filter_map(|from| match code[from] {
@@ -209,7 +209,7 @@ fn is_served_at(program: &Program, at: usize) -> bool {
     });
     let first = |(head, end): (usize, usize)| {
         let body = code.get(head..=end)?;
-        // A branch before the first statement that leads out of the loop ends it: a `while`.
+        // A branch out of the loop before its first wait makes it a `while` loop, which may end.
         let leaves = |op: &Op| matches!(*op, Op::Unless(to) if usize::from(to) > end);
         let found = body.iter().position(|op| waits(op) || leaves(op))?;
         (!leaves(&body[found])).then_some(head + found)

@@ -1,4 +1,4 @@
-//! What follows from one state: its moves, each walked on while there is only one.
+//! Expands kept states: makes each of their moves, and goes on as long as only one move is possible.
 
 use super::course::{CellMove, Course};
 use super::judge::{Reached, Shown, judge, nothing_reached};
@@ -10,63 +10,63 @@ use crate::state::Violation;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-/// How many moves without an alternative are walked through before a state is kept.
+/// Moves without an alternative before a state is kept in any case.
 const WALK: u16 = 512;
 
-/// How a kept state was first reached: from which, by which of its moves, and in how many choices.
+/// How a kept state was first reached: its parent, which of the parent's moves, and the number of choices on the path.
 #[derive(Clone, Copy)]
 pub(super) struct Origin {
     pub parent: u32,
     pub choice: u16,
     pub depth: u16,
-    /// How many moves the walk from there made, that one included.
+    /// Moves from the parent to this state, including the chosen one.
     pub steps: u16,
 }
 
-/// A finding, on the last move of the walk that `origin` names.
+/// A finding, shown by the last move of the walk that `origin` describes.
 pub(super) struct Hit {
     pub shown: Shown,
     pub origin: Origin,
 }
 
-/// Where a walk ended.
+/// The state at the end of a walk, which the search may keep.
 pub(super) struct Stop {
     pub origin: Origin,
     pub mark: Mark,
     pub state: Box<[u8]>,
 }
 
-/// A way from a kept state, so far.
+/// A walk so far.
 #[derive(Clone, Copy)]
 struct Way {
     from: u32,
     takes_fault: bool,
-    /// Whether a step of it was progress.
+    /// Whether a move of it was progress.
     further: bool,
 }
 
-/// What the states that were kept say about one without an alternative.
+/// What the kept states tell about a state with only one move.
 enum Known {
-    /// Walk on.
+    /// Nothing: walk on.
     No,
-    /// One that may do all that this one may was kept.
+    /// A kept state covers it: that one allows all its moves.
     Covered(Mark),
-    /// It is one of those to keep: its packed form.
+    /// It is one of the states on a chain that are kept: its packed form.
     Post(Mark, Box<[u8]>),
 }
 
-/// What some walks came to, in their order.
+/// The results of some walks, in their order.
 #[derive(Default)]
 pub(super) struct Walks {
     pub stops: Vec<Stop>,
     pub hits: Vec<Hit>,
     pub moves: u64,
     pub ways: Ways,
-    /// Whether some state had no packed form: what follows it was not looked at.
+    /// Whether some state had no packed form. The search does not go on from such a state.
     pub outgrown: bool,
 }
 
-/// Walks from states that others give it.
+/// Walks from kept states to the next choice.
 pub(super) struct Walker {
     phase: Phase,
     course: Course,
@@ -81,12 +81,12 @@ impl Walker {
         Self { phase, course, reached, walks: Walks::default(), all: Vec::new() }
     }
 
-    /// For each check, whether what makes it matter was ever seen.
+    /// For each check, whether its left side ever held.
     pub fn mattered(&self) -> &[bool] {
         &self.course.mattered
     }
 
-    /// What the walks came to since the last call.
+    /// The results since the last call.
     pub fn take(&mut self) -> Walks {
         std::mem::take(&mut self.walks)
     }
@@ -96,7 +96,7 @@ impl Walker {
         self.walk(Origin { parent: u32::MAX, choice: 0, depth: 0, steps: 0 }, None, seen);
     }
 
-    /// Walks from a kept state, by each of its moves.
+    /// Expands a kept state: walks by each of its moves.
     pub fn expand(&mut self, at: u32, before: u16, state: &[u8], seen: &Seen) {
         self.course.load(state);
         let mut all = std::mem::take(&mut self.all);
@@ -114,10 +114,10 @@ impl Walker {
         }
     }
 
-    /// Drops the moves that lose a packet whose arrival changes nothing: its arrival leads to the same, with more of the budget
-    /// left. A cut may as well begin with the next packet, or end before it. But an arrival wakes actions and packets that wait
-    /// for an event, and its node may crash right after it; a loss does neither. There the move that ends a cut stays.
-    /// Returns whether the course was used.
+    /// Drops the moves that lose a packet whose arrival changes nothing: the arrival leads to the same state, with more faults
+    /// left. A cut may as well begin with the next packet, or end before this one. But an arrival ends postponements of actions
+    /// and packets, and its node may crash right after it; a loss does neither. In these cases the move that ends a cut stays.
+    /// Returns whether the course was changed.
     fn leave_out(&mut self, state: &[u8], moves: &mut Vec<(u16, CellMove)>) -> bool {
         if self.course.plan.everything {
             return false;
@@ -145,7 +145,7 @@ impl Walker {
         !taken.is_empty()
     }
 
-    /// Makes a move, and goes on while there is only one.
+    /// Makes the first move, and goes on as long as only one move is possible.
     fn walk(&mut self, mut origin: Origin, first: Option<CellMove>, seen: &Seen) {
         let mut step = first;
         let mut moves = Vec::new();
@@ -198,7 +198,7 @@ impl Walker {
                     self.walks.stops.push(Stop { origin, mark, state });
                 }
             }
-            // As when members of a meeting give up by themselves for ever: their rounds differ more and more.
+            // For example, members of a rendezvous give up again and again: their rounds drift apart without bound.
             Err(Violation::Overflow) => self.walks.outgrown = true,
             Err(violation) => {
                 self.note(Shown::whole(Kind::Machine, violation.text()), origin);
@@ -206,21 +206,21 @@ impl Walker {
         }
     }
 
-    /// Notes tasks that wait for each other while others go on.
+    /// Notes a deadlock or an endless wait of some tasks while others go on.
     fn note_ring(&mut self, origin: Origin) {
         if let Some(shown) = for_ever(&self.course, true) {
             self.note(shown, origin);
         }
     }
 
-    /// Notes where a way leads, unless it takes a fault.
+    /// Notes for the livelock analysis where a walk leads. A walk with a fault does not count.
     fn lead(&mut self, way: Way, to: Option<Mark>) {
         if !way.takes_fault {
             self.walks.ways.note(way.from, to.filter(|_| !way.further).map(Mark::core));
         }
     }
 
-    /// Makes a move. Says whether it was progress.
+    /// Makes a move; returns whether it was progress.
     fn apply(&mut self, step: CellMove) -> bool {
         self.walks.moves += 1;
         self.course.progresses(step).unwrap_or_else(|| {
@@ -232,8 +232,8 @@ impl Walker {
         })
     }
 
-    /// Asks what was kept where a packet is about to arrive: with more left to go wrong there was a choice there, and ways
-    /// that met since meet at the next post.
+    /// Looks up the state before a lone arrival. With more faults left the same state has a choice, so it may be kept; otherwise
+    /// paths that have joined meet at the next kept state of the chain.
     fn is_known(&mut self, moves: &[CellMove], seen: &Seen) -> Known {
         if !matches!(moves, [CellMove::Deliver(_) | CellMove::Vanish(_)]) {
             return Known::No;
@@ -249,7 +249,7 @@ impl Walker {
         }
     }
 
-    /// Notes what the last move showed; whether nothing that follows is looked at.
+    /// Judges the last move; returns whether the search stops here.
     fn look(&mut self, origin: Origin) -> bool {
         let shown = judge(&mut self.course, self.phase, &mut self.reached);
         let last = shown.iter().any(|shown| shown.last);
@@ -264,7 +264,7 @@ impl Walker {
     }
 }
 
-/// The packet that a move takes off its link without an arrival.
+/// The packet that a move removes from its link without an arrival.
 const fn takes_away(step: CellMove) -> Option<u8> {
     match step {
         CellMove::Lose(_) | CellMove::Cut(..) | CellMove::Vanish(_) => step.packet(),

@@ -1,26 +1,26 @@
-//! A chart as text: the lanes at the left, what happened in words at the right, within 78 columns.
+//! Draws a chart as text: lanes on the left, words on the right, at most 78 columns wide.
 
 use super::{Note, fate_words};
 
-/// The widest line. Two columns more, as the command indents a chart, and it still fits on the narrowest terminals.
+/// The widest line. The command indents charts by two columns, which still fits the narrowest terminals.
 const COLUMNS: usize = 78;
-/// Columns that all lanes take together, where that is enough for them.
+/// Columns that all lanes take together, unless a lane then has fewer than three.
 const LANES: usize = 36;
-/// Columns of a lane at least, where there is room: an arrow is to be seen.
+/// Fewest columns of a lane, if there is room: an arrow must be visible.
 const NARROW: usize = 8;
-/// Fewer columns for the words are of no use: rather no lanes.
+/// Fewest columns for the words. If lanes leave fewer, there are no lanes.
 const WORDS: usize = 30;
-/// The longest cycle, in notes, that is looked for.
+/// The longest cycle that is looked for, in notes.
 const CYCLE: usize = 64;
-/// How many notes a fold must save at least.
+/// Fewest notes that a fold must save.
 const WORTH: usize = 4;
 
-/// What a chart does with what happens again and again.
+/// How a chart shows notes that repeat.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Folding {
-    /// It is drawn once, and how often it happens is said.
+    /// A cycle is drawn once, with the number of its repetitions.
     Repeats,
-    /// Everything is drawn.
+    /// Every note is drawn.
     Nothing,
 }
 
@@ -72,9 +72,9 @@ struct Sheet<'a> {
     names: &'a [String],
     /// Columns for the tick.
     margin: usize,
-    /// Columns for each lane; none where there are too many.
+    /// Columns for each lane; 0 if there are too many lanes.
     lane: usize,
-    /// Columns for the line of the cell's text; none where no note has one.
+    /// Columns for the line of the cell's source text; 0 if no note has one.
     line: usize,
 }
 
@@ -103,12 +103,12 @@ impl<'a> Sheet<'a> {
         vec![head.trim_end().to_owned()]
     }
 
-    /// The column for lines, with this in it.
+    /// The column for source lines, with this text.
     fn beside(&self, line: &str) -> String {
         if self.line == 0 { String::new() } else { format!("{line:>width$}  ", width = self.line - 2) }
     }
 
-    /// The lanes, with nothing in them.
+    /// The lanes without marks.
     fn empty(&self) -> Vec<char> {
         let mut line = vec![' '; self.lane * self.names.len()];
         line.iter_mut().step_by(self.lane.max(1)).for_each(|column| *column = '|');
@@ -170,7 +170,7 @@ impl<'a> Sheet<'a> {
     }
 }
 
-/// Text in lines of at most so many columns; a word that is longer is cut. All but the first are indented.
+/// Wraps a text to lines of at most `room` columns. Longer words are cut; all lines but the first are indented.
 fn wrapped(text: &str, room: usize) -> Vec<String> {
     const INDENT: usize = 2;
     let mut lines = vec![String::new()];
@@ -197,17 +197,17 @@ fn wrapped(text: &str, room: usize) -> Vec<String> {
     lines
 }
 
-/// What happens again and again.
+/// Notes that repeat.
 struct Cycle {
-    /// Notes.
+    /// How many notes one repetition has.
     length: usize,
-    /// How often, the first time included.
+    /// How many repetitions there are, the first one included.
     times: usize,
-    /// Ticks from one time to the next.
+    /// Ticks from one repetition to the next.
     every: u32,
 }
 
-/// The cycle that these notes begin with that saves most; `None` where they begin with none.
+/// Of the cycles with which these notes begin, the one that saves most; `None` if there is none.
 fn cycle(notes: &[Note]) -> Option<Cycle> {
     let most = CYCLE.min(notes.len() / 2);
     let cycles = (1..=most).filter_map(|length| {
@@ -219,14 +219,14 @@ fn cycle(notes: &[Note]) -> Option<Cycle> {
         let times = (1..).take_while(|&time| again(time)).count() + 1;
         (every > 0 && length * (times - 1) >= WORTH).then_some(Cycle { length, times, every })
     });
-    // Of those that save the same, the shortest.
+    // A longer cycle must save more notes than the shorter one, by more than the length of the shorter one.
     cycles.reduce(|best, other| {
         let saves = |cycle: &Cycle| cycle.length * (cycle.times - 1);
         if saves(&other) > saves(&best) + best.length { other } else { best }
     })
 }
 
-/// Whether a note is another again, so many ticks later. The numbers of messages and rounds go on.
+/// Whether `other` repeats `one`, `later` ticks later. Numbers of messages and rounds may differ.
 fn is_same(one: &Note, other: &Note, later: u32) -> bool {
     let text = |one: &str, other: &str| unnumbered(one).eq(unnumbered(other));
     one.tick().checked_add(later) == Some(other.tick())

@@ -1,4 +1,4 @@
-//! Claims about messages: life, outcomes, copies, clocks (§3, §5.1; D5, D6, D18, D20, D37, D49, D52).
+//! Claims about messages: TTL, outcomes, duplicates, clocks (§3, §5.1; D5, D6, D18, D20, D37, D49, D52).
 
 use super::exchange::{claim, commands, settle};
 use super::timing::off;
@@ -102,7 +102,7 @@ fn at_most_once() -> Vec<Claim> {
     let eager = Rules { quarantine: false, ..Rules::DEFAULT };
     vec![
         claim((name, "default", about), Outcome::Holds, true, vec![crash.clone()]),
-        // A restart multiplies the states: with it the larger world has one fault of each kind, without it two.
+        // A restart multiplies the states: with it the larger scenario has one fault of each kind, without it two.
         claim((name, "default", about), Outcome::Holds, false, vec![calm, shaken]),
         claim(
             (name, "no-memory", "without memory a copy runs again (D6)"),
@@ -167,7 +167,7 @@ fn no_global_clock() -> Vec<Claim> {
     ]
 }
 
-/// With equal clocks every world must hold, so that what fails with others fails because of them.
+/// Every scenario must hold with equal clocks, so that a failure with others is due to the clocks.
 fn only_apart(work: &mut Work<'_>, worlds: &[Exchange]) -> Settled {
     let (together, apart): (Vec<_>, Vec<_>) = worlds.iter().cloned().partition(|e| e.clocks.0 == e.clocks.1);
     let equal = settle(work, &together).outcome == Outcome::Holds;
@@ -175,7 +175,7 @@ fn only_apart(work: &mut Work<'_>, worlds: &[Exchange]) -> Settled {
     Settled { sound: settled.sound && equal, ..settled }
 }
 
-/// Every world must hold, and worlds that differ only in their clocks must have the same states.
+/// Every scenario must hold, and those that differ only in their clocks must have the same number of states.
 fn equal_states(work: &mut Work<'_>, worlds: &[Exchange]) -> Settled {
     let mut settled = settle(work, worlds);
     let mut counts: Vec<(Watch, u64, u64)> = Vec::new();

@@ -1,4 +1,4 @@
-//! Claims about work-coupled tasks (R8; D30, D61, D78, D80): never two that act, and no order of an older epoch.
+//! Claims about work-coupled tasks: at most one acts, and no order of an older epoch runs (R8; D30, D61, D78, D80).
 
 use super::floors::{Plan, bounds, settle_plan};
 use super::{Claim, Settled, Variant, Work};
@@ -11,7 +11,7 @@ use imrs_protocol::rules::LeaseRule;
 
 const NAME: &str = "one-active";
 
-/// Any number of lost packets, packets that overtake each other, a lease that two lost beats do not end.
+/// Any number of lost packets, packets that overtake each other, and a lease that outlasts two lost heartbeats.
 const COUPLE: Couple = Couple {
     delay: 1,
     lease: 8,
@@ -30,10 +30,10 @@ pub(super) fn claims() -> Vec<Claim> {
     let crash =
         |base: Couple| Couple { faults: Faults { crash: base.faults.crash + 1, ..base.faults }, ..base };
     let copy = |base: Couple| Couple { faults: Faults { dup: 1, ..base.faults }, ..base };
-    // A lease that one lost beat does not end: fewer beats are on the way.
+    // A lease that outlasts one lost heartbeat: fewer heartbeats are in flight.
     let seldom = |base: Couple| Couple { every: 3, ..base };
     let slow = |base: Couple| Couple { delay: 2, lease: 14, takeover: 14, every: 5, ..base };
-    // Each change of roles counts an epoch up, so with any number of losses there is no end of them.
+    // Each exchange of roles raises the epoch, so with unlimited losses there would be no end of epochs.
     let mutual =
         |loss: u8, base: Couple| Couple { mutual: true, faults: Faults { loss, ..base.faults }, ..base };
     let mut claims = vec![
@@ -77,14 +77,14 @@ pub(super) fn claims() -> Vec<Claim> {
     claims
 }
 
-/// An epoch with which that of the primary is the last before the wrap, and that of the standby the first after it.
+/// A first epoch with which the primary's epoch is the last before the wrap, and the standby's the first after it.
 const WRAPS: u8 = 252;
 
-/// First epochs that lie about half the circle from where a node begins that starts again: there it is unclear which of the
-/// two is newer.
+/// First epochs about half the circle away from where a restarted node begins: there it is unclear which of the two
+/// is newer.
 const HALF_WAY: std::ops::RangeInclusive<u8> = 120..=136;
 
-/// A node that starts again has forgotten the epochs: it goes by its partner's, never its partner by its own (D135).
+/// A restarted node has forgotten the epochs: it adopts its partner's, and never its partner the guessed one (D135).
 fn half_way(rule: &'static str, smoke: bool, couple: Couple) -> Claim {
     Claim {
         name: NAME,
@@ -107,8 +107,8 @@ fn half_way(rule: &'static str, smoke: bool, couple: Couple) -> Claim {
     }
 }
 
-/// The same world from several epochs: from zero, before the half and before the wrap. All must hold, and have the same
-/// states.
+/// Explores the same plan from several epochs: from zero, before the half and before the wrap. All must hold, with
+/// the same number of states.
 fn equal_states(work: &mut Work<'_>, from: impl Fn(u8) -> Plan) -> Settled {
     let (mut last, first) = work.part(|work| settle_plan(work, from(0)));
     for epoch in [WRAPS / 2 - 2, WRAPS] {
@@ -134,11 +134,11 @@ fn least(rule: &'static str, smoke: bool, couple: Couple) -> Claim {
     }
 }
 
-/// How far past the lease a take-over is tried.
+/// Most ticks past the lease that a take-over is tried with.
 const MOST: u64 = 6;
 
-/// What the closed form gives for the couple's clocks: its drift as parts of both waits, and the tick that a node may
-/// notice late.
+/// The closed form of the margin for the couple's clocks: drift over both waits, and the tick that a node may notice
+/// late.
 fn closed_form(couple: &Couple) -> u64 {
     let Couple { lease, faults, .. } = *couple;
     let both = 2 * lease;
@@ -146,12 +146,12 @@ fn closed_form(couple: &Couple) -> u64 {
     takeover_margin(Ticks(lease), Ticks(lease), ppm, Ticks::ZERO, Ticks(1)).0
 }
 
-/// Searches the least margin that holds; the one below it is the variant that must fail. Shows too that the standby
-/// takes over at all.
+/// Searches for the least margin that holds; the one below it is the variant that must fail. Checks also that the
+/// standby can take over at all.
 fn margin(work: &mut Work<'_>, couple: &Couple) -> Settled {
     let mut one_less: Option<(Settled, _)> = None;
     let mut held = None;
-    // From a take-over that is sooner than the end of the lease, so that the least one has one below it.
+    // Starts one tick below the lease, so that even a margin of zero has a failing one below it.
     for takeover in couple.lease - 1..=couple.lease + MOST {
         let tried = Couple { takeover, ..couple.clone() };
         let (settled, counts) = work.part(|work| settle_plan(work, tried.plan()));
@@ -198,7 +198,7 @@ fn heartbeat() -> Claim {
         expect: Outcome::Fails,
         smoke: true,
         settle: Box::new(move |work| {
-            // The shortest is shown; that longer waits do not help is part of the verdict.
+            // The counterexample of the shortest take-over is shown. Longer ones must fail, too.
             let longer = [COUPLE.lease + 4, 2 * COUPLE.lease, 3 * COUPLE.lease];
             let fails =
                 |work: &mut Work<'_>, t| settle_plan(work, couple(t).plan()).outcome == Outcome::Fails;
@@ -209,16 +209,16 @@ fn heartbeat() -> Claim {
     }
 }
 
-/// The life of an order, and its way, in ticks.
+/// The TTL of an order, and its link delay, in ticks.
 const ORDER: (u64, u64) = (4, 1);
 
-/// Orders of both to one arm, whose take-over exceeds the lease by so much.
+/// Orders of both tasks to one arm. The take-over exceeds the lease by `margin` ticks.
 fn ordered(margin: u64, heed: bool, watch: FloorWatch) -> Orders {
     let couple = Couple { takeover: COUPLE.lease + margin, every: 3, watch, ..COUPLE };
     Orders { couple, way: ORDER.1, life: ORDER.0, orders: 1, heed }
 }
 
-/// What an actuator executes.
+/// Claims about which orders an actuator executes.
 fn orders() -> Vec<Claim> {
     let about = "an actuator that has heard of an order of an epoch executes none of an older one, on any of its ports";
     let claim = |rule, expect, margin: u64, heed| Claim {
@@ -251,7 +251,7 @@ fn orders() -> Vec<Claim> {
         }),
     };
     vec![
-        // Whoever declares a couple trusted may leave out what was ordered last: then only the guard is left.
+        // A couple declared as trusted may take over while the last order still runs: then only the guard protects.
         claim("default", Outcome::Holds, 1, true),
         wraps,
         claim("no-guard", Outcome::Fails, 1, false),

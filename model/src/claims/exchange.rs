@@ -1,11 +1,11 @@
-//! What claims about messages are made of: their worlds, and how one is settled.
+//! Building blocks of claims about messages: their scenarios, and how a claim is settled.
 
 use super::{Claim, Settled, Work};
 use crate::report::{Bounds, Found, Outcome};
 use crate::scenario::{Budget, Watch};
 use crate::worlds::Exchange;
 
-/// Commands with one re-sending, one loss, one duplicate.
+/// Commands with one retransmission, one loss, one duplicate.
 pub(super) fn commands(watch: Watch) -> Exchange {
     Exchange {
         retry: (1, 2),
@@ -15,7 +15,7 @@ pub(super) fn commands(watch: Watch) -> Exchange {
     }
 }
 
-/// A claim that all of these worlds keep; of one that fails, that one of them does not.
+/// A claim that holds if all of these scenarios hold, and fails if one of them does.
 pub(super) fn claim(
     (name, rule, about): (&'static str, &'static str, &'static str),
     expect: Outcome,
@@ -33,7 +33,7 @@ pub(super) fn claim(
     }
 }
 
-/// Explores the worlds until one of them fails.
+/// Explores the scenarios until one of them fails.
 pub(super) fn settle(work: &mut Work<'_>, worlds: &[Exchange]) -> Settled {
     let mut settled = None;
     for exchange in worlds {

@@ -11,10 +11,10 @@ use std::sync::Arc;
 
 pub(super) type Plan = Result<Arc<FloorPlan>, Vec<CellError>>;
 
-/// A floor to explore, and what should come of it.
+/// A floor to explore, and whether it must violate its property.
 pub(super) struct Part {
     plan: Box<dyn Fn() -> Plan + Send + Sync>,
-    /// The violation must be found: a check that the rest is not vacuous.
+    /// Whether a violation must be found, which shows that the other parts do not hold vacuously.
     reached: bool,
 }
 
@@ -38,7 +38,7 @@ fn relay(relay: Relay) -> Part {
     holds(move || relay.plan())
 }
 
-/// A claim that every part holds, those that must be reached apart.
+/// A claim that holds if all parts hold; parts that must find a violation do not count.
 pub(super) fn claim(
     (name, rule, about): (&'static str, &'static str, &'static str),
     expect: Outcome,
@@ -131,7 +131,7 @@ fn eviction() -> Vec<Claim> {
     ]
 }
 
-/// The promises about messages again, with a relay whose buffer fills and whose links take one packet a tick.
+/// The claims about messages, over a relay whose buffer fills and whose links take one packet a tick.
 fn relays() -> Vec<Claim> {
     let watches = [
         ("no-stale-delivery", FloorWatch::Stale { slack: 0 }),
@@ -205,8 +205,8 @@ fn relays() -> Vec<Claim> {
     claims
 }
 
-/// What senders are told of commands that did not run: where full buffers refuse and hold, and where a copy is refused while
-/// another one runs.
+/// What senders are told of commands that did not run: full buffers refuse and hold them, or one copy is refused
+/// while another runs.
 fn did_not_run() -> Claim {
     let about = "a command whose sender is told that it was refused, or never sent, has not run and does not run later";
     let copies = Relay {
@@ -226,8 +226,8 @@ fn did_not_run() -> Claim {
     claim(("at-most-once", "default, told that it did not run", about), Outcome::Holds, true, parts)
 }
 
-/// What the exchange of two tasks cannot show: there a packet that its task would ignore is left out, and only
-/// receivers crash.
+/// What the exchange of two tasks cannot show: it drops packets that their task would ignore, and only its receivers
+/// crash.
 fn copies() -> Vec<Claim> {
     let twice =
         |faults, watch| relay(Relay { sends: (2, 0), faults, watches: vec![watch], ..Relay::default() });
@@ -313,7 +313,7 @@ fn no_global_clock() -> Vec<Claim> {
     }]
 }
 
-/// Every floor must hold, and all must have the same states.
+/// Every floor must hold, with the same number of states.
 fn equal_states(work: &mut Work<'_>, floors: &[Relay]) -> Settled {
     let mut counts = Vec::new();
     let mut last = settle(work, &[]);

@@ -1,6 +1,6 @@
-//! The larger worlds of the claims about `waitfor`: two members at their largest bounds, three and four with faults,
-//! five. Where a world with all faults at once is too large, they are shared out over several rows, or all members
-//! reach the waitfor at once.
+//! Larger scenarios of the claims about `waitfor`: two members with their largest bounds, three and four with faults,
+//! and five. If a scenario with all faults at once is too large, several rows share the faults, or all members reach
+//! the waitfor at once.
 
 use super::Claim;
 use super::margins::{Search, TimeOuts};
@@ -10,7 +10,7 @@ use crate::scenario::{Budget, Watch};
 use crate::worlds::Meeting;
 use imrs_protocol::rules::{Confirmation, Rules};
 
-/// A claim's worlds that only the full run looks at: these follow the claim's other rows.
+/// The rows of a claim that only the full run explores. They follow the claim's other rows.
 pub(super) fn larger(name: &'static str) -> Vec<Claim> {
     match name {
         "no-false-release" => no_false_release(),
@@ -32,7 +32,7 @@ fn no_false_release() -> Vec<Claim> {
         "nobody is released early where all reach the waitfor at once, and again at once after a restart";
     let again =
         |members, time_out, budget| Meeting { budget, ..timed(members, Watch::FalseRelease, 1, 3, time_out) };
-    // The least margin, that of meetings in which nothing need be lost.
+    // The least margin: that of meetings that need not bear a loss.
     let least =
         |members, time_out, budget| Meeting { budget, ..timed(members, Watch::FalseRelease, 0, 1, time_out) };
     let once =
@@ -65,7 +65,7 @@ fn no_false_release() -> Vec<Claim> {
 
 fn rendezvous_under_loss() -> Vec<Claim> {
     let name = "rendezvous-under-loss";
-    // With more losses, as the other rules bear, five members have too many states.
+    // The other rules bear more losses, and with more losses five members have too many states.
     let about = "five members with nothing lost: nobody waits where all have arrived";
     let lossless = Meeting::new(5, Watch::Stranded);
     vec![
@@ -101,7 +101,7 @@ fn all_or_none() -> Vec<Claim> {
     let four = Meeting { resend: None, hurry: true, ..timed(4, Watch::AllOrNone, 0, 1, 3) };
     vec![
         simple(("all-or-none", "default, at once", about), Outcome::Holds, false, four),
-        // Members that come at once have one deadline: only with those that come when they like a margin is too short.
+        // Members that come at once share one deadline: only those that come at any time show a short margin.
         simple(("all-or-none", "margin-one-less", apart), Outcome::Fails, false, less),
         search(2, 3, 2, TimeOuts::Only(8)).claim("default, largest bounds", false),
         search(3, 0, 0, TimeOuts::Least { more: 1 }).claim("default, two time_outs", false),

@@ -9,7 +9,7 @@ use imrs_protocol::Ticks;
 use imrs_protocol::margin::least_margin;
 use imrs_protocol::rules::Rules;
 
-/// A search for the least margin with which nobody is released while another gives up.
+/// A search for the least margin with which no member is released while another gives up.
 #[derive(Clone, Copy)]
 pub(super) struct Search {
     pub members: usize,
@@ -18,22 +18,22 @@ pub(super) struct Search {
     pub timing: Timing,
     pub time_outs: TimeOuts,
     pub rules: Rules,
-    /// The period of re-sending; `None`: every packet is sent once.
+    /// The period of retransmissions in ticks; `None`: every packet is sent once.
     pub resend: Option<u64>,
 }
 
 /// The time_outs a margin is tried with.
 #[derive(Clone, Copy)]
 pub(super) enum TimeOuts {
-    /// The least at which a release is reachable, and so many more, so that the margin does not rest on how the period
-    /// of re-sending divides the time_out.
+    /// The least one with which a release is reachable, and `more` longer ones, so that the margin does not depend on
+    /// how the period of retransmissions divides the time_out.
     Least { more: u64 },
-    /// This one.
+    /// Only this one.
     Only(u64),
 }
 
 impl Search {
-    /// Under the default rules, without copies, with time as it should be.
+    /// A search under the default rules, without duplicates or deviations of time.
     pub fn of(members: usize, losses: u8) -> Self {
         let more = if members == 2 { RESEND + 1 } else { 0 };
         Self {
@@ -59,7 +59,7 @@ impl Search {
         }
     }
 
-    /// The claim that no margin is enough. Tried are all up to thrice the closed form of the default rules.
+    /// The claim that no margin is enough. It tries all up to three times the closed form of the default rules.
     pub fn claim_none(self, rule: &'static str, about: &'static str) -> Claim {
         Claim {
             about,
@@ -69,7 +69,7 @@ impl Search {
         }
     }
 
-    /// Every margin must fail. Shown is the counterexample of the closed form.
+    /// Settles that claim: every margin must fail. The counterexample of the closed form is shown.
     fn none(&self, work: &mut Work<'_>) -> Settled {
         let closed_form = self.closed_form();
         let mut shown = None;
@@ -114,14 +114,14 @@ impl Search {
         }
     }
 
-    /// What comes out at a time_out at which the margin fails, if there is one.
+    /// The result with the first time_out with which the margin does not hold, if there is one.
     fn fails_at(&self, work: &mut Work<'_>, margin: u64) -> Option<Settled> {
         let mut settled = self.time_outs(margin).map(|time_out| once(work, &self.meeting(margin, time_out)));
         settled.find(|settled| settled.outcome != Outcome::Holds)
     }
 
-    /// Searches the least margin that holds; the one below it is the variant that must fail. Shows too that a member
-    /// can be released with it at all, without which the claim would hold of nothing.
+    /// Searches for the least margin that holds; the one below it is the variant that must fail. Checks also that a
+    /// member can be released with it at all, because otherwise the claim holds vacuously.
     fn margin(&self, work: &mut Work<'_>) -> Settled {
         let closed_form = self.closed_form();
         let mut one_less = None;
@@ -157,7 +157,7 @@ impl Search {
     }
 }
 
-/// The search for the least margin, while time may be off.
+/// The claim of a search for the least margin, with deviations of time.
 pub(super) fn margins(rule: &'static str, members: usize, losses: u8, timing: Timing, smoke: bool) -> Claim {
     Search { timing, ..Search::of(members, losses) }.claim(rule, smoke)
 }

@@ -1,4 +1,4 @@
-//! What claims about `waitfor` are made of: their worlds, and how one is settled.
+//! Building blocks of claims about `waitfor`: their scenarios, and how a claim is settled.
 
 use super::{Claim, Settled, Work};
 use crate::report::{Bounds, Found, Outcome};
@@ -6,11 +6,11 @@ use crate::scenario::{Budget, Watch};
 use crate::worlds::Meeting;
 use imrs_protocol::rules::{Confirmation, Rules};
 
-/// The longest way and the period of re-sending that the timed worlds have, in ticks.
+/// The longest link delay and the period of retransmissions in scenarios with time, in ticks.
 pub(super) const DELAY: u8 = 1;
 pub(super) const RESEND: u64 = 2;
 
-/// A meeting in which time passes, built for `losses` and given as many.
+/// A meeting in which time passes. It must bear `losses` losses, and gets as many.
 pub(super) fn timed(members: usize, watch: Watch, losses: u8, margin: u64, time_out: u64) -> Meeting {
     Meeting {
         time_out: Some(time_out),
@@ -67,7 +67,7 @@ pub(super) fn simple(
     Claim { name, rule, parties, about, expect, smoke, settle: Box::new(settle) }
 }
 
-/// Whether what is watched would hold of a world in which nobody is ever released.
+/// Whether the property would hold vacuously if no member were ever released.
 const fn says_of_releases(meeting: &Meeting) -> bool {
     matches!(meeting.watch, Watch::FalseRelease | Watch::Pairing | Watch::AllOrNone)
 }
@@ -78,7 +78,7 @@ pub(super) fn releases(work: &mut Work<'_>, meeting: &Meeting) -> bool {
     once(work, &reachable).outcome == Outcome::Fails
 }
 
-/// How many losses strand a member under a rule of confirmation.
+/// The claim about how many losses strand a member under a rule of confirmation.
 pub(super) fn strand_claim(
     members: usize,
     rule: &'static str,
@@ -96,7 +96,7 @@ pub(super) fn strand_claim(
     }
 }
 
-/// Searches the least number of losses that strands a member: with every packet sent once, and with re-sending.
+/// Searches for the fewest losses that strand a member: with every packet sent once, and with retransmission.
 fn strand(work: &mut Work<'_>, members: usize, confirmation: Confirmation) -> Settled {
     let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
     let literal = Meeting { rules, ..Meeting::new(members, Watch::Stranded) };

@@ -1,12 +1,12 @@
-//! The numbers that the searches found, written down: a search that comes to another number is a verdict that is not as
-//! expected, so a change of the protocol that makes it weaker, or stronger, does not go by unseen.
+//! Pinned numbers that the searches must find. A search that finds another number makes its verdict unexpected, so no
+//! change that makes the protocol weaker or stronger goes unnoticed.
 
 use crate::report::Found;
 
 /// A row: claim, rule, parties, lost packets.
 type Row = (&'static str, &'static str, u32, u32);
 
-/// The least numbers of losses that strand a member: every packet sent once, and with re-sending.
+/// The fewest losses that strand a member: with every packet sent once, and with retransmission.
 const fn losses(once: u32, again: Option<u32>) -> Found {
     Found { least_losses_to_strand: Some(once), least_losses_with_resending: again, ..Found::NOTHING }
 }
@@ -16,7 +16,7 @@ const fn margin(least: u64, closed: u64) -> Found {
     Found { least_safe_margin: Some(least), closed_form_margin: Some(closed), ..Found::NOTHING }
 }
 
-/// The least life with which a message is served, and the closed form K (D59).
+/// The least TTL with which a message is served, and the closed form K (D59).
 const fn life(least: u64, closed: u64) -> Found {
     Found { least_bound_ticks: Some(least), bound_ticks: Some(closed), ..Found::NOTHING }
 }
@@ -31,7 +31,7 @@ const ALL_OR_NONE: &str = "all-or-none";
 const FAIR: &str = "penalty-is-fair";
 const AGAIN: &str = "they-meet-again";
 const ACTIVE: &str = "one-active";
-/// Any number of lost packets, as a row says it.
+/// Any number of lost packets, as a row has it.
 const ANY: u32 = u8::MAX as u32;
 const OFF: &str = "default, late timer and charge";
 
@@ -88,7 +88,7 @@ const PINNED: [(Row, Found); 50] = [
     ((ACTIVE, "default, exchanged roles, a copy", 2, 3), margin(0, 1)),
 ];
 
-/// Whether a row found the numbers that are written down for it, and none where none are.
+/// Whether a row found exactly the numbers that are pinned for it.
 pub(super) fn agrees(row: (&str, &str, u32, u32), found: &Found) -> bool {
     let pinned = PINNED.iter().find(|(of, _)| *of == row).map_or(Found::NOTHING, |(_, numbers)| *numbers);
     *found == pinned

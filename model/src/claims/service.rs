@@ -215,7 +215,7 @@ fn penalty_is_fair() -> Vec<Claim> {
     ]
 }
 
-/// A floor whose watched message lives so long, and the life that is surely long enough.
+/// A plan whose watched message has a given TTL, and the TTL that is surely long enough.
 trait Lives: Clone + Send + Sync + 'static {
     fn part(&self) -> Part;
     fn closed_form(&self) -> u64;
@@ -246,8 +246,8 @@ impl Lives for Workshop {
     }
 }
 
-/// D59: a message whose life is K is served. The least such life is searched for; one tick less is the variant that
-/// fails.
+/// The claim that a message whose TTL is K is served. The least such TTL is searched for; one tick less is the
+/// variant that must fail (D59).
 fn served_claim<L: Lives>(
     rule: &'static str,
     smoke: bool,
@@ -267,7 +267,7 @@ fn served_claim<L: Lives>(
 fn least_life<L: Lives>(work: &mut Work<'_>, with: &impl Fn(u8) -> L) -> Settled {
     let closed = u8::try_from(with(1).closed_form()).unwrap_or(u8::MAX);
     let mut settled = settle(work, &[with(closed).part()]);
-    // From the closed form down: the last that holds is the least, and the one below it shows why.
+    // Down from the closed form: the last TTL that holds is the least one, and the one below it shows why.
     let mut least = closed;
     let mut below = None;
     while settled.outcome == Outcome::Holds && least > 1 {
@@ -341,12 +341,12 @@ fn literal_penalty() -> Vec<Claim> {
     ]
 }
 
-/// A penalty as long as the wait for the next offer, and the same added to the time that is left.
+/// A penalty as long as the wait for the next offer, and the same added to the remaining time.
 const PENALTY: (u64, bool) = (2, false);
 const LITERAL: (u64, bool) = (PENALTY.0, true);
 
-/// The penalty is added for each wait of its length, so nothing is lost by waiting: the message neither expires nor is it
-/// taken, and all that can come of that is explored. A penalty of nothing adds nothing.
+/// The literal penalty adds to the remaining time what each wait takes, so the message neither expires nor is taken.
+/// The search covers the whole state space of that. A penalty of zero adds nothing.
 fn never_expires() -> Claim {
     let about = "what a refusal adds is as long as the wait for the next offer: refused again and again, a message never expires (D4)";
     let row = ("no-stale-delivery", "literal time_penalty, for ever", about);

@@ -1,4 +1,4 @@
-//! Claims about time: nothing waits for ever (§5.1.2), and what holds while links are charged more than they take and
+//! Claims about time: nothing waits for ever (§5.1.2), and what holds if packets are charged more than they take and
 //! timers fire late (D42, D56).
 
 use super::Claim;
@@ -9,11 +9,11 @@ use crate::report::Outcome;
 use crate::scenario::{Budget, Timing, Watch};
 use crate::worlds::{Exchange, Meeting};
 
-/// Any packet charged a tick more than its longest way, and one timer a tick late.
+/// Any packet may be charged one tick above the link's bound, and one timer may fire a tick late.
 const OFF: Timing = Timing { overcharge: 1, late: 1 };
 const RULE: &str = "default, late timer and charge";
 
-/// A claim's worlds with time off: these follow the claim's other rows.
+/// The rows of a claim with deviations of time. They follow the claim's other rows.
 pub(super) fn off(name: &'static str) -> Vec<Claim> {
     let budget = Budget { loss: 1, dup: 0, crash: 0 };
     let exchange = |watch, about| {

@@ -1,10 +1,10 @@
-//! What tasks do on a floor: free bodies, whose every choice the checker takes.
+//! The tasks of a floor as nondeterministic programs: the search takes each of their choices.
 
 use super::plan::{Errand, FloorPlan, TaskPlan, Times};
 use super::script::Actor;
 use imrs_protocol::{Call, Class, Contents, Delivery, PortId, ReplyTo, Request, Signal, TaskId, TimeId};
 
-/// What a level of a body is at.
+/// What an activation of a task is doing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) enum Does {
     /// It may do its errand.
@@ -12,31 +12,31 @@ pub(crate) enum Does {
     Free,
     /// It waits for its communication task.
     Waits,
-    /// It has a message, or its handler runs.
+    /// It serves a message, or its handler runs.
     Serves,
-    /// It acts on the world.
+    /// It runs an action.
     Works,
 }
 
-/// The thread of a task, or a handler that interrupted what stands below it.
+/// One activation of a task: its thread, or a handler that interrupted the activation below it.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct Level {
     pub does: Does,
-    /// The command it must answer, unless a script does, and what that says.
+    /// The command that it must answer, unless a script does, and the first contents byte of its message.
     pub to: Option<ReplyTo>,
     pub echo: u8,
     /// Whether this handler has sent its nested command.
     pub nested: bool,
     /// Ticks of service or work.
     pub age: u8,
-    /// Ghost: for how many ticks the wait may still last; [`Level::FOREVER`] without an end.
+    /// Specification state: for how many ticks the wait may still last; [`Level::FOREVER`] for no limit.
     pub left: u8,
-    /// Ghost: what the command said that it waits for.
+    /// Specification state: the contents byte of the command that it waits for.
     pub question: u8,
-    /// Ghost: whether the wait is a GET, and the port it is on.
+    /// Specification state: whether the wait is a GET, and the port it is on.
     pub get: bool,
     pub port: Option<PortId>,
-    /// Ghost: the rank of the message that this handler runs for.
+    /// Specification state: the rank at which this handler runs.
     pub rank: u8,
 }
 
@@ -47,13 +47,13 @@ impl Level {
 /// A task's own state.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Body {
-    /// Errands left; [`Body::ENDLESS`] for ever.
+    /// Errands left; [`Body::ENDLESS`] for no limit.
     pub times: u8,
     /// Ticks until it may send again.
     pub rest: u8,
-    /// The thread, and the handlers that interrupted each other.
+    /// The activations: the thread, and the handlers that interrupted each other.
     pub levels: Vec<Level>,
-    /// Where a script says what it does: then the levels only tell what it waits for.
+    /// The script, if the task has one: then `levels` only says what it waits for.
     pub actor: Option<Actor>,
 }
 
@@ -76,7 +76,7 @@ impl Body {
         Self { times, rest: 0, levels: vec![Level::default()], actor: plan.script.as_ref().map(Actor::new) }
     }
 
-    /// What it asks before anything else.
+    /// The API calls with which the task begins.
     pub fn setup(plan: &TaskPlan) -> Vec<Request> {
         let mut requests = Vec::new();
         if !plan.order.ranked().is_empty() {
@@ -94,7 +94,7 @@ impl Body {
         self.levels.last_mut()
     }
 
-    /// Whether it can go on by itself now.
+    /// Whether the task can step by itself now.
     pub fn may_act(&self, plan: &TaskPlan) -> bool {
         if self.actor.is_some() {
             return false;
@@ -108,7 +108,7 @@ impl Body {
         }
     }
 
-    /// Whether it goes on before anything else happens.
+    /// Whether the task must step before anything else happens.
     pub fn must_act(&self, plan: &TaskPlan) -> bool {
         if let Some(actor) = &self.actor {
             return actor.must_act();
@@ -123,7 +123,7 @@ impl Body {
             }
     }
 
-    /// Whether its handler may send its nested command now: one at a time on that port.
+    /// Whether its handler may send its nested command now: only one can be outstanding on that port.
     pub fn may_nest(&self, plan: &TaskPlan) -> bool {
         let top = self.top();
         let outstanding = |level: &Level| level.nested && level.does == Does::Waits;
@@ -135,7 +135,7 @@ impl Body {
             && !self.levels.iter().any(outstanding)
     }
 
-    /// A tick passes for it.
+    /// Lets a tick pass for the task.
     pub fn tick(&mut self, plan: &TaskPlan) {
         if let Some(actor) = &mut self.actor {
             return actor.pass(1);
@@ -144,7 +144,7 @@ impl Body {
         let last = self.levels.len() - 1;
         for (i, level) in self.levels.iter_mut().enumerate() {
             let most = match level.does {
-                // A handler suspends the service below it; an action on the world goes on.
+                // A handler suspends the service below it; an action goes on.
                 Does::Serves if i == last => bound(plan.service),
                 Does::Works => match plan.errand {
                     Errand::Work { least, most, .. } => bound((least, most)),
@@ -156,7 +156,7 @@ impl Body {
         }
     }
 
-    /// What it asks when it goes on, in order.
+    /// The API calls of the task's next step, in order.
     pub fn act(&mut self, task: TaskId, plan: &FloorPlan) -> Vec<Request> {
         let own = &plan.tasks[task.index()];
         let top = self.top();
@@ -203,7 +203,7 @@ impl Body {
         vec![request]
     }
 
-    /// What a handler asks with its nested command.
+    /// The API call with which a handler sends its nested command.
     pub fn nest(&mut self, own: &TaskPlan, plan: &FloorPlan) -> Vec<Request> {
         let (Some(port), Some(level)) = (own.nested, self.levels.last_mut()) else { return Vec::new() };
         level.does = Does::Waits;
@@ -213,9 +213,9 @@ impl Body {
         vec![Request::Send { port, to: imrs_protocol::Target::All, contents, time_out: None }]
     }
 
-    /// Hears an answer of its communication task.
+    /// Takes a signal of its communication task.
     pub fn hear(&mut self, signal: &Signal) {
-        // A script knows itself whom it answers, and when it has.
+        // A script itself keeps track of the commands that it must answer.
         let answers = |delivery: &Delivery| delivery.class == Class::Command && self.actor.is_none();
         let serves = |delivery: &Delivery| Level {
             does: Does::Serves,
@@ -250,7 +250,7 @@ impl Body {
         }
     }
 
-    /// The wait of the top level is over.
+    /// Ends the wait of the top activation.
     pub fn resume(&mut self) {
         let handler = self.levels.len() > 1;
         if let Some(level) = self.levels.last_mut() {
@@ -265,12 +265,12 @@ impl Body {
     }
 }
 
-/// Where counting stops to matter: a service that may take for ever is the same from its least on.
+/// Where `age` stops counting: a service without a longest time is the same from its least time on.
 const fn bound((least, most): (u8, u8)) -> u8 {
     if most == u8::MAX { least } else { most }
 }
 
-/// What messages say: only the watch over answers reads it.
+/// The contents of a message. Only `FloorWatch::Waits` reads them.
 pub(crate) fn says(byte: u8, plan: &FloorPlan) -> Contents {
     if plan.waits().is_some() { Contents::new(&[byte]).unwrap_or_default() } else { Contents::EMPTY }
 }

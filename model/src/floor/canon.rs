@@ -1,4 +1,4 @@
-//! Floors as packed bytes and back (D51): one block, everything relative, in one order.
+//! Packs floors into their canonical bytes and unpacks them: one block, relative numbers, one order (D51).
 
 use super::judge::Name;
 use super::plan::Way;
@@ -8,10 +8,10 @@ use imrs_protocol::{
     Coming, CommTask, Decode, Encode, Frame, Kind, Overflow, Packet, Pass, PortId, Round, Seq24, Walk,
 };
 
-/// The numbers that a state is written relative to.
+/// The numbers that packed numbers are relative to.
 struct Bases {
     rounds: Vec<Round>,
-    /// For each port, whether anybody has a round there.
+    /// For each port, whether a round of it is in use.
     used: Vec<bool>,
     sequences: Vec<Seq24>,
     lives: bool,
@@ -29,11 +29,11 @@ impl Bases {
 }
 
 impl Floor {
-    /// Writes the state, canonical.
+    /// Packs the state in its canonical form.
     pub fn store(&mut self) -> Packed {
         match self.try_store() {
             Ok(bytes) => Packed(bytes.into_boxed_slice()),
-            // A distance outgrew its field: an absorbing, visible failure, never a saturated value.
+            // A relative number outgrew its field: an absorbing, visible failure, never a saturated value.
             Err(Overflow) => Packed(Box::new([Violation::Overflow.code(), 0, 0, 0, 0])),
         }
     }
@@ -67,22 +67,22 @@ impl Floor {
         }
         match self.plan.way {
             Way::Any => crossings.sort_unstable(),
-            // The order in which packets left is the order in which they come.
+            // Packets arrive in the order in which they left.
             Way::Exact => crossings.sort_by_key(|(link, _)| *link),
         }
         crossings.iter().for_each(|(_, bytes)| out.extend(bytes));
         Ok(out)
     }
 
-    /// Reads a state.
+    /// Unpacks a state.
     pub fn load(&mut self, state: &Packed) {
         self.violation = state.violation();
         self.load_bytes(&state.0);
     }
 
-    /// Reads the bytes of a state without a violation.
+    /// Unpacks the bytes of a state without a violation.
     pub fn load_bytes(&mut self, bytes: &[u8]) {
-        // A run that ended in a violation may have left some.
+        // A run that ended in a violation may have left inputs.
         self.inputs.clear();
         self.rounds.fill(Frame::ROUND);
         self.sequences.fill(Frame::SEQUENCE);
@@ -99,19 +99,19 @@ impl Floor {
         self.behind = behind;
     }
 
-    /// For each port, how far the least round in use is from the first one.
+    /// For each port, how far the least round in use is from the first round.
     fn behind_from(&self, bases: &Bases) -> Vec<u8> {
         let of_port = |(port, &behind): (usize, &u8)| {
             let moved = bases.rounds[port].steps_from(self.rounds[port]).cast_signed();
             let from_first = i32::from(behind) + i32::from(moved);
-            // Behind nobody is nothing.
+            // If no round is in use, a new incarnation is behind nobody.
             let from_first = if bases.used[port] { from_first } else { 0 };
             u8::try_from(from_first.clamp(0, i32::from(FAR_BEHIND))).unwrap_or(FAR_BEHIND)
         };
         self.behind.iter().enumerate().map(of_port).collect()
     }
 
-    /// All messages that may still come to a task.
+    /// All messages that may still arrive at a task: in flight, queued, or retransmitted by a waiting sender.
     fn coming(&self) -> Vec<Coming> {
         let up = || self.stations.iter().filter(|s| s.up).map(|station| &station.node);
         let waiting = up().flat_map(|node| node.parts().transit.waiting());
@@ -132,13 +132,13 @@ impl Floor {
         messages.map(of_packet).chain(again).collect()
     }
 
-    /// The least round in use of each port, and the next sequence of each task.
+    /// For each port the least round in use, and for each task the next sequence.
     fn bases(&mut self) -> Bases {
         let sequences = (0..self.bodies.len()).map(|task| self.next_sequence(task)).collect();
         let lives = self.plan.lives();
-        // A cell's checker says itself how far behind a new life is.
+        // In the checker of cells, `behind` says how far behind a new incarnation is.
         if lives && self.turns.is_none() {
-            // A restarted node counts from its own beginning: only absolute rounds say how it relates to the others.
+            // A restarted node counts rounds from the first one: only absolute rounds compare with those of others.
             let used = vec![true; self.rounds.len()];
             return Bases { rounds: self.rounds.clone(), used, sequences, lives };
         }
@@ -156,7 +156,7 @@ impl Floor {
     }
 }
 
-/// Finds the least round in use of each port.
+/// A pass that finds the least round in use of each port.
 pub(crate) struct Least(pub Vec<Option<Round>>);
 
 impl Walk for Least {

@@ -1,4 +1,4 @@
-//! A counterexample of a floor as a sequence chart.
+//! Counterexamples of floors as sequence charts.
 
 use super::plan::FloorPlan;
 use super::{Crossing, Effect, Floor, Move};
@@ -45,7 +45,7 @@ fn crossing_of(floor: &Floor, step: Move) -> Option<Crossing> {
     }
 }
 
-/// One step from a packed state, drawn.
+/// Draws one step from a packed state.
 pub(crate) fn one_step(plan: &Arc<FloorPlan>, state: &Packed, step: Move) -> Pen {
     let (lanes, mut floor) = (Lanes::new(plan), Floor::new(plan));
     let mut pen = Pen::new(lanes.names.clone());
@@ -58,8 +58,8 @@ pub(crate) fn one_step(plan: &Arc<FloorPlan>, state: &Packed, step: Move) -> Pen
     pen
 }
 
-/// The move of `floor` whose packed result is `target`. The chart walks the path with everything kept, so that numbers
-/// stay what they are.
+/// The transition of `floor` whose packed result is `target`. A chart walks the path unpacked, so that numbers stay
+/// absolute.
 fn concrete_move(floor: &Floor, target: &Packed) -> Option<(Move, Floor)> {
     let mut moves = Vec::new();
     floor.moves(&mut moves);
@@ -155,12 +155,12 @@ impl Lanes {
         self.effects(pen, tick, &floor.log);
     }
 
-    /// What a step showed.
+    /// Draws what a step showed.
     pub fn effects(&self, pen: &mut Pen, tick: u32, log: &[Effect]) {
         log.iter().for_each(|effect| self.effect(pen, tick, effect));
     }
 
-    /// One thing that a step showed.
+    /// Draws one effect of a step.
     pub fn effect(&self, pen: &mut Pen, tick: u32, effect: &Effect) {
         match effect {
             Effect::Seen(_, Some(task), seen) => pen.shown(tick, task.index(), &Shown::Seen(*seen)),

@@ -1,13 +1,13 @@
-//! What one run must obey: each buffer of a task beside a plain list that is written from what the node says of itself.
+//! Judges a whole run: compares each buffer of a task with a plain list that is written from the node's observations.
 //!
-//! A single state does not show these rules, because it does not say what came before: the search cannot judge them. Random
-//! walks (`cell::guard`) and `imrs simulate` follow a run from its start, and judge them.
+//! The search cannot judge these rules, because a single state does not hold its past. Random walks (`cell::guard`)
+//! and `imrs simulate` follow a run from its start, and judge them.
 //!
-//! - A message is handed over at most once, and dropped as a copy only after its first one was taken.
+//! - A message is handed over at most once, and dropped as a duplicate only after a copy of it was accepted.
 //! - A GET takes the most urgent message; a full buffer loses the least urgent one.
-//! - Rejections are counted one by one, and of messages at their cap the one that was rejected first goes first.
-//! - Only what is over expires, and the buffer holds what the list holds, in its order.
-//! - A packet that leaves a node is the same after its 32 bytes, but for what their clock rounds down.
+//! - Rejections are counted one by one. Of messages at their cap, the one that was rejected first goes first.
+//! - A message expires only when its time is over, and the buffer holds what the list holds, in its order.
+//! - Encoding a packet to its 32 bytes and decoding it changes nothing, except that its remaining time is rounded down.
 
 mod buffer;
 
@@ -21,16 +21,16 @@ use imrs_protocol::{
 };
 use std::sync::Arc;
 
-/// The plain lists of a floor.
+/// The plain lists of a run.
 #[derive(Clone, Debug)]
 pub(crate) struct History {
     plan: Arc<FloorPlan>,
-    /// What each node's clock has counted since the run began.
+    /// Ticks that each node's clock has counted since the run began.
     clocks: Vec<u64>,
     tasks: Vec<Listed>,
-    /// The packet that is arriving: who sent it, and its id.
+    /// The source and the id of the packet that is arriving.
     arriving: Option<(TaskId, MessageId)>,
-    /// Numbers what happens in the order in which it does, and the steps in which it does.
+    /// How many observations and how many steps there were: both number what happens.
     events: u64,
     steps: u64,
 }
@@ -39,25 +39,25 @@ pub(crate) struct History {
 #[derive(Clone, Debug, Default)]
 struct Listed {
     order: ServiceOrder,
-    /// The order changed in this step: rejections may change with it.
+    /// Whether the order changed in this step: counts of rejections may change with it.
     reordered: bool,
-    /// The GET of this step: on which port, of which source.
+    /// The GET of this step: its port and its source.
     get: Option<(Option<PortId>, Option<TaskId>)>,
-    /// Came in and was rejected before it was put into a buffer, and when.
+    /// A message that was rejected before it entered a buffer: source, number, and the step.
     rejected: Option<(TaskId, u32, u64)>,
     buffers: Vec<Buffer>,
-    /// The last handler for a message that began had one at its cap.
+    /// Whether the last handler that began for a message had one at its cap.
     capped_last: bool,
 }
 
-/// Whether a packet comes out of its bytes as it went in. The search hands packets over as they are: only here are they
+/// Whether a packet is the same after encoding and decoding. The search passes packets as values; only here are they
 /// encoded, as on a real link.
 fn survives(packet: &Packet, table: &CellTable) -> bool {
     let hash = |port| table.port(port).map(|port| port.hash);
     let Some(of_port) = hash(packet.port) else { return false };
     let bytes = packet.encode(table.digest(), of_port);
     let Ok(back) = Packet::decode(&bytes, table.digest(), hash) else { return false };
-    // 24 bits of a number of steps are left; a time past the end of the scale is cut (D47).
+    // The encoding keeps 24 bits of the remaining time, and cuts a time beyond its scale (D47).
     let lost = packet.remaining.0.saturating_sub(back.remaining.0);
     let cut = packet.remaining.0 >> 42 > 0;
     let exact = back.remaining <= packet.remaining && (cut || lost <= packet.remaining.0 >> 23 | 9);
@@ -65,7 +65,7 @@ fn survives(packet: &Packet, table: &CellTable) -> bool {
 }
 
 impl Listed {
-    /// A GET of this step takes a message that waited: nothing that it asks for is more urgent.
+    /// Judges a GET that takes a queued message: none that it asks for may be more urgent.
     fn taken_by_get(&self, at: usize, waits: usize) -> Result<(), Violation> {
         let Some((port, source)) = self.get else { return Ok(()) };
         let (buffer, taken) = (&self.buffers[at], &self.buffers[at].waiting[waits]);
@@ -76,7 +76,7 @@ impl Listed {
         if port.is_some() || source.is_some() {
             return Ok(());
         }
-        // Over all ports: one that was passed over too often, or the one with the most urgent message.
+        // Over all ports: the port that was bypassed too often, or else the one with the most urgent message.
         let open = || self.buffers.iter().filter(|buffer| !buffer.handled && !buffer.waiting.is_empty());
         let most = open().map(|buffer| buffer.bypassed.0).max().unwrap_or(0);
         let wrong = if most >= buffer.bypassed.1 {
@@ -91,8 +91,8 @@ impl Listed {
         if wrong { Err(Violation::NotMostUrgent) } else { Ok(()) }
     }
 
-    /// A message that waited begins its handler: none goes first that was rejected up to its cap earlier, and none of the
-    /// same port that is due and more urgent.
+    /// Judges a handler that begins for a queued message. Messages that were at their cap earlier must go first, and
+    /// so must messages of the same port that are due and more urgent.
     fn handler_begins(&mut self, at: usize, waits: usize, now: u64) -> Result<(), Violation> {
         let is_capped =
             |buffer: &Buffer, one: &Waiting| one.rejections >= cap(&self.order, buffer.port, one.source);
@@ -128,7 +128,7 @@ impl History {
         Self { plan: Arc::clone(plan), clocks, tasks, arriving: None, events: 0, steps: 0 }
     }
 
-    /// A node starts anew: what its tasks knew is gone.
+    /// Forgets what the tasks of a restarted node knew.
     pub fn forget(&mut self, station: &Station) {
         for task in &station.node.parts().tasks {
             let buffers = buffers(&self.plan.cell, task);
@@ -136,7 +136,7 @@ impl History {
         }
     }
 
-    /// Before a node takes this, after so much time.
+    /// Called before a node takes `input`, `elapsed` after its last one.
     pub fn begin(&mut self, node: usize, elapsed: Ticks, input: &NodeInput) {
         self.clocks[node] += elapsed.0;
         self.begin_anew();
@@ -154,7 +154,7 @@ impl History {
         }
     }
 
-    /// Before a task takes this.
+    /// Called before a task takes `input`.
     pub fn begin_input(&mut self, input: &Input) {
         self.begin_anew();
         if let Input::Packet(packet) = input {
@@ -169,15 +169,15 @@ impl History {
         }
     }
 
-    /// What its node's clock has counted, as far as a task has noticed.
+    /// The clock of a node, as far as a task has noticed it.
     fn now(&self, node: usize, station: &Station, task: TaskId) -> u64 {
         self.clocks[node] - station.node.late(task).0
     }
 
-    /// After a node did something with these effects.
+    /// Judges a step of a node by its effects.
     ///
     /// # Errors
-    /// The rule that it broke.
+    /// The rule that the step broke.
     pub fn judge(&mut self, node: usize, station: &Station, effects: &[Effect]) -> Result<(), Violation> {
         self.steps += 1;
         for effect in effects {
@@ -247,12 +247,12 @@ impl History {
                 Some(waits) => {
                     let one = &mut buffer.waiting[waits];
                     one.reject(&listed.order, port, steps);
-                    // For how long is seen after the step; in this one it goes before nothing any more.
+                    // `compare` reads the back-off after the step; within this step the message goes before no other.
                     one.not_before = now + 1;
                 }
                 None => listed.rejected = Some((peer, number, steps)),
             },
-            // One that is handed to its handler as it arrives changes nothing for those that wait.
+            // A message that goes to its handler on arrival changes nothing for queued ones.
             Event::Interrupted => {
                 if let Some(waits) = waits {
                     return listed.handler_begins(at, waits, now);
@@ -283,7 +283,7 @@ impl History {
                     None => {}
                 }
             }
-            // A late copy of a message that waits may expire on its way.
+            // `ExpiredOnTheWay` is missing here: a late copy of a queued message may expire in flight.
             Event::Discarded(
                 reason @ (Reason::Expired
                 | Reason::Evicted
@@ -295,7 +295,7 @@ impl History {
                 let in_time = lost.is_some_and(|lost| lost.expires > now);
                 match reason {
                     Reason::Expired if in_time => return Err(Violation::ExpiredEarly),
-                    // A later copy may have more time left: it counts as the first one.
+                    // A later copy may have more time left, so it counts as new.
                     Reason::Expired if class == Class::Command => {
                         buffer.taken.remove(&(peer, number));
                         buffer.lapsed.insert((peer, number));
@@ -306,7 +306,7 @@ impl History {
                         if buffer.waiting.iter().any(|one| one.urgency() > key) {
                             return Err(Violation::LostMoreUrgent);
                         }
-                        // Another message than the one that arrives is of an incarnation that came before.
+                        // An evicted message may be of an earlier incarnation than the arriving packet.
                         if lost.is_none() {
                             buffer.enter(peer, incarnation);
                         }
@@ -323,7 +323,7 @@ impl History {
         Ok(())
     }
 
-    /// The buffers of a task are what its list says, and are taken over as they are.
+    /// Compares the buffers of a task with its lists, and takes over what only the buffers hold.
     fn compare(&mut self, now: u64, task: &CommTask) -> Result<(), Violation> {
         let table = &self.plan.cell;
         let listed = &mut self.tasks[task.task().index()];

@@ -1,4 +1,4 @@
-//! What a floor remembers beside the machine to judge it, and the watches' verdicts.
+//! The specification state of a floor, and the judging of its properties.
 
 use super::body::{Does, Level, says};
 use super::plan::{FloorPlan, FloorWatch, Goal};
@@ -11,7 +11,7 @@ use imrs_protocol::{
     PortId, Reason, Request, Seq24, Signal, TaskId, Ticks, Usage,
 };
 
-/// A message's name: its source and its number there.
+/// Identifies a message: its source and its sequence number there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Name {
     pub source: TaskId,
@@ -24,28 +24,28 @@ impl Name {
     }
 }
 
-/// What no task of the cell can see.
+/// The specification state: what the judge must remember and no task of the cell can see.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct Ghosts {
-    /// True lives of messages: ticks left.
+    /// The true remaining times of messages, in ticks.
     pub lives: Vec<(Name, u8)>,
     /// For each source, bit `i`: its message `next - 1 - i` was handed over.
     pub handed: Vec<u16>,
-    /// Likewise: its sender was told that it did not run.
+    /// Likewise: the sender of that message was told that it did not run.
     pub denied: Vec<u16>,
     /// For each port of the task watched for fairness, how often its head was bypassed.
     pub bypassed: Vec<u8>,
-    /// How often a waiting message was refused by rank, by receiver.
+    /// How often a waiting message was rejected: receiver, port, message, count.
     pub refused: Vec<(TaskId, PortId, Name, u8)>,
     /// For each task, the signals since the last tick.
     pub signals: Vec<u8>,
-    /// What checks ask for and no machine keeps.
+    /// What checks ask about and no machine keeps.
     pub told: Told,
-    /// The newest epoch that anybody began to act in.
+    /// The newest epoch in which a task became active.
     pub begun: u8,
-    /// For each node, whether its present life has heard anything, by a bit: where lives end.
+    /// Bit `i`: the present incarnation of node `i` has heard of the epochs. Kept only if nodes can crash.
     pub heard: u8,
-    /// The newest epoch of an order that the actuator heard of.
+    /// The newest epoch of an order that the actuator has received.
     pub ordered: u8,
 }
 
@@ -74,14 +74,14 @@ impl Ghosts {
     }
 }
 
-/// Whether an epoch comes after another one, across the wrap. Written apart from the machine's own comparison, which the
-/// watches judge.
+/// Whether `epoch` comes after `than`, across the wrap. Written independently of the machine's own comparison, which
+/// is under test here.
 const fn is_later(epoch: u8, than: u8) -> bool {
     epoch.wrapping_sub(than).cast_signed() > 0
 }
 
 impl Floor {
-    /// Notes that a task waits, and what for.
+    /// Records that a task waits, and for what.
     pub(super) fn asked(&mut self, task: usize, request: &Request) {
         self.note_asked(TaskId::from_index(task), request);
         let names_ports = self.plan.names_ports();
@@ -110,7 +110,7 @@ impl Floor {
         self.entitle(task, request);
     }
 
-    /// Notes for how long the task may wait.
+    /// Records for how long the task may wait.
     fn entitle(&mut self, task: usize, request: &Request) {
         let Some(slack) = self.plan.waits() else { return };
         let at = TaskId::from_index(task);
@@ -133,7 +133,7 @@ impl Floor {
         }
     }
 
-    /// A signal reaches its task: is it one that the task waits for, and may it come now?
+    /// Judges a signal to a task: the task must wait for it, and it must be allowed now.
     pub(super) fn told(&mut self, task: usize, signal: &Signal) -> Result<(), Violation> {
         self.count_signal(task)?;
         let top = self.bodies[task].top();
@@ -161,12 +161,12 @@ impl Floor {
                 self.bodies[task].hear(signal);
                 return if waits { Ok(()) } else { Err(Violation::SecondOutcome) };
             }
-            // The answer to a REPLY ends no wait; what is wrong with it is that it came too late.
+            // A fault after a REPLY ends no wait: it only says that the reply came too late.
             Signal::Fault(Fault::Late | Fault::NothingToAnswer) if top.does == Does::Serves => return Ok(()),
             Signal::Accepted(_) if top.does == Does::Serves => return Ok(()),
             Signal::Accepted(_) if matches!(top.does, Does::Free) => return Ok(()),
             Signal::Accepted(_) if top.does == Does::Works => {}
-            // A script knows what to make of it, or ends in a fault of its own.
+            // The script handles the fault, or ends in a fault of its own.
             Signal::Fault(_) if scripted => {
                 if waits {
                     self.bodies[task].resume();
@@ -220,7 +220,7 @@ impl Floor {
         Ok(())
     }
 
-    /// Whoever is marked as having answered has given the answer to this question.
+    /// Judges a set of answers: each task that is marked as answered must have answered this question.
     fn judge_answers(&self, task: usize, port: PortId, answered: u64) -> Result<(), Violation> {
         if self.plan.waits().is_none() || self.bodies[task].actor.is_some() {
             return Ok(());
@@ -235,11 +235,11 @@ impl Floor {
         if wrong { Err(Violation::WrongAnswer) } else { Ok(()) }
     }
 
-    /// A delay ends when no tick of it is left: where every node counts every tick as it passes.
+    /// Judges the end of a delay: no tick of it may be left. Only where every node counts every tick as it passes.
     fn judge_delay(&self, level: &Level) -> Result<(), Violation> {
         let Some(slack) = self.plan.waits() else { return Ok(()) };
         let exact = self.plan.faults.drift == 0 && self.plan.faults.late == 0;
-        // The tick that is passing, and the one that a wait may last longer, are not taken off yet.
+        // Not subtracted yet: the tick that is passing, and the extra tick that a wait may last.
         let early = level.does == Does::Waits && level.left != Level::FOREVER && level.left > slack + 2;
         if exact && early { Err(Violation::TooEarly) } else { Ok(()) }
     }
@@ -259,7 +259,7 @@ impl Floor {
         if reached && self.plan.watches(FloorWatch::Reach(goal)) { Err(Violation::Reached) } else { Ok(()) }
     }
 
-    /// A message is handed to its task: still alive, and for the first time?
+    /// Judges a delivery: the message must have time left, and must not have been handed over before.
     fn handed_over(&mut self, delivery: &Delivery) -> Result<(), Violation> {
         self.reach(Goal::Left, true)?;
         let name = Name::of(delivery);
@@ -289,7 +289,7 @@ impl Floor {
         Ok(())
     }
 
-    /// A task is told that its last command did not run.
+    /// Records and judges that a task is told: its last command did not run.
     fn deny(&mut self, task: usize) -> Result<(), Violation> {
         if !self.plan.watches(FloorWatch::DidNotRun) {
             return Ok(());
@@ -298,7 +298,7 @@ impl Floor {
         if self.ghosts.handed[task] & 1 != 0 { Err(Violation::RanAnyway) } else { Ok(()) }
     }
 
-    /// Notes a message that was sent.
+    /// Records a message that was sent.
     pub(super) fn sent(&mut self, effect: &Effect) {
         let Effect::Seen(_, Some(source), Observation { event: Event::Sent, number, remaining, .. }) =
             *effect
@@ -313,7 +313,7 @@ impl Floor {
         self.ghosts.denied[source.index()] <<= 1;
     }
 
-    /// Notes what a communication task or a transit buffer says it did.
+    /// Records and judges an observation of a communication task or a transit buffer.
     pub(super) fn seen(&mut self, at: Option<TaskId>, seen: &Observation) -> Result<(), Violation> {
         match (at, seen.event) {
             (Some(task), event) => self.seen_at_task(task, event, seen),
@@ -351,8 +351,8 @@ impl Floor {
         }
     }
 
-    /// A task begins to act: in an epoch newer than all that anybody acted in. A new life that has heard nothing cannot
-    /// know them; what it waited for before it took over has ended all that was ordered in them (D80).
+    /// Judges the epoch in which a task becomes active: it must be newer than all in which any task was active. A new
+    /// incarnation that has heard nothing is exempt: all orders of those epochs end before it can take over (D80).
     fn judge_epoch(&mut self, task: TaskId, epoch: u32) -> Result<(), Violation> {
         let knows = self.knows_epochs(self.station_of(task.index()));
         let Ok(epoch) = u8::try_from(epoch) else { return Err(Violation::OldEpoch) };
@@ -363,7 +363,7 @@ impl Floor {
         if fresh || !knows { Ok(()) } else { Err(Violation::OldEpoch) }
     }
 
-    /// Whether a node knows the epochs: it never started again, or somebody told it since.
+    /// Whether a node knows the epochs: it never restarted, or another node has told it since.
     fn knows_epochs(&self, place: usize) -> bool {
         self.stations[place].life.0 == 0 || self.ghosts.heard >> place & 1 == 1
     }
@@ -373,10 +373,10 @@ impl Floor {
         self.plan.epoch == 0
     }
 
-    /// A packet comes out of a link.
+    /// Judges a packet that comes out of a link, and records whether it tells the node of the epochs.
     pub(super) fn judge_arrival(&mut self, to: NodeId, packet: &Packet) -> Result<(), Violation> {
         if self.plan.lives() && self.plan.watches(FloorWatch::OneActive) {
-            // An answer to an earlier life tells the present one nothing.
+            // An answer to an earlier incarnation tells the present one nothing.
             let told =
                 packet.kind != Kind::Response || packet.id.incarnation == self.stations[to.index()].life;
             let speaker = self.station_of(packet.source.index());
@@ -388,10 +388,10 @@ impl Floor {
         self.reach(Goal::RefusedOnTheWay, home && word)
     }
 
-    /// After a step of a node: did its transit buffer keep a status where it dropped a command for space (D60)?
+    /// Judges a node's step: its transit buffer must not keep a status and drop a command for lack of space (D60).
     ///
-    /// Every step offers the buffer one packet, but for copies that are due with a tick, and those are commands: so
-    /// what the buffer holds or has let go after the step, it held when it dropped.
+    /// Each step offers the buffer one packet; only retransmissions that are due at a tick are more, and they are
+    /// commands. So what the buffer holds or has sent after the step, it held when it dropped the command.
     pub(super) fn judge_step(&self, i: usize, effects: &[Effect]) -> Result<(), Violation> {
         if !self.plan.watches(FloorWatch::Eviction) {
             return Ok(());
@@ -402,7 +402,7 @@ impl Floor {
             let for_space = matches!(seen.event, Event::Discarded(Reason::Refused | Reason::Evicted));
             let port = cell.port(seen.port);
             let command = port.is_some_and(|p| p.decl.class == Class::Command);
-            // Answers and words go towards those who ask.
+            // Only tasks that receive here count: answers and refusals travel towards senders.
             let receives = |usage: Usage| matches!(usage, Usage::Receive | Usage::Response);
             let asks = port.and_then(|p| p.party(seen.peer)).is_some_and(|party| receives(party.usage));
             let way = cell.location(seen.peer).and_then(|to| cell.path_bound(NodeId::from_index(i), to));
@@ -417,7 +417,7 @@ impl Floor {
         if status { Err(Violation::CommandEvicted) } else { Ok(()) }
     }
 
-    /// After a tick: does anybody still wait who should not?
+    /// Judges all waits after a tick: none may outlast its time_out.
     pub(super) fn judge_waits(&mut self) -> Result<(), Violation> {
         if self.plan.waits().is_none() {
             return Ok(());
@@ -432,7 +432,7 @@ impl Floor {
                 if level.does != Does::Waits || level.left == Level::FOREVER {
                     continue;
                 }
-                // A wait below a handler is told when the handler returns.
+                // A wait below a handler hears of its end only when the handler returns.
                 if level.left == 0 && i == last {
                     return Err(Violation::NoOutcome);
                 }
@@ -442,7 +442,7 @@ impl Floor {
         Ok(())
     }
 
-    /// What can be judged of a state by itself.
+    /// Judges the properties of a single state.
     pub(super) fn judge_state(&self) -> Result<(), Violation> {
         let machines = self.stations.iter().filter(|s| s.up).flat_map(|s| &s.node.parts().tasks);
         let mut acting = machines.filter(|task| task.epoch().is_some() && task.is_active());
@@ -463,7 +463,7 @@ impl Floor {
         self.reach(Goal::BuffersFull, stuck && self.crossings.is_empty())
     }
 
-    /// Does a message wait that has more time left than its sender waits, or that nobody waits for any more?
+    /// Judges queued messages: none may have more time left than its sender waits, or stay longer than that.
     fn judge_held(&self) -> Result<(), Violation> {
         let watch = |watch| self.plan.watches(watch);
         let (longer, at_all) = (watch(FloorWatch::TimeToLive), watch(FloorWatch::Expires));

@@ -1,7 +1,7 @@
-//! The floor: whole nodes with several tasks each, relays, links that take only so much, clocks that drift.
+//! The unpacked state of a floor: whole nodes with several tasks each, relays, links of limited capacity, drift.
 //!
-//! Like a `World` it is only ever a scratch pad over packed states (`canon`). A node is the
-//! protocol's own [`Node`]; what its tasks do is a [`plan::TaskPlan`]; what is watched are [`plan::FloorWatch`]es.
+//! Like a `World`, a floor is only a scratch pad over packed states (`canon`). A node is the protocol's own [`Node`].
+//! A [`plan::TaskPlan`] says what a task does, and a [`plan::FloorWatch`] is a property.
 
 pub(crate) mod body;
 pub(crate) mod canon;
@@ -35,61 +35,61 @@ use plan::{Errand, FloorPlan};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// One thing that can happen next on a floor.
+/// A transition of a floor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Move {
-    /// A tick passes. Two bits for each node: as it should, left out, counted twice, noticed later.
+    /// A tick passes. Two bits for each node say how it counts the tick: once, not at all, twice, or later.
     Tick(u16),
-    /// Packet number so of the state arrives at the end of its link, charged so much more than its bound.
+    /// The packet at the first position arrives, charged the second number of ticks above its link's bound.
     Deliver(u8, u8),
-    /// It is lost.
+    /// The packet at this position is lost.
     Lose(u8),
-    /// It arrives twice.
+    /// The packet at this position is duplicated on its link.
     Duplicate(u8),
-    /// The task goes on.
+    /// The task makes its next step.
     Act(u8),
-    /// Its handler sends its nested command.
+    /// The task's handler sends its nested command.
     Nest(u8),
     /// The node crashes.
     Crash(u8),
-    /// It starts again, in its next life.
+    /// The node restarts, in its next incarnation.
     Restart(u8),
-    /// A task of the node takes the input that waits at this position (unfused).
+    /// A task of the node takes the queued input at this position.
     Take(u8, u8),
-    /// The script gets its choice.
+    /// The task's script gets this choice.
     Choose(u8, u8),
-    /// The action that this thread of the script began ends.
+    /// The action that this activation of the task's script began ends.
     Acted(u8, u8),
 }
 
-/// A packet on a link.
+/// A packet in flight on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Crossing {
     pub packet: Packet,
     /// Position among the plan's directed links.
     pub link: u8,
-    /// How many ticks it has been on it, or waits behind it for a node that is paused.
+    /// Ticks since it entered the link, including its wait for a paused node.
     pub age: u32,
-    /// The life of the node that put it there, as its envelope says.
+    /// The incarnation of the node that sent it over this link, as its envelope says.
     pub life: Incarnation,
 }
 
-/// A node of the floor.
+/// The state of a node.
 #[derive(Clone, Debug)]
 pub(crate) struct Station {
     pub node: Node,
     pub table: NodeTable,
     pub up: bool,
     pub life: Incarnation,
-    /// The lives in which this node knows the others.
+    /// The incarnation in which this node knows each other node.
     pub known: Vec<Incarnation>,
-    /// Ticks that have passed and that it has not noticed.
+    /// Ticks that have passed and that the node has not noticed.
     pub owed: u8,
-    /// The same of a node that is paused; none where it is not. In a cell: see `cell::pause`.
+    /// Ticks since the node was paused; `None` if it is not paused. Only in a cell: see `cell::course::pause`.
     pub asleep: Option<u32>,
 }
 
-/// The unpacked state.
+/// The unpacked cell state: whole nodes, packets in flight, specification state. Transitions work on it.
 #[derive(Clone, Debug)]
 pub(crate) struct Floor {
     pub plan: Arc<FloorPlan>,
@@ -102,27 +102,27 @@ pub(crate) struct Floor {
     /// Packets that each directed link took in this tick.
     pub used: Vec<u8>,
     pub violation: Option<Violation>,
-    /// What loaded numbers are relative to.
+    /// The rounds (by port) and sequences (by task) that loaded numbers are relative to.
     pub rounds: Vec<Round>,
     pub sequences: Vec<Seq24>,
-    /// What the last move showed: for charts.
+    /// What the last transition showed, for charts.
     pub log: Vec<Effect>,
     pub keep_log: bool,
-    /// How many ticks have passed since this was last set to zero.
+    /// Ticks passed since this was last reset.
     pub passed: u32,
     spare: Vec<Effect>,
-    /// The last byte of the packet that is arriving: in an order its epoch.
+    /// The last contents byte of the arriving packet: the epoch, if it is an order.
     arriving: u8,
-    /// What scripts have not taken yet. Empty between moves.
+    /// Inputs that scripts have not taken yet. Empty between transitions.
     inputs: VecDeque<(usize, ScriptInput)>,
-    /// In a cell whose nodes may restart, for each port how far what loaded rounds are relative to is from the first
-    /// round; [`FAR_BEHIND`] for more.
+    /// For each port, how far `rounds` has moved from the first round, at most [`FAR_BEHIND`]. Counted only in a cell
+    /// whose nodes may restart.
     pub behind: Vec<u8>,
-    /// What scripts did, where somebody judges it who goes on after a script's end.
+    /// What scripts did, for the checker of cells, which goes on after a script's end; `None` elsewhere.
     pub turns: Option<Vec<script::ScriptTurn>>,
-    /// Whether what a node's tasks do at one time waits for who chooses the order (D170).
+    /// Whether inputs of a node's tasks queue, so that the search takes them in every order (D170).
     orders: bool,
-    /// What came before, where the run is followed from its start.
+    /// The history of the run, if it is followed from its start.
     history: Option<Box<History>>,
 }
 
@@ -131,7 +131,7 @@ pub(crate) struct Floor {
 pub(crate) enum Effect {
     Sent(NodeId, Packet),
     Told(TaskId, Signal),
-    /// At a node, by a task or by the transit buffer.
+    /// An observation at a node, by a task or (`None`) by the transit buffer.
     Seen(u8, Option<TaskId>, Observation),
 }
 
@@ -163,25 +163,25 @@ impl NodeOutbox for Wires<'_> {
     }
 }
 
-/// A new life that is so many rounds behind is behind like one that is farther: the machine only compares rounds.
+/// A new incarnation this many rounds behind behaves like one farther behind: the machine only compares rounds.
 const FAR_BEHIND: u8 = 3;
 
-/// How many fused steps one move may take: more would be a loop without time.
+/// Most fused steps in one transition: more would be a loop in which no time passes.
 const FUSED: usize = 64;
 
 impl Floor {
-    /// The floor in its first state.
+    /// The initial state.
     pub fn new(plan: &Arc<FloorPlan>) -> Self {
         let mut floor = Self::unbegun(plan);
         let begun = (0..floor.bodies.len()).try_for_each(|t| floor.begin(t)).and_then(|()| floor.settle());
-        // A number of a message in a variable is absolute: no canonical state could hold it (D51).
+        // A message number in a script variable is absolute, so no canonical state can hold it (D51).
         let mut programs = plan.tasks.iter().filter_map(|task| task.script.as_ref());
         let absolute = programs.any(|program| program.names_messages());
         floor.violation = if absolute { Some(Violation::Overflow) } else { begun.err() };
         floor
     }
 
-    /// A floor whose scripts are judged by somebody else, and go on after an end.
+    /// The initial state for the checker of cells, which judges scripts itself and goes on after a script's end.
     pub(crate) fn of_cell(plan: &Arc<FloorPlan>) -> Self {
         let mut floor = Self { orders: true, ..Self::waiting(plan) };
         let decided = plan.cell.cell().rules == Rules::default();
@@ -189,24 +189,24 @@ impl Floor {
             floor.history = Some(Box::new(History::new(plan, &floor.stations)));
         }
         let tasks = (0..floor.bodies.len()).filter(|&task| !floor.leaves_out(task)).collect::<Vec<_>>();
-        // A node lets its scripts begin one after the other, each with what it brings about.
+        // The scripts of a node begin one by one, each with all its effects within the node (D170).
         let begun = tasks.into_iter().try_for_each(|task| floor.begin_whole(task));
         floor.violation = begun.err();
         floor
     }
 
-    /// The same, before any script has begun.
+    /// As [`of_cell`](Self::of_cell), before any script has begun.
     pub(crate) fn waiting(plan: &Arc<FloorPlan>) -> Self {
         Self { turns: Some(Vec::new()), ..Self::unbegun(plan) }
     }
 
-    /// To be loaded from packed states, which do not say what came before.
+    /// Forgets the history, because packed states, which are loaded from here on, do not hold it.
     pub(crate) fn forget_history(&mut self) {
         self.history = None;
     }
 
-    /// The node of a cell starts again, in its next life, which counts from the beginning.
-    /// Its scripts have not begun: see [`begin_all`](Self::begin_all).
+    /// Restarts a node of a cell in its next incarnation, which counts rounds from the first one. Its scripts have
+    /// not begun: see [`begin_all`](Self::begin_all).
     pub(crate) fn restart_behind(&mut self, node: usize) -> Result<(), Violation> {
         let here = self.rounds.clone();
         for (round, behind) in self.rounds.iter_mut().zip(&self.behind) {
@@ -217,7 +217,7 @@ impl Floor {
         result
     }
 
-    /// Whether states say how far behind a new life would be.
+    /// Whether states say how far behind the rounds of a new incarnation would be.
     fn counts_behind(&self) -> bool {
         self.turns.is_some() && self.plan.lives()
     }
@@ -297,7 +297,7 @@ impl Floor {
         self.plan.leaves_out_task(TaskId::from_index(task))
     }
 
-    /// Carries a move out. What a watch finds wrong becomes the state's violation.
+    /// Makes a transition. If it violates a watched property, that becomes the state's violation.
     pub fn apply(&mut self, step: Move) {
         let moved = self.carry_out(step).and_then(|()| self.run_scripts());
         let result = moved.and_then(|()| self.settle()).and_then(|()| self.judge_state());
@@ -357,8 +357,8 @@ impl Floor {
         }
     }
 
-    /// Carries on what belongs to the move: what leaves buffers that have become free, and what tasks in a hurry do,
-    /// while there is one such task. Where there are several, who comes first is a choice.
+    /// Completes a transition: packets leave buffers that have become free, and an eager task goes on while it is the
+    /// only one. If several tasks are eager, the search chooses which one goes first.
     pub(crate) fn settle(&mut self) -> Result<(), Violation> {
         for _ in 0..FUSED {
             self.flush()?;
@@ -390,7 +390,7 @@ impl Floor {
         Ok(())
     }
 
-    /// An order says the epoch that it is given in.
+    /// Writes the task's present epoch into an order.
     fn in_epoch(&self, task: usize, request: Request) -> Request {
         let machine = self.stations[self.station_of(task)].node.task(TaskId::from_index(task));
         match (request, machine.and_then(CommTask::epoch)) {
@@ -402,7 +402,7 @@ impl Floor {
         }
     }
 
-    /// Whether the task can go on by itself now: with an order only while it acts.
+    /// Whether the task can step by itself now. It gives orders only while it is active.
     fn may_act(&self, task: usize) -> bool {
         let (body, plan) = (&self.bodies[task], &self.plan.tasks[task]);
         let machine = self.stations[self.station_of(task)].node.task(TaskId::from_index(task));
@@ -421,7 +421,7 @@ impl Floor {
         if !station.up {
             return Ok(());
         }
-        // The envelope announces a new life before any packet of it is handed on (D49).
+        // An envelope announces a new incarnation before any of its packets is handed on (D49).
         let known = station.known[from.index()];
         if crossing.life != known {
             if crossing.life.0 < known.0 {
@@ -430,14 +430,14 @@ impl Floor {
             station.known[from.index()] = crossing.life;
             self.step(to.index(), NodeInput::PeerRestarted(from))?;
         }
-        // What it waited for a paused node is charged, too: kernels stamp when a packet comes (D50).
+        // A wait for a paused node is charged, too: kernels stamp a packet when it arrives (D50).
         let charge = Ticks(u64::from(crossing.age.max(u32::from(bound))) + u64::from(over));
         self.judge_arrival(to, &crossing.packet)?;
         self.arriving = crossing.packet.contents.as_bytes().last().copied().unwrap_or(0);
         self.step(to.index(), NodeInput::Packet { from, packet: crossing.packet, charge })
     }
 
-    /// Steps one node, puts what it sent on its links and lets the watches look at what came of it.
+    /// Steps one node, puts its packets on its links and judges the effects.
     pub(crate) fn step(&mut self, i: usize, input: NodeInput) -> Result<(), Violation> {
         let owed = std::mem::take(&mut self.stations[i].owed);
         if let Some(history) = &mut self.history {
@@ -459,7 +459,7 @@ impl Floor {
             &mut self.stations[i].node,
             &mut Wires { effects: &mut effects, open: &mut open, node: small(i) },
         );
-        // What was sent counts before what came of it: the machine has made all its numbers by now.
+        // All sends are recorded before any effect is judged: the machine has assigned all its numbers by now.
         effects.iter().for_each(|effect| self.sent(effect));
         let result = effects.iter().try_for_each(|effect| self.follow(i, effect));
         let result = result.and_then(|()| self.judge_step(i, &effects));

@@ -1,10 +1,10 @@
-//! What may happen next on a floor.
+//! The enabled transitions of a floor.
 
 use super::plan::Way;
 use super::{Crossing, Floor, Move, small};
 
 impl Floor {
-    /// What may happen in this state. The order is part of the state space: a path is a list of positions here.
+    /// Lists the enabled transitions. Their order decides which of several shortest counterexamples is found.
     pub fn moves(&self, moves: &mut Vec<Move>) {
         if self.violation.is_some() {
             return;
@@ -51,7 +51,7 @@ impl Floor {
         }
     }
 
-    /// The tasks that go on before anything else may happen.
+    /// The tasks that must step before anything else may happen.
     pub(super) fn forced(&self) -> Vec<usize> {
         let must = |&task: &usize| {
             let station = &self.stations[self.station_of(task)];
@@ -66,7 +66,7 @@ impl Floor {
             let bound = u32::from(self.links[usize::from(crossing.link)].2);
             let at_its_end = crossing.age >= bound;
             match self.plan.way {
-                // Equal packets are one choice.
+                // Delivering either of two equal packets gives the same state.
                 Way::Any if i > 0 && self.crossings[i - 1] == *crossing => continue,
                 Way::Exact if !at_its_end || self.crossings[..i].iter().any(same) => continue,
                 Way::Any | Way::Exact => {}
@@ -76,7 +76,7 @@ impl Floor {
             if self.faults.over > 0 {
                 moves.push(Move::Deliver(i, 1));
             }
-            // Before its last tick a loss cannot be observed.
+            // Nobody can notice a loss before the packet's last tick.
             if self.faults.loss > 0 && at_its_end {
                 moves.push(Move::Lose(i));
             }

@@ -1,4 +1,4 @@
-//! Watches over the order of service: who may interrupt whom (D15, D16), who is refused and bypassed how often (D58).
+//! Properties of the order of service: what may interrupt what (D15, D16), bounds on rejections and bypasses (D58).
 
 use super::Floor;
 use super::body::Does;
@@ -8,12 +8,12 @@ use crate::state::Violation;
 use imrs_protocol::rules::Aging;
 use imrs_protocol::{Call, Delivery, PortId, ServiceOrder, TaskId};
 
-/// How deep handlers may interrupt each other (D15): the thread, and two more than `order` has levels.
+/// Most activations of a task: its thread, and two handlers more than `order` has ranks (D15).
 const DEEPEST: usize = ServiceOrder::LEVELS + 3;
 
 impl Floor {
-    /// A thread or a handler that waits refused a message by rank. However often handlers refuse it, it interrupts the
-    /// thread, not them (D76): the bound on refusals is for tasks whose handlers do not wait.
+    /// Records that a message was rejected. At its cap a message outranks the thread, but never a handler: so the
+    /// bound on rejections is only for tasks whose handlers do not wait (D76).
     pub(super) fn refused(&mut self, task: TaskId, port: PortId, name: Name) -> Result<(), Violation> {
         if !self.plan.counts_refusals() {
             return Ok(());
@@ -26,18 +26,18 @@ impl Floor {
             entries.push((task, port, name, 0));
         }
         let count = &mut entries[at].3;
-        // Without a bound to judge by, more refusals than the cap say nothing.
+        // Without a bound to judge by, rejections beyond the cap make no difference.
         *count = if most.is_some() { count.saturating_add(1) } else { count.saturating_add(1).min(cap) };
         if most.is_some_and(|most| *count > most) { Err(Violation::RefusedTooOften) } else { Ok(()) }
     }
 
-    /// A message waits no more.
+    /// Forgets the rejections of a message that is no longer queued.
     pub(super) fn forget(&mut self, task: usize, delivery: &Delivery) {
         let gone = (TaskId::from_index(task), delivery.from.port, Name::of(delivery));
         self.ghosts.refused.retain(|e| (e.0, e.1, e.2) != gone);
     }
 
-    /// How often the message that a call is for was refused, as far as that counts.
+    /// How often the message of a call was rejected, as far as aging counts it.
     fn refusals(&self, task: usize, call: &Call) -> u8 {
         let Call::Message(delivery) = call else { return 0 };
         if self.plan.cell.cell().rules.aging != Aging::Bounded {
@@ -57,7 +57,7 @@ impl Floor {
         }
     }
 
-    /// R16 with D15 and D58, from the declaration and from what was seen: may this call interrupt?
+    /// Judges an interruption by the declared order and the rejections seen (R16, D15, D58).
     pub(super) fn judge_interrupt(&self, task: usize, call: &Call) -> Result<(), Violation> {
         let body = &self.bodies[task];
         let top = body.top();
@@ -82,14 +82,14 @@ impl Floor {
         if outranks { Ok(()) } else { Err(Violation::NotOutranking) }
     }
 
-    /// Ranks never grow up the stack: the rank of a handler is not above that of what it interrupted.
+    /// The rank at which a handler runs: that of its message, but never a later one than that of what it interrupts.
     pub(super) fn rank_of_handler(&self, task: usize, call: &Call) -> u8 {
         let body = &self.bodies[task];
         let below = if body.levels.len() > 1 { body.top().rank } else { self.plan.tasks[task].order.own() };
         self.base_rank(task, call).min(below)
     }
 
-    /// D58: a GET over all ports that takes another port's head bypasses the heads of the rest.
+    /// Counts bypasses: a GET over all ports that takes one head bypasses the heads of the other ports (D58).
     pub(super) fn judge_bypass(&mut self, task: usize, delivery: &Delivery) -> Result<(), Violation> {
         let Some((watched, most, _)) = self.plan.fair() else { return Ok(()) };
         let at = TaskId::from_index(task);

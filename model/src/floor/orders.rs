@@ -1,4 +1,4 @@
-//! What the tasks of a node do at one time, in the order that somebody else chooses (D170).
+//! Interleavings within a node: the inputs of its tasks queue until the search takes them, in every order (D170).
 
 use super::plan::FloorPlan;
 use super::{Floor, Wires};
@@ -7,12 +7,12 @@ use imrs_protocol::{Node, NodeInput, TaskId, Ticks};
 use std::sync::Arc;
 
 impl Floor {
-    /// So much time passes for a node. What its tasks do at it waits.
+    /// Lets time pass for a node. What its tasks have to do then queues as their input.
     pub(super) fn let_time_pass(&mut self, i: usize, ticks: Ticks) -> Result<(), Violation> {
         self.drive_in_order(i, |node, out| node.let_pass(node.now() + ticks, out))
     }
 
-    /// Drives a node. What comes of it for its tasks waits.
+    /// Drives a node. The effects on its own tasks queue as their inputs.
     fn drive_in_order(
         &mut self,
         i: usize,
@@ -25,13 +25,13 @@ impl Floor {
         })
     }
 
-    /// A node takes an input, and leaves to others what comes of it for its tasks.
+    /// A node takes an input. The effects on its own tasks queue as their inputs.
     pub(super) fn step_in_order(&mut self, i: usize, input: NodeInput) -> Result<(), Violation> {
         self.drive_in_order(i, |node, out| {
             let before = node.inputs();
             node.begin(node.now(), input, out);
             node.file(out);
-            // A packet that comes in for a task for which nothing else waits is taken as it comes.
+            // The task takes an arriving packet at once, unless an earlier input must come first.
             if let NodeInput::Packet { .. } = input
                 && let Some(last) = node.open().last().filter(|&last| last >= before)
             {
@@ -40,7 +40,7 @@ impl Floor {
         })
     }
 
-    /// Lets a script begin, with all that this brings about within its node: one thread does it.
+    /// Begins a script, with all its effects within the node: one thread does it all.
     pub(crate) fn begin_whole(&mut self, task: usize) -> Result<(), Violation> {
         let i = self.station_of(task);
         let before = self.stations[i].node.inputs();
@@ -53,23 +53,23 @@ impl Floor {
         Err(Violation::Zeno)
     }
 
-    /// From here on what follows from a step within its node belongs to the step.
+    /// From here on a step includes its effects within its node.
     pub(super) fn fuse(&mut self) {
         self.plan = Arc::new(FloorPlan { fused: true, ..(*self.plan).clone() });
         self.orders = false;
     }
 
-    /// Puts what waits into the one order that packed states and runs that were never packed share.
+    /// Sorts the queued inputs into the canonical order that packed and unpacked states share.
     pub(crate) fn sort_inputs(&mut self) {
         self.stations.iter_mut().filter(|station| station.up).for_each(|station| station.node.sort_inputs());
     }
 
-    /// Whether inputs of tasks wait in a node.
+    /// Whether inputs of tasks are queued in a node.
     pub(crate) fn is_busy(&self, i: usize) -> bool {
         self.stations[i].up && self.stations[i].node.is_busy()
     }
 
-    /// The positions of the inputs of a node's tasks that may be taken next.
+    /// The positions of the queued inputs of a node's tasks that may be taken next.
     pub(crate) fn next_inputs(&self, i: usize) -> impl Iterator<Item = usize> {
         self.stations[i].node.open()
     }
@@ -79,7 +79,7 @@ impl Floor {
         self.stations[i].node.late(TaskId::from_index(task)) == Ticks::ZERO
     }
 
-    /// A task of a node takes an input that waits.
+    /// A task of a node takes the queued input at a position.
     pub(crate) fn take(&mut self, i: usize, at: usize) -> Result<(), Violation> {
         if let (Some(history), Some((_, input))) = (&mut self.history, self.stations[i].node.waiting(at)) {
             history.begin_input(&input);

@@ -1,4 +1,4 @@
-//! What a floor is made of: a cell, what its tasks do, what links and faults may do, what is watched.
+//! Plans of floors to explore: a cell, what its tasks do, links, fault budgets, and the properties that are checked.
 
 use imrs_protocol::script::{Predicate, Program, Term};
 use imrs_protocol::{CellTable, NodeId, NodeTable, PortId, ServiceOrder, Target, TaskId, Ticks};
@@ -7,47 +7,47 @@ use std::sync::Arc;
 /// How often something is done.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Times {
-    /// So often at most.
+    /// At most this often.
     Most(u8),
-    /// Without end.
+    /// Without limit.
     Endless,
 }
 
-/// What the thread of a task does whenever it is free.
+/// What the thread of a task does whenever it is idle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Errand {
-    /// Nothing: it neither asks for anything nor ever will.
+    /// Nothing: it never makes an API call.
     Rest,
-    /// Sends or queries.
+    /// Sends messages or queries.
     Send {
         /// The port.
         port: PortId,
-        /// Who it asks.
+        /// The receivers.
         to: Target,
         /// How often.
         times: Times,
-        /// So many ticks at least between two sends.
+        /// Fewest ticks between two sends.
         every: u8,
     },
-    /// Sends a status message under its lease, while it acts (D61).
+    /// Sends status messages under its lease, while it is active (D61).
     Order {
         /// The port.
         port: PortId,
         /// How often.
         times: Times,
     },
-    /// Receives, and keeps each message for the ticks of its service.
+    /// Receives messages, and serves each for the ticks of [`TaskPlan::service`].
     Receive {
-        /// From one port, or the most urgent of all.
+        /// The port; `None`: the most urgent message of all ports.
         port: Option<PortId>,
-        /// How long it waits for one.
+        /// How long it waits for a message; `None`: without limit.
         time_out: Option<Ticks>,
     },
-    /// Acts on the world, which handlers may interrupt.
+    /// Runs an action, which handlers may interrupt.
     Work {
-        /// So many ticks at least.
+        /// Fewest ticks of an action.
         least: u8,
-        /// So many at most.
+        /// Most ticks of an action.
         most: u8,
         /// How often.
         times: Times,
@@ -61,34 +61,34 @@ pub enum Errand {
     },
     /// Delays.
     Delay {
-        /// For so long.
+        /// The length of a delay.
         length: Ticks,
         /// How often.
         times: Times,
     },
 }
 
-/// A task of the floor.
+/// What a task of the floor does.
 #[derive(Clone, Debug)]
 pub struct TaskPlan {
     /// What its thread does.
     pub errand: Errand,
     /// The ports that it has handlers for.
     pub handles: Vec<PortId>,
-    /// Its `order`.
+    /// Its `order` of service.
     pub order: ServiceOrder,
-    /// How many ticks, at least and at most, a received message keeps the task or its handler before it is answered.
+    /// For how many ticks, at least and at most, the task or its handler serves a message before it answers.
     pub service: (u8, u8),
     /// A command that a handler may send before it answers.
     pub nested: Option<PortId>,
-    /// Whether the thread does its next errand at once, rather than whenever it likes.
+    /// Whether the task is eager: its thread does the next errand at once, not at any time.
     pub hurry: bool,
     /// The program that it runs instead of an errand.
     pub script: Option<Arc<Program>>,
 }
 
 impl TaskPlan {
-    /// A task with this errand, without handlers, which does it whenever it likes and answers at once or later.
+    /// A task with this errand and no handlers. It acts and answers at any time.
     #[must_use]
     pub fn new(errand: Errand) -> Self {
         let order = ServiceOrder::default();
@@ -103,19 +103,19 @@ impl TaskPlan {
         }
     }
 
-    /// A task that runs a program. Its `order` is what the watches believe; the program must say the same.
+    /// A task that runs a program. The properties judge by `order`, so the program must set the same order.
     #[must_use]
     pub fn scripted(program: Arc<Program>) -> Self {
         Self { script: Some(program), ..Self::new(Errand::Rest) }
     }
 
-    /// Does its errand at once whenever it is free.
+    /// The same task, but eager.
     #[must_use]
     pub fn hurried(self) -> Self {
         Self { hurry: true, ..self }
     }
 
-    /// Keeps each message for so many ticks.
+    /// The same task, which serves each message for `least` to `most` ticks.
     #[must_use]
     pub fn serving(self, least: u8, most: u8) -> Self {
         Self { service: (least, most), ..self }
@@ -127,7 +127,7 @@ impl TaskPlan {
         Self { handles: ports.to_vec(), ..self }
     }
 
-    /// Ranks what it is asked.
+    /// The same task, with this `order` of service.
     #[must_use]
     pub fn ordered(self, order: ServiceOrder) -> Self {
         Self { order, ..self }
@@ -147,11 +147,11 @@ pub struct Faults {
     pub loss: u8,
     /// Duplicated packets.
     pub dup: u8,
-    /// Crashes; a node may start again, in its next life.
+    /// Crashes; a crashed node may restart, in its next incarnation.
     pub crash: u8,
     /// Ticks that a node's clock leaves out or counts twice.
     pub drift: u8,
-    /// Ticks that a node notices only with the next one, or when something else happens to it.
+    /// Ticks that a node notices only at the next tick or at its next input.
     pub late: u8,
     /// Packets that are charged one tick more than their link's bound (D20).
     pub over: u8,
@@ -166,21 +166,21 @@ pub enum Way {
     Exact,
 }
 
-/// What is watched. Several watches look at one floor; the first that finds something ends the run.
+/// A property that is checked. A floor may check several; the first violation ends the run.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum FloorWatch {
-    /// No message is handed over later than so many ticks after its sender's time_out.
+    /// No message is handed over more than `slack` ticks after its sender's time_out.
     Stale {
-        /// What drifting clocks may add.
+        /// Ticks that drifting clocks may add.
         slack: u8,
     },
-    /// No message that waits has more time left than its sender waits for it.
+    /// No queued message has more time left than its sender waits for it.
     TimeToLive,
-    /// No message waits any longer once its sender's time_out is over.
+    /// No message stays queued after its sender's time_out.
     Expires,
-    /// Every wait ends within its time_out, one tick and this slack; every request gets one answer, and the right one.
+    /// Every wait ends within its time_out, one tick and `slack`; every request gets one outcome, the right one.
     Waits {
-        /// What late and drifting clocks may add.
+        /// Ticks that late and drifting clocks may add.
         slack: u8,
     },
     /// No message is handed over twice.
@@ -189,13 +189,13 @@ pub enum FloorWatch {
     DidNotRun,
     /// A handler runs only when it outranks what it interrupts.
     Order,
-    /// A head is bypassed, and a message refused, at most so often at this task.
+    /// At one task, a port's head is bypassed and a message is rejected at most this often.
     Fair {
         /// The task.
         task: TaskId,
-        /// Bypasses of a head by GETs over all ports.
+        /// Most bypasses of a head by GETs over all ports.
         bypasses: u8,
-        /// Refused offers of one message.
+        /// Most rejections of one message.
         refusals: u8,
     },
     /// No message of this port is dropped, and no wait on it ends by its time_out.
@@ -205,20 +205,20 @@ pub enum FloorWatch {
     },
     /// No command that can still arrive is dropped for space while its transit buffer holds a status message (D60).
     Eviction,
-    /// Between two ticks every task gets at most so many signals.
+    /// Between two ticks every task gets at most `signals` signals.
     Zeno {
-        /// How many.
+        /// The most signals.
         signals: u8,
     },
-    /// Of the tasks that are in a couple at most one acts (D61).
+    /// Of the tasks of a couple at most one is active (D61).
     OneActive,
-    /// Whoever has heard of an order of an epoch executes none of an older one (D61). Orders say their epoch.
+    /// A task that has received an order of one epoch executes none of an older one (D61). Orders carry an epoch.
     FencedOrders,
-    /// Shown by a counterexample to "never": something that must be possible for the other watches to mean anything.
+    /// Shown by a counterexample to "never": a goal that must be reachable, or the other properties hold vacuously.
     Reach(Goal),
 }
 
-/// What a floor may be asked to show.
+/// A goal for [`FloorWatch::Reach`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Goal {
     /// A handler interrupts a handler.
@@ -235,7 +235,7 @@ pub enum Goal {
     AllAnswered,
     /// Both ends of a link wait for each other's buffer.
     BuffersFull,
-    /// The second task acts: it took over.
+    /// The second task is active: it took over.
     TookOver,
     /// A lease ends.
     Fenced,
@@ -243,7 +243,7 @@ pub enum Goal {
     Left,
 }
 
-/// A whole floor to explore.
+/// All that the search of a floor needs.
 #[derive(Clone, Debug)]
 pub struct FloorPlan {
     /// The cell's table.
@@ -254,34 +254,34 @@ pub struct FloorPlan {
     pub transit: u16,
     /// How many packets each direction of a link takes in one tick; `None`: any number.
     pub room: Option<u8>,
-    /// Whether a link takes a packet only where the next node's buffer has room for it, or the packet ends there.
+    /// Whether a link takes a packet only if the next node's transit buffer has room for it.
     pub pressure: bool,
     /// How packets cross links.
     pub way: Way,
     /// Faults.
     pub faults: Faults,
-    /// What is watched.
+    /// The properties that are checked.
     pub watches: Vec<FloorWatch>,
     /// Expressions over the tasks' scripts that must be true in every state.
     pub checks: Vec<Vec<Term>>,
-    /// Whether what follows from a step within its node, and what a task in a hurry does next, belong to the step.
+    /// Whether a transition includes its effects within its node and the next step of an eager task.
     pub fused: bool,
-    /// Whether states keep which messages were taken although no copy of them can come any more.
+    /// Whether states keep the dedup entries of messages of which no copy can arrive any more.
     pub keeps_seen: bool,
-    /// Whether the floor is followed from its start and never loaded: what came before is judged, too.
+    /// Whether the floor is followed from its start and never loaded, so that its history is judged, too.
     pub(crate) history: bool,
-    /// Whether ticks in which nothing happens and nothing else can are passed over at once.
+    /// Whether the search skips over ticks in which nothing happens and nothing else is enabled.
     pub jumps: bool,
-    /// For each node, how far its clock is ahead.
+    /// For each node, how many ticks its clock is ahead.
     pub clocks: Vec<u64>,
-    /// The epoch that couples and their actuators begin at: even. A node that starts again does where the machine lets it.
+    /// The first epoch of couples and their actuators: even. A restarted node begins where the machine does.
     pub epoch: u8,
-    /// Nodes, bit by bit, that are left out: they are down for ever, and nothing of them or of their tasks is packed.
+    /// A mask of the nodes that are left out: they are down for ever, and neither they nor their tasks are packed.
     pub(crate) left_out: u64,
 }
 
 impl FloorPlan {
-    /// A floor without faults and limits on its links.
+    /// A plan without faults and without limits on its links.
     #[must_use]
     pub fn new(cell: Arc<CellTable>, tasks: Vec<TaskPlan>) -> Self {
         let clocks = vec![0; cell.cell().nodes.len()];
@@ -305,7 +305,7 @@ impl FloorPlan {
         }
     }
 
-    /// Watches this, too.
+    /// Adds a property.
     #[must_use]
     pub fn watching(mut self, watch: FloorWatch) -> Self {
         self.watches.push(watch);
@@ -340,7 +340,7 @@ impl FloorPlan {
         self.cell.cell().tasks.get(task.index()).map_or("?", |t| &t.name)
     }
 
-    /// Whether nodes can have more than one life.
+    /// Whether nodes can have more than one incarnation.
     #[must_use]
     pub const fn lives(&self) -> bool {
         self.faults.crash > 0
@@ -362,7 +362,7 @@ impl FloorPlan {
             .find_map(|w| if let FloorWatch::Stale { slack } = *w { Some(slack) } else { None })
     }
 
-    /// Whether the true times to live of messages are kept, and how much longer than declared.
+    /// If true remaining times of messages are kept: how many ticks longer than declared they are.
     pub(crate) fn times_messages(&self) -> Option<u8> {
         let held = [FloorWatch::TimeToLive, FloorWatch::Expires];
         self.stale().or_else(|| held.into_iter().any(|watch| self.watches(watch)).then_some(0))
@@ -391,7 +391,7 @@ impl FloorPlan {
         self.watches.contains(&watch)
     }
 
-    /// Whether refusals must be counted.
+    /// Whether rejections must be counted.
     pub(crate) fn counts_refusals(&self) -> bool {
         self.fair().is_some() || self.watches(FloorWatch::Order)
     }
@@ -401,7 +401,7 @@ impl FloorPlan {
         self.checks.iter().flatten().filter_map(|term| if let Term::Is(it) = term { Some(*it) } else { None })
     }
 
-    /// Whether the ports on which tasks wait matter.
+    /// Whether states must say on which ports tasks wait.
     pub(crate) fn names_ports(&self) -> bool {
         let asks = |predicate| matches!(predicate, Predicate::Answered { .. });
         self.watches.iter().any(|w| matches!(w, FloorWatch::Served { .. })) || self.predicates().any(asks)

@@ -1,15 +1,15 @@
-//! What checks ask about a cell as a whole (D45): read off the machines, and off what only the checker remembers.
+//! Predicates of checks about a whole cell, evaluated on the machines and on specification state (D45).
 
 use super::Floor;
 use super::plan::FloorPlan;
 use imrs_protocol::script::{Activity, Predicate, Term};
 use imrs_protocol::{CommTask, PortId, Request, Round, TaskId};
 
-/// What no machine keeps. Empty where no check asks for it.
+/// The specification state of predicates. Empty if no check asks for it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct Told {
-    /// For each member of a waitfor that checks name: whether it reached that in this life; of a node that is down,
-    /// whether it had arrived when that crashed.
+    /// For each member of a waitfor that checks name: whether it reached the waitfor in this incarnation. If its node
+    /// is down: whether the member had arrived when the node crashed.
     pub reached: Vec<(PortId, TaskId, bool)>,
     /// Whether the last request of the task on the port was answered.
     pub answered: Vec<(TaskId, PortId, bool)>,
@@ -42,7 +42,7 @@ impl Told {
         reached.chain(self.answered.iter_mut().map(|(.., flag)| flag))
     }
 
-    /// The task's request on this port has ended.
+    /// Records that the task's request on this port has ended.
     pub fn ended(&mut self, task: TaskId, port: Option<PortId>, answered: bool) {
         let of = self.answered.iter_mut().filter(|(whose, at, _)| *whose == task && Some(*at) == port);
         of.for_each(|(.., flag)| *flag = answered);
@@ -50,7 +50,7 @@ impl Told {
 }
 
 impl Floor {
-    /// Notes what a task asks, as far as checks want to know.
+    /// Records an API call of a task, if checks ask about it.
     pub(super) fn note_asked(&mut self, task: TaskId, request: &Request) {
         match *request {
             Request::Arrive { port, .. } => {
@@ -71,7 +71,7 @@ impl Floor {
         }
     }
 
-    /// A node crashes: its tasks have asked nothing, and had arrived where they had. Call it while the node is up.
+    /// Records a crash: keeps where the node's tasks had arrived, drops their answers. Call it while the node is up.
     pub(crate) fn note_crash(&mut self, node: usize) {
         let arrived: Vec<bool> =
             self.ghosts.told.reached.iter().map(|&(port, task, _)| self.has_arrived(port, task)).collect();
@@ -88,7 +88,7 @@ impl Floor {
         }
     }
 
-    /// A node restarts: its tasks have arrived nowhere.
+    /// Records a restart: the node's tasks have arrived nowhere.
     pub(crate) fn note_restart(&mut self, node: usize) {
         for i in 0..self.ghosts.told.reached.len() {
             if self.station_of(self.ghosts.told.reached[i].1.index()) == node {
@@ -139,22 +139,22 @@ impl Floor {
         })
     }
 
-    /// Whether the task reached the waitfor and nobody has begun a later meeting there since.
+    /// Whether the task reached the waitfor and no member has begun a later meeting there since.
     fn has_arrived(&self, port: PortId, task: TaskId) -> bool {
         let reached = self.ghosts.told.reached.iter().filter(|&&(at, _, flag)| at == port && flag);
         let rounds: Vec<(TaskId, Option<Round>)> = reached
             .map(|&(_, member, _)| (member, self.machine(member).and_then(|machine| machine.announced(port))))
             .collect();
         let newest = rounds.iter().filter_map(|&(_, round)| round).reduce(Round::fresher);
-        // Of a task whose node is down the flag says it all.
+        // If the node of a task is down, the flag alone counts.
         rounds.iter().any(|&(member, round)| member == task && (round.is_none() || round == newest))
     }
 
-    /// Whether a task acts: its node is up, and it has its lease where it needs one. The lease of a task whose node is
-    /// paused ends on time, although the task does not know it yet: what drives its robot stops it then (D149).
+    /// Whether a task is active: its node is up, and it has its lease if it needs one. While a node is paused, its
+    /// lease still ends on time, unnoticed by the task: the robot's driver stops the action then (D149).
     pub(crate) fn is_active(&self, task: TaskId) -> bool {
         let Some(station) = self.stations.get(self.station_of(task.index())) else { return false };
-        // The time that has passed without the machine, in a pause or as the first thing that it will notice in this tick.
+        // Time that the machine has not noticed yet: that of a pause, or of this tick if it is still a queued input.
         let unnoticed = u64::from(station.asleep.unwrap_or(0)) + station.node.late(task).0;
         self.machine(task).is_some_and(|machine| {
             machine.is_active() && machine.lease_left().is_none_or(|left| left.0 > unnoticed)

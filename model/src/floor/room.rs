@@ -1,4 +1,4 @@
-//! How much links and buffers take.
+//! The capacity of links and transit buffers.
 
 use super::{Floor, small};
 use crate::state::Violation;
@@ -15,7 +15,7 @@ impl Floor {
         links.map(left).collect()
     }
 
-    /// How many more packets the buffer of a node surely has room for.
+    /// How many more packets a node's transit buffer surely has room for. Packets in flight to it count as held.
     pub(super) fn space(&self, to: NodeId) -> u8 {
         let held = self.stations[to.index()].node.parts().transit.len();
         let coming = self.crossings.iter().filter(|c| self.links[usize::from(c.link)].1 == to).count();

@@ -1,4 +1,4 @@
-//! Tasks whose behaviour is a script: the machine's own [`Script`], whose choices and actions the checker takes.
+//! Tasks that run a script, the protocol's own [`Script`]: the search takes its choices and ends its actions.
 
 use super::Floor;
 use super::plan::FloorPlan;
@@ -12,21 +12,21 @@ use std::sync::Arc;
 /// An action of a script that has begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Running {
-    /// Which of the script's threads waits for it.
+    /// The activation of the script that waits for it.
     pub level: u8,
-    /// Which action.
+    /// The action.
     pub action: u16,
-    /// Ticks that it takes yet, at least and at most.
+    /// Ticks that it still takes, at least and at most.
     pub least: u32,
     pub most: u32,
 }
 
 impl Running {
-    /// Of an action that need not end.
+    /// The `most` of an action that need not end.
     pub const FOREVER: u32 = u32::MAX;
 }
 
-/// A script and what it has begun.
+/// A script and its running actions.
 #[derive(Clone, Debug)]
 pub(crate) struct Actor {
     pub program: Arc<Program>,
@@ -50,12 +50,12 @@ impl Actor {
         }
     }
 
-    /// Whether the floor must go on with it before anything else happens.
+    /// Whether the script must step before anything else happens.
     pub fn must_act(&self) -> bool {
         self.chooses().is_some() || self.running.iter().any(|action| action.most == 0)
     }
 
-    /// The action that a thread waits for.
+    /// The action that an activation waits for.
     pub fn runs(&self, level: u8) -> Option<&Running> {
         self.running.iter().find(|action| action.level == level)
     }
@@ -64,7 +64,7 @@ impl Actor {
         self.pass_for(ticks, |_| true);
     }
 
-    /// The same for the actions of those threads that `begun` names.
+    /// The same for the actions of those activations for which `begun` is true.
     pub fn pass_for(&mut self, ticks: u32, begun: impl Fn(u8) -> bool) {
         for action in self.running.iter_mut().filter(|action| begun(action.level)) {
             action.least = action.least.saturating_sub(ticks);
@@ -73,11 +73,11 @@ impl Actor {
     }
 }
 
-/// What a script made of one input, for who judges it.
+/// What a script did with one input, for its judge.
 #[derive(Clone, Debug)]
 pub(crate) struct ScriptTurn {
     pub task: usize,
-    /// The operation that it waited in.
+    /// The operation that the script waited in.
     pub at: Address,
     pub input: ScriptInput,
     /// The statements that it began.
@@ -85,7 +85,7 @@ pub(crate) struct ScriptTurn {
     pub end: Option<End>,
 }
 
-/// What one step of a script asks for.
+/// What a script asks for in one step.
 struct Wanted<'a> {
     plan: &'a FloorPlan,
     machine: Option<&'a CommTask>,
@@ -116,7 +116,7 @@ impl ScriptOutbox for Wanted<'_> {
     }
 
     fn ended(&mut self, end: End) {
-        // D61: beats stop when the task has ended.
+        // Heartbeats stop when the task has ended (D61).
         if self.machine.is_some_and(|machine| machine.epoch().is_some()) {
             self.requests.push(Request::End);
         }
@@ -156,7 +156,7 @@ impl ScriptOutbox for Wanted<'_> {
 }
 
 impl Floor {
-    /// Leaves something for a script; false where the task has none.
+    /// Queues an input for a task's script; false if the task has none.
     pub(crate) fn leave(&mut self, task: usize, input: ScriptInput) -> bool {
         let scripted = self.bodies[task].actor.is_some();
         if scripted {
@@ -165,7 +165,7 @@ impl Floor {
         scripted
     }
 
-    /// Runs scripts until all of them wait: who began goes on, so that nothing comes between its steps.
+    /// Runs scripts until all of them wait. A running script goes on first: nothing comes between its steps.
     pub(crate) fn run_scripts(&mut self) -> Result<(), Violation> {
         let mut last = None;
         for _ in 0..super::FUSED {
@@ -217,7 +217,7 @@ impl Floor {
         Ok(())
     }
 
-    /// The action of this thread has ended.
+    /// Ends the action of an activation, and queues its result for the script.
     pub(crate) fn acted(&mut self, task: usize, level: u8, ok: bool, value: i32) {
         if let Some(actor) = &mut self.bodies[task].actor {
             actor.running.retain(|action| action.level != level);

@@ -40,7 +40,7 @@ impl FloorModel {
         Self(Grounded::new(Floor::new(plan), limits, None))
     }
 
-    /// Whether no effect within a node and no step of a task in a hurry is outstanding.
+    /// Whether no effect within a node and no step of an eager task is outstanding.
     #[doc(hidden)]
     #[must_use]
     pub fn is_quiescent(&self, state: &Packed) -> bool {
@@ -50,7 +50,7 @@ impl FloorModel {
         })
     }
 
-    /// A quiescent state as the same floor with fused steps writes it.
+    /// A quiescent state, as the same floor with fused steps packs it.
     #[doc(hidden)]
     #[must_use]
     pub fn as_fused(&self, state: &Packed) -> Packed {
@@ -62,7 +62,7 @@ impl FloorModel {
         })
     }
 
-    /// The state written again.
+    /// The state, unpacked and packed again.
     #[doc(hidden)]
     #[must_use]
     pub fn rewritten(&self, state: &Packed) -> Packed {
@@ -94,25 +94,25 @@ impl Model for FloorModel {
     }
 }
 
-/// Explores a floor until everything is seen, a violation is found or a limit is reached.
+/// Explores a floor until its state space is covered, a violation is found or a limit is reached.
 #[must_use]
 pub fn explore_floor(plan: &Arc<FloorPlan>, limits: Limits) -> Exploration<Move> {
     search(Floor::new(plan), limits, None)
 }
 
-/// A floor that is never packed: every step works on a copy of the whole. For tests that compare.
+/// A floor that is never packed: every transition works on a copy of the whole. For tests that compare the two forms.
 #[doc(hidden)]
 #[derive(Clone, Debug)]
 pub struct LiveFloor(Floor);
 
 impl LiveFloor {
-    /// The first state.
+    /// The initial state.
     #[must_use]
     pub fn new(plan: &Arc<FloorPlan>) -> Self {
         Self(Floor::new(plan))
     }
 
-    /// Every state that can follow.
+    /// All successor states.
     #[must_use]
     pub fn next(&self) -> Vec<Self> {
         let mut moves = Vec::new();

@@ -1,4 +1,4 @@
-//! Time on a floor: ticks that nodes notice, leave out, count twice or notice later; crashes and new lives.
+//! Time on a floor: ticks that nodes notice, leave out, count twice or notice later; crashes and restarts.
 
 use super::body::{Body, Does};
 use super::plan::Errand;
@@ -8,13 +8,13 @@ use imrs_protocol::{
     CommTask, Incarnation, Node, NodeInput, Pass, PortId, Round, Seq24, TaskId, Ticks, Walk,
 };
 
-/// What a node makes of a tick: two bits of the code.
+/// How a node counts a tick: two bits of the code of [`Move::Tick`].
 const LEFT_OUT: u16 = 1;
 const TWICE: u16 = 2;
 const LATER: u16 = 3;
 
 impl Floor {
-    /// All the ways in which a tick can pass within the budgets.
+    /// Lists all ways in which a tick can pass within the fault budgets.
     pub(super) fn ticks(&self, moves: &mut Vec<Move>) {
         let mut codes = vec![(0_u16, self.faults.drift, self.faults.late)];
         for (i, station) in self.stations.iter().enumerate() {
@@ -40,7 +40,7 @@ impl Floor {
         if alone {
             self.moves(&mut alternatives);
         }
-        // A tick that is the only thing that can happen, and after which it still is, is no state of its own.
+        // If a tick is the only enabled transition before and after it, the state in between is skipped.
         let quiet = alone && alternatives.len() == 1;
         for _ in 0..u8::MAX {
             let log = self.log.len();
@@ -64,7 +64,7 @@ impl Floor {
         Ok(())
     }
 
-    /// Whether time alone changes nothing any more.
+    /// Whether the passing of time alone changes nothing any more.
     fn is_over(&self) -> bool {
         let waits = |node: &Node| node.time_left().is_some();
         self.crossings.is_empty()
@@ -110,7 +110,7 @@ impl Floor {
         self.judge_waits()
     }
 
-    /// So much time passes for a node, and what it is late by.
+    /// Lets time pass for a node, and the ticks that it has not noticed yet.
     pub(crate) fn pass(&mut self, i: usize, ticks: Ticks) -> Result<(), Violation> {
         let owed = std::mem::take(&mut self.stations[i].owed);
         let ticks = ticks + Ticks(u64::from(owed));
@@ -146,7 +146,7 @@ impl Floor {
         station.life = Incarnation(station.life.0 + 1);
         station.up = true;
         station.node = Node::new(station.table.clone(), station.life, true, self.plan.transit);
-        // Ids of different lives are never compared: the new life may count on from where the old one was.
+        // Ids of different incarnations are never compared: the new one may count on from the numbers of the old one.
         let mut from = From { rounds: &self.rounds, sequences: &self.sequences };
         for task in &mut station.node.parts_mut().tasks {
             task.walk(&station.table, &mut from);
@@ -155,7 +155,7 @@ impl Floor {
         if let Some(history) = &mut self.history {
             history.forget(&self.stations[i]);
         }
-        // A cell's checker holds scripts back, as nodes do (D94).
+        // The checker of cells holds scripts back after a restart, as nodes do (D94).
         if self.turns.is_some() { Ok(()) } else { self.begin_all(i) }
     }
 
@@ -167,7 +167,7 @@ impl Floor {
     }
 }
 
-/// Moves the epochs of a node that starts for the first time.
+/// A pass that moves the epochs of a node at its first start.
 pub(super) struct Epochs(pub u8);
 
 impl Walk for Epochs {
@@ -178,7 +178,7 @@ impl Walk for Epochs {
     }
 }
 
-/// Moves the ids of a new node to where this floor's numbers are.
+/// A pass that moves the ids of a new node to this floor's bases.
 struct From<'a> {
     rounds: &'a [Round],
     sequences: &'a [Seq24],

@@ -7,7 +7,7 @@ use super::script::{Actor, Running};
 use super::{Crossing, Floor, Station};
 use imrs_protocol::{Incarnation, Packet, PortId, ReplyTo, Seq24, TaskId, Ticks, Walk, mark};
 
-/// The first byte of a level: what it does, and what else there is.
+/// The first byte of an activation: what it does, and which fields follow.
 const DOES: [Does; 4] = [Does::Free, Does::Waits, Does::Serves, Does::Works];
 const ANSWERS: u8 = 0x04;
 const NESTED: u8 = 0x08;
@@ -15,17 +15,17 @@ const GETS: u8 = 0x10;
 const PORT: u8 = 0x20;
 const LAST: u8 = 0x80;
 
-/// More handlers than this interrupt each other in no state that is checked.
+/// Most handlers that interrupt each other in a state that is checked.
 const MOST_LEVELS: usize = 16;
 
 impl Floor {
-    /// Walks all but the crossings: those have an order of their own. `behind` is given by the caller, who knows what it is
-    /// relative to.
+    /// Walks all but the packets in flight, which have an order of their own. The caller gives `behind`, because it
+    /// knows what `behind` is relative to.
     pub(super) fn walk<W: Walk>(&mut self, behind: &mut [u8], w: &mut W) {
         let counts_behind = self.counts_behind();
         let Self {
             plan,
-            // These three are of the plan.
+            // The plan or the kind of run fixes these three.
             links: _,
             keep_log: _,
             history: _,
@@ -35,13 +35,13 @@ impl Floor {
             ghosts,
             faults,
             used,
-            // A state that has one is nothing else.
+            // A state with a violation is packed as that alone.
             violation: _,
             // What packed numbers are relative to.
             rounds: _,
             sequences: _,
             behind: _,
-            // What the last move showed, and what only lasts as long as a move does.
+            // What the last transition showed, and what exists only during a transition.
             log: _,
             passed: _,
             spare: _,
@@ -94,7 +94,7 @@ impl Station {
             life,
             known,
             owed,
-            // Of a cell: its own state says it.
+            // Only in a cell, whose own state holds it.
             asleep: _,
         } = self;
         if plan.lives() {
@@ -168,7 +168,7 @@ impl Running {
 }
 
 impl Level {
-    /// Walks it, and says whether it is the last one.
+    /// Walks an activation. Returns whether it is the last one.
     fn walk<W: Walk>(&mut self, (is_handler, is_last): (bool, bool), waits: bool, w: &mut W) -> bool {
         let Self { does, to, echo, nested, age, left, question, get, port, rank } = self;
         let head = w.put(

@@ -1,4 +1,4 @@
-//! The floors of the protocol's claims.
+//! The plans of floors for the protocol's claims.
 
 mod couple;
 mod served;
@@ -11,15 +11,15 @@ use imrs_protocol::rules::Rules;
 use imrs_protocol::{Cell, CellError, CellTable, PortDecl, PortId, Target, TaskId, Ticks, Usage};
 use std::sync::Arc;
 
-/// Two senders on one node, a relay, and a receiver on the third node: commands of the first, statuses or commands of
-/// the second, each on a port of its own.
+/// Two senders on one node, a relay, and a receiver on the third node. The first sends commands, the second statuses
+/// or commands, each on a port of its own.
 #[derive(Clone, Debug)]
 pub struct Relay {
-    /// The life of the first sender's messages in ticks, and of the second one's.
+    /// The TTLs of the first and of the second sender's messages, in ticks.
     pub time_out: (u64, u64),
-    /// The bound of each of the two links in ticks.
+    /// The bound of each of the two links, in ticks.
     pub delay: u64,
-    /// How often a command is sent again, and how far apart.
+    /// How often a command is retransmitted, and the period in ticks.
     pub retry: (u8, u64),
     /// How many messages each sender sends.
     pub sends: (u8, u8),
@@ -35,9 +35,9 @@ pub struct Relay {
     pub faults: Faults,
     /// Rules.
     pub rules: Rules,
-    /// Watches.
+    /// The properties that are checked.
     pub watches: Vec<FloorWatch>,
-    /// For each node, how far its clock is ahead.
+    /// For each node, how many ticks its clock is ahead.
     pub clocks: [u64; 3],
 }
 
@@ -61,7 +61,7 @@ impl Default for Relay {
 }
 
 impl Relay {
-    /// The floor.
+    /// The plan.
     ///
     /// # Errors
     /// What is wrong with the declaration.
@@ -94,7 +94,7 @@ impl Relay {
     }
 }
 
-/// A task that waits for an answer which never comes, and one on the same node that works for ever.
+/// A task that waits for an answer that never comes, and one on the same node that never makes an API call.
 ///
 /// # Errors
 /// What is wrong with the declaration.
@@ -112,7 +112,7 @@ pub fn busy_neighbour(rules: Rules) -> Result<Arc<FloorPlan>, Vec<CellError>> {
     Ok(Arc::new(plan.watching(FloorWatch::Waits { slack: 0 }).watching(FloorWatch::Zeno { signals: 2 })))
 }
 
-/// Two tasks of one node that delay under the same name, and what each waits for is its own (§5.1.2).
+/// Two tasks of one node delay under the same timer id, and each waits for its own delay (§5.1.2).
 ///
 /// # Errors
 /// What is wrong with the declaration.
@@ -127,8 +127,8 @@ pub fn delays(lengths: [u64; 2]) -> Result<Arc<FloorPlan>, Vec<CellError>> {
     Ok(Arc::new(plan.watching(FloorWatch::Waits { slack: 0 })))
 }
 
-/// A chain of four nodes whose inner two hold one packet each and pass one on only where the next node has room: their
-/// buffers can be full of packets for each other.
+/// A chain of four nodes whose transit buffers hold one packet each, and which pass one on only if the next node has
+/// room. So the buffers of the inner two can be full of packets for each other.
 ///
 /// # Errors
 /// What is wrong with the declaration.
@@ -144,7 +144,7 @@ pub fn full_buffers(sends: u8, watch: FloorWatch) -> Result<Arc<FloorPlan>, Vec<
         PortDecl::new(name, from, Usage::Send, &[to], Ticks(7)).command()
     };
     let (east, west) = (cell.port(port("east", x, v)), cell.port(port("west", y, u)));
-    // Each sender's second task sends on while the first waits.
+    // A second task on each of these nodes sends while the first one waits.
     let [x2, y2] = [("X2", nodes[1]), ("Y2", nodes[2])].map(|(name, node)| cell.task(name, node));
     let (east2, west2) = (cell.port(port("east2", x2, v)), cell.port(port("west2", y2, u)));
     let sender = |port: PortId| {

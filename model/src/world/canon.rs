@@ -1,4 +1,4 @@
-//! Worlds as packed bytes and back (D51).
+//! Packs worlds into their canonical bytes and unpacks them (D51).
 
 use super::{Place, World};
 use crate::floor::canon::Least;
@@ -12,7 +12,7 @@ use imrs_protocol::{
 };
 
 impl World {
-    /// Reads a state. With `touch`, only that node is unpacked, and only steps of that node may follow.
+    /// Unpacks a state. With `touch`, only that node is unpacked, and only steps of that node may follow.
     pub fn load(&mut self, state: &Packed, touch: Option<usize>) {
         let bytes = &state.0;
         self.violation = state.violation();
@@ -43,7 +43,7 @@ impl World {
         while at < bytes.len() {
             let (mut flight, len) = self.codec.decode(&bytes[at..]);
             if flight.packet.source == flight.packet.destination {
-                // From anybody: see `anonymous`.
+                // Packed without its sender, see `anonymous`: any other member will do.
                 let other = (flight.packet.destination.index() + 1) % self.places.len();
                 flight.packet.source = TaskId::from_index(other);
             }
@@ -52,7 +52,7 @@ impl World {
         }
     }
 
-    /// Where packet number `i` of a packed state goes, without unpacking more than the packets.
+    /// The destination of the packet at position `i` of a packed state. Unpacks no node.
     pub fn destination(scenario: &Scenario, state: &Packed, i: u8) -> Option<usize> {
         let bytes = &state.0;
         let mut at = HEADER;
@@ -71,28 +71,28 @@ impl World {
         Some(flight.packet.destination.index())
     }
 
-    /// Writes the state, canonical.
+    /// Packs the state in its canonical form.
     pub fn store(&mut self) -> Packed {
         self.store_as(Form::Canonical)
     }
 
-    /// Writes the state without making its turns canonical: for tests.
+    /// Packs the state with its turns as they are, for tests.
     pub fn store_plain(&mut self) -> Packed {
         self.store_as(Form::Plain)
     }
 
-    /// Writes the state in some form.
+    /// Packs the state in this form.
     pub fn store_as(&mut self, form: Form<'_>) -> Packed {
         match self.try_store(form) {
             Ok(packed) => packed,
-            // A distance outgrew its field: an absorbing, visible failure, never a saturated value.
+            // A relative number outgrew its field: an absorbing, visible failure, never a saturated value.
             Err(Overflow) => Packed(Box::new([Violation::Overflow.code(), 0, 0, 0, 0])),
         }
     }
 
     fn try_store(&mut self, form: Form<'_>) -> Result<Packed, Overflow> {
         if let Some(violation) = self.violation {
-            // Absorbing: nothing follows, so nothing else need be told apart.
+            // An absorbing state has no successors, so nothing else need be distinguished.
             return Ok(Packed(Box::new([violation.code(), 0, 0, 0, 0])));
         }
         if self.done {
@@ -135,7 +135,7 @@ impl World {
             ghosts.push(bytes);
         }
         let reduces = self.scenario.reductions.ignores && !self.scenario.lives();
-        // Whoever sent a CONFIRM, it does the same to a member that waits in its round: it comes from itself.
+        // A CONFIRM releases a member waiting in its round, whoever sent it: the receiver is packed as its sender.
         let anonymous = |flight: &Flight| {
             let mut flight = *flight;
             if reduces && self.releases(&flight) {
@@ -164,7 +164,7 @@ impl World {
         Ok(Packed(bytes.into_boxed_slice()))
     }
 
-    /// The packed bytes that were not unpacked are, once the numbers they are relative to move.
+    /// Unpacks the nodes that are still packed, because the numbers that they are relative to have moved.
     fn load_rest(&mut self) {
         for i in 0..self.n() {
             if !self.loaded[i] {
@@ -179,18 +179,18 @@ impl World {
         }
     }
 
-    /// Whether no node that is up can begin a new life: that one would notice what the present one ignores.
+    /// Whether no running node can crash any more: its next incarnation would notice what the present one ignores.
     fn is_settled(&self) -> bool {
         !self.scenario.lives() || self.crash == 0
     }
 
-    /// Whether both nodes are up and `i` knows the life that `of` is in: no envelope from there is news.
+    /// Whether both nodes are up and `i` knows the present incarnation of `of`: no envelope from `of` is news.
     fn knows(&self, i: usize, of: usize) -> bool {
         let up = self.places[i].up && self.places[of].up;
         !self.scenario.lives() || (up && self.places[i].known[of] == self.places[of].life)
     }
 
-    /// Whether the tasks at the ends of a packet have heard each other in their present lives.
+    /// Whether the tasks at the ends of a packet have heard each other in their present incarnations.
     fn acquainted(&self, flight: &Flight) -> bool {
         let (from, to) = (flight.packet.source, flight.packet.destination);
         let heard = |at: TaskId, of: TaskId| {
@@ -200,8 +200,8 @@ impl World {
         !self.scenario.lives() || (self.knows(from.index(), to.index()) && heard(from, to) && heard(to, from))
     }
 
-    /// Drops CONFIRMs still to be sent that everybody would ignore, then packets that nobody can notice: in this order,
-    /// because arrivals matter to who still owes a CONFIRM.
+    /// Drops CONFIRMs still to be sent that every member would ignore, then packets in flight that nobody can notice.
+    /// The order matters, because a member that still owes a CONFIRM notices arrivals.
     fn drop_unnoticed(&mut self) {
         let port = PortId(0);
         for i in 0..self.n() {
@@ -230,15 +230,15 @@ impl World {
         if self.scenario.lives() && self.places[to].up && flight.life != known {
             return flight.life.0 < known.0;
         }
-        // Who has left a round, even one that still owes a CONFIRM of it, learns nothing from another's.
+        // A member that has left a round ignores CONFIRMs of it, even if it still owes one itself.
         let confirmed =
             packet.kind == Kind::Confirm && self.task(to).is_over(packet.port, packet.meeting().round);
         let ignores = || self.task(to).ignores(&self.places[to].table, packet, self.task(from));
         self.places[to].up && (confirmed || (self.acquainted(flight) && ignores()))
     }
 
-    /// To a member that waits in its round, one CONFIRM is as good as another, and after the first the others are
-    /// ignored. So of those on the way the oldest are enough: one more than can be lost.
+    /// A member that waits in a round is released by the first CONFIRM of it and ignores the others. So only the
+    /// oldest of those in flight to a member are kept: one more than can still be lost.
     fn drop_more_confirms(&mut self) {
         let enough = usize::from(self.loss) + 1;
         let releases: Vec<bool> = self.flights.iter().map(|flight| self.releases(flight)).collect();
@@ -267,12 +267,12 @@ impl World {
             }
     }
 
-    /// The least round in use of each port, and the next sequence of each task.
+    /// For each port the least round in use, and for each task the next sequence.
     fn bases(&mut self) -> (Vec<Round>, Vec<Seq24>) {
         let sequence = |i: usize| if self.loaded[i] { self.next_sequence(i) } else { Frame::SEQUENCE };
         let sequences = (0..self.n()).map(sequence).collect();
         if self.scenario.lives() {
-            // A restarted node counts from its own beginning: only absolute rounds say how it relates to the others.
+            // A restarted node counts rounds from the first one: only absolute rounds compare with those of others.
             return (self.rounds.clone(), sequences);
         }
         let mut least = Least(vec![None; self.rounds.len()]);
@@ -293,7 +293,7 @@ impl World {
         (rounds, sequences)
     }
 
-    /// Drops what the stored state would leave out, and goes on unpacked.
+    /// Drops what the packed form would leave out, without packing.
     pub fn tidy(&mut self) {
         if self.scenario.reductions.ignores && self.is_settled() && self.violation.is_none() {
             for place in &mut self.places {
@@ -304,30 +304,30 @@ impl World {
         self.tidy_turns();
     }
 
-    /// Goes on with the turns in the order that the members have in the state stored last.
+    /// Lets nodes take turns in the order `named`: that of the members in the state stored last.
     pub fn reorder(&mut self, named: &[usize]) {
         self.order.clear();
         self.order.extend(named);
     }
 }
 
-/// Beside a node's least round: its turn is not over.
+/// A bit beside a node's least round: its turn is not over.
 const OPEN: u8 = 0x80;
-/// And: its timer has not fired yet since the last tick.
+/// Likewise: its timer is late.
 const OWED: u8 = 0x40;
 
-/// How a state is written.
+/// The form in which a state is packed.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Form<'a> {
-    /// One for all states with the same future.
+    /// One form for all states that the reductions identify.
     Canonical,
-    /// The same with the turns as they are: for tests.
+    /// The same, with the turns as they are: for tests.
     Plain,
-    /// With its members in this order: for tests of the symmetry.
+    /// With the members in this order: for tests of the symmetry reduction.
     Named(&'a [usize]),
 }
 
-/// Moves the rounds of a new node to where this world's numbers begin.
+/// A pass that moves the rounds of a new node to the base of this world's rounds.
 pub(super) struct FromBase(pub Round);
 
 impl Walk for FromBase {
@@ -338,14 +338,14 @@ impl Walk for FromBase {
     }
 }
 
-/// A node's block: its length, its least round and whether it is open, whether it is up, its lives, its task.
+/// Packs a node: its length, its least round with two flags, whether it is up, its incarnations, its task.
 fn store_place(place: &mut Place, frame: &Frame<'_>, out: &mut Vec<u8>) -> Result<(), Overflow> {
     let mut least = Least(vec![None; frame.rounds.len()]);
     let task = &mut place.node.parts_mut().tasks[0];
     if place.up {
         task.walk(&place.table, &mut least);
     }
-    // A node that is down has no task: what is unpacked in its place is of another state.
+    // A node that is down has no task: the one in `place` is left over from another state.
     let low = least.0.first().copied().flatten().map_or(0, |round| round.steps_from(frame.rounds[0]));
     out.extend([0, u8::try_from(low).ok().filter(|low| low & (OPEN | OWED) == 0).ok_or(Overflow)?]);
     Encode::append(out, frame, |w| walk_place(place, w))?;

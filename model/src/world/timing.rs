@@ -1,4 +1,4 @@
-//! Time in a world: ticks, nodes whose timers are late, and what is judged by counting ticks and steps.
+//! Time in a world: ticks, late timers, and the properties that are judged by counting ticks or steps.
 
 use super::{Place, World};
 use crate::network::Flight;
@@ -8,8 +8,8 @@ use imrs_protocol::rules::TimeStamp;
 use imrs_protocol::{Kind, NodeInput, Seq24, TaskId, Ticks};
 
 impl World {
-    /// A tick passes. The timer of node `late` fires only at the next one, or when something else enters the node: a
-    /// node reads its clock at every entry (D42).
+    /// Lets a tick pass. The timer of node `late` fires only at the next tick, or at the node's next input: a node
+    /// reads its clock at every input (D42).
     pub(super) fn tick(&mut self, late: Option<usize>) -> Result<(), Violation> {
         self.steps = 0;
         for flight in &mut self.flights {
@@ -33,7 +33,7 @@ impl World {
         Ok(())
     }
 
-    /// What the checker counts beside the machine: true lives, and how long a wait has lasted.
+    /// Counts a tick in the specification state: true remaining times, and how long each wait has lasted.
     fn count_tick(&mut self, i: usize) -> Result<(), Violation> {
         let lateness = Ticks(1 + u64::from(self.scenario.timing.late > 0));
         let limit = self.patience(i) + lateness;
@@ -54,7 +54,7 @@ impl World {
         Ok(())
     }
 
-    /// Before anything else enters a node its clock is read.
+    /// Lets a late node read its clock, before it takes any other input.
     pub(super) fn catch_up(&mut self, i: usize) -> Result<(), Violation> {
         if std::mem::take(&mut self.owed[i]) && self.places[i].up {
             self.step(i, Ticks(1), NodeInput::Time)?;
@@ -63,8 +63,8 @@ impl World {
         Ok(())
     }
 
-    /// Clocks that differ from each other, not clocks that run, are what a state tells apart: each goes back to where it
-    /// was, and what it has moved is taken from instants that are on the way (see [`World::tick`]).
+    /// Sets a node's clock back to its offset: states distinguish offsets between clocks, not how long clocks have
+    /// run. [`World::tick`] subtracts the same tick from absolute time stamps in flight.
     fn keep_clock(&mut self, i: usize) {
         let ahead = Ticks(self.scenario.clocks[i]);
         if self.scenario.cell.cell().rules.time_stamp == TimeStamp::Absolute {
@@ -86,7 +86,7 @@ impl World {
         }
     }
 
-    /// Where numbers wrap after `wrap` messages (a variant), a number stands for the latest message that has it.
+    /// If sequence numbers wrap after `wrap` messages (a variant), a number means the latest message that has it.
     pub(super) fn wrap_around(&self, flight: &mut Flight) {
         let Some(wrap) = self.scenario.wrap.map(u32::from) else { return };
         let source = match flight.packet.kind {
@@ -100,8 +100,8 @@ impl World {
         }
     }
 
-    /// More steps between two ticks than this cannot be: each node sends at most two packets to each other one for
-    /// each round that somebody can begin and for each packet still on the way, and each packet arrives once.
+    /// A bound on the steps between two ticks: each node sends at most two packets to each other node for each round
+    /// that a task can begin and for each packet in flight, and each packet arrives once.
     pub(super) fn most_steps(&self) -> u16 {
         let n = self.n();
         let attempts = |behaviour: &Behaviour| match behaviour {
@@ -115,7 +115,7 @@ impl World {
         u16::try_from(rounds * (1 + 2 * n * (n - 1) * ticks) + faults).unwrap_or(u16::MAX)
     }
 
-    /// After a step: nothing goes on for ever between two ticks, and nobody is stuck.
+    /// Judges progress after a step: no endless loop between two ticks, and no deadlock.
     pub(super) fn judge_progress(&self) -> Result<(), Violation> {
         if self.scenario.watch != Watch::Waits {
             return Ok(());

@@ -1,27 +1,27 @@
-//! One order of what happens between two ticks instead of all of them (a reduction).
+//! A partial-order reduction: one interleaving of the steps between two ticks instead of all of them.
 //!
-//! What happens at different nodes between two ticks commutes, unless one sends what the other takes in. So of all
-//! orders only this one is looked at: the nodes take turns; in its turn a node does as much as it will, and then it is
-//! *closed* until a packet comes for it that was sent after its turn, a *fresh* one. Every run has such an order: at a
-//! turn's end the node's next event, if it has one, needs a packet that has not been sent yet, or is not of this tick.
-//! Which node's turn is next may be any function of the state.
+//! Steps at different nodes between two ticks commute, unless one node sends a packet that the other receives. So
+//! only one interleaving is explored: the nodes take turns. In its turn a node makes any number of steps. Then it is
+//! *closed* until a packet arrives for it that was sent after its turn, a *fresh* one. Every run has such an
+//! interleaving: at a turn's end the node's next step, if it has one in this tick, needs a packet that has not been
+//! sent yet. The order of the turns may be any function of the state.
 //!
-//! What a watch judges must not depend on the order of events that do not need each other, or must be wrong already
-//! with nothing done but what the judged event needs: every such start of a run is looked at, too. Losses wait for the
-//! last moment before a tick. A crash, a restart and the end of faults are barriers: afterwards all nodes are open.
+//! A property must not depend on the order of independent steps, or must already be violated when only the steps that
+//! the judged step depends on were made: every such prefix of a run is explored, too. A loss waits for the last
+//! moment before a tick. A crash, a restart and the end of faults are barriers: afterwards all nodes are open.
 
 use super::{Action, World, small};
 use crate::scenario::Watch;
 
 impl World {
-    /// Whether the order of events between two ticks is reduced.
+    /// Whether this reduction is on.
     pub(super) fn takes_turns(&self) -> bool {
-        // `Stale` asks what another node knows when a message is handed over: there the order matters.
+        // `Stale` depends on what another node knows when a message is handed over, so there the order matters.
         self.scenario.reductions.turns && self.scenario.delay.is_some() && self.scenario.watch != Watch::Stale
     }
 
-    /// What may happen next: in the turn of each node, every node before it being closed by that; at last what needs
-    /// all of them closed.
+    /// Lists the enabled transitions: first the steps of each node, which close every node before it in the order; at
+    /// last those that need all nodes closed.
     pub(super) fn actions_in_turns(&self, actions: &mut Vec<Action>) {
         for &i in &self.order {
             self.events(i, actions);
@@ -34,13 +34,13 @@ impl World {
         for (at, flight) in self.flights.iter().enumerate() {
             overdue += usize::from(flight.age >= delay);
             let again = at > 0 && self.flights[at - 1] == *flight;
-            // What is lost just before the end of all faults may be of any age.
+            // A packet that is lost just before the faults end may be of any age.
             if self.loss > 0 && !self.healed && !again && (may_heal || flight.age >= delay) {
                 actions.push(Action::Lose(small(at)));
             }
         }
         if !may_heal && overdue > 0 {
-            // All of them must be lost before time passes: one order of that is enough.
+            // All overdue packets must be lost before time passes. One order of these losses is enough.
             let enough = overdue <= usize::from(self.loss);
             actions.truncate(before + usize::from(enough));
         }
@@ -49,7 +49,7 @@ impl World {
         }
     }
 
-    /// What node `i` may do in its turn.
+    /// Lists the steps of node `i` in its turn.
     fn events(&self, i: usize, actions: &mut Vec<Action>) {
         let open = self.open[i];
         if open {
@@ -69,7 +69,7 @@ impl World {
         self.settle_flights(i);
     }
 
-    /// Closes and opens the nodes as `action` asks for, before it is carried out.
+    /// Closes and opens nodes as `action` requires, before it is carried out.
     pub(super) fn take_turn(&mut self, action: Action) {
         let at = match action {
             Action::Act(i) | Action::Answer(i) => usize::from(i),
@@ -91,7 +91,7 @@ impl World {
         }
     }
 
-    /// As if nobody took turns: for tests.
+    /// Forgets all turns: for tests.
     pub fn forget_turns(&mut self) {
         self.set_open(false);
     }
@@ -106,7 +106,7 @@ impl World {
         here.for_each(|flight| flight.fresh = false);
     }
 
-    /// One form for what is the same: a node that can do nothing is closed; one that has refused nothing is open.
+    /// Makes turns canonical: a node with nothing to do is closed; one with only fresh packets to take is open.
     pub(super) fn tidy_turns(&mut self) {
         if !self.takes_turns() {
             return;

@@ -10,13 +10,13 @@ use imrs_protocol::script::Address;
 use imrs_protocol::{CellTable, TaskId, Ticks};
 use std::sync::Arc;
 
-/// Bounds a search by states. Seconds would let a busy machine end it early, or take coarser times.
+/// Bounds a search by states. Bounded by seconds, it could end early on a busy machine, or take coarser times.
 pub const fn within(states: u64) -> Budget {
     Budget { states, seconds: f64::INFINITY, bytes: 4 << 30 }
 }
 
-/// Whether two findings are of the same statement or check, whichever of the tasks that have it alike is named. How a wait
-/// starved shows only on a way, so that a time_out is the same.
+/// Whether two findings are about the same statement or check, whichever of several tasks with equal statements they
+/// name. Starvation is judged on one path only, so it counts as a time_out.
 pub fn is_alike(one: &Finding, other: &Finding) -> bool {
     let about = |finding: &Finding| {
         let kind = if finding.kind == Kind::Starves { Kind::TimeOut } else { finding.kind };
@@ -31,7 +31,7 @@ pub fn is_alike(one: &Finding, other: &Finding) -> bool {
 pub struct Text {
     text: String,
     lowered: Lowered,
-    /// Where the work couples begin.
+    /// Where the declarations of work couples begin in the text.
     couples: Vec<u32>,
     pub plan: CellPlan,
 }
@@ -122,8 +122,8 @@ impl Text {
         verdicts
     }
 
-    /// Whether the search without faults, which every check begins with, is too large: the check cannot be complete then, and
-    /// its searches with faults are not worth beginning.
+    /// Whether the search without faults, with which every check begins, is too large. Then the check cannot be
+    /// complete, and its searches with faults are not worth beginning.
     pub fn is_too_large_without_faults(&self) -> bool {
         let mut plan = self.plan.clone();
         plan.faults.clear();

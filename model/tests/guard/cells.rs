@@ -1,11 +1,11 @@
 //! Random cells: small ones, of every statement, expression, option, usage and fault of the language.
 //!
-//! A cell is made of what a source of numbers gives, and a lower number makes less: so a shorter source of smaller numbers
-//! makes a smaller cell, and the failure of a large one shrinks to the failure of a small one.
+//! A cell is made of random bytes, and a lower byte makes less of it. So fewer and smaller bytes make a smaller cell,
+//! and a large cell that fails can be shrunk.
 
 use std::fmt::Write;
 
-/// Where random numbers come from. Past its end there are zeros.
+/// A source of random numbers: bytes, and zeros past their end.
 pub struct Tape<'a> {
     bytes: &'a [u8],
     at: usize,
@@ -22,7 +22,7 @@ impl<'a> Tape<'a> {
         usize::from(byte) * limit / 256
     }
 
-    /// True so often in a hundred times, and false where nothing is left.
+    /// True with this probability in percent; false past the end.
     pub(super) fn chance(&mut self, percent: usize) -> bool {
         self.below(100) >= 100 - percent
     }
@@ -35,15 +35,15 @@ impl<'a> Tape<'a> {
 /// What a port is for.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Use {
-    /// Its owner tells others something, of class 1.
+    /// The owner sends messages of class 1.
     Status,
-    /// Its owner gives orders, of class 2.
+    /// The owner sends commands, of class 2.
     Order,
-    /// Its owner is told something, of this class.
+    /// The owner receives messages of this class.
     Told(u8),
-    /// Its owner asks.
+    /// The owner queries.
     Ask,
-    /// Its owner is asked.
+    /// The owner is queried.
     Asked,
     Meet,
 }
@@ -53,10 +53,10 @@ pub(super) struct Port {
     pub(super) of: Use,
     pub(super) owner: usize,
     pub(super) users: Vec<usize>,
-    /// The types of what it carries, and of the answer.
+    /// The types of the fields of its messages, and the type of the answer.
     pub(super) carries: &'static [&'static str],
     pub(super) answer: Option<&'static str>,
-    /// Whether those who take its messages do so by a handler.
+    /// Whether the receivers of its messages take them by a handler.
     pub(super) handled: bool,
 }
 
@@ -89,7 +89,7 @@ impl Port {
         matches!(self.of, Use::Order | Use::Told(2) | Use::Ask | Use::Asked)
     }
 
-    /// Those who take a message that this task sends here.
+    /// The tasks that receive a message that this task sends here.
     pub(super) fn others(&self, task: usize) -> Vec<usize> {
         match self.of {
             _ if self.owner == task => self.users.clone(),
@@ -112,7 +112,7 @@ impl Port {
     }
 }
 
-/// Pauses: as long as anything in the cell waits, and a short one.
+/// Pauses: one longer than anything in the cell waits, and a short one.
 const PAUSES: [&str; 2] = ["pause ta", "pause tb up to 9 msec"];
 pub(super) const TASKS: [&str; 3] = ["ta", "tb", "tc"];
 const CARRIES: [&[&str]; 9] = [
@@ -133,9 +133,9 @@ pub struct Cell<'a> {
     pub(super) text: String,
     pub(super) tasks: usize,
     pub(super) ports: Vec<Port>,
-    /// Which task is written.
+    /// The task that is being written.
     pub(super) here: usize,
-    /// Whether the statement stands in a loop, a handler, an atomic part.
+    /// How many loops the statement is in, and whether it is in a handler or an atomic part.
     pub(super) loops: usize,
     pub(super) handler: bool,
     pub(super) atomic: bool,
@@ -148,19 +148,19 @@ pub struct Cell<'a> {
     /// Whether a couple exchanges roles.
     pub(super) mutual: bool,
     pub(super) looped: bool,
-    /// The tasks whose body is outside the cell.
+    /// The extern tasks, whose bodies are outside the cell.
     pub(super) outside: Vec<usize>,
-    /// What these do, where they have a body after all.
+    /// The source of their bodies, if they have bodies after all.
     pub(super) filled: Option<Tape<'a>>,
 }
 
-/// The cell that a source of numbers makes.
+/// The cell that these random bytes make.
 pub fn cell(bytes: &[u8]) -> String {
     written(bytes, None).text
 }
 
-/// The same cell, in which the tasks outside have bodies that another source makes: something that such a task may do. And
-/// which these are; none where there is no task outside.
+/// The same cell with bodies for its extern tasks, made from other random bytes: behaviour that such a task may have.
+/// Returns the extern tasks as well; `None` if there are none.
 pub fn filled(bytes: &[u8], bodies: &[u8]) -> Option<(String, Vec<usize>)> {
     let cell = written(bytes, Some(Tape::new(bodies)));
     (!cell.outside.is_empty()).then_some((cell.text, cell.outside))
@@ -207,8 +207,8 @@ impl Cell<'_> {
         for _ in 0..=self.tape.below(3) {
             self.port();
         }
-        // Where one comes to a meeting for ever and the others do not, the rounds differ more and more: nothing packed
-        // holds them.
+        // If one member comes to a meeting for ever and the others do not, their rounds drift apart until no packed
+        // state holds them.
         let meets = self.ports.iter().any(|port| port.of == Use::Meet);
         self.looped = self.tape.chance(if meets { 20 } else { 70 });
         for task in 0..self.tasks {
@@ -217,7 +217,7 @@ impl Cell<'_> {
         self.rest();
     }
 
-    /// One for each task; sometimes the last two share one.
+    /// Writes a node for each task; sometimes the last two share one.
     fn nodes(&mut self) {
         let nodes = self.tasks - usize::from(self.tape.chance(10));
         for node in 0..nodes {
@@ -389,11 +389,11 @@ impl Cell<'_> {
             }
         }
         if self.tape.chance(60) {
-            // What was assigned shows.
+            // Makes the assigned values visible.
             self.put("    if i > 0 and m.n > 0 or m.b or f then run turn i, f takes 1 msec; end;\n");
         }
         if looped {
-            // What goes on for ever takes time, and numbers come back to what they were.
+            // An endless loop must take time.
             let pause = self.tape.one(&["10 msec", "7 msec", "20 msec"]);
             let _ = writeln!(self.text, "    delay {pause}; end;");
             self.loops -= 1;
@@ -508,7 +508,7 @@ impl Cell<'_> {
                 _ => self.check("ta.f leads ta.i >= 0 within 40 msec"),
             }
         }
-        // Drawn last: the cells of seeds that are named elsewhere stay what they are.
+        // Drawn last, so that the seeds that are named elsewhere still make the same cells.
         if self.tape.chance(25) {
             let pause = self.tape.one(&PAUSES);
             let other = if self.tape.chance(15) { self.tape.one(&all) } else { "" };

@@ -1,11 +1,11 @@
-//! Random cells that are too large to be searched: many tasks ask one, so that its buffers fill, its order of service
-//! matters, relays hold packets of several, copies come late and long messages come in pieces. They are walked only, beside
-//! the plain lists of what a run must obey.
+//! Random cells that are too large to be searched: many tasks send to one. Its buffers fill, its order of service
+//! matters, relays hold packets of several tasks, duplicates come late and long messages are fragmented. They are
+//! only walked, and judged by the history of the run.
 
 use super::cells::Tape;
 use std::fmt::Write;
 
-/// How the tasks of a crowd use one port of the task in their middle.
+/// How the callers of a crowd use one port of the task in the middle.
 struct Port {
     /// What its messages carry.
     carries: &'static str,
@@ -18,7 +18,7 @@ struct Port {
 const CARRIES: [(&str, &str); 4] =
     [("u: int8", "i"), ("", ""), ("v: Long", "l"), ("u: word, w: int16", "7, 3")];
 
-/// The crowd that a source of numbers makes.
+/// The crowd that these random bytes make.
 pub fn cell(bytes: &[u8]) -> String {
     let mut tape = Tape::new(bytes);
     let callers = 2 + tape.below(4);
@@ -28,7 +28,7 @@ pub fn cell(bytes: &[u8]) -> String {
     for node in 0..nodes {
         let _ = writeln!(text, "node n{node};");
     }
-    // In a row, so that the packets of those behind wait in the nodes between.
+    // In a row, so that packets of the farther nodes wait in the relays between.
     for node in 1..nodes {
         let delay = tape.one(&["1 msec", "1 msec", "2 msec"]);
         let _ = writeln!(text, "link n{} -- n{node} delay {delay};", node - 1);
@@ -67,13 +67,13 @@ fn names(port: &Port) -> String {
     fields.filter(|name| !name.is_empty()).map(|name| format!("h{name}")).collect::<Vec<_>>().join(", ")
 }
 
-/// The task that everybody calls.
+/// The task to which all callers send.
 fn middle(tape: &mut Tape<'_>, text: &mut String, ports: &[Port], callers: usize) {
     let users: Vec<String> = (0..callers).map(|caller| format!("c{caller}")).collect();
     text.push_str("task middle on n0\n");
     for (at, port) in ports.iter().enumerate() {
         let class = if port.command { 2 } else { 1 };
-        // Often the same, so that messages tie.
+        // Often equal, so that messages tie.
         let time_out = tape.one(&["40 msec", "40 msec", "60 msec"]);
         let _ = write!(
             text,
@@ -148,7 +148,7 @@ fn serve(tape: &mut Tape<'_>, text: &mut String, ports: &[Port], callers: usize)
             };
             let from =
                 if tape.chance(25) { format!(" from c{}", tape.below(callers)) } else { String::new() };
-            // Who was told nothing answers nobody.
+            // After a time_out there is no message to reply to.
             let (rest, leave) = if port.command { ("    reply();\n", "exit") } else { ("", "skip") };
             if port.command {
                 let _ = writeln!(text, "    loop");
@@ -163,7 +163,7 @@ fn serve(tape: &mut Tape<'_>, text: &mut String, ports: &[Port], callers: usize)
     }
 }
 
-/// One of those who call.
+/// One of the callers.
 fn call(tape: &mut Tape<'_>, text: &mut String, ports: &[Port], (caller, node): (usize, usize)) {
     let _ = writeln!(text, "task c{caller} on n{node}");
     for (at, port) in ports.iter().enumerate() {

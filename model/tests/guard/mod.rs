@@ -1,4 +1,4 @@
-//! The checker against the cell as it runs, at random: see [`compare_with_walks`].
+//! The checker against random walks through cells as they run: see [`compare_with_walks`].
 
 mod cells;
 mod crowd;
@@ -13,18 +13,18 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
-/// A seed is spread over all bits first; none gives the zero that the dice never leave.
+/// A seeded generator. Spreads the seed over all bits, and sets the lowest one: zero would stay zero.
 const fn dice(seed: u64) -> Dice {
     Dice(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
 }
 
-/// Compares a cell as it is searched, at most so many states of each hypothesis, with walks through it.
+/// Compares the search of a cell, at most `states` states for each hypothesis, with walks through it.
 fn compare(text: &str, seed: u64, states: u64, effort: Effort) -> Result<Agreement, Disagreement> {
     let mut cell = Text::new(text);
     cell.plan.budget = within(states);
     let mut dice = dice(seed);
     let plan = Arc::new(cell.plan);
-    // A panic of the machine differs from what the search says, too: it has a seed and a smallest cell like any other.
+    // A panic of the machine is a disagreement, too, so it gets a seed and a smallest cell like any other.
     let walked =
         std::panic::AssertUnwindSafe(|| compare_with_walks(&plan, effort, &mut |limit| dice.below(limit)));
     std::panic::catch_unwind(walked).unwrap_or_else(|panic| {
@@ -53,14 +53,14 @@ fn the_examples_run_as_they_are_searched() {
     assert!(all.steps > 10_000 && all.looked_up > 1_000, "{all:?}");
 }
 
-/// So many numbers for a cell.
+/// Random bytes for one cell.
 const TAPE: usize = 300;
-/// A search keeps at most so many states: 20,000 in `.ci/long`, which completes two more of 475.
+/// Most states that a search keeps: 20,000 in `.ci/long`, which completes two more of 475.
 fn states() -> u64 {
     number("IMRS_STATES", 5_000)
 }
 
-/// What a variable of the environment says, or what is usual.
+/// The value of an environment variable, or `usual`.
 pub fn number(variable: &str, usual: u64) -> u64 {
     std::env::var(variable).map_or(usual, |text| text.parse().unwrap_or_else(|e| panic!("{variable}: {e}")))
 }
@@ -70,24 +70,24 @@ fn tape(seed: u64) -> Vec<u8> {
     (0..TAPE).map(|_| u8::try_from(dice.below(256)).expect("a byte")).collect()
 }
 
-/// Whether the compiler takes a cell.
+/// Whether the compiler accepts a cell.
 pub fn is_sound(text: &str) -> bool {
     let source = Source::new(text.as_bytes()).expect("text");
     compile(&source).lower(Unit::Ticks).is_some()
 }
 
-/// What the random cell of this seed says, whether the compiler takes it or not.
+/// The text of the random cell of this seed, whether the compiler accepts it or not.
 pub fn random_text(seed: u64) -> String {
     cells::cell(&tape(seed))
 }
 
-/// The random cell of this seed; none where the compiler turns it down.
+/// The random cell of this seed; `None` if the compiler does not accept it.
 pub fn random_cell(seed: u64) -> Option<Text> {
     let text = random_text(seed);
     is_sound(&text).then(|| Text::new(&text))
 }
 
-/// Every other random cell is searched at all times, the others, and those where that is too much, at the ends of them.
+/// Searches every other random cell with all times; the rest, and those too large for that, with their ends only.
 fn random(tape: &[u8], seed: u64) -> Result<Agreement, Disagreement> {
     let text = cells::cell(tape);
     outside::covers(tape, &self::tape(seed + BODIES), states())?;
@@ -101,10 +101,10 @@ fn random(tape: &[u8], seed: u64) -> Result<Agreement, Disagreement> {
     compare(&text, seed, states(), effort(Times::Ends))
 }
 
-/// From which seed on the bodies of tasks outside are drawn.
+/// The first seed for the bodies of extern tasks.
 const BODIES: u64 = 1 << 32;
 
-/// A cell that differs, too, and is smaller: as long as there is one, with less of the tape, or smaller numbers on it.
+/// Shrinks a tape whose cell differs, as long as a shorter tape, or one with more zeros, differs, too.
 fn shrink(mut tape: Vec<u8>, seed: u64) -> Vec<u8> {
     let differs = |tape: &[u8]| is_sound(&cells::cell(tape)) && random(tape, seed).is_err();
     let mut part = tape.len() / 2;
@@ -129,11 +129,11 @@ fn shrink(mut tape: Vec<u8>, seed: u64) -> Vec<u8> {
     tape
 }
 
-/// One crowd for so many cells.
+/// One crowd is walked for this many cells.
 const CELLS_FOR_A_CROWD: u64 = 5;
 
-/// 20,000 in `.ci/long`; `IMRS_SEED` begins elsewhere. With `IMRS_WORD` only cells that have this word are walked: in `.ci/long`
-/// a second run takes those with a `pause`.
+/// `IMRS_CELLS` is the number of cells: 20,000 in `.ci/long`. `IMRS_SEED` is the first seed. With `IMRS_WORD` only
+/// cells that have this word are walked: in `.ci/long` a second run takes those with a `pause`.
 #[test]
 fn random_cells_run_as_they_are_searched() {
     let (cells, first) = (number("IMRS_CELLS", 300), number("IMRS_SEED", 1));
@@ -178,7 +178,7 @@ fn random_cells_run_as_they_are_searched() {
     assert!(all.pauses * 4 >= walked && all.wakes * 2 >= all.pauses, "{all:?}");
 }
 
-/// A search of one state says nothing: a crowd is walked only.
+/// Only walks a crowd, because a search of one state says nothing.
 fn walk(crowd: &str, seed: u64) -> Result<Agreement, Disagreement> {
     compare(crowd, seed, 1, Effort { walks: 2, length: 300, times: Times::Ends })
 }
@@ -197,7 +197,7 @@ fn missing(words: &BTreeSet<&str>) -> Vec<&'static str> {
     language().filter(|word| !words.contains(word) && !ELSEWHERE.contains(word)).collect()
 }
 
-/// In `.ci/long` every two words stand in one cell.
+/// In `.ci/long` every two words must occur in one cell.
 #[test]
 fn random_cells_use_the_whole_language() {
     let whole = number("IMRS_CELLS", 0) > 0;
@@ -232,7 +232,7 @@ fn random_cells_use_the_whole_language() {
     }
 }
 
-/// An action that goes on when a packet arrives may end right after it, even where a cut could have taken the packet unnoticed.
+/// An action may end right after a packet that arrives meanwhile, even if a cut could drop it unnoticed.
 #[test]
 fn a_packet_that_nobody_misses_is_still_an_event() {
     let text = "cell late; tick 1 msec; node n0; node n1; link n0 -- n1 delay 1 msec;

@@ -1,4 +1,4 @@
-//! Tasks whose body is outside the cell: what the search says with such a task holds whatever its body is.
+//! Extern tasks, whose bodies are outside the cell: the verdicts of the search hold whatever such a body does.
 
 use super::cells::{cell, filled};
 use super::{Text, is_sound, within};
@@ -7,8 +7,8 @@ use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
 use std::collections::BTreeSet;
 
-/// The cell with tasks that show what they were told, behind each statement that brings it: they tell apart all values that a
-/// task outside says.
+/// The cell with branches behind each statement that brings values, so that its tasks distinguish all values that an
+/// extern task sends.
 fn with_telling_tasks(text: &str) -> String {
     let tells = ["i = 1", "j = 1", "m.n = 1", "m.b", "f"];
     let tells: String =
@@ -26,18 +26,18 @@ fn with_telling_tasks(text: &str) -> String {
     telling
 }
 
-/// A body has variables, and no check of the cell without it speaks of them.
+/// The cell with bodies and the checks of the cell without them, which read no variables of bodies.
 fn with_checks_of(text: &str, with_bodies: &str) -> String {
     let is_check = |line: &&str| line.starts_with("check ");
     let bodies = with_bodies.lines().filter(|line| !is_check(line));
     bodies.chain(text.lines().filter(is_check)).fold(String::new(), |all, line| all + line + "\n")
 }
 
-/// Searches a cell that has a task outside, and once more with a body for it: all that this shows of the others must be in
-/// what the search says with the task outside. How many were compared.
+/// Searches a cell that has an extern task, and once more with a body for that task. What the second search shows of
+/// other tasks, the first one must show, too. Returns how many cells were compared.
 ///
 /// # Errors
-/// [`Disagreement`]: what it does not say.
+/// [`Disagreement`]: what the first search does not show.
 pub fn covers(tape: &[u8], bodies: &[u8], states: u64) -> Result<u32, Disagreement> {
     let Some((with_bodies, outside)) = filled(tape, bodies) else { return Ok(0) };
     let (text, with_bodies) = (with_telling_tasks(&cell(tape)), with_telling_tasks(&with_bodies));
@@ -55,7 +55,7 @@ pub fn covers(tape: &[u8], bodies: &[u8], states: u64) -> Result<u32, Disagreeme
         return Ok(0);
     }
     let said = check(own);
-    // Of a task that says nothing a branch depends on there is little to compare.
+    // If no extern task sends a value, there is little to compare.
     if !said.is_complete() || said.outside.is_empty() {
         return Ok(0);
     }
@@ -83,14 +83,14 @@ pub fn covers(tape: &[u8], bodies: &[u8], states: u64) -> Result<u32, Disagreeme
     Ok(1)
 }
 
-/// The statements that no search has reached, whatever it says of why.
+/// The statements that no search has reached, whatever reason it gives.
 fn not_reached(verdicts: &Verdicts) -> BTreeSet<(TaskId, Address)> {
     let unreached = verdicts.of(Kind::Unreached).filter_map(|finding| finding.task.zip(finding.address));
     let others = [&verdicts.not_exercised, &verdicts.not_tried, &verdicts.not_seen];
     unreached.chain(others.into_iter().flatten().copied()).collect()
 }
 
-/// It has something to compare in the gate, too.
+/// Seeds are taken until enough cells were compared, so that each run compares some.
 #[test]
 fn whatever_a_task_outside_does_the_search_has_seen() {
     let (mut compared, mut seed) = (0, super::number("IMRS_SEED", 1));

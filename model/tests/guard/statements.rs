@@ -159,7 +159,7 @@ impl Cell<'_> {
         values.join(", ")
     }
 
-    /// Places for what a port carries.
+    /// Variables for the fields of a port's messages.
     pub(super) fn places(&self, at: usize) -> String {
         let place = |of: &&str| match *of {
             "bool" => "f",
@@ -232,7 +232,7 @@ impl Cell<'_> {
                 };
                 let _ = write!(self.text, "    receive{what}{within}");
                 if !within.is_empty() {
-                    // Who was told nothing answers nobody.
+                    // After a time_out there is no message to reply to.
                     let leaves = if command { "abort \"nothing came\"" } else { "skip" };
                     let _ = write!(self.text, " on time_out do {leaves}; end");
                 }
@@ -306,8 +306,8 @@ impl Cell<'_> {
 }
 
 impl Cell<'_> {
-    /// Something that a task outside may do, if it has a body after all: it uses a port, or does not, and waits until its rate
-    /// lets it go on. The values are among those that the search tries: zero and one, the same in all fields.
+    /// Writes a body for an extern task, if it gets one: it uses ports or does not, and waits for its rate. The
+    /// values are among those that the search tries: zero and one, the same in all fields.
     pub(super) fn body_outside(&mut self, own: &[usize]) {
         let Some(mut tape) = self.filled.take() else { return };
         self.put("  var i: int16; var j: int32; var f: bool; var r: real; var m: Note;\nbegin\n");
@@ -326,7 +326,7 @@ impl Cell<'_> {
         let port = &self.ports[at];
         let value = |of: &&str| match (*of, one) {
             ("bool", _) => one.to_string(),
-            // Its bits are no number: only zero is.
+            // The search tries zero; this needs no other real.
             ("real", _) => "0.0".into(),
             ("Note", _) => format!("{}, {one}", u8::from(one)),
             _ => u8::from(one).to_string(),
@@ -349,7 +349,7 @@ impl Cell<'_> {
             Some(Role::Meets) => {
                 writeln!(self.text, "  waitfor {name}({said}) on time_out do skip; end; delay 10 msec;")
             }
-            // A task outside has no such ports here.
+            // An extern task has no such ports here.
             Some(Role::Asks | Role::Answers) | None => Ok(()),
         };
     }

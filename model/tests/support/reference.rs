@@ -34,7 +34,7 @@ struct Flight {
     age: u8,
 }
 
-/// What the watch must remember of one task.
+/// The specification state of one task.
 #[derive(Clone, Debug, Default, Hash)]
 struct Memory {
     left: u8,
@@ -72,8 +72,8 @@ impl PartialEq for Reference {
     }
 }
 
-/// What tells packets apart. A meeting's packets carry no id that anybody looks at, and CONFIRM and ABORT none that
-/// ends.
+/// What distinguishes packets. Nobody reads the id of a meeting's packet, and the remaining time of a CONFIRM or an
+/// ABORT is constant.
 fn key(flight: &Flight) -> (u8, u16, u16, u16, bool, u32, u64, Contents, u8) {
     let p = &flight.packet;
     let sequence = if of_meeting(p) { 0 } else { p.id.sequence.get() };
@@ -92,7 +92,7 @@ const fn of_meeting(packet: &Packet) -> bool {
     matches!(packet.kind, Kind::Arrive | Kind::Confirm | Kind::Abort)
 }
 
-/// Whose sequence the id of a packet counts in.
+/// The task whose sequence the id of a packet counts in.
 const fn counts_in(packet: &Packet) -> TaskId {
     match packet.kind {
         Kind::Reply | Kind::Response | Kind::Control => packet.destination,
@@ -119,7 +119,7 @@ impl NodeOutbox for Seen {
     }
 }
 
-/// The reference form as a stateright model. The reductions of the scenario are not looked at: none is on.
+/// The reference form as a stateright model. It ignores the reductions of the scenario, and uses none.
 pub struct ReferenceModel {
     scenario: Arc<Scenario>,
     /// Nodes to put a task into for one step; between steps they hold nothing.
@@ -130,7 +130,7 @@ pub struct ReferenceModel {
 }
 
 impl ReferenceModel {
-    /// The reference form of `scenario`, of which at most so many states are looked at.
+    /// The reference form of `scenario`. At most `states` states are expanded.
     pub fn new(scenario: &Arc<Scenario>, states: u64) -> Self {
         assert!(!scenario.lives(), "the reference form has no restarts");
         let tables = (0..scenario.tasks()).map(|i| scenario.table(NodeId::from_index(i)));
@@ -266,7 +266,7 @@ impl ReferenceModel {
         }
     }
 
-    /// Counts rounds, sequences and time from fixed origins, and forgets what this scenario's watch does not need.
+    /// Makes rounds, sequences and time relative to fixed origins, and drops what the property does not need.
     fn normalise(&self, state: &mut Reference) {
         for (i, task) in state.tasks.iter_mut().enumerate() {
             task.bury();

@@ -37,20 +37,20 @@ pub struct Verdict {
     pub holds: bool,
     /// Different states, as stored.
     pub states: u64,
-    /// Wall-clock seconds of the search, as it says itself.
+    /// Wall-clock seconds of the search, as reported by SPIN.
     pub seconds: f64,
-    /// Megabytes for everything, as it says itself, its hash table and stack included.
+    /// Megabytes for everything, its hash table and stack included, as reported by SPIN.
     pub megabytes: f64,
 }
 
-/// Builds the verifier of a model. `folder` is for this one alone; each of `definitions` is `NAME` or `NAME=value`.
+/// Builds the verifier of a model. It needs the `folder` for itself; each of `definitions` is `NAME` or `NAME=value`.
 pub fn build(folder: &Path, model: &Path, definitions: &[String], flags: &[&str]) -> Verifier {
     let define = definitions.iter().map(|definition| format!("-D{definition}"));
     let mut spin = Command::new("spin");
     spin.current_dir(folder).args(define).arg("-a").arg(model);
     done(spin);
     let mut cc = Command::new(compiler());
-    // Where memory ends the verifier says so, instead of taking the machine's.
+    // The limit makes the verifier report the end of its memory, instead of taking the machine's.
     cc.current_dir(folder).args(["-w", "-DSAFETY", "-DMEMLIM=4000"]).args(flags).args(["-o", "pan", "pan.c"]);
     done(cc);
     Verifier { program: folder.join("pan") }
@@ -70,7 +70,7 @@ impl Verifier {
         &self.program
     }
 
-    /// One that was built before.
+    /// A verifier that was built before.
     pub fn at(program: PathBuf) -> Self {
         Self { program }
     }
@@ -80,8 +80,8 @@ impl Verifier {
         self.run_in(self.program.parent().expect("a folder"), arguments)
     }
 
-    /// Runs it in a folder, in which it leaves its trail. Its memory bounds it: a limit in time would end it early on a busy
-    /// machine.
+    /// Runs it in a folder, in which it leaves its trail. Memory bounds the run; a limit in time could end it early
+    /// on a busy machine.
     pub fn run_in(&self, folder: &Path, arguments: &[&str]) -> Verdict {
         let mut pan = Command::new(&self.program);
         pan.current_dir(folder).args(arguments);

@@ -5,9 +5,9 @@ use serde::ser::{self, Serialize};
 use std::fmt;
 use std::hash::Hasher;
 
-/// Counters, numbers of arrival, the bookkeeping of a queue, and what is shown and not acted on. `life` is constant
-/// where no node restarts; no task here has two ports of which a GET could pass one over (`served`, `since`), and none
-/// reads what others brought to a meeting (`told`).
+/// Fields without effect on behaviour: counters, numbers of arrival, the bookkeeping of a queue, and observations. In
+/// these worlds `life` is constant, because no node restarts. No task has two ports of which a GET could bypass one
+/// (`served`, `since`), and none reads what others brought to a meeting (`told`).
 const LEFT_OUT: [&str; 12] = [
     "counters",
     "arrivals",

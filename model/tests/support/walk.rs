@@ -1,4 +1,4 @@
-//! A breadth-first search of its own: whole states in the visited set instead of fingerprints, one level at a time.
+//! An independent breadth-first search, level by level, with whole states in the visited set, not fingerprints.
 
 use imrs_model::{Action, Limits, Packed, Scenario, WorldModel};
 use stateright::Model;
@@ -14,7 +14,7 @@ pub struct Walk {
     pub violated_at: Option<usize>,
 }
 
-/// Looks at all states of a scenario up to the level of the first violation.
+/// Explores all states of a scenario up to the level of the first violation.
 pub fn walk(scenario: &Arc<Scenario>) -> Walk {
     let model = WorldModel::new(scenario, Limits::default());
     let mut level = model.init_states();
@@ -50,7 +50,7 @@ pub fn successors(model: &WorldModel, state: &Packed) -> Vec<(Action, Packed)> {
     actions.into_iter().map(next).collect()
 }
 
-/// A small generator of numbers, seeded, so that a failure comes again.
+/// A small seeded generator of random numbers, so that a failure is reproducible.
 pub struct Dice(pub u64);
 
 impl Dice {

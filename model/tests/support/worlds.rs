@@ -5,7 +5,7 @@ use imrs_model::{Budget, Reductions, Scenario, Watch};
 use imrs_protocol::rules::{Confirmation, Rules};
 use std::sync::Arc;
 
-/// A meeting in which packets take up to one tick and arrivals are announced every two.
+/// A meeting in which packets take up to one tick and arrivals are retransmitted every two.
 pub fn timed(members: usize, watch: Watch, loss: u8, margin: u64, time_out: u64) -> Meeting {
     Meeting {
         time_out: Some(time_out),
@@ -18,13 +18,13 @@ pub fn timed(members: usize, watch: Watch, loss: u8, margin: u64, time_out: u64)
     }
 }
 
-/// Members that meet for ever on a network that delays and loses.
+/// Members that meet without end on a network that delays and loses.
 pub fn endless(members: usize, loss: u8) -> Meeting {
     let budget = Budget { loss, dup: 0, crash: 0 };
     Meeting { attempts: None, delay: Some(1), budget, ..Meeting::new(members, Watch::Pairing) }
 }
 
-/// Every packet sent once, no time: does the `loss`-th loss strand a member?
+/// A meeting without time in which every packet is sent once, with up to `loss` losses: is a member stranded?
 pub fn literal(members: usize, confirmation: Confirmation, loss: u8) -> Meeting {
     let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
     let budget = Budget { loss, dup: 0, crash: 0 };
@@ -40,7 +40,7 @@ pub fn least_losses(members: usize, confirmation: Confirmation) -> u8 {
     (0..12).find(strands).expect("twelve losses strand a member under any rule")
 }
 
-/// Commands with a re-sending, a loss and a duplicate.
+/// Commands with a retransmission, a loss and a duplicate.
 pub fn commands(watch: Watch) -> Exchange {
     Exchange { retry: (1, 2), budget: Budget { loss: 1, dup: 1, crash: 0 }, ..Exchange::new(watch) }
 }

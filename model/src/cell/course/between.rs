@@ -1,22 +1,21 @@
-//! Times between the ends: an action may end before its most time, and a packet arrive before its link's bound.
+//! Event times between the extremes: an action may end before its most time, a packet may arrive before its link's bound.
 //!
-//! With [`Times::Between`] what a time decides is what comes before what: an action ends at its least time, at its most, or
-//! right after anything that happens in the cell between them; a packet arrives after one tick, at its link's bound, or right
-//! after anything that happens between them. That tries every order of two things that are near each other, and leaves
-//! out how long it then is to what comes later. With [`Times::Every`] nothing is left out but what lies between two ticks.
+//! [`Times::Between`] decides only the order of events. An action ends at its least or most time, or right after any event
+//! between them. A packet arrives after one tick, at its link's bound, or right after any event between them. This tries every
+//! order of two close events, but not every distance to later ones. [`Times::Every`] tries every tick.
 
 use super::{Course, bit, small};
 use crate::cell::plan::Times;
 use crate::floor::script::Running;
 
 impl Course {
-    /// Something happened: what waited for that may end or arrive now.
+    /// An event happened: actions and packets that were postponed until an event may end or arrive now.
     pub fn stir(&mut self) {
         self.beside.stays.clear();
         self.beside.slow = 0;
     }
 
-    /// Time passed: where every tick counts, what waited may end or arrive now.
+    /// Time passed: with [`Times::Every`], postponed actions and packets may end or arrive at this step.
     pub fn next_step(&mut self) {
         if self.times != Times::Every {
             return;
@@ -35,7 +34,7 @@ impl Course {
         }
     }
 
-    /// In how many ticks something that takes so many more at most may end or arrive.
+    /// Ticks to the next instant at which an event may happen that is at most `most` ticks away.
     pub fn to_next_step(&self, most: u32) -> u32 {
         let step = self.plan.step;
         if self.times == Times::Every && most != Running::FOREVER {
@@ -45,7 +44,7 @@ impl Course {
         }
     }
 
-    /// Nothing waits that is not there any more.
+    /// Drops postponements of actions that have ended, and of links without a packet.
     pub fn settle(&mut self) {
         if self.times == Times::Ends {
             return;
@@ -60,7 +59,7 @@ impl Course {
         beside.slow &= full;
     }
 
-    /// An action does not end at its least time.
+    /// Postpones the end of an action that may end now.
     pub fn go_on(&mut self, task: usize, level: u8) {
         if self.times != Times::Ends {
             self.beside.stays.push((small(task), level));

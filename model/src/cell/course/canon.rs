@@ -1,4 +1,4 @@
-//! Cells as packed bytes and back: what is named in the cell, then the floor.
+//! Packs a cell state into canonical bytes and loads it back: first fault budgets and checks, then the floor.
 
 use super::order::Sights;
 use super::pause::Asleep;
@@ -8,31 +8,31 @@ use crate::floor::Floor;
 use crate::state::Violation;
 use imrs_protocol::{Decode, Encode, Frame, Walk};
 
-/// Stands for a floor's first byte: what nodes showed before in this tick comes first.
+/// Marker that replaces the floor's first byte when values that nodes showed earlier in this tick follow.
 const SIGHTS: u8 = 0xff;
 
-/// What may still go wrong, a byte for each kind: more in every byte allows all that less does.
+/// Remaining faults, one byte for each budget, pause and cut. More in every byte allows a superset of the moves.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::cell) struct Left([u8; 8]);
 
 impl Left {
-    /// Whether all that may go wrong with `other` may go wrong with this.
+    /// Whether this allows every fault that `other` allows.
     pub fn covers(self, other: Self) -> bool {
         self.0.iter().zip(other.0).all(|(mine, others)| *mine >= others)
     }
 }
 
-/// How many bytes at the beginning of a state are [`Left`].
+/// Number of bytes at the beginning of a state that hold [`Left`].
 fn left_len(faults: &CellFaults) -> usize {
     let counted = [faults.loss, faults.dup, faults.reorder, faults.fail, faults.drift];
     let counted = counted.iter().filter(|had| **had > 0).count() + faults.pause.len();
     let len = counted + faults.cut.len();
-    // A packet may be doubled or overtaken where a cut is over, and not where one is open. And there is no more room.
+    // An open cut forbids copies and overtaking, a cut that is over does not: then cuts cannot be compared. Nor do 9 bytes fit.
     if faults.dup > 0 || faults.reorder > 0 || len > 8 { counted.min(8) } else { len }
 }
 
 impl Course {
-    /// The two parts of a state: what may still go wrong, and the rest.
+    /// Splits a state into its remaining faults and the rest.
     pub fn split<'a>(&self, state: &'a [u8]) -> (Left, &'a [u8]) {
         let len = if self.plan.everything { 0 } else { left_len(&self.faults) };
         let (budgets, core) = state.split_at(len.min(state.len()));
@@ -41,21 +41,24 @@ impl Course {
         (left, core)
     }
 
-    /// Writes the canonical state, or says what outgrew it. What may still go wrong comes first ([`Course::split`]).
+    /// Packs the canonical state, the remaining faults first ([`Course::split`]).
+    ///
+    /// # Errors
+    /// The violation of the floor, or [`Violation::Overflow`] if some value has no packed form.
     pub fn store(&mut self) -> Result<Box<[u8]>, Violation> {
         self.bury();
         let floor = self.floor.store();
         if let Some(violation) = floor.violation() {
             return Err(violation);
         }
-        // Where it may not crash any more, nobody asks.
+        // Keep only the `acted` bits of nodes that may still crash or restart: no move depends on the others.
         let may = self.faults.crash.iter().zip(&self.beside.crashed).filter(|(_, crashed)| **crashed == 0);
         let may = may.fold(0_u64, |mask, (node, _)| mask | bit(node.index()));
         let down = (0..self.floor.stations.len()).filter(|&node| self.is_down(node));
         let may = down.fold(may, |mask, node| mask | bit(node));
         let acted = self.beside.acted;
         self.beside.acted &= may;
-        // Nothing here is relative to rounds or to numbers of messages.
+        // These fields hold no rounds and no message numbers, so nothing is relative.
         let frame = Frame { rounds: &[], sequences: &[], lives: true };
         let mut out = Vec::with_capacity(floor.len() + 16);
         let beside = Encode::append(&mut out, &frame, |w| self.walk_beside(w));
@@ -64,7 +67,7 @@ impl Course {
         let at = out.len();
         out.extend_from_slice(&floor.0);
         if self.sights.iter().flat_map(|sights| &sights.earlier).any(|earlier| !earlier.is_empty()) {
-            // The floor's first byte is zero where there is no violation.
+            // The floor's first byte is 0 without a violation, so the marker may replace it.
             out[at] = SIGHTS;
             let sights = Encode::bytes(&frame, |w| self.sights.iter_mut().for_each(|sights| sights.walk(w)));
             out.splice(at + 1..at + 1, sights.map_err(|_| Violation::Overflow)?);
@@ -72,7 +75,7 @@ impl Course {
         Ok(out.into_boxed_slice())
     }
 
-    /// Reads a state.
+    /// Loads a packed state.
     pub fn load(&mut self, state: &[u8]) {
         let mut at = Decode::read(state, true, |r| self.walk_beside(r));
         for earlier in self.sights.iter_mut().flat_map(|sights| &mut sights.earlier) {
@@ -159,20 +162,20 @@ impl Beside {
     }
 }
 
-/// A task and one of its threads.
+/// A task and one of its activations.
 fn walk_thread<W: Walk>((task, level): &mut (u8, u8), w: &mut W) {
     w.byte(task);
     w.byte(level);
 }
 
-/// A number of ticks, or none: zero.
+/// An optional number of ticks: `None` is 0, `n` is `n + 1`.
 fn or_none<W: Walk>(ticks: &mut Option<u32>, w: &mut W) {
     let mut read = ticks.map_or(0, |ticks| ticks + 1);
     w.number(&mut read);
     *ticks = read.checked_sub(1);
 }
 
-/// How long a node may stay paused, how long it has been, and which of its actions have not begun.
+/// A pause: the ticks that it may still last, the ticks that it has lasted, and the actions that it holds back.
 fn walk_pause<W: Walk>(asleep: &mut Option<Asleep>, slept: &mut Option<u32>, w: &mut W) {
     let mut left = asleep.as_ref().map(|asleep| asleep.left);
     or_none(&mut left, w);
@@ -186,7 +189,7 @@ fn walk_pause<W: Walk>(asleep: &mut Option<Asleep>, slept: &mut Option<u32>, w: 
 }
 
 impl Sights {
-    /// What nodes showed before in this tick: how often, and the values.
+    /// Packs what nodes showed earlier in this tick: how many sights, then their values.
     fn walk<W: Walk>(&mut self, w: &mut W) {
         let widths: Vec<usize> = self.widths().collect();
         for (earlier, width) in self.earlier.iter_mut().zip(widths) {

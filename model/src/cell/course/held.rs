@@ -1,11 +1,11 @@
-//! Scripts that are held back after a restart (D94, D157). A state has one number for each node: how long until the last of
-//! its scripts begins. From that and the table follows when each of the others does.
+//! Holds back the scripts of a restarted node (D94, D157). A cell state has one number for each node: the ticks until the last
+//! of its scripts begins. The table then tells when each of the others begins.
 
 use super::{Course, bit};
 use crate::state::Violation;
 use imrs_protocol::{TaskId, Walk};
 
-/// Scripts of a node that are to begin in this tick: those that are held back for `from..to`, of which so many have begun.
+/// The scripts of a node that begin in this tick: those with a hold in `from..to`, of which `begun` have begun.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(in crate::cell) struct Begins {
     from: u32,
@@ -23,21 +23,21 @@ impl Begins {
 }
 
 impl Course {
-    /// A node came back: those scripts are to begin that are not held back.
+    /// After a restart: scripts without a hold begin in this tick, the others later.
     pub fn begin_again(&mut self, node: usize) {
         self.beside.held_back[node] = Some(self.longest_held(node)).filter(|longest| *longest > 0);
         self.beside.begins[node] = Begins { from: 0, to: 1, begun: 0 };
         self.end_beginning(node);
     }
 
-    /// In how many ticks the next script of a node begins that is held back.
+    /// Ticks until the next script begins that a node holds back.
     pub fn next_begin(&self, node: usize) -> Option<u64> {
         let passed = self.longest_held(node) - self.beside.held_back[node]?;
         let later = self.here(node).map(|task| self.held(task)).filter(|held| *held > passed);
         later.min().map(|held| u64::from(held - passed))
     }
 
-    /// So many ticks pass for a node. Scripts that may begin by then do so one by one, by steps of their own.
+    /// Lets time pass for a node's scripts. Each script whose hold ends begins by a move of its own.
     pub fn hold_back_on(&mut self, node: usize, ticks: u32) {
         let Some(left) = self.beside.held_back[node] else { return };
         let longest = self.longest_held(node);
@@ -49,22 +49,22 @@ impl Course {
         self.end_beginning(node);
     }
 
-    /// The task whose script begins next at a node in this tick.
+    /// The next task of a node whose script begins in this tick.
     pub fn begins_next(&self, node: usize) -> Option<usize> {
         let Begins { from, to, begun } = self.beside.begins[node];
-        // As nearly always: asked for every node in every state.
+        // The common case: `moves` asks for every node in every state.
         if from == to {
             return None;
         }
         self.here(node).filter(|&task| (from..to).contains(&self.held(task))).nth(usize::from(begun))
     }
 
-    /// Whether it may: its task first notices the time.
+    /// Whether that script may begin now: its task must have noticed the time first.
     pub fn may_begin(&self, node: usize) -> bool {
         self.begins_next(node).is_some_and(|task| self.floor.notices_all(node, task))
     }
 
-    /// The next script of a node begins, with what that brings about.
+    /// Begins the next script of a node, with all that follows from it within the node.
     pub fn begin_next(&mut self, node: usize) -> Result<(), Violation> {
         let Some(task) = self.begins_next(node) else { return Ok(()) };
         self.beside.begins[node].begun += 1;
@@ -72,7 +72,7 @@ impl Course {
         self.floor.begin_whole(task)
     }
 
-    /// When the last of them has begun, the node is that much further.
+    /// Updates the hold of a node once the last script of this tick has begun.
     fn end_beginning(&mut self, node: usize) {
         if self.begins_next(node).is_none() {
             let passed = std::mem::take(&mut self.beside.begins[node]).to.saturating_sub(1);

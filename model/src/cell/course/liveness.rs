@@ -1,29 +1,29 @@
-//! Variables that nobody reads any more before they are written anew: states that differ in nothing else are the same.
+//! Finds dead variables: those that a script does not read before it writes them again. States that differ only there are equal.
 //!
-//! The usual backward flow over a program's operations, bit by bit a variable. A handler may interrupt the task's thread
-//! anywhere, so what any handler reads is alive everywhere; so is what a check reads, and what is read where the task
-//! begins anew with its variables kept, after a take-over or when its lease came back (D61).
+//! This is the usual backward data-flow analysis over a program's operations, one bit for each variable. A handler may
+//! interrupt the task's thread anywhere, so whatever a handler reads is live everywhere. So is what a check reads, and what the
+//! task reads when it starts over and keeps its variables: after a take-over, or when its lease came back (D61).
 
 use crate::cell::plan::{CellPlan, Conduct, Holds};
 use imrs_protocol::TaskId;
 use imrs_protocol::script::{Address, Op, Program, Slot, Term};
 
-/// For each operation of a task's program, the variables that are dead where its thread waits in it.
+/// For each operation of a program, the variables that are dead while the task's own thread waits in it, as a bit set.
 #[derive(Clone, Debug, Default)]
 pub(in crate::cell) struct Dead {
     at: Vec<u64>,
-    /// When the script has ended.
+    /// The dead variables of a script that has ended.
     ended: u64,
 }
 
 impl Dead {
-    /// The dead variables, bit by bit, where the task's own thread waits in this operation; `None` when it has ended.
+    /// The dead variables while the task's own thread waits in this operation; `None`: the script has ended.
     pub fn at(&self, position: Option<Address>) -> u64 {
         position.map_or(self.ended, |at| self.at.get(usize::from(at)).copied().unwrap_or(0))
     }
 }
 
-/// What is dead in each task, by task.
+/// The dead variables of each task.
 pub(in crate::cell) fn dead(plan: &CellPlan) -> Vec<Dead> {
     let of = |(task, conduct): (usize, &Conduct)| match conduct {
         Conduct::Program { program, .. } => of_program(plan, TaskId::from_index(task), program),
@@ -33,12 +33,12 @@ pub(in crate::cell) fn dead(plan: &CellPlan) -> Vec<Dead> {
 }
 
 fn of_program(plan: &CellPlan, task: TaskId, program: &Program) -> Dead {
-    // More variables than bits: those beyond are never dead.
+    // A variable past the 64 bits is never dead.
     let known = u64::MAX.checked_shr(64_u32.saturating_sub(count(program.variables.len()))).unwrap_or(0);
     let live = flow(program);
     let at = |address: Address| live.get(usize::from(address)).copied().unwrap_or(u64::MAX);
     let mut always = checked(plan, task);
-    // Whatever a thread of handlers holds open, all that handlers may still read.
+    // A handler may itself be interrupted anywhere, so whatever handlers can read stays live.
     always |= program.handlers.iter().fold(0, |all, handler| all | reads_from(program, handler.entry));
     always |= program.takeover.map_or(0, at);
     let couples = &plan.table.cell().couples;
@@ -59,7 +59,7 @@ fn bit(variable: u16) -> u64 {
     1_u64.checked_shl(u32::from(variable)).unwrap_or(0)
 }
 
-/// The variables of a task that checks read.
+/// The variables of a task that checks read, as a bit set.
 fn checked(plan: &CellPlan, of: TaskId) -> u64 {
     let terms = plan.checks.iter().flat_map(|check| match &check.holds {
         Holds::Always(terms) => vec![terms],
@@ -71,7 +71,7 @@ fn checked(plan: &CellPlan, of: TaskId) -> u64 {
     })
 }
 
-/// What an operation reads and what it writes.
+/// The variables that an operation reads, and those that it writes.
 fn uses(program: &Program, op: Op) -> (u64, u64) {
     let of = |slot: Slot| match slot {
         Slot::Task(variable) => bit(variable),
@@ -89,7 +89,7 @@ fn uses(program: &Program, op: Op) -> (u64, u64) {
     }
 }
 
-/// Where a thread may go on from an operation.
+/// The operations that may follow an operation.
 fn next(program: &Program, at: usize) -> [Option<usize>; 2] {
     let after = Some(at + 1);
     match program.code[at] {
@@ -100,7 +100,7 @@ fn next(program: &Program, at: usize) -> [Option<usize>; 2] {
     }
 }
 
-/// For each operation, the variables that may be read from it on before they are written.
+/// For each operation, its live variables: those that may be read from there on before they are written.
 fn flow(program: &Program) -> Vec<u64> {
     let mut live = vec![0_u64; program.code.len()];
     loop {
@@ -119,7 +119,7 @@ fn flow(program: &Program) -> Vec<u64> {
     }
 }
 
-/// Every variable that code from an entry on may read at all.
+/// Every variable that the code from an entry on can read.
 fn reads_from(program: &Program, entry: Address) -> u64 {
     let mut seen = vec![false; program.code.len()];
     let mut open = vec![usize::from(entry)];

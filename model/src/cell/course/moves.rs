@@ -1,4 +1,4 @@
-//! What may happen next in a cell.
+//! Lists the transitions that a cell state allows.
 
 use super::{CellMove, Course, OPEN, UNUSED, bit, small};
 use crate::cell::plan::{Conduct, Times};
@@ -6,13 +6,13 @@ use crate::floor::script::Running;
 use crate::floor::{Crossing, Floor};
 
 impl Floor {
-    /// Whether a packet is on its link behind another.
+    /// Whether another packet is ahead of this one on its link.
     pub(in crate::cell) fn is_behind(&self, packet: usize) -> bool {
         let link = self.crossings.get(packet).map(|crossing| crossing.link);
         self.crossings.iter().take(packet).any(|other| Some(other.link) == link)
     }
 
-    /// Whether another packet is on its link behind a packet.
+    /// Whether another packet is behind this one on its link.
     pub(in crate::cell) fn is_followed(&self, packet: usize) -> bool {
         let link = self.crossings.get(packet).map(|crossing| crossing.link);
         self.crossings.iter().skip(packet + 1).any(|other| Some(other.link) == link)
@@ -20,7 +20,7 @@ impl Floor {
 }
 
 impl Course {
-    /// What may happen next: the first node with something to do in this tick does it; when none has, time passes.
+    /// Adds the possible moves: those of the first node with something to do in this tick. Time passes only if no node has any.
     pub fn moves(&self, moves: &mut Vec<CellMove>) {
         for node in 0..self.floor.stations.len() {
             self.turn(node, moves);
@@ -51,7 +51,7 @@ impl Course {
         }
     }
 
-    /// What may happen at a node in this tick.
+    /// Adds the moves of a node in this tick.
     fn turn(&self, node: usize, moves: &mut Vec<CellMove>) {
         if self.is_asleep(node) {
             if self.must_wake(node) {
@@ -91,13 +91,12 @@ impl Course {
                     comes = true;
                 }
                 None if up && self.may_come_early(crossing) => {
-                    // An open cut may end with a packet that comes early as with any other: so it allows all that one
-                    // that is over does.
+                    // An open cut may end with an early packet, too. Otherwise it would not cover a cut that is over.
                     let open = self.cut_of(crossing.link, OPEN);
                     let comes = open.map_or(CellMove::Deliver(small(i)), |cut| CellMove::Mend(small(i), cut));
                     moves.extend([comes, CellMove::Stay(crossing.link)]);
                 }
-                // As late as it can: right before the one that it overtakes, but never in the tick that it left in.
+                // A packet overtakes as late as possible, when the one ahead arrives, but never in the tick of its sending.
                 Some(ahead) if ahead.age >= bound && crossing.age > 0 && self.may_overtake(crossing.link) => {
                     moves.push(CellMove::Deliver(small(i)));
                 }
@@ -115,12 +114,12 @@ impl Course {
         }
     }
 
-    /// What may happen at a node in which inputs of tasks wait, or scripts are about to begin (D170). Of the other moves those stay
-    /// that bring a task something, or let another packet do so. That an action or a packet goes on, or that a packet vanishes behind
-    /// which there is no other, changes nothing for who waits: it is asked when nobody does.
+    /// Adds the moves of a node in which inputs of tasks wait or scripts are about to begin (D170). Of the other moves only
+    /// those stay that bring a task something, or let the next packet do so. To postpone an action or packet, or to drop the
+    /// last packet of a link, changes nothing for tasks with waiting inputs; so those moves come when no input waits.
     fn turn_within(&self, node: usize, moves: &mut Vec<CellMove>) {
         let floor = &self.floor;
-        // Of a task that has not noticed the time nothing else comes before that.
+        // A task takes nothing else before it has noticed the time.
         let knows = |task: usize| floor.notices_all(node, task);
         let comes = |i: u8| knows(floor.crossings[usize::from(i)].packet.destination.index());
         moves.retain(|&step| match step {
@@ -135,12 +134,12 @@ impl Course {
         moves.splice(..0, takes.chain(self.may_begin(node).then_some(CellMove::Begin(small(node)))));
     }
 
-    /// A link that is cut carries nothing, in no order.
+    /// Whether packets may overtake on a link: not while it is cut.
     fn may_overtake(&self, link: u8) -> bool {
         self.beside.reorder > 0 && self.cut_of(link, OPEN).is_none()
     }
 
-    /// The first declared cut of a link, in either direction, that is at this.
+    /// The first declared cut of a link, in either direction, that is in this state.
     fn cut_of(&self, link: u8, at: u8) -> Option<u8> {
         let mut cuts = self.faults.cut.iter().zip(&self.beside.cuts);
         cuts.position(|(&of, &state)| of == usize::from(link) / 2 && state == at).map(small)
@@ -174,7 +173,7 @@ impl Course {
         }
     }
 
-    /// The result that this end of an action gives.
+    /// The result that an action gives for a position among its values; 0 without values.
     pub fn value(&self, task: usize, level: u8, value: u8) -> i32 {
         let actor = self.floor.bodies[task].actor.as_ref();
         let running = actor.and_then(|actor| actor.runs(level));
@@ -199,7 +198,7 @@ impl Course {
         }
     }
 
-    /// In how many ticks the next thing happens.
+    /// Ticks until the next event, at least 1; `None` if none is to come.
     pub fn next_event(&self) -> Option<u32> {
         let floor = &self.floor;
         let waits = |crossing: &&Crossing| {
@@ -219,14 +218,14 @@ impl Course {
         let nodes = awake().filter_map(|i| floor.stations[i].node.time_left()).map(|t| t.0);
         let paused = up().filter(|&i| self.is_asleep(i)).flat_map(|i| self.events_asleep(i));
         let ends = (0..floor.bodies.len()).filter_map(|task| self.next_end(task));
-        // What is due is looked at when its last tick is over.
+        // A check fails when the last tick of its bound is over, hence one tick more.
         let due = self.beside.due.iter().flatten().map(|&left| u64::from(left) + 1);
         let held_back = awake().filter_map(|i| self.next_begin(i));
         let next = packets.chain(nodes).chain(paused).chain(ends).chain(due).chain(held_back).min()?;
         u32::try_from(next.max(1)).ok()
     }
 
-    /// In how many ticks an action of this task may end, or must. One of a paused node whose end is not noticed yet is none.
+    /// Ticks until an action of this task may or must end. An action that is over on a paused node is no event.
     fn next_end(&self, task: usize) -> Option<u64> {
         let asleep = self.is_asleep(self.floor.station_of(task));
         let running = self.floor.bodies[task].actor.iter().flat_map(|actor| &actor.running);

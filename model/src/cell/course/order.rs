@@ -1,5 +1,6 @@
-//! What nodes show to a check in one tick. Nothing orders two nodes within a tick, and the search lets one act after the other:
-//! so a check that reads several of them must hold for every mixture of what each of them showed in that tick (D161).
+//! Evaluates checks that read several nodes, whatever the order of these nodes within a tick. The search lets nodes act one
+//! after the other, but nothing orders them. So such a check must hold for every combination of the values that each node
+//! showed in that tick (D161).
 
 use super::Course;
 use crate::cell::plan::{CellPlan, Holds, about};
@@ -7,37 +8,37 @@ use crate::floor::Floor;
 use imrs_protocol::script::{Term, eval};
 use imrs_protocol::{NodeId, TaskId};
 
-/// A check that reads several nodes: what it reads of each.
+/// A check that reads several nodes, with the terms that it reads of each node.
 #[derive(Clone, Debug)]
 pub(in crate::cell) struct Spread {
     pub check: usize,
     nodes: Vec<Vec<Term>>,
 }
 
-/// What a node showed: the value of each term, as far as it has one.
+/// The values that a node shows to a check, one for each term; `None` for a term without a value.
 pub(in crate::cell) type Sight = Vec<Option<i64>>;
 
-/// One sight of each node: what a check read then.
+/// One sight of each node: a combination of values that the check might have read.
 pub(in crate::cell) type Mixture = Vec<(Term, Option<i64>)>;
 
-/// Of one check.
+/// What the nodes of one check showed in this tick.
 #[derive(Clone, Debug, Default)]
 pub(in crate::cell) struct Sights {
-    /// For each of its nodes, what it showed in this tick before what it shows now, each once, in order.
+    /// For each node, its other sights since the tick began, sorted and each once.
     pub earlier: Vec<Vec<Sight>>,
-    /// What each of them shows. In no packed state: it follows from the rest.
+    /// For each node, what it shows now. Not packed, because it follows from the rest of the state.
     now: Vec<Sight>,
 }
 
 impl Sights {
-    /// How many values a sight of each node has.
+    /// For each node, the number of values in its sight.
     pub fn widths(&self) -> impl Iterator<Item = usize> {
         self.now.iter().map(Vec::len)
     }
 }
 
 impl Course {
-    /// The checks of this search that read several nodes.
+    /// The `always` checks of this search that read several nodes.
     pub(in crate::cell) fn spread(plan: &CellPlan) -> Vec<Spread> {
         let of_check = |check: usize| {
             let node = |term: &Term| {
@@ -57,14 +58,14 @@ impl Course {
         (0..plan.checks.len()).filter(|&at| plan.has_check(at)).filter(always).filter_map(of_check).collect()
     }
 
-    /// A tick begins: what nodes show now they show at its begin, too.
+    /// Forgets the sights of the previous tick. The new tick begins with what the nodes show now.
     pub(in crate::cell) fn begin_tick(&mut self) {
         for sights in &mut self.sights {
             sights.earlier.iter_mut().for_each(Vec::clear);
         }
     }
 
-    /// Nodes showed nothing before in this tick.
+    /// The sights at the start: no node has shown anything else in this tick.
     pub(in crate::cell) fn first_sights(floor: &Floor, spread: &[Spread]) -> Vec<Sights> {
         let first = |spread: &Spread| Sights {
             earlier: vec![Vec::new(); spread.nodes.len()],
@@ -73,7 +74,7 @@ impl Course {
         spread.iter().map(first).collect()
     }
 
-    /// Takes what a state that was read back shows.
+    /// Recomputes the present sights after a state was loaded.
     pub(in crate::cell) fn see_anew(&mut self) {
         for (spread, sights) in self.spread.iter().zip(&mut self.sights) {
             for (terms, now) in spread.nodes.iter().zip(&mut sights.now) {
@@ -82,7 +83,7 @@ impl Course {
         }
     }
 
-    /// Looks at what nodes show after a move, in every mixture with what they showed before in this tick.
+    /// Updates the sights after a move, and evaluates the checks for every combination with earlier sights of this tick.
     pub(in crate::cell) fn mix(&mut self) {
         self.mixed.clear();
         for (spread, sights) in self.spread.iter().zip(&mut self.sights) {
@@ -117,7 +118,7 @@ fn sight_of(floor: &Floor, terms: &[Term]) -> Sight {
     terms.iter().map(|&term| floor.look_up(term)).collect()
 }
 
-/// A mixture of what the nodes showed in this tick for which the check does not hold.
+/// The first combination of this tick's sights that breaks the check.
 fn broken_mixture(spread: &Spread, sights: &Sights, holds: &[Term]) -> Option<Mixture> {
     let choices: Vec<Vec<&Sight>> = sights
         .earlier
@@ -138,7 +139,7 @@ fn broken_mixture(spread: &Spread, sights: &Sights, holds: &[Term]) -> Option<Mi
         if !eval(holds, look).is_ok_and(|value| value != 0) {
             return Some(seen);
         }
-        // The next mixture: as a number whose digits are the nodes' choices.
+        // Count up: the choices of the nodes are the digits of a number.
         let next = picked.iter_mut().zip(&choices).find_map(|(at, choices)| {
             *at = (*at + 1) % choices.len();
             (*at > 0).then_some(())

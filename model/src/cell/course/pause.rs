@@ -1,4 +1,4 @@
-//! Pauses: for a while a node takes no step, as when its process is stopped (SIGSTOP) or frozen, or gets no processor.
+//! Pauses: for a while a node takes no step, as when its process is stopped (SIGSTOP), frozen, or not scheduled.
 //!
 //! ```text
 //!   a step is due at the node --Pause--> asleep: packets wait at the end of their links, actions go on, nothing is noticed
@@ -7,13 +7,13 @@
 //!                                                charged with its wait; then actions that ended meanwhile
 //! ```
 //!
-//! A pause begins right before something that its node would do: to everybody it is the same pause if it began earlier,
-//! after the node's last step, and it may last longest so. It ends after any event of the cell, when the node's own next
-//! deadline or lease is over, or when it has lasted as long as it may.
+//! A pause begins right before a step of its node. An earlier start, back to the node's last step, looks the same to everybody
+//! else, and the latest start may last longest. The pause ends after any event of the cell, at the node's own next deadline or
+//! end of lease, or at its bound.
 //!
-//! An action of a paused node goes on by itself. One that began in the tick of the pause may also begin only after it: the
-//! process was stopped between the decision and the deed. The lease of a paused task ends on time: what drives its robot
-//! stops it then (D149), so from then on the task does not act, although it does not know it yet.
+//! An action of a paused node goes on by itself. An action that began in the tick of the pause may also begin only after it:
+//! the process was stopped between the decision and the command. The lease of a paused task ends on time, because the robot's
+//! driver stops the action then (D149). From that instant the task does not act, although it does not know that yet.
 
 use super::{CellMove, Course, bit, small};
 use crate::cell::plan::Pause;
@@ -23,17 +23,17 @@ use crate::state::Violation;
 use imrs_protocol::Ticks;
 use imrs_protocol::script::Op;
 
-/// A node that is paused. How long it has slept is in the floor: see [`Station::asleep`](crate::floor::Station::asleep).
+/// A paused node. The floor counts how long the pause has lasted: [`Station::asleep`](crate::floor::Station::asleep).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(in crate::cell) struct Asleep {
-    /// For how many ticks it may stay so.
+    /// Ticks that the pause may still last.
     pub left: u32,
-    /// Actions that begin only when it goes on: task and thread.
+    /// Actions that begin only when the node wakes: task and activation.
     pub held: Vec<(u8, u8)>,
 }
 
 impl Floor {
-    /// How many ticks have passed since the node's pause began; none where it is not paused.
+    /// Ticks since the node's pause began; `None` if it is not paused.
     pub(in crate::cell) fn slept(&self, node: usize) -> Option<u32> {
         self.stations[node].asleep
     }
@@ -44,12 +44,12 @@ impl Course {
         self.beside.asleep[node].is_some()
     }
 
-    /// Whether a node has been paused for as long as it may be.
+    /// Whether the pause of a node has reached its bound.
     pub fn must_wake(&self, node: usize) -> bool {
         self.beside.asleep[node].as_ref().is_some_and(|asleep| asleep.left == 0)
     }
 
-    /// The pauses that may begin at a node now, by their numbers. Of equal ones only the first.
+    /// The numbers of the unused pauses that may begin at a node. Of equal pauses only the first counts.
     fn unused(&self, node: usize) -> impl Iterator<Item = u8> {
         let all = || self.faults.pause.iter().zip(&self.beside.paused);
         let unused = move |&(at, (pause, &left)): &(usize, (&Pause, &u8))| {
@@ -58,7 +58,7 @@ impl Course {
         all().enumerate().filter(unused).map(|(at, _)| small(at))
     }
 
-    /// Instead of what a node would do in this tick, it may pause.
+    /// Adds the pauses that may begin instead of the other moves of a node in this tick.
     pub fn pauses(&self, node: usize, moves: &mut Vec<CellMove>) {
         if self.faults.pause.is_empty() || !self.floor.stations[node].up {
             return;
@@ -67,21 +67,21 @@ impl Course {
         self.pauses_before(node, moves);
     }
 
-    /// A node may pause before the actions that it has just begun.
+    /// Adds the pauses that hold back the actions that a node has just begun.
     fn pauses_before(&self, node: usize, moves: &mut Vec<CellMove>) {
         if !self.fresh(node).is_empty() {
             moves.extend(self.unused(node).map(|number| CellMove::PauseBefore(number, small(node))));
         }
     }
 
-    /// What pauses may do when no node has anything to do in this tick.
+    /// Adds the pauses and wake-ups that are possible when no node has anything to do in this tick.
     pub fn pauses_between(&self, next: Option<u32>, moves: &mut Vec<CellMove>) {
         if self.faults.pause.is_empty() {
             return;
         }
         for node in (0..self.floor.stations.len()).filter(|&node| self.floor.stations[node].up) {
             if self.is_asleep(node) {
-                // Without a tick that passed it is no pause.
+                // A pause without a single tick is none.
                 if self.floor.slept(node) > Some(0) {
                     moves.push(CellMove::Wake(small(node)));
                 }
@@ -97,14 +97,14 @@ impl Course {
         }
     }
 
-    /// Whether a node does something by itself when so many ticks pass.
+    /// Whether a node does something by itself within `ticks`.
     fn notices(&self, node: usize, ticks: u32) -> bool {
         let due = self.floor.stations[node].node.time_left().map(|due| due.0);
         let begins = self.next_begin(node);
         due.into_iter().chain(begins).any(|due| due <= u64::from(ticks))
     }
 
-    /// The actions of a node that began in this tick: those whose times are still what their statements say.
+    /// The actions of a node that began in this tick.
     fn fresh(&self, node: usize) -> Vec<(u8, u8)> {
         let floor = &self.floor;
         let here = (0..floor.bodies.len()).filter(|&task| floor.station_of(task) == node);
@@ -119,7 +119,7 @@ impl Course {
         actions.collect()
     }
 
-    /// Whether an action has the times that its statement gives it: no tick has passed since it began.
+    /// Whether no tick has passed since an action began: its remaining times are those of its statement.
     fn has_just_begun(&self, actor: &Actor, running: &Running) -> bool {
         let length = |ticks: Ticks| u32::try_from(ticks.0).unwrap_or(Running::FOREVER);
         let at = actor.script.position_at(running.level);
@@ -133,7 +133,7 @@ impl Course {
         }
     }
 
-    /// A pause begins.
+    /// Begins a pause that holds back these actions.
     pub fn fall_asleep(&mut self, number: u8, node: usize, held: Vec<(u8, u8)>) {
         let number = usize::from(number);
         self.beside.paused[number] = 0;
@@ -141,26 +141,26 @@ impl Course {
         self.floor.stations[node].asleep = Some(0);
     }
 
-    /// A pause begins before the actions that began in this tick.
+    /// Begins a pause that holds back the actions that began in this tick.
     pub fn fall_asleep_before(&mut self, number: u8, node: usize) {
         let held = self.fresh(node);
         self.fall_asleep(number, node, held);
     }
 
-    /// A node that stops is not paused any more.
+    /// Ends the pause of a node that crashes.
     pub fn forget_pause(&mut self, node: usize) {
         self.beside.asleep[node] = None;
         self.floor.stations[node].asleep = None;
     }
 
-    /// A node goes on: first it looks at the time, and so at its leases and deadlines; then it takes what waits for it.
+    /// Wakes a node. It counts the time first, and with it its leases and deadlines; waiting packets arrive by later moves.
     pub fn wake(&mut self, node: usize) -> Result<(), Violation> {
         let slept = self.floor.slept(node).unwrap_or(0);
         self.forget_pause(node);
-        self.notice(node, slept, slept)
+        self.notice(node, slept)
     }
 
-    /// Time passes for a node that is paused.
+    /// Lets time pass for a paused node.
     pub fn sleep_on(&mut self, node: usize, (ticks, counted): (u32, u32)) {
         if let (Some(slept), Some(asleep)) =
             (&mut self.floor.stations[node].asleep, &mut self.beside.asleep[node])
@@ -170,20 +170,20 @@ impl Course {
         }
     }
 
-    /// A node notices that so many ticks have passed, of which its clock has counted so many.
-    pub fn notice(&mut self, node: usize, ticks: u32, counted: u32) -> Result<(), Violation> {
+    /// Passes `ticks` on a node's clock, and for the scripts that it holds back.
+    pub fn notice(&mut self, node: usize, ticks: u32) -> Result<(), Violation> {
         let due = self.floor.stations[node].node.time_left();
-        if due.is_some_and(|due| due.0 <= u64::from(counted)) {
+        if due.is_some_and(|due| due.0 <= u64::from(ticks)) {
             self.beside.acted |= bit(node);
         }
-        if counted > 0 {
-            self.floor.pass(node, Ticks(u64::from(counted)))?;
+        if ticks > 0 {
+            self.floor.pass(node, Ticks(u64::from(ticks)))?;
         }
         self.hold_back_on(node, ticks);
         Ok(())
     }
 
-    /// Time passes for actions, whether their nodes notice or not, but not for those that have not really begun.
+    /// Lets time pass for the actions of running and of paused nodes, except for actions that a pause holds back.
     pub fn act_on(&mut self, ticks: u32) {
         for task in 0..self.floor.bodies.len() {
             let node = self.floor.station_of(task);
@@ -199,13 +199,13 @@ impl Course {
         }
     }
 
-    /// Whether an action goes on: not one that begins only after a pause.
+    /// Whether an action has begun, and no pause holds it back.
     pub fn has_begun(&self, task: usize, level: u8) -> bool {
         let asleep = self.beside.asleep[self.floor.station_of(task)].as_ref();
         asleep.is_none_or(|asleep| !asleep.held.contains(&(small(task), level)))
     }
 
-    /// In how many ticks a node that is paused may go on, or what it would have done by itself is due.
+    /// Ticks until each event at which a paused node may wake: its own deadlines and ends of leases, the bound of its pause.
     pub fn events_asleep(&self, node: usize) -> impl Iterator<Item = u64> {
         let slept = u64::from(self.floor.slept(node).unwrap_or(0));
         let left = self.beside.asleep[node].as_ref().map(|asleep| asleep.left);
@@ -216,7 +216,7 @@ impl Course {
         own.chain(left.filter(|left| *left > 0).map(|left| u64::from(self.to_next_step(left))))
     }
 
-    /// For how long a packet has waited at the end of its link for a node that was paused.
+    /// Ticks that a packet has waited at the end of its link for a paused node.
     pub fn has_waited(&self, packet: usize) -> u32 {
         self.floor.crossings.get(packet).map_or(0, |crossing| {
             let bound = self.floor.links[usize::from(crossing.link)].2;
@@ -224,7 +224,7 @@ impl Course {
         })
     }
 
-    /// The longest that a packet has waited for a node. Packets are taken in the order in which they came.
+    /// The longest wait of a packet for a node. A woken node takes packets in the order in which they arrived.
     pub fn longest_wait(&self, node: usize) -> u32 {
         if self.faults.pause.is_empty() {
             return 0;

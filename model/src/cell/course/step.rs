@@ -1,56 +1,57 @@
-//! The steps of a cell.
+//! The transitions of a cell, as data that can be stored and replayed.
 
 use serde::{Deserialize, Serialize};
 
-/// One thing that can happen next in a cell. Packets and links are positions in the state.
+/// A transition of a cell. Packets are positions in the state; nodes, tasks, directed links and faults are positions in the plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CellMove {
-    /// Time passes until something happens.
+    /// Time passes until the next event.
     Pass,
-    /// Time passes; this node counts one tick more or less.
+    /// Time passes; the clock of this node counts one tick more (`true`) or less.
     Drift(u8, bool),
     /// A packet arrives.
     Deliver(u8),
-    /// It is lost.
+    /// A packet is lost.
     Lose(u8),
-    /// It arrives, and will once more.
+    /// A packet arrives, and a copy of it stays on the link.
     Duplicate(u8),
-    /// Its link is cut from here on: declared cut number so.
+    /// The link of this packet is cut from here on, by the declared cut of this number.
     Cut(u8, u8),
-    /// Its link is still cut.
+    /// A packet is lost because its link is still cut.
     Vanish(u8),
-    /// Its link is no longer cut, and the packet arrives.
+    /// The declared cut of this number ends, and the packet arrives.
     Mend(u8, u8),
-    /// An action ends: task, thread, whether well, and which of its values.
+    /// An action ends: task, activation, whether it succeeds, and which of its values it gives.
     Acted(u8, u8, bool, u8),
-    /// An action does not end yet.
+    /// An action does not end yet: task and activation.
     GoOn(u8, u8),
-    /// It takes so many ticks more: what as many [`GoOn`](Self::GoOn) come to where every tick counts.
+    /// An action takes this many ticks more: task, activation, ticks. Stands for as many [`GoOn`](Self::GoOn) with
+    /// [`Times::Every`](crate::cell::Times::Every).
     Takes(u8, u8, u32),
-    /// What comes next on this link is still on its way.
+    /// The next packet of this link does not arrive yet.
     Stay(u8),
-    /// A task of this node takes the input that waits in the node at this position.
+    /// A task of this node takes the input at this position.
     Take(u8, u8),
-    /// The next of the scripts of this node begins that are to begin now.
+    /// The next script of this node begins that is to begin in this tick.
     Begin(u8),
-    /// A script gets its choice.
+    /// A script makes this choice.
     Choose(u8, u16),
-    /// Declared crash number so happens.
+    /// The declared crash of this number happens.
     Crash(u8),
-    /// A node starts again.
+    /// A node restarts in its next incarnation.
     Restart(u8),
-    /// Declared pause number so begins at this node, before what it would do next.
+    /// The declared pause of this number begins at this node, before the node's next step.
     Pause(u8, u8),
-    /// The same; actions that it began in this tick begin when it goes on.
+    /// The same, but actions that the node began in this tick begin only when it wakes.
     PauseBefore(u8, u8),
-    /// Time passes as with [`Pass`](Self::Pass); declared pause number so begins before this node notices.
+    /// Time passes as with [`Pass`](Self::Pass), and the declared pause of this number begins before this node notices.
     PauseNext(u8, u8),
-    /// The node goes on after its pause.
+    /// A node wakes from its pause.
     Wake(u8),
 }
 
 impl CellMove {
-    /// Whether something goes wrong.
+    /// Whether this is a fault.
     #[must_use]
     pub const fn is_fault(self) -> bool {
         match self {
@@ -79,7 +80,7 @@ impl CellMove {
         }
     }
 
-    /// The packet that it is about.
+    /// The packet that this delivers or drops.
     #[must_use]
     pub const fn packet(self) -> Option<u8> {
         match self {

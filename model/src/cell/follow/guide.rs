@@ -1,8 +1,8 @@
-//! Finds the roundings with which a run can be followed.
+//! Finds roundings of recorded times with which the model can follow a run.
 //!
-//! What happened between two ticks belongs to the one before or the one after: two times of a node that are ordered
-//! within a tick, or span one tick more or less than they should, say which. First every time is rounded down. Where the
-//! run cannot be followed then, one of the last times is rounded otherwise, the nearest first.
+//! An event between two ticks of the model may count for either tick. First every time is rounded down. If the run cannot be
+//! followed then, one of the last times is rounded otherwise, the nearest first. That may put two times of one tick in order, or
+//! make the time between two events a tick longer or shorter.
 
 use super::run::{Followed, Run, Unexplained};
 use super::{Follower, Rounding, Stop};
@@ -13,18 +13,18 @@ use std::cmp::Reverse;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// How many inputs lie between two kept states.
+/// Inputs between two states that are kept to return to.
 const KEEP_EVERY: usize = 32;
-/// How many inputs back another rounding is tried.
+/// Inputs to go back for another rounding.
 const BACK: usize = 400;
-/// How far beyond the place where it was stuck a rounding must lead.
+/// Inputs that a rounding must lead beyond the place where the model was stuck.
 const BEYOND: usize = 12;
 
-/// How many roundings together may lead on, and how many of the best are tried with another one.
+/// The most roundings that are combined to get on, and how many of the best trials are continued with another one.
 const DEEP: usize = 4;
 const WIDTH: usize = 3;
 
-/// Where a rounding leads.
+/// The result of one rounding.
 struct Trial {
     follower: Follower,
     rounded: (usize, usize),
@@ -35,12 +35,12 @@ struct Trial {
 struct Guide {
     start: Instant,
     seconds: f64,
-    /// The run so far, and states on the way there.
+    /// The run as far as it was followed, and earlier states to return to.
     at: Follower,
     kept: Vec<Follower>,
 }
 
-/// Follows a run. The plan's faults are not used: those of the run are.
+/// Follows a run through the model, with the faults of the run. The plan's faults are not used.
 #[must_use]
 pub fn follow_run(plan: &Arc<CellPlan>, run: &Run) -> Followed {
     let plan = with_programs(plan);
@@ -92,8 +92,8 @@ impl Guide {
         }
     }
 
-    /// Tries other roundings of what came before; whether one leads on. Where none leads far, the best of them may need
-    /// a second one.
+    /// Tries other roundings of earlier times; returns whether one leads on. If none leads far, the best of them may need a
+    /// second one.
     fn round_otherwise(&mut self, stuck: &Unexplained, deep: usize) -> Result<bool, String> {
         let mut better = self.trials(stuck)?;
         if better.first().is_some_and(|trial| trial.led) {
@@ -116,19 +116,19 @@ impl Guide {
         Ok(false)
     }
 
-    /// Goes on from here; what was kept after the time that was rounded otherwise is no way there.
+    /// Goes on from a trial, and drops the kept states that already contain the time that is rounded otherwise.
     fn adopt(&mut self, follower: Follower, rounded: (usize, usize)) {
         self.kept.retain(|kept| !kept.done.contains(&rounded));
         self.at = follower;
     }
 
-    /// What other roundings lead to: all that get on, or only the first that gets far.
+    /// Tries other roundings. Returns all that get further, or only the first one that gets far.
     fn trials(&self, stuck: &Unexplained) -> Result<Vec<Trial>, String> {
         let reached = self.at.done.len();
         let node = self.at.node_of(stuck.task);
         let mut candidates: Vec<(usize, usize)> = self.at.done.iter().rev().take(BACK).copied().collect();
         candidates.insert(0, self.at.stuck_at(stuck.task));
-        // Times of the same node first.
+        // Times of the same node come first.
         candidates.sort_by_key(|&(task, _)| self.at.node_of(TaskId::from_index(task)) != node);
         let mut better = Vec::new();
         for rounded in candidates {

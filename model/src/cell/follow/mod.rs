@@ -1,16 +1,17 @@
-//! Follows a recorded run through the model: the same scripts and machines, the same links and nodes, led by what each
-//! task took.
+//! Follows a recorded run through the model: the same scripts, state machines, links and nodes take the inputs that each task
+//! took in the run.
 //!
 //! ```text
-//!   recorded:  task by task, what it took and what its script made of it, in microseconds
-//!   followed:  at the tick of each of these the node's clock counts, then the same input comes: the script must make
+//!   recorded:  for each task its inputs, and what its script made of them, in microseconds
+//!   followed:  at the tick of each input the node's clock counts, then the same input comes: the script must make
 //!              the same of it
 //! ```
 //!
 //! What is wider than in [`check_cell`](super::check_cell):
-//! - a packet may arrive at any time after it was sent, again, or never; the caller measures how long it took, and counts;
-//! - an action ends at any tick between its least and its most, with any result;
-//! - each node counts its own ticks from its own start, its tasks begin any time after it, and it notices a tick later than it comes: [`Followed::behind`].
+//! - a packet may arrive at any time after it was sent, again, or never; the caller measures and counts how long packets took;
+//! - an action ends at any tick from its least time on, with any result; later than its most time it counts as
+//!   [`Followed::late`];
+//! - each node counts ticks from its own start, its tasks begin any time after it, and it may act late: [`Followed::behind`].
 
 mod guide;
 mod packets;
@@ -36,33 +37,33 @@ use imrs_protocol::{Packet, TaskId};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-/// How many ticks the clock of a node may be ahead of the run: what a message has left is rounded at every node.
+/// Ticks that the clock of a node may be ahead of the run, because every node rounds the remaining time of a message.
 const AHEAD: u64 = 2;
-/// How many ticks late a node may notice that time has passed: one that is declared (D42).
+/// Ticks by which a node may notice late that time has passed. The cell's assumptions allow one (D42).
 const LATE: u64 = 1;
-/// By how many ticks no rounding of two times changes what lies between them.
+/// Ticks that no rounding of two times can add to the time between them or take from it.
 const ROUNDED: u64 = 4;
 
-/// Something that a task took, and what came of it.
+/// An input of a task, and what came of it.
 #[derive(Clone, Debug)]
 struct Group {
     at: u64,
     cause: Happened,
-    /// What left its node.
+    /// The packets that left its node.
     sent: Vec<Packet>,
     turns: Vec<Turn>,
 }
 
-/// How the time of something is rounded where it is not rounded down to its tick.
+/// How a time is rounded, unless it is rounded down to its tick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Rounding {
-    /// It is one tick later.
+    /// One tick later.
     Up,
-    /// It is one tick earlier.
+    /// One tick earlier.
     Down,
-    /// What the packet has left is one tick less.
+    /// The remaining time of the packet is one tick less.
     Charged,
-    /// Time that passed unnoticed is counted at once where timers end, and else tick by tick.
+    /// Time that passed unnoticed is counted at once where timers end, and deadline by deadline elsewhere: not as usual.
     Otherwise,
     /// The timer or delay that the run shows ends before the time_outs of its tick.
     First,
@@ -72,49 +73,49 @@ impl Rounding {
     pub const ALL: [Self; 5] = [Self::First, Self::Up, Self::Down, Self::Otherwise, Self::Charged];
 }
 
-/// For groups of tasks, by their numbers.
+/// The roundings of inputs, by task and position among its groups.
 pub(super) type Roundings = BTreeMap<(usize, usize), Rounding>;
 
-/// A run that is followed so far.
+/// A run, followed up to some input.
 #[derive(Clone)]
 pub(super) struct Follower {
-    /// Microseconds.
+    /// Microseconds in a tick.
     tick: u64,
     course: Course,
     pub roundings: Roundings,
-    /// For each node, the microsecond at which it began, the ticks that its tasks counted, and those that its actions
-    /// did.
+    /// For each node: the microsecond of its start, the ticks that its tasks have counted, and the ticks that its actions have
+    /// counted.
     starts: Vec<u64>,
     clocks: Vec<u64>,
     acts: Vec<u64>,
-    /// By task and thread, by how many ticks the action there takes longer than its most.
+    /// For each task and activation, the ticks by which its action exceeds its most time.
     over: BTreeMap<(usize, u8), u64>,
-    /// By how many ticks the ends of timers were put off, that the run has not shown yet.
+    /// Ticks by which the ends of timers were put off, because the run has not shown them yet.
     put_off: BTreeMap<time::Timer, u64>,
-    /// For each task, what it took, and how much of it was followed.
+    /// For each task its inputs, and how many of them were followed.
     groups: Arc<Vec<Vec<Group>>>,
     next: Vec<usize>,
-    /// For each node, whether its recording ends by itself.
+    /// For each node, whether its recording is complete.
     whole: Vec<bool>,
-    /// Moves of killed nodes that no recording has.
+    /// Guessed moves of killed nodes, which no recording has.
     guessed: u64,
-    /// What was followed, in order: task, and which of its groups.
+    /// The inputs that were followed, in order: the task, and the position among its groups.
     pub done: Vec<(usize, usize)>,
-    /// For each task, what its script in the model did and the run has not shown yet.
+    /// For each task, steps of its script in the model that the run has not shown yet.
     pending: Vec<VecDeque<Turn>>,
-    /// What arrived last, the last first.
+    /// The packets that arrived last, the newest first.
     arrived: VecDeque<Crossing>,
-    /// For each task, what it sent in the model and the run has not shown yet, and in which tick of its node.
+    /// For each task, packets that it sent in the model and the run has not shown yet, each with the tick of its node.
     sends: Vec<Vec<(u64, Packet)>>,
     pub out: Followed,
 }
 
-/// Why a group cannot be followed now.
+/// Why an input cannot be followed now.
 enum No {
-    /// Its packet is not under way: somebody else may have to go on first.
+    /// Its packet is not in flight: another task may have to go on first.
     NotYet(String),
     Never(String),
-    /// Nor would it with any other rounding of times.
+    /// Nor could it with any other rounding of times.
     However(String),
 }
 
@@ -123,13 +124,13 @@ enum No {
 pub(super) enum Stop {
     /// All of it was followed.
     Over,
-    /// So much of it as was asked.
+    /// As many inputs as requested were followed.
     Far,
-    /// The model cannot do the next thing.
+    /// The model cannot do what the run did next.
     Stuck(Unexplained),
 }
 
-/// What a task took, each with what came of it. Time in which nothing shows is left out.
+/// The inputs of a task, each with what came of it. Passing time that shows nothing is left out.
 fn groups(course: &Course, run: &Run, task: usize) -> Vec<Group> {
     let mut groups: Vec<Group> = Vec::new();
     let here = course.floor.station_of(task);
@@ -152,7 +153,7 @@ fn groups(course: &Course, run: &Run, task: usize) -> Vec<Group> {
             }
         }
     }
-    // Lives of nodes are not followed: that one began is time that passes.
+    // Incarnations are not followed: news of a restarted peer counts as passing time.
     let idle = |group: &Group| matches!(group.cause, Happened::Time | Happened::PeerRestarted(_));
     groups.retain(|group| !idle(group) || !group.sent.is_empty() || !group.turns.is_empty());
     groups
@@ -161,7 +162,7 @@ fn groups(course: &Course, run: &Run, task: usize) -> Vec<Group> {
 impl Follower {
     pub fn new(plan: &Arc<CellPlan>, run: &Run) -> Self {
         let mut course = Course::new(plan, &CellFaults::default());
-        // The run says the order in which its tasks go on.
+        // No script has begun yet, because the run gives the order in which its tasks go on.
         course.floor = Floor::waiting(&Arc::clone(&course.floor.plan));
         course.floor.keep_log = true;
         let (nodes, tasks) = (course.floor.stations.len(), plan.tasks.len());
@@ -191,7 +192,7 @@ impl Follower {
         }
     }
 
-    /// The group of a task that comes next.
+    /// The next input of a task: the task, and the position among its groups.
     pub fn stuck_at(&self, task: TaskId) -> (usize, usize) {
         (task.index(), self.next[task.index()])
     }
@@ -201,7 +202,7 @@ impl Follower {
         self.course.floor.station_of(task.index())
     }
 
-    /// Follows the run until so many of its inputs were followed, or it cannot.
+    /// Follows the run until `inputs` of its inputs were followed in all, or until it cannot go on.
     pub fn go(&mut self, inputs: usize) -> Stop {
         let mut order: Vec<(u64, usize)> = Vec::new();
         while self.done.len() < inputs {
@@ -241,7 +242,7 @@ impl Follower {
         Stop::Far
     }
 
-    /// Where the run's next turn of a task begins; else where the task stands in the model.
+    /// The operation of the run's next script step of a task; without one, the operation at which the task is in the model.
     fn address(&self, task: usize) -> Address {
         let next = self.groups[task].get(self.next[task]).and_then(|group| group.turns.first());
         next.map_or_else(|| super::waiting::position(&self.course, task), |turn| turn.at)
@@ -256,7 +257,7 @@ impl Follower {
         match group.cause {
             Happened::Started => {}
             Happened::Begun => {
-                // A node may begin long after its first record: that is no time of its first action.
+                // A script may begin long after its node's first record. Its first action must not count that time.
                 self.let_actions_go_on(node, now);
                 self.catch_up(node, counted)?;
                 self.course.floor.leave(task, ScriptInput::Begin);
@@ -311,7 +312,7 @@ impl Follower {
         }
     }
 
-    /// The model has made a move.
+    /// Runs the scripts after a move of the model, and collects what they did.
     fn made(&mut self, node: usize) -> Result<(), No> {
         self.out.moves += 1;
         let course = &mut self.course;
@@ -330,7 +331,7 @@ impl Follower {
         for effect in std::mem::take(&mut self.course.floor.log) {
             if let Effect::Sent(_, packet) = effect {
                 let task = packet.source.index();
-                // Not what a node only passes on.
+                // Packets that a node only relays do not count.
                 if self.course.floor.station_of(task) == node {
                     self.sends[task].push((self.clocks[node], named(&packet)));
                 }
@@ -338,7 +339,7 @@ impl Follower {
         }
     }
 
-    /// Nothing of the model waits for the run to show it, before a task takes something new.
+    /// Checks that the run has shown all steps of a task in the model, before the task takes a new input.
     fn quiet(&self, task: usize, what: &str) -> Result<(), No> {
         match self.pending[task].front() {
             None => Ok(()),

@@ -1,17 +1,17 @@
-//! Packets of a run that is followed: each was sent in the model before it arrives.
+//! Follows the packets of a run: the model must send each of them before it arrives.
 
 use super::words::{named, port_name};
 use super::{AHEAD, Follower, No, Rounding};
 use crate::cell::judge::name;
 use imrs_protocol::Packet;
 
-/// How many moves of a killed node are guessed for one packet.
+/// The most moves of a killed node that are guessed for one packet.
 const GUESSES: usize = 8;
-/// How many packets are kept that arrived last: a copy comes soon after.
+/// Number of packets kept that arrived last: a copy comes soon after.
 const REPEATED: usize = 64;
 
 impl Follower {
-    /// A packet comes to a task, as the run says.
+    /// A packet arrives at a task, as the run shows.
     pub(super) fn packet(
         &mut self,
         task: usize,
@@ -42,7 +42,7 @@ impl Follower {
         }
     }
 
-    /// Whether the recording of its source has this packet, or may lack it.
+    /// Whether the recording of its source shows this packet, or is incomplete.
     fn was_sent(&self, packet: &Packet) -> bool {
         let source = packet.source.index();
         let mut sent = self.groups[source].iter().flat_map(|group| &group.sent);
@@ -50,14 +50,14 @@ impl Follower {
         !is_whole || sent.any(|sent| *sent == named(packet))
     }
 
-    /// Carries a packet from link to link to a node; false where it is dropped on the way. `more` says how many ticks it
-    /// is charged beyond what the run says that it has left; none where the run does not say.
+    /// Carries a packet along its route to a node; false if a node on the route drops it. `more`: ticks to charge beyond what the
+    /// run shows of its remaining time; `None` if the run does not show that.
     fn carry(&mut self, packet: &Packet, node: usize, more: Option<u64>) -> Result<bool, No> {
         while let Some(i) = self.under_way(packet) {
             let crossing = self.course.floor.crossings.remove(i);
             let (_, to, bound) = self.course.floor.links[usize::from(crossing.link)];
             let last = to.index() == node;
-            // What it was charged beyond the bound, in whole ticks (D20).
+            // Ticks that the packet was charged beyond the link's bound, rounded down (D20).
             let left = crossing.packet.remaining.0.saturating_sub(u64::from(bound)) * self.tick;
             let over = match more.filter(|_| last) {
                 Some(more) => left.saturating_sub(packet.remaining.0) / self.tick + more,
@@ -77,8 +77,8 @@ impl Follower {
         Ok(false)
     }
 
-    /// A node that was killed may have done more than its recording has: what takes it to this packet. Of what is under
-    /// way to it the last comes first.
+    /// Guesses moves of a killed node that lead to this packet, because the node may have done more than its recording shows. It
+    /// tries the newest packet in flight to the node first.
     fn guess(&mut self, node: usize, task: usize, wanted: &Packet) -> bool {
         let over = (0..self.next.len()).filter(|&task| self.course.floor.station_of(task) == node);
         let mut over = over.map(|task| self.next[task] == self.groups[task].len());
@@ -120,7 +120,7 @@ impl Follower {
             *self = next;
             self.guessed += 1;
             if let Some(at) = self.like(wanted) {
-                // What its actions gave nobody knows, so neither what it said.
+                // Nobody knows the results of its actions, nor the contents that follow from them.
                 self.course.floor.crossings[at].packet.contents = wanted.contents;
                 return true;
             }
@@ -128,7 +128,7 @@ impl Follower {
         false
     }
 
-    /// A packet that arrived before, and that its source does not send again, may come once more: a link made two of it.
+    /// Puts a copy in flight if a link may have made it: the packet arrived before, and its source does not send it again.
     fn copied(&mut self, packet: &Packet) -> bool {
         let source = packet.source.index();
         let mut to_come = self.groups[source][self.next[source]..].iter().flat_map(|group| &group.sent);
@@ -139,7 +139,7 @@ impl Follower {
         true
     }
 
-    /// The actions of a node's tasks that may end now.
+    /// The actions on a node that may end now.
     fn may_end(&self, node: usize) -> Vec<(usize, u8)> {
         let floor = &self.course.floor;
         let here = (0..floor.bodies.len()).filter(|&task| floor.station_of(task) == node);
@@ -148,13 +148,13 @@ impl Follower {
         running.filter(|(_, action)| action.least == 0).map(|(task, action)| (task, action.level)).collect()
     }
 
-    /// A packet under way that is this one but for what it says.
+    /// The packet in flight that differs from this one only in its contents.
     fn like(&self, packet: &Packet) -> Option<usize> {
         let like = |other: &Packet| named(&Packet { contents: packet.contents, ..*other }) == named(packet);
         self.course.floor.crossings.iter().position(|crossing| like(&crossing.packet))
     }
 
-    /// The packet that is under way in the model and nearest to this one in what is left of its life.
+    /// Of the same packets in flight in the model, the one whose remaining time is nearest to this one's.
     pub(super) fn under_way(&self, packet: &Packet) -> Option<usize> {
         let left = packet.remaining.0 / self.tick;
         let same = |other: &Packet| named(other) == named(packet);
@@ -168,7 +168,7 @@ impl Follower {
         all.map(|(at, _)| at).min_by_key(|&at| distance(at))
     }
 
-    /// What is left under way when the run ends was lost, but for what was sent just before.
+    /// Counts packets in flight at the end of the run as lost. This includes packets that were sent just before.
     pub(super) fn count_lost(&mut self) {
         let floor = &self.course.floor;
         for (at, (from, to, _)) in floor.links.iter().enumerate() {

@@ -1,76 +1,76 @@
-//! What nodes did in a recorded run, for [`follow_run`](super::follow_run).
+//! A recorded run, and the result of following it with [`follow_run`](super::follow_run).
 
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
 
 pub use imrs_wire::recording::{Happened, Happening, Turn};
 
-/// What all tasks of a run did.
+/// A recorded run: what all tasks did.
 #[derive(Clone, Debug, Default)]
 pub struct Run {
     /// Microseconds in one tick of the model.
     pub tick: u64,
-    /// For each task, what happened there, in order.
+    /// For each task its events, in order.
     pub tasks: Vec<Vec<Happening>>,
-    /// For each node, whether its recording ends by itself: a node that was killed may have done more than is recorded.
+    /// For each node, whether its recording is complete. A node that was killed may have done more than is recorded.
     pub whole: Vec<bool>,
 }
 
-/// What following a run comes to.
+/// The result of following a run.
 #[derive(Clone, Debug, Default)]
 pub struct Followed {
-    /// Moves of the model.
+    /// Moves that the model made.
     pub moves: u64,
     /// Inputs of tasks that were followed.
     pub inputs: u64,
-    /// Turns of scripts that the model took as the run did.
+    /// Script steps in which the model and the run agree.
     pub turns: u64,
     /// Packets that never arrived, by directed link: from, to, how many.
     pub lost: Vec<(usize, usize, u64)>,
-    /// By how many ticks, at most, a node of the run acted later than it was time in the model, and earlier.
+    /// The most ticks by which a node of the run acted later than it would have in the model.
     pub behind: u64,
-    /// See `behind`.
+    /// The most ticks by which a node of the run acted earlier than it would have in the model.
     pub ahead: u64,
-    /// Every time that a node acted later than a tick after it was time.
+    /// Every case in which a node acted more than a tick late.
     pub late: Vec<Late>,
-    /// Moves of killed nodes that no recording has.
+    /// Guessed moves of killed nodes, which no recording has.
     pub guessed: u64,
-    /// How often a time was not rounded down to its tick, but up or farther down.
+    /// Number of times that were not rounded down to their tick, but otherwise.
     pub rounded: u64,
-    /// Results of actions that the checker does not try.
+    /// Action results that the checker does not try.
     pub other_values: u64,
-    /// The first thing that the model cannot do.
+    /// The first event that the model cannot explain.
     pub unexplained: Option<Unexplained>,
-    /// Whether it might, with times rounded otherwise: shortly before, a node acted so late, or two things came so close to each other,
-    /// that not all ways were tried.
+    /// Whether other roundings of times might explain it, because not all were tried: shortly before, a node acted too late, or
+    /// two inputs came too close together.
     pub unsure: bool,
-    /// Which budget ended it.
+    /// The budget that ended the search for roundings, if one did.
     pub ended_by: Option<String>,
     /// The microsecond up to which the run was followed.
     pub until: u64,
 }
 
-/// A node that noticed late that it was time.
+/// An instance of a node that acted late.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Late {
-    /// When: microseconds of the run's clock.
+    /// The time, in microseconds of the run's clock.
     pub at: u64,
-    /// Where.
+    /// The task.
     pub task: TaskId,
-    /// The operation that the task stood at.
+    /// The operation at which the task was.
     pub address: Address,
-    /// By how many ticks.
+    /// Ticks by which it was late.
     pub ticks: u64,
 }
 
-/// Something that a run did and the model cannot do.
+/// An event of the run that the model cannot explain.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Unexplained {
-    /// When: microseconds of the run's clock.
+    /// The time, in microseconds of the run's clock.
     pub at: u64,
-    /// Where.
+    /// The task.
     pub task: TaskId,
-    /// The operation that the task stood at.
+    /// The operation at which the task was.
     pub address: Address,
     /// What is wrong, in the cell's words.
     pub why: String,

@@ -1,8 +1,8 @@
-//! Which steps of a run's scripts are also taken where [`check_cell`](crate::cell::check_cell) looks: without
-//! faults, links and actions within their times; with those declared, at the ends of them.
+//! Looks for the script steps of a run in the state space of [`check_cell`](crate::cell::check_cell): without faults at the times
+//! of [`Times::Between`], and with the declared faults at the plan's times.
 
 use super::run::{Happened, Run, Turn};
-use crate::cell::course::{CellMove, Course};
+use crate::cell::course::Course;
 use crate::cell::outside::with_programs;
 use crate::cell::plan::{CellFaults, CellPlan, Times};
 use crate::cell::search::timed;
@@ -12,10 +12,10 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Moves of one walk.
+/// Moves of one random walk.
 const LENGTH: usize = 6_000;
 
-/// A step of a script, without what it was told: where it waited, what came, where it went on.
+/// A kind of script step, without contents: where the script waited, what came, which statements it began.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
 struct Kind {
     task: usize,
@@ -32,19 +32,19 @@ impl Kind {
     }
 }
 
-/// What steps of a run the model takes, too.
+/// Which script steps of a run the model takes, too.
 #[derive(Clone, Debug, Default)]
 pub struct Steps {
-    /// How many kinds of step the run has.
+    /// The number of kinds of script steps in the run.
     pub kinds: usize,
-    /// Those that were not met, by task and by the operation that the script waited in.
+    /// Kinds that no walk met: the task, and the operation in which its script waited.
     pub missing: Vec<(TaskId, Address)>,
-    /// Walks through the model.
+    /// Random walks through the model.
     pub walks: u64,
 }
 
-/// Walks at random through the model within the plan's faults, always the same way, until every kind of step of the run
-/// was met or the plan's budget is used up. What is not met may still be there.
+/// Walks at random through the model within the plan's faults, until every kind of script step of the run was met or the plan's
+/// time is used up. The walks are the same every time. A kind that was not met may still be possible.
 #[must_use]
 pub fn steps_in_model(plan: &Arc<CellPlan>, run: &Run) -> Steps {
     let (start, plan) = (Instant::now(), with_programs(plan));
@@ -59,7 +59,7 @@ pub fn steps_in_model(plan: &Arc<CellPlan>, run: &Run) -> Steps {
     let between = timed(&plan, Times::Between);
     while !missing.is_empty() && start.elapsed().as_secs_f64() < plan.budget.seconds {
         steps.walks += 1;
-        // Every other walk is without faults: what takes long is not reached where something always goes wrong.
+        // Half of the walks have no faults: where something always goes wrong, a walk does not reach what takes long.
         match draw.below(2) {
             0 => walk(&between, &CellFaults::default(), &mut draw, &mut missing),
             _ => {
@@ -83,22 +83,9 @@ fn walk(plan: &Arc<CellPlan>, faults: &CellFaults, draw: &mut Draw, missing: &mu
         }
         moves.clear();
         course.moves(&mut moves);
-        let is_fault = |step: &CellMove| {
-            matches!(
-                step,
-                CellMove::Crash(_)
-                    | CellMove::Lose(_)
-                    | CellMove::Cut(..)
-                    | CellMove::Duplicate(_)
-                    | CellMove::Drift(..)
-                    | CellMove::Pause(..)
-                    | CellMove::PauseBefore(..)
-                    | CellMove::PauseNext(..)
-            )
-        };
         // Faults are rare, or they would all happen at the beginning.
-        if draw.below(64) > 0 && moves.iter().any(|step| !is_fault(step)) {
-            moves.retain(|step| !is_fault(step));
+        if draw.below(64) > 0 && moves.iter().any(|step| !step.is_fault()) {
+            moves.retain(|step| !step.is_fault());
         }
         let Some(&step) = moves.get(draw.below(moves.len())) else { return };
         if !course.survives(step) || course.floor.violation.is_some() || missing.is_empty() {
@@ -107,7 +94,7 @@ fn walk(plan: &Arc<CellPlan>, faults: &CellFaults, draw: &mut Draw, missing: &mu
     }
 }
 
-/// What came, but for numbers and contents.
+/// The kind of an input, without numbers and contents.
 fn came(input: &ScriptInput) -> (u8, Option<PortId>) {
     let signal = match input {
         ScriptInput::Begin => return (0, None),
@@ -143,7 +130,7 @@ fn came(input: &ScriptInput) -> (u8, Option<PortId>) {
     }
 }
 
-/// Numbers that look random: xorshift.
+/// Pseudo-random numbers (xorshift).
 struct Draw(u64);
 
 impl Draw {

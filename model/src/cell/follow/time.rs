@@ -1,5 +1,4 @@
-//! Time of a node that is followed: it counts as the run says, neither past what the run has not shown yet nor less than
-//! what it has.
+//! Advances the clocks of followed nodes: as far as the run has come, but not past an event that the run has not shown yet.
 
 use super::run::Happened;
 use super::run::{Late, Turn};
@@ -7,14 +6,14 @@ use super::{AHEAD, Follower, Group, LATE, No, Rounding};
 use imrs_protocol::script::ScriptInput;
 use imrs_protocol::{Call, NodeInput, NodeOutbox, Packet, Signal, TaskId, Ticks, TimeId};
 
-/// A timer or delay: whose, and which.
+/// A timer or delay: the task, and its id.
 pub(super) type Timer = (TaskId, TimeId);
 
-/// How many inputs of a task before the one that the model cannot do are looked at for two in one tick.
+/// Inputs of a task that `is_tied` examines, before the one that the model cannot follow.
 const TIED: usize = 8;
 
 impl Follower {
-    /// The ticks until time alone makes a node act.
+    /// Ticks until time alone makes a node act.
     pub(super) fn expiry(&self, node: usize) -> Option<u64> {
         self.course.floor.stations[node].node.time_left().map(|ticks| ticks.0.max(1))
     }
@@ -29,7 +28,7 @@ impl Follower {
         self.made(node)
     }
 
-    /// Whether so much time shows anything at a node.
+    /// Whether a node signals or sends anything when this many ticks pass.
     pub(super) fn shows(&self, node: usize, ticks: u64) -> bool {
         let mut look = Look(false);
         let mut node = self.course.floor.stations[node].node.clone();
@@ -37,7 +36,7 @@ impl Follower {
         look.0
     }
 
-    /// Lets a node count up to a tick, but not to where time would show: the run shows that later.
+    /// Lets a node count up to a tick, but not to an instant at which it would act: the run shows that later.
     pub(super) fn catch_up(&mut self, node: usize, now: u64) -> Result<(), No> {
         while self.clocks[node] < now {
             let left = now - self.clocks[node];
@@ -71,7 +70,7 @@ impl Follower {
         }
     }
 
-    /// A task acts so many ticks after it is time.
+    /// Records by how many ticks a task acted late.
     pub(super) fn late(&mut self, task: usize, at: u64, ticks: u64) {
         self.out.behind = self.out.behind.max(ticks);
         if ticks > LATE {
@@ -80,7 +79,7 @@ impl Follower {
         }
     }
 
-    /// Whether a node acted late among the last so many inputs, or is about to.
+    /// Whether a node acted late within the last `inputs`, or is about to act late.
     pub(super) fn was_late(&self, inputs: usize) -> bool {
         let since = self.done.iter().rev().take(inputs).next_back();
         let since = since.map_or(0, |&(task, group)| self.groups[task][group].at);
@@ -93,8 +92,8 @@ impl Follower {
         self.out.late.iter().any(|late| late.at >= since) || coming.max() > Some(LATE)
     }
 
-    /// Whether a time_out, a timer or a delay of a task ended within a tick of something else that it took, shortly before or right
-    /// after: in the model time_outs come first in their tick.
+    /// Whether a time_out, timer or delay of a task ended within a tick of another input, shortly before or right after this
+    /// point. The model puts time_outs first in their tick.
     pub(super) fn is_tied(&self, task: usize) -> bool {
         let next = self.next[task];
         let near = &self.groups[task];
@@ -105,7 +104,7 @@ impl Follower {
         })
     }
 
-    /// Time makes a task act, as the run says.
+    /// Lets time pass until a task has done what the run shows.
     pub(super) fn let_time_show(
         &mut self,
         task: usize,
@@ -140,7 +139,7 @@ impl Follower {
             let due = match due {
                 Some(due) => due,
                 None => {
-                    // A node that is late gives its communication tasks all the time at once, but ends timers one by one.
+                    // A late node gives its communication tasks all the time at once, but ends timers one by one.
                     let at_once = timer.is_some() == (rounding == Some(Rounding::Otherwise));
                     let ticks = if at_once { expiry.max(all) } else { expiry };
                     if timer.is_none() && self.rest(node).is_some_and(|rest| rest <= ticks) {
@@ -156,11 +155,11 @@ impl Follower {
         Ok(())
     }
 
-    /// The timers and delays of a node: whose, which, in how many ticks it ends, and in how many it was to end: a late node
-    /// has not noticed yet that it did where that is less.
+    /// The timers and delays of a node, each with the ticks until it ends and the ticks until it was due. The latter are fewer,
+    /// perhaps below 0, if its end was put off because a late node has not noticed it yet.
     fn timers(&mut self, node: usize) -> Vec<(Timer, u64, i64)> {
         let entries = self.course.floor.stations[node].node.parts().timer.entries();
-        // Put off it ends with the next tick, or it was started again.
+        // A timer that was put off ends with the next tick; if it does not, it was started again.
         let known = |timer: &Timer| entries.iter().any(|&(of, id, left)| (of, id) == *timer && left.0 <= 1);
         let here = |of: TaskId| self.course.floor.station_of(of.index()) == node;
         self.put_off.retain(|timer, _| !here(timer.0) || known(timer));
@@ -172,9 +171,9 @@ impl Follower {
         entries.into_iter().map(entry).collect()
     }
 
-    /// All the time passes at once, and then one timer ends; others that are over by then wait to be noticed. Of those that
-    /// end in one tick any may be the first, of others the earliest. Returns the tick in which it was to end; `None`,
-    /// and nothing happens, where something else comes first.
+    /// Lets all the time pass at once, then ends one timer, and puts off other timers that are over. Of timers due in one tick
+    /// any may be first, otherwise only the earliest. Returns the tick in which it was due. `None`: another event comes first,
+    /// and nothing was done.
     fn end_one(&mut self, node: usize, timer: Timer, all: u64) -> Result<Option<u64>, No> {
         let timers = self.timers(node);
         let Some(&(.., left)) = timers.iter().find(|(one, ..)| *one == timer) else { return Ok(None) };
@@ -190,7 +189,7 @@ impl Follower {
         Ok(Some(due))
     }
 
-    /// The ticks until time alone makes a node act without its Timer.
+    /// Ticks until time alone makes a node act, apart from its Timer.
     fn rest(&self, node: usize) -> Option<u64> {
         let mut rest = self.course.floor.stations[node].node.clone();
         for (of, id, _) in rest.parts().timer.entries() {
@@ -199,7 +198,7 @@ impl Follower {
         rest.time_left().map(|ticks| ticks.0)
     }
 
-    /// Timers that end within so many ticks end right after these: the run shows later when.
+    /// Puts off timers that end within `ticks` until right after these: the run shows later when they end.
     fn put_timers_off(&mut self, node: usize, ticks: u64) {
         for ((of, id), left, _) in self.timers(node).into_iter().filter(|(_, left, _)| *left <= ticks) {
             self.course.floor.stations[node].node.parts_mut().timer.put(of, id, Ticks(ticks + 1));
@@ -207,8 +206,8 @@ impl Follower {
         }
     }
 
-    /// A timer ends before all else in its tick. Returns that; `None` where it does not end in the next tick in which
-    /// anything does.
+    /// Ends a timer before everything else in its tick. Returns that tick; `None` if the timer does not end in the next tick with
+    /// an event.
     fn end_before_others(&mut self, node: usize, timer: Timer, expiry: u64) -> Result<Option<u64>, No> {
         if !self.timers(node).iter().any(|(one, left, _)| *one == timer && *left <= expiry) {
             return Ok(None);
@@ -227,13 +226,13 @@ impl Follower {
         self.made(node)
     }
 
-    /// Whether the model's task has sent what the run's did.
+    /// Whether the task has sent in the model what it sent in the run.
     pub(super) fn has_sent(&self, task: usize, group: &Group) -> bool {
         group.sent.iter().all(|packet| self.sends[task].iter().any(|(_, sent)| sent == packet))
     }
 }
 
-/// The timer or delay that ends with this turn.
+/// The timer or delay that ends in this script step.
 const fn ends(turn: &Turn) -> Option<TimeId> {
     match turn.input {
         ScriptInput::Signal(Signal::TimeOut(id) | Signal::Interrupt(Call::Timer(id))) => Some(id),
@@ -243,7 +242,7 @@ const fn ends(turn: &Turn) -> Option<TimeId> {
     }
 }
 
-/// Whether anything shows.
+/// Whether a node signals or sends anything.
 struct Look(bool);
 
 impl NodeOutbox for Look {

@@ -1,4 +1,4 @@
-//! What a followed run is compared by, and told with.
+//! Compares and describes what a run and the model did.
 
 use super::run::Turn;
 use imrs_protocol::script::ScriptInput;
@@ -8,7 +8,7 @@ pub(super) fn port_name(table: &CellTable, port: PortId) -> String {
     table.port(port).map_or_else(|| "?".into(), |port| format!("`{}`", port.decl.name))
 }
 
-/// What came, in a few words.
+/// An input in a few words.
 pub(super) fn said(input: &ScriptInput) -> String {
     match input {
         ScriptInput::Begin => "begins".into(),
@@ -23,17 +23,17 @@ pub(super) fn said(input: &ScriptInput) -> String {
     }
 }
 
-/// Without what relays and time change.
+/// The packet without what relays and time change: its remaining time and hops.
 pub(super) fn named(packet: &Packet) -> Packet {
     Packet { remaining: Ticks::ZERO, hops: 0, ..*packet }
 }
 
-/// Whether two turns are the same but for what is counted in other units.
+/// Whether two script steps are equal but for remaining times, whose units differ.
 pub(super) fn alike(a: &Turn, b: &Turn) -> bool {
     (a.at, &a.passed, a.end) == (b.at, &b.passed, b.end) && plain(a.input) == plain(b.input)
 }
 
-/// Without what is left of lives.
+/// The input without the remaining time of its message.
 pub(in crate::cell) fn plain(mut input: ScriptInput) -> ScriptInput {
     if let ScriptInput::Signal(Signal::Message(delivery) | Signal::Interrupt(Call::Message(delivery))) =
         &mut input

@@ -1,4 +1,4 @@
-//! The faults of a seed: drawn within what the cell declares, where its plain run has something to go wrong.
+//! Draws the faults of a seed: within what the cell declares, at packets, actions and times that a run without faults has.
 
 use super::driver::random;
 use super::run::Run;
@@ -6,17 +6,17 @@ use super::schedule::{Fault, MOST_FAULTS};
 use crate::cell::plan::{CellFaults, CellPlan};
 use imrs_protocol::{NodeId, TaskId};
 
-/// One run in this number of a cell with faults has none.
+/// One run in this many has no faults, although the cell declares some.
 const PLAIN: u8 = 8;
-/// Powers of two up to which counts and times are drawn where the plain run does not bound them.
+/// Powers of two from which durations are drawn that the plain run does not bound.
 const MAGNITUDES: u32 = 16;
 
-/// Counts of the plain run: without faults, all choices 0.
+/// Counts of the plain run, which has no faults and only choices 0.
 #[derive(Debug)]
 pub(super) struct Census {
-    /// Directed links on which packets arrive, and their number.
+    /// Directed links on which packets arrive, with the number of packets.
     lines: Vec<((NodeId, NodeId), u32)>,
-    /// Tasks whose actions end, and the number of these.
+    /// Tasks whose actions end, with the number of actions.
     tasks: Vec<(TaskId, u32)>,
     ticks: u64,
 }
@@ -114,7 +114,7 @@ impl Census {
             let node = pause.node.unwrap_or_else(|| NodeId::from_index(rng.usize(..nodes)));
             Some(Fault::Pause { node, at, lasts, before_action: rng.u8(..4) == 0 })
         });
-        // Half of the runs have all faults of a kind, the others some of them. If no fault is drawn at all, every one happens.
+        // Half of the runs have all faults of a kind, the others some of them. If none is drawn for any kind, all happen.
         let mut drawn = if faults.is_empty() { all } else { faults };
         drawn.truncate(MOST_FAULTS);
         drawn

@@ -1,4 +1,4 @@
-//! Which move comes next in a run: what the faults name, and otherwise what is chosen.
+//! Decides the next move of a run: a named fault if it is due, otherwise a choice.
 
 mod who;
 
@@ -11,7 +11,7 @@ use who::{Who, is_of_a_turn, who};
 /// Where choices come from.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Source<'a> {
-    /// Numbers at random, the same for the same seed.
+    /// Random numbers, the same for the same seed.
     Seed(u64),
     /// A tape.
     Tape(&'a Tape),
@@ -22,7 +22,7 @@ pub(super) enum Source<'a> {
 enum Spread {
     /// Each with the same chance.
     Even,
-    /// Half of the times one of the two ends.
+    /// In half of the cases one of the two ends.
     Ends,
 }
 
@@ -33,26 +33,26 @@ struct Choices {
     made: Vec<u32>,
 }
 
-/// Which instant of an action was chosen.
+/// The end that was chosen for an action.
 struct Chosen {
     task: u8,
     level: u8,
     action: u16,
-    /// When it ends at the latest: another action of the same thread has another.
+    /// Its latest end, which tells two actions of one activation apart.
     latest: u64,
-    /// How often an action without an upper bound still goes on.
+    /// How many times an action without an upper bound still goes on.
     left: u32,
 }
 
 impl Chosen {
-    /// Whether it was chosen for this action of a thread.
+    /// Whether the end was chosen for this action of an activation.
     fn is_of(&self, course: &Course, (task, level): (u8, u8), running: &Running) -> bool {
         (self.task, self.level, self.action, self.latest)
             == (task, level, running.action, latest(course, running))
     }
 }
 
-/// When an action ends at the latest.
+/// The latest end of an action.
 fn latest(course: &Course, running: &Running) -> u64 {
     if running.most == Running::FOREVER { u64::MAX } else { course.passed + u64::from(running.most) }
 }
@@ -69,19 +69,19 @@ struct Line {
 /// Decides the moves of one run.
 pub(super) struct Driver<'a> {
     source: Source<'a>,
-    /// Sorted as the budgets number them.
+    /// Sorted in the order in which the budgets number them.
     faults: Vec<Fault>,
     happened: Vec<bool>,
-    /// Those of tasks, of links, of nodes, in this order.
+    /// The choices of tasks, then of links, then of nodes.
     choices: Vec<Choices>,
     tasks: usize,
     lines: Vec<Line>,
     /// For each task the number of actions that have ended.
     ended: Vec<u32>,
     actions: Vec<Chosen>,
-    /// For each node that is down, when it starts again.
+    /// For each node that is down, the instant from which it may restart.
     restarts: Vec<Option<u64>>,
-    /// For each cut that has begun, when it is over.
+    /// For each cut that has begun, the instant at which it ends.
     cuts: Vec<Option<u64>>,
 }
 
@@ -128,7 +128,7 @@ impl<'a> Driver<'a> {
         self.happened
     }
 
-    /// The next of these moves; none if the run is over.
+    /// The next move, one of `moves`; `None` if the run is over.
     pub fn next(&mut self, course: &Course, moves: &[CellMove]) -> Option<CellMove> {
         let step = if moves.iter().any(|step| is_of_a_turn(*step)) {
             self.in_turn(course, moves)
@@ -206,8 +206,8 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// Whether somebody makes a step while inputs wait in a node: an action whose end was chosen for now, a packet to which
-    /// nothing happens or behind which there is another. What else becomes of both is asked when nothing waits.
+    /// Whether a move may come while inputs wait in a node: an action whose end was chosen for now, or a packet that has no fault
+    /// or has another packet behind it. All other actions and packets are asked when no input waits.
     fn comes_now(&self, course: &Course, who: Who) -> bool {
         match who {
             Who::Input(_) => true,
@@ -226,7 +226,7 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// Whether a fault is named that happens to the next packet of a link at its bound: it is lost, doubled or cut off.
+    /// Whether a fault is named for the next packet of a link at its bound: the packet is lost, doubled or cut off.
     fn is_named(&self, course: &Course, link: usize) -> bool {
         let (from, to, _) = course.floor.links[link];
         let next = self.lines[link].arrived + 1;
@@ -237,7 +237,7 @@ impl<'a> Driver<'a> {
         self.named(is).is_some() || self.cut(course, link).is_some()
     }
 
-    /// How an action ends.
+    /// The move that ends an action: its named failure, or one of its values by choice.
     fn ends(&mut self, moves: &[CellMove], (task, level): (u8, u8)) -> Option<CellMove> {
         let at = usize::from(task);
         let next = self.ended[at] + 1;
@@ -254,7 +254,7 @@ impl<'a> Driver<'a> {
         moves.iter().filter(ends).nth(value as usize).copied()
     }
 
-    /// The move by which an action that may end now goes on; none if it ends.
+    /// The move by which an action that may end now goes on; `None` if it ends.
     fn goes_on(&mut self, course: &Course, moves: &[CellMove], (task, level): (u8, u8)) -> Option<CellMove> {
         let running = *course.floor.bodies[usize::from(task)].actor.as_ref()?.runs(level)?;
         if !moves.contains(&CellMove::GoOn(task, level)) {
@@ -267,7 +267,7 @@ impl<'a> Driver<'a> {
             return Some(CellMove::GoOn(task, level));
         }
         self.actions.retain(|chosen| (chosen.task, chosen.level) != (task, level));
-        // It may end now, and at the instants that steps counted back from its most time leave.
+        // It may end now, or after whole steps, counted back from its most time.
         let step = course.plan.step.max(1);
         let first = running.most - (running.most.saturating_sub(1) / step) * step;
         let instants = if endless { ENDLESS } else { 2 + (running.most - first) / step };
@@ -287,7 +287,7 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// The move by which a packet that may arrive now stays on its link; none if it arrives.
+    /// The move by which a packet that may arrive now stays on its link; `None` if it arrives.
     fn stays(&mut self, course: &Course, moves: &[CellMove], link: usize) -> Option<CellMove> {
         let stays = CellMove::Stay(u8::try_from(link).ok()?);
         let first = course.floor.crossings.iter().find(|crossing| usize::from(crossing.link) == link)?;
@@ -347,7 +347,7 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// What the cuts do to a packet at the end of a link.
+    /// What cuts do to the packet at the end of a link.
     fn cut(&self, course: &Course, link: usize) -> Option<Cut> {
         let cuts = (0_u8..).zip(self.faults.iter().enumerate().filter_map(|(fault, of)| match *of {
             Fault::Cut { link, at, .. } => Some((fault, link, at)),
@@ -355,7 +355,7 @@ impl<'a> Driver<'a> {
         }));
         let here = || cuts.clone().filter(|(_, (_, of, _))| *of == link / 2);
         let state = |number: u8| course.beside.cuts.get(usize::from(number)).copied();
-        // While one is open no other begins.
+        // No other cut of a link begins while one is open.
         if let Some((_, (fault, ..))) = here().find(|(number, _)| state(*number) == Some(OPEN)) {
             let over = self.cuts[fault].is_some_and(|over| over <= course.passed);
             return (!over).then_some(Cut::Lasts);
@@ -370,7 +370,7 @@ impl<'a> Driver<'a> {
         all.position(|(fault, happened)| !happened && is(fault))
     }
 
-    /// The fault that is this crash, its instant, and how long the node stays down.
+    /// The fault of this declared crash: its position, its instant, and how long the node stays down.
     fn stop(&self, number: u8) -> Option<(usize, u64, Option<u64>)> {
         let stops = self.faults.iter().enumerate().filter_map(|(fault, of)| match *of {
             Fault::Stop { at, restart, .. } => Some((fault, at, restart)),
@@ -406,7 +406,7 @@ impl<'a> Driver<'a> {
         self.restarts[usize::from(node)].is_some_and(|due| due <= now)
     }
 
-    /// Keeps count of what a move does.
+    /// Updates the counts and the faults that happened, after a move.
     fn note(&mut self, course: &Course, step: CellMove) {
         let line =
             |i: u8| course.floor.crossings.get(usize::from(i)).map(|crossing| usize::from(crossing.link));
@@ -465,7 +465,7 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// A choice below `limit`. With one alternative there is no choice to make.
+    /// Makes a choice below `limit`. A single alternative takes no choice.
     fn draw(&mut self, chooser: usize, limit: usize, spread: Spread) -> u32 {
         let most = u32::try_from(limit.saturating_sub(1)).unwrap_or(u32::MAX - 1);
         if most == 0 {
@@ -489,14 +489,14 @@ impl<'a> Driver<'a> {
     }
 }
 
-/// How often an action without an upper bound may go on.
+/// An action without an upper bound goes on fewer times than this, by choice.
 const ENDLESS: u32 = 4;
-/// The streams below this are those that the faults are drawn from.
+/// The faults are drawn from the streams below this number.
 pub(super) const FIRST_OF_CHOOSERS: u64 = 64;
 
-/// The stream of a seed with this number. Each is independent of how much is drawn from the others.
+/// The random stream of a seed with this number. Draws from one stream do not change the others.
 pub(super) fn random(seed: u64, stream: u64) -> fastrand::Rng {
-    // The first number of each generator is a seed that neither a near seed nor a near stream shares bits with.
+    // Each seed is the first number of another generator, so that neighbouring seeds and streams share no bits.
     let mut of_seed = fastrand::Rng::with_seed(seed);
     let mut of_stream = fastrand::Rng::with_seed(of_seed.u64(..) ^ stream);
     fastrand::Rng::with_seed(of_stream.u64(..))
@@ -504,8 +504,8 @@ pub(super) fn random(seed: u64, stream: u64) -> fastrand::Rng {
 
 /// What a cut does to the packet that is about to arrive.
 enum Cut {
-    /// The cut of this number, and this fault, begins with it.
+    /// The cut of this number begins with this packet, by the fault at this position.
     Begins(u8, usize),
-    /// It takes the packet, too.
+    /// The cut is open, and takes the packet, too.
     Lasts,
 }

@@ -1,5 +1,5 @@
-//! Random runs of a cell on the machine itself, in one process, never packed: for cells that are too large to be searched,
-//! and for longer runs than a search reaches.
+//! Runs a cell at random on the protocol's state machine, in one process and without packing: for cells that are too large to
+//! search, and for longer runs than a search reaches.
 //!
 //! ```text
 //!   seed ---> faults, and a stream of numbers for each chooser ---.
@@ -9,8 +9,8 @@
 //!      '--- shrinking: fewer faults, smaller numbers, zeros <-----'
 //! ```
 //!
-//! A run makes only moves of the search at every tick. So a complete search with the same faults finds what a run finds. Some
-//! verdicts need a complete search, and no run is judged by them: a statement is never reached, a check says nothing.
+//! A run makes only moves of the search at every tick. So a complete search with the same faults finds whatever a run finds. Runs
+//! give no verdicts that need a complete search (a statement is unreachable, a check never applies), and no warnings.
 
 mod draw;
 mod driver;
@@ -64,7 +64,7 @@ pub struct Simulated {
     pub statements: Vec<(u32, u32)>,
     /// Statements that no run reached: task and operation.
     pub not_reached: Vec<(TaskId, Address)>,
-    /// Faults that were given and happened in no run.
+    /// Given faults that happened in no run.
     pub idle: Vec<Fault>,
     /// Whether the runs were stopped before their end.
     pub interrupted: bool,
@@ -119,12 +119,12 @@ struct Ran {
     happened: Vec<bool>,
 }
 
-/// Something that runs show: at one task, or at several with the same statements.
+/// A finding of several runs, at one task or at several with the same statements.
 struct Group {
-    /// As the first of these runs shows it, and the number of moves to it.
+    /// The finding as the first of these runs shows it, and the number of moves to it.
     shown: Shown,
     moves: usize,
-    /// The other tasks.
+    /// The other tasks that show it.
     also: Vec<TaskId>,
     runs: u64,
     /// The first of these runs.
@@ -231,7 +231,7 @@ impl Simulator {
         }
     }
 
-    /// Whether two things that runs show are one finding.
+    /// Whether two results are one finding.
     fn is_one(&self, one: &Shown, other: &Shown) -> bool {
         one.is_same(other) || shows_alike(&self.plan, one, other)
     }
@@ -249,7 +249,7 @@ impl Simulator {
             }
         };
         side_by_side((0..self.jobs as u64).take(count as usize), work);
-        // Runs behind a stopped one are left out, because the seeds of an answer have no gaps.
+        // Runs behind a stopped one are dropped, so that the answer covers seeds without a gap.
         done.into_iter().map_while(OnceLock::into_inner).collect()
     }
 
@@ -283,12 +283,12 @@ impl Simulator {
         Limit { stop: Some(&self.stop), ..self.whole() }
     }
 
-    /// The limit of a run whose answer needs all steps.
+    /// The limit of a run that must not be stopped.
     const fn whole(&self) -> Limit<'_> {
         Limit { steps: self.steps, stop: None }
     }
 
-    /// Runs a schedule as it is, or shrinks what it shows.
+    /// Runs a schedule, and shrinks it for each of its findings if asked to.
     #[must_use]
     pub fn schedule(&self, schedule: &Schedule, shrink: bool) -> Simulated {
         let mut all = Simulated::default();
@@ -365,7 +365,7 @@ impl Simulator {
 
     fn found(&self, run: &Run, shown: &Shown, schedule: Schedule, shrunk: Option<Shrunk>) -> Found {
         let end = moves_to(run, shown).unwrap_or(run.moves.len());
-        // The cause with the values of this run.
+        // Take the cause from this run, because it holds the values of this run.
         let shown = run.shown.iter().find(|(_, known)| known.is_same(shown)).map_or(shown, |(_, own)| own);
         let moves = run.moves[..end].to_vec();
         let finding = story::finding(&self.plan, (run.phase, 0), &run.faults, moves, shown);
@@ -388,7 +388,7 @@ impl Simulator {
 }
 
 impl Group {
-    /// The finding of one of its runs, with the tasks and the number of all its runs.
+    /// Adds to the finding of one run the tasks, the seed and the number of all its runs.
     fn of_all(&self, mut found: Found) -> Found {
         found.finding.also.clone_from(&self.also);
         Found { runs: self.runs, seed: self.seed, number: self.number, ..found }
@@ -406,7 +406,7 @@ impl Simulated {
 }
 
 impl Found {
-    /// Whether it takes a fault.
+    /// Whether the finding takes a fault.
     #[must_use]
     pub fn with_faults(&self) -> bool {
         self.finding.phase == Phase::Faults

@@ -1,4 +1,4 @@
-//! One run of a cell, from its start to its end, a finding, or a bound.
+//! Makes one run of a cell: to its end, to a finding, or to a limit.
 
 use super::driver::{Driver, Source};
 use super::schedule::{Fault, Tape};
@@ -37,7 +37,7 @@ pub(super) struct Run {
     pub ended: Ended,
     /// Whether it was stopped before its end.
     pub stopped: bool,
-    /// Each finding once, and after how many moves.
+    /// Each finding once, with the number of moves before it.
     pub shown: Vec<(usize, Shown)>,
     pub ticks: u64,
     pub reached: Reached,
@@ -48,7 +48,7 @@ pub(super) struct Run {
     pub counts: (Vec<u32>, Vec<u32>),
 }
 
-/// What ends a run if nothing else does.
+/// The limits of a run.
 #[derive(Clone, Copy)]
 pub(super) struct Limit<'a> {
     /// The most steps.
@@ -63,7 +63,7 @@ impl Limit<'_> {
     }
 }
 
-/// Runs a cell. A run without faults is also judged by what only a fault may cause: requests that end badly.
+/// Runs a cell. Without faults, a request that ends badly is a finding, too.
 pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, limit: Limit<'_>) -> Run {
     let phase = if faults.is_empty() { Phase::FaultFree } else { Phase::Faults };
     let budgets = super::schedule::budgets(&super::schedule::in_order(faults));
@@ -89,7 +89,7 @@ pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, li
             last |= one.last;
             if !judged.iter().any(|known| known.is_same(&one)) {
                 judged.push(one.clone());
-                // Decided here and not after shrinking: a shorter run may show the other of the two kinds.
+                // Decide between time_out and starvation before shrinking: a shorter run may show the other one.
                 shown.push((taken.len(), decided(plan, &taken, one)));
             }
         }

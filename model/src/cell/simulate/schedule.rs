@@ -22,7 +22,7 @@ pub enum Fault {
         /// Which packet.
         nth: u32,
     },
-    /// The first packet from this one on that has another behind it is overtaken by that one.
+    /// From this packet on, the first one with another packet behind it is overtaken by that one.
     Overtake {
         /// From this node to that one.
         link: (NodeId, NodeId),
@@ -36,14 +36,14 @@ pub enum Fault {
         /// Which of all its actions.
         nth: u32,
     },
-    /// A node stops right after something that it does.
+    /// A node crashes right after one of its steps.
     Stop {
-        /// Which.
+        /// The node.
         node: NodeId,
         /// Not before this instant.
         at: u64,
-        /// The ticks until it may start again: it does when the next packet arrives for it, or when nothing else happens.
-        /// None: it stays down.
+        /// Ticks until it may restart. It restarts when the next packet arrives for it, or when nothing else happens. `None`: it
+        /// stays down.
         restart: Option<u64>,
     },
     /// A link loses all packets, in both directions.
@@ -52,47 +52,47 @@ pub enum Fault {
         link: usize,
         /// From the first packet at or after this instant on.
         at: u64,
-        /// Ticks until it ends. None: it never ends.
+        /// Ticks until it ends. `None`: it never ends.
         lasts: Option<u64>,
     },
-    /// A node pauses before the first thing that it would do.
+    /// A node pauses before its next step.
     Pause {
-        /// Which.
+        /// The node.
         node: NodeId,
         /// Not before this instant.
         at: u64,
-        /// For how many ticks.
+        /// Ticks that it lasts.
         lasts: u32,
-        /// Whether it pauses right after it began an action, which begins only when it goes on.
+        /// Whether it pauses right after it began an action, which then begins only when the node wakes.
         before_action: bool,
     },
     /// A node's clock counts a tick twice, or leaves one out.
     Drift {
-        /// Which.
+        /// The node.
         node: NodeId,
         /// Not before this instant.
         at: u64,
-        /// Whether it counts one twice.
+        /// Whether it counts a tick twice.
         more: bool,
     },
 }
 
-/// Who makes a choice. Each has choices of its own, so that a fault that is left out does not change those of the others.
+/// The owner of a choice. Each owner has its own tape, so that leaving out a fault does not change the choices of the others.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Chooser {
-    /// How long its actions take, what they give, what it does where a script chooses.
+    /// A task: how long its actions take, which results they give, and what its script chooses.
     Task(TaskId),
-    /// How early packets arrive: from this node, at that one.
+    /// A directed link, from this node to that one: how early its packets arrive.
     Link(NodeId, NodeId),
-    /// Which of several things that happen at it in one tick comes first.
+    /// A node: which of several events in one tick comes first.
     Node(NodeId),
 }
 
-/// The choices that were made, each below the number of alternatives that there were. Those past the end are 0: an action
-/// takes its least time and gives its first value, a packet takes its link's bound.
+/// The choices of a run, each below the number of alternatives at that point. Choices past the end are 0: an action takes its
+/// least time and gives its first value, a packet takes its link's bound.
 pub type Tape = BTreeMap<Chooser, Vec<u32>>;
 
-/// One run of a cell: with the same cell it is the same run.
+/// One run of a cell. The same schedule and the same cell give the same run.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Schedule {
     /// The faults.
@@ -133,7 +133,7 @@ pub(super) fn idle(faults: &[Fault], happened: &[bool]) -> Vec<Fault> {
     all.filter(|(_, happened)| !**happened).map(|(fault, _)| fault).collect()
 }
 
-/// The budgets that allow these faults and no others. Those that have instants are sorted by them.
+/// The budgets that allow exactly these faults. Faults with an instant must be sorted by it.
 pub(super) fn budgets(faults: &[Fault]) -> CellFaults {
     let mut all = CellFaults::default();
     for fault in faults {
@@ -155,7 +155,7 @@ pub(super) fn budgets(faults: &[Fault]) -> CellFaults {
 pub const MOST_FAULTS: usize = 255;
 
 impl Fault {
-    /// Says it in the cell's words. `time` writes a number of ticks.
+    /// Describes the fault in the cell's words. `time` formats a number of ticks.
     #[must_use]
     pub fn words(&self, table: &CellTable, time: &dyn Fn(u64) -> String) -> String {
         let cell = table.cell();

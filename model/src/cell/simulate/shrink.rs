@@ -1,7 +1,7 @@
-//! Makes the schedule of a finding smaller as long as it shows the same.
+//! Shrinks the schedule of a finding as long as it shows the same finding.
 //!
-//! First the faults: they are few, each deletion may save many choices, and a person reads them first. Then their numbers.
-//! Then the choices, all of which may be 0.
+//! First it leaves out faults: they are few, each one left out may save many choices, and a person reads them first. Then it
+//! lowers their numbers. Then it lowers the choices, all of which may be 0.
 
 use super::driver::Source;
 use super::run::{Limit, Run, run};
@@ -25,7 +25,7 @@ pub(super) struct Shrinker<'a> {
     pub spent: u64,
 }
 
-/// The number of moves of a run to this finding.
+/// The number of moves in a run to this finding; `None` if the run does not show it.
 pub(super) fn moves_to(run: &Run, shown: &Shown) -> Option<usize> {
     run.shown.iter().find(|(_, known)| known.is_same(shown)).map(|&(at, _)| at)
 }
@@ -55,7 +55,7 @@ impl Shrinker<'_> {
         self.spent >= MOST_STEPS || self.limit.is_stopped()
     }
 
-    /// Tries a schedule, and keeps it if it shows the same. None: shrinking was stopped.
+    /// Tries a schedule, and keeps it if it shows the same finding. `None`: shrinking was stopped.
     fn shows(&mut self, schedule: impl FnOnce() -> Schedule) -> Option<bool> {
         if self.is_spent() {
             return None;
@@ -70,7 +70,7 @@ impl Shrinker<'_> {
         Some(shows)
     }
 
-    /// Makes the numbers of the faults smaller.
+    /// Lowers the numbers of the faults.
     fn simplify(&mut self) {
         for at in 0..self.best.faults.len() {
             if let Fault::Stop { node, at: instant, restart: Some(_) } = self.best.faults[at] {
@@ -88,7 +88,7 @@ impl Shrinker<'_> {
         }
     }
 
-    /// Sets choices to 0, or makes them smaller.
+    /// Sets choices to 0, or lowers them.
     fn choices(&mut self) {
         let chosen = flat(&self.best.tape);
         let faults = self.best.faults.clone();
@@ -107,8 +107,8 @@ impl Shrinker<'_> {
     }
 }
 
-/// Binary search for the least number from `least` to `now` for which `holds`, as if it held for all larger ones. It holds
-/// for `now`. None of `holds` ends the search.
+/// Binary search for the least number from `least` to `now` for which `holds` is true. Supposes that it is true for all larger
+/// ones, and for `now`. `None` from `holds` ends the search.
 fn lower((least, now): (u64, u64), holds: &mut dyn FnMut(u64) -> Option<bool>) -> u64 {
     if now <= least {
         return now;
@@ -149,8 +149,8 @@ fn tape(choices: &[Choice]) -> Tape {
     tape
 }
 
-/// Delta debugging: leaves out smaller and smaller parts of a list for as long as the rest `holds`. In the end no single item
-/// can be left out. None of `holds` ends it before that.
+/// Delta debugging: leaves out smaller and smaller parts of a list as long as the rest `holds`. At the end no single item can be
+/// left out. `None` from `holds` ends it early.
 fn reduce<T: Clone>(mut all: Vec<T>, holds: &mut dyn FnMut(&[T]) -> Option<bool>) -> Vec<T> {
     if all.is_empty() || holds(&[]) == Some(true) {
         return Vec::new();
@@ -176,7 +176,7 @@ fn reduce<T: Clone>(mut all: Vec<T>, holds: &mut dyn FnMut(&[T]) -> Option<bool>
     }
 }
 
-/// For each number of a fault its least value and its value.
+/// For each number of a fault, its least value and its present value.
 fn numbers(fault: &Fault) -> Vec<(u64, u64)> {
     match *fault {
         Fault::Lose { nth, .. }

@@ -3,20 +3,20 @@
 use imrs_protocol::{CellTable, Class, CommTask, Incarnation, PortId, ServiceOrder, TaskId};
 use std::collections::BTreeSet;
 
-/// How far back a class-1 message may be and still be told from one that was seen.
+/// The dedup window of class-1 messages: how many sequence numbers it reaches back.
 const WINDOW: u32 = 64;
 
 #[derive(Clone, Debug)]
 pub(super) struct Buffer {
     pub port: PortId,
     pub handled: bool,
-    /// How often it was passed over, and how often it may be.
+    /// How often the port was bypassed, and how often it may be.
     pub bypassed: (u16, u16),
     pub waiting: Vec<Waiting>,
-    /// The messages that were taken in, and those that were handed over, of the present incarnation of each source.
+    /// Messages that were accepted, and those that were handed over, of the present incarnation of each source.
     pub taken: BTreeSet<(TaskId, u32)>,
     pub heard: BTreeSet<(TaskId, u32)>,
-    /// Commands that expired here: a copy of one counts as the first, one of an earlier command does not.
+    /// Commands that expired here. A copy of one counts as new, a copy of an earlier command does not.
     pub lapsed: BTreeSet<(TaskId, u32)>,
     pub incarnations: Vec<(TaskId, Incarnation)>,
 }
@@ -26,23 +26,23 @@ pub(super) struct Waiting {
     pub source: TaskId,
     pub number: u32,
     pub class: Class,
-    /// On its node's clock, as `not_before`.
+    /// On its node's clock, like `not_before`.
     pub expires: u64,
     pub not_before: u64,
     pub arrival: u64,
     pub rejections: u8,
     pub first_rejected: u64,
-    /// A copy came in this step, or a penalty: both may lengthen its life.
+    /// Whether the message or a copy of it came in this step: either may set a later expiry.
     pub prolonged: bool,
 }
 
 impl Waiting {
-    /// The order of service within a port (D14): plainly, as the machine's key says it.
+    /// The order of service within a port, written independently of the machine's key (D14).
     pub const fn urgency(&self) -> (u64, Class, TaskId, u64) {
         (self.expires, self.class, self.source, self.arrival)
     }
 
-    /// All that one step rejects is rejected first alike.
+    /// Counts a rejection. All messages that one step rejects count as rejected at the same time.
     pub fn reject(&mut self, order: &ServiceOrder, port: PortId, step: u64) {
         if self.rejections == 0 {
             self.first_rejected = step;
@@ -56,7 +56,7 @@ impl Buffer {
         self.waiting.iter().position(|one| (one.source, one.number) == (source, number))
     }
 
-    /// A message of this incarnation of its source comes: what was known of an earlier one no longer counts.
+    /// A message of this incarnation comes: what was remembered of an earlier one of its source no longer counts.
     pub fn enter(&mut self, source: TaskId, incarnation: Incarnation) {
         match self.incarnations.iter_mut().find(|(task, _)| *task == source) {
             None => self.incarnations.push((source, incarnation)),
@@ -70,7 +70,7 @@ impl Buffer {
         }
     }
 
-    /// Whether the machine may call this message one that it has seen.
+    /// Whether the machine may drop this message as a duplicate.
     pub fn knows(&self, source: TaskId, number: u32, class: Class) -> bool {
         self.taken.contains(&(source, number))
             || self.taken.union(&self.lapsed).filter(|(task, _)| *task == source).any(|&(_, newer)| {

@@ -1,4 +1,4 @@
-//! Two work-coupled tasks whose communication tasks exchange beats (D30, D61).
+//! Plans of two work-coupled tasks whose communication tasks exchange heartbeats (D30, D61).
 
 use crate::floor::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan, Times};
 use imrs_protocol::rules::{LeaseRule, Rules};
@@ -8,23 +8,23 @@ use std::sync::Arc;
 /// A primary and its standby, each on a node of its own.
 #[derive(Clone, Debug)]
 pub struct Couple {
-    /// The longest way of a packet in ticks.
+    /// The longest link delay in ticks.
     pub delay: u64,
     /// The lease in ticks.
     pub lease: u64,
     /// The take-over in ticks.
     pub takeover: u64,
-    /// The period of the beats in ticks.
+    /// The period of the heartbeats in ticks.
     pub every: u64,
     /// Whether the roles are exchanged at a take-over.
     pub mutual: bool,
     /// How the lease is kept.
     pub rule: LeaseRule,
-    /// The epoch that both begin at: even.
+    /// The first epoch of both: even.
     pub epoch: u8,
     /// Faults.
     pub faults: Faults,
-    /// What is watched.
+    /// The property that is checked.
     pub watch: FloorWatch,
 }
 
@@ -35,7 +35,7 @@ impl Couple {
         let [here, there] = ["primary", "standby"].map(|name| cell.node(name));
         cell.link(here, there, Ticks(self.delay));
         let (primary, standby) = (cell.task("P", here), cell.task("S", there));
-        // A beat lives no longer than it may take.
+        // The TTL of a heartbeat is no longer than its round trip may take.
         let life = Ticks(2 * self.delay + 1);
         let via = cell.port(PortDecl::new("alive", primary, Usage::Response, &[standby], life));
         cell.couples.push(CoupleDecl {
@@ -51,12 +51,12 @@ impl Couple {
         cell
     }
 
-    /// The floor.
+    /// The plan.
     ///
     /// # Errors
     /// What is wrong with the declaration.
     pub fn plan(&self) -> Result<Arc<FloorPlan>, Vec<CellError>> {
-        // Both wait for ever, so that they are told at once of what becomes of their lease.
+        // Both wait without limit, so that each learns at once what becomes of its lease.
         let wait = Errand::Receive { port: None, time_out: None };
         let task = || TaskPlan::new(wait).hurried().serving(0, 0);
         let tasks = vec![task(), task()];
@@ -66,24 +66,24 @@ impl Couple {
     }
 }
 
-/// A couple and the arm that it commands, each on a node of its own: the primary orders through one port of the arm, the
-/// standby through another.
+/// A couple and the arm that it commands, each on a node of its own. Primary and standby give their orders through
+/// different ports of the arm.
 #[derive(Clone, Debug)]
 pub struct Orders {
     /// The couple.
     pub couple: Couple,
-    /// The longest way of an order in ticks.
+    /// The longest link delay of an order in ticks.
     pub way: u64,
-    /// The life of an order in ticks.
+    /// The TTL of an order in ticks.
     pub life: u64,
     /// How many orders each of the two gives.
     pub orders: u8,
-    /// Whether the arm heeds epochs.
+    /// Whether the arm drops orders of older epochs.
     pub heed: bool,
 }
 
 impl Orders {
-    /// The floor.
+    /// The plan.
     ///
     /// # Errors
     /// What is wrong with the declaration.

@@ -1,4 +1,4 @@
-//! Floors on which messages wait for a busy task: bypassed by GETs, refused by rank, interrupting each other.
+//! Plans in which messages wait for a busy task: bypassed by GETs, rejected by rank, interrupting each other.
 
 use crate::floor::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan, Times};
 use imrs_protocol::aging::Service;
@@ -9,27 +9,27 @@ use imrs_protocol::{
 };
 use std::sync::Arc;
 
-/// One node: a task that receives over all its ports, tasks that flood ports of urgent statuses, and others, on one port,
-/// whose statuses live longer and so are bypassed.
+/// One node: one task receives over all its ports. Some tasks flood ports with urgent statuses. Others send statuses
+/// with a longer TTL on one port, and these are bypassed.
 #[derive(Clone, Copy, Debug)]
 pub struct Flood {
     /// How many ports are flooded.
     pub flooded: u16,
     /// `bounded_buffer[n]` of each flooded port.
     pub room: u16,
-    /// The life of a flooding status.
+    /// The TTL of a flooding status, in ticks.
     pub urgent: u64,
-    /// The life of the bypassed status.
+    /// The TTL of a bypassed status, in ticks.
     pub life: u64,
     /// `bounded_buffer[n]` of the bypassed port, and how many tasks send on it.
     pub buffer: u16,
-    /// How many ticks lie between two bypassed statuses of a task at least.
+    /// Fewest ticks between two bypassed statuses of a task.
     pub every: u8,
-    /// How many ticks each message is served.
+    /// For how many ticks each message is served.
     pub service: u8,
     /// Rules.
     pub rules: Rules,
-    /// Whether to watch that every bypassed status is served; else how often it is bypassed.
+    /// Whether to check that every bypassed status is served; else how often it is bypassed.
     pub served: bool,
 }
 
@@ -48,7 +48,7 @@ impl Flood {
         }
     }
 
-    /// The floor.
+    /// The plan.
     ///
     /// # Errors
     /// What is wrong with the declaration.
@@ -89,34 +89,34 @@ impl Flood {
     }
 }
 
-/// One node: a task that acts without end and has handlers, one for messages that outrank the action, one for messages that
-/// do not, and one for their rivals, which do not either.
+/// One node: a task runs actions without end and has handlers. Urgent messages outrank the action; the watched
+/// messages and those of their rivals do not.
 #[derive(Clone, Copy, Debug)]
 pub struct Workshop {
-    /// The life of the messages that do not outrank.
+    /// The TTL of the watched messages, in ticks.
     pub life: u64,
-    /// How many ticks lie between two of them at least.
+    /// Fewest ticks between two watched messages of a task.
     pub every: u8,
-    /// `bounded_buffer[n]` of their port, and how many tasks send on it.
+    /// `bounded_buffer[n]` of the watched port, and how many tasks send on it.
     pub buffer: u16,
-    /// How many messages may stand in the port of their rivals, and how many tasks send there; 0: there is none.
+    /// `bounded_buffer[n]` of the rivals' port, and how many tasks send on it; 0: there is no such port.
     pub rivals: u16,
-    /// How many things stand above them in the `order`: 1 to 3.
+    /// How many ranks are above the watched messages in the `order`: 1 to 3.
     pub rank: u8,
-    /// The time penalty of their port, and whether it is the literal one.
+    /// The time penalty of the watched port, and whether it is the paper's literal one.
     pub penalty: (u64, bool),
     /// How many ticks a handler runs.
     pub service: u8,
-    /// Whether messages that outrank the action come, too.
+    /// Whether there are urgent messages, too.
     pub urgent: bool,
     /// Rules.
     pub rules: Rules,
-    /// Whether to watch that every such message is served; else how often it is refused.
+    /// Whether to check that every watched message is served; else how often it is rejected.
     pub served: bool,
 }
 
 impl Workshop {
-    /// What bounds the wait of a message that does not outrank.
+    /// What bounds the wait of a watched message.
     #[must_use]
     pub fn service(&self) -> Service {
         Service {
@@ -130,7 +130,7 @@ impl Workshop {
         }
     }
 
-    /// The floor.
+    /// The plan.
     ///
     /// # Errors
     /// What is wrong with the declaration.
@@ -159,7 +159,7 @@ impl Workshop {
             senders.extend(vec![endless(wants, 2); usize::from(self.rivals)]);
             handles.push(wants);
         }
-        // What is named above `self` keeps the rank of the port two, three and so on.
+        // Fillers above the watched port, so that it gets the rank `self.rank`.
         let mut named = vec![Ranked::Own, Ranked::Timers, Ranked::Source(worker)];
         named.truncate(usize::from(self.rank));
         if self.urgent {
@@ -185,7 +185,7 @@ impl Workshop {
         let watch = if self.served {
             FloorWatch::Served { port: asks }
         } else {
-            // One more thing stands above the rivals.
+            // One more rank is above the rivals.
             let rank = self.rank + u8::from(self.rivals > 0);
             let refusals = Service { rank, ..service }.most_refusals();
             FloorWatch::Fair { task: worker, bypasses: u8::MAX, refusals }
@@ -195,26 +195,26 @@ impl Workshop {
     }
 }
 
-/// Two tasks query a third, which acts on the world, across a link or over a relay: the first outranks the action, the
-/// second does not, and the handler of the second asks a fourth before it answers.
+/// Two tasks query a third, which runs actions, across a link or over a relay. The first one's query outranks the
+/// action, the second one's does not. A handler may send a command to a fourth task before it answers.
 #[derive(Clone, Debug)]
 pub struct Interrupted {
     /// The time_out of the queries.
     pub time_out: u64,
     /// How many queries each sends.
     pub queries: u8,
-    /// Whether a relay stands between.
+    /// Whether there is a relay between the nodes.
     pub relay: bool,
     /// Faults.
     pub faults: Faults,
     /// Rules.
     pub rules: Rules,
-    /// Watches.
+    /// The properties that are checked.
     pub watches: Vec<FloorWatch>,
 }
 
 impl Interrupted {
-    /// The floor.
+    /// The plan.
     ///
     /// # Errors
     /// What is wrong with the declaration.
@@ -273,8 +273,8 @@ pub fn query_all(faults: Faults, watches: Vec<FloorWatch>) -> Result<Arc<FloorPl
     Ok(Arc::new(plan))
 }
 
-/// A task that acts for ever and never receives: of one message from another node, which does not outrank the action, every
-/// offer is refused unless aging raises it.
+/// A task runs actions without end and never receives. Every offer of a message from another node is rejected,
+/// because it does not outrank the action, unless aging raises its rank.
 ///
 /// # Errors
 /// What is wrong with the declaration.
@@ -301,8 +301,8 @@ pub fn refused(
     Ok(Arc::new(plan.watching(watch)))
 }
 
-/// A task that acts and then receives, for ever; messages do not outrank its action. Under the literal time penalty a
-/// rejected message outlives its sender's patience.
+/// A task runs an action and then receives, again and again; messages do not outrank the action. Under the literal
+/// time penalty a rejected message outlives its sender's time_out.
 ///
 /// # Errors
 /// What is wrong with the declaration.

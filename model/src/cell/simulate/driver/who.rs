@@ -1,11 +1,11 @@
-//! Who makes a step.
+//! Names the actor of a move: an action, a link or a waiting input.
 
 use crate::cell::course::{CellMove, Course};
 
-/// Who may act in a tick.
+/// An actor in a tick.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Who {
-    /// An action: task and thread.
+    /// An action: task and activation.
     Action(u8, u8),
     /// The packets at the end of a directed link.
     Line(usize),
@@ -13,7 +13,7 @@ pub(super) enum Who {
     Input(CellMove),
 }
 
-/// Who makes a step, if it is one that somebody makes in a tick.
+/// The actor of a move in a tick; `None` for other moves.
 pub(super) fn who(course: &Course, step: CellMove) -> Option<Who> {
     match step {
         CellMove::Acted(task, level, ..) | CellMove::GoOn(task, level) => Some(Who::Action(task, level)),
@@ -26,7 +26,7 @@ pub(super) fn who(course: &Course, step: CellMove) -> Option<Who> {
     }
 }
 
-/// Whether a move is one of a node with something to do in this tick.
+/// Whether a move is one of a node that has something to do in this tick.
 pub(super) const fn is_of_a_turn(step: CellMove) -> bool {
     !matches!(
         step,
