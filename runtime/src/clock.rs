@@ -1,8 +1,8 @@
-//! The node's one clock: `CLOCK_BOOTTIME`. Wall-clock time is never asked for here (D37).
+//! The node's only clock: `CLOCK_BOOTTIME`, never wall-clock time (D37).
 //!
-//! It goes on while the machine is suspended, and so do leases, time_outs and timers: a suspend is a pause of the node like
-//! any other (D153). The kernel sleeps by `CLOCK_MONOTONIC`, which stands still meanwhile. So an instant is put onto that
-//! clock only where a thread goes to sleep, and whoever wakes looks at this one.
+//! It runs on while the machine is suspended, and so do leases, time_outs and timers: a suspend counts as a pause of the node
+//! (D153). Futex sleeps use `CLOCK_MONOTONIC`, which stands still during a suspend. An instant is converted to that clock only
+//! where a thread goes to sleep, and a woken thread reads `CLOCK_BOOTTIME` again.
 
 use rustix::time::{ClockId, Timespec};
 use std::sync::atomic::{AtomicI64, Ordering};
@@ -17,11 +17,11 @@ pub(crate) const FAR: Micros = u64::MAX;
 const NANOS_PER_SECOND: u64 = 1_000_000_000;
 const NANOS_PER_MICRO: u64 = 1_000;
 
-/// How far the two clocks may be read apart without a closer look, in nanoseconds.
+/// A new offset that differs from the known one by at most this (ns) is no change: the two clocks are read one after the other.
 const READ_APART: u64 = 10 * NANOS_PER_MICRO;
 
-/// How far `CLOCK_BOOTTIME` is ahead of `CLOCK_MONOTONIC`, as it was last seen, in nanoseconds. Changed by a suspend alone, and
-/// less than nothing only in a time namespace.
+/// The last known offset of `CLOCK_BOOTTIME` from `CLOCK_MONOTONIC`, in nanoseconds. Only a suspend changes it. It is negative
+/// only in a time namespace.
 static AHEAD: AtomicI64 = AtomicI64::new(0);
 
 fn read(clock: ClockId) -> u64 {
@@ -34,14 +34,14 @@ fn nanos() -> u64 {
     read(ClockId::Boottime)
 }
 
-/// Looks how far the clocks are apart now.
+/// Measures the offset between the clocks, stores and returns it.
 fn ahead() -> i64 {
     let known = AHEAD.load(Ordering::Relaxed);
     let (before, boot) = (read(ClockId::Monotonic), nanos());
     if apart(boot, before).abs_diff(known) <= READ_APART {
         return known;
     }
-    // The machine was suspended, or this thread stopped between the two readings.
+    // The machine was suspended, or this thread was preempted between the two readings.
     let ahead = between(known, before, boot, read(ClockId::Monotonic));
     AHEAD.store(ahead, Ordering::Relaxed);
     ahead
@@ -51,47 +51,46 @@ const fn apart(boot: u64, monotonic: u64) -> i64 {
     boot.wrapping_sub(monotonic).cast_signed()
 }
 
-/// What is `known`, if it can be so where `boot` was read between the two others; else what is nearest to it. A thread that was
-/// stopped between two readings knows less, and changes nothing.
+/// The offset, where `boot` was read between the other two: `known`, clamped to what these readings allow. A thread that was
+/// preempted between its readings allows more, so it changes nothing.
 fn between(known: i64, before: u64, boot: u64, after: u64) -> i64 {
     known.clamp(apart(boot, after), apart(boot, before))
 }
 
-/// For how long the machine has been suspended since it started, as far as this process has seen.
+/// How long the machine has been suspended since it started, as far as this process has noticed.
 pub(crate) fn suspended() -> Micros {
     u64::try_from(AHEAD.load(Ordering::Relaxed)).unwrap_or_default() / NANOS_PER_MICRO
 }
 
-/// The same, looked at anew.
+/// As [`suspended`], after a new measurement.
 pub(crate) fn look_for_suspend() -> Micros {
     ahead();
     suspended()
 }
 
-/// The last whole microsecond: for everything that happens to a task.
+/// The current time, rounded down to a microsecond: for everything that happens to a task.
 pub(crate) fn now() -> Micros {
     nanos() / NANOS_PER_MICRO
 }
 
-/// The next whole microsecond: for what a task asks, so that no time_out ever ends early by the rounding.
+/// The current time, rounded up to a microsecond: for a task's requests, so that rounding never shortens a time_out.
 pub(crate) fn next() -> Micros {
     nanos().div_ceil(NANOS_PER_MICRO)
 }
 
-/// An instant as the kernel wants it to end a sleep that begins now, in nanoseconds of `CLOCK_MONOTONIC`; `None` where it never
-/// comes.
+/// Converts an instant to nanoseconds of `CLOCK_MONOTONIC`, for a sleep that begins now; `None` if the instant never comes.
 pub(crate) fn nanos_of(at: Micros) -> Option<u64> {
     let at = at.checked_mul(NANOS_PER_MICRO)?;
     Some(at.saturating_sub_signed(ahead()))
 }
 
-/// An instant as a kernel timer on `CLOCK_BOOTTIME` takes it; `None` where it never comes. That clock is the node's own, so
-/// nothing is subtracted.
+/// Converts an instant for a kernel timer on `CLOCK_BOOTTIME`; `None` if it never comes. That is the node's own clock, so no
+/// offset is subtracted.
 pub(crate) fn boottime(at: Micros) -> Option<Timespec> {
     at.checked_mul(NANOS_PER_MICRO).map(timespec)
 }
 
-/// Nanoseconds as the kernel takes them, of whichever clock or length.
+/// Nanoseconds as the kernel takes them: an instant on either clock, or a duration.
 pub(crate) fn timespec(nanos: u64) -> Timespec {
     Timespec {
         tv_sec: i64::try_from(nanos / NANOS_PER_SECOND).unwrap_or(i64::MAX),
@@ -99,14 +98,14 @@ pub(crate) fn timespec(nanos: u64) -> Timespec {
     }
 }
 
-/// A length in whole microseconds, rounded up: nothing ends early.
+/// A duration in whole microseconds, rounded up so that nothing ends early.
 pub(crate) fn micros(length: Duration) -> Micros {
     u64::try_from(length.as_nanos().div_ceil(u128::from(NANOS_PER_MICRO))).unwrap_or(FAR)
 }
 
 /// Asks the kernel to end this thread's sleeps on time instead of up to 50 us late, which is its default.
 pub(crate) fn sleep_exactly() {
-    // Refused only by a kernel without the call; sleeps are then as late as they are.
+    // Fails only on a kernel without this call; sleeps then stay as late as the default allows.
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
 }
 
@@ -127,7 +126,7 @@ mod tests {
         let at = now() + 1_000_000;
         let monotonic = read(ClockId::Monotonic);
         let left = nanos_of(at).expect("an instant") - monotonic;
-        // In between this thread may have been stopped, but no machine is suspended in a test.
+        // This thread may have been preempted in between, but no machine is suspended during a test.
         assert!(left <= 1_000_000_000 + READ_APART, "{left} ns");
         assert_eq!(nanos_of(at), nanos_of(at));
     }

@@ -1,33 +1,33 @@
-//! loom as the explorer: what the hand-offs are made of in the unit tests, and how a scene is explored.
+//! loom as the explorer of schedules: the primitives that the hand-offs use in unit tests, and how a scene is explored.
 
 pub(crate) use loom::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering, fence};
 pub(crate) use loom::sync::{Condvar, Mutex as PlainMutex};
 pub(crate) use loom::thread;
 use std::collections::BTreeMap;
 use std::ops::{Deref, DerefMut};
-/// Not loom's: that one counts as a step, and cannot be dropped by a thread that is given up in a deadlock.
+/// Not loom's `Arc`: loom counts its operations as steps, and a thread abandoned in a deadlock cannot drop it.
 pub(crate) use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// Whether a load may give a value that was overwritten, where the orderings allow it.
+/// Whether a load may return an overwritten value, where the orderings allow it.
 pub(crate) const SEES_OLD_VALUES: bool = true;
 
 /// The most preemptions of one execution.
 const PREEMPTIONS: usize = 3;
-/// The same in a large scene: with one more it has 15,000 to 225,000 executions instead of a tenth or less.
+/// The same in a large scene: one preemption more takes 15,000 to 225,000 executions instead of at most a tenth of that.
 const PREEMPTIONS_IF_LARGE: usize = 2;
-/// An exploration that takes longer shows nothing and fails. None needs more than seconds; the machine may be busy.
+/// An exploration that takes longer fails, because it proves nothing. Each needs only seconds; the rest is for a busy machine.
 const CAP: Duration = Duration::from_secs(600);
 
 /// How often each outcome was seen.
 pub(crate) type Histogram<O> = BTreeMap<O, u64>;
 
-/// Runs `body` in every interleaving with at most [`PREEMPTIONS`].
+/// Runs `body` in every interleaving with at most [`PREEMPTIONS`] preemptions.
 pub(crate) fn explore<O: Ord + Send + 'static>(body: impl Fn() -> O + Send + Sync + 'static) -> Histogram<O> {
     explore_within(PREEMPTIONS, body)
 }
 
-/// The same with at most [`PREEMPTIONS_IF_LARGE`]; with `IMRS_FULL_SCENES=1`, as `.ci/long` has it, with all.
+/// As [`explore`], with at most [`PREEMPTIONS_IF_LARGE`]; with `IMRS_FULL_SCENES=1`, which `.ci/long` sets, [`PREEMPTIONS`].
 pub(crate) fn explore_large<O: Ord + Send + 'static>(
     body: impl Fn() -> O + Send + Sync + 'static,
 ) -> Histogram<O> {
@@ -55,8 +55,8 @@ fn explore_within<O: Ord + Send + 'static>(
     seen
 }
 
-/// loom explores no `try_lock` against the release of its own mutex (a release is no point where it branches). This
-/// mutex says in an atomic that it is held, which loom explores, old values included: the weakest lock that is one.
+/// loom explores no `try_lock` against the release of its own mutex, because it does not branch there. This mutex keeps `held` in
+/// an atomic of its own, which loom explores with stale values: no correct lock is weaker.
 #[derive(Debug)]
 pub(crate) struct Mutex<T> {
     held: AtomicBool,

@@ -1,5 +1,5 @@
-//! Runs a node of a cell: tasks as threads, communication tasks as data structures run by whoever brings input, one
-//! Timer thread that sleeps exactly until the next expiry, and links to the other nodes.
+//! Runs one node of a cell. Tasks are threads, futures or scripts. A communication task is a data structure behind a lock, run by
+//! the thread that brings input. One Timer thread sleeps until the next expiry. Links connect the node to the others.
 //!
 //! There is no protocol here: every rule is in `imrs-protocol`, and this crate is one of its drivers.
 //!

@@ -1,4 +1,4 @@
-//! Once a node runs, its messages allocate nothing.
+//! Messages of a running node allocate nothing.
 
 use crate::allocator::ByThread;
 use crate::alone;
@@ -22,7 +22,7 @@ const COUNTED_ROUNDS: u32 = 2_000;
 /// Which threads allocated, and how often.
 type Allocated = Vec<(String, u64)>;
 
-/// What the task `a` tells and is told besides messages.
+/// What the task `a` reports and waits for, besides messages.
 struct Counter {
     timers: Receiver<()>,
     nodes: usize,
@@ -30,8 +30,8 @@ struct Counter {
 }
 
 impl Counter {
-    /// Waits for the first turn of every Timer's thread: what a thread allocates to begin is none of a message. Nobody else
-    /// ends the delays meanwhile: the other tasks wait, and for no time.
+    /// Waits for the first turn of every Timer thread, because what a thread allocates at its start belongs to no message. Only
+    /// the Timer ends these delays: the other tasks wait without a time_out.
     fn wait_for_timers(&self) {
         (0..self.nodes).for_each(|_| self.timers.recv_timeout(LONG).expect("a delay ends"));
     }
@@ -44,7 +44,7 @@ impl Counter {
     }
 }
 
-/// A task of each node. The Timer's thread ends its delay.
+/// Adds a task whose delay the Timer thread ends.
 fn needs_the_timer(node: Builder, name: &str, tell: &Sender<()>) -> Builder {
     let tell = tell.clone();
     node.async_task(name, |mut ctx: AsyncContext| async move {
@@ -54,7 +54,7 @@ fn needs_the_timer(node: Builder, name: &str, tell: &Sender<()>) -> Builder {
     })
 }
 
-/// What `a` of so many nodes counts with, whom the Timers tell, and what comes of it.
+/// The counter of `a` for so many nodes, where the Timers report, and where the count arrives.
 fn counter(nodes: usize) -> (Counter, Sender<()>, Receiver<Allocated>) {
     let ((tell, timers), (allocated, counted)) = (report(), report());
     (Counter { timers, nodes, allocated }, tell, counted)
@@ -87,7 +87,7 @@ fn round(ctx: &mut Context, number: u32, messages: &mut Vec<Delivery>) -> Result
     }
 }
 
-/// `a` counts, once all have met: none is warming up any more.
+/// `a` counts once all have met: then no task is warming up any more.
 fn program(ctx: &mut Context, counter: Option<&Counter>) -> Result<(), TaskError> {
     let mut messages = Vec::with_capacity(MANY);
     counter.into_iter().for_each(Counter::wait_for_timers);
@@ -99,7 +99,7 @@ fn program(ctx: &mut Context, counter: Option<&Counter>) -> Result<(), TaskError
         Some(counter) => counter.count(counted)?,
         None => counted()?,
     }
-    // Nobody leaves while it is counted.
+    // No task leaves while allocations are counted.
     round(ctx, 0, &mut messages)
 }
 
@@ -136,30 +136,30 @@ impl<L: Link> Link for Wide<L> {
     }
 }
 
-/// How many messages are said together, in nearly the order of urgency.
+/// How many messages are sent together, nearly in order of urgency.
 const BURST: u16 = 120;
-/// As many as one datagram holds, and the link hands over together.
+/// As many as fit into one datagram, and the link hands over together.
 const TOGETHER: u16 = 40;
-/// What ends the answers.
+/// The question that ends the answers.
 const END: u16 = u16::MAX;
 
 fn tell_together(ctx: &mut Context, count: u16) -> Result<(), TaskError> {
     ctx.together(|ctx| {
         (0..count).try_for_each(|number| {
-            // Overtaken by a few.
+            // A few later messages overtake each.
             let time_out = Some(LONG - Duration::from_millis(u64::from(BURST - (number ^ 7))));
             ctx.send_with(PortId(1), Target::All, b"more", time_out).map(|_copies| ())
         })
     })
 }
 
-/// Asks whether so many came.
+/// Asks whether `count` messages came.
 fn ask_for(ctx: &mut Context, count: u16) -> Result<(), TaskError> {
     assert!(ctx.send(PortId(0), &count.to_le_bytes())?.reply().is_some());
     Ok(())
 }
 
-/// Takes as many messages as each question is for, and answers then.
+/// Takes as many messages as each question says, and then answers.
 fn takes_bursts(ctx: &mut Context) -> Result<(), TaskError> {
     let (ask, burst) = (PortId(0), PortId(1));
     let mut messages = Vec::with_capacity(MANY);
@@ -186,7 +186,7 @@ fn declare(nodes: &[usize], delay: Ticks) -> Arc<CellTable> {
     table(cell)
 }
 
-/// Two nodes of one task each, and one that needs the Timer.
+/// Two nodes with a task each, and another task each that needs the Timer.
 fn two_nodes() -> (Arc<CellTable>, [InProcess; 2]) {
     let mut cell = cell(&[0, 1, 0, 1], Ticks(1_000));
     cell.port(ask(LONG_TICKS));
@@ -197,7 +197,7 @@ fn two_nodes() -> (Arc<CellTable>, [InProcess; 2]) {
     (table, links)
 }
 
-/// What is allocated where `a` tells `b` something. The links are those of their nodes.
+/// What is allocated while `a` sends to `b`. Each link belongs to its node.
 fn told(
     table: &Arc<CellTable>,
     links: [Arc<dyn Link>; 2],
@@ -252,7 +252,7 @@ fn messages_allocate_nothing_in_steady_state() {
     assert_eq!(allocated, [], "several datagrams together");
 }
 
-/// A link whose node receives nothing while it is closed.
+/// A link whose node receives nothing while the link is closed.
 struct Gate<L> {
     link: L,
     state: Mutex<Door>,
@@ -262,7 +262,7 @@ struct Gate<L> {
 #[derive(Default)]
 struct Door {
     closed: bool,
-    /// Whether the node stands before it.
+    /// Whether the node waits for it to open.
     waits: bool,
 }
 
@@ -310,8 +310,8 @@ impl<L: Link> Link for Gate<L> {
     }
 }
 
-/// A node that stood still, or whose neighbour sent more at once than ever before: a thread that was never given two packets
-/// of one datagram for a task gets forty.
+/// A node stood still, or its neighbour sent more at once than ever before: a thread that never got two packets of one datagram
+/// for a task gets forty.
 #[test]
 fn packets_that_come_together_for_the_first_time_allocate_nothing() {
     let _alone = alone();

@@ -1,4 +1,4 @@
-//! The system's allocator, which counts.
+//! The system's allocator, with counters.
 
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
@@ -9,7 +9,7 @@ struct Counting;
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Bytes that are allocated now.
+/// How many bytes are allocated now.
 static LIVE: AtomicI64 = AtomicI64::new(0);
 
 thread_local! {
@@ -19,17 +19,17 @@ thread_local! {
 
 /// Whether [`THREADS`] are counted.
 static COUNTING: AtomicBool = AtomicBool::new(false);
-/// The threads that have allocated since it is so.
+/// The threads that have allocated since counting began.
 static THREADS: [Thread; 64] = [const { Thread { id: AtomicI32::new(0), times: AtomicU64::new(0) } }; 64];
 
 struct Thread {
-    /// The kernel's; zero: none yet.
+    /// The kernel's thread id; zero for a free place.
     id: AtomicI32,
     times: AtomicU64,
 }
 
 impl Thread {
-    /// Whether this is the place of that thread, from now on if it was nobody's.
+    /// Whether this is the place of that thread. A free place becomes its place.
     fn is_of(&self, id: i32) -> bool {
         match self.id.compare_exchange(0, id, Ordering::Relaxed, Ordering::Relaxed) {
             Ok(_) => true,
@@ -52,7 +52,7 @@ fn count(grown: i64) {
     }
 }
 
-// SAFETY: every call goes to the system's allocator unchanged; to count touches only numbers that need no allocation and no
+// SAFETY: every call goes to the system's allocator unchanged; the counting touches only numbers, which need no allocation and no
 // destructor.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
@@ -97,7 +97,7 @@ impl ByThread {
         Self(())
     }
 
-    /// Which of the threads with these names allocated, and how often. They still run: only then they have a name.
+    /// Which of the threads with these names allocated, and how often. They must still run, because only then they have a name.
     pub fn end(self, names: &[&str]) -> Vec<(String, u64)> {
         COUNTING.store(false, Ordering::SeqCst);
         assert_eq!(THREADS[THREADS.len() - 1].id.load(Ordering::Relaxed), 0, "too many threads to count");

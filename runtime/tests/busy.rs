@@ -1,5 +1,5 @@
-//! What comes to a task whose thread runs is left to it until it next comes in (D130): it is served in the same order, its life
-//! goes on ending, and who looks from outside sees it.
+//! Input for a task whose thread runs is left to that thread until it next enters (D130). It is served in the same order, its
+//! remaining time keeps running, and an observer sees it.
 
 use crate::common::{A, B, LONG, LONG_TICKS, cell, finish, one_node, report, table};
 use imrs_protocol::{PortDecl, PortId, Reason, Target, Ticks, Usage};
@@ -10,7 +10,7 @@ use std::time::Duration;
 
 const NEWS: PortId = PortId(0);
 const URGENT: PortId = PortId(1);
-/// More than anybody leaves to a thread that runs.
+/// More than is ever left to a running thread.
 const MANY: u8 = 50;
 
 fn two_ports() -> Arc<imrs_protocol::CellTable> {
@@ -21,13 +21,13 @@ fn two_ports() -> Arc<imrs_protocol::CellTable> {
     table(cell)
 }
 
-/// Has come in and found nothing: from here on its thread runs, and is known to come in.
+/// The task enters and finds nothing: from here on its thread runs, and is known to enter.
 fn runs(ctx: &mut Context) -> Result<(), TaskError> {
     assert_eq!(ctx.poll(None)?, None);
     Ok(())
 }
 
-/// Sends so many while the other task runs. In what order that one takes them.
+/// Sends `count` messages while the other task runs, and checks in which order that task takes them.
 fn send_to_a_task_that_runs(count: u8) {
     let (begins, sent) = (Arc::new(Barrier::new(2)), Arc::new(Barrier::new(2)));
     let (it_runs, all_sent) = (Arc::clone(&begins), Arc::clone(&sent));
@@ -105,7 +105,7 @@ fn whoever_looks_sees_what_was_left() {
     finish(node);
 }
 
-/// The delay is far longer than any machine takes; the end of the node ends it.
+/// The delay is far longer than any machine takes; stopping the node ends it.
 #[test]
 fn a_handler_interrupts_a_delay_that_is_spun_for() {
     let length = 10 * LONG;
@@ -115,7 +115,7 @@ fn a_handler_interrupts_a_delay_that_is_spun_for() {
         .spin_tail(2 * length)
         .task("a", move |ctx| {
             it_begins.recv_timeout(LONG).expect("b begins");
-            // Then it spins, as likely as not.
+            // By then the thread most likely spins.
             thread::sleep(Duration::from_millis(50));
             ctx.send(NEWS, b"!").map(|_copies| ())
         })

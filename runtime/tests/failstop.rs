@@ -1,4 +1,4 @@
-//! A panic in the machinery ends the node at once, not only the thread it happened in (D43).
+//! A panic in the runtime itself ends the node at once, not only the thread in which it happened (D43).
 
 use crate::alone;
 use crate::common::{B, LONG, LONG_TICKS, ask, cell, one_node, table};
@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 
 const CHILD: &str = "IMRS_TEST_FAIL_STOP";
 
-/// What this test says while it runs `node` in a process of its own, which must end by its own fail-stop.
+/// The error output of this test when it runs `node` in a process of its own, which must end by its fail-stop.
 fn said_at_its_end(test: &str, node: impl FnOnce() -> Runtime) -> String {
     let _alone = alone();
     if std::env::var_os(CHILD).is_some() {
@@ -29,7 +29,7 @@ fn said_at_its_end(test: &str, node: impl FnOnce() -> Runtime) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// This test in a process of its own.
+/// This test, in a process of its own.
 fn child(test: &str) -> Command {
     let (_program, module) = module_path!().split_once("::").expect("a module of the test program");
     let mut child = Command::new(std::env::current_exe().unwrap());
@@ -37,7 +37,7 @@ fn child(test: &str) -> Command {
     child
 }
 
-/// Called under a communication task's lock, so its panic is one in the machinery.
+/// A recorder that panics. It is called under a communication task's lock, so its panic is one of the runtime itself.
 struct Broken;
 
 impl Recorder for Broken {
@@ -58,7 +58,7 @@ fn a_panic_in_the_machinery_aborts_the_process() {
     assert!(said.contains("a communication task panicked; the node stops"), "{said}");
 }
 
-/// A node of which a communication task panics at its first step.
+/// A node with a communication task that panics at its first step.
 fn broken() -> Runtime {
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(ask(LONG_TICKS));
@@ -70,7 +70,7 @@ fn broken() -> Runtime {
 fn a_standard_error_that_nobody_reads_does_not_hold_up_the_abort() {
     let _alone = alone();
     if std::env::var_os(CHILD).is_some() {
-        // The usual hook writes, too, and would wait.
+        // The default hook also writes to standard error, and would block.
         std::panic::set_hook(Box::new(|_| ()));
         let survived = broken().wait(LONG);
         unreachable!("the process went on; all programs ended: {survived}");
@@ -86,7 +86,7 @@ fn a_standard_error_that_nobody_reads_does_not_hold_up_the_abort() {
     assert_eq!(status.signal(), Some(6), "{status:?}");
 }
 
-/// Breaks when the Timer's thread sends, and no other.
+/// A link that panics when the Timer thread sends, and only then.
 struct BreaksTheTimer;
 
 impl Link for BreaksTheTimer {
@@ -107,7 +107,7 @@ impl Link for BreaksTheTimer {
     fn wake(&self) {}
 }
 
-/// Asks a task of another node once a delay is over, which no thread of its own waits for.
+/// Asks a task of another node after a delay that no thread of its own waits for.
 fn late_asker() -> Arc<Program> {
     let mut b = ProgramBuilder::new("late asker");
     let n = b.variable("n", Type::Int32);

@@ -1,4 +1,4 @@
-//! Tasks whose programs are futures (D113): every primitive, what is dropped, crashes, and the end of a node.
+//! Tests of tasks whose programs are futures (D113): every primitive, dropped waits, crashes, and the end of a node.
 
 use crate::common::{
     A, AMPLE, AMPLE_TICKS, B, C, LONG, LONG_TICKS, Tape, ask, busy, cell, finish, network, on, one_node,
@@ -20,7 +20,7 @@ use std::time::{Duration, Instant};
 
 const SOON: Duration = Duration::from_millis(20);
 
-/// Answers so many questions with their number plus one.
+/// Answers `questions` questions, each with its number plus one.
 async fn answer(mut ctx: AsyncContext, questions: u32) -> Result<(), TaskError> {
     let ask = ctx.port("ask")?;
     for _ in 0..questions {
@@ -39,7 +39,7 @@ async fn question(mut ctx: AsyncContext, questions: u32) -> Result<(), TaskError
     Ok(())
 }
 
-/// Gives way to the other futures of the thread once.
+/// Yields once to the other futures of the thread.
 async fn give_way() {
     let mut given = false;
     poll_fn(|poller| {
@@ -52,7 +52,7 @@ async fn give_way() {
     .await;
 }
 
-/// What another thread tells a future.
+/// A flag with which another thread tells a future something.
 #[derive(Default)]
 struct Told(Mutex<(bool, Option<Waker>)>);
 
@@ -122,7 +122,7 @@ fn statuses_time_outs_and_faults() {
             assert_eq!(ctx.tell(ask, &1_i32), Err(fault(Fault::WrongUsage)));
             assert_eq!(ctx.receive(Some(ask), None).await, Err(fault(Fault::WrongUsage)));
             assert_eq!(ctx.send(ask, &[0; 13]).await, Err(TaskError::TooLong(13)));
-            // Nobody takes it.
+            // No task takes the command.
             let begins = Instant::now();
             assert_eq!(ctx.send(ask, b"anyone?").await?, Sent::Outcome(Outcome::TimedOutUnknown));
             assert!(begins.elapsed() >= Duration::from_millis(30));
@@ -257,7 +257,7 @@ fn a_message_that_comes_for_a_dropped_wait_is_kept_for_the_next_that_it_suits() 
     let node = one_node(&table(cell))
         .async_task("a", |mut ctx: AsyncContext| async move {
             let (news, short, ask) = (ctx.port("news")?, ctx.port("short")?, ctx.port("ask")?);
-            // B waits for each when it is sent.
+            // `b` waits for each message when it is sent.
             for number in [1, 2] {
                 assert_eq!(ctx.query::<i32, i32>(ask, &number).await?, Asked::Reply(number));
                 give_way().await;
@@ -275,13 +275,13 @@ fn a_message_that_comes_for_a_dropped_wait_is_kept_for_the_next_that_it_suits() 
                 ctx.answer(&question.from, &question.message)?;
                 let mut wait = Box::pin(ctx.receive(Some(port), None));
                 assert!(poll_fn(|poller| Poll::Ready(wait.as_mut().poll(poller))).await.is_pending());
-                // It comes while nobody looks.
+                // The message comes while nothing polls the wait.
                 for _ in 0..10 {
                     give_way().await;
                 }
                 drop(wait);
             }
-            // Of the short one nothing is left.
+            // The message of the short port has expired.
             ctx.delay(Duration::from_millis(40)).await?;
             assert_eq!(ctx.receive(Some(short), Some(Duration::ZERO)).await?, None);
             let question = ctx.take::<i32>(ask, None).await?.expect("the last question");
@@ -369,7 +369,7 @@ fn stopping_ends_every_wait_and_drops_who_waits_for_something_else() {
             move |mut ctx: AsyncContext| async move {
                 began.send(()).unwrap();
                 assert_eq!(ctx.receive(None, None).await, Err(TaskError::Stopped));
-                // And so does every later one.
+                // Every later wait ends in the same way.
                 assert_eq!(ctx.delay(SOON).await, Err(TaskError::Stopped));
                 Ok(())
             }
@@ -389,7 +389,7 @@ fn stopping_ends_every_wait_and_drops_who_waits_for_something_else() {
     told.recv_timeout(LONG).expect("what never ends is dropped");
 }
 
-/// A task of [`busy`]: meets so often; between that `a` sends news and asks, and the others answer.
+/// A task of [`busy`]: meets `rounds` times; in between `a` sends news and asks, and the others answer.
 async fn meets_and_asks(mut ctx: AsyncContext, rounds: u8) -> Result<(), TaskError> {
     let (lift, news) = (ctx.port("lift")?, ctx.port("news")?);
     for round in 0..rounds {
@@ -485,7 +485,7 @@ fn what_is_there_is_taken_without_a_wait_and_what_belongs_together_leaves_togeth
                 None => ctx.delay(Duration::from_millis(1)).await?,
             }
         }
-        // Equally urgent but for the microseconds in which each was taken in.
+        // Equally urgent, except for the microseconds at which each was taken in.
         heard.sort_unstable();
         assert_eq!(heard, [0, 1, 2, 3]);
         assert_eq!(ctx.poll(Some(news)).await?, None);
@@ -523,7 +523,7 @@ fn nothing_interrupts_an_atomic_section_and_one_that_is_dropped_is_over() {
                 ctx.boundary().await?;
                 ctx.delay(Duration::from_millis(1)).await?;
             }
-            // A section that loses against something else.
+            // The section is dropped, because another future is ready first.
             {
                 let section = pin!(ctx.atomic(async |ctx| ctx.delay(LONG).await));
                 assert!(matches!(select(section, ready(())).await, Either::Right(_)));

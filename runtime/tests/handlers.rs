@@ -9,7 +9,7 @@ use imrs_runtime::message::Bytes;
 use imrs_runtime::{Asked, Context, Rendezvous, RequestFault, Sent, TaskEnd, TaskError};
 use std::time::{Duration, Instant};
 
-/// Asks so often, each time expecting one more.
+/// Asks so often, and each time expects one more.
 fn asks(times: i32) -> impl FnOnce(&mut Context) -> Result<(), TaskError> + Send + 'static {
     move |ctx| {
         let ask = ctx.port("ask")?;
@@ -70,7 +70,7 @@ fn without_an_order_a_delay_is_interrupted_only_by_the_rejected_and_with_one_by_
                 }
                 ctx.on_query(ask, |ctx, number: i32| {
                     ctx.state.push("handler begins");
-                    // Above a delay that goes on meanwhile.
+                    // This delay runs above another one, which goes on meanwhile.
                     ctx.delay(Duration::from_millis(5))?;
                     ctx.state.push("handler ends");
                     Ok(number + 1)
@@ -216,7 +216,7 @@ fn several_are_asked_at_once_and_each_answer_is_told_apart() {
             ctx.query_all(state, Target::All, &(), |task, asked| said.push((task, asked)))?;
             assert_eq!(said, [(B, Asked::Reply(20_i16)), (C, Asked::Reply(30))]);
             said.clear();
-            // Nobody answers a second time.
+            // No task answers a second time.
             ctx.query_all(state, Target::All, &(), |task, asked| said.push((task, asked)))?;
             assert_eq!(said, [(B, Asked::TimedOutUnknown), (C, Asked::TimedOutUnknown)]);
             let one =
@@ -284,7 +284,7 @@ fn a_panic_in_a_handler_is_the_tasks_crash_and_the_partners_of_its_wait_are_told
             let asked = ctx.query_with::<i32, i32>(ask, Target::All, &1, Some(AMPLE))?;
             assert!(asked.may_have_run());
             let meet = ctx.port("meet")?;
-            // Until b's crash is over, which says what is lost first: its arrival is one, then it is taken back.
+            // Until b has crashed and its arrival is taken back: before that, b's arrival still counts.
             loop {
                 match ctx.waitfor_with(meet, [0; 8], Some(Duration::from_millis(20)))? {
                     Rendezvous::GaveUp { missing, .. } if missing & 1 == 1 => return Ok(()),
@@ -308,14 +308,14 @@ fn a_panic_in_a_handler_is_the_tasks_crash_and_the_partners_of_its_wait_are_told
     assert_eq!(ends, [TaskEnd::Returned, crash, TaskEnd::Returned]);
 }
 
-/// Nobody answers the primary's partner any more: it loses its lease, though it is in an atomic section that only the loss
-/// can end. What it then orders is refused, in the handler and after it (D61, D87).
+/// The primary's partner is stopped, so the primary loses its lease, in the middle of an atomic section that only the loss can
+/// end. What it sends then is refused, in the handler and after it (D61, D87).
 #[test]
 fn the_loss_of_the_lease_interrupts_an_atomic_section_and_what_is_ordered_then_is_refused() {
     let mut cell = cell(&[0, 1, 0], Ticks(2_000));
     let via = cell.port(PortDecl::new("alive", A, Usage::Response, &[B], Ticks(40_000)));
     cell.port(PortDecl::new("move", A, Usage::Send, &[C], Ticks(50_000)).guard(0));
-    // Longer than a busy machine keeps a thread from running: it is lost once, and not before its partner's end.
+    // Longer than a busy machine keeps a thread from running: the lease is lost once, and not before the partner's end.
     let [lease, takeover, every] = [3_000_000, 20_000_000, 20_000].map(Ticks);
     let (trusted, mutual) = (false, false);
     cell.couples.push(CoupleDecl { primary: A, standby: B, lease, takeover, every, via, trusted, mutual });
@@ -335,7 +335,7 @@ fn the_loss_of_the_lease_interrupts_an_atomic_section_and_what_is_ordered_then_i
         tell.send(()).expect("the test listens");
         let _epoch = ctx.lease()?;
         let sent = ctx.send(port, b"go");
-        // A machine that stands still may take the lease before its partner's end does.
+        // On a machine that stands still, the lease may be lost before the partner ends.
         assert!(sent == Ok(Sent::Copies(1)) || sent == refused, "{sent:?}");
         tell.send(()).expect("the test listens");
         ctx.atomic(|ctx| {

@@ -1,4 +1,4 @@
-//! A node with nothing to wait for sleeps: no thread of it wakes.
+//! A node with nothing to wait for sleeps: none of its threads wakes.
 
 use crate::alone;
 use crate::common::{A, B, LONG, cell, network, on, report, table};
@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 const THREADS: [&str; 5] = ["idle-task", "imrs timer", "imrs receive", "imrs observer", "recording"];
 
-/// Longer than a thread waits that still has something to do.
+/// Longer than the wait of a thread that still has something to do.
 const SETTLED: Duration = Duration::from_millis(300);
 
 /// A thread of the node: its name, whether it sleeps, and how often it went to sleep.
@@ -32,8 +32,8 @@ fn sleeps() -> Vec<Sleeps> {
     counts
 }
 
-/// Waits until all threads sleep, and none of them was woken by what it waited for last: one that was woken and does not run
-/// yet, because the machine has others to run, does not sleep.
+/// Waits until all threads sleep, and none has been woken from its last wait: a thread that was woken but does not run yet,
+/// because the machine is busy, does not count as asleep.
 fn settled() -> Vec<Sleeps> {
     let start = Instant::now();
     let mut before = sleeps();
@@ -64,7 +64,7 @@ fn a_node_with_nothing_pending_never_wakes() {
     let node = on(&network, &table, 0)
         .recorder(recorder.clone())
         .task("idle-task", move |ctx| {
-            // Something has been timed before: nothing of it is left.
+            // A delay and a time_out come first: nothing of them may be left.
             ctx.delay(Duration::from_millis(20))?;
             assert_eq!(ctx.receive(None, Some(Duration::from_millis(20)))?, None);
             begin.send(()).expect("the test listens");

@@ -1,5 +1,5 @@
-//! A recording that lost something goes on from a keyframe (D62): what comes after it is judged again, what was lost
-//! is never called good.
+//! A recording with losses goes on from a keyframe (D62): what comes after it is judged again, and what was lost is never called
+//! good.
 
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table};
 use imrs_protocol::{
@@ -74,7 +74,7 @@ fn program(ctx: &mut Context) -> Result<(), TaskError> {
             let _outcome = ctx.send(ask, &[round])?;
         } else {
             while let Some(message) = ctx.receive(None, Some(Duration::from_millis(5)))? {
-                // A late reply is refused, and one to news is a fault: both are answers like others.
+                // A late reply is refused, and a reply to news is a fault: both are answers like others.
                 let _fault = ctx.reply(&message.from, b"yes");
             }
         }
@@ -105,7 +105,7 @@ fn run_recorded() -> (Arc<CellTable>, BTreeMap<TaskId, Vec<Entry>>) {
     (table, steps)
 }
 
-/// Everything that a machine puts out.
+/// Records everything that a machine puts out.
 #[derive(Default, Debug, PartialEq)]
 struct All(Vec<String>);
 
@@ -147,7 +147,7 @@ fn a_machine_read_back_from_its_keyframe_behaves_bit_equal() {
                 machine.handle(&node, machine.now() + step.elapsed, &step.input, out);
             }
             assert_eq!(out[0], out[1]);
-            // Read back after every single step: exact, so both go on alike.
+            // Read back exactly after every step, so both go on alike.
             let bytes = postcard::to_allocvec(&original).unwrap();
             copy = postcard::from_bytes(&bytes).unwrap();
             assert_eq!(postcard::to_allocvec(&copy).unwrap(), bytes);
@@ -173,7 +173,7 @@ fn a_replay_goes_on_from_any_keyframe_and_says_unknown() {
             let mut replay = Replay::new(&node, task, LIFE, false);
             steps(0).take(cut / 2).for_each(|step| replay.step(step));
             replay.gap(3);
-            // Recorded, but not to be judged.
+            // Recorded after the gap, so it cannot be judged.
             steps(cut - 1).take(1).for_each(|step| replay.step(step));
             replay.keyframe(&entry.state, OutputDigest(entry.before)).unwrap();
             steps(cut).for_each(|step| replay.step(step));
@@ -211,7 +211,7 @@ fn keyframes_that_are_none_are_told() {
     assert_eq!(replay.verdict(), Verdict::Unknown);
 }
 
-/// A disk that takes nothing while it is held.
+/// A disk that accepts nothing while it is held.
 #[derive(Clone, Default)]
 struct Disk(Arc<(Mutex<Platter>, Condvar)>);
 
@@ -315,7 +315,7 @@ fn a_node_whose_disk_was_stuck_is_recorded_on_and_its_replay_is_unknown() {
     };
     let gaps = count(|record| matches!(record, Record::Gap { .. }));
     let keyframes = count(|record| matches!(record, Record::Keyframe { .. }));
-    // One after each gap, and none where nothing was lost.
+    // One keyframe after each gap, and none where nothing was lost.
     assert!((1..=gaps).contains(&keyframes), "{keyframes} keyframes, {gaps} gaps");
 }
 
@@ -345,7 +345,7 @@ fn recordings_of_others_are_refused() {
     assert!(matches!(replayed(digest, node, &[broken]), Err(ReplayError::Keyframe(_))));
 }
 
-/// A state of a table whose port has a larger buffer is one that this machine cannot have.
+/// Refuses the state of a table whose port has a larger buffer, because this machine can never have it.
 #[test]
 fn a_state_of_a_machine_with_other_buffers_is_refused() {
     let with_room_for = |messages: u16| {
@@ -384,7 +384,7 @@ fn a_state_of_a_machine_with_other_buffers_is_refused() {
     assert_eq!(resumed(&narrow), Err(KeyframeError::OutOfBounds(B)));
 }
 
-/// Nothing is missing in between and still the last record counts more, or other outputs: something was lost unseen.
+/// No gap is recorded, and yet the last record has more inputs or other outputs: something was lost unseen.
 #[test]
 fn a_last_record_that_does_not_fit_is_told() {
     let here = NodeTable::new(table(cell(&[0], Ticks(0))), NodeId(0));
@@ -406,7 +406,7 @@ fn a_last_record_that_does_not_fit_is_told() {
     };
     assert_eq!(closed(0, 2, start), miscount(2, start));
     assert_eq!(closed(0, 1, other), miscount(1, other));
-    // A gap explains it, but for more than it has.
+    // A gap explains a difference, but no more than the gap has.
     assert_eq!(closed(2, 3, other), Verdict::Unknown);
     assert_eq!(closed(2, 4, other), miscount(4, other));
 }

@@ -1,5 +1,5 @@
-//! A task that waits in the socket (D40): who is woken, who is not, and what becomes of what is for others. Alone, for the
-//! threads of another test would be counted, too.
+//! A task that waits in the socket (D40): which threads are woken, which are not, and what becomes of datagrams for others. These
+//! tests run alone, because the threads of another test would be counted, too.
 
 use crate::alone;
 use crate::common::udp::{builders, links, udp_links};
@@ -20,7 +20,7 @@ fn sleeps_of(thread: &std::path::Path) -> u64 {
     line.expect("counted").trim().parse().expect("a number")
 }
 
-/// How often the threads slept that receive for a node without waiting for anything themselves.
+/// How often the receiving threads of the nodes slept.
 fn sleeps_of_receivers() -> u64 {
     let threads = std::fs::read_dir("/proc/self/task").expect("the threads of this process").flatten();
     let named = |path: &std::path::Path| std::fs::read_to_string(path.join("comm")).unwrap_or_default();
@@ -31,12 +31,12 @@ fn sleeps_of_receivers() -> u64 {
 /// A link that tells whether a thread waits in it.
 struct Watched {
     link: UdpLink,
-    /// The thread that does; zero: none.
+    /// The thread that waits in the link; zero for none.
     waits: AtomicI32,
 }
 
 impl Watched {
-    /// Waits until a thread that leads sleeps in the link: what comes from then on, it takes in.
+    /// Waits until a leading thread sleeps in the link: that thread takes in what comes from then on.
     fn is_led(&self) {
         let begin = Instant::now();
         let is_asleep = |thread: i32| {
@@ -93,7 +93,7 @@ impl Leading for Watched {
     }
 }
 
-/// Two nodes of a task each, `a` that asks and `b` that answers, and their links.
+/// Two nodes with a task each, `a` that asks and `b` that answers, and their links.
 fn asking() -> ([Builder; 2], [Arc<Watched>; 2]) {
     let mut cell = cell(&[0, 1], Ticks(1_000));
     cell.port(ask(Ticks(10 * LONG_TICKS.0)));
@@ -106,11 +106,11 @@ fn asking() -> ([Builder; 2], [Arc<Watched>; 2]) {
     ([(0, &links[0]), (1, &links[1])].map(node), links)
 }
 
-/// Round trips in which each side speaks when the other one waits in its link. The first ones bring both there.
+/// Round trips in which each side sends while the other one waits in its link. The first ones bring both there.
 const WARM_UP: u64 = 5;
 const TRIPS: u64 = 20;
 
-/// What woke the threads that receive for a node without waiting for anything themselves.
+/// Checks that the receiving threads were hardly ever woken.
 fn nobody_else_was_woken(before: u64) {
     let slept = sleeps_of_receivers() - before;
     assert!(slept < TRIPS / 4, "the receiving threads slept {slept} times in {TRIPS} round trips");
@@ -166,7 +166,7 @@ fn a_reply_wakes_one_thread() {
     finish_stopped(second);
 }
 
-/// The thread of the futures leads while all of them wait, those of both nodes.
+/// The thread of the futures leads while all of them wait, on both nodes.
 fn a_reply_to_a_future_wakes_one_thread() {
     let ([first, second], [of_a, of_b]) = asking();
     let first = first.async_task("a", |mut ctx: AsyncContext| async move {
@@ -205,7 +205,7 @@ fn finish_stopped(runtime: imrs_runtime::Runtime) {
     assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned), "{ends:?}");
 }
 
-/// `a` leads, takes its message and then asks for nothing; what comes for `b` of the same node comes through.
+/// `a` leads, takes its message and then computes; messages for `b` of the same node still arrive.
 fn what_is_for_others_does_not_wait_for_a_task_that_computes() {
     let mut cell = cell(&[0, 0, 1], Ticks(1_000));
     cell.port(PortDecl::new("to-a", C, Usage::Send, &[A], LONG_TICKS).command());
@@ -234,7 +234,7 @@ fn what_is_for_others_does_not_wait_for_a_task_that_computes() {
         });
     let there = there.task("c", move |ctx| {
         let ports = [ctx.port("to-a")?, ctx.port("to-b")?];
-        // `a` sleeps first, and leads, as likely as not.
+        // `a` most likely sleeps first, and leads.
         ctx.delay(Duration::from_millis(20))?;
         ctx.send(ports[0], b"")?.reply().expect("nothing is lost");
         for _ in 0..20 {
@@ -249,7 +249,7 @@ fn what_is_for_others_does_not_wait_for_a_task_that_computes() {
     assert!(busy.load(Ordering::Acquire));
 }
 
-/// `b` waits in the link for answers of its own node, and for datagrams, in turns.
+/// `b` waits in the link, in turns for questions from its own node and for datagrams.
 fn a_leader_is_called_by_tasks_of_its_own_node() {
     let mut cell = cell(&[0, 0, 1], Ticks(1_000));
     cell.port(ask(LONG_TICKS));
@@ -304,7 +304,7 @@ fn what_is_sent_together_leaves_in_full_datagrams() {
     const MESSAGES: usize = 100;
     let mut cell = cell(&[0, 1], Ticks(1_000));
     let decl = PortDecl::new("news", A, Usage::Send, &[B], LONG_TICKS);
-    // Room for all of them: the receiver may be late.
+    // Room for all of them, because the receiver may be late.
     cell.port(decl.bounded_buffer(MESSAGES as u16 + 3));
     cell.port(ask(LONG_TICKS));
     let table = table(cell);
@@ -324,7 +324,7 @@ fn what_is_sent_together_leaves_in_full_datagrams() {
         ctx.together(|ctx| {
             let _copies = ctx.send(news, b"news")?;
             assert_eq!(since(), 3, "it waits for more");
-            // What waits for an answer waits with nothing unsent.
+            // Before a task waits for an answer, everything it sent leaves.
             ctx.send(ask, b"?")?.reply().expect("nothing is lost");
             assert_eq!(since(), 4, "both in one");
             ctx.send(news, b"news").map(|_| ())

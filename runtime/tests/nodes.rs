@@ -1,4 +1,4 @@
-//! Whole nodes over loopback UDP.
+//! Tests of whole nodes over loopback UDP.
 
 use crate::common::udp::{builders, links};
 use crate::common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, report, table};
@@ -39,7 +39,7 @@ fn send_receive_reply_over_udp() {
     finish(second);
 }
 
-/// The life that was asked ended before a word of it was heard; the next says so with its first datagram.
+/// The incarnation that was asked ended before anything was heard of it; the next one says so with its first datagram.
 #[test]
 fn a_restart_before_the_first_contact_is_told_to_the_sender_over_udp() {
     let mut cell = cell(&[0, 1], Ticks(1_000));

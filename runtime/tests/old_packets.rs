@@ -1,4 +1,4 @@
-//! What a stop of the node makes old is old: commands and news whose life ended meanwhile reach no task (D20, D50).
+//! A stop of the node counts as waiting time: commands and news that expired meanwhile reach no task (D20, D50).
 
 use crate::common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, report, table};
 use imrs_protocol::{
@@ -17,21 +17,21 @@ use std::time::{Duration, Instant};
 /// How long the node is stopped.
 const STOP: Duration = Duration::from_millis(300);
 const STOP_US: u64 = 300_000;
-/// Of what must not outlive the stop.
+/// The time_out of messages that must not survive the stop.
 const SHORT: Ticks = Ticks(200_000);
 /// How many messages of each kind are sent.
 const COPIES: u8 = 5;
 
-/// Where the node is stopped.
+/// Where in its work the node is stopped.
 #[derive(Clone, Copy, PartialEq)]
 enum Where {
-    /// Before it looks at the link: for as long as the gate is closed.
+    /// Before it checks the link: as long as the gate is closed.
     BeforeThePoll,
-    /// After the link has reckoned what the way cost, for [`STOP`].
+    /// After the link has computed the charge of the hop, for [`STOP`].
     BeforeTheSink,
 }
 
-/// A link whose node is stopped at times.
+/// A link that stops its node at times.
 struct Stopping<L> {
     inner: L,
     stop: Where,
@@ -85,7 +85,7 @@ impl<L: Link> Link for Stopping<L> {
     }
 }
 
-/// A task that waits in the link is stopped where the receiving thread would be.
+/// Stops a task that waits in the link where it would stop the receiving thread.
 impl<L: Link> Leading for Stopping<L> {
     fn wait(&self, left: Option<Duration>) -> Came {
         self.pass();
@@ -101,7 +101,7 @@ impl<L: Link> Leading for Stopping<L> {
     }
 }
 
-/// Remembers what packets are charged, and is stopped before it hands them on.
+/// A sink that records the charges, and stops the node before it passes packets on.
 struct Watching<'a> {
     sink: &'a dyn Sink,
     stop: Duration,
@@ -132,7 +132,7 @@ fn two_nodes() -> Arc<CellTable> {
     table(cell)
 }
 
-/// Sends what the stop outlives, and what outlives the stop.
+/// Sends messages that expire during the stop, and messages that do not.
 fn sender(ctx: &mut Context) -> Result<(), TaskError> {
     let (short, long, ask) = (ctx.port("short")?, ctx.port("long")?, ctx.port("ask")?);
     for number in 0..COPIES {
@@ -143,7 +143,7 @@ fn sender(ctx: &mut Context) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// Nothing whose life has ended is handed to the receiver's task, and all of it is counted.
+/// No expired message is handed to the receiver's task, and all of them are counted.
 fn only_what_lives_arrives<L: Link + 'static>(table: &Arc<CellTable>, links: [L; 2], stop: Where) {
     let [first, second] = links;
     let second = Arc::new(Stopping::new(second, stop));
@@ -158,7 +158,7 @@ fn only_what_lives_arrives<L: Link + 'static>(table: &Arc<CellTable>, links: [L;
             numbers.extend_from_slice(news.contents.as_bytes());
             tell.send(news.budget).expect("the test listens");
         }
-        // Not in this order where a thread was stopped with one of them in its hands: that one is older then.
+        // The order may differ: a packet that a stopped thread had in its hands counts as older.
         numbers.sort_unstable();
         assert!(numbers.iter().copied().eq(0..COPIES), "{numbers:?}");
         // Nothing more comes.
@@ -197,7 +197,7 @@ fn in_process(table: &Arc<CellTable>) -> [imrs_runtime::link::in_process::InProc
     [0, 1].map(|node| network.join(NodeId(node), Incarnation(1), false))
 }
 
-/// Side by side: most of it is waiting.
+/// Both links at the same time, because the test mostly waits.
 fn over_both_links(stop: Where) {
     let table = two_nodes();
     thread::scope(|s| {
@@ -227,7 +227,7 @@ fn a_node_stopped_between_the_link_and_its_tasks() {
     over_both_links(Where::BeforeTheSink);
 }
 
-/// A node that is stopped while its packets leave: the link's clock is read later than the node's.
+/// A link whose node is stopped while its packets leave: the link's clock is read later than the node's.
 struct LateSender<L>(L);
 
 impl<L: Link> Link for LateSender<L> {
@@ -249,7 +249,7 @@ impl<L: Link> Link for LateSender<L> {
     }
 }
 
-/// What is charged for a packet sent by a node that is stopped while it sends, once its clock is known.
+/// The charge of a packet from a node that is stopped while it sends, once its clock is known.
 fn charge_of_a_late_packet(links: [impl Link + 'static; 2]) -> Ticks {
     let [first, second] = links;
     let first: Arc<dyn Link> = Arc::new(FaultyLink::new(LateSender(FaultyLink::new(first, 0)), 0));
@@ -271,7 +271,7 @@ fn charge_of_a_late_packet(links: [impl Link + 'static; 2]) -> Ticks {
         contents: imrs_protocol::Contents::EMPTY,
         seal: Seal::NONE,
     };
-    // Each way once, so that the second knows the clock of the first.
+    // One packet in each direction, so that the second node knows the clock of the first.
     assert_eq!(second.send(NodeId(0), &[packet]), Ok(1));
     let end = Some(Instant::now() + LONG);
     let received = |link: &dyn Link, count| {
@@ -302,8 +302,7 @@ fn a_node_stopped_while_it_sends_through_layers_of_links() {
     assert!(charges.iter().all(|charge| charge.0 >= STOP_US), "{charges:?}");
 }
 
-/// A link that takes long to say that it takes nothing: the first time so long that another packet of the node comes to
-/// the buffer meanwhile.
+/// A link that takes long to refuse a packet: the first time so long that another packet of the node enters the buffer meanwhile.
 struct Refusing<L> {
     inner: L,
     refused: AtomicBool,

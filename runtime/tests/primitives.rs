@@ -157,7 +157,7 @@ fn a_full_buffer_refuses_at_once() {
         })
         .task("c", move |ctx| {
             first.1.recv().expect("a has asked");
-            // The buffer holds one: whoever comes second finds it full.
+            // The buffer holds one message, so the second sender finds it full.
             let ask = ctx.port("ask")?;
             assert_eq!(ctx.send(ask, b"c")?, Sent::Outcome(Outcome::Refused));
             second.0.send(()).expect("b listens");
@@ -200,7 +200,7 @@ fn a_reply_after_the_budget_is_late_and_a_second_one_answers_nothing() {
     finish(node);
 }
 
-/// Three tasks meet again and again. Whoever is released proves that all had arrived: the counters of a round.
+/// Three tasks meet again and again. The counters of a round prove that all had arrived when a task is released.
 fn meet(
     rounds: u32,
     counts: Arc<[AtomicU32]>,
@@ -246,7 +246,7 @@ fn three_nodes_meet_many_times_while_packets_overtake_each_other() {
         .map(|(node, task)| on(&network, &table, node).task(task, program.clone()))
         .collect();
     let nodes: Vec<_> = builders.into_iter().map(|node| node.start().unwrap()).collect();
-    // No node ends before all have met: a CONFIRM may still be asked for.
+    // No node ends before all have met, because another node may still ask for a CONFIRM.
     assert!(nodes.iter().all(|node| node.wait(LONG)));
     nodes.into_iter().for_each(finish);
 }
@@ -272,7 +272,7 @@ fn faults_of_a_request_are_errors_and_change_nothing() {
             ctx.order(&[Ranked::Port(tell)])
         })
         .task("b", |ctx| {
-            // A port of others is not even found.
+            // A port of other tasks is not even found.
             assert_eq!(ctx.port("tell"), Err(TaskError::NoPort("tell".into())));
             Ok(())
         })

@@ -1,5 +1,5 @@
-//! The tests that count what the whole process does, or stop it: allocations, memory, sleeps of threads, a crash. One at a
-//! time: each test takes the turn ([`alone`]) first.
+//! The tests that count what the whole process does, or stop it: allocations, memory, sleeps of threads, a crash. They run one at
+//! a time: each test takes the turn ([`alone`]) first.
 
 mod allocation;
 mod allocator;
@@ -19,6 +19,6 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 /// The turn of one test. Held until its end, so that nothing of another test is counted.
 fn alone() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
-    // A test that failed has left its turn.
+    // A test that failed has given up its turn.
     TURN.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -1,4 +1,4 @@
-//! What a node did can be done again, bit-equal, from what it was given (D62).
+//! A replay of a node's recorded inputs does the same again, bit-equal (D62).
 
 use crate::common::{LONG, LONG_TICKS, Tape, ask, busy, cell, finish, meets_and_asks, on, one_node, table};
 use imrs_protocol::{CellTable, Incarnation, Input, NodeId, NodeTable, Request, TaskId, Ticks};
@@ -32,7 +32,7 @@ fn a_recorded_run_of_three_nodes_replays_bit_equal_and_a_change_is_noticed() {
         assert!(log.len() > 100, "{task} took only {} inputs", log.len());
         assert_eq!(again(log.clone()), Ok(log.len()));
 
-        // Another argument in one arrival: other packets.
+        // A changed argument in one arrival leads to other packets.
         let arrives = |entry: &Recorded| matches!(entry.step.input, Input::Request(Request::Arrive { .. }));
         let position = log.iter().position(arrives).expect("every task meets");
         let mut changed = log.clone();

@@ -1,4 +1,4 @@
-//! Tasks that are scripts, on real nodes: with each other, with Rust tasks, and with actions outside.
+//! Tests of tasks that are scripts, on real nodes: with each other, with Rust tasks, and with actions outside.
 
 use crate::common::{A, B, LONG, LONG_TICKS, Tape, ask, cell, network, on, one_node, report, table};
 use imrs_protocol::script::{
@@ -20,7 +20,7 @@ use std::time::{Duration, Instant};
 
 const ASK: PortId = PortId(0);
 
-/// Asks `times` times and ends; aborts where an answer is not one more than what it asked.
+/// Asks `times` times and ends; aborts if an answer is not one more than the question.
 fn asker(times: i64) -> Arc<Program> {
     let mut b = ProgramBuilder::new("a");
     let (n, answer) = (b.variable("n", Type::Int16), b.variable("answer", Type::Int16));
@@ -48,7 +48,7 @@ fn asker(times: i64) -> Arc<Program> {
     Arc::new(b.finish().expect("a sound program"))
 }
 
-/// Answers with one more than what it was asked, for ever.
+/// Answers each question with one more, for ever.
 fn answerer() -> Arc<Program> {
     let mut b = ProgramBuilder::new("b");
     let n = b.variable("n", Type::Int16);
@@ -61,7 +61,7 @@ fn answerer() -> Arc<Program> {
     Arc::new(b.finish().expect("a sound program"))
 }
 
-/// Runs one action and ends; aborts where it fails.
+/// Runs one action and ends; aborts if the action fails.
 fn actor(least: Ticks, most: Ticks) -> Arc<Program> {
     let mut b = ProgramBuilder::new("a");
     b.run("grip", least, most);
@@ -118,7 +118,7 @@ fn a_script_and_a_rust_task_share_a_node() {
 fn two_scripts_of_a_node_that_answer_each_other_for_ever_in_no_time_are_stopped() {
     let mut cell = cell(&[0, 0], Ticks(2_000));
     cell.port(ask(LONG_TICKS));
-    // More than two scripts may take together before anything comes from outside.
+    // More questions than two scripts may answer each other before input comes from outside.
     let node = one_node(&table(cell)).script("a", asker(30_000)).script("b", answerer()).start().unwrap();
     let deadline = Instant::now() + LONG;
     let alive = |node: &Runtime| {
@@ -177,7 +177,7 @@ fn guard() -> GuardProgram {
 fn command(words: &[&str]) -> Arc<dyn Actions> {
     let words = words.iter().map(ToString::to_string).collect();
     let commands = Commands::new(BTreeMap::from([("grip".to_owned(), words)]), simulated());
-    // A busy machine may take longer than the usual margin to start the guard and the command.
+    // A busy machine may take longer than the default margin to start the guard and the command.
     Arc::new(commands.guard(guard()).margin(LONG))
 }
 
@@ -215,7 +215,7 @@ fn an_action_is_simulated_a_command_or_a_function() {
     assert_eq!(act_with(Arc::new(panicking)), TaskEnd::Script(End::Aborted(0)));
 }
 
-/// Tells when an action begins, and when it was stopped.
+/// Reports when an action begins, and when it was stopped.
 struct Told(std::sync::mpsc::Sender<&'static str>, Mutex<Vec<Ending>>);
 
 impl Actions for Told {
@@ -301,7 +301,7 @@ fn a_command_that_is_cut_short_is_killed() {
     std::fs::remove_file(&dir).expect("the mark");
     assert!(std::path::Path::new(&format!("/proc/{pid}")).exists());
     assert_eq!(end_of(node, "a"), TaskEnd::Returned);
-    // The stop of a node waits for the end of a command only for a while.
+    // A node that stops waits for the end of a command only for a while.
     let deadline = Instant::now() + LONG;
     while std::path::Path::new(&format!("/proc/{pid}")).exists() {
         assert!(Instant::now() < deadline, "the command runs on");
@@ -309,7 +309,7 @@ fn a_command_that_is_cut_short_is_killed() {
     }
 }
 
-/// Stands still for longer than a lease lasts when its script is about to act, as a node that was stopped does.
+/// A watch that stands still for longer than a lease when its script is about to act, as a node that was stopped does.
 struct StandsStill(Mutex<Vec<Note>>);
 
 const LEASE_US: u64 = 300_000;
@@ -324,7 +324,7 @@ impl Watch for StandsStill {
     }
 }
 
-/// Remembers what began.
+/// Records which actions began.
 struct Began(Mutex<Vec<String>>);
 
 impl Actions for Began {
@@ -342,7 +342,7 @@ fn welder() -> Arc<Program> {
     Arc::new(b.finish().expect("a sound program"))
 }
 
-/// Answers the beats of its partner and does nothing.
+/// Answers its partner's heartbeats and does nothing.
 fn standby() -> Arc<Program> {
     let mut b = ProgramBuilder::new("b");
     b.statement().op(Op::Lease).end();

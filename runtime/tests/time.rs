@@ -1,4 +1,4 @@
-//! Time: nothing ends early; what ends, ends.
+//! Tests of time: no wait ends early, and every wait ends.
 
 use crate::common::{A, B, C, LONG_TICKS, ask, cell, finish, one_node, report, table};
 use imrs_protocol::{NodeId, Outcome, Packet, PortDecl, Ticks, Usage};
@@ -7,7 +7,7 @@ use imrs_runtime::{AsyncContext, Context, Rendezvous, Runtime, SPIN_TAIL, Sent};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
-/// Wide: the machine is not quiet.
+/// Generous, because the machine may be busy.
 const LATE: Duration = Duration::from_secs(120);
 
 fn timed<T>(call: impl FnOnce() -> T) -> (T, Duration) {
@@ -27,7 +27,7 @@ fn delays_and_empty_waits_never_end_early() {
     }
 }
 
-/// Around the tail, and longer.
+/// Lengths around the spin tail, and longer ones.
 fn lengths(step: usize) -> impl Iterator<Item = Duration> {
     (0..16).chain((16..2_000).step_by(step)).map(|micros| Duration::from_nanos(micros * 1_001))
 }
@@ -55,7 +55,7 @@ fn wait_for_times(spin_tail: Option<Duration>) {
             }
             Ok(())
         })
-        // The Timer's thread looks after this one.
+        // The Timer thread serves this task's delays.
         .async_task("c", |mut ctx: AsyncContext| async move {
             for length in lengths(43) {
                 let begins = Instant::now();
@@ -104,7 +104,7 @@ fn whoever_waits_for_missing_tasks_gives_up_and_knows_who_is_missing() {
     finish(one_node(&table).task("a", wait).task("b", wait).task("c", |_| Ok(())).start().unwrap());
 }
 
-/// A link that takes nothing.
+/// A link that accepts nothing.
 #[derive(Default)]
 struct Busy {
     woken: Mutex<bool>,
@@ -169,7 +169,7 @@ fn a_waiting_message_expires_though_nobody_looks() {
             }
             Ok(())
         })
-        // Its thread is busy with something else: the Timer thread must see to the expiry.
+        // This task's thread is busy with something else: the Timer thread must serve the expiry.
         .task("b", move |ctx| {
             expire.recv().expect("the test waits for that");
             assert_eq!(ctx.poll(None)?, None);

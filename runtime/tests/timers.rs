@@ -1,5 +1,6 @@
-//! How the node's time is kept: every thread that sleeps asks for exact sleeps, a time_out that is answered wakes nobody, and
-//! a node that stood still discards what is over. Alone: the threads are found by name, and the whole process is stopped.
+//! How a node keeps time: every sleeping thread asks for exact sleeps, a time_out that is answered wakes no thread, and a node
+//! that stood still discards what has expired. These tests run alone: threads are found by name, and the whole process is
+//! stopped.
 
 use crate::alone;
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, report, table};
@@ -14,12 +15,12 @@ use std::time::{Duration, Instant};
 
 /// How long the process stands still.
 const STOP: Duration = Duration::from_millis(500);
-/// A life that ends meanwhile.
+/// A TTL that ends meanwhile.
 const SHORT: Ticks = Ticks(200_000);
 const COMMANDS: u32 = 1_000;
 const NEWS: u16 = 8;
 
-/// For each thread that came by, how late the kernel may end its sleeps, in nanoseconds.
+/// For each thread that was seen, how late the kernel may end its sleeps, in nanoseconds.
 #[derive(Default)]
 struct Slacks {
     of: Mutex<Vec<(String, u64)>>,
@@ -38,7 +39,7 @@ impl Slacks {
     }
 }
 
-/// The machines' threads come by here.
+/// Called by the threads that run the machines.
 impl Recorder for Slacks {
     fn log(self: Arc<Self>, _task: TaskId) -> Option<Box<dyn Log>> {
         Some(Box::new(NotesSlack(self)))
@@ -54,7 +55,7 @@ impl Log for NotesSlack {
     }
 }
 
-/// The thread that receives comes by here; nothing else happens.
+/// Called by the receiving thread; nothing else happens.
 impl Link for Slacks {
     fn ready(&self, _next: NodeId) -> bool {
         false
@@ -77,7 +78,7 @@ impl Link for Slacks {
     }
 }
 
-/// How often the Timer's thread went to sleep.
+/// How often the Timer thread went to sleep.
 fn sleeps_of_the_timer() -> u64 {
     let of = |path: std::path::PathBuf| {
         let status = std::fs::read_to_string(path.join("status")).ok()?;
@@ -90,20 +91,20 @@ fn sleeps_of_the_timer() -> u64 {
         if let Some(slept) = threads.flatten().find_map(|thread| of(thread.path())) {
             return slept;
         }
-        // It names itself once it runs.
+        // The thread names itself once it runs.
         assert!(Instant::now() < end, "there is no thread of the Timer");
         std::thread::sleep(Duration::from_millis(1));
     }
 }
 
-/// Stops this process for [`STOP`], and returns once it goes on.
+/// Stops this process for [`STOP`], and returns once the process goes on.
 fn stand_still() {
     let me = std::process::id();
     let script = format!("kill -STOP {me}; sleep {}; kill -CONT {me}", STOP.as_secs_f64());
     assert!(Command::new("sh").args(["-c", &script]).status().expect("a shell").success());
 }
 
-/// Commands that are answered at once, each with a time_out; then news that nobody takes in time.
+/// Sends commands that are answered at once, each with a time_out; then news that no task takes in time.
 fn a(ctx: &mut Context, answered: &std::sync::mpsc::Sender<()>) -> Result<(), TaskError> {
     let (ask, news) = (ctx.port("ask")?, ctx.port("news")?);
     for _ in 0..COMMANDS {
@@ -116,7 +117,7 @@ fn a(ctx: &mut Context, answered: &std::sync::mpsc::Sender<()>) -> Result<(), Ta
     Ok(())
 }
 
-/// Answers; after the stop it finds nothing old.
+/// Answers the commands; after the stop it finds no expired news.
 fn b(ctx: &mut Context, gate: &Receiver<()>) -> Result<(), TaskError> {
     let ask = ctx.port("ask")?;
     for _ in 0..COMMANDS {
@@ -128,7 +129,7 @@ fn b(ctx: &mut Context, gate: &Receiver<()>) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// Delays while the process stands still: each takes its time, the one that was under way and those after it.
+/// Delays while the process stands still: each takes its full time, the one that the stop interrupts and those after it.
 fn c(ctx: &mut Context) -> Result<(), TaskError> {
     const LENGTH: Duration = Duration::from_millis(20);
     let begin = Instant::now();

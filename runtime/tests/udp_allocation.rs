@@ -1,4 +1,4 @@
-//! Once two links know each other, their datagrams allocate nothing.
+//! Once two links know each other, their datagrams need no allocation.
 
 use crate::allocator::of_this_thread;
 use crate::alone;

@@ -1,5 +1,5 @@
-//! What monitors cost a node: a hostile one no memory to speak of (M4), a watched message nothing that is allocated (M5),
-//! and no event goes missing uncounted (M13).
+//! What monitors cost a node: a hostile monitor costs hardly any memory (M4), a watched message costs no allocation (M5), and no
+//! event goes missing uncounted (M13).
 
 use crate::allocator::{ByThread, live};
 use crate::alone;
@@ -20,7 +20,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// A socket of this test alone, removed with it.
+/// A socket of this test alone, removed when it is dropped.
 struct Socket(PathBuf);
 
 impl Socket {
@@ -39,8 +39,8 @@ impl Drop for Socket {
 
 const NEWS: PortId = PortId(0);
 
-/// A node whose task `a` sends as many messages as it is told to, of which `b` takes what it can; `a` then says how often the
-/// two threads allocated meanwhile.
+/// A node whose task `a` sends as many messages as it is told to; `b` takes what it can. Then `a` reports how often the two
+/// threads allocated meanwhile.
 fn node() -> (Runtime, Sender<u32>, Receiver<u64>) {
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(PortDecl::new("news", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(16));
@@ -66,12 +66,12 @@ fn node() -> (Runtime, Sender<u32>, Receiver<u64>) {
         })
         .start()
         .unwrap();
-    // What a thread allocates to begin is none of a message.
+    // What a thread allocates at its start belongs to no message.
     began.recv_timeout(LONG).expect("b begins");
     (runtime, tell, finished)
 }
 
-/// Ends the node with all its threads: none of them is counted by another test.
+/// Ends the node with all its threads, so that no other test counts them.
 fn stop(runtime: Runtime) {
     let ends = runtime.stop(LONG);
     assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned), "{ends:?}");
@@ -101,7 +101,7 @@ fn attach(socket: &Socket, want: Want) -> UnixStream {
     stream
 }
 
-/// M4: one that stands still, one that reads a byte at a time, and many that say nonsense.
+/// M4: a monitor that stands still, one that reads a byte at a time, and many that send nonsense.
 #[test]
 fn hostile_monitors_cost_a_bounded_amount_of_memory() {
     let _alone = alone();
@@ -149,7 +149,7 @@ fn hostile_monitors_cost_a_bounded_amount_of_memory() {
     stop(runtime);
 }
 
-/// M5: what is told is written under the lock that the machine has anyway, into memory that is there.
+/// M5: what a monitor is told is written under the lock that the machine holds anyway, into allocated memory.
 #[test]
 fn a_watched_message_allocates_nothing() {
     let _alone = alone();
@@ -164,7 +164,7 @@ fn a_watched_message_allocates_nothing() {
             let _ = seen.send(());
         }
     });
-    // A hello, the table, the first change: it is watched.
+    // After a hello, the table and the first change, the node is watched.
     (0..3).for_each(|_| sees.recv_timeout(LONG).expect("a frame"));
     tell.send(2_000).unwrap();
     finished.recv_timeout(LONG).unwrap();
@@ -177,7 +177,7 @@ fn a_watched_message_allocates_nothing() {
     stop(runtime);
 }
 
-/// M13: what was sent is what was shown and what was counted as lost, also where the reader is far too slow.
+/// M13: what was sent equals what was shown plus what was counted as lost, even if the reader is far too slow.
 #[test]
 fn no_event_goes_missing_uncounted() {
     let _alone = alone();
@@ -199,11 +199,11 @@ fn no_event_goes_missing_uncounted() {
                     if told.send(frame).is_err() {
                         return;
                     }
-                    // From the first change on the events are followed, and it reads none of them for a while.
+                    // From the first change on the events are followed, and this thread reads none of them for a while.
                     if is_change {
                         let _ = stands_still.recv();
                     }
-                    // Every so often it does something else.
+                    // Now and then it does something else.
                     if fastrand::u8(..) < 8 {
                         thread::sleep(Duration::from_millis(30));
                     }

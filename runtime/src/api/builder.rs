@@ -1,4 +1,4 @@
-//! Starting a node: which task runs what, over which link.
+//! Builds and starts a node: which task runs what, over which link.
 
 use crate::api::context::{AsyncContext, Context, TaskError};
 use crate::clock;
@@ -19,8 +19,7 @@ use std::time::Duration;
 /// How many packets the transit buffer of a node holds unless told otherwise.
 pub const TRANSIT_CAPACITY: u16 = 1024;
 
-/// For how long a thread that waits looks before it sleeps, unless told otherwise: about what it takes to wake a thread
-/// on another core (D110).
+/// For how long a waiting thread spins before it sleeps, by default: about what it takes to wake a thread on another core.
 pub const SPIN: Duration = Duration::from_micros(50);
 
 /// Collects what a node needs. Made by [`Runtime::builder`].
@@ -73,14 +72,14 @@ impl Builder {
         }
     }
 
-    /// Which life of the node this is (D49), and whether an earlier one can have taken commands: if so, commands are
-    /// answered with RESTARTED for as long as one of that life can still be under way.
+    /// Which incarnation of the node this is, and whether an earlier one may have taken commands. If so, commands are answered
+    /// with RESTARTED for as long as a command to the earlier incarnation may still be in flight.
     pub fn incarnation(mut self, incarnation: Incarnation, restarted: bool) -> Self {
         (self.incarnation, self.restarted) = (incarnation, restarted);
         self
     }
 
-    /// The way to the neighbours.
+    /// The link to the neighbours.
     pub fn link(mut self, link: Arc<dyn Link>) -> Self {
         self.link = Some(link);
         self
@@ -92,7 +91,8 @@ impl Builder {
         self
     }
 
-    /// Says whether this thread, whose likeness the node's threads are, runs in real time: shown wherever the node is shown.
+    /// Says whether this thread, whose scheduling the node's threads inherit, runs in real time: shown wherever the node is
+    /// shown.
     pub fn real_time(mut self, real_time: RealTime) -> Self {
         self.real_time = real_time;
         self
@@ -104,7 +104,7 @@ impl Builder {
         self
     }
 
-    /// Who is told of every input of every communication task (D62).
+    /// The recorder, which is told of every input of every communication task.
     pub fn recorder(mut self, recorder: Arc<dyn Recorder>) -> Self {
         self.recorder = Some(recorder);
         self
@@ -131,9 +131,9 @@ impl Builder {
         self
     }
 
-    /// The program of a task, as a future: run on one thread of the node together with all others that are futures. Nothing
-    /// in it may keep that thread: it waits by `await`, for its communication task or for anything else, woken from
-    /// whatever thread. A panic is a crash of this task alone.
+    /// The program of a task, as a future. One thread of the node runs it together with all others that are futures, so nothing
+    /// in it may block that thread. It waits by `await`, for its communication task or for anything else, and any thread may wake
+    /// it. A panic is a crash of this task alone.
     ///
     /// ```
     /// use imrs_protocol::{Cell, CellTable, PortDecl, Ticks, Usage};
@@ -193,51 +193,50 @@ impl Builder {
         self
     }
 
-    /// The script of a task, with durations in microseconds. It has no thread: whoever brings it input runs it.
+    /// The script of a task, with durations in microseconds. It has no thread: the thread that brings it input runs it.
     pub fn script(mut self, name: &str, program: Arc<Program>) -> Self {
         self.programs.push((name.into(), TaskProgram::Script(program)));
         self
     }
 
-    /// Who carries out the actions of the scripts [default: a simulation that knows no results].
+    /// Carries out the actions of the scripts [default: a simulation that knows no results].
     pub fn actions(mut self, actions: Arc<dyn Actions>) -> Self {
         self.actions = Some(actions);
         self
     }
 
-    /// Who is told what the scripts do.
+    /// The watch, which is told what the scripts do.
     pub fn watch(mut self, watch: Arc<dyn Watch>) -> Self {
         self.watch = Some(watch);
         self
     }
 
-    /// Seeds what scripts leave to chance.
+    /// Seeds the random choices of the scripts.
     pub fn seed(mut self, seed: u64) -> Self {
         self.seed = seed;
         self
     }
 
-    /// For how long the thread of a task that waits looks for what it waits for before it sleeps [default: [`SPIN`]]; zero: not
-    /// at all. It looks only where a wait of that kind was as brief the last time, and while no other thread of a task needs
-    /// the core, so a wait that is long costs at most this once, and idle tasks cost nothing (D110).
+    /// For how long the waiting thread of a task spins before it sleeps [default: [`SPIN`]]; zero: not at all. It spins only if
+    /// the last wait of that kind was brief, and while no other task's thread needs the core. So a long wait costs at most this
+    /// once, and idle tasks cost nothing.
     pub fn spin(mut self, budget: Duration) -> Self {
         self.spin = budget;
         self
     }
 
-    /// How long before the end of a delay or a time_out a task's thread wakes, to look at the clock until then [default:
-    /// [`SPIN_TAIL`], so that its own way from there makes nothing late]; zero: it does not. With a longer one what the kernel
-    /// takes to wake it, tens of microseconds, makes nothing late either. Each wait that ends by its time costs at most so much
-    /// of a core; one that is shorter is looked for from its beginning, unless this is the default. The Timer's thread, which
-    /// looks after scripts and futures, does so for at most the default. A thread that waits in the socket is woken by the kernel as
-    /// ever: for a message always, for a time alone unless this is set (D110, D131).
+    /// How long before the end of a delay or a time_out a task's thread wakes, to spin until then [default: [`SPIN_TAIL`], which
+    /// covers the thread's own way to its program]; zero: it does not. A longer tail also covers the kernel's wake-up, tens of
+    /// microseconds. Each wait that ends by its deadline costs at most this much of a core. A wait shorter than the tail is spun
+    /// from its beginning, unless this is the default. The Timer thread, which serves scripts and futures, spins for at most the
+    /// default. Waits in the socket have no tail: there a thread waits for messages, and for a delay alone unless this is set.
     pub fn spin_tail(mut self, length: Duration) -> Self {
         self.spin_tail = Some(length);
         self
     }
 
-    /// Keeps the scripts from beginning until [`Runtime::begin`], and in a later life of the node for as long after its start as
-    /// commands of the earlier one may still arrive (D94).
+    /// Keeps the scripts from beginning until [`Runtime::begin`]. In a later incarnation they wait after its start for as long as
+    /// commands to the earlier incarnation may still arrive.
     pub fn hold_scripts(mut self) -> Self {
         self.holds = true;
         self

@@ -1,4 +1,4 @@
-//! Cells that `imrs_macros::cell!` compiled into the program: for what that writes, not to be called by hand.
+//! Cells that `imrs_macros::cell!` compiled into the program. For the code that the macro writes, not to be called by hand.
 
 use crate::{Builder, Runtime};
 use imrs_protocol::script::Program;
@@ -8,17 +8,17 @@ use std::sync::Arc;
 /// The table of a cell that was checked when the program was compiled.
 ///
 /// # Panics
-/// Where the bytes are not of the same version of this library.
+/// If the bytes are not of the same version of this library.
 #[must_use]
 pub fn table(cell: &[u8]) -> Arc<CellTable> {
     let cell: Cell = postcard::from_bytes(cell).expect("the macros and the runtime are of one version");
     Arc::new(CellTable::new(cell).expect("a cell that was compiled"))
 }
 
-/// A node with the scripts that belong to it, of all those of the cell.
+/// A builder for a node, with those scripts of the cell that belong to it.
 ///
 /// # Panics
-/// Where the bytes are not of the same version of this library.
+/// If the bytes are not of the same version of this library.
 pub fn builder(table: Arc<CellTable>, node: NodeId, scripts: &[(&str, NodeId, &[u8])]) -> Builder {
     let own = scripts.iter().filter(|(_, on, _)| *on == node);
     own.fold(Runtime::builder(table, node), |builder, (name, _, program)| {

@@ -1,4 +1,4 @@
-//! What a task's program says to its communication task (§II, §5.2.1).
+//! The calls that a task's program makes to its communication task (§II, §5.2.1).
 
 mod asynchronous;
 mod caller;
@@ -26,8 +26,8 @@ use std::time::Duration;
 /// How many bytes one packet carries.
 const PACKET: usize = CONTENTS_BYTES;
 
-/// A task's end of its communication task. Every call that waits ends by its time_out, or with
-/// [`TaskError::Stopped`] when the node stops.
+/// A task's access to its communication task. Every call that waits ends by its time_out, or with [`TaskError::Stopped`] when the
+/// node stops.
 ///
 /// `S` is the state that the program and its handlers share: see [`Builder::task_with`](crate::Builder::task_with).
 pub struct Context<S = ()> {
@@ -35,7 +35,7 @@ pub struct Context<S = ()> {
     pub state: S,
     caller: Caller,
     handlers: Handlers<S>,
-    /// What was taken from the ports together and when, before it is the program's. Empty in between.
+    /// Messages that were taken together and when, before the program gets them. Empty in between.
     taken: Vec<(Micros, Delivery)>,
 }
 
@@ -72,8 +72,8 @@ impl<S> Context<S> {
         self.caller.named(name)
     }
 
-    /// Sends to all tasks at the other end of the port (R39). Class 1 returns at once; class 2 waits for the answers. A
-    /// message may be as long as the port's format: up to 16 packets of 12 bytes (D28).
+    /// Sends to all tasks at the other end of the port. Class 1 returns at once; class 2 waits for the answers. A message may be
+    /// as long as the port's format: up to 16 packets of 12 bytes.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -81,7 +81,7 @@ impl<S> Context<S> {
         self.send_with(port, Target::All, contents, None)
     }
 
-    /// Sends to one of the tasks at the other end of the port (R43).
+    /// Sends to one of the tasks at the other end of the port.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -89,7 +89,7 @@ impl<S> Context<S> {
         self.send_with(port, Target::One(to), contents, None)
     }
 
-    /// Sends with another life than the port's time_out.
+    /// Sends with another TTL than the port's time_out.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -111,10 +111,10 @@ impl<S> Context<S> {
         }
     }
 
-    /// What `work` sends leaves together: all packets for one neighbour in one datagram, the most urgent first, or in
-    /// one call that the kernel cuts into datagrams. They leave when it ends, before anything in it waits, and as soon as they
-    /// are as many as the link takes at once. Without this every message leaves at once. No time_out makes them leave
-    /// earlier, so `work` should do nothing but send.
+    /// What `work` sends leaves together: all packets for one neighbour in one datagram, the most urgent first, or in one call
+    /// that the kernel cuts into datagrams. The packets leave when `work` ends, before anything in it waits, and as soon as they
+    /// are as many as the link takes at once. Outside of this call every message leaves at once. No time_out makes the packets
+    /// leave earlier, so `work` should do nothing but send.
     ///
     /// ```no_run
     /// # use imrs_runtime::{Context, TaskError, protocol::PortId};
@@ -131,8 +131,8 @@ impl<S> Context<S> {
         done
     }
 
-    /// Waits for the most urgent message of a port, or, without a port, of all the task's ports (R68). `None` says that
-    /// the time_out ended first; without one it waits without end.
+    /// Waits for the most urgent message of a port or, without a port, of all the task's ports. `None` says that the time_out
+    /// ended first; without a time_out the wait has no end.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -144,7 +144,7 @@ impl<S> Context<S> {
         self.get(port, None, time_out)
     }
 
-    /// As [`receive`](Self::receive), from one source alone.
+    /// As [`receive`](Self::receive), from one source only.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -168,7 +168,7 @@ impl<S> Context<S> {
     /// Answers a received class-2 message. Does not wait.
     ///
     /// # Errors
-    /// `Fault::Late` where the sender is beyond waiting: it will not hear this answer.
+    /// `Fault::Late` if the sender no longer waits: it will not hear this answer.
     pub fn reply(&mut self, to: &ReplyTo, contents: &[u8]) -> Result<(), TaskError> {
         let packets = self.caller.node.table.port(to.port).map_or(1, |port| port.decl.answer_fragments);
         let contents = self.staged(to.port, contents, packets)?;
@@ -183,7 +183,7 @@ impl<S> Context<S> {
         self.waitfor_with(port, [0; 8], None)
     }
 
-    /// As [`waitfor`](Self::waitfor), telling the others something, or with a shorter time_out than the port's.
+    /// As [`waitfor`](Self::waitfor), with arguments for the others, or with a shorter time_out than the port's.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -201,8 +201,8 @@ impl<S> Context<S> {
         }
     }
 
-    /// Ranks ports, sources, timers and the current thread from here on (§5.1.1): on equal time_outs the first goes
-    /// first; what is not named comes last.
+    /// Ranks ports, sources, timers and the current thread from here on (§5.1.1). Of equal time_outs the first ranked goes first;
+    /// what is not named comes last.
     ///
     /// # Errors
     /// [`TaskError::TooManyLevels`].
@@ -211,12 +211,12 @@ impl<S> Context<S> {
         self.accepted(Request::Order(order))
     }
 
-    /// Lets time pass (§5.1.2): at least `length`.
+    /// Waits for at least `length` (§5.1.2).
     ///
     /// # Errors
     /// [`TaskError::Stopped`].
     pub fn delay(&mut self, length: Duration) -> Result<(), TaskError> {
-        // A handler may delay above a thread that does: each has a name of its own, above those of timers.
+        // A handler may delay above a thread that delays: each depth has an id of its own, above those of timers.
         let request = Request::Delay { id: TimeId(u8::MAX - self.caller.depth), length: ticks(length) };
         match self.call(request)? {
             Signal::TimeOut(_) => Ok(()),
@@ -224,10 +224,10 @@ impl<S> Context<S> {
         }
     }
 
-    /// Waits until the task holds the lease of its couple (D61). Returns the epoch that it acts under.
+    /// Waits until the task holds the lease of its couple. Returns the epoch under which it acts.
     ///
     /// # Errors
-    /// [`Fault::WrongUsage`](imrs_protocol::Fault::WrongUsage) where the task is the primary of no couple.
+    /// [`Fault::WrongUsage`](imrs_protocol::Fault::WrongUsage) if the task is not the primary of a couple.
     pub fn lease(&mut self) -> Result<u8, TaskError> {
         match self.call(Request::Lease)? {
             Signal::Granted(epoch) => Ok(epoch),
@@ -235,7 +235,7 @@ impl<S> Context<S> {
         }
     }
 
-    /// What the answers to the partner's beats carry from here on: at most 8 bytes (D61).
+    /// Sets what the answers to the partner's heartbeats carry from here on: at most 8 bytes.
     ///
     /// # Errors
     /// [`TaskError::TooLong`].
@@ -245,7 +245,7 @@ impl<S> Context<S> {
         self.accepted(Request::Publish(contents))
     }
 
-    /// What the partner's last answer to a beat carried (D61); `None` before the first one.
+    /// What the partner's last answer to a heartbeat carried; `None` before the first one.
     #[must_use]
     pub fn published(&mut self) -> Option<Contents> {
         self.caller.look(|comm| comm.machine().partner_published().copied())
@@ -268,7 +268,7 @@ impl<S> Context<S> {
                     if message.budget > waited {
                         return Ok(Some(Delivery { budget: message.budget - waited, ..message }));
                     }
-                    // The thread or its whole process stood still with the message in hand: nothing old is handed over.
+                    // The thread or its whole process stood still with the message in hand: it has expired meanwhile.
                     self.caller.expired_in_hand(&message);
                 }
                 Signal::Nothing => return Ok(None),
@@ -286,7 +286,7 @@ impl<S> Context<S> {
         self.call_with(request, &mut |_| None)
     }
 
-    /// Asks and waits for the answer; handlers run meanwhile. Says too how old the answer is. `more` is asked of each answer.
+    /// Asks and waits for the answer; handlers run meanwhile. Also returns the answer's age. Each answer is passed to `more`.
     fn call_with(&mut self, request: Request, more: More<'_>) -> Result<(Signal, Ticks), TaskError> {
         let asked = clock::next();
         let over = match request {
@@ -308,7 +308,7 @@ impl<S> Context<S> {
         }
     }
 
-    /// Notes all of a message but its first packet, which is returned (D28).
+    /// Hands all fragments of a message but the first to the communication task, and returns the first (D28).
     fn staged(&mut self, port: PortId, bytes: &[u8], packets: u8) -> Result<Contents, TaskError> {
         let too_long = || TaskError::TooLong(bytes.len());
         if bytes.len() > PACKET * usize::from(packets.max(1)) {

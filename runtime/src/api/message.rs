@@ -1,15 +1,14 @@
-//! Messages of known types, laid out as the cell language lays its records out: field after field, little endian,
-//! without padding (D47).
+//! Typed messages, laid out as the cell language lays out its records: field after field, little endian, without padding.
 
 use imrs_protocol::{CONTENTS_BYTES, Contents};
 use std::fmt;
 use std::ops::Deref;
 
-/// How many bytes the longest message has: 16 packets (D28).
+/// The length of the longest message in bytes: 16 packets.
 pub const LONGEST: usize = 16 * CONTENTS_BYTES;
 
-/// What a message of a port can be: a record of the cell language. Derive it with `imrs_macros::Message` for a struct
-/// whose fields are [`Field`]s, in the order of the record's.
+/// A message of a port: a record of the cell language. Derive it with `imrs_macros::Message` for a struct whose fields are
+/// [`Field`]s, in the order of the record's.
 ///
 /// ```
 /// use imrs_runtime::message::{LONGEST, Message};
@@ -22,27 +21,27 @@ pub const LONGEST: usize = 16 * CONTENTS_BYTES;
 /// assert_eq!(<(i16, bool)>::decode(&[120, 0]), None, "too short");
 /// ```
 pub trait Message: Sized {
-    /// How many bytes a message has at most; all have so many, but of [`Bytes`].
+    /// The length in bytes of each message of this type; for [`Bytes`], the most.
     const SIZE: usize;
 
-    /// Writes the message to the front of `out`. Returns its length in bytes, or `None` where a field holds what no
-    /// message can.
+    /// Writes the message to the front of `out`. Returns its length in bytes, or `None` if a field holds a value that no message
+    /// can hold.
     fn encode(&self, out: &mut [u8; LONGEST]) -> Option<usize>;
 
-    /// Reads a message of exactly these bytes; `None` where they are none.
+    /// Reads a message of exactly these bytes; `None` if they are no message of this type.
     fn decode(bytes: &[u8]) -> Option<Self>;
 }
 
 /// A field of a message, of one of the cell language's types: `bool`, `i8` (int8), `i16` (int16), `i32` (int32), `u32` (word),
 /// `f32` (real).
 pub trait Field: Copy {
-    /// How many bytes it takes.
+    /// How many bytes the field takes.
     const BYTES: usize;
 
     /// Writes the value to all of `out`, [`BYTES`](Self::BYTES) long; `None` for a value that no message can hold.
     fn put(self, out: &mut [u8]) -> Option<()>;
 
-    /// Reads a value from all of `bytes`; `None` where they are none.
+    /// Reads a value from all of `bytes`; `None` if they are no value of this type.
     fn take(bytes: &[u8]) -> Option<Self>;
 }
 
@@ -85,7 +84,7 @@ impl Field for f32 {
     const BYTES: usize = 4;
 
     fn put(self, out: &mut [u8]) -> Option<()> {
-        // The language knows one zero, and neither infinities nor what is no number.
+        // The language has one zero, and neither infinities nor NaN.
         let value = if self == 0.0 { 0.0 } else { self };
         value.is_finite().then_some(value.to_bits())?.put(out)
     }
@@ -109,7 +108,7 @@ impl<F: Field> Message for F {
     }
 }
 
-/// No fields.
+/// A message without fields.
 impl Message for () {
     const SIZE: usize = 0;
 
@@ -155,7 +154,7 @@ macro_rules! tuples {
 
 tuples! { (a A) (a A, b B) (a A, b B, c C) (a A, b B, c C, d D) (a A, b B, c C, d D, e E) (a A, b B, c C, d D, e E, f F) }
 
-/// A message whose type nobody says: up to [`LONGEST`] bytes.
+/// A message of unknown type: up to [`LONGEST`] bytes.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub struct Bytes {
     length: usize,
@@ -163,7 +162,7 @@ pub struct Bytes {
 }
 
 impl Bytes {
-    /// These bytes, or `None` where there are more than [`LONGEST`].
+    /// A message of these bytes; `None` if there are more than [`LONGEST`].
     #[must_use]
     pub fn new(bytes: &[u8]) -> Option<Self> {
         let mut all = Self::default();
@@ -178,7 +177,7 @@ impl Bytes {
         all
     }
 
-    /// Adds a fragment. What is beyond [`LONGEST`] is no message.
+    /// Appends a fragment, unless that would exceed [`LONGEST`].
     pub(crate) fn append(&mut self, contents: &Contents) {
         let part = contents.as_bytes();
         if let Some(room) = self.room.get_mut(self.length..self.length + part.len()) {

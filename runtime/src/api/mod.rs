@@ -1,4 +1,4 @@
-//! What a program says: how a node is built, what tasks ask for, and what messages are.
+//! The API of a program: how a node is built, what tasks may ask for, and what messages are.
 
 pub(crate) mod builder;
 #[doc(hidden)]

@@ -1,4 +1,4 @@
-//! A task that is a future: it listens, and gives up what it asked.
+//! Scenes of a task that is a future: it listens, and cancels what it asked.
 
 use super::{DEADLOCK, must_fail};
 use crate::clock::FAR;
@@ -6,7 +6,7 @@ use crate::explorer::{Arc, explore, thread};
 use crate::sync::Word;
 use crate::sync::handoff::{Bell, Handoff, Plant, Rest, Station};
 
-/// A machine whose task has asked, or not. As the real one it says that a wait is cancelled even where there is none.
+/// A machine whose task has asked, or not. As the real one, it confirms a cancellation even if there is no wait.
 #[derive(Default)]
 struct Asked {
     waits: bool,
@@ -60,7 +60,7 @@ impl Station for Asked {
     }
 }
 
-/// What the executor sleeps on.
+/// The word on which the executor sleeps.
 struct Waker(Word);
 
 impl Bell for Waker {
@@ -81,8 +81,8 @@ fn bring_a_message(handoff: &Arc<Handoff<Asked, Option<Plant>>>) -> thread::Join
     thread::spawn(move || handoff.deliver(Brought::Message, &mut ()))
 }
 
-/// The future asks and listens; another thread brings the message. How often it was polled again. It may have come in as a
-/// thread does, as one does whose wait was dropped.
+/// The future asks and listens; another thread brings the message. Returns how often it was polled again. With `came_in` it has
+/// entered as a thread does, like a future whose wait was dropped.
 fn ask_and_listen(plant: Option<Plant>, came_in: bool) -> u32 {
     let (handoff, waker) = of_a_future(plant);
     let mut polls = 0;
@@ -108,7 +108,7 @@ fn ask_and_listen(plant: Option<Plant>, came_in: bool) -> u32 {
 #[test]
 fn a_future_that_listens_is_woken() {
     let seen = explore(|| ask_and_listen(None, false));
-    // Whoever asks finds nothing yet, and is called once: no call is lost, and none is made twice.
+    // The question finds no message yet, and the future is called once: no call is lost, and none is made twice.
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1], "{seen:?}");
 }
 
@@ -125,7 +125,7 @@ fn a_future_sees_what_was_left_to_it_before_it_listens() {
     must_fail(DEADLOCK, || ask_and_listen(Some(Plant::SleepsOnIt), true));
 }
 
-/// The future gives its wait up while another thread brings the message. What it found.
+/// The future cancels its wait while another thread brings the message. Returns what it found.
 fn give_up(blindly: bool) -> Got {
     let (handoff, _waker) = of_a_future(None);
     handoff.enter_awake(Brought::Question, &mut ());

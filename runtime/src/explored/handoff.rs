@@ -1,4 +1,4 @@
-//! The hand-off: answers, wake-ups, what is left for the holder of the lock, time_outs, stopping. And the turn.
+//! Scenes of the hand-off: answers, wake-ups, input left for the holder of the lock, time_outs, stopping. And of the turn.
 
 use super::{DEADLOCK, must_fail, must_fail_large};
 use crate::clock::FAR;
@@ -18,7 +18,7 @@ pub(super) struct Toy {
 #[derive(Clone, Copy)]
 pub(super) enum Brought {
     Question,
-    /// Takes an answer that is there.
+    /// Takes an answer that is there already.
     Poll,
     Answer,
     /// An answer that may wait for the task's thread.
@@ -93,15 +93,15 @@ fn bring(handoff: &Arc<Handoff<Toy, Option<Plant>>>, input: Brought) -> thread::
 enum Waited {
     /// The answer was there.
     NotAtAll,
-    /// The thread was looking for it.
+    /// The thread found it while spinning.
     Looking,
-    /// It came between the last look and the sleep.
+    /// The answer came between the last look and the sleep.
     Awake,
     Asleep,
 }
 
-/// The task asks and waits, after so many looks asleep; another thread brings the answer. If it is not told of it, loom finds
-/// the deadlock. How it waited, and whether it worked off the answer itself.
+/// The task asks, looks `looks` times and then sleeps; another thread brings the answer. Without a wake-up, loom finds the
+/// deadlock. Returns how the task waited, and whether it worked off the answer itself.
 fn ask_and_wait(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);
@@ -172,8 +172,8 @@ fn a_sleep_that_trusts_the_last_look_misses_the_answer() {
     must_fail(DEADLOCK, || ask_and_wait(Some(Plant::SleepsBlindly), 2));
 }
 
-/// The task has come in before, asks and waits, after so many looks asleep; another thread brings news, which may wait. How the
-/// task waited, and whether its own thread worked the news off.
+/// The task has entered before. It asks, looks `looks` times and then sleeps; another thread brings news, which may wait. Returns
+/// how the task waited, and whether its own thread worked off the news.
 fn ask_for_news(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
     let handoff = toy(plant);
     let mut worked = 0;
@@ -195,8 +195,8 @@ fn ask_for_news(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
     (waited, other.join().unwrap() == 0)
 }
 
-/// All of these are seen, and one more where every schedule is explored: who left the news sees that the thread is about to
-/// sleep and is faster than its second thought. Few drawn schedules are that one.
+/// All of `expected` are seen, and one more outcome if every schedule is explored: the thread that left the news sees that the
+/// task's thread is about to sleep, and works them off before that one checks the inbox. Drawn schedules rarely show that.
 fn news_end_every_wait(looks: u32, expected: &[(Waited, bool)]) {
     let seen = explore(move || ask_for_news(None, looks));
     let rare = (Waited::Awake, false);
@@ -223,8 +223,8 @@ fn news_that_waited_are_found_by_who_looks() {
     news_end_every_wait(2, &expected);
 }
 
-/// News come before the task begins to look, or are worked off by then. Whether it finds them at its first look, without
-/// anybody who calls it.
+/// News come before the task's thread begins to look, or are worked off by then. Returns whether its first look finds them,
+/// though no thread calls it.
 fn look_after_news(plant: Option<Plant>) -> bool {
     let handoff = toy(plant);
     let mut worked = 0;
@@ -262,7 +262,7 @@ fn without_its_fence_what_was_left_to_a_thread_that_ran_is_not_seen() {
     }
 }
 
-/// News come while the task's program ends: whether it was left to work off to the end of the program.
+/// News come while the task's program ends. Returns whether the end of the program worked them off.
 fn end_with_news(ends: bool) -> bool {
     let handoff = toy(None);
     let mut worked = 0;
@@ -290,8 +290,8 @@ fn what_is_left_to_a_program_that_does_not_say_that_it_ended_stays_behind() {
     must_fail("news stayed behind", || end_with_news(false));
 }
 
-/// A thread brings two answers; the task waits for one and takes what else is there, until it has both. How many it took at
-/// once, at the most.
+/// A thread brings two answers. The task waits for one and takes what else is there, until it has both. Returns the most answers
+/// taken at once.
 fn take_several(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let bringing = Arc::clone(&handoff);
@@ -328,7 +328,7 @@ fn taking_several_without_a_second_look_waits_for_what_was_left() {
     must_fail_large(DEADLOCK, || take_several(Some(Plant::NoSecondLook)));
 }
 
-/// Two threads bring input at once. How much one of them worked off, at the most.
+/// Two threads bring input at once. Returns the larger number of inputs that one of them worked off.
 fn two_bring(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);
@@ -357,7 +357,7 @@ fn without_its_fence_the_second_look_is_in_vain() {
     }
 }
 
-/// Three threads bring input at once where the inbox has room for one. Whether one of them found it full.
+/// Three threads bring input at once, and the inbox has room for one. Returns whether a thread found it full.
 fn three_bring(plant: Option<Plant>) -> bool {
     let mut handoff = Handoff::planted(Toy::default(), None, plant);
     handoff.inbox.room.0 = 1;
@@ -383,7 +383,7 @@ fn input_that_a_full_inbox_drops_is_missed() {
     must_fail_large("input stayed behind", || three_bring(Some(Plant::DropsWhenFull)));
 }
 
-/// One thread looks while another brings input. Whether the one who looks had to work.
+/// One thread looks at the station while another brings input. Returns how many inputs the looking thread worked off.
 fn one_looks(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);
@@ -404,7 +404,7 @@ fn looking_without_a_second_look_leaves_input_behind() {
     must_fail("input stayed behind", || one_looks(Some(Plant::NoSecondLook)));
 }
 
-/// One thread leaves input and nudges while another brings some. How much the one who left it worked off.
+/// One thread leaves input and nudges while another brings some. Returns how many inputs the first one worked off.
 fn one_leaves(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);
@@ -426,8 +426,8 @@ fn a_nudge_without_a_look_leaves_input_behind() {
     must_fail("input stayed behind", || one_leaves(Some(Plant::NoSecondLook)));
 }
 
-/// The answer comes while the time runs out. The outcome is decided once, under the lock: never both, never neither.
-/// `under_lock` false is the bug: the task takes its time as over without looking.
+/// The answer comes while the time runs out. The outcome is decided once, under the lock: never both, never neither. If
+/// `under_lock` is false, the bug is there: the task assumes that its time is over without looking.
 fn race_with_time(under_lock: bool) -> Got {
     let handoff = toy(None);
     let answer = bring(&handoff, Brought::Answer);
@@ -494,7 +494,7 @@ fn stopping_silently_leaves_a_sleeper_behind() {
     must_fail_large(DEADLOCK, || stop_while_waiting(Some(Plant::SilentStop), false));
 }
 
-/// Two threads put something down and take a turn to carry it away. How much one of them carried, at the most.
+/// Two threads put something down and take a turn to carry it away. Returns the most that one of them carried.
 fn two_take_turns(plant: Option<turn::Plant>) -> u32 {
     fn put_and_take(turn: &Turn<(), Option<turn::Plant>>, pile: &Mutex<u32>) -> u32 {
         *lock(pile) += 1;
@@ -512,7 +512,7 @@ fn two_take_turns(plant: Option<turn::Plant>) -> u32 {
     own.max(others)
 }
 
-/// As before, but who can have the turn carries its own away without putting it down.
+/// As [`two_take_turns`], but a thread that gets the turn at once carries its own without putting it down.
 fn two_enter(blindly: bool) -> u32 {
     fn carry_or_put(turn: &Turn<()>, pile: &Mutex<u32>, blindly: bool) -> u32 {
         let mut carried = 0;

@@ -1,11 +1,11 @@
-//! The lane that a task's steps take to the thread that writes them down: what is shown is whole, and what was given back is
-//! not read any more.
+//! Scenes of the lane from a task's steps to the recording thread: what is published is whole, and what was given back is not
+//! read any more.
 
 use super::must_fail;
 use crate::explorer::{SEES_OLD_VALUES, explore, thread};
 use crate::sync::lane::{Drain, Plant, used_lane};
 
-/// Takes what is there: records of two slots, which say the same number.
+/// Takes the published records. Each has two slots, which hold the same number.
 fn take(drain: &mut Drain<1, Option<Plant>>, taken: &mut Vec<u64>) {
     let until = drain.filled();
     while let Some([number]) = drain.next(until) {
@@ -15,16 +15,16 @@ fn take(drain: &mut Drain<1, Option<Plant>>, taken: &mut Vec<u64>) {
     }
 }
 
-/// Nobody waits here, so chosen schedules need a hint where to change threads. All schedules need none, and loom takes one
-/// for the promise that nothing is to be done before another thread has run.
+/// No thread waits here, so drawn schedules need a hint where to switch threads. All schedules need none: loom would take a hint
+/// as the promise that nothing is to be done before another thread has run.
 fn let_others_run() {
     if !SEES_OLD_VALUES {
         thread::yield_now();
     }
 }
 
-/// One thread puts two records into a lane with room for one, another takes them. How many found room, and whether any
-/// was taken while they came. So many slots went through the lane before.
+/// One thread puts two records into a lane with room for one, another takes them. `before` slots went through the lane before.
+/// Returns how many records found room, and whether any was taken while they came.
 fn two_records(before: usize, plant: Option<Plant>) -> (u64, bool) {
     let (mut fill, mut drain) = used_lane::<1, _>(2, before, plant);
     let other = thread::spawn(move || {
@@ -53,7 +53,7 @@ fn two_records(before: usize, plant: Option<Plant>) -> (u64, bool) {
 
 #[test]
 fn what_found_room_comes_out_whole_and_in_order() {
-    // The counts go around the wrap between the two records, and within the second.
+    // The counts wrap around between the two records, or within the second.
     for before in [0, usize::MAX - 1, usize::MAX - 2] {
         let seen = explore(move || two_records(before, None));
         let outcomes: Vec<_> = seen.keys().copied().collect();

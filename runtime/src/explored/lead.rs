@@ -1,5 +1,5 @@
-//! Leader and followers at a socket: a leader that takes in its own answer, one that is called, datagrams that belong to
-//! others, and the thread that polls.
+//! Scenes of leader and followers at a socket: a leader takes in its own answer, is called, or receives datagrams for others,
+//! beside the polling thread.
 
 use super::handoff::{Brought, Toy};
 use super::{DEADLOCK, must_fail_large};
@@ -8,7 +8,7 @@ use crate::sync::handoff::{self, Bell, Handoff};
 use crate::sync::lead::{self, Came, Lead, Led};
 use crate::sync::turn::{self, Turn};
 
-/// A socket as the kernel tells of it: a datagram is told to the leader if one waits, else to the thread that polls.
+/// A socket as the kernel reports it: a datagram is reported to the leader if one waits, else to the polling thread.
 pub(super) struct Socket {
     state: PlainMutex<State>,
     leaders: Condvar,
@@ -17,14 +17,14 @@ pub(super) struct Socket {
 
 #[derive(Default)]
 struct State {
-    /// For the leader's task, if true.
+    /// True for a datagram to the leader's task.
     datagrams: Vec<bool>,
-    /// How many nobody has taken yet, of those that have come and those still to come.
+    /// How many datagrams, arrived or still to come, no thread has taken yet.
     open: u32,
     leads: bool,
     told: bool,
     called: bool,
-    /// For the test that must fail: what was told once is not told again though it is still there.
+    /// For the test that must fail: edge-triggered, so a datagram that is still there is not reported again.
     edges: bool,
 }
 
@@ -46,7 +46,7 @@ impl Socket {
         }
     }
 
-    /// The leader's wait. What was told to it is there when it returns, unless the one that polls has taken it.
+    /// The leader's wait. A reported datagram is there when it returns, unless the polling thread has taken it.
     pub(super) fn wait(&self) -> Came {
         let mut state = self.state.lock().unwrap();
         loop {
@@ -62,7 +62,7 @@ impl Socket {
         }
     }
 
-    /// The wait of the one that polls. False once nothing more is to come.
+    /// The polling thread's wait. False once no datagram is still to come.
     pub(super) fn poll(&self) -> bool {
         let mut state = self.state.lock().unwrap();
         while state.open > 0 && (!state.told || state.datagrams.is_empty()) {
@@ -99,16 +99,16 @@ struct Scene {
     receiving: Turn<(), Option<turn::Plant>>,
 }
 
-/// What is planted.
+/// The planted bugs.
 #[derive(Clone, Copy, Debug, Default)]
 struct Planted {
-    /// Whoever is called is not.
+    /// A thread that waits in the link is not called.
     no_bell: bool,
-    /// The leader leaves what it was told of when its own wait is over.
+    /// The leader leaves a reported datagram when its own wait is over.
     leaves_told: bool,
-    /// The kernel tells of edges, not of levels.
+    /// The kernel's reports are edge-triggered.
     edges: bool,
-    /// Whoever receives does not look again whether another one wanted that meanwhile.
+    /// A receiving thread does not recheck whether another one wanted to receive meanwhile.
     leaves_blindly: bool,
 }
 
@@ -130,7 +130,7 @@ impl Scene {
         }
     }
 
-    /// The thread that receives for the node: all that is told to it. How many it took.
+    /// The thread that receives for the node takes all that is reported to it. Returns how many datagrams it took.
     fn run_poller(&self) -> u32 {
         let mut took = 0;
         while self.socket.poll() {
@@ -153,7 +153,7 @@ impl Scene {
         took
     }
 
-    /// The task asks and waits, first awake: it looks into the socket so often. How it went, and how many datagrams it took.
+    /// The task asks and waits, after `looks` looks into the socket. Returns how the wait went, and how many datagrams it took.
     fn run_task(&self, looks: u32) -> (Led, u32) {
         let (mut worked, mut took, mut led) = (0, 0, Led::ToTheEnd);
         let mut entry = self.handoff.enter(Brought::Question, &mut worked);
@@ -181,7 +181,7 @@ impl Scene {
     }
 }
 
-/// The answer comes as a datagram. How the task's wait went, and whether it took its answer itself.
+/// The answer comes as a datagram. Returns how the task's wait went, and whether it took its answer itself.
 fn answer_by_datagram(planted: Planted, looks: u32) -> (Led, u32) {
     let scene = Scene::new(planted, 1);
     let (poller, network) = (Arc::clone(&scene), Arc::clone(&scene));
@@ -219,8 +219,8 @@ fn a_look_into_the_socket_does_not_make_up_for_the_bell() {
     must_fail_large(DEADLOCK, || answer_by_datagram(Planted { no_bell: true, ..Planted::default() }, 1));
 }
 
-/// The answer comes from another task of the node, a datagram for somebody else meanwhile. Whether the leader was called,
-/// and whether it took that datagram.
+/// The answer comes from another task of the node, and a datagram for a third task meanwhile. Returns whether the leader was
+/// called, and whether it took that datagram.
 fn answer_by_another_task(planted: Planted) -> (Led, u32) {
     let scene = Scene::new(planted, 1);
     let (poller, other) = (Arc::clone(&scene), Arc::clone(&scene));
@@ -248,7 +248,7 @@ fn a_leader_that_leaves_what_it_was_told_of_hands_it_to_nobody() {
     must_fail_large(DEADLOCK, || answer_by_another_task(Planted { leaves_told: true, ..Planted::default() }));
 }
 
-/// The one that polls finds the socket empty, and the next datagram is told to the leader before the turn is free.
+/// The polling thread finds the socket empty, and the next datagram is reported to the leader before the turn is free.
 fn two_datagrams(planted: Planted) -> (Led, u32) {
     let scene = Scene::new(planted, 2);
     scene.socket.arrive(false);
@@ -275,7 +275,7 @@ fn one_at_work_who_is_told_of_edges_leaves_a_datagram() {
     must_fail_large(DEADLOCK, || two_datagrams(Planted { edges: true, ..Planted::default() }));
 }
 
-/// The answer comes as a datagram while another task's thread, which does not sleep yet, looks into the socket. Nobody polls.
+/// The answer comes as a datagram while another task's thread, which is still spinning, looks into the socket. No thread polls.
 fn answer_beside_a_look(planted: Planted) -> (Led, u32) {
     let scene = Scene::new(planted, 1);
     let (other, network) = (Arc::clone(&scene), Arc::clone(&scene));

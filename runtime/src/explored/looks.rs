@@ -1,4 +1,4 @@
-//! Looking from outside while a machine works, and news that must be there in time.
+//! Scenes of observers that look at a machine while it works, and of news that must arrive in time.
 
 use super::must_fail;
 use crate::clock::FAR;
@@ -41,8 +41,8 @@ impl Station for Observed {
     }
 }
 
-/// A machine observes three things while somebody follows, in a ring that keeps two. How many the follower lost: what it reads is
-/// in order, and with what it lost makes three.
+/// A machine makes three observations while an observer follows, in a ring that keeps two. Returns how many the observer lost.
+/// What it reads is in order, and with the lost ones makes three.
 fn follow(forgets_the_loss: bool) -> u64 {
     let mut ring = Ring::of(2);
     ring.forgets_the_loss = forgets_the_loss;
@@ -80,21 +80,21 @@ fn a_reader_that_does_not_know_its_loss_reads_out_of_order() {
     must_fail("out of order", || follow(true));
 }
 
-/// A machine that tells what it does with the time of it.
+/// A machine that stamps each step with a time, and reports it.
 #[derive(Default)]
 struct Teller {
     told: [Option<u64>; 2],
     count: usize,
 }
 
-/// Where the stamp of a step comes from: the clock, or the one that brings the input, which is the bug.
+/// Where the stamp of a step comes from: the clock, or (the bug) the thread that brings the input.
 struct Stamps {
     clock: Arc<AtomicU64>,
     brought: Option<u64>,
 }
 
 impl Stamps {
-    /// Time goes on with every look at the clock.
+    /// Each look at the clock advances it.
     fn now(clock: &AtomicU64) -> u64 {
         clock.fetch_add(1, Ordering::AcqRel)
     }
@@ -121,8 +121,8 @@ impl Station for Teller {
     }
 }
 
-/// Somebody asks until when all has been told, while steps are told. How many came before: those after it are not
-/// older than the answer.
+/// An observer asks up to which time all steps are reported, while steps are reported. Returns how many came before; later ones
+/// must not be older than the answer.
 fn told_until(stamped_outside: bool) -> usize {
     let clock = Arc::new(AtomicU64::new(0));
     let handoff = Arc::new(Handoff::new(Teller::default(), None));
@@ -153,7 +153,7 @@ fn a_stamp_from_outside_the_lock_is_told_too_late() {
     must_fail("told too late", || told_until(true));
 }
 
-/// A machine that waits for the fate of its packet.
+/// A machine that waits to hear whether its packet was sent.
 #[derive(Default)]
 struct Sender {
     fate: Option<Fate>,
@@ -183,9 +183,9 @@ impl Station for Sender {
     }
 }
 
-/// A packet expires in the buffer at the same time as its sender's time_out. Whoever drops it says so; the sender looks
-/// into the buffer before it decides. Whether it had to drop the packet itself. The bug: the news comes after the buffer
-/// was let go.
+/// A packet expires in the buffer at the same time as its sender's time_out. The thread that drops it leaves the news; the sender
+/// checks the buffer before it decides. Returns whether the sender dropped the packet itself. The bug: the news is left after the
+/// buffer's lock is released.
 fn expire_in_the_buffer(news_comes_late: bool) -> bool {
     fn advance(buffer: &Mutex<bool>, handoff: &Handoff<Sender>, news_comes_late: bool) -> bool {
         let mut held = lock(buffer);

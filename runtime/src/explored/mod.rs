@@ -1,10 +1,11 @@
-//! The concurrent pieces of the runtime, each in small scenes of two or three threads. An explorer runs a scene under many
-//! schedules: loom under all with so many preemptions, old values of atomics included, in the unit tests; shuttle under
-//! chosen ones, many more, in `tests/schedules`. Both take these very files (`crate::explorer` is either).
-//! A large scene has a smaller bound by default, which shows the same outcomes and finds the same bugs (`explore_large`).
+//! Explores the concurrent pieces of the runtime, each in small scenes of two or three threads. An explorer runs a scene under
+//! many schedules. In the unit tests, loom takes all schedules with a bounded number of preemptions, stale values of atomics
+//! included. In `tests/schedules`, shuttle draws many more schedules. Both compile these same files (`crate::explorer` is
+//! either). A large scene has a smaller bound by default, which shows the same outcomes and finds the same bugs
+//! (`explore_large`).
 //!
-//! A scene returns what came out. Each test asserts the whole set of outcomes, and has twins with a planted bug that must
-//! be found: an exploration that sees one outcome or misses the bug shows nothing.
+//! A scene returns its outcome. Each test asserts the whole set of outcomes, and has twins with a planted bug that must be found:
+//! an exploration that sees one outcome or misses the bug proves nothing.
 
 mod futures;
 mod handoff;
@@ -18,7 +19,7 @@ mod visit;
 use crate::explorer::{explore, explore_large};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
-/// What an explorer says when every thread sleeps.
+/// The explorer's message when every thread sleeps.
 const DEADLOCK: &str = "deadlock";
 
 /// Expects that the exploration finds a planted bug, by its symptom.
@@ -26,7 +27,7 @@ fn must_fail<O: Ord + Send + 'static>(symptom: &str, body: impl Fn() -> O + Send
     must_be_found(symptom, || explore(body));
 }
 
-/// The same of a large scene: within the bound that its exploration has.
+/// As [`must_fail`] for a large scene, within the bound of its exploration.
 fn must_fail_large<O: Ord + Send + 'static>(symptom: &str, body: impl Fn() -> O + Send + Sync + 'static) {
     must_be_found(symptom, || explore_large(body));
 }

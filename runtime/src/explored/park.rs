@@ -1,4 +1,4 @@
-//! The thread of the futures: it polls them, leads at the socket or sleeps, and whoever wakes one calls it.
+//! Scenes of the thread of the futures: it polls them, leads at the socket or sleeps, and every waker calls it.
 
 use super::lead::Socket;
 use super::{DEADLOCK, must_fail};
@@ -13,7 +13,7 @@ struct Scene {
     park: Park<Option<Plant>>,
     lead: Lead,
     receiving: Mutex<()>,
-    /// Whether the future that all is about can go on.
+    /// Whether the future of this scene can go on.
     woken: Mutex<bool>,
 }
 
@@ -30,7 +30,7 @@ impl Scene {
         self.park.call();
     }
 
-    /// Takes one datagram, which wakes the future if it is for it. How many there were.
+    /// Takes one datagram, and wakes the future if the datagram is for it. Returns how many there were.
     fn take(&self) -> u32 {
         let datagram = self.socket.take();
         if datagram == Some(true) {
@@ -39,7 +39,7 @@ impl Scene {
         u32::from(datagram.is_some())
     }
 
-    /// The thread that receives for the node. How many it took.
+    /// The thread that receives for the node. Returns how many datagrams it took.
     fn run_poller(&self) -> u32 {
         let mut took = 0;
         while self.socket.poll() {
@@ -49,7 +49,7 @@ impl Scene {
         took
     }
 
-    /// Polls until the future goes on. How the last wait went, if there was one, and how many datagrams the thread took.
+    /// Polls until the future goes on. Returns how the last wait went, if there was one, and how many datagrams this thread took.
     fn run_futures(&self, leads: bool) -> (Option<Led>, u32) {
         let (mut went, mut took) = (None, 0);
         loop {
@@ -71,7 +71,7 @@ impl Scene {
     }
 }
 
-/// A datagram wakes the future, whoever takes it in.
+/// A datagram wakes the future, whichever thread takes it in.
 fn woken_by_datagram(plant: Option<Plant>) -> (Option<Led>, u32) {
     let scene = Scene::new(plant, 1);
     let (poller, network) = (Arc::clone(&scene), Arc::clone(&scene));
@@ -96,7 +96,7 @@ fn who_is_away_and_is_not_called_never_polls_again() {
     must_fail(DEADLOCK, || woken_by_datagram(Some(Plant::NoBell)));
 }
 
-/// Another thread wakes the future: a task, the Timer, or whatever else a program waits for.
+/// Another thread wakes the future: a task, the Timer, or another waker of the program.
 fn woken_by_a_thread(plant: Option<Plant>, leads: bool) -> Option<Led> {
     let scene = Scene::new(plant, 0);
     let other = Arc::clone(&scene);

@@ -1,4 +1,4 @@
-//! Time: who looks after an expiry, and how the Timer's thread ends.
+//! Scenes of time: which thread covers an expiry, and how the Timer thread ends.
 
 use super::{DEADLOCK, must_fail, must_fail_large};
 use crate::clock::{FAR, Micros};
@@ -58,10 +58,10 @@ fn without_its_fence_the_alarm_hides_an_expiry() {
     }
 }
 
-/// The instant of this scene, for all its threads.
+/// The present instant of these scenes, for all threads.
 const NOW: Micros = 3;
 
-/// The Timer's thread, until it is told to end. How often it was needed.
+/// The Timer thread, until it is told to end. Returns how often it was needed.
 fn serve(alarm: &Planted, closing: &AtomicBool, mut tend: impl FnMut()) -> u32 {
     let mut served = 0;
     while alarm.next(0, || closing.load(Ordering::SeqCst), || NOW).is_some() {
@@ -71,7 +71,7 @@ fn serve(alarm: &Planted, closing: &AtomicBool, mut tend: impl FnMut()) -> u32 {
     served
 }
 
-/// The node closes while the Timer's thread works or sleeps. How often that was needed before.
+/// The node closes while the Timer thread works or sleeps. Returns how often it was needed before.
 fn close(plant: Option<Plant>) -> u32 {
     let alarm = alarm(1, plant);
     let closing = Arc::new(AtomicBool::new(false));
@@ -103,9 +103,9 @@ struct Timed {
 
 #[derive(Clone, Copy)]
 enum Moment {
-    /// The task asks something that has a long time.
+    /// The task asks for something with a long time_out.
     Asked,
-    /// What comes from elsewhere expires now.
+    /// Input from elsewhere expires now.
     Sooner,
     TimeIsUp,
     Nothing,
@@ -147,8 +147,8 @@ enum ServedBy {
     TheTimer,
 }
 
-/// A task sleeps for a long time while an expiry comes that is due at once. Either it hears of it before it sleeps, or
-/// the Timer's thread sees to it.
+/// A task goes to sleep for a long time while an expiry comes that is due at once. Either the task sees it before it sleeps, or
+/// the Timer thread serves it.
 fn an_expiry_changes_hands(covers_all: bool) -> ServedBy {
     let alarm = alarm(1, None);
     let mut cover = Cover::new(0);

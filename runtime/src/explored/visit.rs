@@ -1,12 +1,12 @@
-//! Somebody visits the station, as a script's action does when it ends, or a node that begins.
+//! Scenes of a visit to the station, as by a script's action that ends, or by a node that starts.
 
 use super::handoff::{Brought, Got, Toy};
 use super::{DEADLOCK, must_fail_large};
 use crate::explorer::{Arc, explore_large, thread};
 use crate::sync::handoff::{Handoff, Plant};
 
-/// The task asks and waits; one thread brings the answer, or leaves it while another one visits. Whether the visitor had it
-/// to work off.
+/// The task asks and waits. One thread brings the answer, or leaves it while another one visits. Returns whether the visitor
+/// worked it off.
 fn ask_while_visited(plant: Option<Plant>) -> bool {
     let handoff = Arc::new(Handoff::planted(Toy::default(), None, plant));
     let [theirs, visited] = [(); 2].map(|()| Arc::clone(&handoff));

@@ -1,9 +1,9 @@
-//! For the program at the tool: it acts for one task of a couple at a time (D150).
+//! For the program at the tool: it acts for one task of a couple at a time.
 //!
-//! Two work-coupled tasks never act at the same time, but the processes that act for them are stopped, suspended and left
-//! behind by nodes that die. So the program at the tool checks for itself. A *gate* is a file that knows the newest epoch;
-//! all processes that move the tool share it. Whoever wants to act shows its epoch there, and older ones are refused from
-//! then on, in the middle of what they do, too.
+//! Two work-coupled tasks never act at the same time, but the processes that act for them may be stopped, suspended, or left
+//! behind by nodes that die. So the program at the tool checks for itself. A *gate* is a file that holds the newest epoch; all
+//! processes that move the tool share it. A process shows its epoch there before it acts. From then on older epochs are refused,
+//! even in the middle of their work.
 //!
 //! What a command learns from the runtime that started it:
 //!
@@ -67,7 +67,7 @@ pub enum GateError {
         /// What the system said.
         source: io::Error,
     },
-    /// The file is none of a gate.
+    /// The file is not a gate's.
     #[error("{0} is no file of a gate: name another file, or remove this one")]
     Foreign(PathBuf),
 }
@@ -78,15 +78,15 @@ pub enum Refused {
     /// Another program has acted under a newer epoch.
     #[error("epoch {shown} is over: epoch {newest} acts")]
     Epoch {
-        /// That of this program.
+        /// The epoch of this program.
         shown: u8,
-        /// The newest.
+        /// The newest epoch.
         newest: u8,
     },
     /// The deadline has passed, or the runtime said that the program must stop.
     #[error("the deadline has passed")]
     Deadline,
-    /// The gate cannot be asked, so it is taken to be closed.
+    /// The gate cannot be read, so it counts as closed.
     #[error(transparent)]
     Gate(#[from] GateError),
 }
@@ -97,23 +97,23 @@ pub fn now() -> u64 {
     clock::now()
 }
 
-/// The file that knows the newest epoch of a tool, and whoever may act under it.
+/// The file that holds the newest epoch of a tool, shared by all programs that act with the tool.
 ///
-/// A second file beside it, `PATH.next`, is the queue: whoever waits for an admission locks it, and steps that begin meanwhile
-/// wait behind. So steps that follow each other closely keep no newer epoch out.
+/// A second file beside it, `PATH.next`, is the queue: a program that waits for an admission locks it, and steps that begin
+/// meanwhile wait behind. So steps in close succession keep no newer epoch out.
 ///
-/// The gate stays when the machine starts again. Where the whole cell does, its epochs begin anew:
-/// [`reset`](Self::reset) the gate before, or keep the file where a start of the machine removes it (`/run`).
+/// The file survives a restart of the machine. When the whole cell restarts, its epochs begin anew: [`reset`](Self::reset) the
+/// gate before, or keep the file where a restart of the machine removes it (`/run`).
 #[derive(Clone, Debug)]
 pub struct Gate {
     path: PathBuf,
 }
 
 impl Gate {
-    /// The gate of this file, which is made if it is not there.
+    /// Opens the gate of this file, which is created if it is missing.
     ///
     /// # Errors
-    /// The file cannot be used, or belongs to something else.
+    /// [`GateError`] if the file cannot be used, or belongs to something else.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, GateError> {
         let gate = Self { path: path.as_ref().to_owned() };
         // A foreign file is noticed now, and not when the tool should move.
@@ -121,10 +121,10 @@ impl Gate {
         Ok(gate)
     }
 
-    /// Admits a program that acts under this epoch until `deadline`; from then on no older epoch acts. Waits until a step
-    /// ends that another program is [in the middle of](Permit::act).
+    /// Admits a program that acts under this epoch until `deadline`; from then on no older epoch acts. Waits for the end of a
+    /// step that another program is [in the middle of](Permit::act).
     ///
-    /// Epochs go round: of two, the one less than half of 256 ahead is the newer. Returns once that is on the disk.
+    /// Epochs wrap around: of two, the newer is the one less than half of 256 ahead. Returns once the epoch is on the disk.
     ///
     /// # Errors
     /// [`Refused`].
@@ -138,21 +138,21 @@ impl Gate {
             Some(newest) if is_newer(newest, epoch) => return Err(Refused::Epoch { shown: epoch, newest }),
             Some(_) => held.write(Some(epoch))?,
             None => {
-                // The file may be new: a power cut must not take its name.
+                // The file may be new: a power cut must not lose its name.
                 self.sync_folder()?;
                 held.write(Some(epoch))?;
             }
         }
-        // A lock belongs to what was opened. Closing it lets go of the lock, and the permit opens the file for itself.
+        // A lock belongs to an open file. Dropping `held` releases its lock, and the permit opens the file for itself.
         drop(held);
         let (file, next) = (self.file()?, self.next()?);
         Ok(Permit { file, next, path: self.path.clone(), epoch, deadline })
     }
 
-    /// Forgets all epochs: nobody may act who was admitted before. For the start of a whole cell.
+    /// Forgets all epochs: no program that was admitted before may act. For the start of a whole cell.
     ///
     /// # Errors
-    /// The file cannot be used.
+    /// [`GateError`] if the file cannot be used.
     pub fn reset(&self) -> Result<(), GateError> {
         self.exclusive()?.write(None)
     }
@@ -171,7 +171,7 @@ impl Gate {
         open(&self.next_path())
     }
 
-    /// The exclusive lock. `flock` prefers no writer, so steps that begin while this waits are held at `PATH.next`.
+    /// Takes the exclusive lock. `flock` prefers no writer, so steps that begin while this waits are held at `PATH.next`.
     fn exclusive(&self) -> Result<Held<'_>, GateError> {
         let path = self.next_path();
         let _queue = Held::new(open(&path)?, &path, FlockOperation::LockExclusive)?;
@@ -200,7 +200,7 @@ const fn is_newer(one: u8, other: u8) -> bool {
     steps != 0 && steps < 128
 }
 
-/// A gate's file under its lock, until it is dropped.
+/// A gate's file, locked until this is dropped.
 struct Held<'a> {
     file: File,
     path: &'a Path,
@@ -216,7 +216,7 @@ impl<'a> Held<'a> {
         newest(&self.file, self.path)
     }
 
-    /// In one write, which is on the disk on return: after a power cut there is the one or the other.
+    /// In one write, which is on the disk on return: after a power cut the file has the old content or the new one.
     fn write(&self, epoch: Option<u8>) -> Result<(), GateError> {
         let write = || match epoch {
             Some(epoch) => self.file.write_all_at(format!("{HEAD}{epoch:03}\n").as_bytes(), 0),
@@ -237,9 +237,9 @@ fn lock(file: &File, path: &Path, how: FlockOperation) -> Result<(), GateError> 
     }
 }
 
-/// The newest epoch of a file; `None` where nobody was admitted yet.
+/// The newest epoch in a file; `None` if no program was admitted yet.
 fn newest(file: &File, path: &Path) -> Result<Option<u8>, GateError> {
-    // One byte more than there may be.
+    // One byte more than the file may have.
     let mut bytes = [0; BYTES + 1];
     let mut length = 0;
     loop {
@@ -258,11 +258,11 @@ fn newest(file: &File, path: &Path) -> Result<Option<u8>, GateError> {
     epoch.map(Some).filter(|_| length == BYTES).ok_or_else(|| GateError::Foreign(path.to_owned()))
 }
 
-/// What an admitted program acts by. Each thread that acts has one of its own.
+/// The permission of an admitted program to act. Each thread that acts needs its own.
 #[derive(Debug)]
 pub struct Permit {
     file: File,
-    /// `PATH.next`: where whoever waits for an admission comes first.
+    /// `PATH.next`, which a program that waits for an admission locks first.
     next: File,
     path: PathBuf,
     epoch: u8,
@@ -270,24 +270,24 @@ pub struct Permit {
 }
 
 impl Permit {
-    /// Whether the program may act now: its deadline is ahead, and nobody was admitted under a newer epoch. Both are looked at
-    /// anew: about a microsecond. False where the gate cannot be read, too.
+    /// Whether the program may act now: its deadline is ahead, and no program was admitted under a newer epoch. Checks both anew,
+    /// which takes about a microsecond. Also false if the gate cannot be read.
     ///
-    /// What is done after this may come late: a program that is stopped in between does not notice. [`act`](Self::act) keeps
+    /// An action after this check may come late: a program that is stopped in between does not notice. [`act`](Self::act) keeps
     /// newer epochs waiting meanwhile.
     #[must_use]
     pub fn may_act(&self) -> bool {
         self.check().is_ok()
     }
 
-    /// Does one step, if the program may act. Nobody is admitted under a newer epoch before the step has ended, so steps of
-    /// two epochs never overlap, wherever a program is stopped. It should be short: the next one to act waits for it, and
-    /// forever if this program is stopped in it and not killed.
+    /// Does one step, if the program may act. No newer epoch is admitted before the step has ended, so steps of two epochs never
+    /// overlap, wherever a program is stopped. Keep the step short: the next program to act waits for it, forever if this program
+    /// is stopped in the step and not killed.
     ///
     /// # Errors
     /// [`Refused`]: nothing was done.
     pub fn act<R>(&mut self, step: impl FnOnce() -> R) -> Result<R, Refused> {
-        // Whoever waits for an admission holds this one, and is admitted before the step begins.
+        // A program that waits for an admission holds `next` exclusively, and is admitted before the step begins.
         lock(&self.next, &self.path, FlockOperation::LockShared)?;
         lock(&self.next, &self.path, FlockOperation::Unlock)?;
         lock(&self.file, &self.path, FlockOperation::LockShared)?;
@@ -303,19 +303,19 @@ impl Permit {
         match newest(&self.file, &self.path)? {
             Some(newest) if newest == self.epoch => Ok(()),
             Some(newest) => Err(Refused::Epoch { shown: self.epoch, newest }),
-            // The cell starts anew.
+            // The gate was reset: the cell starts anew.
             None => Err(Refused::Deadline),
         }
     }
 
-    /// The epoch that it was given for.
+    /// The epoch for which the permit was given.
     #[must_use]
     pub const fn epoch(&self) -> u8 {
         self.epoch
     }
 }
 
-/// Until when a program may act. Its copies are one deadline: what renews or ends one does so to all.
+/// Until when a program may act. Clones share one deadline: renewing or ending one does so to all.
 #[derive(Clone, Debug)]
 pub struct Deadline(Arc<AtomicU64>);
 
@@ -323,40 +323,40 @@ pub struct Deadline(Arc<AtomicU64>);
 const STOPPED: u64 = 0;
 
 impl Deadline {
-    /// At this instant, in microseconds of `CLOCK_BOOTTIME`.
+    /// A deadline at this instant, in microseconds of `CLOCK_BOOTTIME`.
     #[must_use]
     pub fn at(micros: u64) -> Self {
         Self(Arc::new(AtomicU64::new(micros)))
     }
 
-    /// Nothing but [`stop`](Self::stop) ends it.
+    /// A deadline that only [`stop`](Self::stop) ends.
     #[must_use]
     pub fn none() -> Self {
         Self::at(u64::MAX)
     }
 
-    /// Moves it to a later instant. An earlier one changes nothing, and so does any after a [`stop`](Self::stop).
+    /// Moves the deadline to a later instant. An earlier one changes nothing, and so does any after a [`stop`](Self::stop).
     pub fn renew(&self, micros: u64) {
         let later = |now: u64| (now != STOPPED && micros > now).then_some(micros);
-        // Refused where there is nothing to change.
+        // Fails if there is nothing to change.
         let _ = self.0.fetch_update(Ordering::AcqRel, Ordering::Acquire, later);
     }
 
-    /// Ends it, for good.
+    /// Ends the deadline, for good.
     pub fn stop(&self) {
         self.0.store(STOPPED, Ordering::Release);
     }
 
-    /// Whether it is still to come. Looks at the clock.
+    /// Whether the deadline is still to come. Reads the clock.
     #[must_use]
     pub fn is_ahead(&self) -> bool {
         now() < self.0.load(Ordering::Acquire)
     }
 
-    /// Does what the runtime says, until it says no more, and then [stops](Self::stop): to be called in a thread of its own, with
-    /// the standard input. Lines that it does not know are passed over.
+    /// Follows the runtime's lines until they end, and then [stops](Self::stop). Call it in a thread of its own, with the
+    /// standard input. Unknown lines are skipped.
     pub fn follow(&self, input: impl BufRead) {
-        // A failed read is the end, too.
+        // A failed read counts as the end.
         for line in input.lines().map_while(Result::ok) {
             let micros = line.strip_prefix("deadline ").and_then(|micros| micros.trim().parse().ok());
             micros.into_iter().for_each(|micros| self.renew(micros));
@@ -368,13 +368,13 @@ impl Deadline {
 /// What the runtime told a command in its environment.
 #[derive(Clone, Debug)]
 pub struct Orders {
-    /// The epoch of its task's lease; `None` where the task is in no couple.
+    /// The epoch of its task's lease; `None` if the task is in no couple.
     pub epoch: Option<u8>,
-    /// Until when it may act; [`Deadline::none`] where no runtime started the program.
+    /// Until when it may act; [`Deadline::none`] if no runtime started the program.
     pub deadline: Deadline,
 }
 
-/// A variable of the environment says nothing that can be read.
+/// An environment variable has a value that cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("{name} is `{value}`, not a whole number: is this command started by the runtime?")]
 pub struct OrdersError {
@@ -388,7 +388,7 @@ impl Orders {
     /// Reads the environment.
     ///
     /// # Errors
-    /// A variable is set to something else than a number.
+    /// [`OrdersError`] if a variable is set to something else than a number.
     pub fn from_env() -> Result<Self, OrdersError> {
         Ok(Self {
             epoch: number(EPOCH)?,

@@ -1,4 +1,5 @@
-//! What becomes the command: it ties its life to the guard's, gives back what a node in real time has, and executes the program.
+//! The process that becomes the command: it ties its end to the guard's, gives up a node's real-time privileges, and executes the
+//! program.
 
 use super::words::Errand;
 use rustix::process::{
@@ -13,9 +14,9 @@ use thread_priority::{
     NormalThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
 };
 
-/// What starts the line that says why the program cannot be executed: no program writes it by accident.
+/// Begins the line that says why the program cannot be executed; no program writes it by accident.
 pub const UNSTARTED: &[u8] = b"\0imrs-guard: ";
-/// As a shell has it: there is no such program.
+/// As in a shell: there is no such program.
 const NOT_FOUND: u8 = 127;
 /// A priority that `thread-priority` maps to niceness 0.
 const ORDINARY: u8 = 47;
@@ -29,15 +30,15 @@ pub fn exec(errand: &Errand) -> ExitCode {
     let mut line = UNSTARTED.to_vec();
     line.extend(error.raw_os_error().unwrap_or_default().to_string().bytes());
     line.push(b'\n');
-    // A guard that is gone does not want to know.
+    // Fails only if the guard is gone, and then no process needs the line.
     let _ = io::stdout().write_all(&line);
     ExitCode::from(NOT_FOUND)
 }
 
-/// Whatever ends the guard ends this process, and the program that it becomes.
+/// Ties this process, and the program that it becomes, to the guard: whatever ends the guard ends them.
 fn tie(errand: &Errand) -> io::Result<()> {
     set_parent_process_death_signal(Some(Signal::KILL))?;
-    // A guard that died before the call is no parent any more, and nobody would send the signal.
+    // A guard that died before the call is no parent any more, so the signal would never come.
     let guard = errand.parent.and_then(Pid::from_raw);
     if guard.is_none() || getppid() != guard {
         return Err(io::Error::from_raw_os_error(rustix::io::Errno::SRCH.raw_os_error()));
@@ -53,8 +54,9 @@ fn become_it(errand: &Errand) -> io::Error {
     }
 }
 
-/// A node under `--rt` runs under SCHED_FIFO on one core, and so does its guard; the command is an ordinary process on the cores that the
-/// launcher had. The memory of the node is locked, that of the command never was: locks do not pass to other programs.
+/// Makes this process ordinary. A node under `--rt` runs under SCHED_FIFO on one core, and so does its guard. The command runs
+/// under the ordinary scheduler on the cores that the launcher had. Its memory is not locked, because locks do not pass to other
+/// programs.
 fn be_ordinary(cores: Option<&str>) {
     if let Some(cores) = cores {
         let mut set = CpuSet::new();
@@ -63,18 +65,18 @@ fn be_ordinary(cores: Option<&str>) {
                 set.set(core);
             }
         });
-        // A core that is gone since leaves the process where it is.
+        // A core that no longer exists leaves the process where it is.
         let _ = sched_setaffinity(None, &set);
     }
     let is_ordinary = matches!(thread_schedule_policy(), Ok(ThreadSchedulePolicy::Normal(_)));
     if is_ordinary {
         return;
     }
-    // The call sets the niceness, too: that stays as it was.
+    // The call sets the niceness, too, so the niceness is restored afterwards.
     let niceness = getpriority_process(None);
     if let Ok(ordinary) = ThreadPriorityValue::try_from(ORDINARY) {
         let policy = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other);
-        // Giving up a right is never refused.
+        // Giving up a privilege is never refused.
         let _ = set_thread_priority_and_policy(
             thread_native_id(),
             ThreadPriority::Crossplatform(ordinary),

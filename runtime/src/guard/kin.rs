@@ -1,4 +1,4 @@
-//! Ending a command with all that it started.
+//! Ends a command with all that it started.
 
 use rustix::io::Errno;
 use rustix::process::{
@@ -8,8 +8,8 @@ use rustix::process::{
 use std::collections::BTreeMap;
 use std::fs;
 
-/// Kills the process group of the command and every other descendant of this process, and waits until none is left. Returns how the
-/// command itself ended. This process must be a child subreaper, so that no descendant can leave it.
+/// Kills the process group of the command and every other descendant of this process, and waits until none remains. Returns how
+/// the command itself ended. This process must be a child subreaper, so that no descendant can leave it.
 pub fn end_all(command: Pid) -> Option<WaitStatus> {
     // The command is not reaped yet, so no other group can have its number.
     let _ = kill_process_group(command, Signal::KILL);
@@ -23,7 +23,7 @@ pub fn end_all(command: Pid) -> Option<WaitStatus> {
                 }
                 options = WaitOptions::NOHANG;
             }
-            // Somebody is left. What a killed process leaves becomes a child of this one, whose end ends the wait.
+            // A descendant remains. Children of a killed process become children of this one, whose end ends the wait.
             Ok(None) => {
                 kill_descendants();
                 options = WaitOptions::empty();
@@ -35,23 +35,23 @@ pub fn end_all(command: Pid) -> Option<WaitStatus> {
     }
 }
 
-/// Kills every descendant that there is now.
+/// Kills every descendant that exists now.
 fn kill_descendants() {
     let own = getpid().as_raw_nonzero().get();
     let parents = parents();
     for (&pid, &parent) in parents.iter().filter(|&(&pid, _)| descends(&parents, pid, own)) {
         let Some(process) = Pid::from_raw(pid) else { continue };
         let Ok(handle) = pidfd_open(process, PidfdFlags::empty()) else { continue };
-        // The number may belong to another process by now: then the parent is another one, too.
+        // The number may belong to another process by now: then its parent is another one, too.
         if parent_of(pid).is_some_and(|now| now == parent || now == own) {
-            // It has ended already, or has become another user's.
+            // Fails if the process has ended already, or has become another user's.
             let _ = pidfd_send_signal(&handle, Signal::KILL);
         }
     }
 }
 
 fn descends(parents: &BTreeMap<i32, i32>, mut pid: i32, from: i32) -> bool {
-    // A table that changes while it is read may have a circle.
+    // A table that changes while it is read may have a cycle.
     for _ in 0..parents.len() {
         match parents.get(&pid) {
             Some(&parent) if parent == from => return true,
@@ -69,10 +69,10 @@ fn parents() -> BTreeMap<i32, i32> {
     pids.filter_map(|pid| Some((pid, parent_of(pid)?))).collect()
 }
 
-/// The parent of a process; `None` where there is no such process.
+/// The parent of a process; `None` if there is no such process.
 pub fn parent_of(pid: i32) -> Option<i32> {
     let stat = fs::read(format!("/proc/{pid}/stat")).ok()?;
-    // The name may have any characters, parentheses too; then come the state and the parent.
+    // The name may contain any characters, even parentheses; the state and the parent follow it.
     let stat = String::from_utf8_lossy(&stat);
     let (_, rest) = stat.rsplit_once(')')?;
     rest.split_whitespace().nth(1)?.parse().ok()

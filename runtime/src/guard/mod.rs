@@ -1,4 +1,4 @@
-//! The guard of a command: a process between a node and the command of an action, so that no command outlives its node (D141).
+//! The guard of a command: a process between a node and the command of an action, so that no command outlives its node.
 //!
 //! ```text
 //!   node  ── standard input: `lease N`, or its end ──▶  guard  ── `deadline N` ──▶  command (its own process group)
@@ -12,10 +12,11 @@
 //! - the lease of the task ends without a renewal, or the time of the action is over;
 //! - the command itself has ended: nothing that the command started stays behind.
 //!
-//! Only then does the guard say how the command ended. A guard that is killed takes the command with it: the command asks the kernel for
-//! SIGKILL at the death of its parent, before the program of the action starts.
+//! Only then does the guard say how the command ended. If the guard itself is killed, the kernel kills the command: the command
+//! asked for SIGKILL at the death of its parent, before the program of the action started.
 //!
-//! A guard is this same code as a process of its own: the program `imrs-guard`, or any program that calls [`entry`] at the start of `main`.
+//! A guard is this same code in a process of its own: the program `imrs-guard`, or any program that calls [`entry`] at the start
+//! of `main`.
 
 pub mod actuator;
 mod exec;
@@ -33,14 +34,14 @@ use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode};
 
-/// The first argument of a program that shall be a guard.
+/// The first argument of a program that is to be a guard.
 const WORD: &str = "imrs-guard";
-/// The second one: the guard itself, and what becomes the command.
+/// The second argument: for the guard itself, and for the process that becomes the command.
 const WATCH: &str = "watch";
 const EXEC: &str = "exec";
-/// This program, whatever became of its file since.
+/// This program, even if its file was replaced or removed since.
 const OWN_FILE: &str = "/proc/self/exe";
-/// How a guard ends that was called wrongly.
+/// The exit code of a guard that was called wrongly.
 const USAGE: u8 = 2;
 
 /// Does the work of a guard if this process was started as one, and returns its exit code; otherwise returns `None` at once.

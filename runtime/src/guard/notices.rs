@@ -1,4 +1,5 @@
-//! Telling a launcher which commands run: lines in a named pipe that it owns, so that the end of a command is told even if its node is dead.
+//! Tells a launcher which commands run: lines in a named pipe that the launcher owns, so that the end of a command is reported
+//! even if its node is dead.
 
 use crate::clock;
 use rustix::event::{PollFd, PollFlags, poll};
@@ -8,26 +9,26 @@ use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// What is told of a command. Instants are microseconds of `CLOCK_BOOTTIME`, which all processes of a machine share.
+/// A report on a command. Instants are microseconds of `CLOCK_BOOTTIME`, which all processes of a machine share.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Notice {
-    /// A node starts it. Told before anything runs.
+    /// A node starts the command. Reported before anything runs.
     Began {
-        /// What names it in later lines.
+        /// The key of the command in later lines.
         key: String,
         /// The task whose action it is.
         task: String,
         /// When.
         at: u64,
     },
-    /// It and all that it started have ended.
+    /// The command and all that it started have ended.
     Ended {
         /// Which.
         key: String,
         /// When.
         at: u64,
     },
-    /// Its guard died first: nobody knows whether all that it started has ended.
+    /// The guard died first: whether all that the command started has ended is not known.
     Lost {
         /// Which.
         key: String,
@@ -42,7 +43,7 @@ impl Notice {
         Self::Ended { key: key.to_owned(), at: clock::next() }
     }
 
-    /// As a line; `ended 1-0-4 81234567`.
+    /// As a line, such as `ended 1-0-4 81234567`.
     #[must_use]
     pub fn line(&self) -> String {
         match self {
@@ -52,7 +53,7 @@ impl Notice {
         }
     }
 
-    /// From a line without its end; `None` of any other line.
+    /// From a line without its end; `None` for any other line.
     #[must_use]
     pub fn read(line: &str) -> Option<Self> {
         let mut words = line.splitn(4, ' ');
@@ -77,7 +78,7 @@ impl Notices {
     /// Opens the pipe.
     ///
     /// # Errors
-    /// It is not there, or nobody reads it.
+    /// An error if the pipe is not there, or no process reads it.
     pub fn open(path: &Path) -> io::Result<Self> {
         let flags = OFlags::WRONLY | OFlags::NONBLOCK | OFlags::CLOEXEC;
         Ok(Self { path: path.to_owned(), pipe: File::from(open(path, flags, Mode::empty())?) })
@@ -90,7 +91,7 @@ impl Notices {
     /// Writes a line, whole or not at all.
     ///
     /// # Errors
-    /// The pipe is full, or nobody reads it.
+    /// An error if the pipe is full, or no process reads it.
     pub(crate) fn tell(&self, notice: &Notice) -> io::Result<()> {
         (&self.pipe).write_all(notice.line().as_bytes())
     }
@@ -99,7 +100,7 @@ impl Notices {
     pub(crate) fn tell_at_last(&self, notice: &Notice) {
         while let Err(error) = self.tell(notice) {
             if error.kind() != io::ErrorKind::WouldBlock {
-                // Nobody reads any more.
+                // No process reads any more.
                 return;
             }
             match poll(&mut [PollFd::new(&self.pipe, PollFlags::OUT)], None) {

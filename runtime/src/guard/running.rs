@@ -1,4 +1,4 @@
-//! A guard as its node sees it.
+//! A guard, as its node sees it.
 
 use super::kin::parent_of;
 use super::words::{Lines, Outcome, lease, read_began};
@@ -15,35 +15,35 @@ use std::process::{Child, ChildStdin, ChildStdout};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// A guard that runs.
+/// A running guard.
 pub struct Running {
     state: Mutex<State>,
     over: Condvar,
 }
 
 struct State {
-    /// Here until somebody follows it.
+    /// Present until a thread follows the guard.
     guard: Option<(Child, ChildStdout)>,
     /// The command may run as long as this is open.
     orders: Option<ChildStdin>,
-    /// The end of the lease that the guard knows.
+    /// The end of the lease, as the guard knows it.
     until: u64,
     is_over: bool,
 }
 
 impl Running {
-    /// Of a guard whose standard input and output are pipes.
+    /// For a guard whose standard input and output are pipes.
     pub fn new(mut guard: Child) -> io::Result<Self> {
         let pipes = guard.stdin.take().zip(guard.stdout.take());
         let (orders, words) = pipes.ok_or(io::ErrorKind::BrokenPipe)?;
-        // A guard that stands still must not hold up its node.
+        // A guard that stands still must not block its node.
         never_wait(&orders)?;
         let state = State { guard: Some((guard, words)), orders: Some(orders), until: 0, is_over: false };
         Ok(Self { state: Mutex::new(state), over: Condvar::new() })
     }
 
-    /// Listens to the guard until it has ended. Returns how its command ended; `None` where the guard did not say. `renew` is called now and
-    /// then, and says after how many microseconds again.
+    /// Listens to the guard until it has ended. Returns how its command ended; `None` if the guard did not say. `renew` is called
+    /// now and then, and returns after how many microseconds to call it again.
     pub fn follow(&self, renew: impl Fn() -> Option<u64>) -> Option<Outcome> {
         let (mut guard, mut words) = self.lock().guard.take()?;
         let (mut lines, mut group, mut outcome) = (Lines::default(), None, None);
@@ -53,18 +53,18 @@ impl Running {
                 outcome = Outcome::read(&line).or(outcome);
             }
         }
-        // It has said its last word, or was killed.
+        // The guard has said its last line, or was killed.
         let _ = guard.wait();
         if outcome.is_none()
             && let Some(group) = group
         {
-            // The command died with its guard. What it started is in its group, or out of reach.
+            // The command died with its guard. What the command started is in its group, or out of reach.
             group.kill();
         }
         outcome
     }
 
-    /// The lease ends then, and no sooner.
+    /// Tells the guard a later end of the lease. An earlier one changes nothing.
     pub fn renew(&self, until: u64) {
         let mut state = self.lock();
         if until <= state.until {
@@ -78,18 +78,18 @@ impl Running {
         }
     }
 
-    /// The command must end.
+    /// Tells the guard to end the command.
     pub fn let_go(&self) {
         self.lock().orders = None;
     }
 
-    /// Waits until the command has ended with all that it started, at most so long. Returns whether it has.
+    /// Waits until the command has ended with all that it started, at most `patience`. Returns whether it has.
     pub fn wait(&self, patience: Duration) -> bool {
         let waited = self.over.wait_timeout_while(self.lock(), patience, |state| !state.is_over);
         waited.unwrap_or_else(PoisonError::into_inner).0.is_over
     }
 
-    /// The command has ended.
+    /// Says that the command has ended.
     pub fn set_over(&self) {
         self.lock().is_over = true;
         self.over.notify_all();
@@ -100,10 +100,10 @@ impl Running {
     }
 }
 
-/// The process group of a command, which has the number of the command itself.
+/// The process group of a command, whose number is the command's own.
 struct Group {
     number: Pid,
-    /// The command; `None` where its guard was dead before the command could be told from another process of that number.
+    /// The command; `None` if its guard died before the command could be told from another process of that number.
     command: Option<OwnedFd>,
 }
 
@@ -111,15 +111,15 @@ impl Group {
     fn of(pid: i32, guard: &Child) -> Option<Self> {
         let number = Pid::from_raw(pid)?;
         let command = pidfd_open(number, PidfdFlags::empty()).ok();
-        // A living guard has not reaped its command, and nobody else is its child.
+        // The guard's child with this number is the command, as long as the guard has not reaped it.
         let guard = Pid::from_child(guard).as_raw_nonzero().get();
         Some(Self { number, command: command.filter(|_| parent_of(pid) == Some(guard)) })
     }
 
-    /// Kills the whole group, unless its number belongs to others by now.
+    /// Kills the whole group, unless its number belongs to another process by now.
     fn kill(&self) {
-        // A command that nobody has reaped keeps the number, and so does every member of its group. So where another process has
-        // it, the group is empty.
+        // A command that is not reaped keeps the number, and so does every member of its group. So if another process has the
+        // number, the group is empty.
         let is_reaped = self
             .command
             .as_ref()
@@ -131,7 +131,7 @@ impl Group {
     }
 }
 
-/// Waits for a word of the guard; `false` once it says no more.
+/// Waits for a line of the guard; `false` once the guard says no more.
 fn listen(words: &mut ChildStdout, lines: &mut Lines, renew: impl Fn() -> Option<u64>) -> bool {
     let after = renew().and_then(|after| after.checked_mul(1_000)).map(clock::timespec);
     match poll(&mut [PollFd::new(words, PollFlags::IN)], after.as_ref()) {
@@ -151,7 +151,7 @@ fn listen(words: &mut ChildStdout, lines: &mut Lines, renew: impl Fn() -> Option
     }
 }
 
-/// Writes and reads of this pipe give up in place of waiting.
+/// Makes writes and reads of this pipe fail in place of blocking.
 pub fn never_wait(pipe: impl AsFd) -> io::Result<()> {
     let flags = fcntl_getfl(&pipe)?;
     Ok(fcntl_setfl(&pipe, flags | OFlags::NONBLOCK)?)

@@ -1,4 +1,4 @@
-//! The guard itself: one thread that waits for the end of its node, of the lease, of the time, or of the command.
+//! The guard itself: one thread that waits for the end of its node, of the lease, of the action's time, or of the command.
 
 use super::exec::UNSTARTED;
 use super::notices::{Notice, Notices};
@@ -45,26 +45,26 @@ pub fn watch(errand: &Errand) -> ExitCode {
     ExitCode::SUCCESS
 }
 
-/// A guard may start late. What is over by then is not begun.
+/// A guard may start late: an action that is over by then is not begun.
 fn over_before(errand: &Errand) -> Option<Outcome> {
     let stdin = io::stdin();
     let mut orders = [PollFd::new(&stdin, PollFlags::IN)];
     let at_once = Timespec { tv_sec: 0, tv_nsec: 0 };
     let _ = poll(&mut orders, Some(&at_once));
-    // No node writes and then ends its pipe but one that has gone.
+    // A closed pipe means that the node stopped the action or is gone, even if lines are left in the pipe.
     if orders[0].revents().contains(PollFlags::HUP) {
         return Some(Outcome::Stopped);
     }
     why_over(errand.limit, errand.lease).map(Why::outcome)
 }
 
-/// Which time is over, if one is.
+/// Which time is over, if any.
 fn why_over(limit: u64, lease: Option<u64>) -> Option<Why> {
     let now = clock::now();
     if limit <= now { Some(Why::Late) } else { lease.filter(|lease| *lease <= now).map(|_| Why::LeaseEnded) }
 }
 
-/// A node that is gone does not want to know.
+/// Says a line to the node. If that fails, the node is gone and needs no line.
 fn say(line: &str) {
     let mut out = io::stdout().lock();
     let _ = out.write_all(line.as_bytes()).and_then(|()| out.flush());
@@ -84,7 +84,7 @@ impl Why {
         match self {
             Self::Late => Outcome::Late,
             Self::LeaseEnded => Outcome::LeaseEnded,
-            // What a command that ended says is looked at elsewhere.
+            // For a command that ended, `Answer::outcome` decides.
             Self::Stopped | Self::Ended => Outcome::Stopped,
         }
     }
@@ -97,16 +97,16 @@ struct Watch {
     pid: Pid,
     /// Readable once the command has ended.
     ended: OwnedFd,
-    /// Readable once the deadline is over, however long the machine was suspended.
+    /// Readable once the deadline has passed, however long the machine was suspended.
     timer: OwnedFd,
-    /// Which deadline the timer has, and which the command was told.
+    /// The deadline to which the timer is set, and the one that the command was told.
     armed: Option<u64>,
     told: Option<u64>,
     input: Option<ChildStdin>,
     output: Answer,
 }
 
-/// What a command says: its first line is kept, the rest is dropped.
+/// The output of a command: its first line is kept, the rest is dropped.
 struct Answer {
     pipe: ChildStdout,
     is_open: bool,
@@ -145,7 +145,7 @@ impl Watch {
         let (input, pipe) = (child.stdin.take(), child.stdout.take());
         let pipe = pipe.ok_or(io::ErrorKind::BrokenPipe)?;
         if let Some(input) = &input {
-            // A command that reads nothing must not hold up its guard.
+            // A command that reads nothing must not block its guard.
             never_wait(input)?;
         }
         let mut watch = Self {
@@ -166,9 +166,9 @@ impl Watch {
     /// Waits until the command is over, for whatever reason.
     fn wait(&mut self) -> Why {
         loop {
-            // Otherwise nothing can be watched any more.
+            // Without poll nothing can be watched any more.
             let Ok([orders, ended, timer, output]) = self.poll() else { return Why::Stopped };
-            // First: a renewal that is there counts.
+            // First, because a renewal that has come counts.
             if orders && !self.hear() {
                 return Why::Stopped;
             }
@@ -212,7 +212,7 @@ impl Watch {
         Ok([is_ready(0), is_ready(1), is_ready(2), is_ready(3)])
     }
 
-    /// Takes in what the node says; `false` where it says nothing more.
+    /// Takes in what the node says; `false` if the node says nothing more.
     fn hear(&mut self) -> bool {
         let mut bytes = [0; 1024];
         match rustix::io::read(io::stdin(), &mut bytes) {
@@ -243,7 +243,7 @@ impl Watch {
         {
             match input.write_all(format!("deadline {deadline}\n").as_bytes()) {
                 Ok(()) => self.told = Some(deadline),
-                // It does not read: it is told with the next renewal.
+                // The command does not read: it is told with the next renewal.
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
                 Err(_) => self.input = None,
             }
@@ -251,17 +251,17 @@ impl Watch {
         Ok(())
     }
 
-    /// Ends all that is left of the command.
+    /// Ends everything that remains of the command.
     fn end(mut self, why: Why) -> Outcome {
         let status = kin::end_all(self.pid);
-        // Whoever wrote is gone, so this ends.
+        // All writers are gone, so this ends.
         self.output.read_rest();
         if why == Why::Ended { self.output.outcome(status, self.errand.real) } else { why.outcome() }
     }
 }
 
 impl Answer {
-    /// Reads once. Returns how much there was.
+    /// Reads once. Returns how many bytes there were.
     fn read(&mut self) -> usize {
         let mut bytes = [0; PIECE];
         match self.pipe.read(&mut bytes) {
@@ -288,7 +288,7 @@ impl Answer {
     }
 
     fn read_rest(&mut self) {
-        // Another process may have been given the pipe: what is not there now is not waited for.
+        // Another process may have got the pipe: what is not there now is not waited for.
         if never_wait(&self.pipe).is_err() {
             return;
         }
@@ -311,13 +311,13 @@ impl Answer {
     }
 }
 
-/// What a command printed; a real by its bits. What is no number is no answer: zero.
+/// The number that a command printed, a real as its bits. Anything else counts as zero.
 fn result(printed: &str, real: bool) -> i32 {
     if !real {
         return printed.parse().unwrap_or(0);
     }
     let number = printed.parse::<f32>().ok().filter(|number| number.is_finite());
-    // The scripts know no other zero.
+    // The scripts have only one zero.
     number.map_or(0, |number| if number == 0.0 { 0 } else { number.to_bits().cast_signed() })
 }
 

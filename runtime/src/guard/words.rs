@@ -1,4 +1,4 @@
-//! What a node says to a guard and hears of it: arguments at its start, then lines.
+//! The protocol between a node and a guard: arguments at the guard's start, then lines.
 
 use std::ffi::{OsStr, OsString};
 use std::path::PathBuf;
@@ -12,13 +12,13 @@ pub struct Errand {
     pub lease: Option<u64>,
     /// The epoch of that lease.
     pub epoch: Option<u8>,
-    /// The cores that the command may use: `0,1,5`. Without, those of the node.
+    /// The cores that the command may use, as `0,1,5`; `None` for those of the node.
     pub cores: Option<String>,
-    /// Whether the command prints a real, and not a whole number.
+    /// Whether the command prints a real instead of a whole number.
     pub real: bool,
-    /// Where the end is told besides, and under which key.
+    /// The pipe in which the end is reported, too, and the command's key there.
     pub notices: Option<(PathBuf, String)>,
-    /// The process that started this one: said by the guard to what becomes the command.
+    /// The process that started this one: the guard says it to the process that becomes the command.
     pub parent: Option<i32>,
     /// The program and its arguments.
     pub command: Vec<OsString>,
@@ -30,7 +30,7 @@ impl Errand {
         self.lease.map_or(self.limit, |lease| lease.min(self.limit))
     }
 
-    /// As arguments of a program.
+    /// The errand as arguments of a program.
     pub fn words(&self) -> Vec<OsString> {
         let mut words = vec!["--limit".into(), self.limit.to_string().into()];
         let mut add = |name: &str, value: Option<OsString>| {
@@ -50,7 +50,7 @@ impl Errand {
         words
     }
 
-    /// From the arguments of a program; `None` where they make no sense.
+    /// The errand from the arguments of a program; `None` if they are invalid.
     pub fn read(words: &[OsString]) -> Option<Self> {
         let split = words.iter().position(|word| word == "--")?;
         let (options, command) = (&words[..split], &words[split + 1..]);
@@ -75,7 +75,7 @@ impl Errand {
     }
 }
 
-/// What `--gives` says of a command that prints a real.
+/// The value of `--gives` for a command that prints a real.
 const REAL: &str = "real";
 
 fn number<T: std::str::FromStr>(word: &OsStr) -> Option<T> {
@@ -87,7 +87,7 @@ fn number<T: std::str::FromStr>(word: &OsStr) -> Option<T> {
 pub enum Outcome {
     /// With exit code 0, and this number in the first line of its output.
     Done(i32),
-    /// With another exit code, or by a signal of somebody else.
+    /// With another exit code, or by a signal of another process.
     Failed,
     /// The time of the action was over: it was killed.
     Late,
@@ -132,7 +132,7 @@ pub fn began(pid: i32) -> String {
     format!("began {pid}\n")
 }
 
-/// The process group of such a line.
+/// The process group in such a line.
 pub fn read_began(line: &str) -> Option<i32> {
     line.strip_prefix("began ")?.parse().ok()
 }
@@ -147,7 +147,7 @@ pub fn read_lease(line: &str) -> Option<u64> {
     line.strip_prefix("lease ")?.parse().ok()
 }
 
-/// Whole lines out of what a pipe gives in pieces. A line without its end, of a process that was killed, is none.
+/// Assembles whole lines from the pieces that a pipe gives. A line without its end, of a process that was killed, is dropped.
 #[derive(Debug, Default)]
 pub struct Lines(Vec<u8>);
 

@@ -1,7 +1,7 @@
 //! A link with injected faults, around any other link: seeded loss, and neighbours cut off.
 //!
-//! Faults act on the sending side, so each end of a link has its own; what they take is counted apart from everything
-//! that really happened. A lost send loses its whole datagram, as a network would.
+//! Faults act on the sending side, so each end of a link has its own. What they drop is counted apart from real losses. A lost
+//! send loses its whole datagram, as on a network.
 
 use super::{Leading, Link, LinkBusy, PollEnd, Sink};
 use crate::lock::lock;
@@ -29,7 +29,7 @@ struct Faults {
     cuts_to_come: Vec<(NodeId, Range<Instant>)>,
 }
 
-/// What was taken on purpose.
+/// What the faults have dropped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Injected {
     /// Packets lost by chance.
@@ -71,12 +71,12 @@ impl<L> FaultyLink<L> {
         }
     }
 
-    /// Sends nothing to `neighbour` in this span of time, whatever [`set_cut`](Self::set_cut) says.
+    /// Sends nothing to `neighbour` during `span`, whatever [`set_cut`](Self::set_cut) says.
     pub fn cut_during(&self, neighbour: NodeId, span: Range<Instant>) {
         self.faults().cuts_to_come.push((neighbour, span));
     }
 
-    /// What was taken so far.
+    /// What the faults have dropped so far.
     #[must_use]
     pub fn injected(&self) -> Injected {
         Injected {
@@ -100,7 +100,7 @@ impl<L: Link> FaultyLink<L> {
         if !cut && !lost {
             return self.inner.send_at(next, packets, at);
         }
-        // What the link would not have taken is not lost.
+        // What the inner link would not have taken is not lost.
         if !self.inner.ready(next) {
             return Err(LinkBusy);
         }
@@ -141,7 +141,7 @@ impl<L: Link> Link for FaultyLink<L> {
         if self.faults().loss <= 0.0 {
             return self.send_or_lose(next, packets, at);
         }
-        // A draw for each datagram: what leaves in one call is not lost in one piece.
+        // One draw for each datagram, so that the datagrams of one call are not all lost together.
         let mut taken = 0;
         for datagram in packets[..packets.len().min(self.at_once())].chunks(MAX_PACKETS) {
             match self.send_or_lose(next, datagram, at) {

@@ -1,7 +1,7 @@
-//! The link between nodes of one process: packets are handed over as values, never serialised (D44).
+//! The link between nodes of one process: packets are handed over as values, never serialised.
 //!
-//! Several nodes in one process are good for tests and demonstrations. A [`Network`] can lose, repeat and delay
-//! packets, drawn from a seed.
+//! Several nodes in one process serve tests and demonstrations. A [`Network`] can lose, repeat and delay packets, drawn from a
+//! seed.
 
 use super::{Link, LinkBusy, LinkDiscard, PollEnd, Sink};
 use crate::clock;
@@ -18,18 +18,18 @@ const CAPACITY: usize = 1024;
 /// How many packets are taken out under one lock.
 const AT_ONCE: usize = MAX_PACKETS;
 
-/// What the network does to packets on purpose.
+/// The faults that the network injects.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Faults {
-    /// Where the draws begin.
+    /// The seed of the draws.
     pub seed: u64,
     /// The share of packets that get lost, 0 to 1.
     pub loss: f64,
     /// The share of packets that arrive twice, 0 to 1.
     pub duplicates: f64,
-    /// The shortest time a packet takes.
+    /// The shortest time that a packet takes.
     pub least_delay: Duration,
-    /// The longest time a packet takes; packets with different delays overtake each other.
+    /// The longest time that a packet takes; packets with different delays overtake each other.
     pub most_delay: Duration,
 }
 
@@ -47,14 +47,14 @@ struct End {
 }
 
 struct State {
-    /// On the way to this node, the next to arrive first.
+    /// Packets in flight to this node, the next to arrive first.
     flights: BinaryHeap<Reverse<Flight>>,
     departures: u64,
-    /// The life of the node that receives here; `None` while there is none.
+    /// The incarnation of the node that receives here; `None` while there is none.
     life: Option<Life>,
-    /// The life of each node that was last heard of here.
+    /// The incarnation of each node that was last heard of here.
     heard: Vec<Option<Incarnation>>,
-    /// Room for what is taken out. Whoever does so has it meanwhile.
+    /// Room for packets that have arrived. The polling thread has it while it works.
     landed: Vec<Landed>,
     /// Whether a neighbour found this node busy.
     starved: bool,
@@ -80,7 +80,7 @@ struct Flight {
     packet: Packet,
 }
 
-/// A flight that is over, and whether the life it came from was known before.
+/// A packet that has arrived, and whether the incarnation that sent it was known before.
 #[derive(Clone, Copy, Debug)]
 struct Landed {
     flight: Flight,
@@ -88,7 +88,7 @@ struct Landed {
 }
 
 impl Flight {
-    /// Whether both left one node at once.
+    /// Whether both packets left one node at the same time.
     fn left_with(&self, other: &Self) -> bool {
         (self.from, self.life, self.left) == (other.from, other.life, other.left)
     }
@@ -136,10 +136,10 @@ impl Network {
         Arc::new(Self { faults, ends: (0..nodes).map(end).collect(), table })
     }
 
-    /// The link of `node` in this life. What was under way to an earlier life of it is lost.
+    /// The link of `node` in this incarnation. Packets in flight to an earlier incarnation of the node are lost.
     ///
     /// # Panics
-    /// Where the cell has no such node.
+    /// If the cell has no such node.
     #[must_use]
     pub fn join(self: &Arc<Self>, node: NodeId, incarnation: Incarnation, restarted: bool) -> InProcess {
         let mut state = self.ends[node.index()].lock();
@@ -163,7 +163,7 @@ impl End {
 }
 
 impl State {
-    /// Puts a packet on its way, whose remaining time was true at `left`, unless it gets lost.
+    /// Puts a packet in flight, unless it gets lost. Its remaining time was true at `left`.
     fn depart(&mut self, faults: &Faults, left: Instant, from: NodeId, life: Life, packet: Packet) {
         if self.draws.f64() < faults.loss {
             return;
@@ -196,12 +196,12 @@ impl InProcess {
         self.network.ends.get(node.index())
     }
 
-    /// Hands on what left one node together.
+    /// Hands packets that left one node together to the sink.
     fn land(&self, together: &[Landed], sink: &dyn Sink) {
         let Some(&Landed { flight: Flight { from, life, left, .. }, known }) = together.first() else {
             return;
         };
-        // What a node sent before it ended is still good; what an earlier life of a running node sent is not.
+        // What a node sent before it ended is still good; what an earlier incarnation of a running node sent is not.
         let now_there = self.network.ends[from.index()].lock().life;
         if now_there.is_some_and(|now_there| now_there != life) {
             return together.iter().for_each(|_| sink.discarded(LinkDiscard::StaleIncarnation));
@@ -211,7 +211,7 @@ impl InProcess {
         }
         let mut packets = [together[0].flight.packet; AT_ONCE];
         packets.iter_mut().zip(together).for_each(|(packet, landed)| *packet = landed.flight.packet);
-        // D20: the larger of what the link is declared to take and what it took.
+        // The larger of the link's declared delay and the time that the packets took (D20).
         let now = Instant::now();
         let took = now.saturating_duration_since(left);
         let charge = clock::micros(took.max(self.network.bound(from, self.node)));
@@ -241,7 +241,7 @@ impl Link for InProcess {
         let end = self.end(next).ok_or(LinkBusy)?;
         let mut state = end.lock();
         if state.life.is_none() {
-            // Nobody is there, as when a datagram goes to a closed port.
+            // No node is there, as when a datagram goes to a closed port.
             return Ok(packets.len());
         }
         let free = CAPACITY.saturating_sub(state.flights.len());
@@ -311,7 +311,7 @@ impl Link for InProcess {
     }
 }
 
-/// The node is gone: what is sent to it is lost.
+/// The node is gone: packets to it are lost.
 impl Drop for InProcess {
     fn drop(&mut self) {
         let mut state = self.own().lock();

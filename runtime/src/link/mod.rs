@@ -1,7 +1,7 @@
 //! The primitive layer (§5.2.4): how packets leave a node and come in.
 //!
-//! A link moves packets between neighbouring nodes and knows nothing of tasks. It may lose, repeat, delay and reorder
-//! them; whatever it hands over carries how much life the way has cost (D20).
+//! A link moves packets between neighbouring nodes and knows nothing of tasks. It may lose, repeat, delay and reorder them. With
+//! what it hands over, it says how much remaining time the hop has cost.
 
 pub mod faulty;
 pub mod in_process;
@@ -14,17 +14,17 @@ use imrs_wire::envelope::MAX_PACKETS;
 use std::fmt;
 use std::time::{Duration, Instant};
 
-/// Where a link puts what it receives: implemented by the node.
+/// Takes what a link receives: implemented by the node.
 ///
-/// What is handed over is dealt with at once, by the same thread: it may call [`Link::send_at`] before the call returns.
-/// A link holds no lock while it calls its sink that a sender or a waiting task would wait for.
+/// The sink deals with it at once, on the same thread, and may call [`Link::send_at`] before the call returns. While a link calls
+/// its sink, it holds no lock that a sender or a waiting task would wait for.
 pub trait Sink: Send + Sync {
-    /// Packets that came together, decoded and checked, in the order in which they were sent. `charge` is what the link and
-    /// the kernel's queue had cost each of them at `at`, in microseconds; the sink charges what has passed since, so that a
-    /// node that was stopped between the two cannot make an old packet young.
+    /// Packets that came together, decoded and checked, in the order in which they were sent. `charge` is what the link and the
+    /// kernel's queue had cost each packet at `at`, in microseconds. The sink also charges the time since `at`, so that a node
+    /// that was stopped in between cannot make an old packet look young.
     fn packets(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Instant);
 
-    /// First contact with a neighbour, or a new session of it. `restarted`: whether an earlier incarnation of it can have
+    /// First contact with a neighbour, or its new session. `restarted`: whether an earlier incarnation of the neighbour may have
     /// taken requests, as the neighbour says itself or as this node knows.
     fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool);
 
@@ -32,28 +32,27 @@ pub trait Sink: Send + Sync {
     fn discarded(&self, reason: LinkDiscard);
 }
 
-/// A node's way to its neighbours. Shared by all threads of the node.
+/// A node's links to its neighbours, shared by all threads of the node.
 pub trait Link: Send + Sync {
-    /// Whether a send to this neighbour would be taken now.
+    /// Whether the link would take a send to this neighbour now.
     fn ready(&self, next: NodeId) -> bool;
 
-    /// How many packets it takes in one call, at most: by default what a datagram holds. A node gathers so many for a
-    /// neighbour, and none of them can be overtaken any more once they are handed over. Who wraps a link passes this on.
+    /// How many packets the link takes in one call, at most: by default as many as a datagram holds. A node gathers this many for
+    /// a neighbour, and nothing can overtake them once they are handed over. A link that wraps another one passes this on.
     fn at_once(&self) -> usize {
         MAX_PACKETS
     }
 
-    /// Sends packets to a neighbour, the most urgent of each datagram first. Their remaining times hold for the instant `at`: what passes
-    /// between it and the departure is charged to them, so that a node that was stopped in between cannot make old
-    /// packets young. Returns how many were taken: at least one, and from the front. A packet that is taken may still be
+    /// Sends packets to a neighbour, the most urgent of each datagram first. Their remaining times are true at the instant `at`.
+    /// The link charges the time from `at` to the departure, so that a node that was stopped in between cannot make old packets
+    /// look young. Returns how many packets were taken: at least one, and from the front. A packet that is taken may still be
     /// lost.
     ///
     /// # Errors
-    /// [`LinkBusy`] where none was taken. The link ends a [`poll`](Self::poll) with [`PollEnd::Ready`] when it takes
-    /// packets again.
+    /// [`LinkBusy`] if none was taken. The link ends a [`poll`](Self::poll) with [`PollEnd::Ready`] when it takes packets again.
     fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy>;
 
-    /// As [`send_at`](Self::send_at), of packets whose remaining times hold for this instant.
+    /// As [`send_at`](Self::send_at), for packets whose remaining times are true now.
     ///
     /// # Errors
     /// As [`send_at`](Self::send_at).
@@ -61,38 +60,38 @@ pub trait Link: Send + Sync {
         self.send_at(next, packets, Instant::now())
     }
 
-    /// Receives until something came in, `until` passed, or [`wake`](Self::wake) was called. Whoever waits may call it
-    /// (leader and followers). A wake that comes while nobody polls ends the next poll.
+    /// Receives until something came in, `until` passed, or [`wake`](Self::wake) was called. Any waiting thread may call it
+    /// (leader and followers). A wake-up that comes while no thread polls ends the next poll.
     fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd;
 
     /// Ends a poll.
     fn wake(&self);
 
-    /// What went wrong on the link itself, counted by name: what no sink was told of.
+    /// Failures of the link itself, counted by name, of which no sink was told.
     fn failures(&self) -> Vec<(&'static str, u64)> {
         Vec::new()
     }
 
-    /// What the link counts besides, by name: how much it does, and how sure it is of how long datagrams waited (D50).
+    /// What else the link counts, by name: how much it does, and how sure it is of how long datagrams waited.
     fn evidence(&self) -> Vec<(&'static str, u64)> {
         Vec::new()
     }
 
-    /// Where the thread of a task may wait in the link itself while another thread polls, if it may.
+    /// Where a task's thread may wait in the link itself while another thread polls; `None` if it may not.
     fn leading(&self) -> Option<&dyn Leading> {
         None
     }
 }
 
-/// A link that a task's thread can wait in (D40): what comes in from neighbours while it does is told to it alone, and to nobody
-/// that polls. One thread at a time. What comes from elsewhere is told to whoever polls (D155).
+/// A link in which a task's thread can wait, one thread at a time. While it waits, what comes in from neighbours is reported to
+/// it alone, and to no polling thread. What comes from elsewhere is reported to the polling thread.
 pub trait Leading: Send + Sync {
-    /// Waits until something comes in, for at most so long, or until [`call`](Self::call). Takes nothing in, and may end
-    /// early for no reason; that the time is over it says only where `left` is zero.
+    /// Waits until something comes in, for at most `left`, or until [`call`](Self::call). It takes nothing in, and may end early
+    /// (spurious wake-up). It reports [`Came::Time`] only if `left` is zero.
     fn wait(&self, left: Option<Duration>) -> Came;
 
-    /// Takes in what [`wait`](Self::wait) told of, or without a wait one that is there, if any. False where the thread that
-    /// polls is at it: it takes that in, too.
+    /// Takes in what [`wait`](Self::wait) reported or, without a wait, one datagram that is there, if any. False if the polling
+    /// thread is receiving: that thread takes it in, too.
     fn take_in(&self, sink: &dyn Sink) -> bool;
 
     /// Ends the present wait, or else the next one.
@@ -117,7 +116,7 @@ pub enum PollEnd {
     Woken,
 }
 
-/// Why a link dropped something that came in (D48). Every drop has a reason and is counted.
+/// Why a link dropped something that came in. Every drop has a reason and is counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum LinkDiscard {
     /// Shorter than the least envelope.
@@ -146,7 +145,7 @@ pub enum LinkDiscard {
     OtherStatements,
     /// For another node.
     Misdelivered,
-    /// From a session of its sender that is not known, and not proven to be later than the known one. The sender is asked.
+    /// From an unknown session of its sender, which is not proven to be later than the known one. The sender is asked.
     UnprovenSession,
     /// The sender says that it refuses what this node sends.
     RefusedByPeer,
@@ -178,7 +177,7 @@ impl LinkDiscard {
         "refused_by_peer",
     ];
 
-    /// The position of this reason in [`NAMES`](Self::NAMES): what counters are kept by.
+    /// The position of this reason in [`NAMES`](Self::NAMES), by which counters are kept.
     #[must_use]
     pub const fn index(self) -> usize {
         match self {

@@ -1,16 +1,15 @@
-//! How long a datagram waited in the kernel (D50).
+//! Tells how long a datagram waited in the kernel (D50).
 //!
-//! The kernel stamps a datagram with the *wall clock* as it comes in, and the wall clock may be set at any time. So the
-//! stamp is only believed while the wall clock and the monotonic clock went on alike; otherwise the datagram may have
-//! come at any moment since the socket was last seen empty, and the whole time since then is charged. That time is also
-//! the most that any datagram can have waited.
+//! The kernel stamps a datagram with the *wall clock* when it comes in, and the wall clock may be set at any time. So a stamp
+//! counts only if the wall clock and the monotonic clock advanced alike. Otherwise the datagram may have come at any moment since
+//! the socket was last seen empty, and that whole time is charged. No datagram can have waited longer.
 
 use crate::clock;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
-/// How much the distance between the clocks may seem to change by rounding alone, in nanoseconds.
+/// How much the difference of the clocks may seem to change by rounding alone, in nanoseconds.
 const ROUNDING: i128 = 1_000;
-/// A reading that was interrupted for longer than this is taken again.
+/// A reading that took longer than this was interrupted, and is taken again.
 const INTERRUPTED: Duration = Duration::from_micros(20);
 const ATTEMPTS: usize = 4;
 
@@ -58,7 +57,7 @@ impl Reading {
 pub struct Residency {
     /// Never less than the true time.
     pub waited: Duration,
-    /// What the figure rests on.
+    /// The evidence for it.
     pub by: Evidence,
 }
 
@@ -73,8 +72,8 @@ pub enum Evidence {
     ClockSet,
 }
 
-/// How long a datagram waited that the kernel stamped at `stamp` (wall clock, since 1970), was received before `now`,
-/// and came in after `empty`, when the socket was seen empty.
+/// How long a datagram waited in the kernel, which stamped it at `stamp` (wall clock, since 1970). The datagram was received
+/// before `now`, and came in after `empty`, when the socket was seen empty.
 #[must_use]
 pub fn residency(now: &Reading, stamp: Option<Duration>, empty: &Reading) -> Residency {
     let longest = now.after.saturating_duration_since(empty.before);
@@ -82,7 +81,7 @@ pub fn residency(now: &Reading, stamp: Option<Duration>, empty: &Reading) -> Res
         return Residency { waited: longest, by: Evidence::NoStamp };
     };
     let waited = now.realtime.checked_sub(stamp).filter(|_| !clock_was_set(now, empty));
-    // How far the readings are apart is what a small change of the wall clock may have hidden in.
+    // The widths of the readings are added, because a small step of the wall clock may have hidden within them.
     let waited = waited.map(|waited| (waited + now.width() + empty.width()).min(longest));
     match waited {
         Some(waited) => Residency { waited, by: Evidence::Stamp },
@@ -90,8 +89,8 @@ pub fn residency(now: &Reading, stamp: Option<Duration>, empty: &Reading) -> Res
     }
 }
 
-/// Whether the clocks went on differently between two readings. Each reading gives a range for their distance; if the
-/// clocks went on alike, the ranges overlap.
+/// Whether the clocks advanced differently between two readings. Each reading gives a range for their difference; if the clocks
+/// advanced alike, the ranges overlap.
 fn clock_was_set(now: &Reading, then: &Reading) -> bool {
     let nanoseconds = |d: Duration| i128::try_from(d.as_nanos()).unwrap_or(i128::MAX);
     let realtime = nanoseconds(now.realtime) - nanoseconds(then.realtime);
@@ -152,7 +151,7 @@ mod tests {
             let got = residency(&now, stamp(wall.min(90_000)), &empty);
             assert_eq!(got, Residency { waited: ms(500), by: Evidence::ClockSet }, "wall clock at {wall}");
         }
-        // Set forth and back between the two readings: the stamp lies in the future.
+        // The wall clock was set forward and back between the two readings: the stamp lies in the future.
         let now = reading(o, 500_000, 500_000, 0);
         assert_eq!(residency(&now, stamp(3_600_000_000), &empty).by, Evidence::ClockSet);
     }
@@ -174,8 +173,8 @@ mod tests {
     }
 
     proptest! {
-        /// One step of the wall clock at any moment, of any size: the charge is never less than the truth (but for
-        /// the rounding that is tolerated), and never more than the time since the socket was seen empty.
+        /// One step of the wall clock at any moment, of any size: the charge is never less than the truth (except for tolerated
+        /// rounding), and never more than the time since the socket was seen empty.
         #[test]
         fn never_too_little(
             arrival in 1..1_000_000_u64, wait in 0..1_000_000_u64, step_at in 0..2_000_000_u64,

@@ -20,18 +20,18 @@ pub(crate) struct Comm {
     table: NodeTable,
     alarm: Arc<Alarm>,
     cover: Cover,
-    /// Whether the task is one of a couple: then no input is taken at an earlier time than that at which it is taken in.
+    /// Whether the task is one of a couple: then an input takes effect at the time at which it is taken in, if that is later.
     coupled: bool,
-    /// When the machine's own clock began.
+    /// When the machine's own clock began, on the node's clock.
     started: Micros,
-    /// Where its steps go, if it is recorded.
+    /// Where the machine's steps are recorded, if they are.
     log: Option<Box<dyn Log>>,
     /// Whether the log wants the machine's state before the next step.
     wants_keyframe: bool,
     digest: OutputDigest,
     ring: Ring,
     discards: [u64; Reason::ALL.len()],
-    /// The script of the task, where it has one: run under the same lock as its communication task.
+    /// The script of the task, if it has one. It runs under the lock of its communication task.
     seat: Option<Box<Seat>>,
 }
 
@@ -66,7 +66,7 @@ impl Comm {
         self.seat = Some(Box::new(seat));
     }
 
-    /// Does something with the script of the task, which knows its communication task.
+    /// Works on the script of the task, together with its communication task.
     pub fn with_seat(&mut self, work: impl FnOnce(&mut Seat, &mut Self)) {
         if let Some(mut seat) = self.seat.take() {
             work(&mut seat, self);
@@ -79,12 +79,12 @@ impl Comm {
         self.seat.as_ref().map(|seat| Arc::clone(seat.program()))
     }
 
-    /// Whether the script waits for the end of this action: it has not been cut short.
+    /// Whether the script still waits for the end of this action, so that the action has not been cut short.
     pub fn is_acting(&self, level: u8, number: u64) -> bool {
         self.seat.as_ref().is_some_and(|seat| seat.is_acting(level, number))
     }
 
-    /// The lease that the task acts under, if it does.
+    /// The lease under which the task acts, if there is one.
     pub fn lease(&self) -> Option<HeldLease> {
         let epoch = self.machine.epoch().filter(|_| self.machine.is_active())?;
         Some(HeldLease {
@@ -93,12 +93,12 @@ impl Comm {
         })
     }
 
-    /// How long until `now`; an earlier one is no time.
+    /// The time from the machine's present to `now`; zero if `now` is earlier.
     pub const fn elapsed(&self, now: Micros) -> Ticks {
         Ticks(now.saturating_sub(self.now()))
     }
 
-    /// Whether nothing comes of the time until `now` but that it has passed.
+    /// Whether nothing becomes due until `now`.
     pub fn is_idle_until(&self, now: Micros) -> bool {
         now < self.due()
     }
@@ -108,7 +108,7 @@ impl Comm {
         self.coupled
     }
 
-    /// Whether the task holds a lease that is over by `now`, and nobody has told the machine so.
+    /// Whether the task's lease has ended by `now`, and the machine does not know it yet.
     pub fn is_overdue(&self, now: Micros) -> bool {
         self.machine.lease_left().is_some_and(|left| self.now().saturating_add(left.0) <= now)
     }
@@ -117,12 +117,12 @@ impl Comm {
         &self.machine
     }
 
-    /// The time of the machine.
+    /// The time to which the machine has been advanced, on the node's clock.
     pub const fn now(&self) -> Micros {
         self.started + self.machine.now().0
     }
 
-    /// The machine takes one step; what it answers goes to `answers`.
+    /// The machine takes one step. Its answers go to `answers`.
     pub fn run(&mut self, step: &Step, answers: &mut dyn FnMut(Signal), effects: &mut Effects) {
         if self.wants_keyframe
             && let Some(log) = &mut self.log
@@ -145,17 +145,17 @@ impl Comm {
         }
     }
 
-    /// Where what happens here is written down, and what a script may look at meanwhile.
+    /// What a script may read of its machine, and the log of this task's steps.
     pub fn recorded(&mut self) -> (Knows<'_>, Option<&mut (dyn Log + 'static)>) {
         (Knows { machine: &self.machine, table: &self.table }, self.log.as_deref_mut())
     }
 
-    /// The machine's state with so many waiting messages of each port, and when it was so.
+    /// The machine's state with up to `queue_limit` waiting messages of each port, and the time for which it is true.
     pub fn view(&self, queue_limit: impl Fn(PortId) -> usize) -> (TaskView, Micros) {
         (self.machine.view_of(&self.table, queue_limit), self.now())
     }
 
-    /// What waits at a port, and when it was so.
+    /// What waits at a port, and the time for which it is true.
     pub fn queue(&self, port: PortId, limit: usize) -> Option<(QueueView, Micros)> {
         Some((self.machine.queue_view(port, limit)?, self.now()))
     }
@@ -168,7 +168,7 @@ impl Comm {
         &mut self.ring
     }
 
-    /// A message whose life ended between the machine and its task: the last place where it can (§5.1.1).
+    /// Records a message that expired between the machine and its task: the last place where it can (§5.1.1).
     pub fn expired_in_hand(&mut self, message: &Delivery) {
         self.discards[Reason::Expired as usize] += 1;
         self.ring.push(
@@ -183,7 +183,7 @@ impl Comm {
         );
     }
 
-    /// When the machine next does something by itself.
+    /// When the machine next expires.
     fn due(&self) -> Micros {
         self.started.saturating_add(self.machine.next_deadline().0)
     }
@@ -193,14 +193,14 @@ impl Comm {
             self.with_seat(|seat, comm| seat.take(comm, stamped, effects));
             return None;
         }
-        // The thread that brings it may have been stopped since it looked at the clock, and with it its node: a lease that has
-        // ended meanwhile ends before anything else comes of the input (D153).
+        // The bringing thread, and with it the node, may have been stopped since it read the clock: a lease that has ended
+        // meanwhile ends before the input has any effect (D153).
         let at = if self.coupled { stamped.at.max(clock::now()) } else { stamped.at };
         let elapsed = self.elapsed(at);
         let at = self.now() + elapsed.0;
         let mut input = stamped.input;
         if let Input::Packet(packet) = &mut input {
-            // Another thread was faster: what the packet waited for this one is taken from its life, too.
+            // Another thread has advanced the machine further: the packet is charged for that wait, too.
             packet.remaining = packet.remaining - Ticks(at.saturating_sub(stamped.at));
         }
         let mut mail = None;
@@ -223,8 +223,8 @@ impl Station for Comm {
     type Mail = Mail;
     type Effects = Effects;
 
-    /// Nobody hears what becomes of a message of class 1: its receiver takes it at its next call, and its life goes on ending
-    /// meanwhile.
+    /// Only a class-1 message may wait, because its sender hears nothing of it. Its receiver takes it at its next call, and its
+    /// remaining time keeps running meanwhile.
     fn may_wait(stamped: &Stamped) -> bool {
         let Input::Packet(packet) = &stamped.input else { return false };
         packet.kind == Kind::Send && packet.class == Class::Status

@@ -1,4 +1,4 @@
-//! What a machine wants done, and by whom. Filled under a lock, carried out after it, by the thread that held it (D39).
+//! What a machine wants done: collected under its lock, carried out after the release by the thread that held it (D39).
 
 use crate::clock::{self, Micros};
 use crate::link::udp::SEGMENTS;
@@ -16,56 +16,56 @@ pub(crate) struct Stamped {
 
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Effect {
-    /// The route layer takes the packet; its remaining time was true then.
+    /// The route layer takes the packet, whose remaining time was true at this instant.
     Transmit(Micros, Packet),
-    /// Another machine of the node has something for a communication task.
+    /// Another machine of the node has input for a communication task.
     Feed(TaskId, Stamped),
-    /// A communication task has something in its inbox.
+    /// A communication task has input in its inbox.
     Nudge(TaskId),
     Arm(Micros, TaskId, TimeId, u8, Ticks),
     Disarm(Micros, TaskId, TimeId),
 }
 
-/// The effects that one thread has still to carry out. Each thread has its own and keeps it: once it has grown to its
-/// size, nothing is allocated.
+/// The effects that one thread still has to carry out. Each thread keeps its own: once they have grown to size, nothing is
+/// allocated.
 #[derive(Debug)]
 pub(crate) struct Effects {
     pub queue: VecDeque<Effect>,
-    /// What scripts want done outside.
+    /// Actions that scripts begin or end.
     pub deeds: VecDeque<Deed>,
-    /// How many steps scripts took since something came from outside of the node.
+    /// How many steps scripts took since input last came from outside of the node.
     pub steps: u32,
-    /// Packets for links, and when their remaining times were true.
+    /// Packets for links, each with the instant at which its remaining time was true.
     pub leaving: Vec<(Micros, Packet)>,
-    /// Whether they wait for more.
+    /// Whether the packets in `leaving` wait for more.
     pub holds: bool,
-    /// The task whose thread this is, if it waits for what it asks.
+    /// The task whose thread this is, if the thread waits for what it asks.
     pub waiter: Option<TaskId>,
-    /// What goes to scripts of the node, and what came in over a link with others.
+    /// Packets for scripts of the node, and packets that came over a link together with others.
     pub bundles: Bundles,
-    /// The time of the turn at a script that this thread has; none between two turns.
+    /// The time of this thread's present turn at a script; `None` between two turns.
     pub turn: Option<Micros>,
 }
 
-/// The most packets that a task takes in one turn, a script with one look at the clock (D112): what a datagram brings.
+/// The most packets that a task takes in one turn: as many as a datagram brings. A script reads the clock once for them (D112).
 const BUNDLE: usize = MAX_PACKETS;
 
-/// The most packets that a link of this crate hands over in one call: those of the datagrams that left in one (D129).
+/// The most packets that a link of this crate hands over in one call: those of all datagrams that left in one call (D129).
 const RECEIVED: usize = MAX_PACKETS * SEGMENTS;
 
-/// Packets for tasks of the node, tied together by who gets them: so that each task takes its own under one lock. A thread that
-/// receives has room for what comes together from its start on: that may come for the first time after hours.
+/// Packets for tasks of the node, grouped by task, so that each task takes its own under one lock. A receiving thread allocates
+/// their room when it starts, because many may come together for the first time after hours.
 #[derive(Debug)]
 pub(crate) struct Bundles {
-    /// What is held, each with the position of the next one for the same task; of a free place, that of the next free one.
+    /// The held inputs, each with the position of the next one for the same task; a free entry has that of the next free one.
     held: Vec<(Stamped, usize)>,
-    /// The first free place, if it is one.
+    /// The first free entry, if that position exists.
     free: usize,
     /// By position among the node's tasks.
     of: Vec<Bundle>,
-    /// Those that hold something, in the order in which they began to. Once for every [`BUNDLE`] of packets.
+    /// The tasks that have held inputs, in the order in which they got them; each once for every [`BUNDLE`] of packets.
     full: VecDeque<usize>,
-    /// An empty one, to hand out.
+    /// An empty queue, to hand out.
     spare: VecDeque<Stamped>,
 }
 
@@ -78,7 +78,7 @@ struct Bundle {
 }
 
 impl Bundles {
-    /// With room for so many packets for so many tasks; it grows.
+    /// Makes room for so many packets for so many tasks; it grows if needed.
     fn with_room(packets: usize, tasks: usize) -> Self {
         Self {
             held: Vec::with_capacity(packets),
@@ -121,7 +121,7 @@ impl Bundles {
         self.full.is_empty()
     }
 
-    /// Takes out what one task gets next. To be [given back](Self::give_back) empty.
+    /// Takes out what one task gets next. The queue must be [given back](Self::give_back) empty.
     pub fn pop(&mut self) -> Option<(usize, VecDeque<Stamped>)> {
         let place = self.full.pop_front()?;
         let bundle = &mut self.of[place];
@@ -156,7 +156,7 @@ impl Effects {
         Self { bundles: Bundles::with_room(RECEIVED, tasks), ..Self::new(None) }
     }
 
-    /// For a thread that only looks, and sometimes finds work that others left it.
+    /// For a thread that only looks, and sometimes finds work that others left.
     pub fn of_an_onlooker() -> Self {
         Self {
             queue: VecDeque::new(),
@@ -175,7 +175,7 @@ impl Effects {
         self.queue.is_empty() && self.deeds.is_empty() && self.bundles.is_empty() && self.leaving.is_empty()
     }
 
-    /// The time of this turn at a script: the next whole microsecond when it began.
+    /// The time of this turn at a script: the time at which the turn began, rounded up.
     pub fn time_of_turn(&mut self) -> Micros {
         *self.turn.get_or_insert_with(clock::next)
     }
@@ -189,9 +189,9 @@ mod tests {
         Stamped { at, input: Input::Time }
     }
 
-    /// Puts as many in for each place as it says, and takes all out.
+    /// Puts `counts` inputs in for each place, and takes all out.
     fn through(bundles: &mut Bundles, counts: &[usize]) -> Vec<(usize, Vec<Micros>)> {
-        // In turns, as packets for several tasks come.
+        // Interleaved, as packets for several tasks come.
         let most = counts.iter().copied().max().unwrap_or(0);
         for number in 0..most {
             let places = (0..counts.len()).filter(|&place| number < counts[place]);
@@ -220,7 +220,7 @@ mod tests {
             ];
             assert_eq!(out, expected);
         }
-        // One more task than it has room for.
+        // One task more than there is room for.
         assert_eq!(through(&mut bundles, &[0, 0, 1]), [(2, vec![0])]);
     }
 

@@ -16,11 +16,11 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::task::{Poll, Wake, Waker};
 use std::thread::JoinHandle;
 
-/// So many waits in a row that something else ends than the link, and the thread leads no more until the link brings something:
-/// who is called away from there costs two system calls more. Each delay of a future ends one, so one alone says little.
+/// After so many waits in a row that the link did not end, the thread stops leading until the link brings something: being called
+/// away from the link costs two more syscalls. One wait is too few, because each delay of a future ends one.
 const ELSEWHERE: u32 = 8;
 
-/// Is told how the program of a place ended.
+/// Told the place of a program, and how that program ended.
 type Ended = Arc<dyn Fn(usize, TaskEnd) + Send + Sync>;
 
 pub(crate) struct Executor {
@@ -29,10 +29,10 @@ pub(crate) struct Executor {
     park: Arc<Park>,
 }
 
-/// When the thread ends.
+/// Decides when the thread ends.
 #[derive(Default)]
 struct Shared {
-    /// How many programs run.
+    /// How many programs still run.
     left: AtomicUsize,
     closing: AtomicBool,
 }
@@ -55,16 +55,16 @@ impl Executor {
         Ok(Self { thread, shared, park })
     }
 
-    /// Programs that still run are dropped, unless they keep the thread: between two of their waits.
+    /// Tells the thread to end. It drops programs that still run as soon as all of them wait.
     pub fn close(&self) {
         self.shared.closing.store(true, Ordering::Release);
         self.park.call();
     }
 
-    /// Waits for the thread, unless a program may keep it.
+    /// Waits for the thread to end, unless a program may keep it busy.
     pub fn join(self) {
         if self.shared.left.load(Ordering::Acquire) == 0 {
-            // A panic of a program has ended that alone.
+            // A panic of a program has ended only that program.
             let _ = self.thread.join();
         }
     }
@@ -103,7 +103,7 @@ fn run(
     }
 }
 
-/// What wakes a future calls the thread.
+/// The waker of all futures: it calls the thread.
 struct Calling(Arc<Park>);
 
 impl Wake for Calling {
@@ -120,14 +120,14 @@ impl Wake for Calling {
 struct Waits<'a> {
     node: &'a Arc<Node>,
     park: &'a Park,
-    /// What it receives with. Made when it first leads.
+    /// What the thread receives with. Made when the thread first leads.
     inlet: Option<Inlet>,
-    /// How many waits in a row were ended by other things than what the link brought.
+    /// How many waits in a row the link did not end.
     elsewhere: u32,
 }
 
 impl Waits<'_> {
-    /// In the link where a future's answer is likely to come from there, else asleep.
+    /// Waits in the link if a future's answer is likely to come from there, else asleep.
     fn wait(&mut self) {
         let node = self.node;
         let by_link = node.futures_by_link.swap(false, Ordering::Relaxed);
@@ -145,7 +145,7 @@ impl Waits<'_> {
     }
 }
 
-/// Runs a program. What it panics with is its crash, and no other's (D43).
+/// Runs a program to its end. Its panic is the crash of this task alone (D43).
 async fn to_its_end(node: &Arc<Node>, place: usize, body: AsyncBody) -> TaskEnd {
     let node = Arc::clone(node);
     let whole = async move { body(node, place).await };

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::task::Waker;
 
-/// Stands in place of the instant at which a script may begin, once it has.
+/// The value of [`Member::begins`] once the script has begun.
 pub(crate) const BEGUN: u64 = u64::MAX;
 
 /// A task of the node.
@@ -18,18 +18,18 @@ pub(crate) struct Member {
     pub handoff: Handoff<Comm>,
     pub bell: Arc<Doorbell>,
     life: AtomicU8,
-    /// Whether it has a script: set before anything happens.
+    /// Whether the task has a script. Set before anything happens.
     pub scripted: AtomicBool,
-    /// Whether its program is a future: set before anything happens.
+    /// Whether the task's program is a future. Set before anything happens.
     pub listens: AtomicBool,
-    /// When its script may begin, in microseconds of the node's clock; [`BEGUN`] once it has.
+    /// When the task's script may begin, in microseconds of the node's clock; [`BEGUN`] once it has begun.
     pub begins: AtomicU64,
-    /// Whether its next wait is likely to be ended by what a link brings: what ended the last one.
+    /// Whether a link is likely to end the task's next wait, because it ended the last one.
     pub by_link: AtomicBool,
 }
 
 impl Member {
-    /// `link` calls the task's thread where it waits in the link.
+    /// `link` wakes the task's thread where it waits in the link.
     pub fn new(task: TaskId, comm: Comm, link: Option<Arc<dyn Bell>>) -> Self {
         let bell = Arc::new(Doorbell { link, waker: Mutex::new(None) });
         Self {
@@ -57,14 +57,14 @@ impl Member {
     }
 }
 
-/// Calls a task that waits elsewhere than on its word: in the link, or as a future.
+/// Wakes a task that waits elsewhere than on its word: in the link, or as a future.
 pub(crate) struct Doorbell {
     link: Option<Arc<dyn Bell>>,
     waker: Mutex<Option<Waker>>,
 }
 
 impl Doorbell {
-    /// From here on `waker` is called.
+    /// From here on, the bell calls `waker`.
     pub fn listen(&self, waker: &Waker) {
         let mut own = lock(&self.waker);
         match &mut *own {
@@ -108,7 +108,7 @@ impl Members {
         self.list.get(self.place(task)?)
     }
 
-    /// Where it stands in the list.
+    /// The position of `task` in the list.
     pub fn place(&self, task: TaskId) -> Option<usize> {
         self.places.get(task.index()).copied().flatten().map(usize::from)
     }

@@ -1,8 +1,8 @@
 //! A running node: the parts of [`imrs_protocol::Node`], each behind its own lock (D38, D39).
 //!
-//! Nothing here runs by itself. Whoever brings input (a task's thread, the one that receives, the Timer's) takes one
-//! lock, lets go of it, and carries out what the machine wants, one effect after the other. Two machines are never
-//! locked together.
+//! Nothing here runs by itself. The thread that brings input (a task's thread, the receiving thread, the Timer thread) takes one
+//! lock, releases it, and carries out the effects that the machine asked for, one after another. No thread locks two machines at
+//! once.
 
 pub(crate) mod comm;
 pub(crate) mod effects;
@@ -51,10 +51,10 @@ pub(crate) struct Plan {
     pub is_exact: bool,
 }
 
-/// What a task asks next without letting go of its communication task, after such an answer; nothing for most.
+/// After an answer, returns what the task asks next under the same lock; mostly nothing.
 pub(crate) type More<'a> = &'a mut dyn FnMut(&Mail) -> Option<Request>;
 
-/// A node that runs. Shared by its threads, and by whoever observes it.
+/// A running node. Its threads share it with its observers.
 pub struct Node {
     pub(crate) table: NodeTable,
     pub(crate) incarnation: Incarnation,
@@ -67,19 +67,19 @@ pub struct Node {
     pub(crate) alarm: Arc<Alarm>,
     pub(crate) lateness: LatenessCounts,
     pub(crate) link: Option<Arc<dyn Link>>,
-    /// Lives as long as the node: a recorder that nobody else has would end its recording.
+    /// Kept as long as the node: a recorder that is dropped ends its recording.
     _recorder: Option<Arc<dyn Recorder>>,
     pub(crate) lead: Lead,
-    /// Whether the link brought something for a future since their thread last asked.
+    /// Whether the link brought something for a future since the thread of the futures last asked.
     pub(crate) futures_by_link: AtomicBool,
-    /// For how long a task's thread looks before it sleeps.
+    /// For how long a task's thread spins before it sleeps.
     pub(crate) spin: Micros,
-    /// How long before the end of its time it wakes, to look until then.
+    /// How long before its deadline a thread wakes, to spin until then.
     pub(crate) spin_tail: Micros,
-    /// Whether somebody asked for that.
+    /// Whether the program asked for `spin_tail`.
     pub(crate) is_exact: bool,
     pub(crate) peers: Box<[Peer]>,
-    /// Where the scripts of the node act. Here from the start on, unless it has none.
+    /// Where the scripts of the node act. Set when the runtime starts.
     pub(crate) stage: OnceLock<Stage>,
     /// Drops that no machine saw, by position in [`Reason::ALL`].
     pub(crate) discards: [AtomicU64; Reason::ALL.len()],
@@ -91,7 +91,7 @@ pub struct Node {
 pub(crate) struct Peer {
     pub node: NodeId,
     pub received: AtomicU64,
-    /// When anything last came from it; zero before the first time.
+    /// When packets last came from it, in microseconds of the node's clock; zero before the first.
     pub heard: AtomicU64,
     incarnation: Mutex<Option<Incarnation>>,
 }
@@ -155,7 +155,7 @@ impl Node {
         &self.table
     }
 
-    /// Which life of the node this is.
+    /// The incarnation of this node: which of the node's starts this is.
     #[must_use]
     pub fn incarnation(&self) -> Incarnation {
         self.incarnation
@@ -167,18 +167,18 @@ impl Node {
         &self.table.cell().nodes[self.table.node.index()].name
     }
 
-    /// What calls a thread of this node that waits in its link.
+    /// Wakes a thread of this node that waits in its link.
     pub(crate) fn bell(&self) -> Option<Arc<dyn Bell>> {
         bell_of(self.link.as_ref())
     }
 
-    /// An instant, in microseconds of the node's clock, before which every step of a script of this node has been told to
-    /// its [`Watch`](crate::script::Watch), and no lease ended that its task does not know of: none is told later with an
+    /// An instant, in microseconds of the node's clock. Every script step before it has been reported to its
+    /// [`Watch`](crate::script::Watch), and each task knows of a lease that ended before it. No step is reported later with an
     /// earlier time.
     #[must_use]
     pub fn told_until(&self) -> u64 {
         let now = clock::now();
-        // A step is stamped and told under the lock of its task: one that was stamped before is over after this.
+        // A step is stamped and reported under its task's lock, so this look comes after every step stamped before.
         for member in &self.members.list {
             if self.look(member, |comm| comm.is_overdue(now)) {
                 self.catch_up(member);
@@ -187,7 +187,7 @@ impl Node {
         now
     }
 
-    /// Lets the script of a task notice now what is over, first of all its lease.
+    /// Lets the script of a task notice now what has expired, first of all its lease.
     pub(crate) fn catch_up(&self, member: &Member) {
         let mut effects = Effects::of_an_onlooker();
         let catch_up = |comm: &mut Comm, effects: &mut Effects| {
@@ -197,7 +197,7 @@ impl Node {
         self.carry_out(&mut effects);
     }
 
-    /// A request of a task, from its own thread, and those that [`More`] says; then whatever that brings about.
+    /// Makes a request from a task's own thread, then the requests that [`More`] adds, and carries out their effects.
     pub(crate) fn ask(
         &self,
         place: usize,
@@ -213,7 +213,7 @@ impl Node {
         entry
     }
 
-    /// A task's thread is back from its sleep. `due` says that it came because its time is over.
+    /// A task's thread is back from its wait. `due` says that its deadline has passed.
     pub(crate) fn come_back(
         &self,
         place: usize,
@@ -223,7 +223,7 @@ impl Node {
         effects: &mut Effects,
     ) -> Entry<Mail> {
         if due {
-            // Before the task's own time: it must know whether its message ever left.
+            // Before the task's own time_out is decided: the task must know whether its message ever left.
             self.dispatch.advance(now, effects);
             self.timers.advance(now, effects);
             self.carry_out(effects);
@@ -235,14 +235,14 @@ impl Node {
         entry
     }
 
-    /// A task that is a future brings input, unless there is something for it, and looks.
+    /// A task that is a future brings input, unless there is an answer for it already, and takes its answer.
     pub(crate) fn look_in(&self, place: usize, stamped: Stamped, effects: &mut Effects) -> Entry<Mail> {
         let entry = self.members.list[place].handoff.enter_awake(stamped, effects);
         self.carry_out(effects);
         entry
     }
 
-    /// Looks at a communication task, once what was left to it is taken in. Nothing else of it changes by that.
+    /// Looks at a communication task after draining its inbox. Nothing else of the task changes.
     pub(crate) fn look<R>(&self, member: &Member, look: impl FnOnce(&mut Comm) -> R) -> R {
         let mut effects = Effects::of_an_onlooker();
         let seen = guarded("a look at a communication task", || member.handoff.with(look, &mut effects));
@@ -250,7 +250,7 @@ impl Node {
         seen
     }
 
-    /// Does everything that is due and that nobody waits for.
+    /// Does everything that is due and that no task's thread waits for.
     pub(crate) fn tend(&self, now: Micros, effects: &mut Effects) {
         let count = self.members.list.len();
         if self.alarm.slot(count) <= now {
@@ -269,7 +269,7 @@ impl Node {
         }
     }
 
-    /// Carries out effects until none are left: those of one may bring about others.
+    /// Carries out effects until none are left: one effect may cause others.
     pub(crate) fn carry_out(&self, effects: &mut Effects) {
         if !effects.is_done() || self.link.is_some() {
             guarded("the route layer, the Timer or a link", || self.carry_out_all(effects));
@@ -327,7 +327,7 @@ impl Node {
                 let Some(place) = self.members.place(task) else { return };
                 let member = &self.members.list[place];
                 let stamped = Stamped { at, input: Input::Packet(packet) };
-                // The only one that there is to do needs no bundle.
+                // A lone packet needs no bundle.
                 let alone = effects.queue.is_empty() && effects.bundles.is_empty();
                 if member.scripted.load(Ordering::Relaxed) && !alone {
                     effects.bundles.push(place, stamped);
@@ -347,8 +347,8 @@ impl Node {
         }
     }
 
-    /// Takes in what came together: one instant and one charge for all, so that none is taken to be older than what was
-    /// sent before it, and for each task one visit.
+    /// Takes in packets that came together: with one instant and one charge for all, so that no packet counts as older than one
+    /// sent before it. Each task takes its packets under one lock.
     fn receive(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Micros, effects: &mut Effects) {
         for &packet in packets {
             match arrived(&self.table, from, packet, charge) {
@@ -367,7 +367,7 @@ impl Node {
                 }
                 Arrival::Relay(packet) => {
                     effects.leaving.push((at, packet));
-                    // As many as pass without entering the buffer.
+                    // No more packets than can pass without entering the buffer.
                     if effects.leaving.len() >= self.dispatch.at_once {
                         self.dispatch.pump(at, effects);
                     }
@@ -381,7 +381,7 @@ impl Node {
         self.carry_out(effects);
     }
 
-    /// A neighbour has a new life.
+    /// A neighbour has a new incarnation.
     fn restarted(&self, node: NodeId, at: Micros, effects: &mut Effects) {
         for member in &self.members.list {
             let stamped = Stamped { at, input: Input::PeerRestarted(node) };
@@ -395,12 +395,12 @@ impl Node {
     }
 }
 
-/// What calls a thread of the node that waits in its link.
+/// Wakes a thread of the node that waits in its link.
 fn bell_of(link: Option<&Arc<dyn Link>>) -> Option<Arc<dyn Bell>> {
     link.map(|link| Arc::new(LinkBell(Arc::clone(link))) as Arc<dyn Bell>)
 }
 
-/// Calls a thread that waits in the link.
+/// Wakes a thread that waits in the link.
 struct LinkBell(Arc<dyn Link>);
 
 impl Bell for LinkBell {
@@ -421,7 +421,7 @@ impl Inlet {
         Self { node, effects: Mutex::new(effects) }
     }
 
-    /// A neighbour takes packets again: sends what waited for it.
+    /// A neighbour takes packets again: sends those that waited for it.
     pub fn ready(&self) {
         self.node.dispatch.ready();
         let mut effects = lock(&self.effects);
@@ -432,8 +432,8 @@ impl Inlet {
 
 impl Sink for Inlet {
     fn packets(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Instant) {
-        // This order: a stop between the two makes the packets too old, never too young. A later one does so, too: the
-        // machines are told when this was, not when they are told.
+        // In this order, a preemption between the two readings makes the packets too old, never too young. A later one does so,
+        // too, because the machines are told this instant, not when they take the packets.
         let now = clock::now();
         let charge = charge + Ticks(clock::micros(at.elapsed()));
         if let Some(peer) = self.node.peer(from) {
@@ -446,8 +446,8 @@ impl Sink for Inlet {
     fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool) {
         let Some(peer) = self.node.peer(node) else { return };
         let before = lock(&peer.incarnation).replace(incarnation);
-        // What was asked of an earlier incarnation may have run or not; nobody will say. It may also have been asked without
-        // ever being heard of. A node that lost its state may start again with the number of an earlier incarnation.
+        // Requests to an earlier incarnation may have run or not; no answer will tell. A request may also have gone there before
+        // anything was heard from it. A node that lost its state may start again with an earlier incarnation's number.
         if before.is_some() || restarted {
             self.node.restarted(node, clock::now(), &mut lock(&self.effects));
         }

@@ -14,7 +14,7 @@ use std::thread::{self, JoinHandle};
 /// Runs a task's program with a context for this place of the node.
 pub(crate) type TaskBody = Box<dyn FnOnce(Arc<Node>, usize) -> Result<(), TaskError> + Send>;
 
-/// A program that is a future, as it runs: for its thread alone.
+/// The running program of a task that is a future. It stays on its thread.
 pub(crate) type Running = Pin<Box<dyn Future<Output = Result<(), TaskError>>>>;
 /// Makes the program of a task, with a context for this place of the node.
 pub(crate) type AsyncBody = Box<dyn FnOnce(Arc<Node>, usize) -> Running + Send>;
@@ -25,7 +25,7 @@ pub(crate) enum TaskProgram {
     Body(TaskBody),
     /// A Rust program that is a future, on the thread of the node's futures.
     Async(AsyncBody),
-    /// A script, run by whoever brings it input.
+    /// A script, run by the thread that brings it input.
     Script(Arc<Script>),
 }
 
@@ -36,12 +36,12 @@ pub enum TaskEnd {
     Returned,
     /// It returned an error.
     Failed(TaskError),
-    /// It panicked with this message: a crash of the task (D43).
+    /// It panicked with this message: a crash of this task alone.
     Panicked(String),
-    /// It is a script, and ended by itself.
+    /// It was a script, and ended by itself.
     Script(End),
-    /// It was still running when patience ended. Its thread goes on; it can no longer ask for anything. One that is a future
-    /// is dropped when it next waits.
+    /// It was still running when `patience` ended. Its thread goes on, but can no longer ask for anything. A future is dropped
+    /// when it next waits.
     Unfinished,
 }
 
@@ -71,7 +71,7 @@ pub enum StartError {
     /// The node has neighbours, and no link was given.
     #[error("node `{0}` has neighbours but was given no link")]
     NoLink(String),
-    /// The script is none.
+    /// The script is malformed.
     #[error("the script of task `{0}` is malformed: {1:?}")]
     Script(String, ProgramError),
     /// The operating system refused a thread.
@@ -85,7 +85,7 @@ pub enum StartError {
 }
 
 pub(crate) fn spawn(name: &str, run: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, StartError> {
-    // The kernel keeps 15 bytes of a thread's name; a zero byte in it would be refused.
+    // A thread's name must contain no zero byte. The kernel keeps 15 bytes of the name.
     let kernel_name = name.replace('\0', " ");
     let started = thread::Builder::new().name(kernel_name).spawn(run);
     started.map_err(|source| StartError::Thread { name: name.into(), source })

@@ -1,4 +1,4 @@
-//! The threads of a node: one per task, one for those that are futures, one that receives, and the Timer's.
+//! The threads of a node: one per task, one for the tasks that are futures, the receiving thread, and the Timer thread.
 
 use crate::api::context::{Caller, TaskError};
 use crate::clock;
@@ -20,8 +20,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// How long before the end of its time a thread that waits wakes, unless told otherwise: about what it takes from there to
-/// its program (D131).
+/// How long before its deadline a waiting thread wakes, by default: about the time from there to its program.
 pub const SPIN_TAIL: Duration = Duration::from_micros(8);
 
 /// A running node.
@@ -50,14 +49,14 @@ impl Shared {
     }
 
     fn ended(&self, place: usize, end: TaskEnd) {
-        // Gone when the node has stopped without this one.
+        // The slot is gone if the node has stopped without this task.
         if let Some(slot) = self.ends().get_mut(place) {
             *slot = Some(end);
         }
         self.changed.notify_all();
     }
 
-    /// The script runs no more.
+    /// The script no longer runs.
     fn stopped(&self, place: usize) {
         if let Some(slot) = self.ends().get_mut(place) {
             slot.get_or_insert(TaskEnd::Returned);
@@ -92,7 +91,7 @@ impl Runtime {
             changed: Condvar::new(),
         });
         awake::quota();
-        // From here on an error drops the runtime, and with it whatever runs already.
+        // From here on, an error drops the runtime and thereby ends what runs already.
         let mut runtime = Self { node, shared, tasks: Vec::new(), helpers: Vec::new(), executor: None };
         let (weak, ends) = (Arc::downgrade(&runtime.node), Arc::clone(&runtime.shared));
         let ended = move |place: usize, end| ends.ended(place, TaskEnd::Script(end));
@@ -122,9 +121,9 @@ impl Runtime {
         Ok(runtime)
     }
 
-    /// Lets the scripts of the node begin, where [`Builder::hold_scripts`](crate::Builder::hold_scripts) kept them from it, each once. Those of a restarted
-    /// node are held back for as long as their tasks need (D94). Returns when the next of them may begin: call it again then.
-    /// `None`: all have begun.
+    /// Starts the scripts that [`Builder::hold_scripts`](crate::Builder::hold_scripts) kept from starting, each once. Scripts of
+    /// a restarted node are held back for as long as their tasks need. Returns when the next script may begin: call this again
+    /// then. `None`: all have begun.
     pub fn begin(&self) -> Option<Instant> {
         let mut effects = Effects::new(None);
         let (now, here) = (clock::now(), Instant::now());
@@ -151,22 +150,21 @@ impl Runtime {
         &self.node
     }
 
-    /// Waits until every task's program has ended, at most so long. Whether it was so.
+    /// Waits until every task's program has ended, but at most `patience`. Returns whether all have ended.
     #[must_use]
     pub fn wait(&self, patience: Duration) -> bool {
         self.shared.wait_for_tasks(Instant::now() + patience)
     }
 
-    /// Stops the node: every wait of its tasks ends with [`TaskError::Stopped`], members of a `waitfor` that they
-    /// leave are told, then the other threads end. Waits at most `patience` for the tasks. Returns how each program
-    /// ended.
+    /// Stops the node: every wait of its tasks ends with [`TaskError::Stopped`], and the other members of a `waitfor` are told.
+    /// Then the other threads end. Waits at most `patience` for the tasks. Returns how each program ended.
     #[must_use = "says which programs did not end"]
     pub fn stop(mut self, patience: Duration) -> Vec<(String, TaskEnd)> {
         self.stop_tasks();
         self.shared.wait_for_tasks(Instant::now() + patience);
         self.close();
         for helper in self.helpers.drain(..) {
-            // A panic there has ended the process.
+            // A panic of a helper thread has ended the process.
             let _ = helper.join();
         }
         if let Some(executor) = self.executor.take() {
@@ -251,7 +249,7 @@ fn run_task(node: &Arc<Node>, place: usize, program: TaskBody) -> TaskEnd {
     end
 }
 
-/// Sleeps until just before the next expiry that nobody waits for, and looks at the clock until then (D131). With none it
+/// Sleeps until just before the next expiry that no task's thread waits for, and spins until then (D131). Without an expiry it
 /// sleeps until there is one.
 fn run_timer(node: &Node, closing: &AtomicBool) {
     clock::sleep_exactly();
@@ -278,7 +276,7 @@ fn run_receiver(node: Arc<Node>, link: &dyn Link, closing: &AtomicBool) {
     });
 }
 
-/// A thread whose program has ended is about to return: the join is short. Another one is left alone.
+/// Joins a thread whose program has ended: it is about to return, so the join is short. Leaves any other thread alone.
 fn join(thread: JoinHandle<()>, end: Option<TaskEnd>) -> TaskEnd {
     let Some(end) = end else { return TaskEnd::Unfinished };
     match thread.join() {

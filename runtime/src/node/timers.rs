@@ -1,5 +1,5 @@
-//! The paper's Timer (Figure 3) behind its lock. It serves the `delay`s of the tasks; their time_outs are the
-//! communication tasks' own (D41).
+//! The paper's Timer (Figure 3) behind its lock. It serves the `delay`s of the tasks. Each communication task keeps its own
+//! time_outs (D41).
 
 use crate::clock::Micros;
 use crate::node::effects::{Effect, Effects, Stamped};
@@ -17,7 +17,7 @@ pub(crate) struct Timers {
 struct State {
     /// The entries that a task's thread sleeps for.
     attended: Timer,
-    /// Those that no thread sleeps for: the Timer thread looks after them. Apart, so that its next one costs no search.
+    /// The entries that no thread sleeps for: the Timer thread serves them. Separate, so that its next expiry costs no search.
     unattended: Timer,
 }
 
@@ -26,7 +26,7 @@ impl Timers {
     pub fn new(timer: Timer, tasks: usize, alarm: Arc<Alarm>, slot: usize, now: Micros) -> Self {
         let room = u16::try_from(tasks.saturating_mul(CommTask::ENTRIES)).unwrap_or(u16::MAX);
         let mut state = State { attended: timer, unattended: Timer::new(room) };
-        // Nothing is armed: its clock begins.
+        // Nothing is armed: this starts the clock.
         state.advance(now, &mut Effects::of_an_onlooker());
         Self { alarm, slot, state: Mutex::new(state) }
     }
@@ -41,7 +41,7 @@ impl Timers {
     ) {
         let mut state = lock(&self.state);
         state.advance(at, effects);
-        // Time that passed here since the task asked is not added to its delay.
+        // The time since the task asked is not added to its delay.
         let length = length - (state.now() - Instant(at));
         state.disarm(owner, id);
         let timer = if effects.waiter == Some(owner) { &mut state.attended } else { &mut state.unattended };
@@ -60,14 +60,14 @@ impl Timers {
         self.publish(&state);
     }
 
-    /// Lets time pass: tasks whose delay is over are told.
+    /// Lets time pass, and tells tasks whose delay is over.
     pub fn advance(&self, now: Micros, effects: &mut Effects) {
         let mut state = lock(&self.state);
         state.advance(now, effects);
         self.publish(&state);
     }
 
-    /// The entries with what is left of each, soonest first, and when it was so.
+    /// The entries with their remaining times, soonest first, and the time for which these are true.
     pub fn entries(&self) -> (Vec<(TaskId, TimeId, Ticks)>, Micros) {
         let state = lock(&self.state);
         let mut entries = state.attended.entries();

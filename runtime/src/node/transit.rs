@@ -1,8 +1,7 @@
-//! The route layer's buffer behind its lock, and its way to the link (§5.2.3, D19).
+//! The transit buffer of the route layer behind its lock, and the way from there to the link (§5.2.3, D19).
 //!
-//! One thread at a time sends; who finds it at work leaves the packet in the buffer and goes on. So the order of
-//! urgency is kept up to the link, packets for one neighbour leave together when many are waiting, and nobody waits
-//! for a system call of another.
+//! One thread at a time sends. Any other thread leaves its packets in the buffer and goes on. So packets reach the link in order
+//! of urgency, many packets for one neighbour leave together, and no thread waits for another one's syscall.
 
 use crate::clock::{self, Micros};
 use crate::link::Link;
@@ -22,7 +21,7 @@ use std::sync::Arc;
 pub(crate) struct Dispatch {
     table: NodeTable,
     link: Option<Arc<dyn Link>>,
-    /// The most packets that are handed to the link in one call, and that a thread gathers for it.
+    /// The most packets that one call hands to the link, and that a thread gathers for it.
     pub at_once: usize,
     members: Arc<Members>,
     alarm: Arc<Alarm>,
@@ -37,11 +36,11 @@ struct Buffer {
     ring: Ring,
 }
 
-/// What is on its way to one neighbour.
+/// The packets about to leave for one neighbour.
 struct Batch {
     next: NodeId,
     packets: Vec<Packet>,
-    /// How many it takes now: none while the link takes none.
+    /// How many packets the link takes now: none while it is not ready.
     most: usize,
 }
 
@@ -55,12 +54,12 @@ impl Dispatch {
         now: Micros,
     ) -> Self {
         let neighbours: Vec<NodeId> = table.neighbours(table.node).collect();
-        // What another thread's turn keeps from leaving goes into the buffer, and must not fill it by itself.
+        // While another thread sends, gathered packets go into the buffer, and must not fill it by themselves.
         let room = (usize::from(transit.view().capacity) / 4).max(MAX_PACKETS);
         let at_once = link.as_ref().map_or(MAX_PACKETS, |link| link.at_once()).min(room);
         let batch = |&next: &NodeId| Batch { next, packets: Vec::with_capacity(at_once), most: 0 };
         let mut buffer = Buffer { transit, ring: Ring::new() };
-        // Nothing waits: its clock begins.
+        // Nothing waits: this starts the buffer's clock.
         buffer.advance(&table, now, &members, &mut Effects::of_an_onlooker());
         Self {
             link,
@@ -75,7 +74,7 @@ impl Dispatch {
         }
     }
 
-    /// Lets time pass in the buffer: what expired is dropped, and its sources hear of it.
+    /// Lets time pass in the buffer: drops expired packets and tells their sources.
     pub fn advance(&self, now: Micros, effects: &mut Effects) {
         let mut buffer = lock(&self.buffer);
         if buffer.transit.is_empty() {
@@ -90,8 +89,8 @@ impl Dispatch {
         self.sender.want();
     }
 
-    /// Sends what the thread has gathered and whatever else can be sent. Where another thread is at it, what was gathered
-    /// goes into the buffer: that one looks again before it leaves.
+    /// Sends what this thread has gathered and whatever else can be sent. If another thread is sending, puts what was gathered
+    /// into the buffer: that thread checks again before it leaves.
     pub fn pump(&self, now: Micros, effects: &mut Effects) {
         let link = self.link.as_deref();
         if !effects.leaving.is_empty() {
@@ -110,7 +109,7 @@ impl Dispatch {
         }
     }
 
-    /// Puts packets into the buffer, for whoever sends, each with the time at which its remaining time held.
+    /// Puts packets into the buffer for the sending thread, each with the time at which its remaining time was true.
     fn offer(&self, packets: impl Iterator<Item = (Micros, Packet)>, effects: &mut Effects) {
         let mut buffer = lock(&self.buffer);
         for (at, packet) in packets {
@@ -120,7 +119,7 @@ impl Dispatch {
         self.publish(&buffer);
     }
 
-    /// The buffer's state, and when it was so.
+    /// The buffer's state, and the time for which it is true.
     pub fn view(&self) -> (TransitView, Micros) {
         let buffer = lock(&self.buffer);
         (buffer.transit.view(), buffer.now())
@@ -131,7 +130,7 @@ impl Dispatch {
         self.sent.iter().map(|(next, count)| (*next, count.load(Ordering::Relaxed)))
     }
 
-    /// Notes what happened to a packet before it came to any machine.
+    /// Records what happened to a packet before any machine saw it.
     pub fn note(&self, at: Micros, observation: Observation) {
         lock(&self.buffer).ring.push(at, observation);
     }
@@ -158,7 +157,7 @@ impl Dispatch {
                 continue;
             }
             let full = batch.packets.len() == self.at_once;
-            // This order: if the node is stopped between the two clocks, the packets come out too old, never too young.
+            // This order: a preemption between the two readings makes the packets look too old, never too young.
             let at = std::time::Instant::now();
             let then = clock::now().max(popped);
             let waited = Ticks(then - popped);
@@ -167,7 +166,7 @@ impl Dispatch {
             sent.fetch_add(taken as u64, Ordering::Relaxed);
             let more = full || (taken > 0 && taken < batch.packets.len());
             if taken < batch.packets.len() {
-                // The link may have taken long to say so, and others may have gone on meanwhile.
+                // The call may have taken long, and other threads may have advanced the buffer meanwhile.
                 self.offer(batch.packets.drain(taken..).map(|packet| (then, packet)), effects);
             }
             batch.packets.clear();
@@ -177,7 +176,7 @@ impl Dispatch {
         }
     }
 
-    /// Takes out what leaves now, for each neighbour the most urgent first. Returns when its remaining times hold.
+    /// Takes out what leaves now, for each neighbour the most urgent first. Returns when the remaining times are true.
     fn fill(
         &self,
         batches: &mut [Batch],
@@ -187,7 +186,7 @@ impl Dispatch {
     ) -> Micros {
         let mut buffer = lock(&self.buffer);
         buffer.advance(&self.table, now, &self.members, effects);
-        // More than a batch holds could leave in another order than that of urgency.
+        // Packets pass only if they fit into one batch: more could leave in another order than that of urgency.
         let few = leaving.len() <= self.at_once;
         for (at, packet) in leaving.drain(..) {
             let packet = buffer.charged(&self.table, at, packet, &self.members, effects);
@@ -213,7 +212,7 @@ impl Dispatch {
     }
 }
 
-/// Puts a packet into the batch of its neighbour. Whether there was one.
+/// Puts a packet into the batch of its neighbour. Returns whether there was a packet.
 fn put(batches: &mut [Batch], packet: Option<(NodeId, Packet)>) -> bool {
     let Some((next, packet)) = packet else { return false };
     batches.iter_mut().filter(|batch| batch.next == next).for_each(|batch| batch.packets.push(packet));
@@ -221,8 +220,8 @@ fn put(batches: &mut [Batch], packet: Option<(NodeId, Packet)>) -> bool {
 }
 
 impl Batch {
-    /// Each datagram of it into the order in which the buffer would have given it out. Not all of it: a message that more than
-    /// 63 later ones of its source overtake is taken for one that was seen (D75, D129).
+    /// Sorts each datagram into the order in which the buffer would have given it out. Not the whole batch: a message that more
+    /// than 63 later ones of its source overtake counts as already seen (D75, D129).
     fn sort(&mut self) {
         let urgency = |packet: &Packet| (packet.remaining, packet.class);
         self.packets.chunks_mut(MAX_PACKETS).for_each(|datagram| datagram.sort_by_key(urgency));
@@ -234,12 +233,12 @@ impl Batch {
 }
 
 impl Buffer {
-    /// Up to when what waits has been looked at.
+    /// Up to when time has passed in the buffer.
     const fn now(&self) -> Micros {
         self.transit.now().0
     }
 
-    /// A packet whose remaining time was true at `at`, as it is now.
+    /// A packet whose remaining time was true at `at`, charged until now.
     fn charged(
         &mut self,
         table: &NodeTable,
@@ -285,8 +284,8 @@ struct Out<'a> {
 }
 
 impl RouteOutbox for Out<'_> {
-    /// Left in the task's inbox before the buffer is let go: a task whose time_out is due looks into the buffer first, and
-    /// so finds the news, whichever thread dropped the packet. It comes without time, before that time_out is decided.
+    /// The news goes into the task's inbox before the buffer's lock is released. A task whose time_out is due advances the buffer
+    /// first, so it finds the news whichever thread dropped the packet. Its stamp 0 puts it before the decision on that time_out.
     fn unsent(&mut self, task: TaskId, id: MessageId) {
         let stamped = Stamped { at: 0, input: Input::Unsent(id) };
         let Some(member) = self.members.of(task) else { return };

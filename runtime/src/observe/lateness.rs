@@ -1,23 +1,23 @@
-//! How late the Timer's thread was, counted where it begins to serve: one writer, relaxed stores, no clock read of its own.
+//! How late the Timer thread was, counted where it begins to serve: one writer, relaxed stores, no clock reading of its own.
 
 use crate::clock::Micros;
 use imrs_wire::obs::Lateness;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// One for each number of binary digits that a lateness in microseconds may have.
+/// One counter for each number of binary digits that a lateness in microseconds may have.
 const SIZES: usize = 32;
 
-/// Counters of one writer.
+/// Counters with one writer.
 #[derive(Debug)]
 pub(crate) struct LatenessCounts {
-    /// By the number of binary digits: in place `n` those below `2^n` and not below half of that.
+    /// By the number of binary digits: counter `n` counts values below `2^n` and not below half of that.
     sizes: [AtomicU64; SIZES],
     late: AtomicU64,
-    /// What is late: longer than the tick that the cell declares.
+    /// From which lateness on an expiry counts as late: above the tick that the cell declares.
     tick: Micros,
 }
 
-/// What the counters were when somebody last looked.
+/// The counters at the last look.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Seen([u64; SIZES]);
 
@@ -26,9 +26,9 @@ impl LatenessCounts {
         Self { sizes: std::array::from_fn(|_| AtomicU64::new(0)), late: AtomicU64::new(0), tick }
     }
 
-    /// An expiry was looked after so much later than its instant. For the Timer's thread alone.
+    /// Records that an expiry was served this much after its instant. Only the Timer thread calls this.
     pub fn note(&self, by: Micros) {
-        // With one writer nothing is lost between the two.
+        // With one writer, no increment is lost between the load and the store.
         let add = |count: &AtomicU64| count.store(count.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
         add(&self.sizes[size(by)]);
         if by > self.tick {
@@ -36,13 +36,13 @@ impl LatenessCounts {
         }
     }
 
-    /// All since the start, and how those since `seen` lie.
+    /// The counts since the start, and how the latenesses since `seen` are distributed.
     pub fn since(&self, seen: &mut Seen) -> Lateness {
         let now: [u64; SIZES] = std::array::from_fn(|n| self.sizes[n].load(Ordering::Relaxed));
         let new: [u64; SIZES] = std::array::from_fn(|n| now[n] - seen.0[n]);
         seen.0 = now;
         let all: u64 = new.iter().sum();
-        // The end of the range in which the one lies that so many are no later than.
+        // The upper end of the range that holds this percentile.
         let within = |share: u64| {
             let wanted = (all * share).div_ceil(100).max(1);
             let mut sum = 0;

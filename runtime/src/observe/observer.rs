@@ -1,9 +1,9 @@
-//! Shows a running node to monitors ([`imrs_wire::obs`]): over a Unix socket that only its user can open, and where
-//! asked for over TCP, where a token keeps others out, or nothing does.
+//! Shows a running node to monitors ([`imrs_wire::obs`]): over a Unix socket that only its user can open and, where asked for,
+//! over TCP, where a token keeps others out, or nothing does.
 //!
-//! One thread serves all monitors. It only looks: there is no way from here into a machine. Without a monitor it sleeps
-//! in the kernel. A monitor that does not read costs one frame of memory and no time: nothing more is made for it
-//! until that frame has gone, so snapshots coalesce and events are counted as lost.
+//! One thread serves all monitors. It only looks: nothing from here reaches a machine. Without a monitor it sleeps in the kernel.
+//! A monitor that does not read costs one frame of memory and no time: nothing more is made for it until that frame has left, so
+//! snapshots coalesce and events are counted as lost.
 
 mod client;
 mod due;
@@ -31,9 +31,9 @@ use stream::Listener;
 
 /// How many monitors a node serves at once.
 pub const MAX_MONITORS: usize = 8;
-/// How many connections it keeps beside them that have not shown yet that they may look.
+/// How many connections a node keeps besides, of clients that have not yet shown that they may look.
 const MAX_STRANGERS: usize = 16;
-/// Who looks comes after who works.
+/// The lowest priority, because the tasks go first.
 const LEAST_PRIORITY: i32 = 19;
 /// How long the listener rests when the process has no file descriptor left for a new monitor.
 const REST: Duration = Duration::from_millis(500);
@@ -83,7 +83,7 @@ pub enum Place {
 }
 
 impl Observer {
-    /// Shows `node` where monitors look for it, and clears away what dead nodes of the same cell left there.
+    /// Shows `node` where monitors look for it, and removes what dead nodes of the same cell left there.
     ///
     /// # Errors
     /// [`ObserverError`].
@@ -91,7 +91,7 @@ impl Observer {
         Showing::new(node).start()
     }
 
-    /// Shows `node` at a socket of one's own choice.
+    /// Shows `node` at a socket of the caller's choice.
     ///
     /// # Errors
     /// [`ObserverError`].
@@ -110,7 +110,7 @@ impl Observer {
     fn serve_at(showing: Showing, path: &Path) -> Result<Self, ObserverError> {
         let io = |source: io::Error| ObserverError::Io { path: path.into(), source };
         let listener = bind(path)?;
-        // Until here the folder, which is this user's alone, kept others out.
+        // Until here the folder, which only this user can enter, kept others out.
         fs::set_permissions(path, Permissions::from_mode(0o600)).map_err(io)?;
         Self::serve(showing, Listener::Unix(listener), Place::Unix(path.into())).map_err(io)
     }
@@ -154,8 +154,8 @@ impl Drop for Observer {
     }
 }
 
-/// Listens at `path`. A socket that nobody serves is in the way of its successor, also under the same process id, and
-/// removed.
+/// Listens at `path`. Removes a socket that no process serves, because it blocks its successor, even one with the same process
+/// id.
 fn bind(path: &Path) -> Result<UnixListener, ObserverError> {
     let io = |source| ObserverError::Io { path: path.into(), source };
     match UnixListener::bind(path) {
@@ -180,7 +180,7 @@ struct Server {
 
 impl Server {
     fn run(mut self) {
-        // Of this thread alone. Refused nowhere; if it were, the thread would be one like others.
+        // For this thread alone. No system refuses it; if one did, the thread would have ordinary priority.
         let _ = setpriority_process(None, LEAST_PRIORITY);
         loop {
             let Some(ready) = self.sleep() else { return self.say_goodbye() };
@@ -203,14 +203,14 @@ impl Server {
         }
     }
 
-    /// How many newcomers can be served: the places that are free, and those of monitors that make room.
+    /// How many newcomers can be served: the free places, and those of monitors that make room.
     fn room(&self, now: Instant) -> usize {
         let served = self.clients.iter().filter(|client| client.is_served()).count();
         let idle = self.clients.iter().filter(|client| client.idle_since(now).is_some()).count();
         (MAX_MONITORS + idle).saturating_sub(served)
     }
 
-    /// More monitors are served than there are places for: whoever has been idle longest goes.
+    /// While more monitors are served than there are places, the one that has been idle longest goes.
     fn make_room(&mut self, now: Instant) {
         while self.clients.iter().filter(|client| client.is_served()).count() > MAX_MONITORS {
             let idle =
@@ -220,7 +220,7 @@ impl Server {
         }
     }
 
-    /// Sleeps until something is to do. `None`: the end.
+    /// Sleeps until there is something to do. `None` at the end.
     fn sleep(&self) -> Option<Ready> {
         let due = self.clients.iter().filter_map(Client::due).chain(self.rest_until).min();
         let left = due.map(|due| due.saturating_duration_since(Instant::now()));
@@ -251,7 +251,7 @@ impl Server {
 
     fn accept(&mut self, now: Instant) {
         match self.listener.accept() {
-            // Of a crowd of strangers those that came last are heard: whoever may look says so at once.
+            // Of too many strangers the oldest goes, because a client that may look says so at once.
             Ok(Some(stream)) => {
                 let strangers = || self.clients.iter().enumerate().filter(|(_, client)| !client.is_served());
                 if strangers().count() >= MAX_STRANGERS

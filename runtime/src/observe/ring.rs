@@ -1,5 +1,5 @@
-//! The observations of one machine, for whoever subscribes: a bounded ring that many readers follow, each with its own
-//! position. Who is too slow loses the oldest, and is told how many.
+//! The observations of one machine, for its subscribers: a bounded ring that many readers follow, each with its own position. A
+//! slow reader loses the oldest, and is told how many.
 
 use crate::clock::Micros;
 use imrs_protocol::Observation;
@@ -8,14 +8,14 @@ use imrs_protocol::Observation;
 const KEPT: usize = 1024;
 
 pub(crate) struct Ring {
-    /// Empty until somebody subscribes for the first time.
+    /// Empty until the first subscription.
     kept: Vec<(Micros, Observation)>,
     /// How many were ever written.
     written: u64,
     readers: usize,
-    /// How many are kept.
+    /// How many are kept, at most.
     room: usize,
-    /// For the test that must fail: what is overwritten is read as what it was.
+    /// For the test that must fail: overwritten observations are read as if they were still there.
     #[cfg(test)]
     pub forgets_the_loss: bool,
 }
@@ -25,7 +25,7 @@ impl Ring {
         Self::of(KEPT)
     }
 
-    /// One that keeps `room` observations.
+    /// A ring that keeps `room` observations.
     pub fn of(room: usize) -> Self {
         Self {
             kept: Vec::new(),
@@ -37,7 +37,7 @@ impl Ring {
         }
     }
 
-    /// Notes an observation, if anybody wants it.
+    /// Records an observation, if anybody subscribes.
     pub fn push(&mut self, at: Micros, observation: Observation) {
         if self.readers == 0 {
             return;
@@ -64,8 +64,8 @@ impl Ring {
         self.readers = self.readers.saturating_sub(1);
     }
 
-    /// Hands over what was written since `from`, oldest first, but not more than `room`. Returns where to go on and how
-    /// many were overwritten before they were read.
+    /// Hands over what was written since `from`, oldest first, at most `room` observations. Returns where to go on, and how many
+    /// were overwritten before they were read.
     pub fn read(&self, from: u64, room: usize, mut each: impl FnMut(Micros, Observation)) -> (u64, u64) {
         let oldest = self.written - self.kept.len() as u64;
         let begin = from.max(oldest);

@@ -1,5 +1,5 @@
-//! How a running node looks from outside. Looking takes nothing out and advances no clock: what was left to a task is taken in first
-//! (D130), with the time when it came.
+//! Snapshots of a running node. Looking takes nothing out and advances no clock. Input that was left to a task is taken in first
+//! (D130), with the time at which it came.
 
 use crate::clock;
 use crate::link::LinkDiscard;
@@ -14,15 +14,15 @@ use imrs_wire::obs::{
 };
 use std::sync::Arc;
 
-/// The most waiting messages of a port that anybody is shown.
+/// The most waiting messages of a port that are shown.
 pub(crate) const QUEUE_LIMIT: u8 = 64;
 
-/// How much of a node somebody looks at.
+/// How much of a node is to be shown.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Watching {
-    /// How many waiting messages of each port.
+    /// How many waiting messages of each port are shown.
     pub queue_limit: usize,
-    /// The ports of which all are shown, but at most 64.
+    /// The ports of which all waiting messages are shown, at most 64 each.
     pub ports: Vec<(TaskId, PortId)>,
 }
 
@@ -34,7 +34,7 @@ impl Watching {
 }
 
 impl Node {
-    /// Its introduction to a monitor.
+    /// The node's introduction to a monitor.
     #[must_use]
     pub fn identity(&self) -> NodeIdentity {
         NodeIdentity {
@@ -54,7 +54,7 @@ impl Node {
         self.snapshot_of(&Watching { queue_limit, ports: Vec::new() })
     }
 
-    /// [`snapshot`](Self::snapshot), with more of some ports.
+    /// As [`snapshot`](Self::snapshot), with more of some ports.
     #[must_use]
     pub fn snapshot_of(&self, watching: &Watching) -> Snapshot {
         let now = clock::now();
@@ -95,7 +95,7 @@ impl Node {
         HeldBack { mono_us: now, tasks: self.members.list.iter().filter_map(held).collect() }
     }
 
-    /// What waits at the ports that are watched, as far as the node has them.
+    /// What waits at the watched ports, as far as the node has them.
     #[must_use]
     pub fn detail(&self, ports: &[(TaskId, PortId)]) -> Detail {
         let now = clock::now();
@@ -107,7 +107,7 @@ impl Node {
         Detail { mono_us: now, ports: ports.iter().filter_map(one).collect() }
     }
 
-    /// Begins to follow what is observed from now on. Only while somebody does are observations kept.
+    /// Begins to follow what is observed from now on. Observations are kept only while somebody follows.
     #[must_use]
     pub fn observe(self: &Arc<Self>) -> Observations {
         let tasks = self.members.list.iter().map(|member| self.look(member, |comm| comm.ring().subscribe()));
@@ -140,7 +140,7 @@ fn named(name: &str, count: u64) -> Count {
     Count { name: name.into(), count }
 }
 
-/// Follows the observations of a node. Who reads too seldom loses the oldest, and is told how many; the node never
+/// Follows the observations of a node. A reader that reads too seldom loses the oldest, and is told how many; the node never
 /// waits.
 pub struct Observations {
     node: Arc<Node>,
@@ -155,8 +155,8 @@ impl Observations {
         self.drain_of(|_| true, room, events)
     }
 
-    /// As [`drain`](Self::drain), of the machines that are wanted (`None`: the transit buffer): what others observed is
-    /// passed over, and not counted.
+    /// As [`drain`](Self::drain), for the machines that are `wanted` (`None`: the transit buffer). What the others observed is
+    /// skipped, and not counted.
     pub fn drain_of(
         &mut self,
         wanted: impl Fn(Option<TaskId>) -> bool,

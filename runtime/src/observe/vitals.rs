@@ -1,4 +1,4 @@
-//! How the process of a node does, for who asks: read when it is asked, counted where it happens.
+//! The state of a node's process, for monitors: read on request, counted where it happens.
 
 use crate::clock;
 use crate::node::Node;
@@ -8,7 +8,7 @@ use rustix::time::{ClockId, clock_gettime};
 use std::fs;
 
 impl Node {
-    /// How the process does; how late the Timer was since `seen`.
+    /// How the process does, and how late the Timer was since `seen`.
     pub(crate) fn vitals(&self, seen: &mut Seen, recording: Option<RecordingFacts>) -> Vitals {
         let cpu = clock_gettime(ClockId::ProcessCPUTime);
         let micros = |part: i64| u64::try_from(part).unwrap_or(0);
@@ -26,7 +26,7 @@ impl Node {
     }
 }
 
-/// The resident memory of the process in bytes, and its threads; zero where the system does not say.
+/// The resident memory of the process in bytes, and the number of its threads; zero where the system does not say.
 fn usage() -> (u64, u32) {
     let text = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let figure = |name: &str| {

@@ -5,15 +5,15 @@ use imrs_protocol::{CONTENTS_BYTES, Contents, Delivery, MessageId, Outcome, Pack
 use postcard::ser_flavors::Flavor;
 use serde::Serialize;
 
-/// Names everything that a communication task, or a script, has put out so far, in order. Equal in two runs only if every packet,
-/// every signal and every request to the Timer was equal (but for collisions of 64 bits). It is taken of numbers of 64
-/// bits that an output is made of, so it is the same in every build and on every machine: what is put out with every
-/// message is laid out here, the rest is taken in postcard (D112).
+/// Identifies everything that a communication task, or a script, has put out so far, in order. It is equal in two runs only if
+/// every packet, every signal and every request to the Timer was equal (except for collisions of 64 bits). It is taken of the
+/// 64-bit numbers that make up an output, so it is the same in every build and on every machine. Outputs that come with every
+/// message are laid out here; the rest is taken in postcard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutputDigest(pub u64);
 
-/// What one output is called in the digest, where it is taken in postcard. The order of the variants, and of those in
-/// them, is part of the recordings' format.
+/// An output that enters the digest in postcard. The order of the variants, and of those in them, is part of the recordings'
+/// format.
 #[derive(Serialize)]
 enum Output {
     Signal(Signal),
@@ -21,7 +21,7 @@ enum Output {
     Disarm(TimeId),
 }
 
-/// Stands on top of the first number of what is laid out here. In postcard the number on top is never above 7.
+/// The top byte of the first number of an output that is laid out here. In postcard the top byte is never above 7.
 #[derive(Clone, Copy)]
 enum Mark {
     Packet = 0x80,
@@ -38,7 +38,7 @@ impl Mark {
 }
 
 impl OutputDigest {
-    /// Of no output.
+    /// The digest of no output.
     pub const START: Self = Self(0xcbf2_9ce4_8422_2325);
 
     pub(crate) fn transmitted(&mut self, packet: &Packet) {
@@ -93,7 +93,7 @@ impl OutputDigest {
     }
 
     pub(crate) fn add(&mut self, output: &impl Serialize) {
-        // Nothing in an output can fail to be written down; if ever, the digest stops in both runs alike.
+        // No output can fail to be serialised; if one ever did, the digest would stay as it is in both runs.
         let lanes = Lanes { digest: *self, lane: 0, filled: 0 };
         if let Ok(digest) = postcard::serialize_with_flavor(output, lanes) {
             *self = digest;
@@ -106,7 +106,7 @@ impl OutputDigest {
         self.0 = hash ^ (hash >> 32);
     }
 
-    /// The bytes, and how many they are on top of the last ones.
+    /// Mixes in the bytes, and their number in the top byte of the last word.
     fn contents(&mut self, contents: &Contents) {
         const { assert!(CONTENTS_BYTES == 12) };
         let [a, b, c, d, e, f, g, h, i, j, k, l] = *contents.padded();
@@ -120,11 +120,11 @@ const fn number(id: MessageId) -> u64 {
     (id.incarnation.0 as u64) << 32 | id.sequence.get() as u64
 }
 
-/// Eight bytes at a time. The last lane, which is never full, has the number of its bytes on top.
+/// Mixes in eight bytes at a time. The last lane, which is never full, has the number of its bytes in its top byte.
 struct Lanes {
     digest: OutputDigest,
     lane: u64,
-    /// Bits.
+    /// In bits.
     filled: u32,
 }
 
@@ -180,8 +180,7 @@ mod tests {
         }
     }
 
-    /// Recordings of other builds are compared with these numbers: whoever changes them changes the version of
-    /// recordings.
+    /// Recordings of other builds are compared with these numbers: a change of the numbers needs a new version of recordings.
     #[test]
     fn what_comes_with_every_message_is_laid_out_so() {
         let mut digest = OutputDigest::START;
@@ -227,7 +226,7 @@ mod tests {
         assert_eq!(digest, by_hand(&lanes));
     }
 
-    /// Each field, and what could be taken for another one.
+    /// Each field, and contents that could be taken for others.
     #[test]
     fn packets_that_differ_have_other_digests() {
         let p = packet();

@@ -1,4 +1,4 @@
-//! Recording into a file, by a thread of its own: each communication task puts its steps into a lane of its own and goes on.
+//! Records into a file from a thread of its own: each communication task puts its steps into its own lane and goes on.
 
 use super::packed::{self, Drain, Entry, Fill};
 use super::{Log, OutputDigest, Recorder, Step};
@@ -14,17 +14,17 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// How many slots all tasks of a node share between them and their disk: 16 MiB. A step takes one. When there are more,
-/// a gap is recorded instead; once the disk keeps up again, the recording goes on with a keyframe.
+/// How many slots all tasks of a node share between them and their disk: 16 MiB. A step takes one. If a lane is full, a gap is
+/// recorded instead; once the disk keeps up again, the recording goes on with a keyframe.
 const SLOTS: usize = 1 << 18;
-/// What a task has of them, however many there are: 4 KiB to 2 MiB.
+/// The least and the most slots of one task, however many tasks there are: 4 KiB to 2 MiB.
 const OF_A_TASK: (usize, usize) = (1 << 6, 1 << 15);
 
 /// Records the inputs of a node's communication tasks as an [`imrs_wire::recording`].
 pub struct FileRecorder {
     recording: Mutex<Option<Recording>>,
     aside: Box<[Arc<Aside>]>,
-    /// Those that nobody has taken yet.
+    /// The logs that no task has taken yet.
     logs: Mutex<BTreeMap<TaskId, TaskLog>>,
 }
 
@@ -34,20 +34,20 @@ struct Aside {
     /// How many records were lost, and how many inputs among them: counted in this order.
     lost: AtomicU64,
     lost_inputs: AtomicU64,
-    /// Those whose mark is in the lane, and no others.
+    /// The keyframes whose marks are in the lane, and no others.
     keyframes: Mutex<VecDeque<Vec<u8>>>,
     /// The node has stopped.
     closed: AtomicBool,
 }
 
-/// Whose recording it is.
+/// What a recording says of its node.
 #[derive(Clone, Copy, Debug)]
 pub struct About<'a> {
-    /// The life of the node, and whether an earlier one may have taken requests.
+    /// The incarnation of the node, and whether an earlier one may have taken requests.
     pub life: (Incarnation, bool),
     /// Whether its links run without keys.
     pub insecure: bool,
-    /// Names the program.
+    /// The name of the program.
     pub build: &'a str,
     /// The digest of what its scripts do ([`statements`](super::statements)).
     pub statements: u32,
@@ -57,7 +57,7 @@ impl FileRecorder {
     /// Begins to record a node. `on_failure` is called at most once, when the disk fails: the node goes on, unrecorded.
     ///
     /// # Errors
-    /// Where not even the beginning can be written.
+    /// [`WriteError`] if not even the beginning can be written.
     pub fn start(
         sink: impl Write + Send + 'static,
         table: &NodeTable,
@@ -76,10 +76,10 @@ impl FileRecorder {
             insecure: about.insecure,
             began: u64::try_from(began.as_micros()).unwrap_or(u64::MAX),
         };
-        // No frames go into it.
+        // A queue of one record: no frames go into it.
         let recording = Recording::start(sink, &header, 1, on_failure)?;
         let tasks: Vec<TaskId> = table.tasks_on(table.node).collect();
-        // A power of two, and not more than its share.
+        // A power of two, at most the task's share.
         let slots = 1 << (SLOTS / tasks.len().max(1)).clamp(OF_A_TASK.0, OF_A_TASK.1).ilog2();
         let (mut aside, mut logs) = (Vec::new(), BTreeMap::new());
         for task in tasks {
@@ -99,8 +99,8 @@ impl FileRecorder {
         Some(self.with_losses(status))
     }
 
-    /// Ends the recording: to be called after the node has stopped. Waits for the disk as long as `patience`. `None`
-    /// where it was stopped before.
+    /// Ends the recording: to be called after the node has stopped. Waits at most `patience` for the disk. `None` if it was
+    /// stopped before.
     pub fn stop(&self, patience: Duration) -> Option<Status> {
         let recording = lock(&self.recording).take()?;
         self.aside.iter().for_each(|task| task.closed.store(true, Ordering::Release));
@@ -135,19 +135,18 @@ fn ends(task: TaskId, slots: usize, alert: Alert) -> (TaskLog, TaskSource) {
     (TaskLog { fill, alert, aside, needs_keyframe: false, pause: 0, told: 0 }, source)
 }
 
-/// Where the steps of one communication task go. Used under that task's lock: nothing here blocks, allocates or enters the
-/// kernel, but for waking the writing thread: where it had found nothing to do, or whenever a quarter of the lane has filled
-/// up.
+/// The log of one communication task's steps. Used under that task's lock: nothing here blocks, allocates or enters the kernel,
+/// except to wake the writing thread: if that had found nothing to do, or whenever a quarter of the lane has filled up.
 struct TaskLog {
     fill: Fill,
     alert: Alert,
     aside: Arc<Aside>,
-    /// Something was lost: until a keyframe is given nothing that is recorded of this task can be replayed.
+    /// Something was lost: until the next keyframe, nothing that is recorded of this task can be replayed.
     needs_keyframe: bool,
-    /// After how many more losses a state is worth making, where the last one was too long to be recorded: as many as it had
-    /// bytes, so that trying costs each step no more than one of them.
+    /// After how many more losses a keyframe is worth another try, if the last state was too long to be recorded: as many as that
+    /// state had bytes, so that a try costs each step at most one byte.
     pause: usize,
-    /// Of the lost records, how many gaps tell of.
+    /// How many of the lost records have been reported in gaps.
     told: u64,
 }
 
@@ -155,7 +154,7 @@ impl TaskLog {
     /// The writer sleeps or is gone, or the record found no room.
     #[cold]
     fn attend(&mut self, taken: bool, inputs: u64) {
-        // What cannot be replayed would only take room from what can.
+        // After a loss nothing is recorded until a keyframe: it could not be replayed, and would only take room.
         if !(taken && self.alert.call()) {
             self.aside.lost.fetch_add(1, Ordering::Relaxed);
             self.aside.lost_inputs.fetch_add(inputs, Ordering::Release);
@@ -184,15 +183,15 @@ impl Log for TaskLog {
         }
     }
 
-    /// One is needed, and the disk keeps up again. Making one takes time and memory; while the disk does not keep up it
-    /// would only be lost as well.
+    /// Whether a keyframe is needed and the disk keeps up again. A keyframe takes time and memory to make, and while the disk
+    /// lags it would only be lost as well.
     fn wants_keyframe(&self) -> bool {
         self.needs_keyframe && self.pause == 0 && self.fill.is_half_free() && !self.alert.is_over()
     }
 
-    /// Allocates, unlike everything else on a message's way: once for each gap.
+    /// Allocates, unlike everything else on the message path: once for each gap.
     fn keyframe(&mut self, machine: &CommTask, digest: OutputDigest) {
-        // A state that cannot be written down is as good as none: the gap goes on.
+        // A state that cannot be serialised counts as none: the gap goes on.
         let Ok(state) = postcard::to_allocvec(machine) else { return };
         if state.len() > LONGEST {
             self.pause = state.len();
@@ -208,15 +207,15 @@ impl Log for TaskLog {
     }
 }
 
-/// Where the writing thread finds them.
+/// Where the writing thread finds the records of one task.
 struct TaskSource {
     task: TaskId,
     drain: Drain,
     aside: Arc<Aside>,
-    /// How many inputs there were, but for those that were lost; and the digest of the last one.
+    /// How many inputs there were, without the lost ones, and the digest after the last one.
     inputs: u64,
     outputs: u64,
-    /// Of the lost records, how many gaps tell of.
+    /// How many of the lost records have been reported in gaps.
     told: u64,
 }
 
@@ -259,7 +258,7 @@ impl Source for TaskSource {
 
     fn finish(&mut self, append: &mut Append<'_>) -> Result<(), WriteError> {
         self.fetch(append)?;
-        // Of what is lost some is no input: counted the other way round than they are noted.
+        // `lost_inputs` first: the acquire pairs with the release in `attend`, so `lost` covers all of these inputs.
         let lost_inputs = self.aside.lost_inputs.load(Ordering::Acquire);
         let untold = self.aside.lost.load(Ordering::Relaxed) - self.told;
         let task = self.task;

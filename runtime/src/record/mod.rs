@@ -1,8 +1,8 @@
-//! Recording what goes into the communication tasks of a node, and showing that the machine does the same again (D62).
+//! Records the inputs of a node's communication tasks, and shows in a replay that the machine does the same again.
 //!
-//! A communication task is a pure function of its inputs and the time between them. Its log is written under its lock,
-//! so it is in the order in which things happened to it, and needs no global order. Next to every input stands a digest
-//! of all outputs so far: a replay that reaches the same digests made bit-equal outputs.
+//! A communication task is a pure function of its inputs and the time between them. Its log is written under its lock, so the log
+//! has the order in which the task took its inputs, and needs no global order. With every input comes a digest of all outputs so
+//! far: a replay that reaches the same digests made bit-equal outputs.
 
 mod digest;
 mod file;
@@ -36,20 +36,20 @@ pub struct Step {
 
 /// Takes the inputs of a node's communication tasks, each into a log of its own.
 pub trait Recorder: Send + Sync {
-    /// Where the steps of `task` go from the beginning of its life on, which is that of the node. `None` where they are not
-    /// recorded. Asked once for each task, before anything happens.
+    /// The log for the steps of `task`, from the start of the node on. `None` if they are not recorded. Called once for each
+    /// task, before anything happens.
     fn log(self: Arc<Self>, task: TaskId) -> Option<Box<dyn Log>>;
 }
 
-/// Takes the inputs of one communication task. It is called under a lock that the node's messages wait for: it must put the
-/// step down and return, never write to a disk or wait.
+/// Takes the inputs of one communication task. It is called under a lock that the node's messages wait for: it must store the
+/// step and return, and never write to a disk or wait.
 pub trait Log: Send {
-    /// What the task has taken, and the digest of everything that it has put out, this step included. Returns whether its
-    /// state is wanted before the next step, because steps of it were lost.
+    /// A step that the task has taken, and the digest of everything that the task has put out, this step included. Returns
+    /// whether the task's state is wanted before the next step, because steps were lost.
     fn step(&mut self, step: &Step, digest: OutputDigest) -> bool;
 
-    /// What the script of the task is about to take, besides the signals of its communication task, and the digest of
-    /// everything that it has done before.
+    /// A step that the task's script is about to take, other than signals of its communication task, and the digest of everything
+    /// that the script has done before.
     fn script(&mut self, step: ScriptStep, done: OutputDigest) {
         let _ = (step, done);
     }
@@ -59,14 +59,14 @@ pub trait Log: Send {
         false
     }
 
-    /// The state of the machine between two steps, and the digest of everything that it has put out, where it was wanted.
+    /// The machine's state between two steps, and the digest of everything that it has put out. Called if the state was wanted.
     fn keyframe(&mut self, machine: &CommTask, digest: OutputDigest) {
         let _ = (machine, digest);
     }
 }
 
-/// Names what the scripts of a node do: the digest of their programs, by task; zero where there are none. Two texts of a
-/// cell that differ in comments, or in names of their files, have the same one.
+/// Identifies what scripts do: the digest of their programs, by task; zero if there are none. Two texts of a cell that differ in
+/// comments, or in names of their files, have the same digest.
 #[must_use]
 pub fn statements<'p>(programs: impl IntoIterator<Item = (TaskId, &'p Program)>) -> u32 {
     let mut digest = OutputDigest::START;
@@ -76,7 +76,7 @@ pub fn statements<'p>(programs: impl IntoIterator<Item = (TaskId, &'p Program)>)
     if digest == OutputDigest::START { 0 } else { folded.max(1) }
 }
 
-/// Digests on the way to another outbox.
+/// An outbox that digests each output and passes it on.
 pub(crate) struct Digesting<'a, O> {
     pub digest: Option<&'a mut OutputDigest>,
     pub out: &'a mut O,
@@ -117,7 +117,7 @@ impl<O: Outbox> Outbox for Digesting<'_, O> {
 }
 
 impl Step {
-    /// Whether anything comes besides time.
+    /// Whether the step brings anything besides time.
     pub(crate) const fn has_input(&self) -> bool {
         !matches!(self.input, Input::Time)
     }

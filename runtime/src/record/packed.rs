@@ -1,5 +1,5 @@
-//! What a communication task and its script take, as words in a [`lane`](crate::sync::lane): few instructions for what comes with
-//! every message, postcard for the rest. Nothing of this leaves the process.
+//! Packs what a communication task and its script take into words of a [`lane`](crate::sync::lane): few instructions for what
+//! comes with every message, postcard for the rest. Nothing of this leaves the process.
 //!
 //! ```text
 //! word 0   tag 8 | more about it 24 | elapsed 32        word 1   digest        2, 3   ports, tasks, numbers
@@ -14,7 +14,7 @@ use imrs_protocol::{
 };
 use imrs_wire::recording::ScriptStep;
 
-/// A slot is a line of the cache. All but what is taken in postcard needs one.
+/// A slot is a cache line. Everything but what is taken in postcard needs one slot.
 const WORDS: usize = 8;
 type Words = [u64; WORDS];
 pub(super) type Fill = lane::Fill<WORDS>;
@@ -34,7 +34,7 @@ const KEYFRAME: u64 = 8;
 const LONGEST: usize = 256;
 const SLOT_BYTES: usize = WORDS * size_of::<u64>();
 
-/// One thing in a lane.
+/// One entry of a lane.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Entry {
     Input {
@@ -45,15 +45,15 @@ pub(super) enum Entry {
         step: ScriptStep,
         done: u64,
     },
-    /// So many records were lost.
+    /// This many records were lost.
     Gap {
         lost: u64,
     },
-    /// The next of the states that are handed over beside the lane.
+    /// The next one of the states that are handed over beside the lane.
     Keyframe {
         outputs: u64,
     },
-    /// A fault of this module, but no reason to make anything up.
+    /// Words that cannot be read, by a fault of this module: the entry counts as lost.
     Unreadable,
 }
 
@@ -104,7 +104,7 @@ pub(super) fn step(fill: &mut Fill, step: &Step, outputs: u64, crowded: impl FnO
     }
 }
 
-/// Puts what a script takes into the lane, if there is room.
+/// Puts a step of a script into the lane, if there is room.
 pub(super) fn script(fill: &mut Fill, step: ScriptStep, done: u64, crowded: impl FnOnce()) -> bool {
     let (which, what) = match step {
         ScriptStep::Begin { at } => (0, at),
@@ -118,7 +118,7 @@ pub(super) fn script(fill: &mut Fill, step: ScriptStep, done: u64, crowded: impl
     one(fill, [which << 8 | SCRIPT, done, what, 0, 0, 0, 0, 0], crowded)
 }
 
-/// Says what was lost, and that a keyframe follows: both or, if there is no room, neither.
+/// Puts in what was lost, and the mark of a keyframe: both or, if there is no room, neither.
 pub(super) fn keyframe(fill: &mut Fill, lost: u64, outputs: u64) -> bool {
     let room = fill.has_room(2, || ());
     if room {
@@ -141,7 +141,7 @@ fn one(fill: &mut Fill, words: Words, crowded: impl FnOnce()) -> bool {
     room
 }
 
-/// Whatever the input is. One that postcard finds too long finds no room either.
+/// Puts any input into the lane, in postcard. An input that is too long for the buffer finds no room either.
 #[cold]
 fn long(fill: &mut Fill, step: &Step, outputs: u64, crowded: impl FnOnce()) -> bool {
     let mut bytes = [0; LONGEST];
@@ -242,7 +242,7 @@ fn script_step(which: u64, what: u64) -> ScriptStep {
     }
 }
 
-/// How long they are, and all their bytes.
+/// The length of the contents, and all their bytes.
 #[inline]
 fn words(contents: &Contents) -> (u64, u64, u64) {
     const { assert!(CONTENTS_BYTES == 12) };

@@ -43,7 +43,7 @@ pub enum ReplayError {
     /// It lasts longer, or begins later after the start of its machine, than a century.
     #[error("the recording says of {0} that more than a century passed: its times are damaged")]
     NoTime(TaskId),
-    /// A keyframe is not what it should be.
+    /// A keyframe cannot be used.
     #[error(transparent)]
     Keyframe(#[from] KeyframeError),
 }
@@ -51,8 +51,8 @@ pub enum ReplayError {
 /// A century, in microseconds: no node runs longer, and times of that length still add up.
 const LONGEST: u64 = 100 * 366 * 24 * 3_600 * 1_000_000;
 
-/// Replays what a node recorded, as far as the reader has whole records: one [`Replay`] for each task of the node,
-/// ascending. [`RecordingReader::ending`] says then whether the recording was ended; a verdict holds for what was read.
+/// Replays what a node recorded, as far as the reader has whole records: one [`Replay`] for each task of the node, ascending.
+/// Afterwards [`RecordingReader::ending`] says whether the recording was ended; a verdict holds for what was read.
 ///
 /// # Errors
 /// [`ReplayError`].
@@ -63,8 +63,8 @@ pub fn replay_recording<'t, R: Read>(
     replay_scripts(reader, table, |_| None, None)
 }
 
-/// The same, with the scripts of those tasks that `script` knows. With somebody who watches, who is told as
-/// [`Replay::watched`] says, what happened is kept, too: that takes memory for all of it.
+/// As [`replay_recording`], with the scripts of those tasks that `script` knows. With a `watch`, which is told as
+/// [`Replay::watched`] says, the replays also keep what happened, which takes memory for all of it.
 ///
 /// # Errors
 /// [`ReplayError`].
@@ -79,16 +79,16 @@ pub fn replay_scripts<'t, 'p, R: Read>(
     Ok(replays.0)
 }
 
-/// The tasks of a node that are run again, as far as their recording has been read: one that is still written is followed
-/// by going on with the same reader from time to time.
+/// The replays of a node's tasks, as far as their recording has been read. To follow a recording that is still being written,
+/// [`go_on`](Self::go_on) with the same reader from time to time.
 #[derive(Debug)]
 pub struct Replays<'t>(Vec<Replay<'t>>);
 
 impl<'t> Replays<'t> {
-    /// At the beginning of the recording with this header. The rest is as for [`replay_scripts`].
+    /// Replays from the beginning of the recording with this header. The other arguments are as for [`replay_scripts`].
     ///
     /// # Errors
-    /// [`ReplayError`], where the recording is not of this node with these scripts.
+    /// [`ReplayError`] if the recording is not of this node with these scripts.
     pub fn begin<'p>(
         header: &Header,
         table: &'t NodeTable,
@@ -119,7 +119,7 @@ impl<'t> Replays<'t> {
         Ok(Self(table.tasks_on(table.node).map(replay).collect()))
     }
 
-    /// Runs the next records, at most so many; returns how many there were.
+    /// Runs the next records, at most `most`. Returns how many there were.
     ///
     /// # Errors
     /// [`ReplayError`]. What comes after it cannot be judged.

@@ -1,6 +1,6 @@
-//! Running a machine again on what was recorded, and comparing everything it puts out.
+//! Runs a machine again on recorded inputs, and compares everything that it puts out.
 //!
-//! What was lost cannot be judged: a replay goes on from the next keyframe, and its verdict is [`Verdict::Unknown`], never
+//! What was lost cannot be judged: the replay goes on from the next keyframe, and its verdict is [`Verdict::Unknown`], never
 //! [`Verdict::Same`].
 
 use super::script::{Again, Watched};
@@ -21,7 +21,7 @@ use std::sync::Arc;
 pub struct Recorded {
     /// The step.
     pub step: Step,
-    /// What had been put out after it.
+    /// The digest of all outputs up to this step.
     pub digest: OutputDigest,
 }
 
@@ -34,27 +34,27 @@ pub enum KeyframeError {
     /// The state has more bytes than a machine.
     #[error("the state of {0} has {1} bytes too many")]
     Trailing(TaskId, usize),
-    /// The state is that of another task, or of another life of the node.
+    /// The state is that of another task, or of another incarnation of the node.
     #[error("the state given for {0} is that of {1} in life {life}", life = .2.0)]
     Foreign(TaskId, TaskId, Incarnation),
-    /// The state is none of a machine with the ports of this task: parts are missing, too many or out of bounds.
+    /// The state is not one of a machine with the ports of this task: parts are missing, too many or out of bounds.
     #[error("the state of {0} is not one of its machine")]
     OutOfBounds(TaskId),
-    /// The machine never comes to this state.
+    /// The machine never reaches this state.
     #[error("the state of {0} breaks an invariant of its machine: {1}")]
     Unsound(TaskId, invariants::Violation),
-    /// Nothing is missing before the keyframe, and yet it names other outputs.
+    /// No step is missing before the keyframe, and yet it has another state or other outputs.
     #[error("the keyframe of {0} contradicts the steps before it")]
     Contradicts(TaskId),
 }
 
-/// A communication task that is run again, step by step.
+/// A communication task that is replayed, step by step.
 #[derive(Clone, Debug)]
 pub struct Replay<'t> {
     table: &'t NodeTable,
     task: TaskId,
     incarnation: Incarnation,
-    /// `None` while its state is not known.
+    /// `None` while the machine's state is not known.
     machine: Option<CommTask>,
     digest: OutputDigest,
     judged: usize,
@@ -64,19 +64,19 @@ pub struct Replay<'t> {
     broken: Option<InvariantBroken>,
     miscount: Option<Miscount>,
     closed: bool,
-    /// `None` where the task has none that is to run again, or it is not known where it stands.
+    /// `None` if the task has no script to replay, or the script's state is not known.
     script: Option<Again>,
     script_divergence: Option<ScriptDivergence>,
     /// Microseconds since the first step.
     passed: u64,
-    /// Of the node's clock at the first step.
+    /// The node's clock at the first step.
     base: Option<u64>,
-    /// By microseconds since the first step.
+    /// What happened, by microseconds since the first step.
     happened: Option<Vec<(u64, Happened)>>,
 }
 
 impl<'t> Replay<'t> {
-    /// The machine of `task` at its start in this life of its node.
+    /// The machine of `task` at the start of this incarnation of its node.
     #[must_use]
     pub fn new(table: &'t NodeTable, task: TaskId, incarnation: Incarnation, restarted: bool) -> Self {
         Self {
@@ -100,14 +100,14 @@ impl<'t> Replay<'t> {
         }
     }
 
-    /// Runs the task's script again, too.
+    /// Replays the task's script, too.
     #[must_use]
     pub fn with_script(self, program: &Arc<Program>) -> Self {
         Self { script: Some(Again::new(program)), ..self }
     }
 
-    /// Tells what the script asks and is answered, and how its task stands; times are microseconds since the first step,
-    /// which [`base`](Self::base) says when it was.
+    /// Tells `watch` what the script asks and is answered, and the state of its task. Times are microseconds since the first
+    /// step; [`base`](Self::base) says when that was.
     #[must_use]
     pub fn watched(mut self, watch: &Arc<dyn Watch>) -> Self {
         let watched = Watched { task: self.task, watch: Arc::clone(watch) };
@@ -117,23 +117,22 @@ impl<'t> Replay<'t> {
         self
     }
 
-    /// When the first step was, in microseconds of the node's clock (`CLOCK_BOOTTIME`); `None` where no script has begun.
+    /// When the first step was, in microseconds of the node's clock (`CLOCK_BOOTTIME`); `None` if no script has begun.
     #[must_use]
     pub const fn base(&self) -> Option<u64> {
         self.base
     }
 
-    /// Keeps what happens.
+    /// Keeps what happens, for [`happened`](Self::happened).
     #[must_use]
     pub fn keeping(self) -> Self {
         Self { happened: Some(Vec::new()), ..self }
     }
 
-    /// Runs the next step. After a gap, or a step that put out something else, steps are only counted until a keyframe
-    /// comes.
+    /// Runs the next step. After a gap, or after a step with other outputs, steps are only counted until a keyframe comes.
     pub fn step(&mut self, entry: Recorded) {
         if self.closed {
-            // Counted, and told as more than there should be.
+            // Counted, and reported as one too many.
             self.unjudged += 1;
             self.close(self.found() - 1, self.digest);
             return;
@@ -147,7 +146,7 @@ impl<'t> Replay<'t> {
         if self.script.as_mut().is_some_and(|script| !script.expects(at, &entry.step.input)) {
             self.lose_script();
         }
-        // With the last thing that it asks it stops: now, and not when it last did something.
+        // The script stops with its last request: now, and not when it last did something.
         if let Input::Request(Request::Cancel) = entry.step.input
             && let Some((at, Happened::Stopped)) =
                 self.happened.as_mut().and_then(|happened| happened.last_mut())
@@ -165,7 +164,7 @@ impl<'t> Replay<'t> {
         }
         let mut out = Digesting { digest: Some(&mut self.digest), out: &mut heard };
         let run = || run_checked((machine, self.table), entry.step, &mut out);
-        // A recording may say anything. What a machine cannot take is the recording's fault, and this program's to say.
+        // A recording may say anything. An input that a machine cannot take is the recording's fault, to be reported.
         let ran = catch_unwind(AssertUnwindSafe(run)).ok();
         let (sound, went_wrong) = (ran.unwrap_or(Ok(())), ran.is_none());
         if let Err(violation) = sound {
@@ -185,7 +184,7 @@ impl<'t> Replay<'t> {
         (self.machine, self.script) = (None, None);
     }
 
-    /// The script takes what follows from no step of its communication task.
+    /// The script takes a step that follows from no step of its communication task.
     pub fn script(&mut self, step: ScriptStep, done: OutputDigest) {
         if let ScriptStep::Begin { at } = step {
             self.base.get_or_insert(at.saturating_sub(self.passed));
@@ -216,7 +215,7 @@ impl<'t> Replay<'t> {
         script.show(self.passed, machine);
     }
 
-    /// What happened, in order, where that was kept. `None` where it is not known when, or not all of it.
+    /// What happened, in order, if it was kept. `None` if its time is not known, or not all of it is.
     #[must_use]
     pub fn happened(self) -> Option<Vec<Happening>> {
         let (task, base) = (self.task, self.base?);
@@ -236,12 +235,11 @@ impl<'t> Replay<'t> {
         (self.machine, self.script) = (None, None);
     }
 
-    /// The node stopped: the task had taken `inputs` inputs since the beginning of its life, and put out what `outputs` is
-    /// the digest of.
+    /// The node stopped: since its start the task had taken `inputs` inputs, and `outputs` is the digest of what it had put out.
     pub fn close(&mut self, inputs: u64, outputs: OutputDigest) {
         self.closed = true;
         let found = self.found();
-        // Of what is lost some is no input.
+        // Some of the lost records are no inputs.
         let counts = found <= inputs && inputs <= found.saturating_add(self.lost);
         if !counts || (self.machine.is_some() && outputs != self.digest) {
             let (task, said, said_outputs, outputs) = (self.task, inputs, outputs, self.digest);
@@ -281,7 +279,7 @@ impl<'t> Replay<'t> {
         Ok(())
     }
 
-    /// Whether the cell has what an input names. A node turns packets away before its tasks take them where it has not.
+    /// Whether the cell has what an input names. A running node drops other packets before its tasks take them.
     pub(super) fn knows(&self, input: &Input) -> bool {
         match input {
             Input::Packet(packet) => {
@@ -311,7 +309,7 @@ impl<'t> Replay<'t> {
         self.judged
     }
 
-    /// How many recorded steps could not be judged, because the state before them is not known, or differed.
+    /// How many recorded steps could not be judged, because the state before them is not known or differed.
     #[must_use]
     pub const fn unjudged(&self) -> usize {
         self.unjudged
@@ -341,7 +339,7 @@ impl<'t> Replay<'t> {
     }
 }
 
-/// Runs one step: what the time brings about, then the input (the runtime gives both at once), and looks at both states.
+/// Runs one step: first what is due, then the input (the runtime gives both at once). Checks the machine after each.
 fn run_checked(
     (machine, table): (&mut CommTask, &NodeTable),
     step: Step,
@@ -356,8 +354,8 @@ fn run_checked(
     sound.and(take(&step.input))
 }
 
-/// Runs the machine of `task` through its recorded inputs, from its start in the given life of its node, and compares
-/// all outputs. Returns how many steps were run.
+/// Runs the machine of `task` through its recorded inputs, from the start of this incarnation of its node, and compares all
+/// outputs. Returns how many steps were run.
 ///
 /// # Errors
 /// The first step whose outputs differ.
@@ -378,7 +376,7 @@ pub fn replay(
     Ok(replay.judged)
 }
 
-/// Where the outputs of a step go.
+/// The outbox of a replayed step.
 struct Heard<'a> {
     at: u64,
     happened: Option<&'a mut Vec<(u64, Happened)>>,

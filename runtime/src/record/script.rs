@@ -1,4 +1,4 @@
-//! Scripts in a recording: run again beside their communication tasks, and compared.
+//! Runs the scripts of a recording again, beside their communication tasks, and compares what they do.
 
 use super::OutputDigest;
 use crate::script::{Does, Knows, Note, Outlet, Stands, Watch};
@@ -10,8 +10,8 @@ use std::collections::VecDeque;
 use std::fmt;
 use std::sync::Arc;
 
-/// What one thing that a script does is called in the digest, but for the statements that it begins. What it asks is compared as the input that it becomes.
-/// The order of the variants is part of the recordings' format.
+/// An act of a script, as it enters the digest; statements that a script begins enter by themselves. What a script asks is
+/// compared as the input that it becomes. The order of the variants is part of the recordings' format.
 #[derive(Serialize)]
 pub(crate) enum Did<'a> {
     Acts { level: u8, action: u16, arguments: &'a [i64], least: Ticks, most: Ticks },
@@ -27,7 +27,7 @@ impl<'a> Did<'a> {
     }
 }
 
-/// Who is told what a script that is run again does.
+/// The watch that is told what a replayed script does.
 #[derive(Clone)]
 pub(super) struct Watched {
     pub task: TaskId,
@@ -40,16 +40,16 @@ impl fmt::Debug for Watched {
     }
 }
 
-/// A script that is run again.
+/// A script that is replayed.
 #[derive(Clone, Debug)]
 pub(super) struct Again {
     program: Arc<Program>,
     script: Script,
     done: OutputDigest,
-    /// What it asked and the recording has not shown yet.
+    /// What the script asked and the recording has not shown yet.
     requests: VecDeque<Request>,
     signals: VecDeque<Signal>,
-    /// Steps since something came from outside.
+    /// Steps since input last came from outside.
     steps: u32,
     pub stopped: bool,
     ended: Vec<End>,
@@ -79,7 +79,7 @@ impl Again {
         }
     }
 
-    /// Shows how the task stands, unless its script is in the midst of a step or its node stops.
+    /// Shows the state of the task, unless its script is in the midst of a step or its node stops.
     pub fn show(&self, at: u64, machine: &CommTask) {
         if let Some(Watched { task, watch }) = &self.watched
             && self.requests.is_empty()
@@ -89,7 +89,7 @@ impl Again {
         }
     }
 
-    /// Whether this input of the communication task may come now: while the script asks, only what it asks may.
+    /// Whether this input of the communication task may come now: while the script asks, only its request may.
     pub fn expects(&mut self, at: u64, input: &Input) -> bool {
         match (input, self.requests.pop_front()) {
             (Input::Request(asked), Some(request)) => {
@@ -111,7 +111,7 @@ impl Again {
         }
     }
 
-    /// Takes what the recording says that it took; false where it had done something else before, or still asks.
+    /// Takes a recorded step of the script. `None` if the script did something else before, or still asks.
     pub fn take(&mut self, knows: Knows<'_>, step: ScriptStep, done: OutputDigest) -> Option<Vec<Happened>> {
         if self.done != done || (!self.requests.is_empty() && !matches!(step, ScriptStep::Chosen(_))) {
             return None;
@@ -134,7 +134,7 @@ impl Again {
         Some(vec![what, self.run(knows, input)])
     }
 
-    /// The next thing that it makes of what its communication task said; none while it asks.
+    /// The script's next step, with an answer of its communication task; `None` while the script asks.
     pub fn go_on(&mut self, at: u64, knows: Knows<'_>) -> Option<Happened> {
         if !self.requests.is_empty() {
             return None;
@@ -187,7 +187,7 @@ impl Does for Out<'_> {
         self.done.add(&Did::CutShort(level));
     }
 
-    /// The recording has it next.
+    /// The recording has the choice next.
     fn choose(&mut self, _: u16) -> Option<u16> {
         None
     }

@@ -1,4 +1,4 @@
-//! What a replay says of a task's recording.
+//! The results of replaying a task's recording.
 
 use super::{OutputDigest, Step};
 use imrs_protocol::TaskId;
@@ -20,7 +20,7 @@ pub struct Divergence {
     pub replayed: OutputDigest,
 }
 
-/// What a replay says of a task's recording.
+/// The result of replaying a task's recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// Nothing is missing, and every output was the same.
@@ -31,9 +31,9 @@ pub enum Verdict {
     Differs(Divergence),
     /// The script of the task did something else than recorded.
     ScriptDiffers(ScriptDivergence),
-    /// What holds of every machine did not hold of this one.
+    /// An invariant that holds of every machine did not hold of this one.
     Breaks(InvariantBroken),
-    /// The recording has not what it says that it has.
+    /// The recording does not have what it says that it has.
     Miscounts(Miscount),
 }
 
@@ -49,8 +49,7 @@ pub struct InvariantBroken {
     pub violation: Violation,
 }
 
-/// The last record of a task's inputs does not fit what stands before it: inputs are missing, or too many, and no gap says
-/// so.
+/// The last record of a task does not fit the records before it: there are too few inputs, or too many, and no gap says so.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{task} took {said} inputs with outputs {said_outputs:016x}, the recording has {found} with {outputs:016x}", said_outputs = .said_outputs.0, outputs = .outputs.0)]
 pub struct Miscount {
@@ -62,7 +61,7 @@ pub struct Miscount {
     pub found: u64,
     /// The digest of its outputs, by its last record.
     pub said_outputs: OutputDigest,
-    /// That of the outputs now.
+    /// The digest of the replayed outputs.
     pub outputs: OutputDigest,
 }
 

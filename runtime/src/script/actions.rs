@@ -1,4 +1,4 @@
-//! The actions of scripts: begun, ended, cut short.
+//! The actions of scripts: how they begin, end, and are cut short.
 
 use crate::node::Node;
 use crate::node::comm::Comm;
@@ -11,17 +11,17 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
 
-/// Carries out the actions of scripts: by a simulation, by commands, by functions of a program.
+/// Carries out the actions of scripts: by a simulation, by commands, or by functions of a program.
 pub trait Actions: Send + Sync {
-    /// Begins an action and returns at once; `ending` says later how it ended. What is returned stops it: it is called
-    /// where the action is cut short, and then the robot must not act any more (D61).
+    /// Begins an action and returns at once; `ending` says later how the action ended. The returned [`Stop`] is called if the
+    /// action is cut short: then the robot must not act any more.
     fn begin(&self, act: &Act<'_>, ending: Ending) -> Option<Stop>;
 }
 
 /// Stops an action.
 pub type Stop = Box<dyn FnOnce() + Send>;
 
-/// What is to be done.
+/// An action to be carried out.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Act<'a> {
     /// The name of the task.
@@ -32,30 +32,30 @@ pub struct Act<'a> {
     pub arguments: &'a [i64],
     /// How many actions of this task began before.
     pub number: u64,
-    /// It takes no less
+    /// The least time that the action takes.
     pub least: Duration,
-    /// and no more than this.
+    /// The longest time that the action takes.
     pub most: Duration,
-    /// The lease that the task acted under when it began the action; `None` where it is in no couple, or does not hold the lease.
+    /// The lease under which the task began the action; `None` if it is in no couple, or does not hold the lease.
     pub lease: Option<HeldLease>,
 }
 
 /// The lease of a task that acts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HeldLease {
-    /// Its epoch (D61).
+    /// Its epoch.
     pub epoch: u8,
-    /// When it ends unless it is renewed, in microseconds of `CLOCK_BOOTTIME`, never later than it truly does. `None`: the task took over
-    /// and acts alone, so nothing ends by itself.
+    /// When it ends unless it is renewed, in microseconds of `CLOCK_BOOTTIME`: never later than its true end. `None`: the task
+    /// took over and acts alone, so the lease does not end by itself.
     pub until: Option<u64>,
 }
 
-/// Says how an action ended. Dropped without a word, it says that the action failed.
+/// Says how an action ended. Dropped without that, it says that the action failed.
 #[derive(Debug)]
 pub struct Ending {
     node: Weak<Node>,
     place: usize,
-    /// The thread of the script that waits, and the number of the action.
+    /// The thread of the script that waits for the action, and the action's number.
     of: (u8, u64),
     said: bool,
 }
@@ -71,7 +71,7 @@ impl Ending {
         self.say(false, 0);
     }
 
-    /// The lease of the action's task as it is now.
+    /// The present lease of the action's task.
     pub(crate) fn lease(&self) -> Option<HeldLease> {
         let node = self.node.upgrade()?;
         let member = node.members.list.get(self.place)?;
@@ -132,7 +132,7 @@ type OnEnd = Box<dyn Fn(usize, End) + Send + Sync>;
 pub(crate) struct Stage {
     node: Weak<Node>,
     actions: Arc<dyn Actions>,
-    /// By task and thread: what was last begun or cut short there. Two threads may carry out the begin of an action
+    /// By task and thread: the action that was last begun or cut short there. Two threads may carry out the begin of an action
     /// and its cut in either order.
     running: Mutex<BTreeMap<(usize, u8), Running>>,
     ended: OnEnd,
@@ -182,7 +182,7 @@ impl Stage {
             lease: begun.lease,
         };
         let ending = Ending { node: Weak::clone(&self.node), place, of: (level, number), said: false };
-        // Without the lock: an action that ends at once may lead to the next one right here.
+        // Without the lock, because an action that ends at once may lead to the next one right here.
         let stop = self.actions.begin(&act, ending);
         let mut all = lock(&self.running);
         let running = all.entry((place, level)).or_default();
@@ -194,15 +194,15 @@ impl Stage {
         }
     }
 
-    /// The program of a script whose action is about to begin; `None` where it is cut short. The node may have been stopped since
-    /// the script began it: of a couple's task the end of its lease comes first (D153).
+    /// The program of a script whose action is about to begin; `None` if the action is cut short. The node may have been stopped
+    /// since the script began it: for a task of a couple, the end of its lease comes first (D153).
     fn check(&self, node: &Node, begun: &Begun) -> Option<Arc<Program>> {
         let Begun { place, level, number, .. } = *begun;
         let member = &node.members.list[place];
         let (program, coupled) = node.look(member, |comm| (comm.program(), comm.is_coupled()));
         if coupled {
             node.catch_up(member);
-            // Another thread may have noticed the end of the lease, and not carried out the cut yet.
+            // Another thread may have noticed the end of the lease, without having carried out the cut yet.
             return program.filter(|_| node.look(member, |comm| comm.is_acting(level, number)));
         }
         program

@@ -14,34 +14,34 @@ use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How much longer than declared a command may take before it is killed, unless somebody says otherwise: programs start slowly on a busy
-/// machine.
+/// How much longer than declared a command may take before it is killed, by default: programs start slowly on a busy machine.
 const MARGIN: Duration = Duration::from_secs(2);
 /// How long a stop, and the next action of its task, wait for the guard to confirm the end of the command.
 const STOP_WITHIN: Duration = Duration::from_millis(250);
-/// After how many microseconds a lease is looked at again, at least and at most; in between after a quarter of what is left of it.
+/// After how many microseconds a lease is checked again, at least and at most; in between, after a quarter of its remaining time.
 const RENEW_EVERY: [u64; 2] = [2_000, 100_000];
-/// The same for a task that acts alone: its partner may come back, and then a lease begins.
+/// The same for a task that acts alone: when its partner comes back, a lease begins.
 const ALONE_EVERY: u64 = 10_000;
 
-/// Executes a command for each action that has one, and leaves the others to someone else.
+/// Executes a command for each action that has one. Another [`Actions`] carries out the rest.
 ///
-/// The program is started with its own arguments, then those of the action, without a shell. Exit code 0 is success,
-/// and the first line of its standard output the result, where that is a whole number (of at most 64 bytes; the rest of the output is
-/// dropped). It runs in a process group of its own under a guard ([`crate::guard`]), which kills it with all that it started when
+/// The program is started with its own arguments, then those of the action, without a shell. Exit code 0 is success. The result
+/// is the first line of its standard output, if that is a whole number (of at most 64 bytes; the rest of the output is dropped).
+/// It runs in a process group of its own under a guard ([`crate::guard`]), which kills it with all that it started when
 ///
 /// - the action is cut short, or the node ends, however it ends;
 /// - the lease of the task's couple ends without a renewal;
-/// - the action takes longer than declared, by more than the [`margin`](Self::margin) of 2 s: then it has failed, and that is told;
+/// - the action takes longer than declared, by more than the [`margin`](Self::margin) of 2 s: then it has failed, which is
+///   reported;
 /// - the command itself ends: what it left behind ends with it.
 ///
 /// The command learns in its environment:
 ///
 /// - `IMRS_DEADLINE_US`: by when it must be over, in microseconds of `CLOCK_BOOTTIME`, in decimal;
-/// - `IMRS_EPOCH`: the epoch of the lease that it acts under, in decimal; absent where the task is in no couple.
+/// - `IMRS_EPOCH`: the epoch of the lease under which it acts, in decimal; absent if the task is in no couple.
 ///
-/// Its standard input has a line `deadline N` at once, and one more whenever a renewal of the lease moves the deadline. The end of standard
-/// input means: stop now.
+/// Its standard input has a line `deadline N` at once, and another one whenever a renewal of the lease moves the deadline. The
+/// end of standard input means: stop now.
 ///
 /// ```
 /// use imrs_runtime::guard::GuardProgram;
@@ -69,10 +69,10 @@ pub struct Commands {
     stopping: Arc<Stopping>,
 }
 
-/// What hears of a command that went wrong: the action, and how.
+/// Is told of a command that went wrong: the action, and how.
 type Tell = Arc<dyn Fn(&str, &CommandError) + Send + Sync>;
 
-/// How a command went wrong, besides an exit code that says that the action failed.
+/// How a command went wrong, other than by an exit code, which means that the action failed.
 #[derive(Debug, thiserror::Error)]
 pub enum CommandError {
     /// The program cannot be executed.
@@ -101,7 +101,7 @@ pub enum CommandError {
     Late {
         /// How long the cell lets the action take.
         most: Duration,
-        /// How much longer it might.
+        /// How much longer it might take.
         margin: Duration,
     },
     /// The lease of its task ended, and it was killed.
@@ -113,7 +113,7 @@ pub enum CommandError {
 }
 
 impl Commands {
-    /// By the name of the action, its program and that one's first arguments.
+    /// `commands` has, by the name of the action, its program and the program's first arguments.
     #[must_use]
     pub fn new(commands: BTreeMap<String, Vec<String>>, others: Arc<dyn Actions>) -> Self {
         Self {
@@ -130,7 +130,7 @@ impl Commands {
         }
     }
 
-    /// Who is told of a command that went wrong: the name of the action, and how. To the script it is an action that failed.
+    /// Sets what is told of a command that went wrong: the name of the action, and how. For the script the action has failed.
     #[must_use]
     pub fn tell(self, tell: impl Fn(&str, &CommandError) + Send + Sync + 'static) -> Self {
         Self { tell: Arc::new(tell), ..self }
@@ -142,14 +142,14 @@ impl Commands {
         Self { guard, ..self }
     }
 
-    /// How much longer than declared a command may take before it is killed and the action has failed. 2 s unless this is called.
+    /// How much longer than declared a command may take before it is killed and the action has failed. By default 2 s.
     #[must_use]
     pub const fn margin(mut self, margin: Duration) -> Self {
         self.margin = margin;
         self
     }
 
-    /// The cores that commands may use, where those of the node are fewer: a node in real time has one.
+    /// The cores that commands may use, if the node may use fewer: a node in real time has one.
     #[must_use]
     pub fn cores(self, cores: impl IntoIterator<Item = usize>) -> Self {
         let cores: Vec<String> = cores.into_iter().map(|core| core.to_string()).collect();
@@ -162,13 +162,13 @@ impl Commands {
         Self { reals: actions.into_iter().collect(), ..self }
     }
 
-    /// Tells in this pipe which commands run. Their keys there begin with `of`, which no other node may use.
+    /// Reports in this pipe which commands run. Their keys begin with `of`, which no other node may use.
     #[must_use]
     pub fn notices(self, pipe: Notices, of: &str) -> Self {
         Self { notices: Some((Arc::new(pipe), of.to_owned())), ..self }
     }
 
-    /// Tells the launcher that a command begins, before anything runs. Returns what names it.
+    /// Tells the launcher that a command begins, before anything runs. Returns the command's key.
     fn announce(&self, task: &str) -> io::Result<Option<Told>> {
         let Some((pipe, of)) = &self.notices else { return Ok(None) };
         let key = format!("{of}-{}", self.begun.fetch_add(1, Ordering::Relaxed));
@@ -197,7 +197,7 @@ impl Commands {
         let told = self.announce(act.task).map_err(CommandError::Notices)?;
         let errand = self.errand(act, words, told.as_ref());
         let mut guard = self.guard.command(&errand);
-        // A signal to the group of the node must not end the guard with it.
+        // A signal to the node's process group must not end the guard, too.
         guard.process_group(0).stdin(Stdio::piped()).stdout(Stdio::piped());
         match guard.spawn().and_then(Running::new) {
             Ok(running) => Ok((running, told)),
@@ -209,7 +209,7 @@ impl Commands {
     }
 }
 
-/// A command that the launcher was told of.
+/// A command that was announced to the launcher.
 struct Told {
     pipe: Arc<Notices>,
     key: String,
@@ -227,7 +227,7 @@ impl Told {
 
 impl Actions for Commands {
     fn begin(&self, act: &Act<'_>, ending: Ending) -> Option<Stop> {
-        // The stop may have waited less, and two commands of a task must not move the robot at the same time.
+        // A stop may have returned before its command ended, and two commands of a task must not move the robot at the same time.
         self.stopping.wait(act.task);
         let words = self.commands.get(act.name).filter(|words| !words.is_empty());
         let Some(words) = words else { return self.others.begin(act, ending) };
@@ -250,7 +250,7 @@ impl Actions for Commands {
         };
         let watching = thread::Builder::new()
             .name(format!("action {}", act.name))
-            // Without a thread the ending is dropped, and says that the action failed.
+            // Without a thread the ending is dropped, which says that the action failed.
             .spawn(move || watcher.watch(ending));
         if watching.is_err() {
             running.let_go();
@@ -267,13 +267,13 @@ struct Stopping(Mutex<Vec<Stopped>>);
 struct Stopped {
     task: String,
     running: Arc<Running>,
-    /// How long its end is waited for.
+    /// Until when its end is waited for.
     until: Instant,
 }
 
 impl Stopping {
-    /// Tells a command to stop, and waits until it has ended. The thread that calls this has other work, and may have many
-    /// commands to stop: all that do not end at once share the deadline of the first.
+    /// Tells a command to stop, and waits until it has ended. The calling thread has other work, and may have many commands to
+    /// stop: all that do not end at once share the deadline of the first.
     fn stop(&self, task: String, running: &Arc<Running>) {
         running.let_go();
         let now = Instant::now();
@@ -289,7 +289,7 @@ impl Stopping {
 
     /// Waits until the stopped commands of a task have ended, each at most [`STOP_WITHIN`] from its own stop on.
     fn wait(&self, task: &str) {
-        // They stay in the list meanwhile: another thread may have to wait for them, too.
+        // The commands stay in the list meanwhile, because another thread may have to wait for them, too.
         let all: Vec<_> = {
             let all = self.lock();
             let own = all.iter().filter(|stopped| stopped.task == task);
@@ -332,10 +332,10 @@ impl Watcher {
         }
     }
 
-    /// Hands the guard the end of the lease as it is now. Returns after how many microseconds to look again; `None`: never.
+    /// Tells the guard the present end of the lease. Returns after how many microseconds to check again; `None`: never.
     fn renew(&self, ending: &Ending) -> Option<u64> {
         let begun = self.lease?;
-        // Another epoch is another time in office: the action that this command was begun for is over.
+        // Under another epoch, the action for which this command was begun is over.
         let held = ending.lease().filter(|lease| lease.epoch == begun.epoch)?;
         let Some(until) = held.until else { return Some(ALONE_EVERY) };
         self.running.renew(until);

@@ -17,35 +17,35 @@ pub struct Call {
     pub task: String,
     /// The arguments; a `real` by its bits.
     pub arguments: Vec<i64>,
-    /// It takes no less
+    /// The least time that the action takes.
     pub least: Duration,
-    /// and no more than this.
+    /// The longest time that the action takes.
     pub most: Duration,
     cut_short: Arc<AtomicBool>,
 }
 
 impl Call {
-    /// Whether the action was cut short: then the robot must not act any more, and nobody hears the result.
+    /// Whether the action was cut short: then the robot must not act any more, and the result is ignored.
     #[must_use]
     pub fn is_cut_short(&self) -> bool {
         self.cut_short.load(Ordering::Acquire)
     }
 }
 
-/// Calls a function for each action that has one, each on a thread of its own, and leaves the others to someone else.
+/// Calls a function for each action that has one, each on a thread of its own. Another [`Actions`] carries out the rest.
 pub struct Functions {
     functions: BTreeMap<String, Function>,
     others: Arc<dyn Actions>,
 }
 
 impl Functions {
-    /// No functions yet.
+    /// No functions yet: `others` carries out every action.
     #[must_use]
     pub fn new(others: Arc<dyn Actions>) -> Self {
         Self { functions: BTreeMap::new(), others }
     }
 
-    /// The function of the actions of this name. One that panics has failed.
+    /// Sets the function of the actions of this name. A function that panics has failed.
     #[must_use]
     pub fn action(
         mut self,
@@ -70,7 +70,7 @@ impl Actions for Functions {
             most: act.most,
             cut_short: Arc::clone(&cut_short),
         };
-        // A panic, or no thread at all, drops the ending, which says then that the action failed.
+        // A panic, or a failed spawn, drops the ending, which then says that the action failed.
         let _ = thread::Builder::new().name(format!("action {}", act.name)).spawn(move || {
             match function(&call) {
                 Ok(value) => ending.done(value),

@@ -1,9 +1,9 @@
-//! What a script learns of its communication task, besides the signals.
+//! What a script can read of its communication task, besides the signals.
 
 use imrs_protocol::script::{Action, Address, End, ScriptOutbox};
 use imrs_protocol::{CommTask, Contents, NodeTable, PortId, ReplyTo, Request, TaskId};
 
-/// A communication task, for its script to ask.
+/// A communication task, as its script may read it.
 #[derive(Clone, Copy)]
 pub(crate) struct Knows<'a> {
     pub machine: &'a CommTask,
@@ -21,17 +21,17 @@ impl Knows<'_> {
         self.machine.partner_published().copied()
     }
 
-    /// What a member told at a waitfor.
+    /// The arguments of a member's arrival at a waitfor.
     pub fn arrival(self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
         self.machine.meeting_arguments(self.table, port, task)
     }
 
-    /// The message of a task that this one took and still owes an answer.
+    /// The message of a task that this one has taken and not answered yet.
     pub fn owed(self, port: PortId, task: TaskId) -> Option<ReplyTo> {
         self.machine.owed(port, task)
     }
 
-    /// A fragment of an answer: that of `task`, or of the only one asked.
+    /// A fragment of the answer of `task`, or of the only task asked.
     pub fn answer(self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
         if let Some(task) = task {
             return self.machine.answer_fragment(port, task, index).copied();
@@ -41,8 +41,7 @@ impl Knows<'_> {
     }
 }
 
-/// What becomes of what a script does, as [`ScriptOutbox`] has it; what it asks of its communication task is answered
-/// by [`Outlet`].
+/// Takes the output of a script, as [`ScriptOutbox`] does. [`Outlet`] answers what the script reads of its communication task.
 pub(crate) trait Does {
     fn request(&mut self, request: Request);
     fn run(&mut self, action: Action<'_>);
@@ -53,7 +52,7 @@ pub(crate) trait Does {
     fn unanswered(&mut self, message: ReplyTo);
 }
 
-/// Where the output of a script goes.
+/// The outbox of a script's step.
 pub(crate) struct Outlet<'a, D> {
     pub knows: Knows<'a>,
     pub does: D,

@@ -1,8 +1,8 @@
-//! Tasks whose behaviour is a script (D38, D45).
+//! Tasks whose behaviour is a script.
 //!
-//! A script has no thread. It stands behind the lock of its communication task and is run by whoever brings input
-//! there, so that what the two do together is one step, as in the model; local messages between tasks are steps of
-//! their own (D39). Its actions outside are begun after the lock is released, and their ends are input again.
+//! A script has no thread. It is behind the lock of its communication task, and the thread that brings input there runs it. So
+//! what the two do together is one step, as in the model; local messages between tasks are steps of their own. The script's
+//! actions outside begin after the lock is released, and their ends are input again.
 
 mod actions;
 mod command;
@@ -23,19 +23,19 @@ pub(crate) use seat::Seat;
 use imrs_protocol::script::{Address, End, Script};
 use imrs_protocol::{CommTask, ReplyTo, Request, Signal, TaskId, Ticks};
 
-/// Is told what scripts do. Called under a lock that messages wait for: it must hand the note on and return.
+/// Is told what scripts do. Called under a lock that messages wait for: it must pass the note on and return.
 pub trait Watch: Send + Sync {
     /// What the script of `task` did at `at`, in microseconds of the node's clock (`CLOCK_BOOTTIME`).
     fn note(&self, task: TaskId, at: u64, note: &Note);
 
-    /// How `task` stands since `at`, in microseconds of the node's clock, now that its script waits: a state between
-    /// two steps of the cell, as checks see it (D101). Called after every step.
+    /// The state of `task` since `at`, in microseconds of the node's clock, now that its script waits: a state between two steps
+    /// of the cell, as checks see it. Called after every step.
     fn stands(&self, task: TaskId, at: u64, stands: &Stands<'_>) {
         let _ = (task, at, stands);
     }
 }
 
-/// How a task stands between two steps.
+/// The state of a task between two steps.
 #[derive(Clone, Copy, Debug)]
 pub struct Stands<'a> {
     /// Its script.
@@ -49,24 +49,24 @@ pub struct Stands<'a> {
 pub enum Note {
     /// A statement begins.
     Statement(Address),
-    /// It asks its communication task.
+    /// The script asks its communication task.
     Asked(Request),
-    /// Its communication task answers.
+    /// The communication task answers.
     Answered(Signal),
     /// An action begins.
     Acts {
-        /// The thread that waits for it.
+        /// The thread that waits for the action.
         level: u8,
-        /// Which, of [`Program::actions`](imrs_protocol::script::Program::actions).
+        /// Which action of [`Program::actions`](imrs_protocol::script::Program::actions).
         action: u16,
         /// Its arguments.
         arguments: Vec<i64>,
-        /// It takes no more than this.
+        /// The longest time that the action may take.
         most: Ticks,
     },
     /// The action of this thread has ended.
     Acted {
-        /// The thread that waited for it.
+        /// The thread that waited for the action.
         level: u8,
         /// Whether it succeeded.
         ok: bool,
@@ -75,8 +75,8 @@ pub enum Note {
     },
     /// The action of this thread was cut short.
     CutShort(u8),
-    /// A class-2 message is forgotten unanswered.
+    /// A class-2 message is forgotten without an answer.
     Unanswered(ReplyTo),
-    /// It has ended.
+    /// The script has ended.
     Ended(End),
 }

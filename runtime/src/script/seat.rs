@@ -1,4 +1,4 @@
-//! A script behind the lock of its communication task.
+//! A script and what it needs, behind the lock of its communication task.
 
 use super::actions::{Begun, Deed, HeldLease};
 use super::knows::{Does, Outlet};
@@ -15,19 +15,19 @@ use imrs_protocol::{Input, ReplyTo, Request, Signal, TaskId, Ticks};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// How many signals or requests of one input have room without allocating.
+/// How many signals or requests of one input fit without an allocation.
 const ROOM: usize = 16;
 
 pub(crate) struct Seat {
     program: Arc<Program>,
     script: Script,
-    /// What the communication task said and the script has not heard. Empty between inputs.
+    /// Answers of the communication task that the script has not taken yet. Empty between inputs.
     signals: VecDeque<Signal>,
     /// What the script asked in its last step. Empty between steps.
     requests: VecDeque<Request>,
     side: Side,
-    /// How many steps the scripts of the node may take together before something must come from outside: two that
-    /// answer each other for ever would keep the thread that runs them, and with it whatever that should do besides.
+    /// How many steps the scripts of the node may take together before input must come from outside: two scripts that answer each
+    /// other for ever would keep the thread that runs them from all its other work.
     together: u32,
     stopped: bool,
 }
@@ -41,7 +41,7 @@ struct Side {
     begun: u64,
     draws: fastrand::Rng,
     watch: Option<Arc<dyn Watch>>,
-    /// Of everything that the script has done, where that is recorded.
+    /// The digest of everything that the script has done, if that is recorded.
     done: OutputDigest,
     ended: bool,
 }
@@ -54,7 +54,7 @@ impl Seat {
         seed: u64,
         together: u32,
     ) -> Self {
-        // By name, so that no two tasks choose in step.
+        // By name, so that no two tasks draw the same choices.
         let salt = super::simulated::salt(&program.name);
         let side = Side {
             place,
@@ -73,7 +73,7 @@ impl Seat {
         &self.program
     }
 
-    /// The script begins.
+    /// Starts the script.
     pub fn begin(&mut self, comm: &mut Comm, effects: &mut Effects) {
         let at = self.let_time_pass(comm, effects);
         self.side.record(comm, ScriptStep::Begin { at });
@@ -86,7 +86,7 @@ impl Seat {
         let mut input = stamped.input;
         let only_time = matches!(input, Input::Time);
         let turn = time(comm, effects);
-        // One step for the time and the input, where nobody wants to see what is between.
+        // One step for the time and the input, if nothing is due by then and no watch wants to see the state in between.
         let elapsed = if !only_time && self.side.watch.is_none() && comm.is_idle_until(turn) {
             comm.elapsed(turn)
         } else {
@@ -97,7 +97,7 @@ impl Seat {
             return;
         }
         if let Input::Packet(packet) = &mut input {
-            // What it waited for this step is taken from its life.
+            // The packet is charged for its wait for this step.
             packet.remaining = packet.remaining - Ticks((comm.now() + elapsed.0).saturating_sub(stamped.at));
         }
         self.step(comm, Step { elapsed, input }, effects);
@@ -110,10 +110,10 @@ impl Seat {
         self.side.acting.get(usize::from(level)) == Some(&Some(number))
     }
 
-    /// An action of this number has ended, unless it was cut short before.
+    /// Ends the action of this number, unless it was cut short before.
     pub fn acted(&mut self, comm: &mut Comm, end: (u8, u64), ok: bool, value: i32, effects: &mut Effects) {
         let (level, number) = end;
-        // First: what is due by now may cut it short.
+        // First, because what is due by now may cut the action short.
         self.let_time_pass(comm, effects);
         let Some(acting) = self.side.acting.get_mut(usize::from(level)) else { return };
         if *acting != Some(number) || self.stopped {
@@ -126,14 +126,14 @@ impl Seat {
         self.show(comm);
     }
 
-    /// Nothing comes but time: what is due by now happens before anything else does, such as the end of a lease.
+    /// Only time passes: what is due by now, such as the end of a lease, happens before anything else.
     pub fn catch_up(&mut self, comm: &mut Comm, effects: &mut Effects) {
         if !self.stopped {
             self.let_time_pass(comm, effects);
         }
     }
 
-    /// The node stops: the script acts no more, and takes back what it asked.
+    /// The node stops: the script acts no more, and cancels what it asked.
     pub fn stop(&mut self, comm: &mut Comm, effects: &mut Effects) {
         if std::mem::replace(&mut self.stopped, true) {
             return;
@@ -147,8 +147,8 @@ impl Seat {
         self.signals.clear();
     }
 
-    /// The time comes first, as a step of its own. To the next whole microsecond: what is asked in this step is never
-    /// stamped before its turn began.
+    /// The time passes first, as a step of its own, to the next whole microsecond: so what is asked in this step is never stamped
+    /// before its turn began.
     fn let_time_pass(&mut self, comm: &mut Comm, effects: &mut Effects) -> u64 {
         let elapsed = comm.elapsed(time(comm, effects));
         if !elapsed.is_zero() {
@@ -159,7 +159,7 @@ impl Seat {
         comm.now()
     }
 
-    /// The script waits: this is a state of the cell, as checks see it.
+    /// The script waits: shows this state of the cell to the watch, as checks see it.
     fn show(&self, comm: &Comm) {
         if let Some(watch) = &self.side.watch {
             let stands = Stands { script: &self.script, machine: comm.machine() };
@@ -172,7 +172,7 @@ impl Seat {
         comm.run(&step, &mut |signal| signals.push_back(signal), effects);
     }
 
-    /// The script hears all that its communication task said.
+    /// The script takes all answers of its communication task.
     fn hear(&mut self, comm: &mut Comm, effects: &mut Effects) {
         if let Some(signal) = self.next_signal(comm) {
             self.go_on(comm, ScriptInput::Signal(signal), effects);
@@ -245,13 +245,13 @@ impl Side {
     }
 }
 
-/// The time of a step: that of the thread's turn at the script. A task of a couple looks at the clock each time, because the
+/// The time of a step: that of the thread's turn at the script. For a task of a couple the clock is read each time, because the
 /// thread may have been stopped since its turn began (D153).
 fn time(comm: &Comm, effects: &mut Effects) -> Micros {
     if comm.is_coupled() { clock::next() } else { effects.time_of_turn() }
 }
 
-/// Where the effects of a script go.
+/// The outbox of one step of a script.
 struct Out<'a> {
     knows: Knows<'a>,
     log: Option<&'a mut (dyn Log + 'static)>,
@@ -319,7 +319,7 @@ impl Does for Out<'_> {
 
     fn ended(&mut self, end: End) {
         self.did(&Did::Ended(end));
-        // D61: beats stop when the task has ended.
+        // Heartbeats stop when the task has ended (D61).
         if self.knows.machine.epoch().is_some() {
             self.requests.push_back(Request::End);
         }

@@ -1,4 +1,4 @@
-//! A simulated robot: every action takes some time of its interval and succeeds.
+//! A simulated robot: every action takes a random time within its interval and succeeds.
 
 use super::actions::{Act, Actions, Ending, Stop};
 use crate::clock;
@@ -10,16 +10,16 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// What the actions of one name give, in all tasks.
+/// The results of all actions of one name, in all tasks.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Results {
     /// The name of the action.
     pub name: String,
-    /// What it gives.
+    /// The range of the results.
     pub give: Give,
 }
 
-/// What an action gives: anything from the least to the most.
+/// A range of results: anything from the least to the most.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Give {
     /// Whole numbers, and truth values as 0 and 1.
@@ -29,7 +29,7 @@ pub enum Give {
 }
 
 impl Give {
-    /// Any value, a `real` by its bits.
+    /// A random value, a `real` by its bits.
     fn any(self, draws: &mut fastrand::Rng) -> i32 {
         match self {
             Self::Whole(least, most) => draws.i32(least..=most.max(least)),
@@ -37,7 +37,7 @@ impl Give {
         }
     }
 
-    /// The value, a `real` by its bits, so far from the least (0) to the most (1).
+    /// The value at `share` of the range, from the least (0) to the most (1); a `real` by its bits.
     fn at(self, share: f64) -> i32 {
         match self {
             #[expect(clippy::cast_possible_truncation, reason = "between two numbers of 32 bits")]
@@ -47,7 +47,7 @@ impl Give {
             #[expect(clippy::cast_possible_truncation, reason = "the nearest real is meant")]
             Self::Real(least, most) => {
                 let value = (f64::from(least) + share * (f64::from(most) - f64::from(least))) as f32;
-                // The scripts know no other zero, and no infinity.
+                // The scripts have no negative zero, and no infinity.
                 let value = if value == 0.0 || !value.is_finite() { 0.0 } else { value };
                 value.to_bits().cast_signed()
             }
@@ -55,25 +55,25 @@ impl Give {
     }
 }
 
-/// An action whose results follow the time: from the least, when `since` last ended in the same task, to the most after
-/// `over`, and the most from then on.
+/// An action whose results depend on time: the least when `since` last ended in the same task, rising to the most after `over`,
+/// and the most from then on.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Course {
     /// The action that gives the results.
     pub action: String,
-    /// The action that they follow.
+    /// The action from whose end the time counts.
     pub since: String,
-    /// How long it takes.
+    /// How long it takes from the least to the most.
     pub over: Duration,
 }
 
-/// A simulated robot. How long an action takes and what it gives follow from the seed, the name of the task and how
-/// many actions the task began before.
+/// A simulated robot. The seed, the name of the task and the number of actions that the task began before determine how long an
+/// action takes and what it gives.
 pub struct Simulated {
     seed: u64,
     results: BTreeMap<String, Give>,
     courses: Vec<Course>,
-    /// By task and action that a course follows: when it last ends.
+    /// By task and action that a course follows: when the action last ends.
     followed: Mutex<BTreeMap<(String, String), Instant>>,
     shared: Arc<Shared>,
 }
@@ -85,7 +85,7 @@ struct Shared {
 
 #[derive(Default)]
 struct State {
-    /// The next to end comes first.
+    /// The actions in progress; the next to end comes first.
     under_way: BTreeMap<(Instant, u64), (i32, Ending)>,
     numbers: u64,
     closed: bool,
@@ -97,13 +97,13 @@ impl Shared {
     }
 }
 
-/// A number made of a name: what is seeded with it differs between names.
+/// A hash of a name, to seed draws differently for each name.
 pub(crate) fn salt(name: &str) -> u64 {
     name.bytes()
         .fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
 }
 
-/// What the action of this number of a task draws. One generator seeds the next: mixed by `^` alone, the actions of neighbouring
+/// The draws of a task's action with this number. One generator seeds the next: mixed by `^` alone, the actions of neighbouring
 /// seeds would draw the same numbers in another order.
 fn draws(seed: u64, task: &str, number: u64) -> fastrand::Rng {
     let mut of_task = fastrand::Rng::with_seed(seed ^ salt(task));
@@ -111,7 +111,7 @@ fn draws(seed: u64, task: &str, number: u64) -> fastrand::Rng {
 }
 
 impl Simulated {
-    /// A robot whose actions give these results; an action without any gives 0.
+    /// A robot whose actions give these results; other actions give 0.
     ///
     /// # Errors
     /// The operating system refused the thread that ends the actions.
@@ -124,7 +124,7 @@ impl Simulated {
         Ok(Arc::new(Self { seed, results, courses, followed, shared }))
     }
 
-    /// Where the results of an action stand now that follow another one.
+    /// How far the results of an action are on their course, from 0 to 1, if it has one.
     fn on_its_course(&self, act: &Act<'_>, now: Instant) -> Option<f64> {
         let course = self.courses.iter().find(|course| course.action == act.name)?;
         let followed = lock(&self.followed);
@@ -161,7 +161,7 @@ impl Actions for Simulated {
         let shared = Arc::clone(&self.shared);
         Some(Box::new(move || {
             let gone = shared.lock().under_way.remove(&key);
-            // Outside of the lock: it has something to say.
+            // Outside of the lock, because dropping the ending reports to the node.
             drop(gone);
         }))
     }
@@ -196,7 +196,7 @@ fn run(shared: &Shared) {
             }
         }
     }
-    // What is under way ends with nobody to tell.
+    // Actions in progress are dropped outside of the lock.
     let left = std::mem::take(&mut state.under_way);
     drop(state);
     drop(left);

@@ -1,7 +1,7 @@
-//! When the Timer thread must wake: at the earliest expiry that nobody waits for (D40).
+//! Decides when the Timer thread must wake: at the earliest expiry that no task's thread waits for (D40).
 //!
-//! Every machine of the node publishes its next expiry in a slot of its own. The Timer thread sleeps until the earliest
-//! and is rung only if an earlier one is published: a stream of messages with equal time_outs never rings it.
+//! Every machine of the node publishes its next expiry in a slot of its own. The Timer thread sleeps until the earliest slot.
+//! Only an earlier expiry wakes it, so a stream of messages with equal time_outs never does.
 
 use crate::clock::{FAR, Micros, nanos_of};
 use crate::sync::handoff::Rest;
@@ -11,7 +11,7 @@ use crate::sync::{AtomicU64, Ordering, Word, fence};
 #[derive(Debug)]
 pub(crate) struct Alarm<P = Sound> {
     slots: Box<[AtomicU64]>,
-    /// What the Timer thread sleeps until.
+    /// The instant until which the Timer thread sleeps.
     target: AtomicU64,
     rung: Word,
     plant: P,
@@ -20,15 +20,15 @@ pub(crate) struct Alarm<P = Sound> {
 /// The bugs that the explorers must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    /// While the slots are looked at, the old target still stands.
+    /// While the Timer thread reads the slots, the old target still stands.
     NoOpenTarget,
-    /// Nothing orders a slot and the target.
+    /// No fence orders a slot and the target.
     NoFence,
-    /// The end is looked for before what has been rung so far.
+    /// `closing` is checked before `rung` is read.
     EndBeforeRung,
 }
 
-/// The earliest expiry, and what has been rung so far.
+/// The earliest expiry, and the value of `rung` before the slots were read.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Earliest {
     pub at: Micros,
@@ -48,7 +48,7 @@ impl<P: Plants<Plant>> Alarm<P> {
         Self { slots, target: AtomicU64::new(FAR), rung: Word::new(0), plant }
     }
 
-    /// Says when `slot` next expires. Called under the lock of that machine, so the last word is the newest.
+    /// Publishes when `slot` next expires. Called under the lock of that machine, so the last store is the newest value.
     pub fn publish(&self, slot: usize, at: Micros) {
         let slot = &self.slots[slot];
         if slot.load(Ordering::Relaxed) == at {
@@ -58,7 +58,7 @@ impl<P: Plants<Plant>> Alarm<P> {
         if at == FAR {
             return;
         }
-        // Pairs with the one in `earliest`: either that sees the slot, or this sees the open target.
+        // Pairs with the fence in `earliest`: either its loads see this slot, or this load sees its `FAR` or a later target.
         self.fence();
         if at < self.target.load(Ordering::Relaxed) {
             self.ring();
@@ -81,10 +81,10 @@ impl<P: Plants<Plant>> Alarm<P> {
         self.rung.wake();
     }
 
-    /// The earliest of all slots; for the Timer thread alone. From here on it is rung for anything earlier.
+    /// The earliest of all slots; only the Timer thread calls this. From here on, any earlier expiry wakes that thread.
     pub fn earliest(&self) -> Earliest {
         let rung = self.rung.load();
-        // While the slots are looked at, whatever is published rings.
+        // While the slots are read, the target is `FAR`, so whatever is published rings.
         if !self.plant.has(Plant::NoOpenTarget) {
             self.target.store(FAR, Ordering::Relaxed);
         }
@@ -94,9 +94,9 @@ impl<P: Plants<Plant>> Alarm<P> {
         Earliest { at, rung }
     }
 
-    /// Sleeps until something expires that nobody waits for, and returns the time then; for the Timer thread alone. It wakes
-    /// `tail` before, and looks from there on; what is so near at first is slept for, so that it gives up its core between
-    /// any two. `None` as soon as `closing` says so: whoever makes it say so rings afterwards.
+    /// Sleeps until something expires that no task's thread waits for, and returns the time then. Only the Timer thread calls
+    /// this. It wakes `tail` early and spins from there on. If the first expiry is nearer than that, it sleeps for it, so that it
+    /// gives up its core between any two. `None` as soon as `closing` is true; whoever makes it true rings afterwards.
     pub fn next(
         &self,
         tail: Micros,
@@ -131,7 +131,7 @@ impl<P: Plants<Plant>> Alarm<P> {
         }
     }
 
-    /// Looks for a ring until then. It lets the slots be: whoever publishes something earlier rings.
+    /// Spins until then, or until rung. It does not read the slots, because publishing an earlier expiry rings.
     fn look(&self, until: Earliest, clock: impl Fn() -> Micros) {
         while self.rung.load() == until.rung && clock() < until.at {
             std::hint::spin_loop();
@@ -150,8 +150,8 @@ impl<P: Plants<Plant>> Alarm<P> {
     }
 }
 
-/// Who looks after the time of one machine: its task's thread, where that sleeps no longer than until the next expiry;
-/// else the Timer's. Changed only under the lock of that machine.
+/// Which thread covers the deadlines of one machine: its task's thread if that sleeps at most until the next expiry, else the
+/// Timer thread. Changed only under the lock of that machine.
 #[derive(Debug)]
 pub(crate) struct Cover {
     slot: usize,
@@ -172,7 +172,8 @@ impl Cover {
         }
     }
 
-    /// The machine next expires at `due`, and its task's thread does this: publishes what nobody waits for.
+    /// The machine next expires at `due`, and its task's thread does `rest`. Publishes `due`, unless the thread's sleep covers
+    /// it.
     pub fn settle<P: Plants<Plant>>(&mut self, alarm: &Alarm<P>, rest: Rest, due: Micros) {
         match rest {
             Rest::No => self.until = None,

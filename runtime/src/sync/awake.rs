@@ -1,25 +1,25 @@
-//! Waiting awake: a thread that expects to wait briefly looks at its word for a while before it sleeps (D110).
+//! Spinning before sleeping: a thread that expects a short wait checks its word for a while before it sleeps (D110).
 //!
-//! Whether it does rests on three things: how long waits of that kind took lately, how often it looked in vain, and
-//! whether another thread needs its core. Nothing but speed rests on any of them.
+//! Whether it spins depends on three things: how long such waits took lately, how often spinning failed, and whether another
+//! thread needs its core. They affect only speed.
 
 use crate::clock::{self, FAR, Micros};
 use imrs_protocol::Request;
 use rustix::thread::{CpuSet, sched_getaffinity};
 use std::sync::atomic::{AtomicI16, AtomicIsize, AtomicU16, Ordering};
 
-/// How many threads of tasks of this process run, or are about to because somebody woke them.
+/// How many threads of this process's tasks run, or are about to because another thread woke them.
 static AWAKE: AtomicIsize = AtomicIsize::new(0);
-/// Of those, the ones that may use this core alone.
+/// How many of these threads may use only this core, for each core.
 static BOUND: [AtomicI16; CpuSet::MAX_CPU] = [const { AtomicI16::new(0) }; CpuSet::MAX_CPU];
-/// No single core.
+/// The thread may use several cores.
 const ANY: u16 = u16::MAX;
 
-/// Whether a task's thread runs, told to all others. The thread itself says that it goes; that it is back says whoever wakes
-/// it, or itself where nobody did.
+/// Whether a task's thread runs, visible to all other threads. The thread counts itself out when it goes. The thread that wakes
+/// it counts it back; if no thread did, it counts itself back.
 #[derive(Debug)]
 pub(crate) struct Presence {
-    /// The only core that the thread may use. Changed by itself alone, while it runs.
+    /// The only core that the thread may use, or `ANY`. Only the thread itself changes it, while it runs.
     core: AtomicU16,
 }
 
@@ -43,7 +43,7 @@ impl Presence {
         }
     }
 
-    /// Says which core is the only one of the calling thread, whose presence this is, if there is one.
+    /// Sets the only core of the calling thread, if it has just one. This must be the calling thread's presence.
     fn keeps_to(&self, core: Option<u16>) {
         self.goes();
         self.core.store(core.unwrap_or(ANY), Ordering::Relaxed);
@@ -51,8 +51,8 @@ impl Presence {
     }
 }
 
-/// How much of the processor's time the process may use, in cores; [`isize::MAX`] where nobody limits it. Asked before
-/// the first thread of a task waits, and then known.
+/// How much processor time the process may use, in cores; [`isize::MAX`] without a limit. Determined before the first wait of a
+/// task's thread, then cached.
 pub(crate) fn quota() -> isize {
     const UNKNOWN: isize = 0;
     static QUOTA: AtomicIsize = AtomicIsize::new(UNKNOWN);
@@ -60,7 +60,7 @@ pub(crate) fn quota() -> isize {
     if known != UNKNOWN {
         return known;
     }
-    // The library takes the lesser of the cores that this thread may use and the limit.
+    // `available_parallelism` returns the lesser of this thread's cores and the limit.
     let lesser = std::thread::available_parallelism().map_or(1, usize::from);
     let cores = sched_getaffinity(None).map_or(1, |set| set.count() as usize);
     let quota = if lesser < cores { isize::try_from(lesser).unwrap_or(isize::MAX) } else { isize::MAX };
@@ -71,14 +71,14 @@ pub(crate) fn quota() -> isize {
 /// The cores of a thread.
 #[derive(Clone, Copy, Debug)]
 struct Cores {
-    /// How many threads of tasks may run at once before one of them lacks a core.
+    /// How many task threads may run at once before one of them lacks a core.
     most: isize,
-    /// The only one that the thread may use.
+    /// The only core that the thread may use.
     only: Option<u16>,
 }
 
 impl Cores {
-    /// Of the calling thread.
+    /// The cores of the calling thread.
     fn now() -> Self {
         let set = sched_getaffinity(None).unwrap_or_else(|_| CpuSet::new());
         let count = isize::try_from(set.count()).unwrap_or_default();
@@ -95,7 +95,7 @@ impl Cores {
     }
 }
 
-/// What a task's thread waits for, of those waits that another thread can end soon.
+/// Which kind of wait, among those that another thread can end soon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Kind {
     Answers,
@@ -114,20 +114,20 @@ impl Kind {
     }
 }
 
-/// How waits of one kind went.
+/// Spin history of one kind of wait.
 #[derive(Clone, Copy, Debug)]
 struct Habit {
-    /// Whether the last one was brief: what ended it came within the budget, however late the thread noticed.
+    /// Whether the last wait was brief: what ended it came within the budget, however late the thread noticed.
     brief: bool,
-    /// How much more often it looked in vain than not, at most [`Self::MOST`].
+    /// How much more often spinning failed than succeeded, at most [`Self::MOST`].
     vain: u32,
-    /// How many waits go by before it looks again.
+    /// How many waits pass before the thread spins again.
     pause: u32,
 }
 
 impl Habit {
     const MOST: u32 = 10;
-    /// How many waits that are not brief go by before it looks all the same: two ends that both sleep wake each other so
+    /// How many waits that are not brief pass before the thread spins all the same. Two ends that both sleep wake each other so
     /// late that no wait would ever be brief.
     const UNLIKELY: u32 = 63;
     const NEW: Self = Self { brief: false, vain: 0, pause: Self::UNLIKELY };
@@ -159,31 +159,31 @@ impl Habit {
     }
 }
 
-/// How a task's thread waits.
+/// Spin policy of a task's thread: whether, and for how long, it spins before it sleeps.
 #[derive(Debug)]
 pub(crate) struct Patience {
-    /// For how long it looks before it sleeps.
+    /// For how long the thread spins before it sleeps.
     budget: Micros,
-    /// Those of the calling thread, once it has waited.
+    /// The cores of the calling thread, known once it has waited.
     cores: Option<Cores>,
     habits: [Habit; 3],
 }
 
 impl Patience {
-    /// How many looks share one look at the clock.
+    /// How many checks share one reading of the clock.
     const LOOKS: u32 = 16;
 
     pub fn new(budget: Micros) -> Self {
         Self { budget, cores: None, habits: [Habit::NEW; 3] }
     }
 
-    /// A wait of this kind was ended by what came after so long.
+    /// Records that what ended a wait of this kind came after this time.
     pub fn learn(&mut self, kind: Kind, after: Micros) {
         self.habits[kind as usize].ended(after <= self.budget);
     }
 
-    /// Looks, where that is worth it, for what ends the wait: at most for the budget, and not beyond `until`. Whether it is
-    /// there.
+    /// Spins, where that pays, until `there` returns true: at most for the budget, and not beyond `until`. Returns whether it
+    /// did.
     pub fn look(
         &mut self,
         kind: Kind,
@@ -240,7 +240,7 @@ mod tests {
         Patience { cores: Some(cores), ..Patience::new(200) }
     }
 
-    /// How often a wait that nothing ends is looked at, of so many.
+    /// In how many of `waits` waits, which nothing ends, the thread spins.
     fn tried(patience: &mut Patience, waits: u32) -> u32 {
         let presence = Presence::new();
         let mut tried = 0;

@@ -1,18 +1,18 @@
-//! The hand-off between threads and one communication task (D39, D40).
+//! The hand-off between threads and one communication task: a combining lock with an inbox (D39, D40).
 //!
-//! The communication task is a data structure run by whoever brings it input. Two doors lead to it:
+//! The communication task is a data structure, run by the thread that brings input. Two ways lead to it:
 //!
-//! - [`Handoff::deliver`] is for everybody: whoever gets the lock works for all (flat combining); whoever does not,
-//!   leaves the input in the [`Inbox`] and goes on. The holder of the lock looks into it once more after it has let
-//!   go, so nothing stays behind.
+//! - [`Handoff::deliver`] is for every thread. If the lock is free, the thread takes it and works for all (flat combining). If
+//!   not, it leaves the input in the [`Inbox`] and goes on. The holder rechecks the inbox after unlocking, so nothing stays
+//!   behind.
 //! - [`Handoff::enter_and`] is for the task's own thread, which needs the answer.
 //!
-//! The answer is mail: written under the lock, together with the word that says so, on which the task's thread [waits](Waiting).
-//! While that says that the thread looks, what is brought is left to it: it is there at once, and its communication task
-//! stays where it is, in the near cache of one core (D128). To a thread that runs is left what may wait until it comes in (D130).
+//! The answer (`Mail`) is written under the lock, together with the word on which the task's thread [waits](Waiting). While the
+//! word says that the thread spins, others leave their input to it. It gets the input at once, and its communication task stays
+//! in the near cache of one core (D128). To a running thread they leave what may wait until it enters (D130).
 //!
-//! The shared part knows nothing of messages: it is generic over the [`Station`], so that the tests can explore every
-//! interleaving with a station of two states.
+//! The shared part knows nothing of messages: it is generic over the [`Station`], so that tests can explore its interleavings
+//! with a station of two states.
 
 use crate::sync::awake::Presence;
 use crate::sync::inbox::Inbox;
@@ -41,7 +41,7 @@ struct Core<S: Station> {
 }
 
 impl<S: Station> Handoff<S> {
-    /// `bell` calls the task's thread where it waits elsewhere ([`go_away`](Self::go_away)).
+    /// `bell` wakes the task's thread where it waits elsewhere ([`go_away`](Self::go_away)).
     pub fn new(station: S, bell: Option<Arc<dyn Bell>>) -> Self {
         Self::planted(station, bell, Sound)
     }
@@ -58,12 +58,12 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         }
     }
 
-    /// Whether the task's thread runs, told to all others.
+    /// Whether the task's thread runs, visible to all other threads.
     pub const fn presence(&self) -> &Presence {
         &self.waiting.presence
     }
 
-    /// Brings input from anywhere. It has been taken, or will be by whoever holds the lock or has it next.
+    /// Brings input from any thread. On return the input has been taken, or the present or next holder of the lock will take it.
     pub fn deliver(&self, input: S::Input, effects: &mut S::Effects) {
         let left = match self.waiting.leaves() {
             Leave::All => self.leave(input).map(|()| self.call_looker(effects)),
@@ -85,7 +85,7 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         self.second_look(effects);
     }
 
-    /// As [`deliver`](Self::deliver), for several inputs under one lock: takes all of `inputs`, the first one first.
+    /// As [`deliver`](Self::deliver), for several inputs under one lock: takes all of `inputs`, in order.
     pub fn deliver_all(&self, inputs: &mut VecDeque<S::Input>, effects: &mut S::Effects) {
         if self.waiting.is_looking() {
             while let Some(input) = inputs.pop_front() {
@@ -109,7 +109,7 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         self.second_look(effects);
     }
 
-    /// As [`deliver`](Self::deliver), and the input has been taken on return.
+    /// As [`deliver`](Self::deliver), but on return the input has been taken.
     pub fn deliver_now(&self, input: S::Input, effects: &mut S::Effects) {
         self.work(lock(&self.core), Some(input), effects);
         self.second_look(effects);
@@ -121,8 +121,8 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         self.enter_and(input, |_| None, effects)
     }
 
-    /// Brings input from the task's own thread and takes what there is for it. Goes on under the same lock: as long as there
-    /// is an answer for which `more` has another input, that one is brought, too.
+    /// Brings input from the task's own thread and takes the answer, if there is one. While `more` has another input for an
+    /// answer, brings that input, too, under the same lock.
     pub fn enter_and(
         &self,
         input: S::Input,
@@ -135,7 +135,7 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         self.go_on(core, more, effects)
     }
 
-    /// As [`enter_and`](Self::enter_and), of a thread that has waited: where there is an answer, it brings nothing.
+    /// As [`enter_and`](Self::enter_and), for a thread that has waited: if there is an answer already, it brings no input.
     pub fn come_back_and(
         &self,
         input: S::Input,
@@ -167,7 +167,7 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         let mail = loop {
             let mail = core.mail.take();
             let Some(next) = mail.as_ref().and_then(&mut more) else { break mail };
-            // Not for each: the inbox is on its way between two cores. Never full, so that nobody waits for the lock.
+            // Only if half full, as the drain moves its cache line to this core. Once full, others would wait for the lock.
             if self.inbox.is_half_full() {
                 self.inbox.come_in();
                 self.drain(&mut core, effects);
@@ -183,13 +183,13 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         Entry { mail, stopped, until }
     }
 
-    /// As [`enter`](Self::enter), for a task that is a future: it never rests, so others look after its time; and where there
-    /// is an answer already, it takes that and brings nothing.
+    /// As [`enter`](Self::enter), for a task that is a future. It never rests, so the Timer covers its deadlines. If there is an
+    /// answer already, it takes that and brings no input.
     pub fn enter_awake(&self, input: S::Input, effects: &mut S::Effects) -> Entry<S::Mail> {
         let mut core = lock(&self.core);
         self.waiting.is_polled();
         let (mail, until) = if core.mail.is_some() {
-            // Whoever brought it has settled what follows.
+            // The thread that brought the answer has settled what follows.
             (core.mail.take(), u64::MAX)
         } else {
             self.drain(&mut core, effects);
@@ -204,29 +204,29 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         Entry { mail, stopped, until }
     }
 
-    /// The future waits from here on; the bell calls it. False where there is something for it already.
+    /// The future waits from here on; the bell wakes it. False if there is something for it already.
     pub fn listen(&self) -> bool {
         self.waiting.listens(|| self.has_left())
     }
 
-    /// Sleeps until there is mail, the node stops, or `deadline` (nanoseconds of the monotonic clock) has passed. May
-    /// return early for no reason: the caller enters again and looks. False where there was something already.
+    /// Sleeps until there is an answer, the node stops, or `deadline` (nanoseconds of the monotonic clock) passes. Wake-ups may
+    /// be spurious: the caller enters again and checks. False if there was something already.
     pub fn sleep(&self, deadline: Option<u64>) -> bool {
         self.waiting.sleep(deadline, || self.has_left())
     }
 
-    /// Whether there is something for the task's thread, or the node stops: what it may look at before it sleeps.
+    /// Whether there is something for the task's thread, or the node stops. The thread may check this before it sleeps.
     pub fn is_called(&self) -> bool {
         self.waiting.is_ready()
     }
 
-    /// Whether something was left.
+    /// Whether input was left in the inbox.
     pub fn has_left(&self) -> bool {
         !self.inbox.is_empty()
     }
 
-    /// The task's thread looks for what ends its wait: `look` tests for it as often as that is worth it. From the first test
-    /// on, what is brought is left to this thread. `take_in` is to bring what may have come elsewhere. Whether there is
+    /// The task's thread spins for what ends its wait: `look` calls its argument as long as spinning pays. From the first call
+    /// on, others leave their input to this thread. `take_in` receives what may have come elsewhere. Returns whether there is
     /// something.
     pub fn look(
         &self,
@@ -244,17 +244,17 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         found || (looks && self.waiting.ends_its_look())
     }
 
-    /// Something was left to the thread that ran.
+    /// Input was left to the running thread: drains the inbox if that thread no longer runs.
     fn look_after_runner(&self, effects: &mut S::Effects) {
         if self.waiting.runs_no_longer() {
             self.second_look(effects);
         }
     }
 
-    /// Something was left to the thread that looks.
+    /// Input was left to the spinning thread: calls it.
     fn call_looker(&self, effects: &mut S::Effects) {
         if !self.waiting.call_looker() {
-            // It has looked into the inbox since.
+            // It spins no longer, so it may have drained the inbox before this input came.
             self.second_look(effects);
         }
     }
@@ -272,20 +272,20 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         self.second_look(effects);
     }
 
-    /// The task's thread does not come in any more: nothing is left to it.
+    /// The task's thread never enters again: others leave nothing to it from here on.
     pub fn end(&self, effects: &mut S::Effects) {
         self.waiting.ready();
         self.second_look(effects);
     }
 
-    /// Works off what is in the inbox, unless somebody is at it.
+    /// Drains the inbox, unless another thread holds the lock.
     pub fn nudge(&self, effects: &mut S::Effects) {
         self.second_look(effects);
     }
 
-    /// Does something with the station that may lead to work, from anywhere.
+    /// Changes the station in a way that may lead to work, from any thread.
     pub fn visit(&self, visit: impl FnOnce(&mut S, &mut S::Effects), effects: &mut S::Effects) {
-        // What was left may be an answer: only who works it off marks the word.
+        // Drain first: input in the inbox may lead to an answer, and only `work` marks the word.
         self.second_look(effects);
         let mut core = lock(&self.core);
         visit(&mut core.station, effects);
@@ -295,8 +295,8 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         self.second_look(effects);
     }
 
-    /// Looks at the station under its lock, once what was left is worked off. Who holds the lock has its duties: so is what
-    /// others leave meanwhile.
+    /// Looks at the station under its lock, after draining the inbox. As a holder, the caller also works off what others leave
+    /// meanwhile.
     pub fn with<R>(&self, look: impl FnOnce(&mut S) -> R, effects: &mut S::Effects) -> R {
         let mut core = lock(&self.core);
         let seen = if self.inbox.is_empty() {
@@ -310,7 +310,7 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         seen
     }
 
-    /// As [`with`](Self::with), without those duties.
+    /// As [`with`](Self::with), without draining the inbox.
     #[cfg(test)]
     pub fn look_at<R>(&self, look: impl FnOnce(&mut S) -> R) -> R {
         look(&mut lock(&self.core).station)
@@ -321,8 +321,8 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         self.waiting.time_out();
     }
 
-    /// Puts input into the inbox without taking the lock, or hands it back where the inbox is full. Whoever enters next
-    /// finds it; [`nudge`](Self::nudge) makes sure that somebody does.
+    /// Puts input into the inbox without taking the lock, or returns it if the inbox is full. The next thread that enters takes
+    /// the input; [`nudge`](Self::nudge) makes sure that one does.
     pub fn leave(&self, input: S::Input) -> Result<(), S::Input> {
         self.inbox.leave(input)
     }
@@ -336,7 +336,7 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         self.work_and(core, inputs, |_| (), effects);
     }
 
-    /// Works off what there is, and then does something with the station.
+    /// Drains the inbox, feeds `inputs`, and then calls `then` with the station.
     fn work_and<R>(
         &self,
         mut core: MutexGuard<'_, Core<S>>,
@@ -354,7 +354,7 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         let done = then(&mut core.station);
         let rest = if core.resting { Rest::GoesOn } else { Rest::No };
         core.station.settle(rest, effects);
-        // Last: the task's thread may be looking, and wants the lock.
+        // Last, because the task's thread may be spinning, and then wants the lock.
         let was = if new_mail { self.waiting.mark() } else { Was::RUNNING };
         drop(core);
         self.waiting.call(was);
@@ -373,9 +373,9 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         core.batch = batch;
     }
 
-    /// Works off what was left in the inbox by those who did not get the lock. Who fails to get it here leaves the
-    /// work to the holder, who comes here after letting go: the fence on both sides makes sure that one of the two
-    /// sees it.
+    /// Drains the inbox of input that was left while the lock was taken. The fence pairs with the one of another thread here: one
+    /// that leaves input stores the inbox count before it and tries the lock after it. The holder unlocks before it and loads the
+    /// count after it. So either that thread gets the lock, or the holder sees the input.
     fn second_look(&self, effects: &mut S::Effects) {
         if self.has(Plant::NoSecondLook) {
             return;

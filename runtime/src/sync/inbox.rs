@@ -1,24 +1,24 @@
-//! What is left for whoever runs a communication task next: put down without its lock, and worked off in the same order.
+//! Input left for the next thread that runs a communication task: stored without that task's lock, taken in the same order.
 
 use crate::sync::{AtomicUsize, Mutex, Ordering, lock};
-/// Not what the explorers explore: it is a hint.
+/// A real atomic, which no explorer explores: it is only a hint.
 use std::sync::atomic::AtomicBool;
 
-/// How many inputs wait in an inbox before who brings more waits for the lock.
+/// How many inputs fit into an inbox. Once it is full, a thread that brings more waits for the lock.
 const ROOM: usize = 64;
 
-/// How many inputs at most wait for a thread that runs: what it works off, whatever it comes for (D130).
+/// How many inputs at most wait for a running thread: it works them off whatever it enters for (D130).
 const FOR_A_RUNNER: usize = 32;
 
-/// Both ends write to it: it stands in a line of the cache of its own.
+/// In cache lines of its own, because both ends write to it.
 #[repr(align(64))]
 pub(crate) struct Inbox<I> {
     inputs: Mutex<Vec<I>>,
-    /// How many there are, to be read without the lock.
+    /// How many inputs there are, readable without the lock.
     count: AtomicUsize,
-    /// Whether the task's thread has come in since somebody found too much here.
+    /// Whether the task's thread has entered since a thread last found no room for a runner.
     comes_in: AtomicBool,
-    /// Room, and whether anybody found none.
+    /// The room, and whether a thread found none.
     #[cfg(test)]
     pub room: (usize, AtomicBool),
 }
@@ -34,17 +34,17 @@ impl<I> Inbox<I> {
         }
     }
 
-    /// An empty one to [take](Self::take) into.
+    /// An empty vector to [take](Self::take) into.
     pub fn spare() -> Vec<I> {
         Vec::with_capacity(ROOM)
     }
 
-    /// Puts input down, or hands it back where there is no room.
+    /// Puts input into the inbox, or returns it if there is no room.
     pub fn leave(&self, input: I) -> Result<(), I> {
         self.leave_up_to(ROOM, input)
     }
 
-    /// As [`leave`](Self::leave), for a thread that runs and comes in; not more than it may have to work off.
+    /// As [`leave`](Self::leave), for a running thread that keeps entering: at most as much as it may have to work off.
     pub fn leave_to_runner(&self, input: I) -> Result<(), I> {
         if !self.comes_in.load(Ordering::Relaxed) {
             return Err(input);
@@ -71,26 +71,26 @@ impl<I> Inbox<I> {
         Ok(())
     }
 
-    /// Whether there is nothing, as far as the caller can see: see the fences of whoever asks.
+    /// Whether the inbox is empty. The load is relaxed: a caller that must not miss what `leave` stored fences before.
     pub fn is_empty(&self) -> bool {
         self.count.load(Ordering::Relaxed) == 0
     }
 
-    /// Whether it is on its way to being full.
+    /// Whether the inbox is at least half full.
     pub fn is_half_full(&self) -> bool {
         self.count.load(Ordering::Relaxed) >= ROOM / 2
     }
 
-    /// Puts `empty` in the place of what there is.
+    /// Swaps the inputs with the vector `empty`.
     pub fn take(&self, empty: &mut Vec<I>) {
         let mut inputs = lock(&self.inputs);
         std::mem::swap(&mut *inputs, empty);
         self.count.store(0, Ordering::Relaxed);
     }
 
-    /// The task's thread is here, and works off what there is.
+    /// The task's thread has entered, and works off what there is.
     pub fn come_in(&self) {
-        // Others read the line.
+        // Written only if needed, because others read the cache line.
         if !self.comes_in.load(Ordering::Relaxed) {
             self.comes_in.store(true, Ordering::Relaxed);
         }

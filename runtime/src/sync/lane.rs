@@ -1,23 +1,22 @@
-//! Words on their way from one thread to another: a ring of fixed room that one fills and one empties, without a lock and
-//! without waiting. What finds no room is not taken.
+//! A single-producer, single-consumer ring of fixed size, without locks and without waiting. What finds no room is not taken.
 //!
-//! A record is some slots in a row. They are filled one by one and shown together ([`Fill::publish`]), so whoever empties
-//! finds whole records only.
+//! A record is several slots in a row. They are filled one by one and published together ([`Fill::publish`]), so the consumer
+//! finds only whole records.
 
 use crate::sync::plant::{Plants, Sound};
 use crate::sync::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::Arc;
 
-/// Lies in a line of the cache of its own.
+/// A slot in a cache line of its own.
 #[repr(align(64))]
 struct Slot<const WORDS: usize>([AtomicU64; WORDS]);
 
-/// What both ends see, in slots of so many words.
+/// What both ends share, in slots of `WORDS` words.
 struct Lane<const WORDS: usize, P> {
     slots: Box<[Slot<WORDS>]>,
-    /// How many slots were ever shown.
+    /// How many slots were ever published.
     filled: AtomicUsize,
-    /// How many were emptied of those.
+    /// How many of them were given back.
     emptied: AtomicUsize,
     plant: P,
 }
@@ -25,36 +24,36 @@ struct Lane<const WORDS: usize, P> {
 /// The bugs that the explorers must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    /// Slots are shown before they are filled.
+    /// Slots are published before they are filled.
     ShownFirst,
-    /// Slots are given back before they were read.
+    /// Slots are given back before they are read.
     GivenBackFirst,
-    /// Nothing orders what is shown after what is in it.
+    /// No release orders `filled` after the words in the slots.
     NoRelease,
 }
 
-/// The end that fills.
+/// The producer's end.
 pub(crate) struct Fill<const WORDS: usize, P = Sound> {
     lane: Arc<Lane<WORDS, P>>,
     /// How many slots were filled.
     at: usize,
-    /// Up to which number of slots there is room without another look.
+    /// Up to this number slots are known to be free, without another look at `emptied`.
     free: usize,
 }
 
-/// The end that empties.
+/// The consumer's end.
 pub(crate) struct Drain<const WORDS: usize, P = Sound> {
     lane: Arc<Lane<WORDS, P>>,
     /// How many slots were emptied.
     at: usize,
 }
 
-/// A lane with room for so many slots, rounded up to a power of two.
+/// A lane with room for at least `slots` slots, rounded up to a power of two.
 pub(crate) fn lane<const WORDS: usize>(slots: usize) -> (Fill<WORDS>, Drain<WORDS>) {
     used_lane(slots, 0, Sound)
 }
 
-/// A lane through which so many slots have gone before, with a bug. The counts go around the wrap.
+/// A lane through which `at` slots have gone before, with a bug. The counters wrap around.
 pub(crate) fn used_lane<const WORDS: usize, P>(
     slots: usize,
     at: usize,
@@ -77,7 +76,7 @@ impl<const WORDS: usize, P> Lane<WORDS, P> {
 }
 
 impl<const WORDS: usize, P: Plants<Plant>> Fill<WORDS, P> {
-    /// Whether there is room for so many slots. `crowded` is called now and then while a good part is full.
+    /// Whether there is room for so many slots. Calls `crowded` now and then while at least a quarter is used.
     #[inline]
     pub fn has_room(&mut self, slots: usize, crowded: impl FnOnce()) -> bool {
         self.free.wrapping_sub(self.at) >= slots || self.look(slots, crowded)
@@ -90,7 +89,7 @@ impl<const WORDS: usize, P: Plants<Plant>> Fill<WORDS, P> {
             crowded();
         }
         let room = self.lane.slots.len() - used;
-        // Not all of it, so that the next look is not too late to say that it gets crowded.
+        // Only part of it, so that the next look comes early enough to report crowding.
         self.free = self.at.wrapping_add(room.min(quarter.max(slots)));
         room >= slots
     }
@@ -104,7 +103,7 @@ impl<const WORDS: usize, P: Plants<Plant>> Fill<WORDS, P> {
         self.at.wrapping_sub(self.lane.emptied.load(Ordering::Acquire))
     }
 
-    /// Fills the next slot, for which there is room.
+    /// Fills the next slot. The caller has made sure that there is room.
     #[inline]
     pub fn put(&mut self, words: [u64; WORDS]) {
         if self.lane.plant.has(Plant::ShownFirst) {
@@ -116,7 +115,7 @@ impl<const WORDS: usize, P: Plants<Plant>> Fill<WORDS, P> {
         self.at = self.at.wrapping_add(1);
     }
 
-    /// Shows what was filled.
+    /// Publishes what was filled. The release pairs with the acquire in [`Drain::filled`].
     #[inline]
     pub fn publish(&mut self) {
         if self.lane.plant.has(Plant::NoRelease) {
@@ -127,12 +126,12 @@ impl<const WORDS: usize, P: Plants<Plant>> Fill<WORDS, P> {
 }
 
 impl<const WORDS: usize, P: Plants<Plant>> Drain<WORDS, P> {
-    /// How far it is filled now.
+    /// How many slots are published now. The acquire pairs with the release in [`Fill::publish`].
     pub fn filled(&self) -> usize {
         self.lane.filled.load(Ordering::Acquire)
     }
 
-    /// The next slot, unless it is one beyond `until`.
+    /// The next slot, or `None` at `until`.
     pub fn next(&mut self, until: usize) -> Option<[u64; WORDS]> {
         if self.at == until {
             return None;
@@ -146,7 +145,7 @@ impl<const WORDS: usize, P: Plants<Plant>> Drain<WORDS, P> {
         Some(words)
     }
 
-    /// Gives the slots back that were read.
+    /// Gives back the slots that were read. The release pairs with the acquire in `Fill::used`.
     pub fn give_back(&self) {
         self.lane.emptied.store(self.at, Ordering::Release);
     }

@@ -1,18 +1,19 @@
-//! Leader and followers (D40): one thread at a time, of a task or of the futures, waits in the link itself, takes in what
-//! comes, and so finds its own answer with nobody to wake it; the others sleep on their words. Nothing has to be handed on
-//! when it leaves: the thread that receives for the node is told by the kernel of whatever comes while nobody leads.
+//! Leader and followers (D40). One thread at a time, of a task or of the futures, waits in the link itself and receives for the
+//! node. It finds its own answer without a wake-up; the others sleep on their words. A leader that stops hands nothing on: while
+//! nobody leads, the kernel tells the node's receiving thread of whatever comes.
 //!
-//! What the leader was told of, nobody else was. So it takes that in before it looks whether its own wait is over.
+//! The kernel tells only the leader of what came meanwhile. So the leader takes that in before it checks whether its wait is
+//! over.
 
 use crate::sync::plant::{Plants, Sound};
 use crate::sync::{AtomicBool, Ordering};
 
-/// What a thread that leads is called back from the link by.
+/// How a leading thread is called back from its wait in the link.
 pub(crate) trait Away {
-    /// It goes to wait where the bell calls it. False where it was called already.
+    /// The thread goes away: from now on the bell wakes it. False if it was called already.
     fn go_away(&self) -> bool;
 
-    /// It is back from there. False where it was called.
+    /// The thread is back. False if it was called meanwhile.
     fn come_home(&self) -> bool;
 }
 
@@ -30,11 +31,11 @@ pub enum Came {
 /// How a task's wait went.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Led {
-    /// It led, and its wait is over.
+    /// The thread led until its wait was over.
     ToTheEnd,
-    /// It led, and its wait was ended by another thread.
+    /// The thread led, and another thread ended its wait.
     Called,
-    /// It did not lead, or not to the end: others do what there is to do, and it sleeps.
+    /// The thread did not lead, or not to the end: others receive, and this thread sleeps.
     No,
 }
 
@@ -47,7 +48,7 @@ pub(crate) struct Lead<P = Sound> {
 /// The bug that the explorers must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    /// Whoever finds its own wait over leaves what it was told of.
+    /// A leader whose own wait is over leaves what the kernel told it of.
     LeavesBlindly,
 }
 
@@ -63,8 +64,8 @@ impl<P: Plants<Plant>> Lead<P> {
         Self { taken: AtomicBool::new(false), plant }
     }
 
-    /// Waits in the link for what `away` is called for, unless another thread leads. `take_in` takes in what `wait` told of;
-    /// false where another thread is at it and will.
+    /// Waits in the link until `away` is called, unless another thread leads. `take_in` takes in what `wait` reported. It returns
+    /// false if another thread is taking in already, which then takes this in, too.
     pub fn wait(
         &self,
         away: &impl Away,
@@ -77,7 +78,7 @@ impl<P: Plants<Plant>> Lead<P> {
         let mut led = Led::ToTheEnd;
         while away.go_away() {
             let came = wait();
-            // From here on its own mail wakes nobody.
+            // After this, a thread that brings this thread's answer rings no bell.
             let called = !away.come_home();
             if called && self.plant.has(Plant::LeavesBlindly) {
                 led = Led::Called;

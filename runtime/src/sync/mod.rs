@@ -1,5 +1,5 @@
-//! What the hand-offs are made of. The unit-test build takes those of `crate::explorer`, under which schedules are
-//! explored; tests with real threads live in `tests/` and get the real ones.
+//! The primitives of the hand-offs between threads: locks, atomics and a futex word. Unit tests use those of `crate::explorer`,
+//! which explores schedules. Tests with real threads live in `tests/` and use the real primitives.
 
 pub(crate) mod alarm;
 pub(crate) mod awake;
@@ -44,7 +44,7 @@ mod real {
     }
 }
 
-/// A number that one thread can sleep on.
+/// A futex word: a number that one thread can sleep on.
 #[derive(Debug)]
 pub(crate) struct Word {
     value: AtomicU32,
@@ -78,7 +78,7 @@ impl Word {
         self.value.fetch_add(1, Ordering::AcqRel);
     }
 
-    /// Puts `new` in the place of `current`; whether it was there.
+    /// Replaces `current` by `new`. Returns whether `current` was there.
     pub fn replace(&self, current: u32, new: u32) -> bool {
         self.value.compare_exchange(current, new, Ordering::AcqRel, Ordering::Acquire).is_ok()
     }
@@ -86,17 +86,17 @@ impl Word {
 
 #[cfg(not(test))]
 impl Word {
-    /// Sleeps while the word is `value`, at most until `deadline` in nanoseconds of the monotonic clock. May also
-    /// return for no reason.
+    /// Sleeps while the word is `value`, at most until `deadline` in nanoseconds of the monotonic clock. Wake-ups may be
+    /// spurious.
     pub fn wait(&self, value: u32, deadline: Option<u64>) {
         use rustix::thread::futex;
         let timespec = deadline.map(crate::clock::timespec);
-        // Interrupted, timed out, changed meanwhile: the caller looks for itself in every case.
+        // Interrupted, timed out or changed meanwhile: the caller checks the word in every case.
         let any = std::num::NonZeroU32::MAX;
         let _ = futex::wait_bitset(&self.value, futex::Flags::PRIVATE, value, timespec.as_ref(), any);
     }
 
-    /// Wakes who sleeps.
+    /// Wakes the sleeping thread, if there is one.
     pub fn wake(&self) {
         use rustix::thread::futex;
         let _ = futex::wake(&self.value, futex::Flags::PRIVATE, 1);

@@ -1,4 +1,4 @@
-//! What the thread of the node's futures waits on (D127): asleep, or away in the link. Whatever wakes a future calls it.
+//! Where the thread of the node's futures waits: asleep, or away, that is in the link (D127). Every waker of a future calls it.
 
 use crate::sync::Word;
 use crate::sync::handoff::Bell;
@@ -8,11 +8,11 @@ use std::sync::Arc;
 
 /// The thread polls its futures.
 const RUNNING: u32 = 0;
-/// It sleeps, or is about to.
+/// The thread sleeps, or is about to.
 const SLEEPING: u32 = 1;
-/// It was called: there is a future to be polled.
+/// The thread was called: a future is ready to be polled.
 const CALLED: u32 = 2;
-/// It waits elsewhere, or is about to: the bell calls it.
+/// The thread waits in the link, or is about to: the bell wakes it.
 const AWAY: u32 = 3;
 
 pub(crate) struct Park<P = Sound> {
@@ -24,14 +24,14 @@ pub(crate) struct Park<P = Sound> {
 /// The bugs that the explorers must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    /// The thread goes though it was called after it had polled.
+    /// The thread parks although it was called after its last poll.
     GoesBlindly,
-    /// Who is away is not called.
+    /// A thread that is away is not woken.
     NoBell,
 }
 
 impl Park {
-    /// `bell` calls the thread where it is away.
+    /// `bell` wakes the thread while it is away.
     pub fn new(bell: Option<Arc<dyn Bell>>) -> Self {
         Self::planted(bell, Sound)
     }
@@ -43,7 +43,7 @@ impl<P: Plants<Plant>> Park<P> {
         Self { word: Word::new(RUNNING), bell, plant }
     }
 
-    /// There is a future to be polled.
+    /// Says that a future is ready to be polled, and wakes the thread.
     pub fn call(&self) {
         match self.word.swap(CALLED) {
             SLEEPING => self.word.wake(),
@@ -53,13 +53,13 @@ impl<P: Plants<Plant>> Park<P> {
         }
     }
 
-    /// The thread is about to poll whatever was woken until now. Who calls later keeps it from waiting.
+    /// The thread is about to poll all futures woken so far. A later call keeps it from waiting.
     pub fn begins(&self) {
-        // Not a store: what was written before the call is seen.
+        // A swap, not a store: its acquire pairs with the swap in `call`, so the thread sees what was written before the call.
         self.word.swap(RUNNING);
     }
 
-    /// Sleeps until there is a call, or for no reason less long.
+    /// Sleeps until there is a call. Wake-ups may be spurious.
     pub fn sleep(&self) {
         if self.goes(SLEEPING) {
             self.word.wait(SLEEPING, None);

@@ -1,11 +1,12 @@
-//! Bugs that explorers must find: each piece says where it could be wrong, and asks there whether it is.
+//! Planted bugs that the explorers must find: each piece marks where it could be wrong, and asks there whether the bug is
+//! planted.
 
-/// Which bugs of a piece there are.
+/// Which bugs are planted in a piece.
 pub(crate) trait Plants<Bug> {
     fn has(&self, bug: Bug) -> bool;
 }
 
-/// None: what programs run. Nothing of the question is left there.
+/// No bug: what programs run. The compiler removes the question.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Sound;
 
@@ -16,7 +17,7 @@ impl<Bug> Plants<Bug> for Sound {
     }
 }
 
-/// One at most: what explorers run.
+/// At most one bug: what explorers run.
 #[cfg(test)]
 impl<Bug: PartialEq> Plants<Bug> for Option<Bug> {
     fn has(&self, bug: Bug) -> bool {

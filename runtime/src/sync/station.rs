@@ -1,48 +1,48 @@
-//! What runs behind a hand-off, and what both ends of it know of each other.
+//! The interface between a hand-off and the data structure behind it.
 
-/// What runs behind the lock.
+/// The data structure behind the combining lock.
 pub(crate) trait Station {
-    /// What is brought to it.
+    /// The input that threads bring.
     type Input;
-    /// What its task waits for.
+    /// The answer that its task waits for.
     type Mail;
-    /// What it wants done once the lock is released. Owned by the caller.
+    /// What the thread carries out once the lock is released. Owned by the caller.
     type Effects;
 
-    /// Whether nobody but the task's thread needs what comes of this input, so that it may wait until that comes in.
+    /// Whether only the task's thread needs the result of this input, so that the input may wait until that thread enters.
     fn may_wait(input: &Self::Input) -> bool;
 
-    /// Takes one input; an answer for the task is returned.
+    /// Takes one input. Returns an answer for the task, if there is one.
     fn feed(&mut self, input: Self::Input, effects: &mut Self::Effects) -> Option<Self::Mail>;
 
-    /// Called last before the lock is released. Returns when the station next has something to do by itself.
+    /// Called last before the lock is released. Returns when the station next expires.
     fn settle(&mut self, rest: Rest, effects: &mut Self::Effects) -> u64;
 }
 
-/// Calls back a task's thread that waits elsewhere than on its word.
+/// Wakes a task's thread that waits elsewhere than on its word.
 pub(crate) trait Bell: Send + Sync {
-    /// Ends its present wait there, or else the next one.
+    /// Ends the thread's present wait there, or else its next one.
     fn ring(&self);
 }
 
 /// What the task's thread does once the lock is released.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rest {
-    /// It runs, or will: it does not come back by itself.
+    /// The thread runs, or will: it does not come back by itself.
     No,
-    /// It goes to sleep now, and comes back when the station next has something to do.
+    /// The thread goes to sleep now, and comes back at the station's next expiry.
     Begins,
-    /// It sleeps, and comes back when it was told to by the `settle` that its rest began with.
+    /// The thread sleeps, and comes back at the expiry that `settle` returned for [`Begins`](Self::Begins).
     GoesOn,
 }
 
-/// What the task's own thread finds.
+/// What the task's own thread gets when it enters.
 #[derive(Debug)]
 pub(crate) struct Entry<M> {
     /// The answer, if it is there.
     pub mail: Option<M>,
     /// Whether the node stops.
     pub stopped: bool,
-    /// When to come back at the latest, if there is no answer yet.
+    /// When to enter again at the latest, if there is no answer yet.
     pub until: u64,
 }

@@ -1,5 +1,5 @@
-//! One at a time, and nobody waits: who wants work done says so and takes its turn; who finds another one at it leaves
-//! the work to that one, who looks again before it leaves.
+//! A combining lock that no thread waits for: a thread sets `wanted` and tries the lock. If the lock is taken, its holder does
+//! the work, because the holder rechecks `wanted` after unlocking.
 
 use crate::sync::plant::{Plants, Sound};
 use crate::sync::{AtomicBool, Mutex, MutexGuard, Ordering, fence, lock, try_lock};
@@ -13,9 +13,9 @@ pub(crate) struct Turn<T, P = Sound> {
 /// The bugs that the explorers must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    /// The one at work does not look again.
+    /// The holder does not recheck `wanted` after unlocking.
     LeavesBlindly,
-    /// Nothing orders the wish and the lock.
+    /// No fence orders `wanted` and the lock.
     NoFence,
 }
 
@@ -31,23 +31,23 @@ impl<T, P: Plants<Plant>> Turn<T, P> {
         Self { wanted: AtomicBool::new(false), inside: Mutex::new(inside), plant }
     }
 
-    /// Says that there is work. What it is was written before.
+    /// Says that there is work. The caller has written the work itself before.
     pub fn want(&self) {
-        // A swap, not a store: it comes after the last one of the other in the order of this flag.
+        // A swap, not a store: it continues the release sequence of earlier swaps, so the swap in `take` acquires all their work.
         self.wanted.swap(true, Ordering::AcqRel);
     }
 
-    /// The turn itself, unless another thread has it. Who lets go of it [takes](Self::take) one after that: what was wanted
-    /// meanwhile was left to it.
+    /// The lock itself, unless another thread holds it. After dropping the guard the caller must [take](Self::take): work that
+    /// was wanted meanwhile was left to it.
     pub fn enter(&self) -> Option<MutexGuard<'_, T>> {
         try_lock(&self.inside)
     }
 
-    /// Works until no work is wanted, unless another thread is at it.
+    /// Works until no work is wanted. If another thread holds the lock, leaves the work to it.
     pub fn take(&self, mut work: impl FnMut(&mut T)) {
         loop {
-            // Between the wish and the lock here, between the lock and the wish after letting go: one of two threads
-            // sees the other.
+            // Pairs with this fence in another thread: before it, `want` writes `wanted` and a holder unlocks. So either this
+            // `try_lock` sees the unlock, or the holder's load sees `wanted`.
             self.fence();
             if !self.wanted.load(Ordering::Relaxed) {
                 return;
@@ -63,8 +63,8 @@ impl<T, P: Plants<Plant>> Turn<T, P> {
         }
     }
 
-    /// As [`take`](Self::take), but first waits until no other thread has the turn. Who does so holds nothing that the other one
-    /// may want.
+    /// As [`take`](Self::take), but first waits until no other thread holds the lock. The caller must hold no lock that the
+    /// holder may need.
     pub fn take_after(&self, work: impl FnMut(&mut T)) {
         drop(lock(&self.inside));
         self.take(work);

@@ -1,4 +1,4 @@
-//! How a task's thread waits for what others bring, and how they wake it: one word that both change.
+//! How a task's thread waits for what other threads bring, and how they wake it: one futex word that both sides change.
 //!
 //! ```text
 //!                      goes, sleep                     mark: there is something for it
@@ -9,8 +9,8 @@
 //!      \-------------------------------------- comes in ----------------------------- READY
 //! ```
 //!
-//! What is brought while the thread looks is left to it. While it runs, what may wait is. So whoever changes the word from
-//! `RUNNING` asks after that whether something was left, and who leaves something asks after that for the word.
+//! While the thread spins, others leave all input in the inbox for it. While it runs, they leave only input that may wait. So a
+//! thread checks the inbox after it has changed the word from `RUNNING`. Others check the word after they have left input.
 
 use crate::sync::awake::Presence;
 use crate::sync::plant::{Plants, Sound};
@@ -22,73 +22,73 @@ use std::sync::Arc;
 const RUNNING: u32 = 0;
 /// The task's thread sleeps, or is about to.
 const SLEEPING: u32 = 1;
-/// There is something for the task's thread, or its program has ended: sleeping is over.
+/// There is something for the task's thread, or its program has ended: it must not sleep.
 const READY: u32 = 2;
-/// The task's thread waits elsewhere, or is about to: the bell calls it.
+/// The task's thread waits in the link, or is about to: the bell wakes it.
 pub(super) const AWAY: u32 = 3;
-/// The task's program is a future that waits, or is about to: the bell calls it.
+/// The task's program is a future that waits, or is about to: the bell wakes it.
 const LISTENING: u32 = 4;
-/// The task's thread looks at its word, and works off what it finds in the inbox.
+/// The task's thread spins on its word; it drains the inbox when it is called.
 const LOOKING: u32 = 5;
 
 /// The bugs that the explorers must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    /// The holder does not look into the inbox after it has let go of the lock.
+    /// The lock's holder does not recheck the inbox after unlocking.
     NoSecondLook,
-    /// The word is looked at, but not changed, when mail comes.
+    /// When an answer comes, the word is read but not changed.
     NoMark,
     /// The word is marked, but nobody is woken.
     NoWake,
-    /// Who waits elsewhere is not called.
+    /// A thread that waits elsewhere is not woken.
     NoBell,
-    /// Stopping does not wake.
+    /// Stopping does not wake the thread.
     SilentStop,
-    /// Nothing orders the inbox and the lock.
+    /// No fence orders the inbox and the lock.
     NoFence,
-    /// Input that finds the lock held and the inbox full is gone.
+    /// Input is dropped if the lock is taken and the inbox is full.
     DropsWhenFull,
-    /// Who looked at the word sleeps without looking once more.
+    /// A thread that has spun goes to sleep without checking the word again.
     SleepsBlindly,
-    /// Who left input to a thread that looked does not mind whether it still does.
+    /// A thread that left input to a spinning thread does not check whether that still spins.
     TrustsTheLook,
-    /// Who left input to a thread that ran does not mind whether it still does.
+    /// A thread that left input to a running thread does not check whether that still runs.
     TrustsTheRun,
-    /// Who goes to sleep does not mind what was left while it ran.
+    /// A thread that goes to sleep does not check for input left while it ran.
     SleepsOnIt,
-    /// Who begins to look does not either.
+    /// A thread that begins to spin does not check for input left while it ran.
     LooksPastIt,
-    /// Neither who left something to a thread that ran, nor that thread, has a fence between what it writes and what it reads.
+    /// Neither a running thread nor a thread that leaves input to it has a fence between its write and its read.
     NoFenceForARunner,
 }
 
-/// What two cores write in turn, in a line of the cache of its own.
+/// A value in a cache line of its own, because two cores write it in turn.
 #[repr(align(64))]
 struct Line<T>(T);
 
-/// What is left to a task's thread.
+/// Which input others leave in the inbox for a task's thread.
 pub(super) enum Leave {
-    /// All: it looks.
+    /// All: the thread spins.
     All,
-    /// What may wait: it runs.
+    /// Only what may wait: the thread runs.
     SomeOfIt,
     Nothing,
 }
 
-/// What a task's thread did when its word was marked: it is [called](Waiting::call) by that.
+/// The state of a task's thread before its word was marked: [`call`](Waiting::call) wakes the thread accordingly.
 #[derive(Clone, Copy)]
 pub(super) struct Was(u32);
 
 impl Was {
-    /// It needs no call.
+    /// The thread needs no wake-up.
     pub const RUNNING: Self = Self(RUNNING);
 }
 
-/// The wait of a task's thread.
+/// How a task's thread waits and is woken.
 pub(super) struct Waiting<P = Sound> {
     word: Line<Word>,
     pub presence: Presence,
-    /// Where the task's thread may wait elsewhere.
+    /// Wakes the task's thread where it waits elsewhere than on its word.
     bell: Option<Arc<dyn Bell>>,
     pub plant: P,
 }
@@ -98,7 +98,7 @@ impl<P: Plants<Plant>> Waiting<P> {
         Self { word: Line(Word::new(RUNNING)), presence: Presence::new(), bell, plant }
     }
 
-    /// What is left to the thread now.
+    /// Which input may be left to the thread now.
     pub fn leaves(&self) -> Leave {
         match self.word.0.load() {
             LOOKING => Leave::All,
@@ -120,8 +120,9 @@ impl<P: Plants<Plant>> Waiting<P> {
         self.word.0.load() == READY
     }
 
-    /// The thread comes in, under the lock. Others read the word's line. Who looked may be called just now: what was left to it
-    /// before is seen after this.
+    /// The thread enters, under the lock. It writes only if needed, because others read the word's cache line. A swap, because a
+    /// thread that spun may be called just now: the acquire pairs with the `replace` in `call_looker`, so input left before it is
+    /// seen.
     pub fn comes_in(&self) {
         if !self.is_running() {
             self.word.0.swap(RUNNING);
@@ -133,12 +134,12 @@ impl<P: Plants<Plant>> Waiting<P> {
         self.word.0.store(RUNNING);
     }
 
-    /// Says that there is something for the thread, for ever where nothing makes it come in.
+    /// Marks the word `READY`. It stays so until the thread enters: for ever, if the thread never does.
     pub fn ready(&self) -> Was {
         Was(self.word.0.swap(READY))
     }
 
-    /// Says that there is mail.
+    /// Marks the word because there is an answer.
     pub fn mark(&self) -> Was {
         if self.plant.has(Plant::NoMark) {
             return Was(self.word.0.load());
@@ -147,7 +148,7 @@ impl<P: Plants<Plant>> Waiting<P> {
         if self.plant.has(Plant::NoWake) { Was::RUNNING } else { was }
     }
 
-    /// Makes the thread look, that did this until its word was marked.
+    /// Wakes the thread from the state that it had before its word was marked.
     pub fn call(&self, Was(was): Was) {
         if was == SLEEPING || was == AWAY {
             self.presence.returns();
@@ -163,12 +164,12 @@ impl<P: Plants<Plant>> Waiting<P> {
         }
     }
 
-    /// Says to a thread that looks that something was left to it. False where it looks no longer, or was called before.
+    /// Tells a spinning thread that input was left to it. False if the thread no longer spins, or was called before.
     pub fn call_looker(&self) -> bool {
         self.word.0.replace(LOOKING, READY) || self.plant.has(Plant::TrustsTheLook)
     }
 
-    /// Sleeps until the word is marked or `deadline` has passed, unless something `was_left`. False where there was something.
+    /// Sleeps until the word is marked or `deadline` passes, unless something `was_left`. False if there was something already.
     pub fn sleep(&self, deadline: Option<u64>, was_left: impl FnOnce() -> bool) -> bool {
         if !self.goes(SLEEPING, was_left) {
             return false;
@@ -178,9 +179,9 @@ impl<P: Plants<Plant>> Waiting<P> {
         true
     }
 
-    /// The thread is about to wait so. False where there is something for it.
+    /// The thread is about to wait in state `to`. False if there is something for it.
     pub fn goes(&self, to: u32, was_left: impl FnOnce() -> bool) -> bool {
-        // Before the word says so: who calls the thread counts it back.
+        // Before the word changes, because a thread that sees the word and wakes this thread counts it back.
         self.presence.goes();
         if self.plant.has(Plant::SleepsBlindly) {
             self.word.0.store(to);
@@ -197,7 +198,7 @@ impl<P: Plants<Plant>> Waiting<P> {
         true
     }
 
-    /// The thread waits so no longer. False where it was called.
+    /// The thread leaves its waiting state `from`. False if it was called.
     pub fn comes(&self, from: u32) -> bool {
         let uncalled = self.word.0.replace(from, RUNNING);
         if uncalled {
@@ -206,7 +207,7 @@ impl<P: Plants<Plant>> Waiting<P> {
         uncalled
     }
 
-    /// The future waits from here on. False where there is something for it.
+    /// The future waits from here on. False if there is something for it already.
     pub fn listens(&self, was_left: impl FnOnce() -> bool) -> bool {
         if !self.word.0.replace(RUNNING, LISTENING) {
             return false;
@@ -218,27 +219,28 @@ impl<P: Plants<Plant>> Waiting<P> {
         !left
     }
 
-    /// The thread begins to look. True where there is something already.
+    /// The thread begins to spin. True if there is something for it already.
     pub fn begins_to_look(&self, was_left: impl FnOnce() -> bool) -> bool {
         !self.word.0.replace(RUNNING, LOOKING) || (!self.plant.has(Plant::LooksPastIt) && self.asks(was_left))
     }
 
-    /// The thread looks no more. True where it was called.
+    /// The thread stops spinning. True if it was called.
     pub fn ends_its_look(&self) -> bool {
         !self.word.0.replace(LOOKING, RUNNING)
     }
 
-    /// Whether something was left to the thread while it ran: asked once its word says that it runs no longer.
+    /// Whether input was left to the thread while it ran. Called after the word has left `RUNNING`.
     fn asks(&self, was_left: impl FnOnce() -> bool) -> bool {
         if self.plant.has(Plant::SleepsOnIt) {
             return false;
         }
-        // Pairs with the one in `runs_no_longer`: either that sees the word, or this sees what was left.
+        // Pairs with the fence in `runs_no_longer`: either its load sees the new word, or `was_left` sees the new inbox count.
         self.fence_for_a_runner();
         was_left()
     }
 
-    /// Whether the thread runs no longer to which something was left: asked once that lies there.
+    /// Whether the thread to which input was left no longer runs. Called after the input is in the inbox. The fence, between the
+    /// store of the inbox count and the load of the word, pairs with the one in `asks`.
     pub fn runs_no_longer(&self) -> bool {
         if self.plant.has(Plant::TrustsTheRun) {
             return false;

@@ -12,14 +12,14 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// Long enough for anything that is not lost, on a machine that is not quiet.
+/// Long enough for anything that is not lost, on a busy machine.
 pub const LONG: Duration = Duration::from_secs(60);
 
 /// The same in ticks.
 pub const LONG_TICKS: Ticks = Ticks(60_000_000);
 
-/// A time_out that a test lets pass, though others must be in time for it. A busy machine keeps no thread from running for nearly
-/// so long.
+/// A time_out that a test lets expire, though other tasks must be in time for it. A busy machine keeps no thread from running for
+/// nearly this long.
 pub const AMPLE: Duration = Duration::from_secs(4);
 
 /// The same in ticks.
@@ -29,7 +29,7 @@ pub const A: TaskId = TaskId(0);
 pub const B: TaskId = TaskId(1);
 pub const C: TaskId = TaskId(2);
 
-/// A cell with tasks `a`, `b`, ... on the given nodes, which are joined each with each by links of `delay`.
+/// A cell with tasks `a`, `b`, ... on the given nodes; links of `delay` join every two nodes.
 pub fn cell(nodes: &[usize], delay: Ticks) -> Cell {
     let mut cell = Cell::new("test", Ticks(1_000));
     let count = nodes.iter().max().map_or(0, |&last| last + 1);
@@ -59,8 +59,8 @@ pub fn one_node(table: &Arc<CellTable>) -> Builder {
     Runtime::builder(Arc::clone(table), NodeId(0))
 }
 
-/// The builder of a node of an in-process network, in its first life. Until all nodes have joined, what is sent to the
-/// missing ones is lost: builders are made before any of them is started.
+/// The builder of a node of an in-process network, in its first incarnation. Until all nodes have joined, packets to the missing
+/// ones are lost: so make all builders before any of them is started.
 pub fn on(network: &Arc<Network>, table: &Arc<CellTable>, node: u16) -> Builder {
     let link = network.join(NodeId(node), imrs_protocol::Incarnation(1), false);
     Runtime::builder(Arc::clone(table), NodeId(node))
@@ -85,7 +85,7 @@ pub fn busy() -> (Arc<CellTable>, Arc<Network>) {
     (table, network)
 }
 
-/// A task of [`busy`]: meets so often; between that `a` sends news and asks, and the others answer.
+/// A task of [`busy`]: meets `rounds` times; in between `a` sends news and asks, and the others answer.
 pub fn meets_and_asks(ctx: &mut Context, rounds: u8) -> Result<(), TaskError> {
     let (lift, news) = (ctx.port("lift")?, ctx.port("news")?);
     for round in 0..rounds {
@@ -114,7 +114,7 @@ pub fn finish(runtime: Runtime) {
     assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned), "{ends:?}");
 }
 
-/// Looks again and again, until it is so.
+/// Checks again and again until `done`.
 pub fn until(mut done: impl FnMut() -> bool) {
     let start = Instant::now();
     while !done() {
@@ -123,7 +123,7 @@ pub fn until(mut done: impl FnMut() -> bool) {
     }
 }
 
-/// A channel for what the programs have to say.
+/// A channel for the reports of the programs.
 pub fn report<T>() -> (Sender<T>, Receiver<T>) {
     channel()
 }

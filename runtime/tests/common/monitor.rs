@@ -1,4 +1,4 @@
-//! A node that is observed, and a monitor of it that a test speaks through.
+//! An observed node, and a monitor of it that a test controls.
 
 use super::{A, B, LONG, LONG_TICKS, ask, cell, one_node, report, table};
 use imrs_protocol::{PortDecl, Ticks, Usage};
@@ -15,11 +15,11 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::Sender;
 use std::time::{Duration, Instant};
 
-/// The longest that an answer of an observer may take: it has the least priority, and a busy machine may give it nothing for
+/// The longest that an answer of an observer may take: an observer has the lowest priority, and a busy machine may not run it for
 /// minutes.
 pub const PATIENCE: Duration = LONG.saturating_mul(10);
 
-/// What the programs of version 1.0 say of themselves.
+/// The version and schema of programs that speak version 1.0.
 pub const OLD: (Version, u32) = (Version { major: 1, minor: 0 }, 0x3723_afbb);
 pub const NEW: (Version, u32) = (VERSION, SCHEMA);
 
@@ -29,7 +29,7 @@ pub struct Folder(pub PathBuf);
 impl Folder {
     pub fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("imrs-runtime-{name}-{}", std::process::id()));
-        // The cell's folder, below that of all cells: an observer looks there for its neighbours' sockets.
+        // The cell's folder, below the folder of all cells: an observer looks there for its neighbours' sockets.
         std::fs::create_dir_all(path.join("cell")).expect("a folder");
         Self(path)
     }
@@ -45,7 +45,7 @@ impl Drop for Folder {
     }
 }
 
-/// A node whose task `a` sends what it is told to, and whose task `b` takes nothing.
+/// A node whose task `a` sends what it is told to, and whose task `b` takes none of it.
 pub fn node() -> (Runtime, Sender<u8>) {
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(ask(LONG_TICKS));
@@ -68,7 +68,7 @@ pub fn node() -> (Runtime, Sender<u8>) {
     (runtime, tell)
 }
 
-/// Where the node listens.
+/// The socket at which the node listens.
 pub fn socket(observer: &Observer) -> &Path {
     match observer.place() {
         Place::Unix(path) => path,
@@ -122,7 +122,7 @@ impl Monitor {
         }
     }
 
-    /// Waits no longer than this for a frame.
+    /// Waits no longer than this for each frame.
     pub fn wait_for(&self, length: Duration) {
         (self.patience)(length);
     }
@@ -134,7 +134,7 @@ impl Monitor {
         Handshake::decode(self.reader.read_frame().expect("an answer")).expect("a hello").1
     }
 
-    /// Says hello, and is told the names.
+    /// Says hello, and reads the table of names.
     pub fn attach(mut self, version: (Version, u32)) -> Self {
         let answer = self.hello(version);
         let Handshake::Hello(Hello { role: Role::Node(identity), .. }) = answer else { panic!("{answer:?}") };
@@ -149,7 +149,7 @@ impl Monitor {
         self.writer.flush().unwrap();
     }
 
-    /// As monitors of version 1.0 do.
+    /// Subscribes as monitors of version 1.0 do.
     pub fn subscribe(&mut self, events: bool, credit: u16) {
         self.say(&ClientFrame::Subscribe(Subscribe { period_us: 10_000, queue_limit: 8, events, credit }));
     }

@@ -8,7 +8,7 @@ use imrs_runtime::{Builder, Runtime};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// For a link whose neighbours have said nothing yet.
+/// The sink of a link whose neighbours have sent nothing yet.
 struct Nobody;
 
 impl Sink for Nobody {
@@ -45,7 +45,7 @@ fn bound(table: &Arc<CellTable>) -> Vec<UdpLink> {
         for (b, to) in links.iter().enumerate().filter(|&(b, _)| a != b) {
             from.set_address(NodeId::from_index(b), Some(to.local_address())).expect("a neighbour");
         }
-        // Taken here. Else the thread that receives hears of the addresses at any time later, and sends what waits just then.
+        // Taken here; otherwise the receiving thread may hear of the addresses at any later time, and send what waits just then.
         while from.poll(&Nobody, None) != PollEnd::Ready {}
     }
     links

@@ -1,4 +1,4 @@
-//! Changes of recordings, drawn at random.
+//! Random changes of recordings.
 
 use imrs_protocol::{Contents, Input, Packet, Request, Seq24, Ticks};
 use imrs_wire::recording::{Record, ScriptStep};
@@ -10,11 +10,11 @@ pub enum Change {
     Dropped,
     /// An input is there twice.
     Doubled,
-    /// Two inputs of a task have changed places.
+    /// Two inputs of a task have swapped places.
     Swapped,
     /// An input came at another time.
     Time,
-    /// A packet or a request says something else.
+    /// A packet or a request has another content.
     Input,
     /// Other outputs are recorded.
     Outputs,
@@ -27,7 +27,7 @@ impl Change {
         [Self::Dropped, Self::Doubled, Self::Swapped, Self::Time, Self::Input, Self::Outputs, Self::Script];
 }
 
-/// The records with one change; `None` where the draw changes nothing.
+/// The records with one change; `None` if the draw changes nothing.
 pub fn change_records(records: &[Record], random: &mut fastrand::Rng) -> Option<(Change, Vec<Record>)> {
     let change = Change::ALL[random.usize(..Change::ALL.len())];
     let wanted = |record: &Record| match (change, record) {
@@ -46,7 +46,7 @@ pub fn change_records(records: &[Record], random: &mut fastrand::Rng) -> Option<
         Change::Swapped => {
             let other =
                 (at + 1..records.len()).find(|&other| task_of(&records[other]) == task_of(&records[at]))?;
-            // The last record of a task is no input: it stays where it is.
+            // The last record of a task is no input, and stays where it is.
             if !matches!(records[other], Record::Input { .. }) {
                 return None;
             }
@@ -131,7 +131,7 @@ fn alter_request(request: &mut Request, random: &mut fastrand::Rng) {
     }
 }
 
-/// Other contents of the same length; of none, a byte.
+/// Other contents of the same length; one byte instead of none.
 fn other(bytes: &[u8], random: &mut fastrand::Rng) -> Contents {
     let mut bytes = if bytes.is_empty() { vec![0] } else { bytes.to_vec() };
     let at = random.usize(..bytes.len());

@@ -1,5 +1,5 @@
-//! Of recordings that were changed so that something observable is another, replaying notices all but one of a thousand,
-//! and of those changed in the file, too (D109). `IMRS_CORRUPTIONS` says how many of each kind.
+//! A replay notices at least 999 of 1,000 recordings with a change that alters something observable, whether the change is in the
+//! records or in the bytes of the file (D109). `IMRS_CORRUPTIONS` sets how many changes of each kind.
 
 mod change;
 mod runs;
@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{Arc, Mutex};
 
-/// How many changes of each kind.
+/// How many changes of each kind are made.
 fn wanted() -> usize {
     std::env::var("IMRS_CORRUPTIONS").ok().map_or(300, |number| number.parse().expect("a number"))
 }
@@ -26,7 +26,7 @@ fn records(bytes: &[u8]) -> (Header, Vec<Record>) {
 
 fn written(header: &Header, records: &[Record]) -> Vec<u8> {
     let mut writer = RecordingWriter::new(Vec::new(), header).expect("memory takes everything");
-    // The end is written like all others: a changed recording may have none.
+    // The end is a record like all others, because a changed recording may have none.
     records.iter().for_each(|record| writer.append(record).expect("memory takes everything"));
     let length = usize::try_from(writer.written()).expect("it is in memory");
     let mut bytes = writer.finish().expect("memory takes everything");
@@ -34,7 +34,7 @@ fn written(header: &Header, records: &[Record]) -> Vec<u8> {
     bytes
 }
 
-/// Whether somebody who replays this is told that something is wrong with it.
+/// Whether a replay reports that something is wrong with the recording.
 fn is_noticed(bytes: &[u8], run: &Recorded) -> bool {
     let Ok(mut reader) = RecordingReader::new(bytes) else { return true };
     let replays = replay_scripts(&mut reader, &run.table, |task| run.programs.get(&task), None);
@@ -42,8 +42,8 @@ fn is_noticed(bytes: &[u8], run: &Recorded) -> bool {
     !same || reader.ending() != Ending::Ended
 }
 
-/// By task, what can be observed of a recording: everything its communication task puts out and its script asks and is
-/// answered, in order, whatever the recording says of it. Hashed, but for collisions of 64 bits.
+/// By task, what can be observed of a recording: everything that its communication task puts out and its script asks and is
+/// answered, in order, whatever the recorded digests say. Hashed, so that collisions of 64 bits are possible.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Observable(BTreeMap<TaskId, (u64, Vec<String>)>);
 
@@ -130,7 +130,7 @@ struct Count {
     made: usize,
     observable: usize,
     noticed: usize,
-    /// Those that nobody could observe, and were noticed all the same.
+    /// Changes that altered nothing observable, and were noticed all the same.
     besides: usize,
 }
 
@@ -148,7 +148,7 @@ fn changed_inputs_behind_right_checksums_are_noticed() {
         let Some((change, changed)) = change_records(whole, &mut random) else { continue };
         let count = counts.entry(change).or_default();
         count.made += 1;
-        // A digest is what the recording says of the outputs: to change it is to change what was observed.
+        // A digest is what the recording says of the outputs: changing it changes what was observed.
         let differs = change == Change::Outputs || Observable::of(header, &changed, run) != plain[at];
         let noticed = is_noticed(&written(header, &changed), run);
         observable += usize::from(differs);
@@ -191,7 +191,7 @@ fn changed_bytes_of_the_file_are_noticed() {
     assert!(noticed * 1_000 >= observable * 999, "{noticed} of {observable}: {counts:#?}");
 }
 
-/// After a gap all that is known is the keyframe: a changed one may say anything, and is refused or replayed.
+/// After a gap only the keyframe is known: a changed one may say anything, and is refused or replayed.
 #[test]
 fn changed_keyframes_are_refused_or_replayed() {
     let runs = runs();
@@ -226,7 +226,7 @@ fn changed_keyframes_are_refused_or_replayed() {
     assert!(refused > 0, "no changed keyframe was refused");
 }
 
-/// Seen with `--nocapture`, and kept in the log of `.ci/long`.
+/// Shown with `--nocapture`, and kept in the log of `.ci/long`.
 fn tell<K: std::fmt::Debug>(what: &str, counts: &BTreeMap<K, Count>) {
     for (kind, Count { made, observable, noticed, besides }) in counts {
         println!(

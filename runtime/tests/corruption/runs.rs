@@ -1,4 +1,4 @@
-//! Recordings of runs that do a bit of everything.
+//! Recordings of runs that use a bit of everything.
 
 use crate::common::{A, B, LONG, busy, cell, finish, meets_and_asks, network, on, table};
 use imrs_protocol::script::{Binary, Op, Outcomes, Program, ProgramBuilder, StatementOutcome, Type};
@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex};
 
 const LIFE: (Incarnation, bool) = (Incarnation(1), false);
 
-/// What a node recorded.
+/// The recording of a node, and what it takes to replay it.
 pub struct Recorded {
     pub table: NodeTable,
     pub programs: BTreeMap<TaskId, Arc<Program>>,
@@ -78,7 +78,7 @@ pub fn tasks() -> Vec<Recorded> {
 
 const ASK: PortId = PortId(0);
 
-/// Measures, and asks what it measured; every third time it fails, and asks nothing.
+/// Measures, and asks with the measured value; every third measurement fails, and then it asks nothing.
 fn measurer(times: i64) -> Arc<Program> {
     let mut b = ProgramBuilder::new("a");
     let [i, n, answer] = ["i", "n", "answer"].map(|name| b.variable(name, Type::Int32));
@@ -101,7 +101,7 @@ fn measurer(times: i64) -> Arc<Program> {
     Arc::new(b.finish().expect("a sound program"))
 }
 
-/// Answers with one more than what it was asked, for ever.
+/// Answers each question with one more, for ever.
 fn answerer() -> Arc<Program> {
     let mut b = ProgramBuilder::new("b");
     let n = b.variable("n", Type::Int32);
@@ -122,7 +122,7 @@ pub fn scripts() -> Vec<Recorded> {
     let faults = Faults { seed: 7, loss: 0.1, ..Faults::default() };
     let network = network(&table, faults);
     let count = AtomicI32::new(0);
-    // 1, 2, 4, 5, 7 ..: every third fails.
+    // 1, 2, 4, 5, 7 and so on: every third one fails.
     let measure = move |_: &Call| match count.fetch_add(1, Ordering::Relaxed) {
         n if n % 3 == 2 => Err("nothing to see".into()),
         n => Ok(n + 1),
@@ -138,7 +138,7 @@ pub fn scripts() -> Vec<Recorded> {
         let builder = builder.recorder(Arc::clone(&recording.0) as _).script(name, program);
         (here, recording, programs, builder)
     };
-    // Whoever answers is there before it is asked.
+    // The answering node starts before it is asked.
     let nodes = [(1, B, answerer()), (0, A, measurer(40))].map(start);
     let nodes =
         nodes.map(|(here, recording, programs, node)| (here, recording, programs, node.start().unwrap()));

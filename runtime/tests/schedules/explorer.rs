@@ -1,5 +1,5 @@
-//! shuttle as the explorer: schedules drawn by PCT (probabilistic concurrency testing), which finds a bug that needs so
-//! many ordered steps with a known probability in each. Every atomic operation counts as sequentially consistent.
+//! shuttle as the explorer: schedules drawn by PCT (probabilistic concurrency testing), which finds a bug that needs `DEPTH`
+//! ordered steps with a known probability per schedule. Every atomic operation counts as sequentially consistent.
 
 use shuttle::scheduler::PctScheduler;
 pub(crate) use shuttle::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering, fence};
@@ -8,14 +8,14 @@ pub(crate) use shuttle::thread;
 use shuttle::{Config, FailurePersistence, Runner};
 use std::collections::BTreeMap;
 
-/// A load gives the last value always.
+/// A load always returns the last value.
 pub(crate) const SEES_OLD_VALUES: bool = false;
 
 /// How many schedules of each scene, unless `IMRS_SCHEDULES` says otherwise; `.ci/long` takes 100,000.
 const SCHEDULES: usize = 2_000;
 /// The depth of PCT: the most steps whose order a bug may need.
 const DEPTH: usize = 3;
-/// The draws: the same in every run.
+/// The seed of the draws: the same in every run.
 const SEED: u64 = 1987;
 
 /// How often each outcome was seen.
@@ -25,7 +25,7 @@ fn schedules() -> usize {
     std::env::var("IMRS_SCHEDULES").map_or(SCHEDULES, |n| n.parse().expect("IMRS_SCHEDULES is a number"))
 }
 
-/// Runs `body` under so many schedules.
+/// Runs `body` under [`schedules`] schedules.
 pub(crate) fn explore<O: Ord + Send + 'static>(body: impl Fn() -> O + Send + Sync + 'static) -> Histogram<O> {
     let seen = std::sync::Arc::new(std::sync::Mutex::new(Histogram::new()));
     let shared = std::sync::Arc::clone(&seen);
@@ -43,7 +43,7 @@ pub(crate) fn explore<O: Ord + Send + 'static>(body: impl Fn() -> O + Send + Syn
     seen
 }
 
-/// A schedule that is drawn costs the same in a large scene.
+/// A drawn schedule costs the same in a large scene.
 pub(crate) use explore as explore_large;
 
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

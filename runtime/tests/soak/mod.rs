@@ -1,6 +1,5 @@
-//! A soak (D114): three nodes over loopback UDP at half of the rate that they reach flat out, with every primitive. No class-2
-//! request is without its outcome, and memory, descriptors and threads stay as they are. `IMRS_SOAK` says for how many
-//! seconds.
+//! A soak (D114): three nodes over loopback UDP at half of their full rate, with every primitive. No class-2 request is without
+//! its outcome, and memory, descriptors and threads do not grow. `IMRS_SOAK` sets the number of seconds.
 
 mod process;
 mod rig;
@@ -14,11 +13,11 @@ use process::{Held, threads, trend, worked};
 use rig::{Asked, Plan, Ran, THREADS, Tally, run};
 use std::time::{Duration, Instant};
 
-/// How many KiB more may be held at the end than at the beginning, however long it took: caches of the allocator.
+/// How many KiB more may be held at the end than at the beginning, however long the run: caches of the allocator.
 const FLAT: f64 = 512.0;
-/// The least number of looks at what is held, however busy the machine is.
+/// The least number of measurements of what is held, however busy the machine is.
 const LOOKS: usize = 8;
-/// By how much an outcome may come after its time_out, on a machine that does other things, too.
+/// How long after its time_out an outcome may come, on a machine with other work.
 const LATE: Duration = Duration::from_secs(60);
 
 fn wanted() -> Duration {
@@ -43,13 +42,13 @@ fn at_half_load_every_request_has_its_outcome_and_nothing_grows() {
 
     let (begin, length) = (Instant::now(), wanted());
     let every = (length / 400).max(Duration::from_millis(50));
-    // All of its room is in RAM before the first look.
+    // All of the series' memory is in RAM before the first measurement.
     let mut series = vec![Held::default(); 1_000];
     series.clear();
     let others = threads();
     let look = || {
         std::thread::sleep(every);
-        // The drivers' last meeting begins only after this: what that takes belongs to the end.
+        // The drivers' last meeting begins only after this: its cost belongs to the end.
         let is_enough = begin.elapsed() > length && series.len() >= LOOKS;
         // The first tenth warms up.
         if !is_enough && begin.elapsed() > length / 10 && series.len() < series.capacity() {
@@ -71,14 +70,14 @@ fn at_half_load_every_request_has_its_outcome_and_nothing_grows() {
     replays(&run(Plan { length: second, period, recorded: true }, pause));
 }
 
-/// What came of `work`, and how many cores it kept busy.
+/// The result of `work`, and how many cores it kept busy.
 fn busy<T>(work: impl FnOnce() -> T) -> (T, f64) {
     let (begin, used) = (Instant::now(), worked());
     let done = work();
     (done, (worked() - used).as_secs_f64() / begin.elapsed().as_secs_f64())
 }
 
-/// What holds of every run; returns how many cycles all drivers made in a second.
+/// Checks what holds of every run. Returns how many cycles per second all drivers made together.
 fn judge(ran: &Ran) -> f64 {
     assert_eq!(ran.tallies.len(), 3);
     let mut copies = 0;
@@ -123,7 +122,7 @@ fn discarded(ran: &Ran, reason: Reason) -> u64 {
     all.filter(|count| count.name == reason.name()).map(|count| count.count).sum()
 }
 
-/// What the machines and the links counted is what the programs did.
+/// The counters of the machines and the links agree with what the programs did.
 fn counters_agree(ran: &Ran) {
     let tasks = || ran.snapshots.iter().flat_map(|snapshot| &snapshot.tasks);
     for (port, asked) in ran.tallies.iter().flat_map(|tally| &tally.asked) {

@@ -1,4 +1,4 @@
-//! What this process holds, as the kernel counts it.
+//! What this process holds, according to the kernel.
 
 use std::ffi::OsString;
 use std::fs::DirEntry;
@@ -7,12 +7,12 @@ use std::time::{Duration, Instant};
 /// What the process holds at an instant.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Held {
-    /// Seconds since the first look.
+    /// Seconds since the beginning.
     pub at: f64,
-    /// Anonymous memory in RAM, in KiB: of files nothing is counted, which come and go as the kernel likes.
+    /// Anonymous memory in RAM, in KiB. Mapped files do not count, because the kernel loads and drops them as it likes.
     pub memory: u64,
     pub descriptors: usize,
-    /// Those of the nodes: what runs the tests begins and ends threads of its own.
+    /// The threads of the nodes: the test runner starts and ends threads of its own.
     pub threads: usize,
 }
 
@@ -26,7 +26,7 @@ pub fn threads() -> Vec<OsString> {
 }
 
 impl Held {
-    /// `others`: the threads that were there before the nodes. The kernel may list one for a while after it has ended.
+    /// `others`: the threads that existed before the nodes. The kernel may list a thread for a while after its end.
     pub fn now(since: Instant, others: &[OsString]) -> Self {
         let status = std::fs::read_to_string("/proc/self/status").expect("this is Linux");
         let field = |name: &str| {
@@ -36,7 +36,7 @@ impl Held {
         let is_of_a_node = |thread: &DirEntry| {
             let name = std::fs::read_to_string(thread.path().join("comm")).unwrap_or_default();
             let is_another = others.contains(&thread.file_name());
-            // That of the tasks, and what runs for all of them. The one for actions ends some time after its node.
+            // The tasks' threads, and those that run for all tasks. The thread for actions ends some time after its node.
             !is_another
                 && (["imrs receive", "imrs timer"].contains(&name.trim_end()) || name.trim_end().len() == 1)
         };

@@ -1,4 +1,4 @@
-//! Three nodes over loopback UDP whose tasks use every primitive, as fast as they can or at a pace.
+//! Three nodes over loopback UDP whose tasks use every primitive, at full speed or at a pace.
 
 use crate::common::udp::{builders, links};
 use crate::common::{A, B, C, LONG, cell, finish, table};
@@ -19,15 +19,15 @@ use std::time::{Duration, Instant};
 
 /// Tasks `d`, `e` and `f` serve on the nodes of `a`, `b` and `c`.
 const SERVANTS: [TaskId; 3] = [TaskId(3), TaskId(4), TaskId(5)];
-/// Each of the three nodes has a thread for each of two tasks, the one that receives, and the Timer's.
+/// Each of the three nodes has a thread for each of two tasks, the receiving thread, and the Timer thread.
 pub const THREADS: usize = 3 * 4;
-/// So many cycles of each driver lie between two meetings.
+/// How many cycles a driver makes between two meetings.
 const MEET_EVERY: u32 = 8;
-/// So many cycles there are at least, however long the machine takes for them.
+/// How many cycles a driver makes at least, however long the machine takes.
 const LEAST: u32 = 25 * MEET_EVERY;
 
-/// The cell: each driver commands the servant of the next node and tells news to both others; `a` asks two at once, `b`
-/// asks one who never answers, `c` tells what dies unread; all three meet.
+/// The cell: each driver commands the servant of the next node and tells news to both others. `a` asks two tasks at once, `b`
+/// asks a task that never answers, `c` sends messages that expire unread, and all three meet.
 fn soaked() -> Arc<CellTable> {
     let [d, e, f] = SERVANTS;
     let mut cell = cell(&[0, 1, 2, 0, 1, 2], Ticks(1_000));
@@ -49,7 +49,7 @@ fn soaked() -> Arc<CellTable> {
 #[derive(Clone, Debug, Default)]
 pub struct Asked {
     pub requests: u64,
-    /// One for each task that was asked.
+    /// One outcome for each task that was asked.
     pub outcomes: u64,
     pub expected: u64,
     pub replies: u64,
@@ -57,18 +57,18 @@ pub struct Asked {
     pub unsent: u64,
     pub unknown: u64,
     pub restarted: u64,
-    /// By how much the latest outcome came after its time_out.
+    /// How long after its time_out the latest outcome came.
     pub latest: Duration,
 }
 
-/// What a driver did.
+/// What a driver did in a run.
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
     pub cycles: u64,
     pub copies: u64,
     pub released: u64,
     pub gave_up: u64,
-    /// How long the drivers ran.
+    /// How long the driver ran.
     pub took: Duration,
     pub asked: BTreeMap<PortId, Asked>,
 }
@@ -105,12 +105,12 @@ impl Asked {
     }
 }
 
-/// Who waits in a meeting, and how the last ones ended.
+/// Which drivers wait in a meeting, and how the last meetings ended.
 #[derive(Default)]
 struct Meetings {
-    /// Of each driver: the last round it came out of, and [`WAITS`] while it waits.
+    /// For each driver: the last round that it left, with [`WAITS`] set while it waits.
     at: [AtomicU32; 3],
-    /// Round, tasks that were released, tasks that gave up.
+    /// For each round: how many tasks were released, and how many gave up.
     ends: Mutex<VecDeque<(Round, u8, u8)>>,
     diverged: AtomicU32,
     over: AtomicBool,
@@ -123,7 +123,7 @@ impl Meetings {
         self.at[driver.index()].fetch_or(WAITS, Ordering::SeqCst);
     }
 
-    /// A release needs that all had arrived in its round: each waits, or came out of this round or a later one.
+    /// A release requires that all had arrived in its round: each other driver waits, or has left this round or a later one.
     fn ended(&self, driver: TaskId, end: Rendezvous) {
         let (Rendezvous::Released { round, .. } | Rendezvous::GaveUp { round, .. }) = end;
         let released = matches!(end, Rendezvous::Released { .. });
@@ -160,14 +160,14 @@ impl Meetings {
 struct Shared {
     table: Arc<CellTable>,
     period: Option<Duration>,
-    /// The drivers' next meeting is their last.
+    /// Set once the drivers' next meeting is their last.
     enough: AtomicBool,
     meetings: Meetings,
     tallies: Mutex<Vec<Tally>>,
     stop: AtomicBool,
 }
 
-/// A driver: what it does in a cycle follows from the ports that it has.
+/// A driver: its ports determine what it does in a cycle.
 fn drive(ctx: &mut Context, shared: &Shared) -> Result<(), TaskError> {
     let (own, letter) = (ctx.id(), ctx.name().to_owned());
     let [command, news, meet] =
@@ -211,7 +211,7 @@ fn drive(ctx: &mut Context, shared: &Shared) -> Result<(), TaskError> {
             }
         }
         if let Some(period) = shared.period {
-            // After a standstill of the machine what was not done is left out.
+            // After a standstill of the machine, missed cycles are left out.
             next = (next + period).max(Instant::now() - Duration::from_secs(1));
             ctx.delay(next.saturating_duration_since(Instant::now()))?;
         }
@@ -251,7 +251,7 @@ fn ask(
     Ok(())
 }
 
-/// A servant: answers whatever is asked, and looks at everything else. A command never runs twice.
+/// A servant: answers every request, and checks every other message. A command never runs twice.
 fn serve(ctx: &mut Context, shared: &Shared) -> Result<(), TaskError> {
     let mut last: Option<u32> = None;
     while !shared.stop.load(Ordering::Relaxed) {
@@ -270,22 +270,22 @@ fn serve(ctx: &mut Context, shared: &Shared) -> Result<(), TaskError> {
                 ctx.delay(Duration::from_millis(1))?;
             }
         }
-        // After a standstill its sender may be beyond waiting.
+        // After a standstill the sender may no longer wait.
         let _late = ctx.reply(&message.from, bytes);
     }
     Ok(())
 }
 
-/// What came of a run.
+/// The results of a run.
 pub struct Ran {
     pub table: Arc<CellTable>,
     pub tallies: Vec<Tally>,
-    /// Meetings in which some were released and some gave up (D2).
+    /// Meetings in which some members were released and others gave up (D2).
     pub diverged: u32,
-    /// The nodes when their programs had ended.
+    /// The nodes' snapshots after their programs had ended.
     pub snapshots: Vec<Snapshot>,
     pub links: Vec<Arc<FaultyLink<UdpLink>>>,
-    /// What was recorded of each node.
+    /// The recording of each node.
     pub recordings: Vec<(NodeTable, Vec<u8>)>,
 }
 
@@ -293,12 +293,12 @@ pub struct Ran {
 #[derive(Clone, Copy, Default)]
 pub struct Plan {
     pub length: Duration,
-    /// Of a driver's cycles; none: as fast as it can.
+    /// The period of a driver's cycles; `None` for full speed.
     pub period: Option<Duration>,
     pub recorded: bool,
 }
 
-/// Runs the three nodes, and calls `look` again and again meanwhile. The drivers end once `plan.length` has passed and `look` has
+/// Runs the three nodes, and calls `look` repeatedly meanwhile. The drivers end once `plan.length` has passed and `look` has
 /// returned true.
 pub fn run(plan: Plan, mut look: impl FnMut() -> bool) -> Ran {
     let since = Instant::now();
@@ -334,7 +334,7 @@ pub fn run(plan: Plan, mut look: impl FnMut() -> bool) -> Ran {
             shared.enough.store(true, Ordering::SeqCst);
         }
     }
-    // What is under way arrives, and what expires has expired.
+    // Packets in flight arrive, and expiring messages expire.
     std::thread::sleep(Duration::from_millis(200));
     shared.stop.store(true, Ordering::Relaxed);
     let snapshots = nodes.iter().map(|node| node.node().snapshot(0)).collect();

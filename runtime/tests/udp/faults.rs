@@ -34,7 +34,7 @@ fn the_same_seed_loses_the_same_sends() {
     assert_ne!(lost(2), first);
 }
 
-/// What leaves in one call is no more one piece for the network than what leaves in several.
+/// Datagrams that leave in one call are as separate for the network as those that leave in several.
 #[test]
 fn each_datagram_of_a_call_is_lost_by_itself() {
     const CALLS: u64 = 50;
@@ -88,7 +88,7 @@ fn a_cut_can_be_planned() {
     }
     assert_eq!(a.injected(), Injected { lost_packets: 0, cut_packets: 5 });
     assert_eq!(memory.take_packets(&b, 5).len(), 5);
-    // A short one ends by itself.
+    // A short cut ends by itself.
     let start = Instant::now();
     a.cut_during(B, start..start + Duration::from_millis(20));
     let sent = a.inner().count(UdpCount::PacketsSent);
@@ -107,7 +107,7 @@ fn what_the_link_would_not_take_is_not_lost() {
     assert_eq!(a.injected(), Injected::default());
 }
 
-/// `lo`, and an Ethernet on which nobody answers.
+/// `lo`, and an Ethernet without any other host.
 const EMPTY_ETHERNET: [&str; 5] = [
     "link set lo up",
     "link add here type veth peer name there",
@@ -116,7 +116,7 @@ const EMPTY_ETHERNET: [&str; 5] = [
     "link set there up",
 ];
 
-/// While the kernel looks for a host that does not answer, it keeps what is for it, and holds that against the socket.
+/// While the kernel looks for a host that does not answer, it keeps datagrams for that host, and counts them against the socket.
 #[test]
 fn a_host_that_is_gone_holds_up_nobody_else() {
     in_a_network(&EMPTY_ETHERNET, || {
@@ -134,7 +134,7 @@ fn a_host_that_is_gone_holds_up_nobody_else() {
             assert_eq!(a.send(B, &[packet(n)]), Ok(1));
             assert_eq!(memory.take_packets(&b, 1)[0].1, packet(n));
         }
-        // In the end the kernel gives up on it.
+        // In the end the kernel gives up on the host.
         let end = Instant::now() + PATIENCE;
         while !a.ready(C) {
             assert_eq!(a.poll(&memory, Some(end)), PollEnd::Ready, "it never does");

@@ -1,4 +1,4 @@
-//! A flood of datagrams at a node's port costs its neighbours nothing: each has a socket of its own (D155).
+//! A flood of datagrams at a node's port costs its neighbours nothing, because each has a socket of its own (D155).
 
 use super::rig::{
     A, B, C, Memory, PATIENCE, cell, digests, encoded, envelope_of, link, packet, pair, raw_socket, sealed,
@@ -15,14 +15,14 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// More than any socket here holds.
+/// More datagrams than any socket here holds.
 const FILLS_A_SOCKET: usize = 5_000;
-/// How many datagrams the flooder sends while the neighbour is heard.
+/// How many datagrams the flood sends while the neighbour is heard.
 const FLOOD: usize = 200_000;
-/// So many of the neighbour's datagrams fit its socket while nobody receives.
+/// So many of the neighbour's datagrams fit into its socket while no thread receives.
 const UNDER_WAY: usize = 100;
 
-/// Garbage of several lengths, and what looks like a datagram of this cell.
+/// Garbage of several lengths, and datagrams that look like this cell's.
 fn thrown() -> Vec<Vec<u8>> {
     let other = Digests { cell: cell("another cell").digest(), ..digests() };
     let stranger = Envelope { sender: NodeId(9), ..envelope_of(1, 0) };
@@ -34,21 +34,21 @@ fn thrown() -> Vec<Vec<u8>> {
         damaged,
         sealed(&stranger, &[encoded(2)]),
         sealed_for(other, &envelope_of(1, 9), &[encoded(3)]),
-        // In the name of the neighbour, of a session that is not its own.
+        // In the name of the neighbour, with a session that is not the neighbour's.
         sealed(&envelope_of(3, 11), &[encoded(4)]),
     ]
 }
 
-/// Sends so many datagrams as fast as they leave.
+/// Sends `count` datagrams as fast as they leave.
 fn flood(to: SocketAddr, count: usize) {
     let (socket, thrown) = (raw_socket(), thrown());
     for number in 0..count {
-        // The kernel may say that it has no room: then the flood is as fast as can be.
+        // The kernel may refuse for lack of room: then the flood is as fast as it can be.
         let _ = socket.send_to(&thrown[number % thrown.len()], to);
     }
 }
 
-/// Remembers the numbers of the neighbour's packets, in the order in which they came, and when a datagram was last discarded.
+/// Records the numbers of the neighbour's packets, in order of arrival, and when a datagram was last discarded.
 #[derive(Default)]
 struct Heard {
     numbers: Mutex<Vec<u32>>,
@@ -73,10 +73,10 @@ impl Sink for Heard {
 /// The remote address of a socket that is not connected, as the kernel lists it.
 const UNCONNECTED: &str = "00000000:0000";
 
-/// What the kernel dropped on each of the `count` sockets at a local address, by their remote addresses.
+/// How many datagrams the kernel dropped on each of the `count` sockets at a local address, by their remote addresses.
 ///
-/// The kernel lists its sockets in pieces. While other threads open and close sockets, it may leave out a line or repeat one, so
-/// the list is read again until it has all.
+/// The kernel lists its sockets in pieces. While other threads open and close sockets, it may omit or repeat a line, so the list
+/// is read again until it is complete.
 fn drops(local: SocketAddr, count: usize) -> BTreeMap<String, u64> {
     let SocketAddr::V4(local) = local else { panic!("{local} is listed elsewhere") };
     let local = format!("{:08X}:{:04X}", u32::from_ne_bytes(local.ip().octets()), local.port());
@@ -96,7 +96,7 @@ fn drops(local: SocketAddr, count: usize) -> BTreeMap<String, u64> {
     }
 }
 
-/// Each has heard the other.
+/// Links of two nodes that have heard each other.
 fn acquainted() -> (UdpLink, UdpLink) {
     let (a, b) = pair();
     for (from, to, node) in [(&a, &b, B), (&b, &a, A), (&a, &b, B)] {
@@ -106,7 +106,7 @@ fn acquainted() -> (UdpLink, UdpLink) {
     (a, b)
 }
 
-/// Sends while the flood lasts, and never more than fit the socket. Returns how many.
+/// Sends while the flood lasts, and never more than fits into the socket. Returns how many packets were sent.
 fn speaks(a: &UdpLink, heard: &Heard, floods: impl Fn() -> bool) -> u32 {
     let mut sent = 0;
     while floods() {
@@ -126,7 +126,7 @@ fn a_flood_from_elsewhere_loses_nothing_of_a_neighbour() {
     let (to, heard) = (b.local_address(), Heard::default());
     let silent = raw_socket();
     b.set_address(C, Some(silent.local_addr().unwrap())).unwrap();
-    // Nobody receives: what is thrown fills whatever socket it comes to, and then the neighbour speaks.
+    // No thread receives yet: the flood fills whatever socket it comes to, and then the neighbour sends.
     flood(to, FILLS_A_SOCKET);
     let first = UNDER_WAY as u32 / 2;
     (1..=first).for_each(|number| assert_eq!(a.send(B, &[packet(number)]), Ok(1)));
@@ -139,8 +139,8 @@ fn a_flood_from_elsewhere_loses_nothing_of_a_neighbour() {
             }
         });
         let sent = speaks(&a, &heard, || !flooding.is_finished());
-        // The last is sent once, as the others are: repeated without a pause, it would itself fill the socket. If it is lost, it is
-        // missing below.
+        // The last packet is sent once, like the others: repeated without a pause, it would itself fill the socket. If it is
+        // lost, it is missing below.
         let last = sent + 1;
         assert_eq!(a.send(B, &[packet(last)]), Ok(1));
         let end = Instant::now() + PATIENCE;
@@ -161,10 +161,10 @@ fn a_flood_from_elsewhere_loses_nothing_of_a_neighbour() {
     assert!(connected.values().eq(&[0, 0]), "two neighbours: {connected:?}");
 }
 
-/// A thread that did nothing but turn a flood away would take its core from the tasks.
+/// A thread that did nothing but drop a flood would take its core from the tasks.
 #[test]
 fn a_flood_is_looked_at_in_turns_of_a_millisecond() {
-    /// Of so many datagrams that mean nothing a visit takes, and then the next one waits.
+    /// After so many meaningless datagrams a visit ends, and the next one waits.
     const VISIT: u64 = 16;
     const VISITS: u64 = 12;
     let (b, heard) = (link(B), Heard::default());
@@ -176,7 +176,7 @@ fn a_flood_is_looked_at_in_turns_of_a_millisecond() {
     }
     let least = Duration::from_millis(VISITS - 1);
     assert!(start.elapsed() >= least, "{} datagrams within {:?}", came(), start.elapsed());
-    // A poll that ends before the rest does is on time. The rest began after the last discard, and was over by now only if this
+    // A poll that ends before the rest does is on time. The rest began after the last discard; it can be over by now only if this
     // thread stood still.
     let discarded = heard.discarded.lock().unwrap().expect("all of it means nothing");
     let end = b.poll(&heard, Some(Instant::now()));

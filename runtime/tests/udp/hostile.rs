@@ -1,4 +1,4 @@
-//! What is not for this node: each datagram is counted under its reason, nothing is delivered, nothing panics.
+//! Datagrams that are not for this node: each is counted under its reason, nothing is delivered, nothing panics.
 
 use super::rig::{
     A, B, C, Memory, cell, digests, encoded, envelope, envelope_of, link, packet, raw_socket, sealed,
@@ -25,7 +25,7 @@ impl Victim {
         self.from.send_to(bytes, self.link.local_address()).unwrap();
     }
 
-    /// Throws datagrams one by one; each must be dropped for one reason.
+    /// Sends datagrams one by one; each must be dropped for one reason.
     fn reasons<'a>(&self, datagrams: impl IntoIterator<Item = &'a [u8]>) -> Vec<LinkDiscard> {
         let mut reasons = Vec::new();
         for bytes in datagrams {
@@ -42,7 +42,7 @@ impl Victim {
         self.reasons([bytes])[0]
     }
 
-    /// A good datagram still gets through.
+    /// Checks that a good datagram still gets through.
     fn still_listens(&self, counter: u64) {
         self.throw(&sealed(&envelope(counter), &[encoded(1)]));
         let got = self.memory.take_packets(&self.link, 1);
@@ -172,7 +172,7 @@ fn repetitions_and_earlier_lives() {
     assert_eq!(*peers, [(A, Incarnation(1), false), (A, Incarnation(2), true)]);
 }
 
-/// Lives and numbers are kept per neighbour.
+/// Incarnations and counters are kept per neighbour.
 #[test]
 fn neighbours_are_told_apart() {
     let victim = Victim::new();

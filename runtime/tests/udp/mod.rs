@@ -1,4 +1,4 @@
-//! The UDP link on real loopback sockets.
+//! Tests of the UDP link on real loopback sockets.
 
 mod faults;
 mod flood;

@@ -1,4 +1,4 @@
-//! Mutated datagrams: nothing panics, and genuine traffic goes on.
+//! Mutated datagrams cause no panic, and genuine traffic goes on.
 
 use super::rig::{A, B, C, Memory, PATIENCE, introduced, link, packet, raw_socket};
 use super::sessions::{drive, taken_on_its_way};
@@ -8,12 +8,12 @@ use imrs_wire::envelope::MAX_DATAGRAM_BYTES;
 use std::time::{Duration, Instant};
 
 const HEADER: usize = 60;
-/// How many come between two looks at the genuine traffic.
+/// How many mutated datagrams come between two checks of the genuine traffic.
 const BATCH: usize = 250;
 
 const CRC: crc::Crc<u32, crc::Table<16>> = crc::Crc::<u32, crc::Table<16>>::new(&crc::CRC_32_MEF);
 
-/// Changes some bytes: anything, or with the digests right, a counter that may come next, and a checksum that fits.
+/// Changes some bytes at random. Half of the time it then repairs the digests and the checksum, and perhaps counter and length.
 fn mutated(genuine: &[u8], counter: u64, rng: &mut fastrand::Rng) -> Vec<u8> {
     let mut bytes = genuine.to_vec();
     match rng.u8(..16) {
@@ -23,7 +23,7 @@ fn mutated(genuine: &[u8], counter: u64, rng: &mut fastrand::Rng) -> Vec<u8> {
     }
     for _ in 0..rng.usize(1..5) {
         if !bytes.is_empty() {
-            // The header is more telling than what it closes.
+            // The header is mutated more often than its share of the bytes.
             let end = if rng.bool() { bytes.len() } else { bytes.len().min(HEADER) };
             let at = rng.usize(..end);
             bytes[at] = if rng.bool() { rng.u8(..) } else { bytes[at] ^ (1 << rng.u8(..8)) };
@@ -45,7 +45,7 @@ fn mutated(genuine: &[u8], counter: u64, rng: &mut fastrand::Rng) -> Vec<u8> {
     bytes
 }
 
-/// A sends until B has got it. Returns how long that took.
+/// A sends until B has received a packet. Returns how long that took.
 fn goes_on((a, at_a): (&UdpLink, &Memory), (b, at_b): (&UdpLink, &Memory), number: &mut u32) -> Duration {
     let (start, mut next) = (Instant::now(), Instant::now());
     let first = *number;
@@ -54,7 +54,7 @@ fn goes_on((a, at_a): (&UdpLink, &Memory), (b, at_b): (&UdpLink, &Memory), numbe
         let got = std::mem::take(&mut *at_b.packets.lock().unwrap());
         let genuine = got.iter().find(|got| got.0 == A && is_new(got.1.id.sequence.get()));
         if let Some((_, _, charge)) = genuine {
-            // Nor is it taken for an old one: that would be as bad.
+            // Nor may it be charged as an old packet, which would be as bad.
             assert!(charge.0 <= 20_000_000, "{charge} us");
             return true;
         }
@@ -80,7 +80,7 @@ fn genuine_traffic_goes_on_between_mutated_datagrams() {
     let (at_a, at_b, at_c) = (Memory::default(), Memory::default(), Memory::default());
     let (from, mut number, mut thrown) = (raw_socket(), 1_000_000, 0);
     let mut longest = Duration::ZERO;
-    // They know each other.
+    // First the two get to know each other.
     goes_on((&a, &at_a), (&b, &at_b), &mut number);
     while thrown < count {
         let genuine = taken_on_its_way(&a, &b, packet(number - 1));
@@ -96,7 +96,7 @@ fn genuine_traffic_goes_on_between_mutated_datagrams() {
             memory.discards.lock().unwrap().clear();
         }
         longest = longest.max(goes_on((&a, &at_a), (&b, &at_b), &mut number));
-        // It answers, too.
+        // B answers, too.
         b.send(A, &[packet(1)]).unwrap();
         drive(&[(&a, &at_a), (&c, &at_c)], || at_a.delivered() > 0);
     }

@@ -3,8 +3,8 @@
 use nix::sched::{CloneFlags, unshare};
 use std::process::Command;
 
-/// Runs `work` where nothing of the machine's network is, but what these commands of `ip` make. Without the right to make that
-/// it says so; where everything is required it fails.
+/// Runs `work` in a network namespace that has only what these commands of `ip` make. Without the right to make one, it reports
+/// that; if everything is required, it fails.
 pub fn in_a_network(commands: &[&str], work: impl FnOnce() + Send) {
     let ran = std::thread::scope(|scope| {
         let own = move || {
@@ -15,7 +15,7 @@ pub fn in_a_network(commands: &[&str], work: impl FnOnce() + Send) {
             }
             made
         };
-        // The namespace is this thread's, and goes with it.
+        // The namespace belongs to this thread, and ends with it.
         scope.spawn(own).join().expect("the test passes")
     });
     if !ran {
@@ -23,7 +23,7 @@ pub fn in_a_network(commands: &[&str], work: impl FnOnce() + Send) {
     }
 }
 
-/// Says that a test was not tried, and why; where everything is required it fails.
+/// Reports that a test was skipped, and why; if everything is required, it fails.
 pub fn skip(missing: &str) {
     let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
     assert!(!required, "{missing}, and IMRS_REQUIRE_ALL=1 requires it");

@@ -1,4 +1,4 @@
-//! Three nodes with a link between any two, a task on each, and a sink that remembers.
+//! Three nodes with a link between any two, a task on each, and a sink that records.
 
 use imrs_protocol::{
     Cell, CellTable, Class, Contents, Incarnation, Kind, MAX_HOPS, MessageId, NodeId, NodeTable, Packet,
@@ -57,8 +57,8 @@ fn bound(node: NodeId, options: UdpOptions) -> UdpLink {
     UdpLink::bind(table(node), any_port(), options).unwrap()
 }
 
-/// A link that gets the kernel's stamps, until the end of the process. The kernel begins to stamp some time after a first
-/// socket asks for it, on a busy machine long after, and ends it with the last one that asked.
+/// A link with kernel stamps, kept until the end of the process. The kernel begins to stamp some time after the first socket asks
+/// for it, on a busy machine long after, and stops with the last socket that asked.
 static STAMPED: LazyLock<UdpLink> = LazyLock::new(|| {
     let end = Instant::now() + PATIENCE;
     loop {
@@ -76,7 +76,7 @@ fn first_life() -> UdpOptions {
     UdpOptions::new(Incarnation(1), false)
 }
 
-/// A link for which the kernel cuts nothing and puts nothing together.
+/// A link for which the kernel neither cuts nor merges.
 pub fn plain(node: NodeId) -> UdpLink {
     bound(node, UdpOptions { segments: false, ..first_life() })
 }
@@ -92,7 +92,7 @@ pub fn introduced(a: UdpLink, b: UdpLink) -> (UdpLink, UdpLink) {
     (a, b)
 }
 
-/// A status message of task x (node A) to task y (node B) with a minute to live.
+/// A status message of task x (node A) to task y (node B) with a TTL of one minute.
 pub fn packet(number: u32) -> Packet {
     Packet {
         kind: Kind::Send,
@@ -112,7 +112,7 @@ pub fn packet(number: u32) -> Packet {
     }
 }
 
-/// What [`packet`] looks like in a datagram.
+/// The bytes of [`packet`] in a datagram.
 pub fn encoded(number: u32) -> [u8; 32] {
     let table = table(A);
     packet(number).encode(table.digest(), table.port(PortId(0)).unwrap().hash)
@@ -123,7 +123,7 @@ pub fn envelope(counter: u64) -> Envelope {
     envelope_of(1, counter)
 }
 
-/// An envelope as A would write it to B in this incarnation, which has the session of the same number.
+/// An envelope as A in this incarnation would write it to B. Its session has the same number.
 pub fn envelope_of(incarnation: u8, counter: u64) -> Envelope {
     Envelope {
         sender: A,
@@ -138,7 +138,7 @@ pub fn envelope_of(incarnation: u8, counter: u64) -> Envelope {
     }
 }
 
-/// What all nodes here have in common.
+/// The digests that all nodes here share.
 pub fn digests() -> Digests {
     Digests { cell: table(A).digest(), statements: 0 }
 }
@@ -155,12 +155,12 @@ pub fn sealed_for(digests: Digests, envelope: &Envelope, packets: &[[u8; 32]]) -
     datagram.seal(envelope, digests).to_vec()
 }
 
-/// A socket that is no link: sends what it likes.
+/// A socket without a link, which sends anything.
 pub fn raw_socket() -> UdpSocket {
     UdpSocket::bind(any_port()).unwrap()
 }
 
-/// Remembers what a link hands over.
+/// A sink that records what a link hands over.
 #[derive(Default)]
 pub struct Memory {
     pub packets: Mutex<Vec<(NodeId, Packet, Ticks)>>,

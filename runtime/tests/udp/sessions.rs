@@ -1,4 +1,4 @@
-//! Sessions: nobody stays deaf, and nothing that is dead takes over (D144).
+//! Sessions: no node stays deaf, and no dead session takes over (D144).
 
 use super::rig::{
     A, B, C, Memory, PATIENCE, any_port, cell, digests, encoded, envelope, introduced, life, link, packet,
@@ -22,7 +22,7 @@ pub fn drive(links: &[(&UdpLink, &Memory)], mut done: impl FnMut() -> bool) {
     }
 }
 
-/// Lets all links receive until they are at rest: what is sent on the loopback is there at once.
+/// Lets all links receive until they are at rest: what is sent on the loopback arrives at once.
 fn settle(links: &[(&UdpLink, &Memory)]) {
     let came = || links.iter().map(|(link, _)| received(link)).sum::<u64>();
     let mut before = u64::MAX;
@@ -33,7 +33,7 @@ fn received(link: &UdpLink) -> u64 {
     [UdpCount::DatagramsReceived, UdpCount::GreetingsReceived].map(|count| link.count(count)).iter().sum()
 }
 
-/// What A would send to B next, taken on its way.
+/// The datagram that A would send to B next, intercepted.
 pub fn taken_on_its_way(a: &UdpLink, b: &UdpLink, packet: Packet) -> Vec<u8> {
     let between = raw_socket();
     between.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -50,7 +50,7 @@ fn throw(bytes: &[u8], at: &UdpLink) {
     raw_socket().send_to(bytes, at.local_address()).unwrap();
 }
 
-/// Both have heard each other.
+/// Lets both nodes hear each other.
 fn acquainted(a: &UdpLink, b: &UdpLink) {
     let (at_a, at_b) = (Memory::default(), Memory::default());
     b.send(A, &[packet(1)]).unwrap();
@@ -72,7 +72,7 @@ fn lost_until_heard(a: &UdpLink, b: &UdpLink, at_b: &Memory, first: u32) -> u32 
     panic!("it stays deaf");
 }
 
-/// One datagram for B that reaches C instead once cost all 74 later ones.
+/// A regression test: a datagram for B that reached C instead once cost C all 74 later ones.
 #[test]
 fn a_datagram_for_another_node_changes_nothing_and_is_named() {
     let ((a, b), c) = (pair(), link(C));
@@ -91,7 +91,7 @@ fn a_datagram_for_another_node_changes_nothing_and_is_named() {
     assert_eq!(*memory.discards.lock().unwrap(), []);
 }
 
-/// The same with an envelope that says that it is for C, but brings nothing of this cell.
+/// An envelope with a counter far ahead that brings no packet of this cell.
 #[test]
 fn a_datagram_without_a_packet_of_this_cell_changes_nothing() {
     let (b, memory) = (link(B), Memory::default());
@@ -107,7 +107,7 @@ fn a_datagram_without_a_packet_of_this_cell_changes_nothing() {
 #[test]
 fn a_node_that_lost_its_state_is_heard_after_one_exchange() {
     for (before, after) in [(200, 0), (5, 5), (130, 2), (7, 8)] {
-        // Another neighbour in each turn: what one heard before says nothing, and it asks only so often in a while.
+        // A new link in each turn, because what was heard before would count, and because one link asks only so often.
         let (b, at_b) = (link(B), Memory::default());
         let a = life(A, before, true);
         let (a, b) = (a, &b);
@@ -147,7 +147,7 @@ fn a_datagram_of_a_dead_session_takes_nothing_over() {
     let dead = taken_on_its_way(&a, &b, packet(7));
     assert!(read(&dead).unwrap().envelope.echo.is_some(), "it had heard B");
     drop(a);
-    // 100 comes before 200, and 250 after it.
+    // Incarnation 100 comes before 200, and 250 after it.
     for (incarnation, reason) in [(100, LinkDiscard::UnprovenSession), (250, LinkDiscard::StaleIncarnation)] {
         let (again, b) = (life(A, incarnation, false), &b);
         again.set_address(B, Some(b.local_address())).unwrap();
@@ -166,7 +166,7 @@ fn a_datagram_of_a_dead_session_takes_nothing_over() {
     }
 }
 
-/// A node that has just begun cannot tell an old datagram from a first one. The next exchange mends it.
+/// A node that has just begun cannot tell an old datagram from a first one. The next exchange corrects that.
 #[test]
 fn a_dead_session_that_is_heard_first_is_replaced() {
     let (a, b) = pair();
@@ -179,7 +179,7 @@ fn a_dead_session_that_is_heard_first_is_replaced() {
     let mut dead_of_b = vec![0; 2_000];
     let length = between.recv(&mut dead_of_b).unwrap();
     drop((a, b));
-    // Both hear the other's dead session first.
+    // Each hears the other's dead session first.
     let (a, b) = introduced(life(A, 3, true), life(B, 3, true));
     let (at_a, at_b) = (Memory::default(), Memory::default());
     throw(&dead_of_a, &b);
@@ -203,7 +203,7 @@ fn a_counter_that_jumped_ahead_comes_back() {
     assert_eq!(at_b.take_packets(&b, 1)[0].1, packet(7));
     assert!(lost_until_heard(&a, &b, &at_b, 100) <= 1);
     assert_eq!(b.count(UdpCount::CountersMended), 1);
-    // What came before counts as seen.
+    // An earlier datagram counts as seen.
     throw(&bytes, &b);
     at_b.discards.lock().unwrap().clear();
     assert_eq!(at_b.take_discards(&b, 1), [LinkDiscard::Replayed]);
@@ -233,7 +233,7 @@ fn nodes_of_two_cells_both_say_that_they_do_not_talk() {
         assert_eq!((of_a.node, of_a.why, of_a.here, of_a.there), (B, why, false, true));
         assert_eq!((of_b.node, of_b.why, of_b.here, of_b.there), (A, why, true, false));
         assert_eq!((of_a.theirs, of_b.theirs), (b.digests(), a.digests()), "both know both");
-        // Refusals are few, and nobody answers one.
+        // Refusals are few, and no node answers one.
         for number in 0..100 {
             a.send(B, &[packet(number)]).unwrap();
         }
@@ -242,7 +242,7 @@ fn nodes_of_two_cells_both_say_that_they_do_not_talk() {
     }
 }
 
-/// One datagram of another cell, and the right one goes on: nothing is held against it.
+/// After one datagram of other statements the right traffic goes on, and the refusal ends.
 #[test]
 fn a_refusal_ends_with_what_is_admitted() {
     let (a, b) = pair();
@@ -287,11 +287,11 @@ fn a_node_that_nobody_answers_goes_on() {
     let (start, time) = (Instant::now(), Duration::from_millis(50));
     assert_eq!(a.ask_incarnations(time), []);
     assert!(start.elapsed() >= time);
-    // Without an address there is nobody to ask.
+    // Without an address there is no neighbour to ask.
     assert_eq!(link(B).ask_incarnations(PATIENCE), []);
 }
 
-/// C has heard A only through B: it remembers A's incarnation all the same.
+/// C has heard A only through B, and still remembers A's incarnation.
 #[test]
 fn what_others_pass_on_is_remembered_too() {
     let (b, c) = (link(B), link(C));

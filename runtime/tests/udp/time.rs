@@ -1,4 +1,4 @@
-//! Old packets come out old (D20, D50).
+//! Old packets are charged for their age (D20, D50).
 
 use super::rig::{
     A, B, BOUND, Memory, PATIENCE, QUEUED, cell, encoded, envelope, link, packet, pair, raw_socket, sealed,
@@ -33,7 +33,7 @@ fn a_datagram_left_in_the_socket_is_charged_its_wait() {
     assert_eq!(b.count(UdpCount::NoStamp), 0, "the kernel gives stamps");
 }
 
-/// With the first datagram nothing is known of the sender's clock: only the kernel's stamp can tell.
+/// With the first datagram nothing is known of the sender's clock, so only the kernel's stamp can tell.
 #[test]
 fn the_stamp_alone_tells_how_long_each_datagram_waited() {
     let (a, b) = (link(A), link(B));
@@ -46,7 +46,7 @@ fn the_stamp_alone_tells_how_long_each_datagram_waited() {
     let most = second.elapsed();
     assert!(charges[0] >= micros(LONG) + BOUND.0, "{charges:?}");
     assert!(charges[1] >= BOUND.0, "{charges:?}");
-    // The second datagram is not charged the wait of the first, however long the machine took to receive both.
+    // The second datagram is not charged for the wait of the first, however long the machine took to receive both.
     assert!(charges[1] <= micros(most) + BOUND.0 + 100_000, "{charges:?}, the second within {most:?}");
 }
 
@@ -54,7 +54,7 @@ fn the_stamp_alone_tells_how_long_each_datagram_waited() {
 fn a_sender_stopped_between_its_clock_and_the_socket_is_charged() {
     let (a, b) = pair();
     let (at_a, at_b) = (Memory::default(), Memory::default());
-    // A round trip lets B know A's clock.
+    // A round trip teaches B the clock of A.
     b.send(A, &[packet(1)]).unwrap();
     at_a.take_packets(&a, 1);
     a.send(B, &[packet(2)]).unwrap();
@@ -66,7 +66,7 @@ fn a_sender_stopped_between_its_clock_and_the_socket_is_charged() {
     assert!(charge.0 >= micros(LONG), "{charge} us");
 }
 
-/// The same before any echo: B never sends.
+/// The same before any echo, because B never sends.
 #[test]
 fn a_stopped_sender_is_charged_without_a_round_trip_too() {
     let (a, b) = (link(A), link(B));
@@ -75,7 +75,7 @@ fn a_stopped_sender_is_charged_without_a_round_trip_too() {
     let begin = Instant::now();
     a.send(B, &[packet(1)]).unwrap();
     memory.take_packets(&b, 1);
-    // The fastest datagram is taken to have kept the declared bound. This one is the only one, and took up to so long.
+    // The fastest datagram is assumed to have kept the declared bound. Here it is the only one, and took at most this long.
     let first = begin.elapsed();
     let read = Instant::now();
     thread::sleep(LONG);
@@ -84,7 +84,7 @@ fn a_stopped_sender_is_charged_without_a_round_trip_too() {
     assert!(charge.0 + micros(first) >= micros(LONG), "{charge} us, where the first took {first:?}");
 }
 
-/// What a packet costs when nothing is wrong: the declared bound, and what this machine adds to a loopback round trip.
+/// The charge without any fault: the declared bound, and what this machine adds to a loopback round trip.
 #[test]
 fn a_quick_round_trip_costs_little_more_than_the_declared_bound() {
     let (a, b) = pair();
@@ -105,8 +105,8 @@ fn a_quick_round_trip_costs_little_more_than_the_declared_bound() {
     assert!(median.0 <= BOUND.0 + micros(trip) + 50_000, "median {median} us, of a round trip {trip:?}");
 }
 
-/// One instant and one charge for what came in one datagram: else a later message would be taken to be the older one, and go
-/// first, wherever the clock went on between the two.
+/// What came in one datagram has one instant and one charge. Otherwise a later message would count as older, and go first, if the
+/// clock advanced between the two.
 #[test]
 fn what_came_together_is_taken_in_the_order_in_which_it_was_sent() {
     const DATAGRAMS: u32 = 50;
@@ -119,7 +119,7 @@ fn what_came_together_is_taken_in_the_order_in_which_it_was_sent() {
         for datagram in 0..DATAGRAMS {
             let packets: Vec<_> = (0..together).map(|n| encoded(datagram * together + n)).collect();
             socket.send_to(&sealed(&envelope(u64::from(datagram)), &packets), to).expect("sent");
-            // They wait for the task, not the task for them.
+            // The messages wait for the task, not the task for them.
             ctx.delay(Duration::from_millis(2))?;
             for n in 0..together {
                 let message = ctx.receive(None, Some(PATIENCE))?.expect("nothing is lost");

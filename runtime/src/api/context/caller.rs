@@ -1,4 +1,4 @@
-//! The thread of a task before its communication task: asks, sleeps, and comes back with the answer.
+//! How a task's program reaches its communication task: it asks, waits, and comes back with the answer.
 
 use super::outcome::TaskError;
 use crate::api::message::Bytes;
@@ -20,12 +20,12 @@ pub(crate) struct Caller {
     pub node: Arc<Node>,
     place: usize,
     effects: Effects,
-    /// What it receives with where it leads. Made when it first does.
+    /// What the thread receives with where it leads. Made when it first leads.
     inlet: Option<Inlet>,
-    /// How it waits.
+    /// The spin policy of the thread.
     patience: Patience,
     stopped: bool,
-    /// What a handler failed with: whatever it interrupted cannot be gone on with.
+    /// The error of a handler that failed: what the handler interrupted cannot go on.
     failed: Option<TaskError>,
     /// The message that was taken last.
     pub taken: Option<ReplyTo>,
@@ -52,15 +52,15 @@ impl Caller {
         }
     }
 
-    /// For a task whose program is a future: no thread of it ever sleeps.
+    /// For a task whose program is a future: no thread of the task ever sleeps.
     pub fn of_a_future(node: Arc<Node>, place: usize) -> Self {
         let mut caller = Self::new(node, place);
         caller.effects.waiter = None;
         caller
     }
 
-    /// As [`call`](Self::call), without waiting: what there is for the task now. Asks nothing where there is an answer to an
-    /// earlier request.
+    /// As [`call`](Self::call), without waiting: returns what there is for the task now. If that is an answer to an earlier
+    /// request, the new request is not made.
     pub fn call_now(&mut self, request: Option<Request>) -> Result<Option<(Signal, Ticks)>, TaskError> {
         if let Some(error) = &self.failed {
             return Err(error.clone());
@@ -85,7 +85,7 @@ impl Caller {
         }
     }
 
-    /// The future waits: `waker` is called when there is something for it. False where there is already.
+    /// The future waits: `waker` is called when there is something for it. False if there is something already.
     pub fn listen(&self, waker: &Waker) -> bool {
         let member = &self.node.members.list[self.place];
         member.bell.listen(waker);
@@ -110,8 +110,8 @@ impl Caller {
         position.map(TaskId::from_index).ok_or_else(|| TaskError::NoTask(name.into()))
     }
 
-    /// Asks, and waits for the answer: first that of the machine, then asleep until it is brought, until the machine has
-    /// something to do by itself, or until `over`. Says too how old the answer is. `more` is asked of each answer.
+    /// Asks and waits for the answer: spinning, in the link or asleep, until another thread brings it, the machine next expires,
+    /// or `over`. Also returns the answer's age. Each answer is passed to `more`.
     pub fn call(
         &mut self,
         asked: Micros,
@@ -150,13 +150,13 @@ impl Caller {
             self.wait(kind, now, until, waited);
             waited = true;
             now = clock::now();
-            // A spin tail earlier, too: what the end of the time needs is then in the caches.
+            // Already a spin tail earlier, because that brings what the deadline needs into the caches.
             let due = now.saturating_add(self.node.spin_tail) >= until;
             entry = self.node.come_back(self.place, now, due, more, &mut self.effects);
         }
     }
 
-    /// From here on what is sent waits for more, or no longer. Returns what it was before.
+    /// From here on, what is sent waits for more, or no longer. Returns the setting before.
     pub fn hold(&mut self, holds: bool) -> bool {
         let before = std::mem::replace(&mut self.effects.holds, holds);
         if !holds && !self.effects.leaving.is_empty() {
@@ -165,20 +165,20 @@ impl Caller {
         before
     }
 
-    /// Waits until there is something for the task, or until then: in the link itself where that can be and its answer is
-    /// likely to come from there, else asleep. `now` may be some time ago; `waited` says that it has waited for this before.
+    /// Waits until there is something for the task, or until `until`: in the link itself if it can lead and its answer is likely
+    /// to come from there, else asleep. `now` may be some time ago. `waited` says that the task has waited for this before.
     fn wait(&mut self, kind: Option<Kind>, now: Micros, until: Micros, waited: bool) {
         if self.effects.holds {
-            // Nothing that was sent waits while the task does.
+            // What was sent must not wait while the task does.
             self.hold(false);
             self.effects.holds = true;
         }
         let node = &self.node;
         let member = &node.members.list[self.place];
-        // Whoever waits for a time alone, and is to do so exactly, waits for it on its word.
+        // A wait for a time alone, if it is to be exact, is on the word.
         let link = node.link.as_ref().filter(|_| !node.is_exact || kind.is_some());
         let leading = link.and_then(|link| link.leading());
-        // Set again by what the link brings, whoever takes it in.
+        // Set again by what the link brings, whichever thread takes it in.
         let leading = leading.filter(|_| member.by_link.swap(false, Ordering::Relaxed));
         let handoff = &member.handoff;
         let inlet = leading.map(|_| &*self.inlet.get_or_insert_with(|| Inlet::new(Arc::clone(node))));
@@ -202,12 +202,12 @@ impl Caller {
             }
         }
         let early = if until == clock::FAR { until } else { until.saturating_sub(node.spin_tail) };
-        // Where `now` was so long ago that the time has come since, the kernel says so at once.
+        // If `now` is so long ago that `early` has passed since, the kernel says so at once.
         if now < early {
             handoff.sleep(clock::nanos_of(early));
             return;
         }
-        // Unless that was asked for, only who has slept before looks: a task whose waits are all brief gives up its core, too.
+        // Unless the program asked for it, only a thread that has slept spins: brief waits must yield the core, too.
         if !waited && !node.is_exact {
             handoff.sleep(clock::nanos_of(until));
             return;
@@ -217,18 +217,18 @@ impl Caller {
         }
     }
 
-    /// A handler failed: so does everything from now on.
+    /// A handler failed: from now on every call fails.
     pub fn fail(&mut self, error: TaskError) {
         self.give_up();
         self.failed.get_or_insert(error);
     }
 
-    /// Takes back whatever is outstanding, of handlers and what they interrupted: members of a `waitfor` are told.
+    /// Takes back all outstanding requests, of handlers and of what they interrupted; members of a `waitfor` are told.
     pub fn give_up(&mut self) {
         self.tell(Request::Abandon);
     }
 
-    /// The program has ended: it answers no beat any more, so that its partner takes over (D61).
+    /// The program has ended: the task answers no heartbeat any more, so that its partner takes over (D61).
     pub fn end(&mut self) {
         self.give_up();
         self.tell(Request::End);
@@ -240,7 +240,7 @@ impl Caller {
         let _answered = self.node.ask(self.place, clock::next(), request, &mut |_| None, &mut self.effects);
     }
 
-    /// The message came too late into the hands of the task.
+    /// The message expired before the task got it.
     pub fn expired_in_hand(&mut self, message: &Delivery) {
         self.look(|comm| comm.expired_in_hand(message));
     }
@@ -261,7 +261,7 @@ impl Caller {
         Ok(whole)
     }
 
-    /// The answer of `task` with all its fragments. `first` is its first one.
+    /// The answer of `task` with all its fragments. `first` is the first of them, where it is known.
     pub fn whole_answer(&mut self, port: PortId, task: TaskId, first: Option<&Contents>) -> Bytes {
         let mut whole = first.map(Bytes::of).unwrap_or_default();
         let from = u8::from(first.is_some());
@@ -275,7 +275,7 @@ impl Caller {
         whole
     }
 
-    /// Looks at the communication task, once what was left to it is taken in. Nothing else of it changes by that.
+    /// Looks at the communication task after draining its inbox. Nothing else of it changes.
     pub fn look<R>(&mut self, look: impl FnOnce(&mut Comm) -> R) -> R {
         let seen = self.node.members.list[self.place].handoff.with(look, &mut self.effects);
         self.node.carry_out(&mut self.effects);
@@ -283,7 +283,7 @@ impl Caller {
     }
 }
 
-/// What a program has sent leaves, though the program ended in the middle of what it sends together.
+/// What a program has sent leaves, even if the program ended inside of a [`Context::together`](super::Context::together).
 impl Drop for Caller {
     fn drop(&mut self) {
         self.hold(false);

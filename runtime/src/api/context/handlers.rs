@@ -1,4 +1,4 @@
-//! Handlers: what interrupts a task's waits (D15, D46).
+//! Handlers, which interrupt a task's waits (D15, D46).
 
 use super::outcome::{RequestFault, TaskError};
 use super::{Context, ticks};
@@ -11,7 +11,7 @@ type OnMessage<S> = Rc<dyn Fn(&mut Context<S>, Delivery) -> Result<(), TaskError
 type OnTimer<S> = Rc<dyn Fn(&mut Context<S>) -> Result<(), TaskError>>;
 type OnTakeover<S> = Rc<dyn Fn(&mut Context<S>, u8) -> Result<(), TaskError>>;
 
-/// The handlers of a task. Shared while they run, so that one may interrupt itself where its message outranks it.
+/// The handlers of a task. Shared while they run, because a handler may interrupt itself if its message outranks it.
 pub(super) struct Handlers<S> {
     messages: Vec<(PortId, OnMessage<S>)>,
     timers: Vec<(TimeId, OnTimer<S>)>,
@@ -27,13 +27,13 @@ impl<S> Default for Handlers<S> {
 
 /// # Handlers
 ///
-/// A handler runs on the task's own thread, inside a call that waits, or in [`boundary`](Context::boundary): a Rust
-/// program cannot be interrupted in between. Whether a message or the end of a timer interrupts is decided by its
-/// communication task, by [`order`](Context::order) (D16): without one, `self` ranks first and a handler runs only while the
-/// task waits in a [`receive`](Context::receive), or after it was rejected as often as the rules allow (D58). The
-/// interrupted wait then goes on with what remains of its time.
+/// A handler runs on the task's own thread, inside a call that waits, or in [`boundary`](Context::boundary): a Rust program
+/// cannot be interrupted in between. Its communication task decides by [`order`](Context::order) whether a message or the end of
+/// a timer interrupts. Without an order, `self` ranks first: a handler runs only while the task waits in a
+/// [`receive`](Context::receive), or after its message was rejected as often as the rules allow. The interrupted wait then goes
+/// on with its remaining time.
 ///
-/// What a handler fails with, its task fails with: every later call of the program returns that error.
+/// If a handler fails, its task fails: every later call of the program returns the handler's error.
 ///
 /// ```
 /// use imrs_protocol::{Cell, CellTable, PortDecl, Ranked, Ticks, Usage};
@@ -75,10 +75,10 @@ impl<S> Default for Handlers<S> {
 /// # assert!(ends.iter().all(|(_, end)| *end == imrs_runtime::TaskEnd::Returned), "{ends:?}");
 /// ```
 impl<S> Context<S> {
-    /// From here on, messages of this port are handled: [`receive`](Context::receive) without a port skips it.
+    /// From here on, the handler takes the messages of this port: [`receive`](Context::receive) without a port skips it.
     ///
     /// # Errors
-    /// [`Fault::WrongUsage`] where the task does not receive on this port.
+    /// [`Fault::WrongUsage`] if the task does not receive on this port.
     pub fn on_message(
         &mut self,
         port: PortId,
@@ -90,11 +90,11 @@ impl<S> Context<S> {
         Ok(())
     }
 
-    /// Answers each query or command of this port with what the handler returns. An answer that is too late is none: its
-    /// sender has its outcome (D18).
+    /// Answers each query or command of this port with what the handler returns. An answer that comes too late is dropped: its
+    /// sender has its outcome already.
     ///
     /// # Errors
-    /// As [`on_message`](Self::on_message); where it runs, [`TaskError::NotThisType`].
+    /// As [`on_message`](Self::on_message); when the handler runs, [`TaskError::NotThisType`].
     pub fn on_query<M: Message, R: Message>(
         &mut self,
         port: PortId,
@@ -120,7 +120,7 @@ impl<S> Context<S> {
         Ok(())
     }
 
-    /// What is done when this timer of the task ends (Figure 3).
+    /// Sets what is done when this timer of the task ends (Figure 3).
     pub fn on_timer(
         &mut self,
         timer: TimeId,
@@ -130,7 +130,7 @@ impl<S> Context<S> {
         self.handlers.timers.push((timer, Rc::new(handler)));
     }
 
-    /// Starts a timer, anew where it runs.
+    /// Starts a timer, or restarts it if it runs.
     ///
     /// # Errors
     /// [`TaskError::NoHandler`]; [`Fault::TooManyTimers`].
@@ -149,18 +149,18 @@ impl<S> Context<S> {
         self.accepted(Request::Stop { id: timer })
     }
 
-    /// What is done when the task loses its lease (D61). It outranks everything, `atomic` sections too. Whatever the
-    /// program then sends on a port under the lease is refused with [`Fault::Fenced`], handler or not.
+    /// Sets what is done when the task loses its lease. The handler outranks everything, `atomic` sections too. Whatever the
+    /// program then sends on a port under the lease is refused with [`Fault::Fenced`], even without a handler.
     pub fn on_fence(&mut self, handler: impl Fn(&mut Self) -> Result<(), TaskError> + 'static) {
         self.handlers.fence = Some(Rc::new(handler));
     }
 
-    /// What a standby does when it takes over, under the epoch that it is given (D61).
+    /// Sets what a standby does when it takes over, under its new epoch.
     pub fn on_takeover(&mut self, handler: impl Fn(&mut Self, u8) -> Result<(), TaskError> + 'static) {
         self.handlers.takeover = Some(Rc::new(handler));
     }
 
-    /// A statement boundary: handlers that outrank the task's thread run here. For loops that compute and do not wait.
+    /// A statement boundary: handlers that outrank the task's thread run here. For loops that compute without waiting.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -168,7 +168,7 @@ impl<S> Context<S> {
         self.accepted(Request::Boundary)
     }
 
-    /// No handler interrupts what is done here, though it waits (D15); only the loss of the lease does.
+    /// Runs a section that no handler interrupts, even while it waits; only the loss of the lease does.
     ///
     /// # Errors
     /// [`TaskError`], of the section too.
@@ -204,7 +204,7 @@ impl<S> Context<S> {
         match call {
             Call::Message(message) => {
                 self.caller.taken = Some(message.from);
-                // The thread or its whole process stood still with the message in hand: nothing old is handed over.
+                // The thread or its whole process stood still with the message in hand: an expired message is not handed over.
                 if message.budget <= age {
                     self.caller.expired_in_hand(&message);
                     return Ok(());

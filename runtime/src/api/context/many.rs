@@ -6,18 +6,18 @@ use crate::node::comm::Mail;
 use imrs_protocol::{Delivery, PortId, Request, Signal, Ticks};
 use std::time::Duration;
 
-/// How many messages [`Context::receive_many`] takes at once, at most: the time for which others wait then is bounded.
+/// How many messages [`Context::receive_many`] takes at once, at most, so that other threads wait for a bounded time.
 pub const MANY: usize = 64;
 
 impl<S> Context<S> {
     /// Waits as [`receive`](Self::receive) does, then takes the next most urgent messages that are there, as so many
-    /// [`poll`](Self::poll)s would: at most `limit` in all and [`MANY`] at once. They are added to `messages`, the most
-    /// urgent first; returns how many. None say that the time_out ended first. One of several packets is the last of its
-    /// call, so that it can be [`read`](Self::read).
+    /// [`poll`](Self::poll)s would: at most `limit`, and at most [`MANY`] at once. Adds them to `messages`, the most urgent
+    /// first, and returns how many; zero says that the time_out ended first. A message of several packets is the last one taken,
+    /// so that it can be [`read`](Self::read).
     ///
-    /// For streams: nobody else gets at the task's ports between two of them, which is most of what taking a message
-    /// costs where others send. What comes meanwhile is taken in, too, but in the program's hands a more urgent one stands behind those
-    /// that it was given before.
+    /// For streams: no other thread gets at the task's ports between two of these messages, which is most of what taking a
+    /// message costs while others send. What comes meanwhile is taken in, too, but a more urgent message stands behind those that
+    /// were taken before it.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -68,7 +68,7 @@ impl<S> Context<S> {
             if message.budget > waited {
                 messages.push(Delivery { budget: message.budget - waited, ..*message });
             } else {
-                // As in `get`.
+                // Expired in hand, as in `get`.
                 self.caller.expired_in_hand(message);
             }
         }

@@ -18,22 +18,22 @@ pub enum TaskError {
     /// The cell has no task of this name.
     #[error("the cell has no task `{0}`")]
     NoTask(String),
-    /// The message does not fit the packets that the port's format has.
+    /// The message does not fit into the packets of the port's format.
     #[error("a message of {0} bytes is longer than its port's format allows")]
     TooLong(usize),
     /// More ports in one `order` than it has levels.
     #[error("`order` ranks at most 8 ports, not {0}")]
     TooManyLevels(usize),
-    /// What came is no message of the type that the program reads it as.
+    /// The bytes that came are no message of the type that the program reads.
     #[error("{0} bytes came that are no `{1}`: check that both ends use the port's format")]
     NotThisType(usize, &'static str),
-    /// A field holds what no message can: a real that is not finite.
+    /// A field holds a value that no message can hold: a real that is not finite.
     #[error("a `{0}` with a real that is not finite cannot be sent")]
     NotSendable(&'static str),
-    /// The task took another message since: the fragments of this one are gone.
+    /// The task took another message since, so the fragments of this one are gone.
     #[error("only the message that was taken last can be read whole")]
     Gone,
-    /// A timer is started whose end nobody handles.
+    /// The timer to be started has no handler.
     #[error("timer {0:?} has no handler: call `on_timer` first")]
     NoHandler(TimeId),
 }
@@ -62,16 +62,16 @@ fn explain(fault: &Fault) -> &'static str {
 #[must_use = "a command that was not answered may or may not have run"]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sent {
-    /// Class 1: so many copies were accepted. What becomes of them is not reported (R53).
+    /// Class 1: how many copies were accepted. What becomes of them is not reported.
     Copies(u16),
     /// Class 2: how it ended.
     Outcome(Outcome),
-    /// Class 2 to several tasks (R26, R40): how it ended at each.
+    /// Class 2 to several tasks: how it ended at each.
     Several(Answers),
 }
 
 impl Sent {
-    /// The answer to a class-2 message to one task, if there is one; of a longer format its first packet.
+    /// The answer to a class-2 message to one task, if there is one; of a longer answer, the first packet.
     #[must_use]
     pub fn reply(self) -> Option<Contents> {
         match self {
@@ -88,14 +88,14 @@ impl Sent {
     }
 }
 
-/// How a query or a command ended, with its answer (D33). A `match` must say what the program does in each case: after
-/// two of them the other task may have acted.
+/// How a query or a command ended, with its answer. A `match` must say what the program does in each case: after two of them the
+/// other task may have acted.
 #[must_use = "a command that was not answered may or may not have run"]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Asked<M = Bytes> {
     /// The answer.
     Reply(M),
-    /// No space at the destination or on the way; it did not run.
+    /// No space at the destination or on the route; it did not run.
     Refused,
     /// The time_out ended and no copy ever left this node; it did not run.
     TimedOutUnsent,
@@ -115,7 +115,7 @@ impl<M> Asked<M> {
         }
     }
 
-    /// Whether the other task may have acted on the message without this program knowing how that went.
+    /// Whether the other task may have acted on the message without this program knowing the result.
     #[must_use]
     pub const fn may_have_run(&self) -> bool {
         match self {
@@ -128,11 +128,11 @@ impl<M> Asked<M> {
 /// A message of a known type.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Received<M> {
-    /// What it says.
+    /// The message itself.
     pub message: M,
-    /// Names it for a reply, and its sender.
+    /// Names the message for a reply, and its sender.
     pub from: ReplyTo,
-    /// What is left of its life, in microseconds: of a command, the execution budget (D18).
+    /// Its remaining time, in microseconds: for a command, the execution budget.
     pub budget: Ticks,
 }
 
@@ -142,14 +142,14 @@ pub struct Received<M> {
 pub enum Rendezvous {
     /// All have arrived.
     Released {
-        /// The round, the same for all that this meeting releases.
+        /// The round, the same for all tasks that this meeting releases.
         round: Round,
-        /// How this task came to know.
+        /// How this task learned of it.
         by: ReleasedBy,
     },
     /// The time_out ended first.
     GaveUp {
-        /// The round waited in.
+        /// The round in which the task waited.
         round: Round,
         /// Bit `i`: party `i` of the port (owner first) had not arrived.
         missing: u64,

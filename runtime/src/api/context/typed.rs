@@ -1,4 +1,4 @@
-//! Messages of known types: what is sent, asked and answered is a [`Message`].
+//! Calls with typed messages: what is sent, asked and answered is a [`Message`].
 
 use super::outcome::{Asked, Received, RequestFault, Sent, TaskError};
 use super::{Caller, Context};
@@ -21,11 +21,11 @@ impl<S> Context<S> {
         }
     }
 
-    /// Asks the task at the other end of a port: a query, or a command where the port's usage is `send` and its class 2.
+    /// Asks the task at the other end of a port: a query, or a command if the port's usage is `send` and its class is 2.
     /// Waits for the answer, at most for the port's time_out.
     ///
     /// # Errors
-    /// [`TaskError`]; [`TaskError::NotThisType`] where the answer is none of `R`.
+    /// [`TaskError`]; [`TaskError::NotThisType`] if the answer is no `R`.
     pub fn query<M: Message, R: Message>(
         &mut self,
         port: PortId,
@@ -34,7 +34,7 @@ impl<S> Context<S> {
         self.query_with(port, Target::All, question, None)
     }
 
-    /// As [`query`](Self::query), of one of several tasks at the other end, or with a shorter life than the port's.
+    /// As [`query`](Self::query), to one of several tasks at the other end, or with a shorter TTL than the port's.
     ///
     /// # Errors
     /// As [`query`](Self::query).
@@ -53,8 +53,8 @@ impl<S> Context<S> {
         self.caller.asked(port, peer, outcome)
     }
 
-    /// Asks several tasks at once (R26, R40), and tells for each how that ended. Waits until all have answered or refused,
-    /// at most for the port's time_out.
+    /// Asks several tasks at once, and calls `each` with the outcome of every asked task. Waits until all have answered or
+    /// refused, at most for the port's time_out.
     ///
     /// # Errors
     /// As [`query`](Self::query).
@@ -80,7 +80,7 @@ impl<S> Context<S> {
     /// Waits for the most urgent message of a port and reads it. `None` says that the time_out ended first.
     ///
     /// # Errors
-    /// [`TaskError`]; [`TaskError::NotThisType`]: the message is gone then.
+    /// [`TaskError`]; [`TaskError::NotThisType`]: the message is lost then.
     pub fn take<M: Message>(
         &mut self,
         port: PortId,
@@ -91,10 +91,10 @@ impl<S> Context<S> {
         Ok(Some(Received { message, from: delivery.from, budget: delivery.budget }))
     }
 
-    /// Reads the message that was taken last, with all its fragments (D28).
+    /// Reads the message that was taken last, with all its fragments.
     ///
     /// # Errors
-    /// [`TaskError::NotThisType`]; [`TaskError::Gone`] where a longer one is read after another was taken.
+    /// [`TaskError::NotThisType`]; [`TaskError::Gone`] if a message of several packets is read after another was taken.
     pub fn read<M: Message>(&mut self, delivery: &Delivery) -> Result<M, TaskError> {
         let whole = self.caller.whole(delivery)?;
         decoded(&whole)
@@ -124,13 +124,13 @@ impl<S> Context<S> {
 }
 
 impl Caller {
-    /// Whether messages of the port are of this class; a port that there is not is a fault of the request.
+    /// Checks that messages of the port are of this class. An unknown port passes, because the request itself reports it.
     pub(super) fn expect_class(&self, port: PortId, class: Class) -> Result<(), TaskError> {
         let decl = self.node.table.port(port);
         if decl.is_some_and(|port| port.decl.class != class) { Err(wrong_usage()) } else { Ok(()) }
     }
 
-    /// The one task that is meant.
+    /// The only task that `to` names; an error if it names none or several.
     pub(super) fn peer(&self, port: PortId, to: Target) -> Result<TaskId, TaskError> {
         let port = self.node.table.port(port).ok_or_else(|| fault(Fault::NotYourPort))?;
         let meant = |task: &TaskId| match to {
@@ -146,7 +146,7 @@ impl Caller {
         }
     }
 
-    /// Tells for each task that was asked how that ended.
+    /// Calls `each` with the outcome of every asked task.
     pub(super) fn each_answer<R: Message>(
         &mut self,
         port: PortId,
@@ -178,7 +178,7 @@ impl Caller {
         Ok(())
     }
 
-    /// How it ended, with the whole answer.
+    /// The outcome, with the whole answer.
     pub(super) fn asked<R: Message>(
         &mut self,
         port: PortId,

@@ -1,15 +1,15 @@
-//! How long a datagram took, without any common clock (D20).
+//! Bounds how long a datagram took, without any common clock (D20).
 //!
-//! Let `offset` be this node's clock minus the sender's. A datagram that left at `tx` (sender's clock) and was received
-//! at `recv` (this node's) took `(recv - tx) - offset`. The offset is unknown, but every echo bounds it from below: at
-//! the sender's `tx` this node's clock had already reached `echo`, so `offset >= echo - tx`. With the best such bound a
-//! datagram took at most `(recv - tx) - bound`: the round trip of the best echo, plus what this datagram came later than
-//! the one that carried it. A sender that was stopped between reading its clock and sending cannot hide it.
+//! Let `offset` be this node's clock minus the sender's. A datagram that left at `tx` (sender's clock) and was received at `recv`
+//! (this node's clock) took `(recv - tx) - offset`. The offset is unknown, but every echo bounds it from below: at the sender's
+//! `tx` this node's clock had already reached `echo`, so `offset >= echo - tx`. With the best such bound, a datagram took at most
+//! `(recv - tx) - bound`: the round trip of the best echo, plus how much later this datagram came than the one with that echo. A
+//! sender that was stopped between reading its clock and sending cannot hide it.
 //!
-//! Two clocks may drift apart by [`DRIFT_PPM`], so a bound gets weaker as it ages, and is replaced by any newer one that
-//! is no weaker by then.
+//! Two clocks may drift apart by [`DRIFT_PPM`], so a bound weakens with age. Any newer bound that is no weaker by then replaces
+//! it.
 //!
-//! Before the first echo there is only the declared bound: the fastest datagram of late is taken to have kept it.
+//! Before the first echo there is only the declared bound: the fastest recent datagram is assumed to have kept it.
 
 use imrs_protocol::Ticks;
 
@@ -18,14 +18,14 @@ pub(super) const DRIFT_PPM: u64 = 400;
 /// Four clock readings are rounded to whole microseconds.
 const ROUNDING: i64 = 4;
 
-/// What is known of the delay from one neighbour, for one life of it. Clocks are in microseconds, each from an origin
-/// of its own.
+/// What is known of the delay from one neighbour, for one incarnation of it. Clocks are in microseconds, each from its own
+/// origin.
 #[derive(Clone, Debug)]
 pub(super) struct LinkDelay {
     declared: i64,
-    /// The best lower bound of the offset that an echo gave.
+    /// The best lower bound of the offset from an echo.
     proven: Option<Sample>,
-    /// The least `recv - tx` of late.
+    /// The least recent `recv - tx`.
     fastest: Option<Sample>,
 }
 
@@ -49,16 +49,16 @@ impl LinkDelay {
         Self { declared: i64::try_from(declared.0).unwrap_or(i64::MAX), proven: None, fastest: None }
     }
 
-    /// The longest that a datagram can have taken, its wait in this node's kernel included. Total: a sender may write
-    /// anything into its clocks.
+    /// The longest that a datagram can have taken, its wait in this node's kernel included. Defined for all values, because a
+    /// sender may write anything into its clocks.
     pub(super) fn arrived(&mut self, tx: u64, echo: Option<u64>, recv: u64) -> Ticks {
         let apart = recv.wrapping_sub(tx).cast_signed();
-        // A datagram cannot arrive before it was sent: a bound that says so came from a clock that was mistaken.
+        // A datagram cannot arrive before it was sent: a bound that implies this came from a wrong clock.
         if self.proven.is_some_and(|p| p.value.saturating_sub(p.drift(recv)) > apart.saturating_add(ROUNDING))
         {
             self.proven = None;
         }
-        // An echo from this node's future is none.
+        // An echo from this node's future counts as none.
         if let Some(echo) = echo.filter(|&echo| echo <= recv) {
             let value = echo.wrapping_sub(tx).cast_signed();
             if self.proven.is_none_or(|p| value >= p.value.saturating_sub(p.drift(recv))) {
@@ -119,7 +119,7 @@ mod tests {
     }
 
     proptest! {
-        /// Two clocks that drift, delays of any length, echoes held for any time: never less than the truth.
+        /// Two clocks that drift, delays of any length, echoes held for any time: the charge is never less than the truth.
         #[test]
         fn never_too_little(
             ppm in -190..190_i64, offset in 0..1_000_000_000_i64,
@@ -132,7 +132,7 @@ mod tests {
             };
             let mut d = LinkDelay::new(DECLARED);
             let mut now = 1_000_000;
-            // The first trip has an echo: what is shown without one rests on the declared bound.
+            // The first trip has an echo: without one, the charge depends on the declared bound.
             for (i, (out, back, held, echoed)) in trips.into_iter().enumerate() {
                 let (sent, heard) = (now, now + out);
                 let tx = theirs(heard + held);

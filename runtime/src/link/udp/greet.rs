@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 /// How often a neighbour that has not answered is asked again.
 const ASK_EVERY: Duration = Duration::from_millis(100);
 
-/// Who hears nothing yet: packets for a node that has not begun are lost.
+/// The sink of a node that has not begun: packets for it are lost.
 struct Deaf<'a>(&'a UdpLink);
 
 impl Sink for Deaf<'_> {
@@ -33,15 +33,15 @@ impl UdpLink {
         Digests { cell: self.table.digest(), statements: self.options.statements }
     }
 
-    /// Greets every neighbour that has an address and was not heard since that was entered. Its answer shows whether the
-    /// two can talk, and lets a new session of this node be heard with its first packet. Returns whether any was greeted.
+    /// Greets every neighbour that has an address and was not heard since that was set. The answer shows whether the two can
+    /// talk, and lets a new session of this node be heard with its first packet. Returns whether any neighbour was greeted.
     pub fn greet(&self) -> bool {
         let mut any = false;
         let unmet = |(_, peer): &(usize, &Peer)| !peer.met.load(Ordering::Relaxed);
         for (position, peer) in self.peers.iter().enumerate().filter(unmet) {
             if let Some(way) = &mut *lock(&peer.way) {
                 any = true;
-                // There may have been no route when its address was entered.
+                // There may have been no route when the address was set.
                 if way.connected.is_none() {
                     way.connected = self.connected(position, way.address);
                 }
@@ -52,11 +52,11 @@ impl UdpLink {
         any
     }
 
-    /// Asks the neighbours which incarnations of this node they remember, for at most so long or until all that have an
-    /// address have answered. For a node that cannot trust what it remembers itself: call it before
-    /// [`set_incarnation`](Self::set_incarnation), and before a node runs on the link.
+    /// Asks the neighbours which incarnations of this node they remember, at most for `within` or until all that have an address
+    /// have answered. For a node that cannot trust its own record: call it before [`set_incarnation`](Self::set_incarnation), and
+    /// before a node runs on the link.
     ///
-    /// Returns what each neighbour said that answered.
+    /// Returns the answer of each neighbour that answered.
     pub fn ask_incarnations(&self, within: Duration) -> Vec<(NodeId, Option<Incarnation>)> {
         self.uncounted.store(true, Ordering::Release);
         let end = Instant::now() + within;
@@ -72,9 +72,9 @@ impl UdpLink {
             }
             self.poll(&Deaf(self), Some(ask_at.min(end)));
         }
-        // A process that stood still finds the time over and the answers in its socket.
+        // A process that stood still finds its time over, but the answers in its socket.
         self.poll(&Deaf(self), Some(Instant::now()));
-        // The node hears of its neighbours anew, once it runs, and greets all of them with the incarnation that it counts.
+        // Once it runs, the node hears of its neighbours anew, and greets all of them with its own incarnation.
         for peer in &self.peers {
             *lock(&peer.known) = None;
             peer.met.store(false, Ordering::Relaxed);
@@ -95,16 +95,16 @@ impl UdpLink {
         self.peers.iter().filter_map(|peer| *lock(&peer.refusal)).collect()
     }
 
-    /// Whether anything of a neighbour was admitted since its address was entered.
+    /// Whether anything of a neighbour was admitted since its address was set.
     ///
     /// # Errors
-    /// Where the node is no neighbour.
+    /// [`NotANeighbour`] if the node is no neighbour.
     pub fn has_met(&self, node: NodeId) -> Result<bool, NotANeighbour> {
         let (_, peer) = self.peer(node).ok_or(NotANeighbour(node))?;
         Ok(peer.met.load(Ordering::Relaxed))
     }
 
-    /// Sends a greeting, unless there were many of late or the neighbour has no address.
+    /// Sends a greeting, unless many left lately or the neighbour has no address.
     pub(super) fn say(&self, peer: &Peer, greeting: Greeting, heard: Option<Heard>) {
         let now = self.micros(Instant::now());
         if lock(&peer.pace).greets(now) {
@@ -156,7 +156,7 @@ impl UdpLink {
     }
 
     fn note_refusal(&self, peer: &Peer, why: Refused, theirs: Digests, here: bool) {
-        // One datagram that went astray says nothing of the two.
+        // One misdelivered datagram says nothing of the two nodes.
         if why == Refused::Misdelivered {
             return;
         }
@@ -168,7 +168,7 @@ impl UdpLink {
         peer.is_refused.store(true, Ordering::Release);
     }
 
-    /// The two can talk.
+    /// The two can talk: clears a refusal.
     pub(super) fn met(&self, peer: &Peer) {
         if !peer.met.load(Ordering::Relaxed) {
             peer.met.store(true, Ordering::Relaxed);

@@ -1,8 +1,8 @@
-//! The sockets that a link receives from: one for each neighbour whose address is known, and one for all others (D155).
+//! The sockets from which a link receives: one for each neighbour whose address is known, and one for all others (D155).
 //!
-//! The kernel gives a datagram to the socket that is connected to where it comes from. So whoever else floods the node's
-//! port fills the socket of strangers, and no other. That one is where a neighbour is heard whose address is not known or has
-//! changed; what comes there is judged in the same way, and a visit takes less of it.
+//! The kernel gives a datagram to the socket that is connected to its source address. So a flood from elsewhere fills the socket
+//! of strangers, and no other. That socket also hears a neighbour whose address is not known or has changed. What comes there is
+//! judged in the same way, but a visit takes less of it.
 
 use super::UdpLink;
 use super::socket;
@@ -14,17 +14,17 @@ use std::net::{SocketAddr, UdpSocket};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// The place of the socket of strangers. That of a neighbour is its position and one.
+/// The place of the socket of strangers. The place of a neighbour's socket is the neighbour's position plus one.
 pub(super) const STRANGERS: u32 = 0;
 
-/// For how long nobody looks at the socket of strangers after a visit that found no end of what means nothing: a thread that did
-/// nothing but turn a flood away would take its core from the tasks.
+/// For how long no thread reads the socket of strangers after a visit that found only an endless flood: a thread that did nothing
+/// but drop a flood would take its core from the tasks.
 const REST: Duration = Duration::from_millis(1);
 
 /// A socket that receives.
 pub(super) struct Inbound {
     pub(super) socket: UdpSocket,
-    /// To where it is connected.
+    /// The address to which it is connected.
     pub(super) from: Option<SocketAddr>,
     queue: Turn<Queue>,
 }
@@ -35,7 +35,7 @@ pub(super) struct Queue {
     pub(super) empty: Reading,
     /// The clocks when a datagram was last taken.
     pub(super) last: Reading,
-    /// The kernel's count of datagrams that found the queue full: since the socket was made, around the wrap.
+    /// The kernel's count of datagrams that found the queue full, since the socket was made; it wraps around.
     pub(super) dropped: u32,
 }
 
@@ -45,13 +45,13 @@ impl Inbound {
         Self { socket, from, queue: Turn::new(Queue { empty, last: empty, dropped: 0 }) }
     }
 
-    /// Whether it is the one that receives what comes to none of a neighbour.
+    /// Whether this is the socket of strangers, which receives what no neighbour's socket receives.
     pub(super) const fn is_of_strangers(&self) -> bool {
         self.from.is_none()
     }
 
-    /// Takes in with `receive`, unless another thread is at it, which then does so once more in place of this one. False where
-    /// that is so.
+    /// Takes in with `receive`. If another thread is receiving, that thread does so once more in place of this one: then returns
+    /// false.
     pub(super) fn try_take_in(&self, mut receive: impl FnMut(&mut Queue)) -> bool {
         let mut is_done = false;
         self.queue.want();
@@ -62,8 +62,8 @@ impl Inbound {
         is_done
     }
 
-    /// As [`try_take_in`](Self::try_take_in), but waits for the other thread. For the one that polls: it is told of a datagram until
-    /// somebody has taken it, and would ask for it again and again.
+    /// As [`try_take_in`](Self::try_take_in), but waits for the other thread. For the polling thread: a datagram is reported to
+    /// it until a thread has taken it, so it would ask again and again.
     pub(super) fn take_in(&self, mut receive: impl FnMut(&mut Queue)) {
         if !self.try_take_in(&mut receive) {
             self.queue.take_after(receive);
@@ -72,19 +72,19 @@ impl Inbound {
 }
 
 impl UdpLink {
-    /// Nobody looks at the socket of strangers for a while. Called by the thread that polls.
+    /// No thread reads the socket of strangers for a while. Called by the polling thread.
     pub(super) fn rest_from_strangers(&self) {
-        // What the kernel does not let go of is looked at all the same.
+        // If the kernel refuses, the socket stays watched.
         if self.polling.heed(&self.strangers.socket, STRANGERS, false).is_ok() {
             *lock(&self.rest) = Some(Instant::now() + REST);
         }
     }
 
-    /// Ends the rest from strangers if it is over. Returns until when it lasts.
+    /// Ends the rest from strangers if it is over. Returns until when it lasts otherwise.
     pub(super) fn end_of_rest(&self) -> Option<Instant> {
         let mut rest = lock(&self.rest);
         if rest.is_some_and(|until| until <= Instant::now()) {
-            // Fails only where the socket is not there to be looked at.
+            // Fails only if the socket is not watched at all.
             let _ = self.polling.heed(&self.strangers.socket, STRANGERS, true);
             *rest = None;
         }
@@ -99,12 +99,12 @@ impl UdpLink {
         }
     }
 
-    /// The socket that is connected to where the neighbour at `position` receives: the one that it has, or a new one. None
-    /// where the kernel makes none; then the one of strangers serves it.
+    /// The socket that is connected to the address of the neighbour at `position`: the present one, or a new one. `None` if the
+    /// kernel makes none; then the socket of strangers serves the neighbour.
     pub(super) fn connected(&self, position: usize, address: SocketAddr) -> Option<Arc<Inbound>> {
         let mut inbound = lock(&self.peers[position].inbound);
         if inbound.as_ref().is_none_or(|inbound| inbound.from != Some(address)) {
-            // What waits in the former socket came from where the neighbour no longer is: it goes with it.
+            // What waits in the former socket came from the neighbour's former address: it goes with the socket.
             *inbound = self.connect(position, address).ok().map(Arc::new);
         }
         inbound.clone()
@@ -117,7 +117,7 @@ impl UdpLink {
             socket::connect_beside(&self.strangers.socket, self.local, address, self.asked)?
         };
         let place = u32::try_from(position + 1).map_err(io::Error::other)?;
-        // In this order.
+        // In this order: it decides which thread is woken (see `watch`).
         self.leader.add(&socket, place)?;
         self.polling.add(&socket, place)?;
         Ok(Inbound::new(socket, Some(address), empty))

@@ -1,18 +1,17 @@
-//! The link over UDP (D20, D48, D50).
+//! The link over UDP.
 //!
-//! A socket of its own, on the node's one address, serves each neighbour whose address is known, and one serves all others
-//! (`inbound`, D155). What is queued for one neighbour leaves in one datagram; a lone packet leaves at
-//! once, nothing is held back for company. What fills several datagrams leaves in one call where the kernel cuts it into
-//! them, and what it has put together again comes in one call (D129). Whatever the socket reports is a count, never an end.
+//! Each neighbour whose address is known has a socket of its own, on the node's one address. One more socket serves all others
+//! (`inbound`). What is queued for one neighbour leaves in one datagram; a lone packet leaves at once, because nothing is held
+//! back for company. Several full datagrams leave in one call if the kernel can cut it, and come in one call if the kernel has
+//! merged them. Whatever the socket reports is counted, and never ends the link.
 //!
-//! A packet that comes in is charged the larger of the link's declared bound plus its wait in this node's kernel, and
-//! what the clocks in the envelopes show of its whole way (`delay`). So neither a stopped receiver nor a sender that was
-//! stopped between its clock and `sendto` can make an old packet young.
+//! A packet that comes in is charged the larger of two times: the link's declared bound plus the wait in this node's kernel, and
+//! what the clocks in the envelopes show of its whole hop (`delay`). So neither a stopped receiver nor a sender that was stopped
+//! between its clock and `sendto` can make an old packet look young.
 //!
-//! Addresses come from the address book only, and never from traffic: a datagram is judged by what it says (digests,
-//! sender, receiver, session, counter), not by where it comes from, so that a neighbour behind another port is heard, but
-//! nobody can draw traffic to himself. In the checksum mode of the envelope that keeps out accidents, not attackers: whoever can
-//! reach the socket can forge datagrams.
+//! Addresses come only from the address book, never from traffic. A datagram is judged by its content (digests, sender, receiver,
+//! session, counter), not by its source address: a neighbour behind another port is heard, but nobody can draw traffic to itself.
+//! In the envelope's checksum mode this keeps out accidents, not attackers: whoever can reach the socket can forge datagrams.
 
 mod delay;
 mod greet;
@@ -48,34 +47,32 @@ use std::time::{Duration, Instant};
 use thiserror::Error;
 use watch::{Seen, Told, Watch};
 
-/// The kernel's queue, where nothing else is asked for: some 200 full datagrams.
+/// The size of a kernel receive queue, by default: some 200 full datagrams.
 const DEFAULT_QUEUE_BYTES: usize = 256 * 1024;
 
-/// More threads than receive at once.
+/// More than the number of threads that receive at once.
 const ROOMS: usize = 16;
 
 /// How a node takes part in UDP traffic.
 #[derive(Clone, Copy, Debug)]
 pub struct UdpOptions {
-    /// Which incarnation of the node this is (D49).
+    /// Which incarnation of the node this is.
     pub incarnation: Incarnation,
-    /// Whether an earlier incarnation of it may have taken requests. Neighbours are told.
+    /// Whether an earlier incarnation of the node may have taken requests. Neighbours are told.
     pub restarted: bool,
-    /// The digest of the statements of all tasks of the cell
-    /// ([`record::statements`](crate::record::statements)), zero where no task has a script. Nodes that differ in it do not
-    /// talk.
+    /// The digest of the statements of all tasks of the cell ([`record::statements`](crate::record::statements)), zero if no task
+    /// has a script. Nodes with different digests do not talk.
     pub statements: u32,
-    /// How many bytes each of the kernel's receive queues holds, one for each neighbour and one for all others (SO_RCVBUF; the
-    /// kernel doubles it for its own needs). No more
-    /// than comes in within the longest time_out is of any use.
+    /// How many bytes each of the kernel's receive queues holds (SO_RCVBUF; the kernel doubles it for its own needs). There is
+    /// one queue for each neighbour and one for all others. More than comes in within the longest time_out is of no use.
     pub queue_bytes: usize,
-    /// Whether the kernel, where it can, cuts what leaves in one call into datagrams (UDP_SEGMENT, Linux 4.18), and puts
-    /// those together that come from one neighbour (UDP_GRO, Linux 5.0).
+    /// Whether the kernel, if it can, cuts what leaves in one call into datagrams (UDP_SEGMENT, Linux 4.18), and merges datagrams
+    /// that come from one neighbour (UDP_GRO, Linux 5.0).
     pub segments: bool,
 }
 
 impl UdpOptions {
-    /// The options of a node's first life.
+    /// The default options for this incarnation of a node.
     #[must_use]
     pub const fn new(incarnation: Incarnation, restarted: bool) -> Self {
         Self { incarnation, restarted, statements: 0, queue_bytes: DEFAULT_QUEUE_BYTES, segments: true }
@@ -101,7 +98,7 @@ pub enum UdpError {
         /// What the system said.
         source: io::Error,
     },
-    /// What waits in the socket and ends such waits (epoll, eventfd) cannot be made.
+    /// The means to wait in the socket and to end such waits (epoll, eventfd) cannot be made.
     #[error("cannot make an epoll or an eventfd: {0}")]
     Wake(io::Error),
 }
@@ -113,35 +110,35 @@ pub struct NotANeighbour(pub NodeId);
 
 /// A UDP link of one node to all its neighbours.
 ///
-/// [`bind`](Self::bind) it, tell the neighbours its [`local_address`](Self::local_address), enter theirs with
-/// [`set_address`](Self::set_address); both may be done again at any time. To a neighbour without an address the link
-/// is not ready: packets stay in the transit buffer, and those that expire there never left.
+/// [`bind`](Self::bind) it, tell the neighbours its [`local_address`](Self::local_address), and enter theirs with
+/// [`set_address`](Self::set_address), which may be repeated at any time. To a neighbour without an address the link is not
+/// ready: packets stay in the transit buffer, and those that expire there never left.
 pub struct UdpLink {
     table: NodeTable,
     options: UdpOptions,
     /// The incarnation, and whether an earlier one may have taken requests.
     identity: AtomicU16,
-    /// Whether the incarnation is not known yet: the node asks its neighbours.
+    /// Whether the incarnation is not known yet: then the node asks its neighbours.
     uncounted: AtomicBool,
     session: Session,
-    /// The socket that was bound first. It receives what comes to none of a neighbour.
+    /// The socket that was bound first. It receives what no neighbour's socket receives.
     strangers: Arc<Inbound>,
-    /// What each socket that receives is asked for.
+    /// The options of each receiving socket.
     asked: Asked,
     /// Held while a second socket is bound to the address.
     binding: Mutex<()>,
     local: SocketAddr,
-    /// Whether the kernel knows how to cut what is sent into datagrams.
+    /// Whether the kernel can cut what is sent into datagrams.
     segments: bool,
-    /// The leader waits here.
+    /// Where the leader waits.
     leader: Watch,
-    /// Whoever polls waits here.
+    /// Where the polling thread waits.
     polling: Watch,
-    /// Until when nobody looks at the socket of strangers, for there was a flood.
+    /// Until when no thread reads the strangers' socket, because there was a flood.
     rest: Mutex<Option<Instant>>,
-    /// What the leader was told of and has not yet taken in.
+    /// What was reported to the leader and not yet taken in.
     told: Mutex<Told>,
-    /// For as many threads as receive at once: whoever polls, whoever leads, and whoever looks for a while before it sleeps.
+    /// For as many threads as receive at once: the polling thread, the leader, and threads that spin before they sleep.
     rooms: Mutex<Vec<Room>>,
     /// All neighbours, ascending.
     peers: Box<[Peer]>,
@@ -153,9 +150,9 @@ pub struct UdpLink {
     woken: AtomicBool,
     /// A neighbour got an address, and no poll has ended for it yet.
     address_known: AtomicBool,
-    /// Where this node's clock starts that its envelopes show.
+    /// Where the clock starts that this node's envelopes show.
     origin: Instant,
-    /// For how long the machine had been suspended then.
+    /// For how long the machine had been suspended at `origin`.
     suspended: u64,
     statistics: Statistics,
 }
@@ -164,15 +161,15 @@ const fn identity(incarnation: Incarnation, restarted: bool) -> u16 {
     u16::from_be_bytes([restarted as u8, incarnation.0])
 }
 
-/// 64 bits that no other start of any node has. The keys of a new hash state come from the system's source of random numbers.
+/// 64 bits that no other start of any node has. The keys of a new hash state come from the system's random number source.
 fn new_session() -> Session {
     Session(RandomState::new().hash_one(Instant::now()))
 }
 
-/// One thread at a time polls; the others wait until it goes.
+/// One thread at a time polls; the others wait until it leaves.
 struct Poll {
     taken: bool,
-    /// How many wait.
+    /// How many threads wait.
     waiting: usize,
     /// How often the link was woken.
     wakes: u64,
@@ -182,7 +179,7 @@ impl UdpLink {
     /// A link of `table`'s node on `address` (port 0: any free one).
     ///
     /// # Errors
-    /// Says which step the system refused.
+    /// [`UdpError`]: which step the system refused.
     pub fn bind(table: NodeTable, address: SocketAddr, options: UdpOptions) -> Result<Self, UdpError> {
         let (origin, suspended) = (Instant::now(), clock::look_for_suspend());
         let mut neighbours: Vec<NodeId> = table.neighbours(table.node).collect();
@@ -224,17 +221,17 @@ impl UdpLink {
         })
     }
 
-    /// Where the link receives.
+    /// The address at which the link receives.
     #[must_use]
     pub const fn local_address(&self) -> SocketAddr {
         self.local
     }
 
-    /// Enters where a neighbour receives, or that it is not known. Packets that wait for it can leave from now on, and what comes
-    /// from there has a socket of its own.
+    /// Sets the address of a neighbour, or that it is not known. From now on, packets that wait for the neighbour can leave, and
+    /// what comes from the address has a socket of its own.
     ///
     /// # Errors
-    /// Where the node is no neighbour.
+    /// [`NotANeighbour`] if the node is no neighbour.
     pub fn set_address(&self, node: NodeId, address: Option<SocketAddr>) -> Result<(), NotANeighbour> {
         let (position, peer) = self.peer(node).ok_or(NotANeighbour(node))?;
         let mut way = lock(&peer.way);
@@ -248,8 +245,7 @@ impl UdpLink {
         Ok(())
     }
 
-    /// Says which incarnation of the node this is, where that was not known when the socket was bound: before the first
-    /// packet is sent.
+    /// Sets the incarnation of the node if it was not known when the socket was bound: before the first packet is sent.
     pub fn set_incarnation(&self, incarnation: Incarnation, restarted: bool) {
         self.identity.store(identity(incarnation, restarted), Ordering::Release);
         self.uncounted.store(false, Ordering::Release);
@@ -277,7 +273,7 @@ impl UdpLink {
         Some((index, &self.peers[index]))
     }
 
-    /// This node's clock at an instant, rounded down. It goes on while the machine is suspended (D153).
+    /// This node's clock at an instant, rounded down. It runs on while the machine is suspended (D153).
     fn micros(&self, at: Instant) -> u64 {
         let since = u64::try_from(at.saturating_duration_since(self.origin).as_micros()).unwrap_or(u64::MAX);
         since.saturating_add(clock::suspended().saturating_sub(self.suspended))
@@ -286,7 +282,7 @@ impl UdpLink {
     /// Waits until no other thread polls.
     ///
     /// # Errors
-    /// Why it waits no longer.
+    /// Why the wait ended otherwise.
     fn take_poll(&self, until: Option<Instant>) -> Result<OwnPoll<'_>, PollEnd> {
         let mut poll = lock(&self.poll);
         let wakes = poll.wakes;
@@ -331,7 +327,7 @@ impl UdpLink {
         full.filter_map(|peer| lock(&peer.way).as_ref().map(|way| self.sending(way))).collect()
     }
 
-    /// Waits for a datagram, for a wake, or, where the kernel took no more for a neighbour, until it may: then nothing is seen.
+    /// Waits for a datagram, for a wake-up or, if the kernel took no more for a neighbour, until it may: then returns `None`.
     fn wait(&self, until: Option<Instant>) -> io::Result<Option<Seen>> {
         loop {
             let rest = self.end_of_rest();
@@ -369,17 +365,17 @@ impl UdpLink {
         }
     }
 
-    /// The kernel is out of memory for a wait itself: the next one is not tried at once.
+    /// The kernel lacks memory even for a wait: pauses before the next one.
     fn wait_failed(&self) {
         self.statistics.add(UdpCount::ReceiveFailed, 1);
         std::thread::sleep(Duration::from_millis(1));
     }
 
-    /// Whether the event counter means the end of a poll, or only that the poll must look at the socket again.
+    /// Whether the event counter ends the poll, or only makes the poll look at the socket again.
     fn end_of_wake(&self) -> Option<PollEnd> {
         if self.address_known.swap(false, Ordering::AcqRel) {
             if self.woken.load(Ordering::Acquire) {
-                // One poll ends for each.
+                // Each of the two ends a poll of its own.
                 self.polling.wake().wake();
             }
             return Some(PollEnd::Ready);
@@ -388,7 +384,7 @@ impl UdpLink {
     }
 }
 
-/// A thread's poll. Ends when it goes, also where a sink panics.
+/// A thread's turn to poll. It ends when this is dropped, also if a sink panics.
 struct OwnPoll<'a> {
     link: &'a UdpLink,
 }

@@ -1,4 +1,4 @@
-//! What a node keeps of each neighbour it talks to over UDP.
+//! What a node keeps for each neighbour that it talks to over UDP.
 
 use super::delay::DRIFT_PPM;
 use super::inbound::Inbound;
@@ -16,35 +16,35 @@ pub(super) struct Peer {
     /// The declared bound of the link to it, in microseconds.
     pub(super) declared: Ticks,
     pub(super) way: Mutex<Option<Way>>,
-    /// The socket that is connected to it. It also hears the neighbour while no address is known any more.
+    /// The socket that is connected to the neighbour. It still receives when the address is no longer known.
     pub(super) inbound: Mutex<Option<Arc<Inbound>>>,
-    /// Its session, as the threads that receive know it. Held while a datagram of it is judged and entered: it may come
-    /// over its own socket and over that of strangers at once.
+    /// The neighbour's session, as the receiving threads know it. Locked while a datagram of the neighbour is judged and entered:
+    /// one may come over its own socket and one over that of strangers at once.
     pub(super) known: Mutex<Option<Known>>,
-    /// The kernel was found to take no more for it. It may be unreachable: so this says nothing of the others.
+    /// The kernel was found to take no more for this neighbour. It may be unreachable, so this says nothing of the others.
     pub(super) full: AtomicBool,
     pub(super) outgoing: Mutex<Outgoing>,
-    /// Its clock, as its last datagram showed it.
+    /// The neighbour's clock, as its last datagram showed it.
     pub(super) heard: Mutex<Option<Heard>>,
-    /// Whether anything of it was admitted since its address was entered.
+    /// Whether anything of the neighbour was admitted since its address was set.
     pub(super) met: AtomicBool,
-    /// The newest incarnation of it that was seen: in its envelopes, and in packets that others relayed. [`NOTHING`]
-    /// before the first one.
+    /// The newest incarnation of the neighbour that was seen: in its envelopes, and in packets that others relayed. [`NOTHING`]
+    /// before the first.
     remembered: AtomicU16,
-    /// What it remembers of this node, where it was asked and has answered.
+    /// Which incarnation of this node the neighbour remembers, once it was asked and has answered.
     pub(super) remembers: Mutex<Option<Option<Incarnation>>>,
-    /// Whose datagrams are refused, if any are since the last one that was admitted.
+    /// The present refusal, if a datagram was refused since the last one that was admitted.
     pub(super) refusal: Mutex<Option<Refusal>>,
-    /// Whether there is one.
+    /// Whether `refusal` holds one.
     pub(super) is_refused: AtomicBool,
     pub(super) pace: Mutex<Pace>,
 }
 
-/// The datagrams that are being made for a neighbour, and the number of the first.
+/// The datagrams that are being made for a neighbour, and the counter of the first.
 #[derive(Default)]
 pub(super) struct Outgoing {
     pub(super) counter: u64,
-    /// As many as ever left in one call.
+    /// As many as ever left in one call, kept for reuse.
     pub(super) datagrams: Vec<Datagram>,
 }
 
@@ -66,11 +66,11 @@ pub struct Refusal {
 /// No incarnation.
 const NOTHING: u16 = u16::MAX;
 
-/// Where a neighbour receives, and a socket that is connected to it.
+/// The route to one neighbour: its address, and a socket that is connected to it.
 ///
-/// The connected socket sends and receives. The kernel looks up the route once, and says there that nobody listens
-/// (ECONNREFUSED). Where it fails, the socket of strangers sends, from the same address. Where it is full, nothing does, for what
-/// the kernel holds for a neighbour that it does not find would fill that one, too.
+/// The connected socket sends and receives. The kernel looks up the route once, and reports there that no socket listens at the
+/// address (ECONNREFUSED). If the connected socket fails, the socket of strangers sends, from the same address. If it is full,
+/// nothing sends: datagrams that the kernel holds for an unresolved neighbour would fill the socket of strangers, too.
 pub(super) struct Way {
     pub(super) address: SocketAddr,
     pub(super) connected: Option<Arc<Inbound>>,
@@ -80,21 +80,21 @@ pub(super) struct Way {
 /// Whether the kernel cuts what is sent to a neighbour into full datagrams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Segments {
-    /// It was not asked to: nothing yet filled more than one.
+    /// The kernel was not asked to, because nothing yet filled more than one datagram.
     NotYet,
     Cut,
     Refused,
 }
 
 impl Way {
-    /// The way to `address`. `segments`: the kernel may be asked to cut what is sent.
+    /// The route to `address`. `segments`: the kernel may be asked to cut what is sent.
     pub(super) const fn new(address: SocketAddr, connected: Option<Arc<Inbound>>, segments: bool) -> Self {
         let segments = if segments { Segments::NotYet } else { Segments::Refused };
         Self { address, connected, segments }
     }
 
-    /// The socket that cuts what it sends into full datagrams, if the kernel does that on this way. Said of the socket
-    /// and not with each call: what fits into one datagram is not touched by it.
+    /// The socket that cuts what it sends into full datagrams, if the kernel does that on this route. The option is set on the
+    /// socket, not with each call, because it does not touch what fits into one datagram.
     pub(super) fn segmenting(&mut self) -> Option<&UdpSocket> {
         let socket = &self.connected.as_deref()?.socket;
         if self.segments == Segments::NotYet {
@@ -104,11 +104,11 @@ impl Way {
         (self.segments == Segments::Cut).then_some(socket)
     }
 
-    /// From now on each datagram leaves by itself. False where that was so already.
+    /// From now on each datagram leaves by itself. False if that was so already.
     pub(super) fn segment_no_more(&mut self) -> bool {
         let cut = std::mem::replace(&mut self.segments, Segments::Refused) == Segments::Cut;
         if let Some(connected) = self.connected.as_deref().filter(|_| cut) {
-            // What cannot be unsaid makes this socket fail, and that of strangers sends.
+            // If the option cannot be unset, this socket fails and that of strangers sends.
             let _ = set_segment(&connected.socket, 0);
         }
         cut
@@ -135,18 +135,18 @@ impl Peer {
         }
     }
 
-    /// The newest incarnation of it that was seen.
+    /// The newest incarnation of the neighbour that was seen.
     pub(super) fn remembered(&self) -> Option<Incarnation> {
         u8::try_from(self.remembered.load(Ordering::Relaxed)).ok().map(Incarnation)
     }
 
-    /// Remembers an incarnation, unless a later one was seen. Several threads may receive at once.
+    /// Records an incarnation, unless a later one was seen. Several threads may receive at once.
     pub(super) fn remember(&self, incarnation: Incarnation) {
         let later = |before: u16| {
             let before = u8::try_from(before).ok().map(Incarnation);
             before.is_none_or(|before| supersedes(incarnation, before)).then(|| incarnation.0.into())
         };
-        // Nothing to do where it is no later one.
+        // Fails only if the incarnation is no later one, and then there is nothing to do.
         let _ = self.remembered.fetch_update(Ordering::Relaxed, Ordering::Relaxed, later);
     }
 }
@@ -160,8 +160,8 @@ pub(super) struct Heard {
 }
 
 impl Heard {
-    /// What the neighbour's clock shows at least when this node's shows `tx`. How long it was held is measured with a
-    /// clock that may run faster than the neighbour's.
+    /// What the neighbour's clock shows at least when this node's shows `tx`. The time in between is measured with a clock that
+    /// may run faster than the neighbour's.
     pub(super) fn echo(&self, tx: u64) -> Option<Echo> {
         let drift = |time: u64| time / (1_000_000 / DRIFT_PPM) + 1;
         let mono = match tx.checked_sub(self.at) {
@@ -176,17 +176,17 @@ impl Heard {
 /// Bounds how many greetings and refusals leave for a neighbour.
 #[derive(Default)]
 pub(super) struct Pace {
-    /// When the present span began, and how many left in it.
+    /// When the present span began, and how many greetings left in it.
     greetings: (u64, u32),
     /// When the last refusal left.
     refused: Option<u64>,
 }
 
-/// How many greetings leave in one
+/// How many greetings leave in one [`SPAN`], at most.
 const GREETINGS: u32 = 8;
-/// span of so many microseconds.
+/// The length of a span, in microseconds.
 const SPAN: u64 = 50_000;
-/// At most one refusal leaves in so many microseconds.
+/// The least time between two refusals, in microseconds.
 const REFUSE_EVERY: u64 = 200_000;
 
 impl Pace {

@@ -19,31 +19,31 @@ use std::time::Duration;
 
 /// After how many datagrams of one socket a poll gives way to the other sockets, and to whatever else its thread has to do.
 const BATCH: usize = 64;
-/// The same of strangers: so many keep neighbours waiting, at most.
+/// The same for strangers: at most so many of their datagrams keep neighbours waiting.
 const STRANGERS_BATCH: usize = 16;
-/// How long ago the socket may have been seen empty before whoever takes one datagram looks for more.
+/// How long ago the socket may have been seen empty before a thread that takes one datagram looks for more.
 const EMPTY_OFTEN: Duration = Duration::from_millis(10);
 
-/// What a visit to a socket came to.
+/// The result of a visit to a socket.
 #[derive(Clone, Copy, Debug, Default)]
 struct Taken {
-    /// Datagrams, heard or not.
+    /// All datagrams, admitted or not.
     count: usize,
     /// Greetings, and datagrams that were admitted.
     heard: usize,
 }
 
 impl Taken {
-    /// Whether there was no end of what means nothing.
+    /// Whether there was no end of datagrams that mean nothing.
     const fn is_flood(self, most: usize) -> bool {
         self.count >= most && self.heard == 0
     }
 }
 
-/// What a thread receives into.
+/// The buffers that a thread receives into.
 pub(super) struct Room {
     receiver: Receiver,
-    /// What came at once brought. Has room for what leaves in one call, and keeps it.
+    /// The packets of one receive call. Has room for what leaves in one call, and keeps it.
     decoded: Vec<Packet>,
 }
 
@@ -55,9 +55,10 @@ impl Room {
 }
 
 impl UdpLink {
-    /// Takes one datagram of each socket that the leader was told of, with those that the kernel put together with it: whatever
-    /// came after was told to whoever polls. False where another thread is at one of them: it takes that in, too. To see a socket
-    /// empty costs a system call more, so that is done only now and then: nothing rests on it while the stamps can be believed.
+    /// Takes one datagram of each socket that was reported to the leader, with those that the kernel merged with it. Whatever
+    /// comes later is reported to the polling thread. False if another thread receives from one of the sockets: it takes that in,
+    /// too. To see a socket empty costs one more syscall, so this does it only now and then: nothing depends on it while stamps
+    /// can be believed.
     pub(super) fn take_told(&self, told: &Told, sink: &dyn Sink) -> bool {
         self.with_room(|room| {
             let mut all = true;
@@ -72,8 +73,8 @@ impl UdpLink {
         })
     }
 
-    /// Takes what waits in the sockets that the thread was told of, until it was a [`BATCH`] of each, or of strangers a
-    /// [`STRANGERS_BATCH`]. Returns whether any datagram came in.
+    /// Takes what waits in the reported sockets, up to a [`BATCH`] of each, or a [`STRANGERS_BATCH`] of strangers. Returns
+    /// whether any datagram came in.
     pub(super) fn drain(&self, told: &Told, sink: &dyn Sink) -> bool {
         self.with_room(|room| {
             let mut any = false;
@@ -107,7 +108,7 @@ impl UdpLink {
         sink: &dyn Sink,
     ) -> Taken {
         let Room { receiver, decoded } = room;
-        // Read before the socket is looked at: if it turns out to be empty, it was so after this.
+        // Read before the socket is checked: if the socket turns out to be empty, it was empty after this reading.
         let mut before = if most > 1 { Reading::take() } else { queue.last };
         let (mut taken, mut errors) = (Taken::default(), 0);
         while taken.count < most && errors < BATCH {
@@ -135,9 +136,9 @@ impl UdpLink {
                     queue.empty = before;
                     return taken;
                 }
-                // What the network says of datagrams sent before, or an interruption: the queue is as it was.
+                // A network error for an earlier datagram, or an interruption: the queue is as it was.
                 Err(error) => {
-                    // A connected socket receives nothing in vain but for what was sent through it.
+                    // A connected socket gets such errors only for what was sent through it.
                     if inbound.from.is_some() && error.kind() != io::ErrorKind::Interrupted {
                         self.statistics.send_failed(&error);
                     } else {
@@ -150,7 +151,7 @@ impl UdpLink {
         taken
     }
 
-    /// The kernel has dropped so many from a queue since its socket was made, if it says so.
+    /// Counts what the kernel dropped from a queue: `total` since its socket was made, if the kernel says so.
     fn count_dropped(&self, inbound: &Inbound, queue: &mut Queue, total: Option<u32>) {
         let Some(total) = total else { return };
         let new = u64::from(total.wrapping_sub(std::mem::replace(&mut queue.dropped, total)));
@@ -165,40 +166,41 @@ impl UdpLink {
         let residency = residency(now, received.stamp, empty);
         let waited = clock::micros(residency.waited);
         let count = match residency.by {
-            // The wall clock goes on while the machine is suspended, so the stamp has that time in it.
+            // The wall clock runs on while the machine is suspended, so the stamp covers that time.
             Evidence::Stamp => return Ticks(waited),
             Evidence::NoStamp => UdpCount::NoStamp,
             Evidence::ClockSet => UdpCount::ClockSet,
         };
         self.statistics.add(count, 1);
-        // The whole time since the socket was empty is charged. `Instant` stands still while the machine is suspended.
+        // The whole time since the socket was empty is charged. `Instant` stands still during a suspend, so that is added.
         let slept = clock::look_for_suspend().saturating_sub(empty.suspended);
         Ticks(waited.saturating_add(slept))
     }
 }
 
-/// What came in at once, before `now`.
+/// What one receive call brought, before `now`.
 struct Together<'a> {
     link: &'a UdpLink,
     now: Reading,
-    /// How long it waited in the kernel, by the one stamp that it has.
+    /// How long it waited in the kernel, by its one stamp.
     waited: Ticks,
-    /// What its datagrams brought and the sink was not yet given.
+    /// Decoded packets that the sink was not yet given.
     decoded: &'a mut Vec<Packet>,
-    /// Whose that is, and its charge.
+    /// The sender of these packets, and their charge.
     of: Option<(NodeId, Ticks)>,
-    /// How many of its datagrams were greetings.
+    /// How many of the datagrams were greetings.
     greetings: u64,
-    /// How many brought packets that are handed over.
+    /// How many of the datagrams brought packets that are handed over.
     admitted: u64,
     sink: &'a dyn Sink,
 }
 
 impl Together<'_> {
-    /// Judges each datagram by itself, and hands over what they bring. Returns how many there were, and how many were heard.
+    /// Judges each datagram by itself, and hands over its packets. Returns how many datagrams there were, and how many were
+    /// heard.
     ///
-    /// What one neighbour sent in one call has one charge, and is handed over as one: else a later packet would be taken to
-    /// be the older one wherever the clock went on between two datagrams (D126).
+    /// What one neighbour sent in one call has one charge, and is handed over together. Otherwise a later packet would count as
+    /// older if the clock advanced between two datagrams (D126).
     fn deliver(mut self, received: &Received<'_>) -> (usize, usize) {
         let mut count = 0;
         for bytes in received.datagrams() {
@@ -249,7 +251,7 @@ impl Together<'_> {
             return Ok(());
         }
         if let Contact::New { .. } = contact {
-            // What came before it is of an earlier session.
+            // The packets before it are of an earlier session.
             self.hand_over_first(std::mem::take(&mut before));
         }
         self.admitted += 1;
@@ -263,7 +265,7 @@ impl Together<'_> {
         Ok(())
     }
 
-    /// Decodes packets behind those that wait for the sink, where there is room for them. Returns how many of those there were.
+    /// Decodes packets behind those that wait for the sink; there is room for them. Returns how many waited before.
     fn decode(&mut self, packets: &[[u8; 32]], sender: NodeId) -> usize {
         let (link, before) = (self.link, self.decoded.len());
         let port_hash = |port| link.table.port(port).map(|port| port.hash);
@@ -279,7 +281,7 @@ impl Together<'_> {
         before
     }
 
-    /// Remembers what an admitted datagram says of its sender. Returns how long its way took at most.
+    /// Records what an admitted datagram says of its sender. Returns how long its hop took at most.
     fn enter(
         &mut self,
         peer: &Peer,
@@ -303,7 +305,7 @@ impl Together<'_> {
         known.delay.arrived(envelope.tx_mono, echo, at)
     }
 
-    /// A greeting came. It changes what is known of its sender only if its echo proves when it was sent.
+    /// Takes a greeting in. It changes what is known of its sender only if its echo proves when it was sent.
     fn greeted(&mut self, peer: &Peer, (envelope, greeting): (&Envelope, Greeting), at: u64) {
         let link = self.link;
         link.statistics.add(UdpCount::GreetingsReceived, 1);
@@ -320,7 +322,7 @@ impl Together<'_> {
             self.enter(peer, &mut known, (envelope, contact), at);
         }
         drop(known);
-        // Whoever is new here hears at once that this node listens, and proves with that that it hears.
+        // A new neighbour learns at once that this node listens; this greeting's clock lets it prove that it hears.
         if greeting.wants_answer || is_new {
             link.say(peer, Greeting::default(), Some(heard(envelope, at)));
         }
@@ -330,7 +332,7 @@ impl Together<'_> {
         self.hand_over_first(self.decoded.len());
     }
 
-    /// Hands over the first packets that wait for it.
+    /// Hands the first `count` decoded packets to the sink.
     fn hand_over_first(&mut self, count: usize) {
         if let Some((node, charge)) = self.of.filter(|_| count > 0) {
             self.link.statistics.add(UdpCount::PacketsReceived, count as u64);
@@ -346,17 +348,17 @@ const fn heard(envelope: &Envelope, at: u64) -> Heard {
 }
 
 impl UdpLink {
-    /// This node's clock as the sender knew it, where it is of this session.
+    /// This node's clock as the sender knew it, if it is of this session.
     fn own_echo(&self, envelope: &Envelope) -> Option<u64> {
         envelope.echo.filter(|echo| echo.session == self.session).map(|echo| echo.mono)
     }
 
-    /// An instant that was over when the datagram was sent, if it proves one. An echo from the future proves none.
+    /// An instant before the datagram was sent, if its echo proves one. An echo from the future proves none.
     fn sent_after(&self, envelope: &Envelope, at: u64) -> Option<u64> {
         self.own_echo(envelope).filter(|&echo| echo <= at)
     }
 
-    /// A neighbour may also be known by what others pass on for it.
+    /// Learns a neighbour's incarnation from a packet that another node relays for it.
     fn remember_source(&self, sender: NodeId, packet: &Packet) {
         if !matches!(packet.kind, Kind::Send | Kind::Query | Kind::Arrive) {
             return;

@@ -13,14 +13,14 @@ use std::io::{self, IoSlice};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-/// How many full datagrams leave in one call, at most, where the kernel cuts it into them. What left can be overtaken by
-/// nothing more urgent: the socket holds 20 then, and 15 of those that leave one by one. Twice as many would save a tenth of
-/// what single calls cost, after the seven tenths that this saves (D129).
+/// How many full datagrams leave in one call, at most, if the kernel cuts it into them. Nothing more urgent can overtake what has
+/// left: the socket then holds 20 datagrams, and 15 of those that leave one by one. Twice as many would save a tenth of the cost
+/// of single calls, beyond the seven tenths that this saves (D129).
 pub(crate) const SEGMENTS: usize = 4;
 
 impl UdpLink {
-    /// Sends packets to a neighbour over a way to it: full datagrams, but for the last, each with a number of its own.
-    /// Returns how many the kernel took, or lost: at least one.
+    /// Sends packets to a neighbour, in full datagrams except the last, each with a counter of its own. Returns how many packets
+    /// the kernel took, or lost: at least one.
     pub(super) fn send_over(
         &self,
         peer: &Peer,
@@ -39,7 +39,7 @@ impl UdpLink {
         {
             datagram.clear();
             for packet in packets {
-                // A port that the cell does not have: the neighbour will say so and count it.
+                // For a port that the cell does not have: the neighbour will say so and count it.
                 let hash = self.table.port(packet.port).map_or(0, |port| port.hash);
                 datagram.push(&packet.encode(self.table.digest(), hash));
             }
@@ -47,13 +47,12 @@ impl UdpLink {
             datagram.seal(&envelope, digests);
         }
         let left = self.leave(peer, way, &datagrams[..count]);
-        // Also the numbers of what was not taken: of a call that failed something may have left.
+        // Counters of datagrams that were not taken count, too: part of a failed call may have left.
         *counter += count as u64;
         left.map(|left| packets.len().min(left * MAX_PACKETS))
     }
 
-    /// The envelope of a datagram that leaves for a neighbour, with the number zero. `heard`: what is said back to it of its
-    /// clock.
+    /// The envelope of a datagram for a neighbour, with counter zero. `heard`: the neighbour's clock, to be echoed.
     pub(super) fn envelope(
         &self,
         peer: &Peer,
@@ -76,7 +75,7 @@ impl UdpLink {
         }
     }
 
-    /// Hands datagrams to the kernel in their order. Returns how many it took, or lost.
+    /// Hands datagrams to the kernel in their order. Returns how many datagrams it took, or lost.
     fn leave(&self, peer: &Peer, way: &mut Way, datagrams: &[Datagram]) -> Result<usize, LinkBusy> {
         if datagrams.len() > 1 {
             match self.transmit_segmented(datagrams, way) {
@@ -86,7 +85,7 @@ impl UdpLink {
                     return Ok(datagrams.len());
                 }
                 Err(error) if is_full(&error) => return Err(self.found_full(peer)),
-                // Then each by itself. One that left all the same is noticed by its number.
+                // Then each leaves by itself. A datagram that left all the same is recognised by its counter.
                 Err(_) => {}
             }
         }
@@ -113,7 +112,7 @@ impl UdpLink {
         self.statistics.add(UdpCount::Busy, 1);
         peer.full.store(true, Ordering::Release);
         self.blocked.store(true, Ordering::Release);
-        // Whoever waits in the socket does not yet wait for this.
+        // A thread that waits in the socket does not yet wait for room.
         self.polling.wake().wake();
         LinkBusy
     }
@@ -130,7 +129,7 @@ impl UdpLink {
         retried(|| self.strangers.socket.send_to(bytes, way.address))
     }
 
-    /// Hands datagrams to the kernel in one call, all of one length but the last: all of them, or none.
+    /// Hands datagrams to the kernel in one call, all of one length except the last: all of them leave, or none.
     fn transmit_segmented(&self, datagrams: &[Datagram], way: &mut Way) -> io::Result<()> {
         let Some(socket) = way.segmenting() else { return Err(io::ErrorKind::Unsupported.into()) };
         let slices: [IoSlice<'_>; SEGMENTS] = std::array::from_fn(|number| {
@@ -150,14 +149,14 @@ impl UdpLink {
         if error.kind() != io::ErrorKind::ConnectionRefused {
             return sent;
         }
-        // Said of an earlier datagram; this one has not been tried.
+        // The error is an earlier datagram's; this one has not been tried.
         self.statistics.send_failed(error);
         retried(send)
     }
 
-    /// The kernel refuses to segment for this way, if that is what it said: the network takes no full datagrams in one
-    /// piece (EINVAL, EMSGSIZE), or cannot check what it is given to cut (EIO). From then on each datagram leaves by itself.
-    /// Other errors are of earlier datagrams, or pass.
+    /// Stops cutting on this route if the error says that the kernel refuses it: the network takes no full datagrams in one piece
+    /// (EINVAL, EMSGSIZE), or cannot checksum what it is given to cut (EIO). From then on each datagram leaves by itself. Other
+    /// errors concern earlier datagrams, or pass.
     fn doubt_segments(&self, way: &mut Way, error: &io::Error) {
         let refused = [Errno::INVAL, Errno::IO, Errno::MSGSIZE];
         if Errno::from_io_error(error).is_some_and(|errno| refused.contains(&errno)) && way.segment_no_more()
@@ -171,7 +170,7 @@ fn is_full(error: &io::Error) -> bool {
     error.kind() == io::ErrorKind::WouldBlock
 }
 
-/// Does it again while a signal interrupts it.
+/// Repeats the call while a signal interrupts it.
 fn retried(mut send: impl FnMut() -> io::Result<usize>) -> io::Result<()> {
     loop {
         match send() {

@@ -1,4 +1,4 @@
-//! The socket: what the kernel is asked for, and what it says with each datagram.
+//! The UDP sockets: the options that the kernel is asked for, and what it says with each datagram.
 
 use super::UdpError;
 use crate::link::residency::Reading;
@@ -15,13 +15,13 @@ use std::time::{Duration, Instant};
 
 /// One more than the longest datagram, so that a longer one is noticed.
 const BUFFER_BYTES: usize = MAX_DATAGRAM_BYTES + 1;
-/// What the kernel puts together, at most, and any datagram however long.
+/// The most that the kernel merges; any single datagram fits, too.
 const MERGED_BYTES: usize = 64 * 1024;
 
-/// How many bytes the kernel holds for the network (SO_SNDBUF; it doubles that for its own needs): what is there can no longer be
-/// overtaken by what is more urgent, so it is as little as keeps the network busy. A full datagram takes 2,304 bytes of the
-/// kernel's by itself, so 15 are held, or 20 that leave in fours (D129), and the socket takes more when half of them are gone. The
-/// other seven take 85 us at a gigabit a second, longer than the thread takes to wake that sends the next (D110).
+/// How many bytes the kernel holds for the network (SO_SNDBUF; the kernel doubles that for its own needs). No urgent packet can
+/// overtake them, so this is as little as keeps the network busy. A full datagram takes 2,304 bytes of the kernel's if it leaves
+/// alone, so 15 are held, or 20 that leave in fours (D129). The socket takes more once half of them are gone. The other seven
+/// take 85 us at a gigabit a second, longer than the sending thread takes to wake (D110).
 const SEND_QUEUE_BYTES: usize = 16 * 1024;
 
 /// Bounds what a socket holds for the network.
@@ -29,18 +29,18 @@ pub(super) fn bound_sending(socket: &UdpSocket) -> nix::Result<()> {
     setsockopt(socket, sockopt::SndBuf, &SEND_QUEUE_BYTES)
 }
 
-/// Asks the kernel to cut what is sent into datagrams of so many bytes; zero: no longer.
+/// Asks the kernel to cut what is sent into datagrams of so many bytes; zero ends that.
 pub(super) fn set_segment(socket: &UdpSocket, bytes: usize) -> nix::Result<()> {
     let bytes = i32::try_from(bytes).unwrap_or(i32::MAX);
     setsockopt(socket, sockopt::UdpGsoSegment, &bytes)
 }
 
-/// Whether the kernel knows how to cut what is sent.
+/// Whether the kernel can cut what is sent.
 pub(super) fn segments(socket: &UdpSocket) -> bool {
     set_segment(socket, 0).is_ok()
 }
 
-/// Asks the kernel to put together what comes in from one sender at the same time. Whether it does.
+/// Asks the kernel to merge what comes in from one sender at the same time. Returns whether it does.
 pub(super) fn merge(socket: &UdpSocket) -> bool {
     setsockopt(socket, sockopt::UdpGroSegment, &true).is_ok()
 }
@@ -50,20 +50,20 @@ pub(super) fn send_all(socket: &UdpSocket, slices: &[IoSlice<'_>]) -> io::Result
     Ok(rustix::io::writev(socket, slices)?)
 }
 
-/// Datagrams as the kernel gave them: one, or several that it put together.
+/// Datagrams as the kernel gave them: one, or several that it merged.
 pub(super) struct Received<'a> {
     bytes: &'a [u8],
-    /// How long each of them is, but for the last, which may be shorter.
+    /// The length of each datagram; the last one may be shorter.
     segment: usize,
-    /// When they came in, by the wall clock since 1970: the first of them on the loopback; what a card put together, when it
-    /// let go of it. How long it may hold that is part of the link's declared bound (D129).
+    /// When they came in, by the wall clock since 1970: the first of them on the loopback; those that a card merged, when it let
+    /// go of them. How long the card may hold them is part of the link's declared bound (D129).
     pub(super) stamp: Option<Duration>,
-    /// How many the kernel has dropped since the socket was made, around the wrap, where it says so.
+    /// How many datagrams the kernel has dropped since the socket was made, wrapping around, if it says so.
     pub(super) dropped: Option<u32>,
 }
 
 impl<'a> Received<'a> {
-    /// Each by itself, in their order. One without a byte is one, too.
+    /// The single datagrams, in order. An empty datagram counts, too.
     pub(super) fn datagrams(&self) -> impl Iterator<Item = &'a [u8]> + use<'a> {
         let (first, others) = self.bytes.split_at(self.segment.min(self.bytes.len()));
         std::iter::once(first).chain(others.chunks(self.segment.max(1)))
@@ -74,19 +74,19 @@ impl<'a> Received<'a> {
 pub(super) struct Receiver {
     bytes: Box<[u8]>,
     control: Vec<u8>,
-    /// Whether stamps are those of the arrival.
+    /// Whether stamps are times of arrival.
     pub(super) stamped: bool,
 }
 
 impl Receiver {
-    /// `merges`: the kernel may put datagrams together.
+    /// `merges`: the kernel may merge datagrams.
     pub(super) fn new(stamped: bool, merges: bool) -> Self {
         let control = nix::cmsg_space!(TimeSpec, u32, i32);
         let room = if merges { MERGED_BYTES } else { BUFFER_BYTES };
         Self { bytes: vec![0; room].into(), control, stamped }
     }
 
-    /// The next datagram that waits, or several that were put together. Never blocks.
+    /// The next datagram that waits, or several that were merged. Never blocks.
     pub(super) fn receive(&mut self, socket: &UdpSocket) -> io::Result<Received<'_>> {
         let mut slices = [IoSliceMut::new(&mut self.bytes)];
         let flags = MsgFlags::MSG_DONTWAIT;
@@ -112,19 +112,19 @@ fn since_1970(at: TimeSpec) -> Option<Duration> {
     Some(Duration::new(u64::try_from(at.tv_sec()).ok()?, nanoseconds))
 }
 
-/// What a socket that receives is asked for.
+/// The options of a receiving socket.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Asked {
-    /// Whether the kernel puts together what comes in from one sender at the same time.
+    /// Whether the kernel merges what comes in from one sender at the same time.
     pub(super) merges: bool,
-    /// Whether it stamps what comes in.
+    /// Whether the kernel stamps what comes in.
     pub(super) stamped: bool,
     /// About how many bytes wait in the kernel, at most.
     pub(super) queue: usize,
 }
 
 impl Asked {
-    /// Asks for it, but not that anything be put together: that the kernel need not know.
+    /// Sets the options, except merging, which the kernel need not know.
     fn of(self, socket: &UdpSocket) -> Result<(), UdpError> {
         let option = |option: &'static str, result: nix::Result<()>| {
             result.map_err(|errno| UdpError::Option { option, source: errno.into() })
@@ -139,8 +139,8 @@ impl Asked {
     }
 }
 
-/// A socket bound to `address`, which no other socket may have. `merges`: the kernel may put datagrams together. Returned with
-/// it: what it was asked for, as far as the kernel knows that, and a reading of the clocks before anything can have come in.
+/// A socket bound to `address`, which no other socket may have. `merges`: the kernel may merge datagrams. Also returns the
+/// options, as far as the kernel knows them, and a reading of the clocks before anything can have come in.
 pub(super) fn bind(
     address: SocketAddr,
     queue: usize,
@@ -157,10 +157,10 @@ pub(super) fn bind(
 
 /// A socket on the address of another one, `local`, that is connected to `peer`: the kernel gives it what comes from there.
 ///
-/// A socket gets an address that others have only where all of them and itself say SO_REUSEADDR at that moment. `bound` says it for
-/// no longer than that takes, so nobody else gets the address; two threads must not do this at once. SO_REUSEPORT would let other
-/// processes of the user in for as long as the node runs. Between its bind and its connect the socket gets what strangers
-/// send: it is judged by what it says, as anywhere.
+/// A socket can share an address only if all sockets on it, and itself, have SO_REUSEADDR set at that moment. `bound` has it set
+/// only meanwhile, so no other process gets the address; two threads must not do this at once. SO_REUSEPORT would let other
+/// processes of the user in for as long as the node runs. Between its bind and its connect the socket gets what strangers send,
+/// which is judged by its content, as everywhere.
 pub(super) fn connect_beside(
     bound: &UdpSocket,
     local: SocketAddr,
@@ -183,9 +183,9 @@ pub(super) fn connect_beside(
     Ok(socket)
 }
 
-/// Whether the kernel stamps datagrams as they come in. It starts to do so some time after the first socket asks for
-/// it, and until then gives the time of *reception*, which would make old datagrams look young. So one is sent to this
-/// process itself and left waiting.
+/// Whether the kernel stamps datagrams when they come in. It begins to do so some time after the first socket asks for it. Until
+/// then it gives the time of *reception*, which makes old datagrams look young. So this sends a datagram to itself, and leaves it
+/// waiting.
 fn stamps_work() -> bool {
     const WAIT: Duration = Duration::from_millis(1);
     const ATTEMPTS: usize = 50;
@@ -208,7 +208,7 @@ fn stamps_work() -> bool {
     attempt().unwrap_or(false)
 }
 
-/// Ends a wait from another thread.
+/// An event counter that ends a wait from another thread.
 pub(super) struct Wake(OwnedFd);
 
 impl Wake {
@@ -217,9 +217,9 @@ impl Wake {
         fd.map(Self).map_err(|errno| UdpError::Wake(errno.into()))
     }
 
-    /// Ends the present or else the next wait.
+    /// Ends the present wait, or else the next one.
     pub(super) fn wake(&self) {
-        // Fails only where the count is full, and then the wait ends all the same.
+        // Fails only if the count is full, and then the wait ends all the same.
         let _ = rustix::io::write(&self.0, &1_u64.to_ne_bytes());
     }
 
@@ -228,21 +228,22 @@ impl Wake {
     }
 
     pub(super) fn clear(&self) {
-        // Fails only where somebody else has cleared it.
+        // Fails only if another thread has cleared it.
         let _ = rustix::io::read(&self.0, &mut [0_u8; 8]);
     }
 }
 
 /// What a wait for room ended with.
 pub(super) enum Waited {
-    /// The epoll instance has something to tell.
+    /// The epoll instance has an event.
     Told,
     /// A socket that was full may take something.
     Writable,
     TimedOut,
 }
 
-/// Waits until an epoll instance has something to tell, one of the `full` sockets takes something, or `until`. Allocates: for times when the network does not keep up.
+/// Waits until the epoll instance has an event, one of the `full` sockets takes something, or `until`. Allocates, which is
+/// acceptable when the network does not keep up.
 pub(super) fn wait_for_room(
     epoll: &OwnedFd,
     full: &[&UdpSocket],
@@ -252,10 +253,10 @@ pub(super) fn wait_for_room(
     fds.extend(full.iter().map(|full| PollFd::new(*full, PollFlags::OUT)));
     loop {
         let left = until.map(|until| until.saturating_duration_since(Instant::now()));
-        // A wait too long for the kernel's type is as good as one without end.
+        // A wait too long for the kernel's type counts as one without end.
         let timeout = left.and_then(|left| Timespec::try_from(left).ok());
         match poll(&mut fds, timeout.as_ref()) {
-            // The kernel's clock for waiting is the one that `Instant` shows, but nothing says so.
+            // `poll` uses the clock that `Instant` shows, but nothing guarantees that.
             Ok(0) if until.is_some_and(|until| Instant::now() < until) => {}
             Ok(0) => return Ok(Waited::TimedOut),
             Ok(_) => {}
@@ -265,14 +266,14 @@ pub(super) fn wait_for_room(
         if !fds[0].revents().is_empty() {
             return Ok(Waited::Told);
         }
-        // An error of one that sends is fetched by sending.
+        // The next send fetches a sending socket's error.
         if fds[1..].iter().any(|fd| !fd.revents().is_empty()) {
             return Ok(Waited::Writable);
         }
     }
 }
 
-/// Whether the socket takes a datagram now, or has an error to tell.
+/// Whether the socket takes a datagram now, or has an error to report.
 pub(super) fn takes(socket: &UdpSocket) -> bool {
     let mut fds = [PollFd::new(socket, PollFlags::OUT)];
     let now = Timespec { tv_sec: 0, tv_nsec: 0 };
@@ -291,13 +292,13 @@ mod tests {
         let local = bound.local_addr().unwrap();
         let connected = connect_beside(&bound, local, local, asked).unwrap();
         for socket in [bound, connected] {
-            // The kernel says twice what was asked for.
+            // The kernel reports twice what was asked for.
             assert_eq!(getsockopt(&socket, sockopt::RcvBuf).unwrap(), 2 * QUEUE);
             assert_eq!(getsockopt(&socket, sockopt::SndBuf).unwrap(), 2 * SEND_QUEUE_BYTES);
         }
     }
 
-    /// Neither a node that is started twice nor anybody else gets a share of a node's port.
+    /// Neither a second start of the node nor any other process gets a share of a node's port.
     #[test]
     fn an_address_stays_this_nodes_alone() {
         for any in ["127.0.0.1:0", "0.0.0.0:0", "[::1]:0", "[::]:0"] {

@@ -1,4 +1,4 @@
-//! What the socket did, counted.
+//! The counters of a UDP link.
 
 use std::io;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -29,23 +29,22 @@ counts! {
     PacketsSent = "packets_sent",
     /// Datagrams that left in one call with an earlier one (UDP_SEGMENT): how many calls were saved.
     SendsSaved = "sends_saved",
-    /// Ways for which the kernel refused to cut a call into datagrams.
+    /// Routes for which the kernel refused to cut a call into datagrams.
     SegmentsRefused = "segments_refused",
     /// Datagrams that came in, good or not.
     DatagramsReceived = "datagrams_received",
-    /// Datagrams that the kernel had put together with an earlier one (UDP_GRO): how many calls were saved.
+    /// Datagrams that the kernel had merged with an earlier one (UDP_GRO): how many calls were saved.
     ReceivesSaved = "receives_saved",
     /// Packets handed to the sink.
     PacketsReceived = "packets_received",
-    /// What the kernel dropped because its queue was full (SO_RXQ_OVFL): datagrams, and those that it had put together as
-    /// one.
+    /// Datagrams that the kernel dropped because its queue was full (SO_RXQ_OVFL); those that it had merged count as one.
     KernelDropped = "kernel_dropped",
-    /// Those of them that waited in the socket of strangers: what came from no address that the node knows (D155). A flood
-    /// from elsewhere shows here.
+    /// Those of them that waited in the socket of strangers: from no address that the node knows. A flood from elsewhere shows
+    /// here.
     StrangersDropped = "strangers_dropped",
     /// Sends that found the kernel's send queue full; the packets were kept.
     Busy = "send_busy",
-    /// Sends that failed: the other side has no such socket (ECONNREFUSED). The kernel says so to whoever sends or receives next.
+    /// Sends that failed: the other side has no such socket (ECONNREFUSED). The kernel reports it with the next send or receive.
     SendRefused = "send_refused",
     /// Sends that failed: no memory in the kernel (ENOBUFS, ENOMEM).
     SendNoBuffers = "send_no_buffers",
@@ -59,9 +58,9 @@ counts! {
     SendFailed = "send_failed",
     /// Errors that the socket reported on reception.
     ReceiveFailed = "receive_failed",
-    /// Datagrams whose wait was reckoned from when the socket was last seen empty, because the wall clock was set.
+    /// Datagrams whose wait was counted from when the socket was last seen empty, because the wall clock was set.
     ClockSet = "clock_set",
-    /// The same, because the kernel gave no stamp.
+    /// Datagrams whose wait was counted from then because the kernel gave no stamp.
     NoStamp = "no_stamp",
     /// New sessions of neighbours: the first one of each, and one for each restart.
     NewLives = "new_lives",
@@ -69,18 +68,18 @@ counts! {
     GreetingsSent = "greetings_sent",
     /// Greetings that came in.
     GreetingsReceived = "greetings_received",
-    /// How often a neighbour was asked for an echo, because its session or its counter could not be told from an old one's.
+    /// How often a neighbour was asked for an echo, because its session or its counter could not be told from an old one.
     EchoesAsked = "echoes_asked",
-    /// Counters that a datagram had set too far ahead, and that a later one put right.
+    /// Counters that one datagram had set too far ahead, and that a later one corrected.
     CountersMended = "counters_mended",
-    /// Refusals sent: what came in says why.
+    /// Refusals sent. The reasons are counted with the datagrams that came in.
     RefusalsSent = "refusals_sent",
     /// Packets that came before the node began, and were dropped.
     BeforeStart = "before_start",
 }
 
 impl UdpCount {
-    /// Those that count what was lost, or may have been.
+    /// The counters of what was lost, or may have been.
     pub const FAILURES: [Self; 8] = [
         Self::KernelDropped,
         Self::SendRefused,

@@ -1,13 +1,12 @@
-//! Waiting for the sockets: who is told of a datagram.
+//! Waits for the sockets, and decides which thread is told of a datagram.
 //!
-//! Two epoll instances look at each socket that is connected to a neighbour, both with EPOLLEXCLUSIVE: the leader's first, then
-//! that of the thread that polls. The kernel goes through them in this order and ends at the first one that a thread sleeps in.
-//! So a datagram wakes the leader alone; one that comes while nobody leads, or while the leader is already awake, wakes the one
-//! that polls. Nothing has to be switched over when a leader comes or goes, and no thread is woken for it.
+//! Two epoll instances watch each socket that is connected to a neighbour, both with EPOLLEXCLUSIVE: the leader's first, then the
+//! polling thread's. The kernel goes through them in this order and ends at the first one in which a thread sleeps. So a datagram
+//! wakes only the leader. If no thread leads, or the leader is already awake, it wakes the polling thread. Nothing is switched
+//! over when a leader comes or goes, and no thread is woken for that.
 //!
-//! That order decides who is woken, never whether somebody is: an instance with nobody in it keeps what it was told, and
-//! both are level-triggered. With the instance of the thread that polls alone the socket of strangers is looked at: what they send
-//! wakes no task (D155).
+//! The order decides which thread is woken, never whether one is: an instance without a thread keeps its events, and both are
+//! level-triggered. Only the polling thread's instance watches the socket of strangers: what strangers send wakes no task (D155).
 
 use super::UdpError;
 use super::socket::Wake;
@@ -19,23 +18,23 @@ use std::net::UdpSocket;
 use std::os::fd::OwnedFd;
 use std::time::{Duration, Instant};
 
-/// What stands for the event counter; a socket is told by its place.
+/// The event data of the event counter. That of a socket is its place.
 const WAKE: u64 = u64::MAX;
-/// How many events are told at once, at most. The kernel tells the others with the next wait, in turns.
+/// How many events one wait reports, at most. The kernel reports the others with the next waits, in turns.
 const AT_ONCE: usize = 16;
 
-/// Below this the kernel's clock for epoll, whole milliseconds, is too coarse.
+/// For shorter waits, the whole milliseconds of epoll's timeout are too coarse.
 const COARSE: Duration = Duration::from_millis(2);
 const NOW: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
-/// The kernel may end a wait later than asked by a thousandth of it. So a first wait leaves out twice that, and another
-/// one, short and exact, ends on time.
+/// The kernel may end a wait late, by a thousandth of it. So a first wait leaves out twice that, and another one, short and
+/// exact, ends on time.
 const LATE: u32 = 500;
 
 /// One epoll instance with sockets and an event counter.
 pub(super) struct Watch {
     epoll: OwnedFd,
     wake: Wake,
-    /// Whether a wake is told where there are both a datagram and a wake; else the datagram is. The other one ends the next wait.
+    /// If there are a datagram and a wake-up: whether the wake-up is reported. The other one ends the next wait.
     wake_first: bool,
 }
 
@@ -47,7 +46,7 @@ pub(super) enum Seen {
     TimedOut,
 }
 
-/// The places of sockets that have something, the one first that had it first.
+/// The places of sockets that have something, in the order in which they got it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Told {
     places: [u32; AT_ONCE],
@@ -78,18 +77,18 @@ impl Watch {
         Ok(Self { epoll, wake, wake_first })
     }
 
-    /// Looks at a socket that no other instance looks at.
+    /// Watches a socket that no other instance watches.
     pub(super) fn add_alone(&self, socket: &UdpSocket, place: u32) -> io::Result<()> {
         Ok(epoll::add(&self.epoll, socket, EventData::new_u64(place.into()), EventFlags::IN)?)
     }
 
-    /// Looks at such a socket, or does not for the time being.
+    /// Watches such a socket, or stops for the time being.
     pub(super) fn heed(&self, socket: &UdpSocket, place: u32, heeds: bool) -> io::Result<()> {
         let events = if heeds { EventFlags::IN } else { EventFlags::empty() };
         Ok(epoll::modify(&self.epoll, socket, EventData::new_u64(place.into()), events)?)
     }
 
-    /// Looks at a socket, too, after all instances to which it was added before. It goes when it is closed.
+    /// Watches a socket, too, after all instances to which it was added before. Closing the socket removes it.
     pub(super) fn add(&self, socket: &UdpSocket, place: u32) -> io::Result<()> {
         let exclusive = EventFlags::IN | EventFlags::EXCLUSIVE;
         Ok(epoll::add(&self.epoll, socket, EventData::new_u64(place.into()), exclusive)?)
@@ -103,7 +102,7 @@ impl Watch {
         &self.wake
     }
 
-    /// Waits until a socket has something, a wake, or `until`.
+    /// Waits until a socket has something, a wake-up, or `until`.
     pub(super) fn wait(&self, until: Option<Instant>) -> io::Result<Seen> {
         loop {
             let left = until.map(|until| until.saturating_duration_since(Instant::now()));
@@ -113,7 +112,7 @@ impl Watch {
         }
     }
 
-    /// As [`wait`](Self::wait), for at most `left`, but it may end without anything: then there is more to wait.
+    /// As [`wait`](Self::wait), for at most `left`. `None` if it ended early: then there is more to wait.
     pub(super) fn wait_some(&self, left: Option<Duration>) -> io::Result<Option<Seen>> {
         let seen = match left {
             Some(left) if left < COARSE => self.wait_exactly(left),
@@ -127,7 +126,7 @@ impl Watch {
         }
     }
 
-    /// The sockets that have something now. Takes no wake.
+    /// The sockets that have something now. Consumes no wake-up.
     pub(super) fn look(&self) -> Told {
         self.events(Some(&NOW)).map(|(told, _)| told).unwrap_or_default()
     }
@@ -141,7 +140,7 @@ impl Watch {
         Ok(self.seen(told, wake))
     }
 
-    /// For so short a time it does no harm that others are woken, too.
+    /// In so short a wait it does no harm that other threads are woken, too.
     fn wait_exactly(&self, left: Duration) -> rustix::io::Result<Seen> {
         if !left.is_zero() {
             poll(&mut [PollFd::new(&self.epoll, PollFlags::IN)], Timespec::try_from(left).ok().as_ref())?;
@@ -150,7 +149,7 @@ impl Watch {
         Ok(self.seen(told, wake))
     }
 
-    /// What the kernel has to tell within `left`: sockets, and whether a wake. An error of a socket (EPOLLERR) is fetched by
+    /// The sockets that have something within `left`, and whether there is a wake-up. A socket's error (EPOLLERR) is fetched by
     /// receiving.
     fn events(&self, left: Option<&Timespec>) -> rustix::io::Result<(Told, bool)> {
         let mut room = [MaybeUninit::uninit(); AT_ONCE];

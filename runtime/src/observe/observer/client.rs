@@ -14,11 +14,11 @@ use std::time::{Duration, Instant};
 const GREETING: Duration = Duration::from_secs(5);
 /// A monitor that takes or wants nothing for so long makes room for another.
 const IDLE: Duration = Duration::from_secs(5);
-/// How many requests are read before others get their turn.
+/// How many requests of one monitor are read before the others get their turn.
 const REQUESTS: usize = 16;
-/// The first version that has tokens, and all that came with them.
+/// The first version with tokens, and with all that came with them.
 const NEW: Version = Version { major: 1, minor: 1 };
-/// The first version that says which scripts are held back.
+/// The first version that reports which scripts are held back.
 const HELD_BACK: Version = Version { major: 1, minor: 2 };
 
 pub(super) struct Client {
@@ -26,27 +26,27 @@ pub(super) struct Client {
     reader: FrameReader<Stream>,
     writer: FrameWriter<Stream>,
     state: State,
-    /// The version in use with it, once it said hello.
+    /// The protocol version in use, once the monitor has said hello.
     version: Version,
-    /// Since when it has taken what there is for it and wants more, or has asked for something.
+    /// When the monitor last asked for something, or had taken everything and wanted more.
     active: Instant,
-    /// The answer to its last ping, until that is on its way.
+    /// The answer to the monitor's last ping, until it is sent.
     pong: Option<Pong>,
 }
 
 enum State {
-    /// Its hello has not come.
+    /// The hello has not come.
     Greeting {
         until: Instant,
     },
-    /// It has not shown that it may look.
+    /// The monitor has not shown that it may look.
     Unproven {
         until: Instant,
     },
-    /// It may subscribe.
+    /// The monitor may subscribe.
     Idle,
     Subscribed(Box<Subscription>),
-    /// What is pending is the last.
+    /// The pending frame is the last one.
     Leaving,
 }
 
@@ -60,7 +60,7 @@ impl From<FrameError> for Gone {
 }
 
 impl Client {
-    /// A new connection, or `None` where the system has no resources for it.
+    /// A new connection, or `None` if the system has no resources for it.
     pub fn new(stream: Stream, showing: Showing, now: Instant) -> Option<Self> {
         stream.set_nonblocking().ok()?;
         let reader = FrameReader::new(stream.try_clone().ok()?, MAX_REQUEST);
@@ -77,7 +77,7 @@ impl Client {
         !self.writer.is_drained()
     }
 
-    /// When something is to do for it though nothing comes from it.
+    /// When the connection needs service even if nothing comes from it.
     pub fn due(&self) -> Option<Instant> {
         match &self.state {
             State::Greeting { until } | State::Unproven { until } => Some(*until),
@@ -86,23 +86,23 @@ impl Client {
         }
     }
 
-    /// Reads and writes what can be; `room` says whether one more monitor can be served. False: the connection is over.
+    /// Reads and writes what it can. `room` says whether one more monitor can be served. False if the connection is over.
     pub fn serve(&mut self, ready: bool, room: bool, now: Instant) -> bool {
         self.try_serve(ready, room, now).is_ok()
     }
 
-    /// Whether it has shown that it may look, and takes the place of a monitor.
+    /// Whether the monitor has shown that it may look, and takes a place.
     pub const fn is_served(&self) -> bool {
         matches!(self.state, State::Idle | State::Subscribed(_))
     }
 
-    /// Since when it has taken or wanted nothing, if that is so long that it makes room for others.
+    /// Since when the monitor has taken or wanted nothing, if that is so long that it makes room for others.
     pub fn idle_since(&self, now: Instant) -> Option<Instant> {
         let is_idle = self.is_served() && !self.is_active();
         (is_idle && now.saturating_duration_since(self.active) >= IDLE).then_some(self.active)
     }
 
-    /// Whether it takes what is made for it, and wants more.
+    /// Whether the monitor takes what is made for it, and wants more.
     fn is_active(&self) -> bool {
         matches!(&self.state, State::Subscribed(wanted) if wanted.credit > 0) && self.writer.is_drained()
     }
@@ -110,7 +110,7 @@ impl Client {
     pub fn say_goodbye(&mut self) {
         if matches!(self.state, State::Idle | State::Subscribed(_)) && self.writer.is_drained() {
             let bye = ServerFrame::Bye(Bye { reason: Goodbye::Stopping });
-            // Whoever does not take it now sees the connection end.
+            // A monitor that does not take it now sees the connection end.
             let _ = self.writer.push(&bye).and_then(|()| self.writer.flush());
         }
     }
@@ -120,7 +120,7 @@ impl Client {
             self.flush()?;
             self.read(room, now)?;
         }
-        // What lies in the socket is read first: on a busy machine the observer is late, not the monitor.
+        // Only after reading what lies in the socket: on a busy machine the observer is late, not the monitor.
         if let State::Greeting { until } | State::Unproven { until } = self.state
             && until <= now
         {
@@ -195,7 +195,7 @@ impl Client {
                 }
             }
             ClientFrame::Ping(ping) => self.pong = Some(Pong { echo_us: ping.mono_us, mono_us: mono_us() }),
-            // It may look without.
+            // It may look without a token.
             ClientFrame::Token(_) => {}
         }
     }
@@ -224,7 +224,7 @@ impl Client {
             Err(_) => return Err(Gone),
             Ok((theirs, Handshake::Hello(Hello { role: Role::Monitor, schema, .. }))) => {
                 match agree((VERSION, SCHEMA), (*theirs, *schema)) {
-                    // It has no way to show a token.
+                    // This version has no way to show a token.
                     Ok(version) if self.showing.token.is_some() && version.minor < NEW.minor => {
                         Some(Refusal::OtherMajor { node: VERSION, monitor: *theirs })
                     }
@@ -259,19 +259,19 @@ impl Client {
         self.admit()
     }
 
-    /// It may look.
+    /// The monitor may look.
     fn admit(&mut self) -> Result<(), Gone> {
         self.writer.push(&ServerFrame::Table(Table::of(self.showing.node.table())))?;
         self.state = State::Idle;
         Ok(())
     }
 
-    /// Its first word must be the token.
+    /// The monitor's first frame must be the token.
     fn prove(&mut self, frame: Result<ClientFrame, DecodeError>, room: bool) -> Result<(), Gone> {
         let denied = match (&self.showing.token, frame) {
             (Some(ours), Ok(ClientFrame::Token(theirs))) if !ours.is(&theirs) => Denied::WrongToken,
             (None, _) | (Some(_), Ok(ClientFrame::Token(_))) if room => return self.admit(),
-            // The last place went to another meanwhile: asked again, it hears so.
+            // The last place went to another monitor meanwhile: if this one connects again, it is told so.
             (None, _) | (Some(_), Ok(ClientFrame::Token(_))) => return Err(Gone),
             (Some(_), _) => Denied::NoToken,
         };
@@ -286,7 +286,7 @@ impl Client {
         Ok(())
     }
 
-    /// At most one frame: while it is on its way, nothing else is made.
+    /// Makes at most one frame: while a frame is being sent, nothing else is made.
     fn push_what_is_due(&mut self, now: Instant) -> Result<(), Gone> {
         if let Some(pong) = self.pong.take() {
             return Ok(self.writer.push(&ServerFrame::Pong(pong))?);

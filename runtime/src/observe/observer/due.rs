@@ -1,4 +1,4 @@
-//! What one monitor is told, and when.
+//! Decides what one monitor is told, and when.
 
 use super::Showing;
 use crate::clock;
@@ -15,11 +15,11 @@ use std::time::{Duration, Instant};
 const LEAST_PERIOD: Duration = Duration::from_millis(10);
 /// The time between frames of events.
 const EVENT_PERIOD: Duration = Duration::from_millis(20);
-/// The shortest time between two frames of what is read from the system.
+/// The shortest time between two frames of vitals, which are read from the system.
 const LEAST_VITALS: Duration = Duration::from_millis(100);
-/// How often is looked where the other nodes are.
+/// How often the places of the other nodes are checked.
 const PLACES_PERIOD: Duration = Duration::from_secs(1);
-/// How often is looked which scripts are held back.
+/// How often the held-back scripts are checked.
 const HELD_BACK_PERIOD: Duration = Duration::from_secs(1);
 /// How many events of one machine go into one frame.
 const EVENT_ROOM: usize = 512;
@@ -33,12 +33,12 @@ pub(super) struct Subscription {
     pub credit: u16,
     next_snapshot: Instant,
     events: Option<Following>,
-    /// Only for those that speak version 1.1.
+    /// Only for monitors of version 1.1 or later.
     more: Option<More>,
 }
 
-/// What a monitor is told. Of what is due since the same instant the earlier one here goes first: who waits for the state knows
-/// of the others and of what is held back by then.
+/// The kinds of frames. Of those due since the same instant, the earlier kind here goes first: a monitor that gets the state
+/// knows of the other nodes and of held-back scripts by then.
 #[derive(Clone, Copy)]
 enum What {
     Places,
@@ -50,13 +50,13 @@ enum What {
 }
 
 impl What {
-    /// Whether it takes one of the frames that the monitor has asked for.
+    /// Whether the frame takes one of the monitor's credits.
     const fn has_a_price(self) -> bool {
         !matches!(self, Self::Places | Self::HeldBack)
     }
 }
 
-/// Events on their way to one monitor.
+/// The events that one monitor follows.
 struct Following {
     next: Instant,
     observations: Observations,
@@ -65,20 +65,20 @@ struct Following {
 
 /// What versions 1.1 and 1.2 add.
 struct More {
-    /// What it was told last: what changed is reckoned from this.
+    /// The snapshot that the monitor was told last: changes are computed from it.
     told: Option<Snapshot>,
-    /// Since when the watched queues are to be told.
+    /// Since when the watched queues are due.
     detail: Option<Instant>,
     vitals: Option<(Duration, Instant)>,
     late: Seen,
     whole: Option<(Duration, Instant)>,
     places: (Places, Instant),
-    /// Whether it was told of scripts that are held back, and when they are looked at next; `None` for who speaks 1.1.
+    /// Whether the monitor was told of held-back scripts, and when they are checked next; `None` for version 1.1.
     held_back: Option<(bool, Instant)>,
 }
 
 impl Subscription {
-    /// What a monitor of version 1.0 asks for, in place of what it asked for before.
+    /// The subscription of a monitor of version 1.0, in place of the one before.
     pub fn old(wanted: &Subscribe, before: Option<Self>, showing: &Showing, now: Instant) -> Self {
         let events = wanted.events.then_some(EventFilter::ALL);
         Self {
@@ -91,7 +91,7 @@ impl Subscription {
         }
     }
 
-    /// What a monitor of version 1.1 or later asks for.
+    /// The subscription of a monitor of version 1.1 or later.
     pub fn new(
         wanted: Want,
         before: Option<Self>,
@@ -116,7 +116,7 @@ impl Subscription {
             places: (Places::default(), now),
             held_back: hears_held_back.then_some((false, now)),
         });
-        // What is due stays due, however often the monitor asks anew.
+        // What is due stays due, however often the monitor subscribes anew.
         let at = more.vitals.map_or(now, |(_, at)| at.min(now));
         let vitals = every(wanted.vitals_us, LEAST_VITALS).map(|every| (every, at));
         let whole = every(wanted.whole_us, period).map(|every| (every, now + every));
@@ -130,7 +130,7 @@ impl Subscription {
         }
     }
 
-    /// A whole snapshot is asked for: the next state is one. What was due before goes first.
+    /// The monitor asks for a whole snapshot: the next state is one. Frames that were due before go first.
     pub fn whole(&mut self, now: Instant) {
         if let Some(more) = &mut self.more {
             more.told = None;
@@ -138,7 +138,7 @@ impl Subscription {
         }
     }
 
-    /// When each kind of frame is to be told next, if at all.
+    /// When each kind of frame is due next, if at all.
     fn dues(&self) -> [(Option<Instant>, What); 6] {
         let more = self.more.as_ref();
         [
@@ -151,14 +151,14 @@ impl Subscription {
         ]
     }
 
-    /// When something is to be told, where there is credit.
+    /// When the next frame is due, if there is credit.
     pub fn due(&self) -> Option<Instant> {
         let due = self.dues().into_iter().filter_map(|(at, _)| at).min();
         due.filter(|_| self.credit > 0)
     }
 
-    /// At most one frame: while it is on its way, nothing else is made. What has been due for longest goes first, or on a busy
-    /// machine the state, whose period is the shortest, would keep all else from being told.
+    /// Makes at most one frame: while a frame is being sent, nothing else is made. The frame that has been due for longest goes
+    /// first. Otherwise the state, which has the shortest period, would keep back everything else on a busy machine.
     pub fn push(
         &mut self,
         showing: &Showing,
@@ -193,7 +193,7 @@ impl Subscription {
         Ok(())
     }
 
-    /// The snapshot, or what changed since the last one, with fewer and fewer waiting messages until it fits a frame.
+    /// Pushes the snapshot, or what changed since the last one, with fewer and fewer waiting messages until it fits a frame.
     fn push_snapshot(
         &mut self,
         showing: &Showing,
@@ -261,7 +261,7 @@ impl Subscription {
         Some(ServerFrame::Places(places))
     }
 
-    /// Again and again while any is held back, for who records and did not hear it the first time; then once that none is.
+    /// Repeated while any script is held back, for a monitor that records and missed the first frame; then once when none is.
     fn held_back(&mut self, showing: &Showing, now: Instant) -> Option<ServerFrame> {
         let (told, at) = self.more.as_mut()?.held_back.as_mut().filter(|(_, at)| *at <= now)?;
         *at = now + HELD_BACK_PERIOD;
@@ -296,7 +296,7 @@ fn period(us: u32) -> Duration {
     Duration::from_micros(us.into()).max(LEAST_PERIOD)
 }
 
-/// The events that are wanted, from now on or from where they were.
+/// Follows the wanted events, from now on or from where the subscription before stood.
 fn following(
     wanted: Option<EventFilter>,
     before: Option<Following>,
@@ -309,7 +309,7 @@ fn following(
     Some(Following { next, observations, filter })
 }
 
-/// The node's clock, for who compares it with its own.
+/// The node's clock, for a monitor that compares it with its own.
 pub(super) fn mono_us() -> u64 {
     clock::now()
 }

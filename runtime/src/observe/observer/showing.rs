@@ -1,4 +1,4 @@
-//! What a node shows besides itself, and to whom.
+//! What a node shows besides its own state, and to whom.
 
 use super::{Observer, ObserverError};
 use crate::lock::lock;
@@ -9,15 +9,15 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-/// How the recording of a node goes, where it has one.
+/// Tells how the recording of a node goes, if it has one.
 pub type RecordingWatch = Arc<dyn Fn() -> Option<RecordingFacts> + Send + Sync>;
 
-/// Where the other nodes of a cell serve monitors over TCP, as far as this node was told. Shared with who tells it.
+/// Where the other nodes of a cell serve monitors over TCP, as far as this node was told. Shared with the code that tells it.
 #[derive(Clone, Debug, Default)]
 pub struct AddressBook(Arc<Mutex<Vec<(NodeId, SocketAddr)>>>);
 
 impl AddressBook {
-    /// A node serves monitors there.
+    /// Enters where a node serves monitors.
     pub fn put(&self, node: NodeId, address: SocketAddr) {
         let mut book = lock(&self.0);
         book.retain(|(other, _)| *other != node);
@@ -33,14 +33,14 @@ impl AddressBook {
     }
 }
 
-/// How a node is shown.
+/// How a node is shown: the options of an [`Observer`].
 #[derive(Clone)]
 pub struct Showing {
     pub(super) node: Arc<Node>,
     pub(super) token: Option<Token>,
     pub(super) recording: Option<RecordingWatch>,
     pub(super) book: AddressBook,
-    /// Where this node's own socket lies, if it is one: the others lie beside it.
+    /// The path of this node's own Unix socket, if it has one: the other nodes' sockets lie beside it.
     pub(super) beside: Option<PathBuf>,
 }
 
@@ -51,28 +51,28 @@ impl Showing {
         Self { node, token: None, recording: None, book: AddressBook::default(), beside: None }
     }
 
-    /// Over TCP only who has this token may look. A socket has its file's mode instead.
+    /// Only a client with this token may look over TCP. A Unix socket is protected by its file's mode instead.
     #[must_use]
     pub fn token(mut self, token: Option<Token>) -> Self {
         self.token = token;
         self
     }
 
-    /// Who knows how the recording of the node goes.
+    /// Sets what tells how the recording of the node goes.
     #[must_use]
     pub fn recording(mut self, watch: RecordingWatch) -> Self {
         self.recording = Some(watch);
         self
     }
 
-    /// Where the other nodes are.
+    /// Sets where the other nodes are.
     #[must_use]
     pub fn book(mut self, book: AddressBook) -> Self {
         self.book = book;
         self
     }
 
-    /// Serves monitors where they look, as [`Observer::start`].
+    /// Serves monitors where they look for the node, as [`Observer::start`].
     ///
     /// # Errors
     /// [`ObserverError`].
@@ -81,14 +81,14 @@ impl Showing {
         let path = place::prepare_socket(cell, self.node.name(), std::process::id())?;
         for socket in place::sockets_in(&place::base_dir())? {
             if socket.parent() == path.parent() {
-                // Not there, not ours or alive after all: then it stays.
+                // Not there, another user's, or alive after all: then it stays.
                 let _ = place::remove_if_stale(&socket);
             }
         }
         self.start_at(&path)
     }
 
-    /// Serves monitors at a socket of one's own choice.
+    /// Serves monitors at a socket of the caller's choice.
     ///
     /// # Errors
     /// [`ObserverError`].
@@ -105,7 +105,7 @@ impl Showing {
         Observer::serve_tcp(self, address)
     }
 
-    /// Where the other nodes of the cell are found: beside this one's socket, or where it was told.
+    /// Where the other nodes of the cell are found: beside this node's socket, or where this node was told.
     pub(super) fn places(&self) -> Places {
         let Some(own) = &self.beside else { return Places { nodes: self.book.places() } };
         let sockets = own.parent().and_then(Path::parent).map(place::sockets_in);

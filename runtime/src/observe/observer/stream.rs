@@ -37,10 +37,10 @@ impl Listener {
                 let (stream, _) = listener.accept()?;
                 Ok(same_user(&stream).then_some(Stream::Unix(stream)))
             }
-            // Who reaches the address may look: its opener has decided that.
+            // Whoever reaches the address may look: the program that opened it has decided that.
             Self::Tcp(listener) => {
                 let (stream, _) = listener.accept()?;
-                // Only slower without.
+                // Without this the connection is only slower.
                 let _ = stream.set_nodelay(true);
                 Ok(Some(Stream::Tcp(stream)))
             }
@@ -57,7 +57,7 @@ impl AsFd for Listener {
     }
 }
 
-/// The folder and the mode keep other users out already; this holds where somebody loosened them.
+/// The folder and the mode keep other users out already. This also holds if somebody has loosened them.
 fn same_user(stream: &UnixStream) -> bool {
     rustix::net::sockopt::socket_peercred(stream).is_ok_and(|peer| peer.uid == geteuid())
 }

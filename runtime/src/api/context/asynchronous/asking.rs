@@ -1,4 +1,4 @@
-//! A wait of a future, and what happens when it is dropped.
+//! The future of one wait, and what happens when it is dropped.
 
 use super::AsyncContext;
 use crate::api::context::outcome::TaskError;
@@ -7,10 +7,10 @@ use std::future::Future;
 use std::pin::Pin;
 use std::task::{Context as Poller, Poll};
 
-/// One request and its answer: the one outstanding communication of the task (R93).
+/// One request and its answer: the only outstanding communication of the task (R93).
 pub(super) struct Asking<'a, S> {
     context: &'a mut AsyncContext<S>,
-    /// What is to be asked next.
+    /// The request to be made next.
     next: Option<Request>,
     stage: Stage,
 }
@@ -65,7 +65,7 @@ impl<S> Drop for Asking<'_, S> {
             return;
         }
         if std::thread::panicking() {
-            // No handler may run here: the task has crashed, and gives everything up.
+            // No handler may run during a panic: the task has crashed, and gives everything up.
             return self.context.caller.give_up();
         }
         self.context.withdraw();

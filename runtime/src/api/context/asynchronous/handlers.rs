@@ -1,4 +1,4 @@
-//! What interrupts a future that waits: it is handled at once, and waits for nothing itself.
+//! Handlers of a task that is a future: they interrupt its waits, run at once, and wait for nothing themselves.
 
 use super::AsyncContext;
 use crate::api::context::outcome::{RequestFault, TaskError};
@@ -9,11 +9,10 @@ use std::rc::Rc;
 use std::time::Duration;
 
 impl<S> AsyncContext<S> {
-    /// From here on, messages of this port are handled: [`receive`](Self::receive) without a port skips it.
+    /// From here on, the handler takes the messages of this port: [`receive`](Self::receive) without a port skips it.
     ///
     /// # Errors
-    /// [`Fault::WrongUsage`] where the task does not receive on this port; where the handler runs,
-    /// [`TaskError::NotThisType`].
+    /// [`Fault::WrongUsage`] if the task does not receive on this port; when the handler runs, [`TaskError::NotThisType`].
     pub fn on_message<M: Message>(
         &mut self,
         port: PortId,
@@ -25,8 +24,8 @@ impl<S> AsyncContext<S> {
         })
     }
 
-    /// Answers each query or command of this port with what the handler returns. An answer that is too late is none: its
-    /// sender has its outcome (D18).
+    /// Answers each query or command of this port with what the handler returns. An answer that comes too late is dropped: its
+    /// sender has its outcome already.
     ///
     /// # Errors
     /// As [`on_message`](Self::on_message).
@@ -55,13 +54,13 @@ impl<S> AsyncContext<S> {
         Ok(())
     }
 
-    /// What is done when this timer of the task ends (Figure 3).
+    /// Sets what is done when this timer of the task ends (Figure 3).
     pub fn on_timer(&mut self, timer: TimeId, handler: impl Fn(&mut S) -> Result<(), TaskError> + 'static) {
         self.timers.retain(|(of, _)| *of != timer);
         self.timers.push((timer, Rc::new(handler)));
     }
 
-    /// Starts a timer, anew where it runs.
+    /// Starts a timer, or restarts it if it runs.
     ///
     /// # Errors
     /// [`TaskError::NoHandler`]; [`Fault::TooManyTimers`].
@@ -107,7 +106,7 @@ impl<S> AsyncContext<S> {
                 let handler = of_timer.map(|(_, handler)| Rc::clone(handler));
                 handler.map_or(Ok(()), |handler| handler(&mut self.state))
             }
-            // Who must act on either is a task with a thread, or a script; what it sends under the lease is refused.
+            // A task that must act on either has a thread or a script. What this one sends under the lease is refused.
             Call::Fenced | Call::TakeOver(_) => Ok(()),
         };
         if let Err(error) = &done {

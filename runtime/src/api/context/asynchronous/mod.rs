@@ -1,4 +1,4 @@
-//! What a task's program says to its communication task where it is a future (D113).
+//! The calls that a task's program makes to its communication task if the program is a future (D113).
 
 mod asking;
 mod handlers;
@@ -21,33 +21,33 @@ use std::time::Duration;
 type OnMessage<S> = Rc<dyn Fn(&mut AsyncContext<S>, &Delivery) -> Result<(), TaskError>>;
 type OnTimer<S> = Rc<dyn Fn(&mut S) -> Result<(), TaskError>>;
 
-/// The end that a task has of its communication task where its program is a future: see
-/// [`Builder::async_task`](crate::Builder::async_task). What waits is an `async` function, and means what the one of the
-/// same name of [`Context`](crate::Context) means; what never waits is a function.
+/// A task's access to its communication task if its program is a future: see [`Builder::async_task`](crate::Builder::async_task).
+/// Calls that wait are `async` functions, and mean the same as those of [`Context`](crate::Context) with the same name. Calls
+/// that never wait are plain functions.
 ///
-/// # What is dropped
+/// # Dropped futures
 ///
-/// The future of a call that waits may be dropped before it is ready, as `select!` does. Then the wait is cancelled by the
-/// machine's own means ([`Request::Cancel`]):
+/// The future of a call that waits may be dropped before it is ready, as `select!` does. The communication task then cancels the
+/// wait ([`Request::Cancel`]):
 ///
-/// - a `receive` is taken back. A message that had come by then is kept, and the next `receive` that it suits has it, unless
-///   its life has ended;
+/// - a `receive` is taken back. A message that had come by then is kept for the next `receive` that it suits, unless it expires
+///   before that;
 /// - a `delay`, or a wait for the `lease`, is over;
-/// - who leaves a `waitfor` tells the others, as on time_out;
-/// - of a command or a query nobody hears the answer any more: the other task may have acted.
+/// - a task that leaves a `waitfor` tells the others, as on time_out;
+/// - the answer to a command or a query is lost: the other task may have acted.
 ///
 /// # Handlers
 ///
-/// A handler runs where the program waits in a call of this type, as [`order`](Self::order) ranks it, is no future and gets
-/// the state alone (D46). One that must wait belongs to a task with a thread, or to a script. What a handler fails with,
-/// every later call of the program returns.
+/// A handler runs where the program waits in a call of this type, as [`order`](Self::order) ranks it. It is no future, and gets
+/// only the state. A handler that must wait belongs to a task with a thread, or to a script. If a handler fails, every later call
+/// of the program returns its error.
 pub struct AsyncContext<S = ()> {
     /// What the program and its handlers share.
     pub state: S,
     caller: Caller,
     messages: Vec<(PortId, OnMessage<S>)>,
     timers: Vec<(TimeId, OnTimer<S>)>,
-    /// Messages that came for a `receive` that was dropped, and when.
+    /// Messages that came for a dropped `receive`, and when.
     kept: Vec<(Delivery, Micros)>,
 }
 
@@ -85,7 +85,7 @@ impl<S> AsyncContext<S> {
         self.caller.named(name)
     }
 
-    /// Sends to all tasks at the other end of the port (R39). Class 1 is ready at once; class 2 waits for the answers.
+    /// Sends to all tasks at the other end of the port. Class 1 is ready at once; class 2 waits for the answers.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -93,7 +93,7 @@ impl<S> AsyncContext<S> {
         self.send_with(port, Target::All, contents, None).await
     }
 
-    /// Sends to one of the tasks at the other end of the port (R43).
+    /// Sends to one of the tasks at the other end of the port.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -101,7 +101,7 @@ impl<S> AsyncContext<S> {
         self.send_with(port, Target::One(to), contents, None).await
     }
 
-    /// Sends with another life than the port's time_out.
+    /// Sends with another TTL than the port's time_out.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -123,8 +123,8 @@ impl<S> AsyncContext<S> {
         }
     }
 
-    /// Waits for the most urgent message of a port, or, without a port, of all the task's ports (R68). `None` says that
-    /// the time_out ended first; without one it waits without end.
+    /// Waits for the most urgent message of a port or, without a port, of all the task's ports. `None` says that the time_out
+    /// ended first; without a time_out the wait has no end.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -136,7 +136,7 @@ impl<S> AsyncContext<S> {
         self.get(port, None, time_out).await
     }
 
-    /// As [`receive`](Self::receive), from one source alone.
+    /// As [`receive`](Self::receive), from one source only.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -149,7 +149,7 @@ impl<S> AsyncContext<S> {
         self.get(port, Some(source), time_out).await
     }
 
-    /// Takes the most urgent message if there is one. Waits for nothing but the handlers whose turn it is.
+    /// Takes the most urgent message if there is one. Only handlers that are due run before that.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -157,8 +157,8 @@ impl<S> AsyncContext<S> {
         self.get(port, None, Some(Duration::ZERO)).await
     }
 
-    /// What is sent by this work leaves together: see [`Context::together`](crate::Context::together). The work is no
-    /// future: what it asks is not waited for.
+    /// What `work` sends leaves together: see [`Context::together`](crate::Context::together). `work` is no future, so it cannot
+    /// wait for what it asks.
     pub fn together<R>(&mut self, work: impl FnOnce(&mut Self) -> R) -> R {
         let before = self.caller.hold(true);
         let done = work(self);
@@ -169,7 +169,7 @@ impl<S> AsyncContext<S> {
     /// Answers a received class-2 message.
     ///
     /// # Errors
-    /// `Fault::Late` where the sender is beyond waiting: it will not hear this answer.
+    /// `Fault::Late` if the sender no longer waits: it will not hear this answer.
     pub fn reply(&mut self, to: &ReplyTo, contents: &[u8]) -> Result<(), TaskError> {
         let packets = self.caller.node.table.port(to.port).map_or(1, |port| port.decl.answer_fragments);
         let contents = self.staged(to.port, contents, packets)?;
@@ -184,7 +184,7 @@ impl<S> AsyncContext<S> {
         self.waitfor_with(port, [0; 8], None).await
     }
 
-    /// As [`waitfor`](Self::waitfor), telling the others something, or with a shorter time_out than the port's.
+    /// As [`waitfor`](Self::waitfor), with arguments for the others, or with a shorter time_out than the port's.
     ///
     /// # Errors
     /// [`TaskError`].
@@ -211,7 +211,7 @@ impl<S> AsyncContext<S> {
         self.at_once(Request::Order(order)).map(|_| ())
     }
 
-    /// Lets time pass (§5.1.2): at least `length`.
+    /// Waits for at least `length` (§5.1.2).
     ///
     /// # Errors
     /// [`TaskError::Stopped`].
@@ -223,10 +223,10 @@ impl<S> AsyncContext<S> {
         }
     }
 
-    /// Waits until the task holds the lease of its couple (D61). Returns the epoch that it acts under.
+    /// Waits until the task holds the lease of its couple. Returns the epoch under which it acts.
     ///
     /// # Errors
-    /// [`WrongUsage`](imrs_protocol::Fault::WrongUsage) where the task is the primary of no couple.
+    /// [`WrongUsage`](imrs_protocol::Fault::WrongUsage) if the task is not the primary of a couple.
     pub async fn lease(&mut self) -> Result<u8, TaskError> {
         match self.ask(Request::Lease).await?.0 {
             Signal::Granted(epoch) => Ok(epoch),
@@ -234,7 +234,7 @@ impl<S> AsyncContext<S> {
         }
     }
 
-    /// What the answers to the partner's beats carry from here on: at most 8 bytes (D61).
+    /// Sets what the answers to the partner's heartbeats carry from here on: at most 8 bytes.
     ///
     /// # Errors
     /// [`TaskError::TooLong`].
@@ -244,13 +244,13 @@ impl<S> AsyncContext<S> {
         self.at_once(Request::Publish(contents)).map(|_| ())
     }
 
-    /// What the partner's last answer to a beat carried (D61); `None` before the first one.
+    /// What the partner's last answer to a heartbeat carried; `None` before the first one.
     #[must_use]
     pub fn published(&mut self) -> Option<Contents> {
         self.caller.look(|comm| comm.machine().partner_published().copied())
     }
 
-    /// Lets the handlers have their turn whose messages wait, between two statements (D15).
+    /// A statement boundary: runs the handlers that are due.
     ///
     /// # Errors
     /// [`TaskError`], of the handlers too.
@@ -262,7 +262,7 @@ impl<S> AsyncContext<S> {
         }
     }
 
-    /// No handler interrupts what is done here, though it waits (D15). A section that is dropped is over.
+    /// Runs a section that no handler interrupts, even while it waits. Dropping the section's future ends it.
     ///
     /// # Errors
     /// [`TaskError`], of the section too.
@@ -308,7 +308,7 @@ impl<S> AsyncContext<S> {
         }
     }
 
-    /// A message that came for a call that was dropped, and still lives.
+    /// A message that came for a dropped call and has not expired.
     fn kept(&mut self, port: Option<PortId>, source: Option<TaskId>) -> Option<Delivery> {
         let suits = |delivery: &Delivery| {
             port.is_none_or(|port| port == delivery.from.port)
@@ -324,13 +324,13 @@ impl<S> AsyncContext<S> {
         None
     }
 
-    /// The message as it is so long after its communication task gave it: nothing old is handed over.
+    /// The message with its remaining time, `waited` after its communication task gave it out; `None` if it has expired.
     fn in_hand(&mut self, message: Delivery, waited: Ticks) -> Option<Delivery> {
         self.caller.taken = Some(message.from);
         self.still_alive(message, waited)
     }
 
-    /// The same of one that was taken before: fragments of another one may stand in its place by now.
+    /// As [`in_hand`](Self::in_hand), for a message taken earlier: the fragments kept by now may be another message's.
     fn still_alive(&mut self, message: Delivery, waited: Ticks) -> Option<Delivery> {
         if message.budget > waited {
             return Some(Delivery { budget: message.budget - waited, ..message });
@@ -343,7 +343,7 @@ impl<S> AsyncContext<S> {
         Asking::new(self, request)
     }
 
-    /// What is answered without waiting. Returns how many copies were accepted, where copies are sent.
+    /// Makes a request that is answered without waiting. Returns how many copies were accepted, if it sends copies.
     fn at_once(&mut self, request: Request) -> Result<u16, TaskError> {
         match self.caller.call_now(Some(request))? {
             Some((Signal::Accepted(copies), _)) => Ok(copies),
@@ -352,7 +352,7 @@ impl<S> AsyncContext<S> {
         }
     }
 
-    /// Notes all of a message but its first packet, which is returned (D28).
+    /// Hands all fragments of a message but the first to the communication task, and returns the first (D28).
     fn staged(&mut self, port: PortId, bytes: &[u8], packets: u8) -> Result<Contents, TaskError> {
         let too_long = || TaskError::TooLong(bytes.len());
         if bytes.len() > PACKET * usize::from(packets.max(1)) {
@@ -366,7 +366,7 @@ impl<S> AsyncContext<S> {
         Contents::new(first).ok_or_else(too_long)
     }
 
-    /// Cancels the wait. Handlers whose turn it was have had it; a message that was there is kept.
+    /// Cancels the wait. Handlers that are due run first; a message that has come is kept.
     fn withdraw(&mut self) {
         let mut next = Request::Cancel;
         loop {
@@ -388,13 +388,13 @@ impl<S> AsyncContext<S> {
     }
 }
 
-/// An atomic section that is open. Dropping it closes it.
+/// An open atomic section. Dropping it closes it.
 struct Section<'a, S>(&'a mut AsyncContext<S>);
 
 impl<S> Drop for Section<'_, S> {
     fn drop(&mut self) {
         self.0.caller.atomic = false;
-        // Refused only where the task is at its end, and then nothing interrupts it any more.
+        // Refused only if the task is at its end; then nothing interrupts it any more.
         let _ = self.0.at_once(Request::Atomic(false));
     }
 }

@@ -1,4 +1,4 @@
-//! Messages of known types, asked and awaited by a future.
+//! Calls with typed messages, awaited by a future.
 
 use super::AsyncContext;
 use crate::api::context::outcome::{Asked, Received, Sent, TaskError};
@@ -20,11 +20,11 @@ impl<S> AsyncContext<S> {
         self.at_once(Request::Send { port, to: Target::All, contents, time_out: None })
     }
 
-    /// Asks the task at the other end of a port: a query, or a command where the port's usage is `send` and its class 2.
+    /// Asks the task at the other end of a port: a query, or a command if the port's usage is `send` and its class is 2.
     /// Waits for the answer, at most for the port's time_out.
     ///
     /// # Errors
-    /// [`TaskError`]; [`TaskError::NotThisType`] where the answer is none of `R`.
+    /// [`TaskError`]; [`TaskError::NotThisType`] if the answer is no `R`.
     pub async fn query<M: Message, R: Message>(
         &mut self,
         port: PortId,
@@ -33,7 +33,7 @@ impl<S> AsyncContext<S> {
         self.query_with(port, Target::All, question, None).await
     }
 
-    /// As [`query`](Self::query), of one of several tasks at the other end, or with a shorter life than the port's.
+    /// As [`query`](Self::query), to one of several tasks at the other end, or with a shorter TTL than the port's.
     ///
     /// # Errors
     /// As [`query`](Self::query).
@@ -54,8 +54,8 @@ impl<S> AsyncContext<S> {
         }
     }
 
-    /// Asks several tasks at once (R26, R40), and tells for each how that ended. Waits until all have answered or refused,
-    /// at most for the port's time_out.
+    /// Asks several tasks at once, and calls `each` with the outcome of every asked task. Waits until all have answered or
+    /// refused, at most for the port's time_out.
     ///
     /// # Errors
     /// As [`query`](Self::query).
@@ -83,7 +83,7 @@ impl<S> AsyncContext<S> {
     /// Waits for the most urgent message of a port and reads it. `None` says that the time_out ended first.
     ///
     /// # Errors
-    /// [`TaskError`]; [`TaskError::NotThisType`]: the message is gone then.
+    /// [`TaskError`]; [`TaskError::NotThisType`]: the message is lost then.
     pub async fn take<M: Message>(
         &mut self,
         port: PortId,
@@ -94,10 +94,10 @@ impl<S> AsyncContext<S> {
         Ok(Some(Received { message, from: delivery.from, budget: delivery.budget }))
     }
 
-    /// Reads the message that was taken last, with all its fragments (D28).
+    /// Reads the message that was taken last, with all its fragments.
     ///
     /// # Errors
-    /// [`TaskError::NotThisType`]; [`TaskError::Gone`] where a longer one is read after another was taken.
+    /// [`TaskError::NotThisType`]; [`TaskError::Gone`] if a message of several packets is read after another was taken.
     pub fn read<M: Message>(&mut self, delivery: &Delivery) -> Result<M, TaskError> {
         decoded(&self.caller.whole(delivery)?)
     }
