@@ -1,4 +1,4 @@
-//! What is on the screen, as a value; everything that happens is a [`Msg`] that [`App::update`] reduces.
+//! The state of the screen as a value. Every event is a [`Msg`], which [`App::update`] reduces.
 
 mod command;
 pub mod lanes;
@@ -27,77 +27,77 @@ use imrs_wire::obs::Token;
 use lanes::Lanes;
 use std::time::Duration;
 
-/// Of more ports than this only the queues that are looked at are asked for.
+/// With more ports than this, the app subscribes only to the queues that are on the screen.
 const MANY: usize = 2_000;
 
-/// Something that happened to the monitor.
+/// An event for the app.
 #[derive(Clone, Debug)]
 pub enum Msg {
-    /// A source said something.
+    /// A source delivered something.
     Feed(Arrival),
     /// A key was pressed.
     Key(KeyEvent),
-    /// The mouse did something.
+    /// A mouse event.
     Mouse(MouseEvent),
-    /// The main loop has something to tell the user, at the foot.
+    /// The main loop shows this text on the bottom line.
     Told(String),
-    /// The screen is now so many columns and rows.
+    /// The new size of the screen, in columns and rows.
     Resize(u16, u16),
-    /// Time has passed: a recording that plays moves on.
+    /// Time has passed; a playing recording advances.
     Time,
 }
 
-/// What the main loop has to do after a message.
+/// What the main loop must do after a message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Effect {
-    /// Nothing: the screen is as it was.
+    /// Nothing: the screen is unchanged.
     Nothing,
-    /// Draw.
+    /// Draw a frame.
     Draw,
-    /// Begin a recording, or end it.
+    /// Start a recording, or end it.
     Record,
-    /// Write the screen as text into a file.
+    /// Write the screen as text to a file.
     Write,
-    /// Give this to the terminal's clipboard.
+    /// Copy this text to the terminal's clipboard.
     Copy(String),
     /// Attach to this node too.
     Connect(Endpoint),
-    /// Give the terminal back until the user returns.
+    /// Release the terminal until the user returns.
     Suspend,
-    /// End.
+    /// End the monitor.
     Quit,
 }
 
 /// One end of a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PortEnd {
-    /// At this node.
+    /// The incarnation of the node.
     pub life: LifeId,
-    /// At this task.
+    /// The task.
     pub task: TaskId,
-    /// This port.
+    /// The port.
     pub port: PortId,
 }
 
-/// All that the screen depends on, besides the moment.
+/// Everything that the screen depends on, except the time.
 #[derive(Clone, Debug)]
 pub struct App {
     live: Store,
-    /// While paused: the store as it was, and when.
+    /// While paused: the store at the pause, and the moment of the pause.
     frozen: Option<(Box<Store>, Moment)>,
-    /// What came in lately.
+    /// Recent arrivals.
     history: History,
-    /// While paused and gone back: where in it.
+    /// While paused and moved back in the history: the position in it.
     back: Option<Box<Player>>,
     /// The recording shown instead of running nodes.
     replay: Option<Box<Player>>,
-    /// Where what comes in is recorded to.
+    /// The file that the arrivals are recorded to.
     pub recording: Option<String>,
     /// The screen shown.
     pub screen: Screen,
     /// The screen that `Esc` returns to.
     before: Screen,
-    /// How it looks.
+    /// The theme.
     pub theme: Theme,
     cell: Option<Name>,
     only: Option<String>,
@@ -107,34 +107,34 @@ pub struct App {
     port: Option<PortEnd>,
     /// The first line shown on the screens that only scroll.
     pub scroll: usize,
-    /// While not following: the number of the last event shown.
+    /// The number of the last event shown, if the event screen does not follow.
     pub held: Option<u64>,
-    /// Whether the ordinary course of events is shown too.
+    /// Whether routine events are shown too.
     pub everything: bool,
     /// Whether keys go into the filter.
     pub typing: bool,
     /// The command that is typed.
     pub command: Option<String>,
-    /// What was last told at the foot; the next key takes it away.
+    /// The text on the bottom line; the next key removes it.
     pub told: Option<String>,
-    /// The message whose life is shown.
+    /// The message whose history is shown.
     message: Option<MessageKey>,
-    /// The screen that it was chosen on.
+    /// The screen on which that message was selected.
     chosen_on: Screen,
-    /// The selected message of the queue shown: it stays selected while others come and go.
+    /// The selected message of the shown queue. It stays selected while other messages come and go.
     entry: Option<(TaskId, MessageId)>,
     lanes: Lanes,
-    /// What the user marked, to compare with.
+    /// The user's mark: moment and store to compare with.
     mark: Option<Box<(Moment, Store)>>,
-    /// Whether counters are shown since the mark.
+    /// Whether counters are shown relative to the mark.
     pub since_mark: bool,
-    /// Whether only what is in a wait-for cycle is shown of who waits for whom.
+    /// Whether the wait-for screen shows only cycles.
     pub only_cycles: bool,
-    /// What nodes that ask for it are shown.
+    /// The token for nodes that require one.
     pub token: Option<Token>,
     /// Whether the mouse is used.
     pub mouse: bool,
-    /// Whether countdowns are drawn once a second only.
+    /// Whether countdowns are redrawn only once a second.
     pub reduced_motion: bool,
     size: (u16, u16),
 }
@@ -197,19 +197,19 @@ impl App {
         self.replay.as_deref()
     }
 
-    /// The place in the present run that is shown, while the screen stands still and the user has gone back.
+    /// The position in the history, while the screen is paused and the user has moved back.
     #[must_use]
     pub fn gone_back(&self) -> Option<&Player> {
         self.back.as_deref()
     }
 
-    /// What came in lately.
+    /// The history of recent arrivals.
     #[must_use]
     pub const fn history(&self) -> &History {
         &self.history
     }
 
-    /// What the screen needs of the nodes.
+    /// The subscription that the screen needs.
     #[must_use]
     pub fn want(&self) -> Wanted {
         let end = if self.screen == Screen::Port { self.port(&self.queues()) } else { None };
@@ -225,7 +225,7 @@ impl App {
         }
     }
 
-    /// What is shown: the present, what was when the user paused, or a place in a recording.
+    /// The store that is shown: the live one, the one at the pause, or a position in a recording.
     #[must_use]
     pub fn store(&self) -> &Store {
         if let Some(player) = self.replay.as_ref().or(self.back.as_ref()) {
@@ -234,7 +234,7 @@ impl App {
         self.frozen.as_ref().map_or(&self.live, |(store, _)| store)
     }
 
-    /// The present, also while paused.
+    /// The live store, also while paused.
     #[must_use]
     pub const fn live(&self) -> &Store {
         &self.live
@@ -249,13 +249,13 @@ impl App {
         self.frozen.as_ref().map_or(now, |(_, at)| *at)
     }
 
-    /// Since when the screen has stood still.
+    /// The moment of the pause, if the screen is paused.
     #[must_use]
     pub fn paused(&self) -> Option<Moment> {
         self.frozen.as_ref().map(|(_, at)| *at)
     }
 
-    /// The cell shown: the chosen one while it exists, or else the first.
+    /// The shown cell: the selected one while it exists, otherwise the first.
     #[must_use]
     pub fn cell(&self) -> Option<Name> {
         let cells = self.cells();
@@ -270,7 +270,7 @@ impl App {
         cells
     }
 
-    /// How soon the screen must be drawn again though nothing comes in, because a countdown is on it.
+    /// How soon the screen must be redrawn without a message, because it shows a countdown.
     #[must_use]
     pub fn redraw_after(&self) -> Option<Duration> {
         if let Some(player) = &self.replay {
@@ -283,13 +283,13 @@ impl App {
         Some(Duration::from_millis(if attached && !self.reduced_motion { 100 } else { 1000 }))
     }
 
-    /// Takes a message over.
+    /// Applies a message to the state.
     pub fn update(&mut self, msg: Msg, now: Moment) -> Effect {
         match msg {
             Msg::Feed(arrival) => {
                 self.history.take(&arrival, &self.live);
                 self.live.apply(arrival);
-                // With reduced motion the screen changes with the countdowns, not with every word of a node.
+                // With reduced motion the screen is redrawn with the countdowns, not with every frame of a node.
                 if self.frozen.is_some() || self.reduced_motion { Effect::Nothing } else { Effect::Draw }
             }
             Msg::Told(text) => {

@@ -1,4 +1,4 @@
-//! Time as the monitor sees it: since it started. Everything but the main loop gets it as an argument.
+//! The monitor's clock: the time since its start. Only the main loop reads it; everything else gets the time as an argument.
 
 use std::fmt;
 use std::time::{Duration, Instant};
@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 /// An instant on the monitor's own clock: the time since it started.
 pub type Moment = Duration;
 
-/// Where moments come from: the system's monotonic clock.
+/// The source of moments: the system's monotonic clock.
 #[derive(Clone, Copy, Debug)]
 pub struct Clock {
     start: Instant,
@@ -36,7 +36,7 @@ pub(crate) fn micros(length: Duration) -> u64 {
 pub struct Span(pub Duration);
 
 impl Span {
-    /// So many microseconds.
+    /// A span of this many microseconds.
     #[must_use]
     pub const fn micros(us: u64) -> Self {
         Self(Duration::from_micros(us))

@@ -1,4 +1,4 @@
-//! What the user wants every time: `$XDG_CONFIG_HOME/imrs/monitor.toml`. What the command line says goes first.
+//! The user's configuration file, `$XDG_CONFIG_HOME/imrs/monitor.toml`. Options on the command line take precedence.
 
 use crate::options::Endpoint;
 use crate::query::Filter;
@@ -10,29 +10,29 @@ use std::io;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
-/// The file as it is where there is none: every key with what it means, none of them set.
+/// An example file: every key with its meaning, commented out.
 pub const EXAMPLE: &str = include_str!("config.toml");
 
-/// A longer file is none of this kind.
+/// Longest accepted file, in bytes.
 const LONGEST: u64 = 1 << 20;
 
-/// The file, read. Keys that it does not know are errors: a slip should not be silent.
+/// The contents of the file. An unknown key is an error, so that a typing error is noticed.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
-    /// How it looks: `colour`, `light`, `contrast`, `mono`, `ascii`, `colour-ascii`. Without: what the terminal can do.
+    /// The theme: `colour`, `light`, `contrast`, `mono`, `ascii`, `colour-ascii`. Default: by the abilities of the terminal.
     pub theme: Option<String>,
-    /// Whether clicks and the wheel act; without them the terminal's own selection works.
+    /// Whether the mouse is used. Without it the terminal's own selection works.
     pub mouse: Option<bool>,
-    /// Whether only countdowns move, once a second.
+    /// Whether the screen is redrawn only once a second, and after input.
     pub reduced_motion: Option<bool>,
-    /// The nodes to attach to: `unix:PATH` or `tcp:HOST:PORT`. Without: all on this machine.
+    /// The nodes to attach to: `unix:PATH` or `tcp:HOST:PORT`. Default: all on this machine.
     pub connect: Vec<String>,
-    /// The file with the token for nodes that ask for one.
+    /// The file with the token for nodes that require one.
     pub token: Option<PathBuf>,
-    /// The cell to show, where there are several.
+    /// The cell to show if there are several.
     pub cell: Option<String>,
-    /// The filter to begin with, as behind `/`.
+    /// The initial filter, as typed after `/`.
     pub filter: Option<String>,
 }
 
@@ -47,21 +47,21 @@ pub enum ConfigError {
         /// Why.
         source: FileError,
     },
-    /// It is not what it should be.
+    /// Its contents are wrong.
     #[error("{path}: {what}")]
     Wrong {
         /// The file.
         path: PathBuf,
-        /// Where and why.
+        /// The place and the reason.
         what: String,
     },
 }
 
 impl Config {
-    /// Reads the file that `named` names, or else the user's, if there is one. `var` tells of the environment.
+    /// Reads the file `named`, or otherwise the user's file if it exists. `var` returns environment variables.
     ///
     /// # Errors
-    /// [`ConfigError`]; that there is no file is one only where it was named.
+    /// [`ConfigError`]. A missing file is an error only if it was named.
     pub fn load(named: Option<&Path>, var: impl Fn(&str) -> Option<String>) -> Result<Self, ConfigError> {
         let Some(path) = named.map(Path::to_owned).or_else(|| place(var)) else { return Ok(Self::default()) };
         match files::text(&path, LONGEST) {
@@ -76,7 +76,7 @@ impl Config {
     /// Reads the text of the file.
     ///
     /// # Errors
-    /// Where and why it is wrong.
+    /// The place and the reason of an error.
     pub fn parse(text: &str) -> Result<Self, String> {
         let config: Self = toml::from_str(text).map_err(|error| error.to_string().trim_end().to_owned())?;
         if let Some(theme) = &config.theme
@@ -110,7 +110,7 @@ impl Config {
     }
 }
 
-/// Where the user's file is, if there is such a place.
+/// The path of the user's file, if the environment names a folder for it.
 #[must_use]
 pub fn place(var: impl Fn(&str) -> Option<String>) -> Option<PathBuf> {
     let set = |name: &str| var(name).filter(|value| !value.is_empty()).map(PathBuf::from);
@@ -125,7 +125,7 @@ mod tests {
     #[test]
     fn every_key_stands_in_the_example_and_in_the_schema() {
         assert_eq!(Config::parse(EXAMPLE), Ok(Config::default()));
-        // Each key is written out behind a `#`, with a value that is taken.
+        // Each key is commented out with a valid value.
         let set: String = EXAMPLE
             .lines()
             .filter_map(|line| line.strip_prefix('#'))

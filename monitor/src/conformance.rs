@@ -1,35 +1,35 @@
-//! Whether a node does what the verified machine does (D63), as the validator says it.
+//! The validator's verdict: whether a node behaves like the verified state machine (D63).
 
-/// What is known of a node's conformance.
+/// The verdict on a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// Nothing: it does not record, or a part of its recording is missing.
+    /// Not known: the node does not record, or a part of its recording is missing.
     Unknown {
         /// Why.
         why: String,
     },
-    /// Every step so far was what the machine does.
+    /// Every step so far conforms to the state machine.
     Conforms,
-    /// A step was not.
+    /// A step does not conform.
     Violates {
-        /// Which, counted from zero.
+        /// The step, counted from zero.
         step: u64,
-        /// What differed.
+        /// The difference.
         what: String,
     },
 }
 
-/// The conformance of one life of a node.
+/// The conformance of one incarnation of a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Conformance {
-    /// What the validator says.
+    /// The validator's verdict.
     pub verdict: Verdict,
-    /// How many steps it has judged.
+    /// How many steps the validator has checked.
     pub steps: u64,
 }
 
 impl Conformance {
-    /// Nothing is known, because of `why`.
+    /// A verdict of unknown, with its reason.
     #[must_use]
     pub fn unknown(why: &str) -> Self {
         Self { verdict: Verdict::Unknown { why: why.into() }, steps: 0 }

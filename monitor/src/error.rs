@@ -1,19 +1,19 @@
-//! Why the monitor could not do its work.
+//! The errors with which the monitor ends.
 
 use imrs_wire::obs::place::PlaceError;
 use std::io;
 use std::path::PathBuf;
 use thiserror::Error;
 
-/// Why the monitor could not do its work.
+/// An error with which the monitor ends.
 #[derive(Debug, Error)]
 pub enum MonitorError {
     /// No node was found, or none of the named ones answered.
     #[error("no running node found{}", reasons(.looked, .failed))]
     NothingFound {
-        /// The folder that was looked through, unless endpoints were named.
+        /// The folder that was searched, unless endpoints were named.
         looked: Option<PathBuf>,
-        /// What went wrong where something was tried.
+        /// The failed attempts.
         failed: Vec<String>,
     },
     /// Nodes run, but of other cells.
@@ -27,7 +27,7 @@ pub enum MonitorError {
     /// The folder of the sockets cannot be read.
     #[error(transparent)]
     Place(#[from] PlaceError),
-    /// A recording cannot be shown, or not be written.
+    /// A recording cannot be read or written.
     #[error("{}: {why}", crate::name::shown_line(&.path.display().to_string()))]
     Recording {
         /// The file.
@@ -38,10 +38,10 @@ pub enum MonitorError {
     /// The terminal failed, or standard output did.
     #[error("the terminal failed: {0}")]
     Terminal(#[source] io::Error),
-    /// The process cannot be told of signals.
+    /// The signal handlers cannot be installed.
     #[error("cannot handle signals: {0}")]
     Signals(#[source] io::Error),
-    /// A thread of the monitor ended by a fault of the monitor itself.
+    /// An internal fault, such as a panic in a thread of the monitor.
     #[error("an internal fault ended the monitor")]
     Internal,
 }

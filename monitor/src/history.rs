@@ -1,8 +1,8 @@
-//! The last minutes of what came in, kept in memory: while the screen stands still, one can go back in the present run as
-//! in a recording.
+//! The recent arrivals in memory. While the screen is paused, the user can move back in the present run as in a
+//! recording.
 //!
-//! It is kept in reels of half a minute. Each begins with where everything stood, so the oldest can be dropped at any
-//! time: the memory that this takes has a bound, whatever comes in.
+//! Arrivals are kept in segments (reels) of half a minute. Each segment begins with the state of all nodes, so the
+//! oldest one can be dropped at any time. So the memory is bounded, whatever arrives.
 
 use crate::clock::Moment;
 use crate::replay::{Film, Reel, is_odd};
@@ -14,31 +14,31 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// How long anything is kept.
+/// How long arrivals are kept.
 pub const LENGTH: Duration = Duration::from_secs(600);
-/// How much memory it takes at most, in bytes; a busy system is kept for as long as that lasts.
+/// The memory limit, in bytes. Of a busy cell the history is shorter.
 pub const BUDGET: usize = 46 << 20;
-/// How long a reel is.
+/// The length of a segment.
 const REEL: Duration = Duration::from_secs(30);
-/// How many lives of nodes are remembered, the gone ones included.
+/// How many incarnations of nodes are remembered, ended ones included.
 const LIVES: usize = 256;
 
-/// What came in lately.
+/// The recent arrivals.
 #[derive(Clone, Debug, Default)]
 pub struct History {
     closed: VecDeque<Piece>,
     open: Piece,
-    /// Who was ever attached, in the order of their births: so they are born again in this order.
+    /// All incarnations ever attached, in the order of attachment: a replay attaches them in the same order.
     known: Vec<Known>,
-    /// Memory of the closed pieces, in bytes.
+    /// The memory of the closed segments, in bytes.
     weight: usize,
 }
 
 #[derive(Clone, Debug, Default)]
 struct Piece {
-    /// Where everything stood.
+    /// The state of all nodes at its start.
     opening: Arc<Reel>,
-    /// What came then.
+    /// The arrivals after that.
     reel: Arc<Reel>,
     last: Moment,
 }
@@ -49,7 +49,7 @@ impl Piece {
     }
 }
 
-/// A life of a node.
+/// An incarnation of a node.
 #[derive(Clone, Debug)]
 struct Known {
     source: SourceId,
@@ -61,7 +61,7 @@ struct Known {
 }
 
 impl History {
-    /// Takes note of what a source said. `before` is what was known until then.
+    /// Adds what a source delivered. `before` is the store before that.
     pub fn take(&mut self, arrival: &Arrival, before: &Store) {
         let Arrival { at, source, feed } = arrival;
         let Ok(number) = u16::try_from(source.0) else { return };
@@ -91,14 +91,14 @@ impl History {
         };
         self.open.last = *at;
         Arc::make_mut(&mut self.open.reel).put(*at, number, odd, &bytes);
-        // A reel of a very busy system ends early, so that what is dropped is a small part of all.
+        // Close a large segment early, so that dropping one loses a small part.
         if self.open.reel.weight() >= BUDGET / 16 {
             self.close();
         }
         self.forget(*at);
     }
 
-    /// What is kept, to look at; `None` before anything came.
+    /// The history as a film; `None` if nothing has arrived.
     #[must_use]
     pub fn film(&self) -> Option<Film> {
         let open = Some(&self.open).filter(|open| open.reel.began().is_some());
@@ -109,7 +109,7 @@ impl History {
         Some(Film::of(cell, Arc::clone(&first.opening), reels))
     }
 
-    /// How much memory it takes, in bytes.
+    /// The memory that it takes, in bytes.
     #[must_use]
     pub fn weight(&self) -> usize {
         self.weight + self.open.weight()
@@ -139,12 +139,12 @@ impl History {
         bytes
     }
 
-    /// The life that a source is attached to.
+    /// The incarnation to which a source is attached.
     fn present(&mut self, source: SourceId) -> Option<&mut Known> {
         self.known.iter_mut().rfind(|known| known.source == source)
     }
 
-    /// Begins a reel.
+    /// Starts a segment.
     fn turn(&mut self, at: Moment, before: &Store) {
         self.close();
         let mut opening = Reel::default();
@@ -187,7 +187,7 @@ impl History {
     }
 }
 
-/// Where a node stood.
+/// The last state of a node, as a whole delta.
 fn state_of(known: &Known, store: &Store) -> Option<Delta> {
     let id = &known.identity;
     let same = |life: &&Life| {

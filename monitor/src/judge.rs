@@ -1,5 +1,5 @@
-//! Whether running nodes do what was verified: the recordings that they write of their inputs are run again, by a validator
-//! that the command brings along. The monitor itself has no machine to run.
+//! Checks whether running nodes behave as verified. A validator, which the command provides, replays the recordings
+//! that nodes write of their inputs. The monitor itself contains no state machine.
 
 use crate::source::{Feed, Sink, SourceId};
 use crate::store::conformance::Conformance;
@@ -12,62 +12,62 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::Duration;
 
-/// Recordings are looked at no more often than this, unless there is more than one look takes in.
+/// The pause between two passes over the recordings, unless a pass did not reach the end of one.
 const PAUSE: Duration = Duration::from_millis(500);
-/// More recordings than a cell has nodes are not judged.
+/// The most recordings that are judged.
 const RECORDINGS: usize = 64;
 
-/// What was found in a recording.
+/// The result for one recording.
 #[derive(Clone, Debug)]
 pub struct Judgement {
     /// The name of the cell.
     pub cell: String,
     /// The node.
     pub node: String,
-    /// Which of its lives.
+    /// The node's incarnation.
     pub incarnation: u8,
-    /// What was found.
+    /// The verdict.
     pub said: Conformance,
-    /// Whether more has been written than was looked at.
+    /// Whether the recording has records that this pass did not reach.
     pub behind: bool,
 }
 
-/// Runs recordings again.
+/// A validator: replays recordings and compares them with the state machine.
 pub trait Judge: Send + Sync + fmt::Debug {
-    /// Begins: what it remembers of recordings from one look to the next is the sitting's.
+    /// Starts a session, which keeps the state between two passes over the recordings.
     fn sit(&self) -> Box<dyn Sitting + '_>;
 }
 
-/// Recordings that are followed.
+/// A session that follows recordings while they grow.
 pub trait Sitting {
-    /// What is in a recording, with what was written since the last look at it; none where it says of no node what it is.
-    /// A look takes less than a second; another one goes on.
+    /// Judges a recording, continuing after the last call. Returns `None` if the recording does not name its node. A
+    /// call takes less than a second; the next one continues.
     fn look(&mut self, recording: &Path) -> Option<Judgement>;
 }
 
-/// Judges the recordings that nodes tell of, in a thread of its own.
+/// The conformance worker: judges, in its own thread, the recordings that nodes announce.
 #[derive(Clone)]
 pub(crate) struct Court {
     told: Arc<Mutex<BTreeSet<PathBuf>>>,
-    /// Dropped with the last clone: the thread ends.
+    /// Dropped with the last clone, which ends the thread.
     _open: Option<SyncSender<()>>,
 }
 
 impl Court {
-    /// Delivers what `judge` finds to `sink`. Without a judge nothing is ever judged.
+    /// Starts the worker, which delivers its results to `sink`. Without a judge it does nothing.
     pub fn open(judge: Option<Arc<dyn Judge>>, sink: Sink) -> Self {
         let told = Arc::new(Mutex::new(BTreeSet::new()));
         let open = judge.and_then(|judge| {
             let (open, ended) = sync_channel(0);
             let recordings = Arc::clone(&told);
             let sit = move || sit(judge.as_ref(), &recordings, &sink, &ended);
-            // Without a thread to give nothing is judged, and the screen says so.
+            // If no thread can be started, nothing is judged, and the screen says so.
             thread::Builder::new().name("imrs-judge".into()).spawn(sit).ok().map(|_| open)
         });
         Self { told, _open: open }
     }
 
-    /// Takes note of where a node records.
+    /// Notes the path of the recording that a node announces.
     pub fn hear(&self, feed: &Feed) {
         let Feed::Frame(frame) = feed else { return };
         let ServerFrame::Vitals(vitals) = &**frame else { return };
@@ -93,7 +93,7 @@ fn sit(judge: &dyn Judge, told: &Mutex<BTreeSet<PathBuf>>, sink: &Sink, ended: &
                 pause = Duration::ZERO;
             }
             let feed = Feed::Judged { cell, node, incarnation, said: Box::new(said) };
-            // From nobody: it names the node that it is about.
+            // No source sends this, because the result itself names its node.
             if !sink.deliver(SourceId(u32::MAX), feed) {
                 return;
             }

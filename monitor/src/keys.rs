@@ -1,9 +1,9 @@
-//! The keys, in one table: what acts on them and what the help shows can never differ.
+//! The key bindings, in one table: input handling and help use the same entries, so they cannot differ.
 
 use crate::screen::Screen;
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 
-/// What a key does.
+/// The action of a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Action {
     /// Shows a screen.
@@ -18,69 +18,69 @@ pub enum Action {
     PageDown,
     /// To the first row.
     First,
-    /// To the last row, and on with it.
+    /// To the last row, and follow it.
     Last,
     /// Hides the children, or goes to the parent; to the previous port.
     Left,
     /// Shows the children; to the next port.
     Right,
-    /// Goes in.
+    /// Opens the selected row.
     Enter,
     /// Goes back, clears the filter.
     Back,
-    /// Begins to type a filter.
+    /// Opens the filter input.
     Filter,
-    /// The next order of rows.
+    /// The next sort order of rows.
     Sort,
-    /// The other way round.
+    /// Inverts the sort order.
     Invert,
-    /// Stops or goes on showing what comes in.
+    /// Pauses or resumes the screen.
     Pause,
-    /// Shows the ordinary course of events too.
+    /// Shows routine events too.
     Everything,
-    /// The next line that reports something bad.
+    /// The next critical event.
     NextError,
-    /// The one before.
+    /// The previous critical event.
     PreviousError,
     /// The beginning of a recording; elsewhere the first row.
     Oldest,
     /// The end of a recording; elsewhere the last row.
     Newest,
-    /// The stop of a recording before this one.
+    /// The previous stop of a recording.
     StepBack,
     /// The next stop of a recording.
     StepOn,
-    /// The stop before this one at which something went wrong.
+    /// The previous stop with an anomaly.
     PreviousAnomaly,
-    /// The next stop at which something went wrong.
+    /// The next stop with an anomaly.
     NextAnomaly,
-    /// Begins or ends a recording of what comes in.
+    /// Starts or ends a recording.
     Record,
-    /// Writes the screen as text into a file.
+    /// Writes the screen as text to a file.
     Write,
-    /// Copies what the selected row is called.
+    /// Copies the name of the selected row.
     Copy,
-    /// Begins to type a command.
+    /// Opens the command input.
     Command,
-    /// Remembers the present, to compare with.
+    /// Sets a mark to compare with.
     Mark,
     /// Shows counters since the mark, or since the start.
     Difference,
-    /// Shows only what is in a wait-for cycle.
+    /// Shows only wait-for cycles.
     Cycles,
-    /// Less time a row.
+    /// Zooms in: less time per row.
     Closer,
-    /// More time a row.
+    /// Zooms out: more time per row.
     Wider,
-    /// The next row that matches the filter, or at which something is wrong.
+    /// The next row that matches the filter, or has a finding.
     NextMatch,
-    /// The one before.
+    /// The previous such row.
     PreviousMatch,
     /// The next cell.
     Cell,
     /// The next theme.
     Theme,
-    /// Stops the monitor until `fg`.
+    /// Suspends the monitor until `fg`.
     Suspend,
     /// Ends the monitor.
     Quit,
@@ -107,16 +107,16 @@ const fn code(code: KeyCode) -> Key {
     Key { code, ctrl: false }
 }
 
-/// One line of the table.
+/// A key binding.
 #[derive(Clone, Copy, Debug)]
 pub struct Binding {
-    /// Any of these.
+    /// The keys, any of which triggers the action.
     pub keys: &'static [Key],
-    /// Does this.
+    /// The action.
     pub action: Action,
-    /// In words.
+    /// The help text.
     pub help: &'static str,
-    /// On these screens; none named: on all.
+    /// The screens on which it applies; empty for all.
     pub on: &'static [Screen],
 }
 
@@ -131,7 +131,7 @@ const fn on(on: &'static [Screen], keys: &'static [Key], action: Action, help: &
 /// The screens that the filter acts on.
 pub const FILTERED: &[Screen] = &[Screen::Overview, Screen::Events, Screen::Timeline];
 
-/// All keys. The first line that fits decides.
+/// All key bindings. The first one that matches applies.
 pub const BINDINGS: &[Binding] = &[
     everywhere(&[key('1')], Action::Show(Screen::Overview), "overview: nodes, tasks, ports"),
     everywhere(&[key('2')], Action::Show(Screen::Port), "one port's queue in the order of service"),
@@ -212,7 +212,7 @@ pub const BINDINGS: &[Binding] = &[
     everywhere(&[key('q'), ctrl('c')], Action::Quit, "quit"),
 ];
 
-/// What `event` does on `screen`.
+/// The action of `event` on `screen`.
 #[must_use]
 pub fn action(event: &KeyEvent, screen: Screen) -> Option<Action> {
     let pressed = Key { code: event.code, ctrl: event.modifiers.contains(KeyModifiers::CONTROL) };
@@ -221,7 +221,7 @@ pub fn action(event: &KeyEvent, screen: Screen) -> Option<Action> {
 }
 
 impl Binding {
-    /// Whether the keys act on `screen`.
+    /// Whether the binding applies on `screen`.
     #[must_use]
     pub fn is_on(&self, screen: Screen) -> bool {
         self.on.is_empty() || self.on.contains(&screen)

@@ -1,12 +1,12 @@
-//! The monitor: a terminal dashboard on running nodes. It must be right, instantly readable, and never disturb what it
-//! watches.
+//! The monitor: a terminal dashboard on running nodes. It must be correct, readable at a glance, and must never disturb
+//! the nodes.
 //!
-//! A [`source`] speaks `imrs-obs` with nodes in threads of its own and feeds a [`store`]: the state of every node, the
-//! last state of dead ones, and what happened. An [`app`] is the screen as a value; [`app::App::update`] reduces
-//! messages, [`view::view`] draws. Time is always an argument, nothing in store, app or view reads a clock or a file,
-//! and the thread that draws does no other work. Only the thin outermost layer ([`run`]) knows a terminal.
+//! A [`source`] speaks `imrs-obs` with nodes in its own threads and feeds a [`store`]. The store keeps the state of
+//! every node, the last state of dead ones, and the events. An [`app`] is the screen as a value: [`app::App::update`]
+//! reduces messages, and [`view::view`] draws. Store, app and view read no clock and no file; time is always an
+//! argument. The thread that draws does no other work. Only the outermost layer ([`run`]) uses a terminal.
 //!
-//! Pausing, filtering and sorting happen here alone: nothing that a user does changes what a node does.
+//! Pausing, filtering and sorting happen only in the monitor: no user action changes what a node does.
 #![forbid(unsafe_code)]
 
 pub mod app;
@@ -52,13 +52,13 @@ use std::io::{self, IsTerminal, Write};
 use std::sync::Arc;
 use theme::Theme;
 
-/// The file that the key for recording writes, where none was named.
+/// The file that the record key writes if the user named none.
 const RECORDING: &str = "monitor.imrs";
 
-/// Runs the monitor as the user asked: on the screen of a terminal, or printing where there is none.
+/// Runs the monitor with these options: on the screen of a terminal, or as printed output without one.
 ///
 /// # Errors
-/// [`MonitorError`], with the exit code that the command should end with.
+/// [`MonitorError`], which has the exit code of the command.
 pub fn run(options: &Options) -> Result<Verdict, MonitorError> {
     let screen = io::stdout().is_terminal() && io::stdin().is_terminal();
     let printed = options.once
@@ -78,7 +78,7 @@ pub fn run(options: &Options) -> Result<Verdict, MonitorError> {
         return replay_on_screen(options, player);
     }
     if !screen || printed {
-        // Without a terminal nobody could end a screen: one sample, unless more was asked for.
+        // Without a terminal nobody could end a screen, so print one sample unless the options ask for more.
         let once = options.once || !printed;
         return print(&Options { once, ..options.clone() }, &mut io::stdout().lock());
     }
@@ -108,7 +108,7 @@ pub fn run(options: &Options) -> Result<Verdict, MonitorError> {
     }
 }
 
-/// A counterexample stands still until one moves it; what was recorded from running nodes plays.
+/// A counterexample starts paused; a recording of running nodes starts playing.
 fn replay_on_screen(options: &Options, mut player: Player) -> Result<Verdict, MonitorError> {
     let clock = Clock::start();
     match options.at {
@@ -122,7 +122,7 @@ fn replay_on_screen(options: &Options, mut player: Player) -> Result<Verdict, Mo
     Ok(Verdict::Healthy)
 }
 
-/// The screen as the user wants it.
+/// The initial screen for these options.
 fn app(options: &Options, theme: Theme) -> app::App {
     let mut app = app::App::new(options.theme.unwrap_or(theme), options.cell.clone());
     app.token = options.token.clone();
@@ -132,15 +132,15 @@ fn app(options: &Options, theme: Theme) -> app::App {
     app
 }
 
-/// Prints what `options` ask for to `out`, without a screen.
+/// Prints the output that `options` ask for to `out`, without a screen.
 ///
 /// # Errors
-/// [`MonitorError`]; a reader that has seen enough is none.
+/// [`MonitorError`]. A reader that closes the pipe is no error.
 pub fn print(options: &Options, out: &mut impl Write) -> Result<Verdict, MonitorError> {
     plain::print(options, which(options), Clock::start(), out)
 }
 
-/// The nodes that `options` name, with the wishes of `tape`.
+/// A source for the nodes that `options` name, with the wishes of `tape`.
 fn live(options: &Options, which: Which, tape: &Tape) -> Live {
     Live::new(which).with_token(options.token.clone()).with_wishes(tape.wishes())
 }
@@ -153,7 +153,7 @@ fn which(options: &Options) -> Which {
     }
 }
 
-/// The theme for the environment that `var` tells of.
+/// The theme for the options and the environment variables that `var` returns.
 fn theme_for(options: &Options, var: impl Fn(&str) -> Option<String>) -> Theme {
     let set = |name: &str| var(name).filter(|value| !value.is_empty());
     let dumb = set("TERM").is_none_or(|term| term == "dumb");
@@ -162,7 +162,7 @@ fn theme_for(options: &Options, var: impl Fn(&str) -> Option<String>) -> Theme {
         ColorChoice::Never => false,
         ColorChoice::Auto => set("NO_COLOR").is_none() && !dumb,
     };
-    // The first of these that is set decides, as in the C library.
+    // The first of these variables that is set decides, as in the C library.
     let locale = set("LC_ALL").or_else(|| set("LC_CTYPE")).or_else(|| set("LANG")).unwrap_or_default();
     let locale = locale.to_lowercase();
     let utf8 = locale.contains("utf-8") || locale.contains("utf8");

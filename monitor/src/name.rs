@@ -1,16 +1,16 @@
-//! Names that came over the wire: whoever wrote them, showing them must not move a cursor, change a colour or reverse
-//! a line.
+//! Names received from nodes. They are escaped, so that showing one never moves the cursor, changes a colour or
+//! reverses a line.
 
 use imrs_wire::text::acts;
 use std::fmt::{self, Write as _};
 use std::sync::Arc;
 
-/// The longest name that is shown, in characters.
+/// The longest shown name, in characters.
 const LONGEST: usize = 64;
-/// The longest line of words.
+/// The longest shown line, in characters.
 const LONGEST_LINE: usize = 240;
 
-/// A name as it was sent, and as it is shown.
+/// A name, as received and as shown.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Name {
     raw: Arc<str>,
@@ -18,19 +18,19 @@ pub struct Name {
 }
 
 impl Name {
-    /// The name `raw`.
+    /// Makes a name from `raw`.
     #[must_use]
     pub fn new(raw: &str) -> Self {
         Self { raw: raw.into(), shown: shown(raw).into() }
     }
 
-    /// The name exactly as it was sent. Never for a terminal.
+    /// The name exactly as received. Never print this on a terminal.
     #[must_use]
     pub fn raw(&self) -> &str {
         &self.raw
     }
 
-    /// The name with everything escaped that a terminal could act on, and cut where it is very long.
+    /// The name, escaped for a terminal and truncated.
     #[must_use]
     pub fn shown(&self) -> &str {
         &self.shown
@@ -43,13 +43,13 @@ impl fmt::Display for Name {
     }
 }
 
-/// `text` with everything escaped that a terminal could act on, and cut where it is very long.
+/// Escapes `text` for a terminal, and truncates it to a name's length.
 #[must_use]
 pub fn shown(text: &str) -> String {
     cut(text, LONGEST)
 }
 
-/// A line of words that came from a file, made fit to show as [`shown`] does.
+/// Escapes a line of text for a terminal, and truncates it.
 #[must_use]
 pub fn shown_line(text: &str) -> String {
     cut(text, LONGEST_LINE)

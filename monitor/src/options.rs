@@ -1,4 +1,4 @@
-//! What the user asked for.
+//! The options of the monitor.
 
 use crate::judge::Judge;
 use crate::query::Assertion;
@@ -12,7 +12,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use thiserror::Error;
 
-/// Where a node serves monitors.
+/// The address at which a node serves monitors.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub enum Endpoint {
     /// A Unix socket.
@@ -21,7 +21,7 @@ pub enum Endpoint {
     Tcp(String),
 }
 
-/// A text that names no endpoint.
+/// A text that is not an endpoint.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("`{0}` names no endpoint: write unix:PATH or tcp:HOST:PORT")]
 pub struct EndpointError(String);
@@ -52,7 +52,7 @@ impl fmt::Display for Endpoint {
     }
 }
 
-/// The form of what is printed.
+/// The output format.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Format {
     /// For people.
@@ -65,7 +65,7 @@ pub enum Format {
 /// When to use colour.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum ColorChoice {
-    /// On a terminal, unless `NO_COLOR` is set to anything.
+    /// On a terminal, unless `NO_COLOR` is set and not empty.
     #[default]
     Auto,
     /// Always.
@@ -74,66 +74,66 @@ pub enum ColorChoice {
     Never,
 }
 
-/// What the user asked for.
+/// The options of the monitor.
 #[derive(Clone, Debug, Default)]
 pub struct Options {
-    /// The nodes to attach to; empty: all that the socket folder has.
+    /// The nodes to attach to; empty for all in the socket folder.
     pub connect: Vec<Endpoint>,
-    /// What nodes that ask for it are shown.
+    /// The token for nodes that require one.
     pub token: Option<Token>,
-    /// The folder to look for nodes in instead of [`imrs_wire::obs::place::base_dir`].
+    /// The folder to search for nodes instead of [`imrs_wire::obs::place::base_dir`].
     pub base: Option<PathBuf>,
     /// Show only the cell of this name.
     pub cell: Option<String>,
-    /// Print one sample and end.
+    /// Print one sample and exit.
     pub once: bool,
-    /// Print a sample every so often.
+    /// Print a sample in each period.
     pub watch: Option<Duration>,
     /// Print lines instead of drawing a screen, for pipes and screen readers.
     pub text: bool,
     /// Show this recording instead of running nodes.
     pub replay: Option<PathBuf>,
-    /// Where in the recording to begin: at its end where it is printed, else at its beginning.
+    /// The start position in the recording. Default: the end if it is printed, otherwise the beginning.
     pub at: Option<At>,
-    /// How many times as fast a recording plays; at 1 a counterexample plays a step a second. `None`: 1.
+    /// The playback speed; at 1 a counterexample plays one step per second. Default: 1.
     pub speed: Option<f64>,
-    /// Record what comes in to this file.
+    /// Record the arrivals to this file.
     pub record: Option<PathBuf>,
-    /// Replace a file of the recording's name.
+    /// Replace an existing file of that name.
     pub force: bool,
-    /// Record, or hold `assertions` against what comes in, for so long without a screen.
+    /// How long to record without a screen, or to check `assertions`.
     pub length: Option<Duration>,
-    /// What must hold of the cells: without `length` once, else at every sample. Implies printing.
+    /// Conditions that the cells must fulfil: checked once, or at every sample of `length`. Implies printing.
     pub assertions: Vec<Assertion>,
-    /// The form of what is printed. JSON implies printing.
+    /// The output format. JSON implies printing.
     pub format: Format,
     /// When to use colour.
     pub color: ColorChoice,
     /// Draw with nothing but ASCII.
     pub ascii: bool,
-    /// How it looks, whatever the terminal can do.
+    /// The theme, regardless of the terminal.
     pub theme: Option<Theme>,
-    /// Clicks and the wheel act.
+    /// Use the mouse.
     pub mouse: bool,
-    /// Only countdowns move, once a second.
+    /// Redraw only once a second, and after input.
     pub reduced_motion: bool,
-    /// Who judges the recordings that nodes write; nobody does without.
+    /// The validator for recordings of nodes; `None` for no validation.
     pub judge: Option<Arc<dyn Judge>>,
-    /// The filter to begin with.
+    /// The initial filter.
     pub filter: Option<String>,
 }
 
-/// How the monitor ended.
+/// The result of a run of the monitor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// Nothing critical is shown, or the user closed the screen.
+    /// There is no critical finding, or the user closed the screen.
     Healthy,
-    /// Something critical is shown, or an assertion does not hold.
+    /// There is a critical finding, or an assertion fails.
     Finding,
 }
 
 impl Verdict {
-    /// The exit code of a command that ends so.
+    /// The exit code of the command.
     #[must_use]
     pub const fn exit_code(self) -> u8 {
         match self {

@@ -1,4 +1,4 @@
-//! Without a screen: a sample once, a sample every so often, or a line for everything that happens.
+//! Output without a screen: one sample, a sample per period, or a line for each event.
 
 use crate::clock::Clock;
 use crate::error::MonitorError;
@@ -24,27 +24,27 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::{Duration, Instant};
 
-/// How long the nodes that are there have to show themselves: on a machine that is busy they do so after all else.
+/// How long the present nodes have to deliver their state: on a busy machine the thread that serves monitors runs last.
 const PATIENCE: Duration = Duration::from_secs(4);
-/// How often lines are written where no period was asked for.
+/// The interval between lines if the user gave no period.
 const PERIOD: Duration = Duration::from_secs(1);
-/// How often assertions are held against what has come.
+/// How often assertions are checked against the store.
 const ASSERTED: Duration = Duration::from_millis(100);
-/// How often a recording without a screen looks whether it should end.
+/// How often a recording without a screen checks whether to end.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// Nodes, and what is known of them.
+/// Watches nodes without a screen: collects their frames in a [`Store`].
 pub struct Watch {
     clock: Clock,
     store: Store,
     arrivals: Receiver<Arrival>,
-    /// Sources that have shown a node's state, or that there is none.
+    /// Sources that have delivered a node's state, or have failed to.
     settled: BTreeSet<SourceId>,
     source: Live,
 }
 
 impl Watch {
-    /// Begins to watch `which`.
+    /// Starts to watch `which`.
     ///
     /// # Errors
     /// [`MonitorError`].
@@ -52,7 +52,7 @@ impl Watch {
         Self::start_taped(Live::new(which), clock, &Arc::default())
     }
 
-    /// Begins to watch `source`; what comes goes past `tape`.
+    /// Starts to watch `source`. Every arrival passes through `tape`, which may record it.
     ///
     /// # Errors
     /// [`MonitorError`].
@@ -60,7 +60,7 @@ impl Watch {
         Self::start_judged(source, clock, tape, None)
     }
 
-    /// As [`start_taped`](Self::start_taped), and what nodes record is judged.
+    /// As [`start_taped`](Self::start_taped); in addition `judge` checks the recordings of the nodes.
     ///
     /// # Errors
     /// [`MonitorError`].
@@ -81,7 +81,7 @@ impl Watch {
         Ok(Self { clock, store: Store::of_running_nodes(), arrivals, settled: BTreeSet::new(), source })
     }
 
-    /// Takes what comes for so long.
+    /// Collects arrivals for `length`.
     pub fn watch(&mut self, length: Duration) {
         let until = Instant::now() + length;
         while let Ok(arrival) = self.arrivals.recv_timeout(until.saturating_duration_since(Instant::now())) {
@@ -92,7 +92,7 @@ impl Watch {
         }
     }
 
-    /// Waits until every node that was there at the start has shown itself or failed to. `false`: nobody did.
+    /// Waits until every node that was there at the start has delivered its state or failed. Returns false if no node did.
     pub fn settle(&mut self) -> bool {
         let until = Instant::now() + PATIENCE;
         while self.settled.len() < self.source.started() {
@@ -104,7 +104,7 @@ impl Watch {
         !self.store.lives().is_empty()
     }
 
-    /// What is known.
+    /// The collected state.
     #[must_use]
     pub const fn store(&self) -> &Store {
         &self.store
@@ -127,10 +127,10 @@ impl Watch {
     }
 }
 
-/// Records what comes in without a screen, for so long or until a signal ends it.
+/// Records without a screen, for the given length or until a signal.
 ///
 /// # Errors
-/// [`MonitorError`]: also where a frame could not be written.
+/// [`MonitorError`], also if a frame could not be written.
 pub fn record(
     options: &Options,
     path: &Path,
@@ -163,7 +163,7 @@ pub fn record(
         return Err(failed(why));
     }
     if !found {
-        // An empty recording is of no use to anybody.
+        // An empty recording is useless.
         files::discard(path);
         let failed = watch.store().troubles().map(str::to_owned).collect();
         return Err(MonitorError::NothingFound { looked, failed });
@@ -185,11 +185,11 @@ pub fn record(
     finish(said.map(|()| Verdict::Healthy))
 }
 
-/// Prints a recording: with `text` every step of a finding, or a line for everything that matters and that happened; else
-/// one stop, the one asked for or the last.
+/// Prints a recording. With `text`: every step of a counterexample, or a line for every notable event. Otherwise one
+/// stop: the requested one, or the last.
 ///
 /// # Errors
-/// [`MonitorError`]; a reader that has seen enough is none.
+/// [`MonitorError`]. A reader that closes the pipe is no error.
 pub fn replay(options: &Options, mut player: Player, out: &mut impl Write) -> Result<Verdict, MonitorError> {
     let only = options.cell.as_deref();
     let all = options.text && !options.once && options.at.is_none();
@@ -217,7 +217,7 @@ pub fn replay(options: &Options, mut player: Player, out: &mut impl Write) -> Re
     )
 }
 
-/// Holds the assertions against every stop of a recording, or the one asked for.
+/// Checks the assertions at every stop of a recording until one fails, or only at the requested stop.
 fn asserted_of(options: &Options, player: &mut Player, out: &mut impl Write) -> io::Result<Verdict> {
     let stops = match options.at {
         Some(at) => {
@@ -249,7 +249,7 @@ fn asserted_of(options: &Options, player: &mut Player, out: &mut impl Write) -> 
     Ok(if failed { Verdict::Finding } else { Verdict::Healthy })
 }
 
-/// Every step of a finding, a block each.
+/// Prints every step of a counterexample, one block each.
 fn steps(player: &mut Player, out: &mut impl Write) -> io::Result<()> {
     out.write_all(tell::story(player).as_bytes())?;
     for stop in 0..player.film().stops().len() {
@@ -259,7 +259,7 @@ fn steps(player: &mut Player, out: &mut impl Write) -> io::Result<()> {
     Ok(())
 }
 
-/// A line for everything that matters and that happened. The journal keeps the last of it only: it is read stop by stop.
+/// Prints a line for every notable event. The journal keeps only the newest entries, so it is read stop by stop.
 fn entries(player: &mut Player, out: &mut impl Write) -> io::Result<()> {
     let mut next = 0;
     for stop in 0..player.film().stops().len() {
@@ -278,7 +278,7 @@ fn looked(which: &Which) -> Option<PathBuf> {
     }
 }
 
-/// A reader that has seen enough is no error.
+/// Treats a closed pipe as success.
 fn finish(verdict: io::Result<Verdict>) -> Result<Verdict, MonitorError> {
     match verdict {
         Err(e) if e.kind() == io::ErrorKind::BrokenPipe => Ok(Verdict::Healthy),
@@ -286,10 +286,10 @@ fn finish(verdict: io::Result<Verdict>) -> Result<Verdict, MonitorError> {
     }
 }
 
-/// Prints what `options` ask for to `out`.
+/// Prints the output that `options` ask for to `out`.
 ///
 /// # Errors
-/// [`MonitorError`]; a reader that has seen enough is none.
+/// [`MonitorError`]. A reader that closes the pipe is no error.
 pub fn print(
     options: &Options,
     which: Which,
@@ -325,7 +325,7 @@ pub fn print(
     finish(verdict)
 }
 
-/// Holds the assertions against what is known: once, or every so often until one does not hold or the time is over.
+/// Checks the assertions: once, or periodically until one fails or the given length is over.
 fn asserted(watch: &mut Watch, options: &Options, out: &mut impl Write) -> io::Result<Verdict> {
     let until = options.length.map(|length| Instant::now() + length);
     loop {
@@ -365,7 +365,7 @@ fn verdict(watch: &Watch, options: &Options) -> Verdict {
     if critical { Verdict::Finding } else { Verdict::Healthy }
 }
 
-/// One line for everything that matters and that happened since the line `next`.
+/// Prints one line for every notable event from entry number `next` on.
 fn happened(watch: &Watch, next: &mut u64, options: &Options, out: &mut impl Write) -> io::Result<Verdict> {
     let journal = watch.store().journal();
     for entry in journal.since(*next) {

@@ -1,4 +1,4 @@
-//! Recording what sources say, as it comes: the frames of every node, for `--replay`.
+//! Records the frames of every node as they arrive, for `--replay`.
 
 use crate::clock::{Moment, micros};
 use crate::error::MonitorError;
@@ -11,16 +11,16 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// How many frames may wait for the disk; what comes then is counted as lost.
+/// How many frames may wait for the disk; further ones are counted as lost.
 const ROOM: usize = 1024;
-/// How long the end of a recording may wait for the disk.
+/// How long ending a recording may wait for the disk.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// What is recorded, if anything is. What a recording that begins later must begin with is always kept.
+/// The recorder. It always remembers the frames with which a recording must begin, so that one can start at any time.
 #[derive(Default)]
 pub struct Tape {
     inner: Mutex<Inner>,
-    /// Who is asked for whole snapshots: a recording begins with them.
+    /// Asks the nodes for whole snapshots, with which a recording begins.
     wishes: Wishes,
 }
 
@@ -30,7 +30,7 @@ struct Inner {
     running: Option<Running>,
 }
 
-/// Who a source is, and the names of its cell.
+/// The identity of a source, and the names of its cell.
 struct Known {
     identity: NodeIdentity,
     attached: Vec<u8>,
@@ -42,12 +42,12 @@ struct Running {
     recording: Recording,
     streams: BTreeMap<SourceId, FrameStream>,
     began: Moment,
-    /// Of which sources the recording has a state that changes can be reckoned from.
+    /// The sources for which the recording has a state that deltas can build on.
     whole: BTreeSet<SourceId>,
 }
 
 impl Running {
-    /// Whether a frame means something after what was recorded before it.
+    /// Whether a frame can be interpreted after the frames recorded so far.
     fn follows(&mut self, source: SourceId, frame: &ServerFrame) -> bool {
         match frame {
             ServerFrame::Snapshot(_) => {
@@ -59,7 +59,7 @@ impl Running {
                 true
             }
             ServerFrame::Delta(_) => self.whole.contains(&source),
-            // Of clocks that are other ones when the recording is looked at, and addresses that nobody follows.
+            // Clocks and addresses mean nothing when the recording is replayed.
             ServerFrame::Pong(_) | ServerFrame::Places(_) | ServerFrame::Denied(_) => false,
             ServerFrame::Table(_)
             | ServerFrame::Events(_)
@@ -70,14 +70,14 @@ impl Running {
         }
     }
 
-    /// False where there was no room: what changes afterwards can be reckoned from nothing.
+    /// Records a frame. Returns false if it was lost, so that later deltas have no base.
     fn put(&mut self, at: Moment, source: SourceId, bytes: Vec<u8>) -> bool {
-        // More sources than have numbers in a recording are not recorded.
+        // A source whose number does not fit a recording is not recorded.
         let Ok(number) = u16::try_from(source.0) else { return true };
         let recording = &self.recording;
         let stream = self.streams.entry(source).or_insert_with(|| recording.frames(number));
         let at = micros(at.saturating_sub(self.began));
-        // Where there is no room the stream counts it, and the recording says so.
+        // If there is no room, the stream counts a loss and the recording contains a gap.
         let kept = stream.frame(at, bytes);
         if !kept {
             self.whole.remove(&source);
@@ -86,23 +86,23 @@ impl Running {
     }
 }
 
-/// How a recording ended.
+/// The result of a recording.
 #[derive(Clone, Debug)]
 pub struct Recorded {
     /// The file.
     pub path: PathBuf,
-    /// How much was written, and what went wrong.
+    /// Its size, and errors.
     pub status: Status,
 }
 
 impl Tape {
-    /// What is wanted of the nodes: of the tape, whole snapshots. Whoever feeds it passes them on.
+    /// The recorder's wishes: whole snapshots. The owner passes them to the sources.
     #[must_use]
     pub const fn wishes(&self) -> &Wishes {
         &self.wishes
     }
 
-    /// Takes note of what a source said.
+    /// Records what a source delivered, if a recording runs.
     pub fn take(&self, arrival: &Arrival) {
         let mut inner = self.inner();
         let Arrival { at, source, feed } = arrival;
@@ -140,10 +140,10 @@ impl Tape {
         }
     }
 
-    /// Begins a recording in a new file, which only its owner can read.
+    /// Starts a recording in a new file, which only its owner can read.
     ///
     /// # Errors
-    /// [`MonitorError::Recording`]: also where there is a file of this name.
+    /// [`MonitorError::Recording`], also if the file exists.
     pub fn start(&self, path: &Path, now: Moment) -> Result<(), MonitorError> {
         let failed = |why: String| MonitorError::Recording { path: path.to_owned(), why };
         let mut inner = self.inner();
@@ -177,7 +177,7 @@ impl Tape {
         Ok(())
     }
 
-    /// Ends the recording, if there is one.
+    /// Ends the recording, if one runs.
     pub fn stop(&self) -> Option<Recorded> {
         let running = self.inner().running.take()?;
         Some(Recorded { path: running.path, status: running.recording.stop(PATIENCE) })
@@ -188,7 +188,7 @@ impl Tape {
     }
 }
 
-/// Refuses to record over a file, or with `force` removes it.
+/// Returns an error if the file exists, or removes it with `force`.
 ///
 /// # Errors
 /// [`MonitorError::Recording`].
@@ -197,7 +197,7 @@ pub fn free(path: &Path, force: bool) -> Result<(), MonitorError> {
     files::free(path, force).map_err(|error| failed(error.to_string()))
 }
 
-/// `path`, or if there is a file of that name the next that is free: `run.imrs`, `run-2.imrs`.
+/// `path`, or if it exists the next free name: `run.imrs`, `run-2.imrs`.
 #[must_use]
 pub fn free_name(path: &Path) -> PathBuf {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();

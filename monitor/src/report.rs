@@ -1,4 +1,4 @@
-//! The state of a cell as JSON or text: for pipes, tests and screen readers.
+//! Prints the state of a cell as JSON or text, for pipes, tests and screen readers.
 
 use crate::clock::{Moment, Span};
 use crate::name::{Name, shown_line};
@@ -16,7 +16,7 @@ use imrs_wire::text;
 use serde::Serialize;
 use std::fmt::Write as _;
 
-/// The version of the JSON form. Fields are only ever added to it.
+/// The version of the JSON format. Later releases may add fields, but never change or remove any.
 const VERSION: u32 = 1;
 
 #[derive(Serialize)]
@@ -26,7 +26,7 @@ struct Report<'a> {
     findings: Vec<Found>,
     /// Where attaching failed, and why.
     troubles: Vec<&'a str>,
-    /// Where in a recording this is.
+    /// The position in a recording.
     #[serde(skip_serializing_if = "Option::is_none")]
     replay: Option<Position<'a>>,
 }
@@ -43,17 +43,17 @@ struct Node<'a> {
     build: Option<&'a str>,
     uptime_us: Option<u64>,
     insecure: Option<bool>,
-    /// How long the scripts of a restarted node are still held back, the longest of them; none where none is.
+    /// The longest time for which a script is still held back after a restart; `None` if no script is.
     held_back_us: Option<u64>,
-    /// Where real time was asked for: `had`, or what was refused of it.
+    /// If real time was requested: `had`, or the parts that the kernel refused.
     real_time: Option<String>,
     transit: Transit,
     discards: Vec<Reason<'a>>,
     link_discards: Vec<Reason<'a>>,
     lost_events: u64,
-    /// `conforms`, `violates` or `unknown`: what the validator says of the inputs that the node records.
+    /// `conforms`, `violates` or `unknown`: the validator's verdict on the inputs that the node records.
     conformance: &'static str,
-    /// How many steps it has judged.
+    /// How many steps the validator has checked.
     conforming_steps: u64,
     tasks: Vec<Task<'a>>,
 }
@@ -77,7 +77,7 @@ struct Task<'a> {
     name: &'a str,
     /// `run`, `receive`, `await_reply`, `waitfor`, `delay`; or `ended`, `crashed`.
     state: &'static str,
-    /// How long its script is still held back: its node was restarted.
+    /// How long its script is still held back after a restart of its node.
     held_back_us: Option<u64>,
     ports: Vec<Port<'a>>,
     waitfor: Vec<Waitfor<'a>>,
@@ -102,7 +102,7 @@ struct Port<'a> {
     duplicates: u64,
     timed_out: u64,
     dropped: u64,
-    /// No message is lengthened or delayed by a penalty in this version of the protocol.
+    /// Always 0: nodes report penalties per message ([`imrs_wire::obs::Detail`]), not per port.
     penalty_us: u64,
 }
 
@@ -134,7 +134,7 @@ struct Found {
     text: String,
 }
 
-/// The cells of a store that are wanted, sorted.
+/// The cells of a store, sorted; if `only` is given, just the cell of that name.
 #[must_use]
 pub fn cells(store: &Store, only: Option<&str>) -> Vec<Name> {
     let mut cells = store.cells();
@@ -142,22 +142,22 @@ pub fn cells(store: &Store, only: Option<&str>) -> Vec<Name> {
     cells
 }
 
-/// Whether anything in the wanted cells is critical.
+/// Whether any finding in the selected cells is critical.
 #[must_use]
 pub fn is_critical(store: &Store, only: Option<&str>, now: Moment) -> bool {
     cells(store, only).iter().any(|cell| findings(store, cell, now).iter().any(|f| f.level == Level::Bad))
 }
 
-/// The wanted cells as one line of JSON, without the line's end.
+/// The selected cells as one line of JSON, without the newline.
 ///
 /// # Panics
-/// Never: every key is a string and memory is the only thing that the encoding can run out of.
+/// Never: every key is a string, so the encoding can only run out of memory.
 #[must_use]
 pub fn json(store: &Store, only: Option<&str>, now: Moment) -> String {
     whole(store, only, now, None)
 }
 
-/// The same of a recording, and where in it that is.
+/// The same for a recording, with the position in it.
 ///
 /// # Panics
 /// Never, as [`json`].
@@ -166,7 +166,7 @@ pub fn json_of_replay(player: &Player, only: Option<&str>) -> String {
     whole(player.store(), only, player.moment(), Some(tell::position(player)))
 }
 
-/// A recording at the stop shown as text, a fact per line.
+/// The shown stop of a recording as text, one fact per line.
 #[must_use]
 pub fn text_of_replay(player: &Player, only: Option<&str>) -> String {
     tell::text(player) + &text(player.store(), only, player.moment())
@@ -366,12 +366,12 @@ struct One<'a> {
     values: &'a [String],
 }
 
-/// One node at a moment, as it stands in [`json`].
+/// One node at a moment, in the format of [`json`].
 pub(crate) fn node_value(store: &Store, life: &Life, now: Moment) -> serde_json::Value {
     serde_json::to_value(node(store, life, now)).unwrap_or_default()
 }
 
-/// What came of assertions, as one line of JSON without the line's end.
+/// The results of assertions, as one line of JSON without the newline.
 ///
 /// # Panics
 /// Never, as [`json`].
@@ -392,7 +392,7 @@ pub fn json_of_assertions(assertions: &[Assertion], held: &[Held]) -> String {
     text::json(&serde_json::to_string(&report).expect("strings and numbers")).into_owned()
 }
 
-/// What came of assertions, a line each.
+/// The results of assertions, one line each.
 #[must_use]
 pub fn text_of_assertions(assertions: &[Assertion], held: &[Held]) -> String {
     let mut out = String::new();
@@ -404,7 +404,7 @@ pub fn text_of_assertions(assertions: &[Assertion], held: &[Held]) -> String {
     out
 }
 
-/// The wanted cells as text, a fact per line.
+/// The selected cells as text, one fact per line.
 #[must_use]
 pub fn text(store: &Store, only: Option<&str>, now: Moment) -> String {
     let mut out = String::new();

@@ -1,4 +1,4 @@
-//! The rows of the overview: nodes, their tasks, their ports, in the order and with the filter that the user chose.
+//! The rows of the overview: nodes, tasks and ports, sorted and filtered.
 
 use crate::clock::Moment;
 use crate::name::Name;
@@ -13,27 +13,27 @@ use std::collections::BTreeSet;
 /// A row.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Row {
-    /// What it shows.
+    /// The place that it shows.
     pub place: Place,
     /// 0 node, 1 task, 2 port.
     pub depth: u8,
-    /// Whether there are rows within it.
+    /// Whether it has rows within it.
     pub parent: bool,
-    /// Whether they are shown.
+    /// Whether those are shown.
     pub open: bool,
 }
 
-/// What rows are ordered by. Rows stay within their node and task.
+/// The sort order. Rows stay within their node and task.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Sort {
-    /// As declared.
+    /// In the order of declaration.
     #[default]
     Name,
     /// Least time left first.
     Slack,
-    /// Fullest queue first.
+    /// Longest queue first.
     Queue,
-    /// Worst first.
+    /// Most severe finding first.
     Health,
 }
 
@@ -49,7 +49,7 @@ impl Sort {
         }
     }
 
-    /// In one word.
+    /// Its name, in one word.
     #[must_use]
     pub const fn word(self) -> &'static str {
         match self {
@@ -61,16 +61,16 @@ impl Sort {
     }
 }
 
-/// How the user wants the rows.
+/// The user's settings for the rows.
 #[derive(Clone, Debug, Default)]
 pub struct Shape {
-    /// Rows whose children the user has hidden, or shown where they are hidden at first.
+    /// Rows whose children the user has hidden, or has shown where they are hidden by default.
     pub toggled: BTreeSet<Place>,
-    /// The order.
+    /// The sort order.
     pub sort: Sort,
-    /// The other way round.
+    /// Whether the order is inverted.
     pub inverted: bool,
-    /// A condition ([`crate::query`]); rows that do not fulfil it are left out, unless one within them does.
+    /// A condition ([`crate::query`]). Rows that do not fulfil it are left out, unless a row within them does.
     pub filter: String,
 }
 
@@ -102,7 +102,7 @@ impl Fields for Unseen {
     }
 }
 
-/// Sorts ascending: the least first.
+/// A sort key, ascending.
 type Key = u64;
 
 struct Maker<'a> {
@@ -114,20 +114,20 @@ struct Maker<'a> {
 }
 
 impl Maker<'_> {
-    /// Whether a node or task is wanted by itself.
+    /// Whether the filter selects a node or task itself.
     fn wants(&self, life: &Life, task: Option<&TaskSnapshot>) -> bool {
         let row = NodeRow { life, task, findings: self.findings };
         self.filter.is_none_or(|filter| filter.takes(&row))
     }
 
-    /// Whether all is wanted that lies within what is wanted.
+    /// Whether the filter selects everything within a selected row.
     fn wants_within(&self) -> bool {
         self.filter.is_none_or(Filter::is_words)
     }
 
-    /// `first`: whether its children are shown at first.
+    /// Makes a row. `first`: whether its children are shown by default.
     fn row(&self, place: Place, depth: u8, parent: bool, first: bool) -> Row {
-        // A filter shows what it found, also where it would be hidden.
+        // A filter shows its matches even in hidden rows.
         let open = parent && (first != self.shape.toggled.contains(&place) || !self.shape.filter.is_empty());
         Row { place, depth, parent, open }
     }
@@ -159,7 +159,7 @@ impl Maker<'_> {
         groups.into_iter().flat_map(|(_, rows)| rows).collect()
     }
 
-    /// The last state of an earlier life is hidden at first: the node's present one is what one looks for.
+    /// The rows of a node. Those of an earlier incarnation are hidden by default, because users look for the latest one.
     fn node(&self, life: &Life, latest: bool) -> Option<(Key, Vec<Row>)> {
         let place = Place { node: Ok(life.id), task: None, port: None };
         let wanted = self.wants(life, None);
@@ -212,7 +212,7 @@ impl Maker<'_> {
         Some((self.key(&place, self.slack(life, task), queued), rows))
     }
 
-    /// The least slack at a task, where rows are ordered by it.
+    /// The shortest slack at a task, if rows are sorted by slack.
     fn slack(&self, life: &Life, task: &TaskSnapshot) -> u64 {
         if self.shape.sort != Sort::Slack {
             return u64::MAX;

@@ -1,6 +1,6 @@
-//! Which screens there are.
+//! The screens of the monitor.
 
-/// The screens.
+/// A screen.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub enum Screen {
     /// Nodes, tasks and ports.
@@ -8,17 +8,17 @@ pub enum Screen {
     Overview,
     /// One port's queue.
     Port,
-    /// One message, from its birth to its end.
+    /// The history of one message, from sending to its end.
     Message,
     /// Who waits for whom.
     Rendezvous,
-    /// What happened in each task, side by side.
+    /// The events of each task, side by side.
     Timeline,
-    /// What runs out when.
+    /// Timers and deadlines.
     Timers,
-    /// What happened.
+    /// The event log.
     Events,
-    /// Whether the nodes do what the model does.
+    /// Whether the nodes conform to the model.
     Model,
     /// The keys and signs.
     Help,

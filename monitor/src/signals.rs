@@ -1,4 +1,4 @@
-//! The signals that must not leave a terminal broken.
+//! Handles the signals that must not leave the terminal in raw mode.
 
 use crate::error::MonitorError;
 use crate::terminal::give_back;
@@ -10,20 +10,20 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How long the main loop has to give the terminal back; then it is taken from it.
+/// How long the main loop has to restore the terminal before this thread does it.
 const PATIENCE: Duration = Duration::from_secs(1);
 
-/// How long the terminal then has to take what gives it back.
+/// How long the terminal then has to accept the restoring output.
 const LAST_MOMENT: Duration = Duration::from_millis(200);
 
-/// What a signal asks of the main loop.
+/// A signal's request to the main loop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Call {
-    /// End, as by this signal.
+    /// End as this signal would.
     End(i32),
-    /// Give the terminal back and stop.
+    /// Restore the terminal and suspend.
     Stop,
-    /// Going on after a stop: draw everything.
+    /// Continue after a suspension: redraw everything.
     GoOn,
 }
 
@@ -35,7 +35,7 @@ pub struct Listener {
 }
 
 impl Listener {
-    /// Calls `tell` from a thread of its own for every signal.
+    /// Starts a thread that calls `tell` for every signal.
     ///
     /// # Errors
     /// [`MonitorError::Signals`].
@@ -62,7 +62,7 @@ impl Listener {
         Ok(Self { handle, answered })
     }
 
-    /// Ends the process as `signal` would have, so that whoever started it sees the truth.
+    /// Ends the process as `signal` would have, so that the parent sees the true exit status.
     pub fn end_as(&self, signal: i32) {
         self.answered.store(true, Ordering::SeqCst);
         let _ = emulate_default_handler(signal);
@@ -76,21 +76,21 @@ impl Drop for Listener {
     }
 }
 
-/// A main loop that cannot answer (its terminal may be gone, or hold it up) must not keep the process.
+/// Ends the process if the main loop does not respond: its terminal may be gone or block it.
 fn end_at_last(signal: i32, told: bool, answered: &AtomicBool) {
     let until = Instant::now() + PATIENCE;
     while told && !answered.load(Ordering::SeqCst) && Instant::now() < until {
         thread::sleep(Duration::from_millis(10));
     }
     if !answered.load(Ordering::SeqCst) {
-        // A terminal that takes no output holds up whoever writes to it: not this thread.
+        // Writing to a stuck terminal blocks, so another thread does it.
         let _ = thread::Builder::new().spawn(give_back);
         thread::sleep(LAST_MOMENT);
         let _ = emulate_default_handler(signal);
     }
 }
 
-/// Stops the process as ^Z does, until it is continued.
+/// Suspends the process as ^Z does, until it is continued.
 pub fn stop() {
     let _ = emulate_default_handler(SIGTSTP);
 }

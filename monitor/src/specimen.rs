@@ -1,4 +1,4 @@
-//! A cell of any size, as its nodes would tell of it: what measurements of the screens look at.
+//! A synthetic cell of any size, in the frames that its nodes would send. Benchmarks of the screens use it.
 
 mod shown;
 
@@ -15,31 +15,30 @@ use imrs_wire::obs::{
     TaskName, TaskSnapshot, TimedEvent,
 };
 
-/// How large: so many nodes in a ring, each with so many tasks, each of which has so many ports on which the same task of
-/// the next node sends.
+/// The size of the cell: nodes in a ring, each with tasks, each of which has ports. The same task of the next node
+/// sends on those ports.
 #[derive(Clone, Copy, Debug)]
 pub struct Specimen {
     /// The nodes.
     pub nodes: u16,
-    /// The tasks of each of them.
+    /// The tasks per node.
     pub tasks: u16,
-    /// The ports that each of these receives at.
+    /// The ports at which each task receives.
     pub ports: u16,
-    /// How many of the messages that wait at a port are told one by one: a monitor of very many ports asks for none.
+    /// How many queued messages of a port are listed; a monitor of very many ports asks for none.
     pub queue_limit: u16,
 }
 
-/// How many messages wait at every seventh port.
+/// How many messages are queued at every seventh port.
 const WAITING: u16 = 6;
 
 impl Specimen {
-    /// 100 nodes with 100 ports each, and every message that waits there.
+    /// 100 nodes with 100 ports each, all queued messages listed.
     pub const CELL: Self = Self { nodes: 100, tasks: 1, ports: 100, queue_limit: WAITING };
-    /// One node with 100 tasks of 100 ports, told as it is to a monitor of so many.
+    /// One node with 100 tasks of 100 ports, no queued messages listed.
     pub const NODE: Self = Self { nodes: 1, tasks: 100, ports: 100, queue_limit: 0 };
 
-    /// What the nodes say when a monitor attaches, at `at`: so many waiting messages at every seventh port, and the events
-    /// of a hundredth of a second.
+    /// The arrivals when a monitor attaches at `at`: the state with its queued messages, and 20 events of each node.
     #[must_use]
     pub fn arrivals(&self, at: Moment) -> Vec<Arrival> {
         (0..self.nodes).flat_map(|node| self.node(node, at)).collect()
@@ -64,13 +63,13 @@ impl Specimen {
         ]
     }
 
-    /// What a node says at a moment.
+    /// A frame of a node as an arrival.
     #[must_use]
     pub fn said(node: u16, at: Moment, frame: ServerFrame) -> Arrival {
         Arrival { at, source: SourceId(node.into()), feed: Feed::Frame(Box::new(frame)) }
     }
 
-    /// The task that sends to `task`: the same one of the next node.
+    /// The task that sends to `task`: the same task of the next node.
     const fn sender(&self, task: u16) -> TaskId {
         TaskId((task + self.tasks) % (self.nodes * self.tasks))
     }
@@ -143,7 +142,7 @@ impl Specimen {
         TaskSnapshot { liveness: Liveness::Alive, age_us: 0, view }
     }
 
-    /// A tenth of a second later: of each task every `apart`-th port did something, by turns.
+    /// Advances a state by 100 ms. In each task every `apart`-th port changes, in rotation.
     pub fn go_on(state: &mut Snapshot, period: u64, apart: usize) {
         const PERIOD_US: u64 = 100_000;
         state.mono_us += PERIOD_US;
@@ -164,7 +163,7 @@ impl Specimen {
         }
     }
 
-    /// Messages that were sent and taken by the first task of a node.
+    /// Events of messages that the first task of a node sent and took.
     #[must_use]
     pub fn events(&self, node: u16) -> Events {
         let own = node * self.tasks;

@@ -1,4 +1,4 @@
-//! The terminal is borrowed: whatever ends the monitor, it is given back as it was.
+//! Takes over the terminal, and restores it however the monitor ends.
 
 use crate::error::MonitorError;
 use crossterm::clipboard::CopyToClipboard;
@@ -13,10 +13,10 @@ use std::io::{self, BufWriter, Stdout};
 use std::panic;
 use std::sync::atomic::{AtomicBool, Ordering};
 
-/// Whether the terminal is ours now. Set before it is changed, so that a signal in between still restores it.
+/// Whether the monitor holds the terminal. Set before the terminal changes, so that a signal in between still restores it.
 static BORROWED: AtomicBool = AtomicBool::new(false);
 
-/// The terminal, while the monitor draws on it. Dropping it gives it back.
+/// The terminal while the monitor draws on it. Dropping it restores the terminal.
 #[derive(Debug)]
 pub struct Borrowed {
     terminal: Terminal<CrosstermBackend<BufWriter<Stdout>>>,
@@ -24,12 +24,12 @@ pub struct Borrowed {
 }
 
 impl Borrowed {
-    /// Takes the terminal, with its mouse or without, and makes sure that a panic in any thread gives it back before it is reported.
+    /// Takes the terminal, with or without its mouse. A panic in any thread restores it before the panic is reported.
     ///
     /// # Errors
     /// [`MonitorError::Terminal`].
     pub fn take(mouse: bool) -> Result<Self, MonitorError> {
-        // crossterm answers NO_COLOR with a reset of all styles, the selection's too. The theme knows of it instead.
+        // With NO_COLOR crossterm drops all styles, including the selection. The theme handles NO_COLOR instead.
         crossterm::style::force_color_output(true);
         let report = panic::take_hook();
         panic::set_hook(Box::new(move |info| {
@@ -48,13 +48,13 @@ impl Borrowed {
     /// The area of the screen.
     ///
     /// # Errors
-    /// What the terminal answers instead of its size.
+    /// The error of the query for its size.
     pub fn area(&self) -> io::Result<Rect> {
         let size = self.terminal.backend().size()?;
         Ok(Rect::from((ratatui::layout::Position::ORIGIN, size)))
     }
 
-    /// Gives `text` to the terminal's clipboard (OSC 52); a terminal that has none ignores it.
+    /// Copies `text` to the terminal's clipboard (OSC 52); a terminal without one ignores it.
     ///
     /// # Errors
     /// [`MonitorError::Terminal`].
@@ -74,13 +74,13 @@ impl Borrowed {
         drawn.map(|_| ()).map_err(MonitorError::Terminal)
     }
 
-    /// Takes the terminal again after it was given back, and forgets what was on it.
+    /// Takes the terminal again after it was released, and forgets its contents.
     ///
     /// # Errors
     /// [`MonitorError::Terminal`].
     pub fn take_again(&mut self) -> Result<(), MonitorError> {
         grab(self.mouse).map_err(MonitorError::Terminal)?;
-        // Resizing clears without asking the terminal where its cursor is, which not every terminal answers.
+        // Resizing clears the screen without a query for the cursor, which some terminals do not answer.
         let again = self
             .terminal
             .backend()
@@ -96,7 +96,7 @@ impl Drop for Borrowed {
     }
 }
 
-/// Whether the terminal is ours now.
+/// Whether the monitor holds the terminal.
 #[must_use]
 pub fn is_borrowed() -> bool {
     BORROWED.load(Ordering::SeqCst)
@@ -110,7 +110,7 @@ fn grab(mouse: bool) -> io::Result<()> {
         .inspect_err(|_| give_back())
 }
 
-/// Gives the terminal back, once. Errors are of no use here: there is nobody left to tell.
+/// Restores the terminal, once. Errors are ignored, because nobody is left to receive them.
 pub fn give_back() {
     if BORROWED.swap(false, Ordering::SeqCst) {
         let _ = disable_raw_mode();

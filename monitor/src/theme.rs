@@ -1,29 +1,29 @@
-//! How things look. What something means is never said by colour alone: a glyph or a word says it too.
+//! The themes. A glyph or a word always carries the meaning too; colour alone never does.
 
 use ratatui::style::{Color, Modifier, Style};
 
-/// What a piece of the screen is, from which its style follows.
+/// The role of a piece of the screen, which determines its style.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ink {
     /// Ordinary text.
     Plain,
-    /// The line at the top, and headings.
+    /// The header and headings.
     Head,
-    /// What matters less: old state, units, hints.
+    /// Less important text: old state, units, hints.
     Dim,
-    /// The row that keys act on.
+    /// The selected row.
     Selected,
-    /// All well.
+    /// Healthy.
     Good,
-    /// Look at this soon.
+    /// A warning.
     Warn,
-    /// Look at this now.
+    /// A critical finding.
     Bad,
-    /// Life that is left.
+    /// Remaining time in a bar.
     Bar,
 }
 
-/// The signs that rows and bars are made of, each one column wide.
+/// The signs of rows and bars, each one column wide.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Glyphs {
     /// Before the selected row.
@@ -34,33 +34,33 @@ pub struct Glyphs {
     pub closed: &'static str,
     /// Before a dead node.
     pub dead: &'static str,
-    /// What is left in a bar.
+    /// The filled part of a bar.
     pub full: &'static str,
-    /// What is gone.
+    /// The empty part of a bar.
     pub empty: &'static str,
-    /// Yes, in the matrix.
+    /// A known arrival in the matrix.
     pub yes: &'static str,
-    /// Not yet, in the matrix.
+    /// An unknown arrival in the matrix.
     pub no: &'static str,
-    /// Between two ends.
+    /// From one end to the other.
     pub arrow: &'static str,
-    /// The same, to the left.
+    /// The same, leftwards.
     pub back: &'static str,
-    /// The way of a message between tasks of one node, whose clock measured it.
+    /// A message between tasks of one node, timed by one clock.
     pub way: &'static str,
-    /// The way of a message between nodes, whose clocks are only estimated.
+    /// A message between nodes, whose clock offset is an estimate.
     pub guessed: &'static str,
-    /// A task that lives on.
+    /// The line of a lane of the timeline.
     pub lane: &'static str,
     /// A rendezvous.
     pub met: &'static str,
-    /// Rejected, and ranked later.
+    /// A rejection by rank.
     pub penalty: &'static str,
-    /// In a bar: when the message will be done.
+    /// In a bar: the forecast of completion.
     pub done: &'static str,
-    /// In a bar: back-off that is not yet over.
+    /// In a bar: remaining back-off.
     pub wait: &'static str,
-    /// Heights, from nothing to full.
+    /// Heights, from empty to full.
     pub heights: [&'static str; 8],
 }
 
@@ -125,12 +125,12 @@ enum Palette {
     Dark,
     /// For a light background.
     Light,
-    /// The strongest that a terminal has, and nothing dim.
+    /// The strongest colours of a terminal, and nothing dim.
     Contrast,
 }
 
 impl Theme {
-    /// Colours that people with any colour vision tell apart (Okabe and Ito), from the 256 that terminals have.
+    /// Colours that people with any colour vision can distinguish (Okabe and Ito), from the terminal's 256.
     pub const COLOUR: Self = Self { name: "colour", glyphs: UNICODE, palette: Palette::Dark };
     /// No colour: bold, dim, underlined and reversed only.
     pub const MONO: Self = Self { name: "mono", glyphs: UNICODE, palette: Palette::None };
@@ -140,13 +140,13 @@ impl Theme {
     pub const COLOUR_ASCII: Self = Self { name: "colour-ascii", glyphs: ASCII, palette: Palette::Dark };
     /// The same colours, darker, for a light background.
     pub const LIGHT: Self = Self { name: "light", glyphs: UNICODE, palette: Palette::Light };
-    /// The strongest colours, nothing dim, for eyes or light that need it.
+    /// The strongest colours and nothing dim, for poor eyesight or light.
     pub const CONTRAST: Self = Self { name: "contrast", glyphs: UNICODE, palette: Palette::Contrast };
-    /// All of them, in the order that the key for it goes through.
+    /// All themes, in the order of the theme key.
     pub const ALL: [Self; 6] =
         [Self::COLOUR, Self::LIGHT, Self::CONTRAST, Self::MONO, Self::ASCII, Self::COLOUR_ASCII];
 
-    /// The theme of a name.
+    /// The theme with this name.
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|theme| theme.name == name)

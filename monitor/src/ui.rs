@@ -1,4 +1,4 @@
-//! The main loop of the screen: messages in, at most thirty frames a second out, nothing else.
+//! The main loop of the screen: it handles messages and draws at most thirty frames a second.
 
 use crate::app::{App, Effect, Msg};
 use crate::clock::{Clock, Moment};
@@ -24,29 +24,29 @@ use std::time::Duration;
 
 /// The least time between two frames.
 const FRAME: Duration = Duration::from_millis(33);
-/// The same after the user did something, who waits to see it.
+/// The least time after a user's input, which must be answered quickly.
 const ANSWER: Duration = Duration::from_millis(8);
-/// How many messages may wait; who feeds more waits, and then the nodes coalesce.
+/// How many messages may be queued. A source that sends more blocks, and then its node coalesces snapshots.
 const QUEUE: usize = 64;
-/// How often the thread that reads keys looks whether it should end: as long may leaving take.
+/// How often the keyboard thread checks whether to end, and so the longest delay of leaving.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// The numbers of sources that the user adds begin here: those found by themselves stay below.
+/// The numbers of sources that the user adds start here; those found automatically are below.
 const MORE: u32 = 60_000;
-/// How many numbers each of them has.
+/// How many numbers each added source may use.
 const EACH: u32 = 256;
-/// What a written screen is called, before a number makes the name free.
+/// The file name of a written screen; a number makes it unique.
 const FRAME_FILE: &str = "monitor-screen.txt";
 
 enum Input {
     Msg(Msg),
     Call(Call),
-    /// No more keys will come: the terminal is gone.
+    /// The terminal is gone, so no keys will arrive.
     NoKeys,
 }
 
-/// Shows `source` on the terminal until the user quits. What it says goes past `tape`; `record` names the file of the
-/// key that records.
+/// Shows `source` on the terminal until the user quits. Every arrival passes through `tape`; `record` is the file of
+/// the record key.
 ///
 /// # Errors
 /// [`MonitorError`].
@@ -88,7 +88,7 @@ pub fn show(
         gaps: 0,
     };
     let ended = screen.run(&mut terminal);
-    // The thread of the keys ends before the terminal is given back, or it would take what is typed for the shell.
+    // The keyboard thread must end before the terminal is restored, or it would take input meant for the shell.
     drop(screen);
     drop(terminal);
     if let Ok(Some(signal)) = ended {
@@ -101,27 +101,27 @@ struct Loop<'a> {
     app: &'a mut App,
     clock: Clock,
     inputs: Receiver<Input>,
-    /// When the next frame is due, if any is.
+    /// When the next frame is due, if one is.
     due: Option<Moment>,
     drawn: Option<Moment>,
     tape: &'a Arc<Tape>,
-    /// Where `r` records to.
+    /// The file of the record key.
     record: PathBuf,
-    /// For sources that are added, and for the keys.
+    /// For added sources and the keyboard thread.
     sender: SyncSender<Input>,
-    /// Reads the keyboard, unless the terminal is given back.
+    /// The keyboard thread, unless the terminal is released.
     keys: Option<Keys>,
     /// The sources that the user added.
     more: Vec<Live>,
-    /// How often a state was missing, when it was last looked.
+    /// The store's count of gaps at the last check.
     gaps: u64,
 }
 
 impl Loop<'_> {
-    /// Until the user quits, or a signal ends it, which it then gives.
+    /// Runs until the user quits or a signal ends it. Returns that signal.
     fn run(&mut self, terminal: &mut Borrowed) -> Result<Option<i32>, MonitorError> {
         loop {
-            // A panic elsewhere has given the terminal back: nothing may be drawn on it any more.
+            // A panic in another thread has restored the terminal, so nothing may be drawn any more.
             if !terminal::is_borrowed() {
                 return Err(MonitorError::Internal);
             }
@@ -139,7 +139,7 @@ impl Loop<'_> {
                 Err(RecvTimeoutError::Timeout) => continue,
                 Err(RecvTimeoutError::Disconnected) => return Err(MonitorError::Internal),
             };
-            // Everything that is there is taken before the next frame is drawn.
+            // Handle all queued inputs before the next frame.
             let more: Vec<_> = self.inputs.try_iter().take(QUEUE).collect();
             for input in std::iter::once(first).chain(more) {
                 match self.take(input, terminal)? {
@@ -158,7 +158,7 @@ impl Loop<'_> {
         };
         let effect = match input {
             Input::Msg(msg) => self.app.update(msg, self.clock.now()),
-            // An interrupt is what ^C says, and ^C quits; a shell that saw its child die of it would give up as well.
+            // SIGINT means ^C, and ^C quits. Dying of the signal would make the parent shell abort its script as well.
             Input::Call(Call::End(SIGINT)) => return Ok(Next::Quit),
             Input::Call(Call::End(signal)) => return Ok(Next::EndAs(signal)),
             Input::Call(Call::Stop) => Effect::Suspend,
@@ -193,7 +193,7 @@ impl Loop<'_> {
                 self.due = Some(Duration::ZERO);
             }
             Effect::Suspend => {
-                // The thread of the keys ends first, or it would take what is typed for the shell.
+                // The keyboard thread must end first, or it would take input meant for the shell.
                 self.keys = None;
                 terminal::give_back();
                 signals::stop();
@@ -208,7 +208,7 @@ impl Loop<'_> {
 }
 
 impl Loop<'_> {
-    /// Tells those who talk with nodes what the screen needs.
+    /// Passes the screen's subscription to the sources.
     fn wish(&mut self) {
         let wishes = self.tape.wishes();
         wishes.want(self.app.want());
@@ -218,7 +218,7 @@ impl Loop<'_> {
         }
     }
 
-    /// A recording that cannot begin says why where troubles are shown.
+    /// Starts or ends a recording. An error is shown with the attach errors.
     fn toggle_recording(&mut self) {
         if self.tape.stop().is_some() {
             self.app.recording = None;
@@ -238,13 +238,13 @@ impl Loop<'_> {
 }
 
 impl Loop<'_> {
-    /// Says something at the foot.
+    /// Shows a text on the bottom line.
     fn tell(&mut self, text: String) {
         self.app.update(Msg::Told(text), self.clock.now());
         self.due = Some(Duration::ZERO);
     }
 
-    /// Writes the screen as it would be drawn now into a file of its own, and says which.
+    /// Writes the present screen to a new file. Returns a text that names the file.
     fn write(&self, terminal: &Borrowed) -> String {
         let path = free_name(Path::new(FRAME_FILE));
         let written = terminal.area().and_then(|area| {
@@ -258,9 +258,9 @@ impl Loop<'_> {
         }
     }
 
-    /// Attaches to one more node, until the end.
+    /// Attaches to another node until the monitor ends.
     fn connect(&mut self, endpoint: Endpoint) -> Result<(), MonitorError> {
-        // Room for what is found from there, too.
+        // Reserve numbers for the nodes found through it.
         let number = u32::try_from(self.more.len()).unwrap_or(u32::MAX);
         let first = MORE.saturating_add(number.saturating_mul(EACH));
         let (taped, sender) = (Arc::clone(self.tape), self.sender.clone());
@@ -283,7 +283,7 @@ enum Next {
     EndAs(i32),
 }
 
-/// The thread that reads the keyboard. Dropping it ends the thread, and waits until it has.
+/// The keyboard thread. Dropping it ends the thread and joins it.
 struct Keys {
     stop: Arc<AtomicBool>,
     thread: Option<JoinHandle<()>>,
@@ -317,14 +317,14 @@ impl Drop for Keys {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
         if let Some(thread) = self.thread.take() {
-            // A panic of it has been told, and the terminal is given back all the same.
+            // Its panic was already reported; the terminal is restored anyway.
             let _ = thread.join();
         }
     }
 }
 
-/// Hands an input to the main loop as soon as that has room. False if the thread is to end: the main loop takes nothing
-/// while it waits for that.
+/// Passes an input to the main loop as soon as there is room. Returns false if the thread must end: then the main loop
+/// takes nothing, because it waits for the thread.
 fn hand_over(sender: &SyncSender<Input>, mut input: Input, stopped: &AtomicBool) -> bool {
     loop {
         match sender.try_send(input) {

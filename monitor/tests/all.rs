@@ -1,4 +1,4 @@
-//! The tests of the monitor, one program: each file beside this one is a module of it, but for `history_memory.rs`.
+//! The tests of the monitor, built as one program: each file beside this one is a module, except `history_memory.rs`.
 
 mod common;
 #[path = "../../protocol/tests/allocations.rs"]

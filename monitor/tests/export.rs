@@ -1,4 +1,4 @@
-//! Exports: that other tools find in them what the recording has.
+//! Tests of exports: other tools find in them what the recording contains.
 
 use crate::common::{BEAT, LIFT, events, identity, observed, snapshot, table, text};
 use imrs_monitor::app::{App, Msg};
@@ -20,7 +20,7 @@ fn at_node(node: u16, mono_us: u64, what: Observation) -> Shown {
     Shown::Said(ServerFrame::Events(Events { lost: 0, events: vec![event] }))
 }
 
-/// The left arm sends a beat that the right one takes; another expires; the hoist dies.
+/// The left arm sends a beat, and the right arm takes it. Another beat expires, and the hoist dies.
 fn film() -> Arc<Film> {
     let header = Header { cell: "beam-lift".into(), ..Header::default() };
     let mut writer = RecordingWriter::new(Vec::new(), &header).unwrap();

@@ -1,4 +1,4 @@
-//! What changed is shown as what is; recordings and the history of the present run begin anywhere and play the same.
+//! Tests of deltas, recordings and history: deltas give the same state as snapshots, and a recording may start at any time.
 
 use crate::common::{LIFT, Stage, events, identity, ms, observed, snapshot, table, whole_film};
 use imrs_monitor::record::Tape;
@@ -12,13 +12,13 @@ use imrs_wire::obs::{Delta, Detail, Pong, ServerFrame, Snapshot, Vitals};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// The state of a node after so many periods of 100 ms.
+/// The state of a node after this many periods of 100 ms.
 fn state(node: usize, periods: u64) -> Snapshot {
     let mut state = snapshot(node);
     state.mono_us += periods * 100_000;
     state.uptime_us += periods * 100_000;
     for task in &mut state.tasks {
-        // In every third period something happens.
+        // Something changes in every third period.
         task.age_us = periods % 3 * 100_000;
         for port in &mut task.view.ports {
             port.counters.sent = periods / 3;
@@ -68,7 +68,7 @@ fn what_changed_is_shown_as_if_it_had_come_whole() {
     assert_eq!(new.gaps(), 0);
     let rate = |store: &Store| store.lives()[0].rate(state(0, 0).tasks[0].view.task, LIFT);
     assert!(rate(&new).is_some_and(|rate| (2.0..5.0).contains(&rate)), "{:?}", rate(&new));
-    // What changes elsewhere is not shown, and told.
+    // A delta of another snapshot is not applied, and is counted.
     new.apply(arrival(period(60), change(0, 70, 71)));
     assert_eq!(new.gaps(), 1);
     assert_eq!(new.lives()[0].last.as_ref().unwrap().at, period(59));
@@ -88,7 +88,7 @@ fn queues_the_process_and_the_clock_are_kept_by_node() {
     assert_eq!(life.vitals.as_ref().unwrap().what, vitals);
     let clock = life.clock.unwrap();
     assert_eq!((clock.us, clock.error_us), (48_000_000, 3_000));
-    // A pong of another clock says nothing.
+    // A pong with an impossible echo is ignored.
     store.apply(arrival(ms(2_020), ServerFrame::Pong(Pong { echo_us: u64::MAX, mono_us: 1 })));
     assert_eq!(store.lives()[0].clock, Some(clock));
 }
@@ -106,7 +106,7 @@ fn a_recording_that_begins_in_the_middle_begins_with_all_that_is() {
     take(arrival(period(0), whole(0, 0)));
     (1..10).for_each(|n| take(arrival(period(n), change(0, n - 1, n))));
     tape.start(&path, period(9)).unwrap();
-    // What changed of a state that the recording does not have is of no use; then the node says all.
+    // Deltas without a base in the recording are useless, until the node sends a whole snapshot.
     (10..13).for_each(|n| take(arrival(period(n), change(0, n - 1, n))));
     take(arrival(period(13), whole(0, 13)));
     (14..40).for_each(|n| take(arrival(period(n), change(0, n - 1, n))));
@@ -146,7 +146,7 @@ fn while_paused_one_goes_back_in_the_present_run() {
     stage.keys(now, "[[");
     assert_eq!(shown(&stage), (id, 697));
     assert_eq!(stage.app.moment(now), period(697));
-    // The nodes go on meanwhile, and nothing of that is shown.
+    // The nodes continue, but the paused screen does not show it.
     stage.frame(period(700), 0, change(0, 699, 700));
     assert_eq!(shown(&stage), (id, 697));
     stage.keys(now, "{");
@@ -178,7 +178,7 @@ fn the_history_is_as_long_as_it_says() {
     let kept = period(8_999) - film.stops()[0].at;
     assert!(kept >= history::LENGTH && kept < history::LENGTH + Duration::from_secs(60), "{kept:?}");
     assert!(history.weight() < 2 << 20, "{} bytes", history.weight());
-    // It begins with where everything stood.
+    // The history begins with the state of all nodes.
     let player = Player::new(Arc::new(film), 1.0);
     let first = player.store().lives()[0].last.clone().unwrap().snapshot;
     assert_eq!(first.tasks[0].view.ports.len(), snapshot(0).tasks[0].view.ports.len());

@@ -1,4 +1,4 @@
-//! M7: ten minutes of ten thousand ports in the memory of one process of its own.
+//! Test of the memory of ten minutes with ten thousand ports, in a process of its own (goal M7).
 
 use imrs_monitor::app::{App, Msg};
 use imrs_monitor::clock::Moment;
@@ -10,30 +10,30 @@ use imrs_protocol::Incarnation;
 use imrs_wire::obs::{Delta, NodeIdentity, ServerFrame};
 use std::time::Duration;
 
-/// A run: its seconds, and what the history and the process may take, in bytes.
+/// A run: its length in seconds, and the limits for history and process, in bytes.
 struct Run {
     seconds: u64,
     history: usize,
     process: usize,
 }
 
-/// The goal is 64 MiB, of which 4 are left to the pages of the program itself: the kernel may drop these at any time, and how
-/// many there are depends on the build.
+/// The goal is 64 MiB. 4 MiB of it are reserved for file pages of the program, which the kernel may drop and whose
+/// number depends on the build.
 const TEN_MINUTES: Run = Run { seconds: 600, history: BUDGET, process: 60 << 20 };
-/// What is run by itself: a tenth of the history in a tenth of its budget, beside what the process takes without one.
+/// The default run: a tenth of the history with a tenth of its budget, plus the memory of the process without history.
 const ONE_MINUTE: Run = Run { seconds: 60, history: BUDGET / 10, process: 20 << 20 };
 
-/// One port in so many did something in each of them: 5 %.
+/// One in this many ports changed in each period: 5 %.
 const APART: usize = 20;
 
-/// The resident memory of this process that is no page of a file, in bytes.
+/// The resident anonymous memory of this process, in bytes.
 fn resident() -> usize {
     let text = std::fs::read_to_string("/proc/self/status").unwrap();
     let line = text.lines().find_map(|line| line.strip_prefix("RssAnon:")).unwrap();
     line.split_whitespace().next().unwrap().parse::<usize>().unwrap() * 1024
 }
 
-/// One minute by itself; the ten of the goal where `IMRS_HISTORY` is set.
+/// Runs one minute, or the ten of the goal if `IMRS_HISTORY` is set.
 #[test]
 fn ten_minutes_of_ten_thousand_ports_fit_the_budget() {
     let run = if std::env::var_os("IMRS_HISTORY").is_some() { TEN_MINUTES } else { ONE_MINUTE };
@@ -52,7 +52,7 @@ fn ten_minutes_of_ten_thousand_ports_fit_the_budget() {
         app.update(Msg::Feed(Specimen::said(0, at, ServerFrame::Delta(delta))), at);
     };
     let mut state = Specimen::NODE.snapshot(0);
-    // Something waits at every port: the most that there is to tell.
+    // Every port has a queued message: the most that a delta can contain.
     for port in state.tasks.iter_mut().flat_map(|task| &mut task.view.ports) {
         (port.len, port.min_slack) = (1, Some(imrs_protocol::Ticks(100_000 + u64::from(port.port.0))));
     }

@@ -1,4 +1,4 @@
-//! Whatever a node sends, the monitor neither panics nor lets it act on the terminal.
+//! Tests with hostile nodes: no frame makes the monitor panic or reaches the terminal unescaped.
 
 use crate::common::{Stage, events, identity, ms, observed, snapshot, table};
 use imrs_monitor::report;
@@ -8,7 +8,7 @@ use imrs_protocol::{Event, Incarnation, PortId};
 use imrs_wire::obs::{NodeIdentity, ServerFrame};
 use proptest::prelude::*;
 
-/// A frame with some of its bytes changed, where it still decodes.
+/// A frame with some bytes changed, if it still decodes.
 fn damaged(which: usize, damage: &[(usize, u8)]) -> Option<ServerFrame> {
     let list = [observed(Event::GaveUp, PortId(0), 2, 7), observed(Event::TimedOut, PortId(1), 1, 8)];
     let frame = match which {
@@ -24,7 +24,7 @@ fn damaged(which: usize, damage: &[(usize, u8)]) -> Option<ServerFrame> {
     ServerFrame::decode(&bytes).ok()
 }
 
-/// From which source, which frame, and what is changed in it.
+/// The source, the kind of frame, and the changed bytes.
 type Sent = (usize, usize, Vec<(usize, u8)>);
 
 fn frames() -> impl Strategy<Value = Vec<Sent>> {

@@ -1,4 +1,4 @@
-//! A cell of ten thousand ports costs what is seen of it.
+//! Tests of the cost of large cells: a frame costs only what is visible.
 
 use crate::allocations;
 use crate::common::{Stage, ms};
@@ -9,19 +9,19 @@ use imrs_wire::obs::ServerFrame;
 use rustix::time::{ClockId, clock_gettime};
 use std::time::Duration;
 
-/// Processor time of this thread: what others do meanwhile takes none of it.
+/// Processor time of this thread, which other threads do not affect.
 fn own_time() -> Duration {
     Duration::try_from(clock_gettime(ClockId::ThreadCPUTime)).expect("it counts from the thread's begin")
 }
 
-/// Whether the machine is said to be quiet: then times are asserted, too.
+/// Whether the user declares the machine quiet. Then the tests assert times too.
 fn is_quiet() -> bool {
     std::env::var_os("IMRS_QUIET").is_some_and(|value| value == "1")
 }
 
-/// How often a frame of so many ports may allocate, twice what it does. Who makes each of ten thousand rows allocates far more.
+/// The allocations that a frame may make: twice the measured number. Building ten thousand rows allocates far more.
 const MOST: u64 = 5_000;
-/// The same where the kinds of transitions are listed, whatever the cell.
+/// The same limit for the screen that lists the kinds of transitions.
 const MOST_OF_MODEL: u64 = 20_000;
 
 fn stage(cell: Specimen) -> Stage {
@@ -40,8 +40,8 @@ fn a_keyframe_of_ten_thousand_ports_fits_a_frame() {
     assert!(bytes.len() < imrs_wire::obs::MAX_FRAME / 2);
 }
 
-/// What a frame allocates depends on no machine; how long it takes is asserted where `IMRS_QUIET=1` says that this one is quiet, some
-/// fifty times what it takes there.
+/// The number of allocations is independent of the machine. The time is asserted only with `IMRS_QUIET=1`, with some
+/// fifty times the usual value.
 #[test]
 fn only_rows_in_sight_are_made() {
     let mut stage = stage(Specimen::NODE);
@@ -62,8 +62,8 @@ fn only_rows_in_sight_are_made() {
     assert!(!is_quiet() || fastest < ms(50), "{fastest:?}");
 }
 
-/// Goal M1: 100 nodes with 100 ports each, at 200x60. `imrs bench screen` measures it; here it is bounded only so far
-/// that a screen that builds every row would be noticed on a busy machine too.
+/// Goal M1: 100 nodes with 100 ports each, at 200x60. `imrs bench screen` measures it. This test only detects a screen
+/// that builds every row, on a busy machine too.
 #[test]
 fn every_screen_of_a_hundred_nodes_is_built_from_what_is_in_sight() {
     let attached = stage(Specimen::CELL);

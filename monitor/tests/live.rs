@@ -1,4 +1,4 @@
-//! The live source and the printing modes against servers on real Unix sockets: good, slow, hostile, dying.
+//! Tests of the live source and the printing modes with servers on real Unix sockets: good, slow, hostile and dying ones.
 
 mod printed;
 
@@ -21,7 +21,7 @@ use std::sync::{Arc, mpsc};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Far longer than anything here takes, however busy the machine is.
+/// A time limit far above what any test needs on a busy machine.
 const LIMIT: Duration = Duration::from_secs(120);
 
 fn base() -> (tempfile::TempDir, PathBuf) {
@@ -30,7 +30,7 @@ fn base() -> (tempfile::TempDir, PathBuf) {
     (temp, base)
 }
 
-/// Good nodes.
+/// Starts well-behaved nodes.
 fn serve(base: &Path, nodes: std::ops::Range<usize>) {
     for node in nodes {
         listen(base, NODES.get(node).unwrap(), move |mut peer| peer.serve(node));
@@ -51,7 +51,7 @@ fn until(watch: &mut Watch, what: &str, done: impl Fn(&Watch) -> bool) {
     }
 }
 
-/// Watches until a node has shown itself; the monitor itself would give up sooner.
+/// Watches until a node has delivered its state. The monitor itself would give up sooner.
 fn settled(watch: &mut Watch) {
     let end = Instant::now() + LIMIT;
     while !watch.settle() {
@@ -59,15 +59,15 @@ fn settled(watch: &mut Watch) {
     }
 }
 
-/// What is said of a server that does not say hello within a second.
+/// The error for a server that does not send its hello within three seconds.
 const SILENCE: &str = "no answer in 3s; is the node stopped?";
 
 fn first_trouble(watch: &Watch) -> Option<&str> {
     watch.store().troubles().next()
 }
 
-/// The trouble that a server gives that does `each` with every connection. On a busy machine any server may be silent for
-/// a second at first: a later attempt tells what is wrong with it.
+/// The attach error of a server that does `each` with every connection. On a busy machine any server may be silent too
+/// long at first; a later attempt shows the real error.
 fn trouble_with(each: impl Fn(Peer) + Send + Clone + 'static) -> String {
     let (_temp, base) = base();
     listen(&base, "nl", each);
@@ -76,14 +76,14 @@ fn trouble_with(each: impl Fn(Peer) + Send + Clone + 'static) -> String {
     first_trouble(&watch).unwrap().to_owned()
 }
 
-/// How a node that does `each` after the greeting is lost.
+/// The reason for which a node is lost that does `each` after the handshake.
 fn loss_with(each: impl Fn(&mut Peer) + Send + Clone + 'static) -> String {
     let (_temp, base) = base();
     listen(&base, "nl", move |mut peer| {
         if peer.greet(0).is_ok() {
             peer.say(&ServerFrame::Snapshot(snapshot(0))).unwrap();
             each(&mut peer);
-            // It hears on, so that the monitor fails by what it reads and never by what it writes.
+            // The server keeps reading, so that the monitor fails on a read and never on a write.
             let _ = peer.writer.get_ref().shutdown(Shutdown::Write);
             while peer.hear().is_ok() {}
         }
@@ -104,7 +104,7 @@ fn a_cell_is_found_and_shown_and_new_nodes_join() {
     assert_eq!(watch.store().lives().len(), 1);
     serve(&base, 1..3);
     until(&mut watch, "three nodes", |w| w.store().lives().iter().filter(|l| l.last.is_some()).count() == 3);
-    // On a busy machine one may have been silent for a second; they all go on.
+    // On a busy machine a node may have been silent for a second, but all continue.
     until(&mut watch, "all of them up, and nothing critical", |w| {
         let now = clock.now();
         w.store().lives().iter().all(|l| l.presence(now) == Presence::Up)
@@ -141,7 +141,7 @@ fn a_dead_node_is_shown_dead_and_comes_back_after_a_restart() {
     let lives = Arc::new(AtomicU32::new(0));
     let count = lives.clone();
     listen(&base, "nl", move |mut peer| {
-        // A connection that is given up before the greeting is over is none of its lives.
+        // A connection that ends before the handshake does not count as an incarnation.
         let Ok(credit) = peer.greet(0) else { return };
         if count.fetch_add(1, Ordering::Relaxed) == 0 {
             peer.say(&ServerFrame::Snapshot(snapshot(0))).unwrap();
@@ -150,10 +150,10 @@ fn a_dead_node_is_shown_dead_and_comes_back_after_a_restart() {
         }
     });
     let (mut watch, clock) = watch(&base);
-    // It may be back before it is looked at; that it was dead is written down.
+    // It may be back before the check, but the journal has its death.
     until(&mut watch, "death", |w| !w.store().journal().lines(false, "dead").is_empty());
     until(&mut watch, "return", |w| w.store().lives()[0].presence(clock.now()) == Presence::Up);
-    // It is shown from its first frame on; it counts its life when the greeting is over.
+    // The monitor shows it from its first frame on; the server counts it after the handshake.
     until(&mut watch, "its second life", |_| lives.load(Ordering::Relaxed) == 2);
 }
 
@@ -175,7 +175,7 @@ fn another_version_is_refused_with_both_named() {
 #[test]
 fn strangers_and_silence_are_told_apart() {
     let trouble = trouble_with(|mut peer| {
-        // A connection that is closed with something unread may be reset before anything of it is read.
+        // A connection closed with unread data may be reset before the peer has read anything.
         let _ = peer.reader.read_frame();
         peer.raw(b"\x20\0\0\0HTTP/1.1 400 Bad Request\r\n\r\nxxxx");
     });
@@ -243,7 +243,7 @@ fn a_socket_that_a_killed_node_left_is_removed_and_remembered() {
     assert!(text.contains("node nh: DEAD") && text.contains("node nr: not seen here"), "{text}");
 }
 
-/// What the programs of version 1.0 say of themselves.
+/// The version and schema of the programs of version 1.0.
 const OLD: (Version, u32) = (Version { major: 1, minor: 0 }, 0x3723_afbb);
 
 #[test]
@@ -263,7 +263,7 @@ fn a_node_of_version_1_0_is_asked_in_its_own_words() {
             count.fetch_add(1, Ordering::Relaxed);
             credit -= 1;
             while credit == 0 {
-                // Nothing else is ever said to it.
+                // The monitor never sends it any other frame.
                 let frame = peer.reader.read_frame().unwrap();
                 let Ok(ClientFrame::Credit(more)) = ClientFrame::decode(frame) else { panic!("{frame:?}") };
                 credit += more;
@@ -273,7 +273,7 @@ fn a_node_of_version_1_0_is_asked_in_its_own_words() {
     });
     let (mut watch, _) = watch(&base);
     until(&mut watch, "30 snapshots", |_| sent.load(Ordering::Relaxed) == 30);
-    // What was sent may still be on its way to the store.
+    // The sent frames may not have reached the store yet.
     until(&mut watch, "its tasks", |w| w.store().lives().first().is_some_and(|l| !l.tasks().is_empty()));
 }
 
@@ -318,7 +318,7 @@ fn one_address_leads_to_the_whole_cell() {
         let place = |address: String| NodePlace { node: NodeId(2), address };
         let nodes = vec![place("tcp:nowhere".into()), place(format!("unix:{}", third.display()))];
         for _ in 0..3 {
-            // However often it is told: it is followed once.
+            // A repeated address is followed once.
             peer.say(&ServerFrame::Places(Places { nodes: nodes.clone() })).unwrap();
         }
         peer.say(&ServerFrame::Snapshot(snapshot(0))).unwrap();

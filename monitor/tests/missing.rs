@@ -1,4 +1,4 @@
-//! Nodes that a cell declares and that the monitor knows nothing of, or next to nothing.
+//! Tests of declared nodes of which the monitor knows little or nothing.
 
 use crate::common::{LIFT, NODES, Stage, identity, ms, snapshot, table};
 use imrs_monitor::name::Name;
@@ -69,7 +69,7 @@ fn a_socket_left_behind_says_which_node_was_killed() {
     assert!(codes(stage.app.store(), ms(1_000)).contains(&"node-dead"));
 }
 
-/// What scripts ask: whether all nodes of the cell are up, and whether anything is critical.
+/// The conditions that scripts use: whether all nodes are up, and whether any finding is critical.
 #[test]
 fn no_condition_on_a_whole_cell_holds_because_a_node_is_not_there() {
     let mut stage = Stage::new(Theme::ASCII);
@@ -87,7 +87,7 @@ fn no_condition_on_a_whole_cell_holds_because_a_node_is_not_there() {
     assert!(holds(&stage, "missing==1"));
 }
 
-/// A recording is of those who recorded: that others are not in it says nothing about them.
+/// A recording contains only the nodes that were recorded, so it cannot show that others are missing.
 #[test]
 fn in_a_recording_nobody_is_missing() {
     let mut stage = Stage::new(Theme::ASCII);

@@ -1,4 +1,4 @@
-//! Conditions: what they say of rows and of cells, and what is said of texts that are none.
+//! Tests of conditions: their meaning for rows and cells, and the errors for invalid texts.
 
 use crate::common::{Stage, ms};
 use imrs_monitor::name::Name;
@@ -11,7 +11,7 @@ use std::time::Duration;
 
 const NOW: Duration = ms(1_000);
 
-/// `node.task.port` of the ports that a filter takes.
+/// `node.task.port` of the ports that match a filter.
 fn taken(store: &Store, text: &str) -> Vec<String> {
     let filter = Filter::parse(text).unwrap().unwrap();
     let found = findings(store, &Name::new("beam-lift"), NOW);
@@ -45,7 +45,7 @@ fn filters_pick_ports_by_what_they_have() {
     assert_eq!(taken(store, "beat"), ["nl.armL.beat", "nr.armR.beat"]);
     assert_eq!(taken(store, "armr && !lift"), ["nr.armR.beat", "nr.armR.halt"]);
     assert_eq!(taken(store, "health=warning"), ["nr.armR.beat"]);
-    // What has no slack is not below anything, and is unequal to everything.
+    // A missing slack is below nothing and unequal to everything.
     assert_eq!(taken(store, "slack<10s"), ["nr.armR.beat"]);
     assert_eq!(taken(store, "slack!=7ms").len(), 7);
     assert_eq!(Filter::parse("  ").unwrap(), None);
@@ -94,7 +94,7 @@ fn assertions_speak_of_whole_cells() {
     stage.lose(ms(1_050), 2);
     assert_eq!(held(&stage, "up>=3", ms(1_060)), (false, "up = 2".to_owned()));
     assert!(!held(&stage, "critical=0", ms(1_060)).0);
-    // Where nothing waits, nothing is urgent.
+    // Without queued messages the least slack is infinite.
     let nothing = "min_slack>5ms".parse::<Assertion>().unwrap().holds(&Store::default(), &[], NOW);
     assert_eq!((nothing.holds, nothing.values.join(", ")), (true, "min(slack) = nothing".to_owned()));
 }

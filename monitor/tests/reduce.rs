@@ -1,4 +1,4 @@
-//! What the store and the app make of what they are told, without a terminal.
+//! Tests of the reducers of store and app, without a terminal.
 
 use crate::common::{BEAT, HALT, LIFT, Stage, events, identity, ms, observed, snapshot, table};
 use crossterm::event::KeyCode;
@@ -180,8 +180,8 @@ fn losses_crashes_and_link_drops_are_noticed() {
 }
 
 proptest! {
-    /// M9: whatever is left, however old the word of it and however late it came, what is shown differs from the truth of
-    /// the node by no more than a tick and the time that the word was on its way: at most a frame of the screen.
+    /// Goal M9: a shown remaining time differs from the node's own by at most a tick and the transfer delay, which is
+    /// at most a frame of the screen. This holds for any remaining time, age and delay.
     #[test]
     fn a_countdown_is_true_but_for_a_tick_and_a_frame(
         left_us in 0..5_000_000_u64,
@@ -196,7 +196,7 @@ proptest! {
         stage.feed(at(0), 1, Feed::Attached { identity, pid: 1, build: "imrs".into() });
         let mut told = snapshot(1);
         told.tasks[0].age_us = age_us;
-        // Taken at that moment; so much is left to the node's machine, which has advanced `age_us` before.
+        // At the sample the state machine is `age_us` behind, so its remaining time is larger by this.
         let remaining = Ticks(left_us.saturating_add(age_us) / tick_us);
         stage.frame(at(way_us), 1, ServerFrame::Snapshot(told));
         let now = at(way_us + passed_us);
@@ -206,12 +206,12 @@ proptest! {
     }
 }
 
-/// Half of few is no rule, and what was late long ago is over.
+/// Half of a few timers is no finding, and neither is lateness of long ago.
 #[test]
 fn timers_are_late_when_most_of_many_are() {
     let mut stage = Stage::new(Theme::ASCII);
     stage.attach(ms(1_000), 0, 1);
-    // In each second: how many ended, and how many of them late.
+    // For each second: how many timers ended, how many of them late, and whether that is a finding.
     let seconds = [
         ((2, 2), false),
         ((5, 0), false),
@@ -422,7 +422,7 @@ fn a_trouble_ends_with_its_socket_or_with_success() {
     assert_eq!(stage.app.store().troubles().count(), 0);
 }
 
-/// What a node says of its scripts that are held back counts down, in words and for programs, until it says that they began.
+/// A reported hold-back counts down, in text and in JSON, until the node reports that the scripts began.
 #[test]
 fn a_restarted_node_is_shown_to_be_held_back_until_its_scripts_begin() {
     let mut stage = Stage::cell(Theme::MONO);
@@ -450,7 +450,7 @@ fn a_restarted_node_is_shown_to_be_held_back_until_its_scripts_begin() {
     assert!(screen.contains(&format!("; nh {words}")), "{screen}");
     let text = report::text(stage.app.store(), None, ms(1_200));
     assert!(text.contains("task hoist: held back 62 s more") && text.contains(words), "{text}");
-    // It may be long between two words of a node.
+    // The countdown continues without new reports.
     assert_eq!(seen(&stage, 32_200).0, Some(30_700_000));
     assert_eq!(seen(&stage, 99_000), (None, None));
     tell(&mut stage, 33_000, &[]);

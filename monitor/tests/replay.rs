@@ -1,4 +1,4 @@
-//! Recordings: written from what comes in, opened, wound back and forth, drawn.
+//! Tests of recordings: writing, opening, moving in them, drawing.
 
 use crate::common::{
     BEAT, LIFT, Stage, events, identity, ms, observed, snapshot, styles, table, text, whole_film,
@@ -47,8 +47,7 @@ fn story() -> Story {
     }
 }
 
-/// Forty steps of two milliseconds; a packet is lost in the third, the hoist dies in the twentieth, the last one is the
-/// finding.
+/// Forty steps of two milliseconds. A packet is lost in step 3, the hoist dies in step 20, and step 40 is the finding.
 fn film() -> Vec<(u16, u64, Shown)> {
     let mut records = vec![(0, 0, Shown::Story(story()))];
     for number in 0..=40 {
@@ -169,7 +168,7 @@ fn what_was_recorded_of_nodes_plays_in_its_own_time() {
     }
 }
 
-/// Keys that wind.
+/// The keys that move in a recording.
 const KEYS: [KeyCode; 7] = [
     KeyCode::Char('['),
     KeyCode::Char(']'),
@@ -181,10 +180,10 @@ const KEYS: [KeyCode; 7] = [
 ];
 
 proptest! {
-    // Each case draws and winds dozens of screens: a quarter of the cases is some seconds in a plain build.
+    // Each case draws dozens of screens, so a quarter of the usual cases already takes seconds in a debug build.
     #![proptest_config(ProptestConfig { cases: ProptestConfig::default().cases / 4, ..ProptestConfig::default() })]
 
-    /// Whatever way led to a stop, what is shown there is what the recording says, and the same keys give the same.
+    /// The screen at a stop does not depend on the keys that led to it, and the same keys give the same screens.
     #[test]
     fn the_way_to_a_stop_does_not_matter(keys in prop::collection::vec((0..KEYS.len(), 0_u64..3_000), 0..40)) {
         let (mut one, mut other) = (stage(Theme::COLOUR), stage(Theme::COLOUR));
@@ -218,7 +217,7 @@ fn a_recording_shows_what_was_seen_live() {
         take(ms(5), node, Feed::Attached { identity: identity(node as usize, 1), pid: 800 + node, build });
         take(ms(5), node, Feed::Frame(Box::new(ServerFrame::Table(table()))));
     }
-    // Who and what was there before the recording began is in it.
+    // The recording contains the nodes and states from before its start.
     tape.start(&path, ms(10)).unwrap();
     for node in 0..3_u32 {
         take(ms(1_010), node, Feed::Frame(Box::new(ServerFrame::Snapshot(snapshot(node as usize)))));
@@ -291,7 +290,7 @@ fn damage_and_other_versions_are_named() {
     assert!(missing.exit_code() == 2 && missing.to_string().starts_with("no/such.imrs: "), "{missing}");
 }
 
-/// A recording of version 1.0 has whole snapshots only, and plays as ever.
+/// A recording of version 1.0, which has only whole snapshots, still plays.
 #[test]
 fn recordings_of_version_1_0_are_playable() {
     let Shown::Attached { hello, .. } = attached(0, VERSION) else { panic!("attached") };

@@ -1,4 +1,4 @@
-//! Every screen at every size in every style, to the cell: text and styles.
+//! Tests of every screen at every size in every style: each cell, with text and style.
 
 use crate::common::{BEAT, HALT, LIFT, Stage, at, events, left, ms, observed, snapshot, styles, text};
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
@@ -14,7 +14,7 @@ const SIZES: [(u16, u16); 4] = [(40, 12), (80, 24), (120, 40), (200, 60)];
 const STYLES: [Theme; 3] = [Theme::COLOUR, Theme::MONO, Theme::ASCII];
 const NOW: Duration = ms(1_150);
 
-/// The hoist dies with both arms waiting for it; some messages are dropped.
+/// Both arms wait for the hoist; some messages are dropped.
 fn stage(theme: Theme) -> Stage {
     let mut stage = Stage::cell(theme);
     let happened = [
@@ -35,7 +35,7 @@ fn dead(theme: Theme) -> Stage {
     stage
 }
 
-/// Marked, after which two more messages expired.
+/// A mark is set, and then two more messages expire.
 fn marked(theme: Theme) -> Stage {
     let mut stage = stage(theme);
     stage.keys(ms(1_060), "m");
@@ -46,7 +46,7 @@ fn marked(theme: Theme) -> Stage {
     stage
 }
 
-/// The hoist's node was started again: its script does not begin yet.
+/// The hoist's node was restarted, and its script is held back.
 fn held_back(theme: Theme) -> Stage {
     let mut stage = dead(theme);
     stage.attach(ms(1_110), 2, 2);
@@ -55,10 +55,10 @@ fn held_back(theme: Theme) -> Stage {
     stage
 }
 
-/// A scene's name, and how to get there.
+/// The name of a scene, its stage, and the keys that open it.
 type Scene = (&'static str, fn(Theme) -> Stage, &'static str);
 
-/// The right arm has answered many beats, each in four milliseconds, and its buffer is full.
+/// The right arm has answered many beats in four milliseconds each, and its buffer is full.
 fn served(theme: Theme) -> Stage {
     let mut stage = Stage::busy(theme);
     let beats = (0..8).flat_map(|n| {
@@ -86,7 +86,7 @@ fn served(theme: Theme) -> Stage {
     stage
 }
 
-/// The left arm waits for the right one at the lift, and that for a beat of the left one.
+/// The left arm waits for the right one at the lift, and the right arm waits for a beat of the left one.
 fn cycle(theme: Theme) -> Stage {
     let mut stage = Stage::cell(theme);
     let mut left = snapshot(0);
@@ -232,7 +232,7 @@ fn the_help_lists_every_key_and_every_key_does_something_where_it_says() {
     }
 }
 
-/// Pressed where the table says, a key does something; those of a recording do where one is shown.
+/// Checks that a key has an effect on its screens; keys of recordings need a recording.
 fn press(event: &KeyEvent, screen: Screen, action: Action) {
     let mut stage = Stage::busy(Theme::ASCII);
     if screen == Screen::Message {

@@ -1,4 +1,4 @@
-//! What the user does with the screens that follow messages, and with commands, marks and the mouse.
+//! Tests of user actions: screens that follow messages, commands, marks and the mouse.
 
 use crate::common::{BEAT, HALT, LIFT, Stage, at, left, ms, snapshot, traffic};
 use crossterm::event::{KeyCode, KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
@@ -21,7 +21,7 @@ fn beam() -> Name {
     Name::new("beam-lift")
 }
 
-/// No mark stands above its cause, nor above what its task did before.
+/// Whether every mark comes after its cause and after earlier marks of its task.
 fn is_causal(timeline: &Timeline) -> bool {
     timeline.marks.iter().enumerate().all(|(at, mark)| {
         let earlier = timeline.marks[..at].iter().rev().find(|m| (m.life, m.task) == (mark.life, mark.task));
@@ -53,19 +53,19 @@ fn a_message_is_followed_from_its_birth_to_the_answer() {
     );
 }
 
-/// Each node's clock has its own zero, and none runs with the monitor's: what a message took between two nodes follows
-/// from the pings of both.
+/// Each node's clock has its own origin, different from the monitor's. The transfer time between two nodes follows from
+/// the pings of both.
 #[test]
 fn what_passed_between_two_nodes_is_told_by_the_clocks_of_both() {
     let mut stage = Stage::cell(Theme::ASCII);
-    // Half of a round trip of 200 us on the monitor's clock; the nodes' stand at an hour, and at three.
+    // The round trips take 200 and 150 us on the monitor's clock. The nodes' clocks are ahead of it by one and three hours.
     let hours = [3_600_000_000, 10_800_000_000];
     for (node, hour) in hours.into_iter().enumerate() {
         let echo_us = 1_049_800 + 50 * node as u64;
         let mono_us = hour + echo_us + (1_050_000 - echo_us) / 2;
         stage.frame(ms(1_050), node, ServerFrame::Pong(Pong { echo_us, mono_us }));
     }
-    // At these moments of the monitor's clock, on the nodes' own.
+    // Events at these moments of the monitor's clock, with the nodes' own times.
     let seen = |node: usize, us: u64, what| TimedEvent {
         mono_us: hours[node] + us,
         task: Some(TaskId(node as u16)),
@@ -110,7 +110,7 @@ fn no_effect_stands_above_its_cause_though_its_clock_says_so() {
 }
 
 proptest! {
-    /// Whatever nodes say, in whatever order and with whatever clocks.
+    /// For any events, in any order, with any clocks.
     #[test]
     fn the_timeline_is_causal(said in prop::collection::vec((0..3_usize, 0..12_usize, 0..3_u32, 0..9_u64), 0..80)) {
         let kinds = [

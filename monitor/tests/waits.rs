@@ -1,4 +1,4 @@
-//! Who waits for whom, over all ways of waiting.
+//! Tests of the wait-for graph over every kind of wait.
 
 use crate::common::{BEAT, HALT, LIFT, Stage, events, ms, observed, snapshot};
 use imrs_monitor::name::Name;
@@ -12,7 +12,7 @@ fn beam() -> Name {
     Name::new("beam-lift")
 }
 
-/// The right arm has not reached the lift: it does this instead.
+/// The right arm has not reached the lift, and has this state instead.
 fn right(state: TaskState) -> Snapshot {
     let mut right = snapshot(1);
     let view = &mut right.tasks[0].view;
@@ -78,7 +78,7 @@ fn what_may_still_be_on_its_way_makes_none() {
     assert!(found.is_empty(), "the right arm has told nothing since: it may have taken the beat");
     told(&mut stage, 1);
     assert_eq!(cycles(stage.app.store(), &beam(), ms(3_500)).len(), 1, "the beat would have come by now");
-    // A node that is silent says nothing of what its tasks do.
+    // The states of a silent node are unknown.
     stage.frame(ms(4_600), 0, ServerFrame::Snapshot(left()));
     stage.frame(ms(4_600), 2, ServerFrame::Snapshot(snapshot(2)));
     assert!(cycles(stage.app.store(), &beam(), ms(4_650)).is_empty(), "the right arm's node is silent");

@@ -1,5 +1,5 @@
-//! Files that somebody names on a command line. A name may stand for anything: opening it must not wait, reading it must
-//! end, and what is written must not replace what is there (D151).
+//! Opens and creates files that are named on a command line. Such a name may be a pipe, a device or an existing file.
+//! So opening never blocks, reading stops at a limit, and writing replaces nothing.
 //!
 //! ```
 //! use imrs_wire::files::{self, FileError};
@@ -25,16 +25,16 @@ pub enum FileError {
     /// It is a pipe, a device or a socket: reading it might never end.
     #[error("not a regular file, and reading it might never end: name a file")]
     NotAFile,
-    /// It has more bytes than are read.
+    /// It has more bytes than the caller reads.
     #[error("larger than {0} bytes, the most that is read: is it the right file?")]
     TooLarge(u64),
-    /// It is no text.
+    /// It is not UTF-8 text.
     #[error("not a text in UTF-8")]
     NotText,
-    /// Others than its owner can read it, and it is a secret.
+    /// It holds a secret, and users other than its owner can read it.
     #[error("others can read it (mode {0:03o}): make it yours alone with `chmod 600`")]
     NotPrivate(u32),
-    /// There is something of this name, which would be lost.
+    /// The name exists, and its contents would be lost.
     #[error("there is a file of this name: name another one, or say --force to replace it")]
     Exists,
     /// The operating system refused.
@@ -51,7 +51,7 @@ impl From<FileError> for io::Error {
     }
 }
 
-/// Opens a regular file to read it. Never waits for a writer, as a pipe would.
+/// Opens a regular file to read it. Unlike opening a pipe, this never waits for a writer.
 ///
 /// # Errors
 /// [`FileError`].
@@ -59,7 +59,7 @@ pub fn open(path: &Path) -> Result<File, FileError> {
     let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
     let file = match rustix::fs::open(path, flags, Mode::empty()) {
         Ok(file) => File::from(file),
-        // A socket, or a device that nothing is behind.
+        // A socket, or a device without a driver.
         Err(rustix::io::Errno::NXIO | rustix::io::Errno::NODEV) => return Err(FileError::NotAFile),
         Err(error) => return Err(FileError::Io(error.into())),
     };
@@ -71,7 +71,7 @@ pub fn open(path: &Path) -> Result<File, FileError> {
     }
 }
 
-/// The text of a regular file of at most so many bytes.
+/// The text of a regular file of at most `most` bytes.
 ///
 /// # Errors
 /// [`FileError`].
@@ -79,7 +79,7 @@ pub fn text(path: &Path, most: u64) -> Result<String, FileError> {
     text_of(open(path)?, most)
 }
 
-/// The text of a regular file that nobody but its owner can read: a secret.
+/// The text of a regular file that only its owner can read: a secret.
 ///
 /// # Errors
 /// [`FileError`].
@@ -101,11 +101,11 @@ fn text_of(file: File, most: u64) -> Result<String, FileError> {
     String::from_utf8(bytes).map_err(|_| FileError::NotText)
 }
 
-/// Makes a file that only its owner can read, to write it. What is there already stays as it is; into a device, such as
-/// `/dev/null`, it is written, for nothing is lost by that.
+/// Creates a file that only its owner can read, and opens it for writing. An existing file is an error. An existing
+/// device, such as `/dev/null`, is opened, because writing to it destroys nothing.
 ///
 /// # Errors
-/// [`FileError::Exists`] and what the operating system says.
+/// [`FileError::Exists`], or the error of the operating system.
 pub fn create(path: &Path) -> Result<File, FileError> {
     let made = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path);
     match made {
@@ -116,14 +116,14 @@ pub fn create(path: &Path) -> Result<File, FileError> {
     }
 }
 
-/// The folder in which a file has its name.
+/// The folder that contains the file.
 #[must_use]
 pub fn folder_of(path: &Path) -> &Path {
     path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
-/// Refuses a name at which something is, which [`create`] would refuse later. With `force` a regular file of that name is
-/// removed: call it right before [`create`], and [`check`] before that.
+/// Returns the error that [`create`] would return for an existing name. With `force` a regular file of that name is
+/// removed: call this right before [`create`], and [`check`] earlier.
 ///
 /// # Errors
 /// [`FileError`].
@@ -135,7 +135,7 @@ pub fn free(path: &Path, force: bool) -> Result<(), FileError> {
     }
 }
 
-/// Refuses what [`free`] would refuse, and changes nothing.
+/// Returns the errors of [`free`], and changes nothing.
 ///
 /// # Errors
 /// [`FileError`].
@@ -151,10 +151,10 @@ pub fn check(path: &Path, force: bool) -> Result<(), FileError> {
     }
 }
 
-/// Takes a file away that was begun here and is of no use to anybody. What is no regular file stays: a device, a link.
+/// Removes an unfinished output file. Anything but a regular file, such as a device or a link, stays.
 pub fn discard(path: &Path) {
     if path.symlink_metadata().is_ok_and(|of| of.is_file()) {
-        // One that cannot be removed is left behind.
+        // An error is ignored: the file then stays behind.
         let _ = std::fs::remove_file(path);
     }
 }

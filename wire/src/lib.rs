@@ -1,4 +1,5 @@
-//! Everything that leaves a node as bytes, versioned, with golden bytes of every version in the tests.
+//! The bytes that leave a node: datagrams, the observation protocol and recordings. Every format has a version, and the
+//! tests keep golden bytes of each.
 #![forbid(unsafe_code)]
 
 mod checksum;

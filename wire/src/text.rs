@@ -1,18 +1,19 @@
-//! Texts that others wrote, on their way to a terminal: names in a cell, what a recording or a peer says. Whatever shows one
-//! asks [`acts`] which characters to write out, so that none moves a cursor, changes a colour, reverses or forges a line (D151).
+//! Escapes untrusted text before a terminal shows it: names in a cell, fields of a recording, messages of a peer. Every
+//! screen and message asks [`acts`] which characters to escape. So no text moves the cursor, changes a colour, reverses
+//! the writing direction or forges a line.
 
 use std::borrow::Cow;
 use std::fmt::Write as _;
 
-/// Whether a terminal may act on a character instead of showing it: control characters (C0, DEL, C1), and what changes the
-/// direction of writing, breaks lines or has no width.
+/// Whether a terminal may act on a character instead of showing it. These are the control characters (C0, DEL, C1), and
+/// the characters that change the writing direction, break lines or have no width.
 #[must_use]
 pub const fn acts(c: char) -> bool {
     matches!(c, '\0'..='\x1f' | '\x7f'..='\u{9f}' | '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}'..='\u{200f}'
         | '\u{2028}'..='\u{202e}' | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}')
 }
 
-/// A text with everything written out that a terminal could act on, line breaks included: it is one line, whoever wrote it.
+/// The text as one line: every character that a terminal could act on is escaped, line breaks included.
 ///
 /// ```
 /// assert_eq!(imrs_wire::text::one_line("nl\n\u{1b}[2Jnr"), "nl\\n\\u{1b}[2Jnr");
@@ -32,8 +33,8 @@ pub fn one_line(text: &str) -> Cow<'_, str> {
     Cow::Owned(out)
 }
 
-/// JSON text with every character in it escaped that a terminal could act on; the values stay the same. JSON has such
-/// characters only in strings, where `\uXXXX` means the same; line breaks between values stay.
+/// JSON text in which every character that a terminal could act on is escaped; the values stay the same. Such
+/// characters occur only inside JSON strings, where `\uXXXX` means the same character. Line breaks between values stay.
 #[must_use]
 pub fn json(json: &str) -> Cow<'_, str> {
     let acts = |c: char| acts(c) && c != '\n';
@@ -42,7 +43,7 @@ pub fn json(json: &str) -> Cow<'_, str> {
     }
     let mut out = String::with_capacity(json.len() + 16);
     for c in json.chars() {
-        // All of them lie in the basic plane.
+        // All of these characters are in the Basic Multilingual Plane, so four digits suffice.
         match acts(c) {
             true => drop(write!(out, "\\u{:04x}", u32::from(c))),
             false => out.push(c),

@@ -1,4 +1,4 @@
-//! The tests of the wire, one program: each file beside this one is a module of it.
+//! The tests of this crate, built as one program: each file beside this one is a module.
 
 mod envelope;
 mod obs;

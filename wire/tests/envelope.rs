@@ -1,4 +1,4 @@
-//! The envelope as bytes: golden form, round trips, and what must never be taken.
+//! Tests of the envelope: golden bytes, round trips, and datagrams that must be rejected.
 
 use imrs_protocol::{Incarnation, NodeId, PACKET_BYTES};
 use imrs_wire::envelope::{
@@ -59,7 +59,7 @@ fn the_layout_is_the_documented_one() {
     assert_eq!(bytes[124..], GOLDEN_CHECKSUM);
 }
 
-/// Of the datagram above: version 2 of the format is fixed by it.
+/// Checksum of the datagram above. It fixes version 2 of the format.
 const GOLDEN_CHECKSUM: [u8; 4] = [0x3e, 0xa2, 0x20, 0xa7];
 
 #[test]
@@ -78,7 +78,7 @@ fn greetings_and_refusals_have_the_documented_flags() {
     }
 }
 
-/// As version 1 wrote one packet. Nothing of it is looked at but its version.
+/// A datagram of version 1 with one packet. The decoder reads only its version.
 #[test]
 fn version_1_is_refused_by_name() {
     let mut bytes = [0; 72];
@@ -135,7 +135,7 @@ fn each_fault_has_its_own_reason() {
     }
     let trailing = |more: usize| [good.as_slice(), vec![0; more].as_slice()].concat();
     assert_eq!(reason(&trailing(1)), Some(EnvelopeError::Length(129)));
-    // Zeros behind the end leave the checksum as it is.
+    // Appended zeros do not change the checksum.
     assert_eq!(reason(&trailing(PACKET_BYTES)), Some(EnvelopeError::Length(160)));
     let long = [sealed(&sample(), MAX_PACKETS), vec![0; PACKET_BYTES]].concat();
     assert_eq!(reason(&long), Some(EnvelopeError::Length(MAX_DATAGRAM_BYTES + PACKET_BYTES)));
@@ -145,7 +145,7 @@ fn each_fault_has_its_own_reason() {
     assert_eq!(refused(NodeId(1), statements, false), EnvelopeError::OtherStatements(DIGESTS.statements));
     assert_eq!(refused(NodeId(1), DIGESTS, false), EnvelopeError::Misdelivered(HERE));
     assert_eq!(refused(HERE, DIGESTS, false), EnvelopeError::UnknownNode(NodeId(0x0102)));
-    // Packets and purpose must fit each other.
+    // The number of packets must fit the purpose.
     let greeting = Purpose::Greeting(Greeting::default());
     let with_packets = sealed(&Envelope { purpose: greeting, ..sample() }, 1);
     assert_eq!(reason(&with_packets), Some(EnvelopeError::Length(96)));

@@ -1,5 +1,5 @@
-//! The observation protocol's bytes and streams: golden frames of every version, a total decoder, framing that
-//! survives slow, broken and hostile peers.
+//! Tests of the observation protocol: golden frames of every version, total decoding, and framing with slow, broken and
+//! hostile peers.
 
 use imrs_protocol::*;
 use imrs_wire::obs::*;
@@ -186,7 +186,7 @@ fn identity() -> NodeIdentity {
     }
 }
 
-/// Every kind of frame, with every variant of every enum in it.
+/// One frame of every kind; together they contain every variant of every enum.
 fn samples() -> Vec<(&'static str, Vec<u8>)> {
     let hello = |role| {
         let hello = Hello { schema: 0x1234_5678, pid: 812, build: "imrs 0.1.0".into(), mono_us: 77, role };
@@ -276,7 +276,7 @@ fn samples_1_1() -> Vec<(&'static str, Vec<u8>)> {
     ]
 }
 
-/// What version 1.2 adds.
+/// Every kind of frame that version 1.2 added.
 fn samples_1_2() -> Vec<(&'static str, Vec<u8>)> {
     let tasks = vec![
         HeldTask { task: TaskId(1), remaining: Ticks(61_400_000) },
@@ -288,7 +288,7 @@ fn samples_1_2() -> Vec<(&'static str, Vec<u8>)> {
     vec![("held_back", bytes(&held)), ("held_back_none", bytes(&none))]
 }
 
-/// Changes that are told in parts, and some that need everything anew.
+/// A delta of changed parts, and one that sends some parts whole.
 fn deltas() -> (Delta, Delta) {
     let old = snapshot();
     let mut new = old.clone();
@@ -325,7 +325,7 @@ fn golden(version: &str, name: &str) -> std::path::PathBuf {
     folder.join(format!("{name}.hex"))
 }
 
-/// Compares samples with what is kept of them, and gives all their bytes. `write`: they are kept from now on.
+/// Compares samples with their golden files, and returns all their bytes. With `write` the files are written first.
 fn kept(version: &str, samples: Vec<(&'static str, Vec<u8>)>, write: bool) -> Vec<u8> {
     let mut all = Vec::new();
     for (name, bytes) in samples {
@@ -341,20 +341,20 @@ fn kept(version: &str, samples: Vec<(&'static str, Vec<u8>)>, write: bool) -> Ve
     all
 }
 
-/// What the released programs of version 1.0 were built from.
+/// The schema of the released programs that speak version 1.0.
 const SCHEMA_1_0: u32 = 0x3723_afbb;
 
-/// What a version says never changes, and version 1.0 is out: it is never written anew.
+/// The frames of a version never change. Version 1.0 is released, so its files are never rewritten.
 #[test]
 fn golden_bytes_of_version_1_0_are_kept() {
     let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
     assert_eq!(crc.checksum(&kept("1.0", samples(), false)), SCHEMA_1_0);
 }
 
-/// What programs that spoke version 1.1 were built from.
+/// The schema of the programs that speak version 1.1.
 const SCHEMA_1_1: u32 = 0x17ad_ceff;
 
-/// What version 1.1 says never changes either.
+/// The frames of version 1.1 never change either.
 #[test]
 fn golden_bytes_of_version_1_1_are_kept() {
     let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
@@ -364,8 +364,8 @@ fn golden_bytes_of_version_1_1_are_kept() {
     assert_eq!(digest.finalize(), SCHEMA_1_1);
 }
 
-/// After a deliberate change of version 1.2, while it was never released, run with `IMRS_WRITE_GOLDEN=1`, and set
-/// `SCHEMA` to what the test then asks for.
+/// After a deliberate change of version 1.2, as long as it is unreleased, run with `IMRS_WRITE_GOLDEN=1`. Then set
+/// `SCHEMA` to the value in the test's failure.
 #[test]
 fn golden_bytes_of_version_1_2_are_kept() {
     let write = std::env::var_os("IMRS_WRITE_GOLDEN").is_some();
@@ -471,7 +471,7 @@ fn next(reader: &mut FrameReader<Dribble>) -> Vec<u8> {
     }
 }
 
-/// A stream that takes and gives a few bytes at a time, and is not ready in between (size 0).
+/// A stream that transfers a few bytes at a time, and sometimes is not ready (size 0).
 struct Dribble {
     bytes: Vec<u8>,
     at: usize,
@@ -514,7 +514,7 @@ impl Write for Dribble {
     }
 }
 
-/// Counts what a reader asks its source for at once: what it has made room for.
+/// Records the largest buffer that a reader passes to its source: the memory that it has allocated.
 struct Greedy<'a> {
     bytes: &'a [u8],
     most: usize,

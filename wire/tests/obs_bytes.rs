@@ -1,4 +1,4 @@
-//! Any bytes, and the inputs that are kept, through what the fuzz target `obs` runs.
+//! Runs the check of the fuzz target `obs` on random bytes and on the kept inputs.
 
 #[path = "../../fuzz/seeds.rs"]
 mod kept;
@@ -12,7 +12,7 @@ proptest! {
         check(&bytes);
     }
 
-    /// Streams of frames that once meant something, with some bytes changed.
+    /// Valid streams of frames with some bytes changed.
     #[test]
     fn damaged_streams_are_borne(which in any::<usize>(), damage in proptest::collection::vec((any::<usize>(), any::<u8>()), 0..6)) {
         let seeds = seeds();

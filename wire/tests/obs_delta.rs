@@ -1,4 +1,4 @@
-//! Changes between snapshots: the law that they are exact, what they cost, and that forged ones are borne.
+//! Tests of deltas: they are exact, they are small, and forged ones do no harm.
 
 use imrs_protocol::*;
 use imrs_wire::obs::*;
@@ -77,7 +77,7 @@ fn snapshot(tasks: u16, ports: u16, seed: u64) -> Snapshot {
     }
 }
 
-/// The snapshot so much later, if nothing happens: some machines advance, others do not.
+/// The snapshot `passed` microseconds later if nothing happens. Some state machines advance, others do not.
 fn later(of: &Snapshot, passed: u64, advanced: impl Fn(usize) -> u64) -> Snapshot {
     let mut new = of.clone();
     (new.mono_us, new.uptime_us) = (of.mono_us + passed, of.uptime_us + passed);
@@ -110,7 +110,7 @@ fn later(of: &Snapshot, passed: u64, advanced: impl Fn(usize) -> u64) -> Snapsho
     new
 }
 
-/// One thing that may be otherwise in a snapshot.
+/// Changes one field or part of a snapshot.
 fn edit(of: &mut Snapshot, (what, at, value): (u8, usize, u64)) {
     let count = of.tasks.len().max(1);
     let narrow = (value % 60_000) as u16;
@@ -177,7 +177,7 @@ proptest! {
         prop_assert_eq!(&got, &old);
     }
 
-    /// Any delta of one snapshot, applied to any other: an error that changes nothing, or some snapshot.
+    /// Any delta of one snapshot, applied to any other, gives an error and no change, or some snapshot.
     #[test]
     fn what_changed_elsewhere_is_borne(seed in 0..50_u64, after in edits(), damage in (any::<usize>(), any::<u8>()), tasks in 0..5_u16) {
         let (old, mut new) = (snapshot(4, 5, seed), snapshot(4, 5, seed + 1));
@@ -204,7 +204,7 @@ fn what_only_grew_older_costs_nothing() {
     let bytes = postcard::to_allocvec(&ServerFrame::Delta(Delta::between(&old, &quiet))).unwrap();
     println!("an idle node of 10,000 ports: {} bytes a period", bytes.len());
     assert!(bytes.len() <= 32, "{} bytes", bytes.len());
-    // Time that went on in a task costs that, and nothing of its ports.
+    // Time that advances in a task costs a few bytes, and nothing for its ports.
     let busy = later(&old, 100_000, |i| if i == 7 { 99_000 } else { 0 });
     let one = postcard::to_allocvec(&ServerFrame::Delta(Delta::between(&old, &busy))).unwrap();
     assert!(one.len() <= bytes.len() + 16, "{} bytes", one.len());
@@ -229,7 +229,7 @@ fn a_change_of_another_snapshot_is_told_apart() {
     assert_eq!(third, before);
 }
 
-/// M6: ten thousand ports at 10 Hz, a twentieth of them dirty, in every task some.
+/// The traffic of ten thousand ports at 10 Hz, if 5 % of the ports of every task change in each period.
 #[test]
 fn ten_thousand_ports_fit_the_budget() {
     let mut state = snapshot(TASKS, PORTS, 0);
@@ -258,7 +258,7 @@ fn ten_thousand_ports_fit_the_budget() {
     assert!(bytes <= 100_000, "{bytes} bytes a second");
 }
 
-/// The bit of a kind is its place in the encoding: so both sides mean the same.
+/// The bit of a kind is its variant number in the encoding, so that both sides mean the same kind.
 #[test]
 fn kinds_of_events_are_their_places_in_the_encoding() {
     for event in [Event::Sent, Event::PeerRestarted, Event::Reached, Event::GaveUp, Event::Fenced] {

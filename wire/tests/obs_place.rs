@@ -1,4 +1,4 @@
-//! Where sockets lie: private folders, found sockets, stale ones.
+//! Tests of socket paths: private folders, search, stale sockets.
 
 use imrs_wire::obs::place::{MAX_PATH, PlaceError, pid_of, prepare_in, remove_if_stale, sockets_in};
 use std::fs;
@@ -52,7 +52,7 @@ fn only_a_socket_that_nothing_can_be_behind_is_removed() {
     let _listener = UnixListener::bind(&live).unwrap();
     let closed = prepare_in(&base, "c", "closed", own).unwrap();
     drop(UnixListener::bind(&closed).unwrap());
-    // Linux gives no process an id above 2^22.
+    // Linux never assigns a process id above 2^22.
     let dead = prepare_in(&base, "c", "dead", 4_194_305).unwrap();
     drop(UnixListener::bind(&dead).unwrap());
     assert!(!remove_if_stale(&live), "somebody listens");

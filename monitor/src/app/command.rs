@@ -1,4 +1,4 @@
-//! The line that begins with `:`.
+//! The command line that opens with `:`.
 
 use super::{App, Effect, PortEnd, Screen};
 use crate::options::Endpoint;
@@ -65,7 +65,7 @@ impl App {
         Effect::Draw
     }
 
-    /// Shows the queue of a port, of the task that receives there.
+    /// Shows the queue of a port, at the task that receives there.
     fn go_to_port(&mut self, wanted: &str) -> Option<String> {
         let (task, port) = wanted.split_once('.').map_or((None, wanted), |(task, port)| (Some(task), port));
         let cell = self.cell()?;

@@ -1,4 +1,4 @@
-//! The timeline as the user wants it: which lanes, how fine, and how far back.
+//! The user's settings for the timeline: lanes, zoom and position.
 
 use super::App;
 use crate::name::Name;
@@ -8,12 +8,12 @@ use imrs_protocol::{Event, NodeId, PortId, TaskId};
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-/// How many marks are put in order for a frame.
+/// How many marks a frame orders at most.
 const MOST: usize = 4096;
-/// Quiet rows that are drawn one by one; more of them take one row.
+/// Up to this many empty rows are drawn one by one; a longer run takes one row.
 const QUIET: u128 = 2;
 
-/// How much time a row takes; `None`: every mark has a row.
+/// The time that one row covers; `None` gives every mark its own row.
 pub const ZOOMS: [Option<Duration>; 8] = [
     None,
     Some(Duration::from_millis(1)),
@@ -25,7 +25,7 @@ pub const ZOOMS: [Option<Duration>; 8] = [
     Some(Duration::from_secs(10)),
 ];
 
-/// A mark, wherever it stands.
+/// Identifies a mark independently of its position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Anchor {
     life: LifeId,
@@ -40,27 +40,27 @@ impl Anchor {
     }
 }
 
-/// How the user wants the timeline.
+/// The user's settings for the timeline.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Lanes {
     /// The lane whose clock labels the rows.
     lane: Option<TaskId>,
-    /// Where in [`ZOOMS`].
+    /// An index into [`ZOOMS`].
     zoom: usize,
-    /// The mark in the last row; `None`: the latest.
+    /// The mark in the bottom row; `None` follows the latest.
     held: Option<Anchor>,
-    /// Whether messages that went as they should are left out.
+    /// Whether routine messages are left out.
     sparse: bool,
 }
 
 /// A row of the timeline.
 #[derive(Clone, Debug)]
 pub enum Slice {
-    /// These marks.
+    /// Marks.
     Marks(Vec<usize>),
-    /// Observations were lost here.
+    /// Events were lost here.
     Lost(Gap),
-    /// Nothing happened for so long.
+    /// Nothing happened for this long.
     Quiet(Duration),
 }
 
@@ -71,22 +71,22 @@ pub struct Chart {
     pub timeline: Timeline,
     /// The lanes, in the order of the cell.
     pub lanes: Vec<TaskId>,
-    /// The selected one, among the lanes.
+    /// The index of the selected lane.
     pub lane: usize,
     /// The rows, oldest first.
     pub rows: Vec<Slice>,
     /// The last row shown.
     pub bottom: usize,
-    /// Whether the bottom row stays where it is.
+    /// Whether the bottom row stays fixed.
     pub held: bool,
-    /// How much time a row takes.
+    /// The time that one row covers.
     pub zoom: Option<Duration>,
-    /// Whether messages that went as they should are left out.
+    /// Whether routine messages are left out.
     pub sparse: bool,
 }
 
 impl Chart {
-    /// The mark that stands for a row, if it has any.
+    /// The last mark of a row, if it has any.
     #[must_use]
     pub fn mark(&self, row: usize) -> Option<&Mark> {
         match self.rows.get(row)? {
@@ -126,7 +126,7 @@ impl App {
         Chart { timeline, lanes, lane, rows, bottom, held: held.is_some(), zoom, sparse: self.lanes.sparse }
     }
 
-    /// The tasks whose name or node has the filter's text; all, if none has.
+    /// The tasks whose name or node contains the filter's text; all tasks if none does.
     fn wanted_lanes(&self, cell: &Name) -> Vec<TaskId> {
         let Some(names) = self.store().names(cell) else { return Vec::new() };
         let all = || (0..names.tasks.len()).map(TaskId::from_index);
@@ -142,7 +142,7 @@ impl App {
         if found.is_empty() { all().collect() } else { found }
     }
 
-    /// The ports whose name has the filter's text, where it names ports and no tasks.
+    /// The ports whose name contains the filter's text, if it matches no task and no node.
     fn wanted_ports(&self, cell: &Name) -> Option<BTreeSet<PortId>> {
         let names = self.store().names(cell)?;
         let filter = &self.shape.filter.to_lowercase();
@@ -155,7 +155,7 @@ impl App {
         (!found.is_empty()).then_some(found)
     }
 
-    /// The life that a task of the cell shown lives now.
+    /// The latest incarnation of the node on which a task of the shown cell runs.
     #[must_use]
     pub fn life_of_task(&self, task: TaskId) -> Option<&Life> {
         let cell = self.cell()?;
@@ -179,7 +179,7 @@ impl App {
         let chart = self.chart();
         let last = chart.rows.len().saturating_sub(1);
         let mut to = chart.bottom.saturating_add_signed(by).min(last);
-        // Only rows with marks can be held: the next such one in the direction one goes.
+        // Only rows with marks can be held, so skip others in the direction of the step.
         while chart.mark(to).is_none() && to > 0 && to < last {
             to = if by < 0 { to - 1 } else { to + 1 };
         }
@@ -196,7 +196,7 @@ impl App {
     }
 }
 
-/// Whether it belongs to the ordinary course of a message: where much is said, meetings and troubles stand out without.
+/// Whether the event is routine traffic. Without it rendezvous and faults are visible on a busy timeline.
 const fn is_traffic(event: Event) -> bool {
     match event {
         Event::Sent

@@ -1,4 +1,4 @@
-//! What the mouse does: it is never needed, everything has a key.
+//! Mouse actions. The mouse is optional: every action also has a key.
 
 use super::{App, Effect};
 use crate::clock::Moment;
@@ -6,7 +6,7 @@ use crate::keys::Action;
 use crate::view::Hit;
 use crossterm::event::{MouseButton, MouseEvent, MouseEventKind};
 
-/// How many rows a turn of the wheel goes.
+/// How many rows one step of the wheel moves.
 const WHEEL: usize = 3;
 
 impl App {

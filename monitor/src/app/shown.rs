@@ -1,4 +1,4 @@
-//! What the app shows, for the screens: rows, queues, the port and the message that the user is at.
+//! What the screens read from the app: rows, queues, the selected port and message.
 
 use super::{App, PortEnd, Screen};
 use crate::clock::Moment;
@@ -11,7 +11,7 @@ use imrs_protocol::{PortView, Usage};
 use imrs_wire::obs::TaskSnapshot;
 
 impl App {
-    /// What is wrong in the cell shown.
+    /// The findings in the shown cell.
     #[must_use]
     pub fn findings(&self, now: Moment) -> Vec<Finding> {
         self.cell().map_or_else(Vec::new, |cell| health::findings(self.store(), &cell, self.moment(now)))
@@ -24,7 +24,7 @@ impl App {
         rows(self.store(), &cell, &self.shape, findings, self.moment(now))
     }
 
-    /// Which of `rows` is selected: the chosen one, its nearest parent that is still there, or the first.
+    /// The index of the selected row: the chosen one, its nearest existing parent, or the first.
     #[must_use]
     pub fn selected(&self, rows: &[Row]) -> usize {
         let Some(place) = self.selected else { return 0 };
@@ -50,7 +50,7 @@ impl App {
         store.present(&cell).flat_map(ends).collect()
     }
 
-    /// The port shown: the chosen one, or the first of `queues`.
+    /// The shown port: the chosen one, or the first of `queues`.
     #[must_use]
     pub fn port(&self, queues: &[PortEnd]) -> Option<PortEnd> {
         let there =
@@ -58,14 +58,14 @@ impl App {
         self.port.filter(there).or_else(|| queues.first().copied())
     }
 
-    /// Which message of a queue is selected: the chosen one while it waits there, or what has taken its place.
+    /// The index of the selected message of a queue: the chosen one while it is queued, otherwise the one at its position.
     #[must_use]
     pub fn entry(&self, queue: &[Waiting]) -> usize {
         let chosen = |(source, id)| queue.iter().position(|w| (w.entry.source, w.entry.id) == (source, id));
         self.entry.and_then(chosen).unwrap_or(self.scroll).min(queue.len().saturating_sub(1))
     }
 
-    /// What waits at the port shown.
+    /// The queue of the shown port.
     #[must_use]
     pub fn queue(&self, now: Moment) -> Vec<Waiting> {
         let end = self.port(&self.queues());
@@ -73,25 +73,25 @@ impl App {
         life.map_or_else(Vec::new, |(life, end)| queue(life, end.task, end.port, self.moment(now)))
     }
 
-    /// The screen that the help is about.
+    /// The screen that the help explains.
     #[must_use]
     pub const fn helped(&self) -> Screen {
         self.before
     }
 
-    /// The message whose life is shown.
+    /// The message whose history is shown.
     #[must_use]
     pub const fn message(&self) -> Option<MessageKey> {
         self.message
     }
 
-    /// What the user marked, and when.
+    /// The user's mark, and its moment.
     #[must_use]
     pub fn mark(&self) -> Option<(Moment, &Store)> {
         self.mark.as_deref().map(|(at, store)| (*at, store))
     }
 
-    /// The event lines shown, oldest first.
+    /// The shown event lines, oldest first.
     #[must_use]
     pub fn events(&self) -> Vec<&crate::store::journal::Entry> {
         self.store().journal().lines(self.everything, &self.shape.filter)

@@ -1,4 +1,4 @@
-//! What keys do.
+//! Carries out the actions of keys.
 
 use super::{App, Effect, PortEnd, Screen, port_end};
 use crate::clock::{Moment, Span};
@@ -24,7 +24,7 @@ impl App {
             KeyCode::Backspace => drop(self.shape.filter.pop()),
             KeyCode::Enter => {
                 self.typing = false;
-                // Words are looked for in any case; of a condition one wants to know where it is wrong.
+                // Plain words match as text. The message below shows why an attempted condition is invalid.
                 let slip = Filter::parse(&self.shape.filter).err();
                 self.told = slip.map(|error| format!("no condition, so looked for as it is: {error}"));
             }
@@ -124,7 +124,7 @@ impl App {
         Effect::Draw
     }
 
-    /// Moves in the recording. The screens stay where they are, but for events, which follow.
+    /// Moves in the recording. The screens keep their position, except for the events, which follow.
     fn wind(&mut self, action: Action, now: Moment) {
         let Some(player) = &mut self.replay else { return };
         self.held = None;
@@ -139,7 +139,7 @@ impl App {
         }
     }
 
-    /// Moves in what came in until the user paused. At its end, or back at the moment of the pause, the screen shows that.
+    /// Moves in the history before the pause. At its end, the moment of the pause is shown again.
     fn go_back(&mut self, action: Action, now: Moment) {
         if self.back.is_none() {
             let Some(film) = self.history.film() else { return };
@@ -200,7 +200,7 @@ impl App {
         self.port = None;
     }
 
-    /// How many rows fit, less the head, the titles and the foot.
+    /// How many rows fit, without the header, the titles and the bottom line.
     fn page(&self) -> isize {
         isize::from(self.size.1.saturating_sub(3).max(1).cast_signed())
     }
@@ -239,7 +239,7 @@ impl App {
         }
     }
 
-    /// The message that the selected row is of.
+    /// The message of the selected row.
     fn message_here(&self, now: Moment) -> Option<MessageKey> {
         match self.screen {
             Screen::Port => {
@@ -267,7 +267,7 @@ impl App {
         }
     }
 
-    /// What the selected row is called, for the clipboard.
+    /// Copies the name of the selected row to the clipboard.
     fn copy(&mut self, now: Moment) -> Effect {
         let names = self.cell().and_then(|cell| self.store().names(&cell).cloned());
         let text = match (self.screen, self.message_here(now), names) {
@@ -301,7 +301,7 @@ impl App {
         self.told = Some(format!("marked at {}; d shows what has changed since", Span(at)));
     }
 
-    /// To the next row that the filter finds by itself; without a filter, to the next at which something is wrong.
+    /// Moves to the next row that itself matches the filter; without a filter, to the next row with a finding.
     fn jump_to_match(&mut self, forward: bool, now: Moment) {
         match self.screen {
             Screen::Overview => {
@@ -369,7 +369,7 @@ impl App {
         }
     }
 
-    /// How many lines the screens that only scroll have.
+    /// How many lines the shown screen has, for screens that only scroll.
     fn lines(&self, now: Moment) -> usize {
         crate::view::length(self, now, self.size.0)
     }

@@ -1,4 +1,4 @@
-//! The monitor's screen on a recording, as an asciicast (version 2): what a terminal would have been sent, and when.
+//! Exports the monitor's screen during a recording as an asciicast (version 2): timed terminal output.
 
 use super::{ExportError, Exported, Wanted};
 use crate::app::{App, Msg};
@@ -16,13 +16,13 @@ use serde_json::json;
 use std::io::Write;
 use std::time::Duration;
 
-/// How long a step of a counterexample stands.
+/// How long a step of a counterexample is shown.
 const STEP: Duration = Duration::from_secs(1);
-/// How long the last frame stands.
+/// How long the last frame is shown.
 const END: Duration = Duration::from_secs(2);
 
 pub(super) fn write(player: Player, wanted: &Wanted, mut out: impl Write) -> Result<Exported, ExportError> {
-    // The file is for a terminal, whatever the environment of this program says of its own.
+    // Force colours: the file is for another terminal than the one of this program.
     crossterm::style::force_color_output(true);
     let (width, height) = wanted.size;
     let title = format!("imrs monitor: {}", shown(&player.film().cell));
@@ -47,7 +47,7 @@ pub(super) fn write(player: Player, wanted: &Wanted, mut out: impl Write) -> Res
             app.replay().map_or(Duration::ZERO, |player| player.film().stops()[stop].at)
         };
         end = at;
-        // What comes between two frames is seen with the second one.
+        // Changes between two frames appear in the later one.
         if at < next && stop + 1 < stops {
             continue;
         }
@@ -70,7 +70,7 @@ struct Screen {
 }
 
 impl Screen {
-    /// What changes the screen from what it showed; none where nothing does.
+    /// The terminal output that updates the screen; `None` if nothing changed.
     fn draw(&mut self, app: &App) -> Result<Option<Vec<u8>>, ExportError> {
         let mut now = Buffer::empty(self.before.area);
         view::view(app, Duration::ZERO, now.area, &mut now);

@@ -1,5 +1,5 @@
-//! A recording as a sequence chart: a lane for each task, time downwards, an arrow from what a task sent to what became of
-//! it elsewhere.
+//! Exports a recording as a sequence chart in SVG. Each task has a lane, time runs downwards, and an arrow leads from a
+//! send to its effect.
 
 use super::{ExportError, Exported, each_frame};
 use crate::replay::Film;
@@ -11,11 +11,11 @@ use imrs_wire::text::one_line;
 use std::fmt::Write as _;
 use std::io::Write;
 
-/// Columns of the drawing between two lanes, before the first one, and rows between two marks.
+/// Distance between two lanes, in pixels. Then the space left of the first lane, and the distance between two marks.
 const LANE: usize = 190;
 const LEFT: usize = 110;
 const LINE: usize = 16;
-/// Rows above the first mark.
+/// The space above the first mark.
 const TOP: usize = 3 * LINE;
 
 const STYLE: &str = "text{font:12px monospace;fill:#333}.h{font-weight:bold}.t{fill:#888}.l{stroke:#bbb}\
@@ -45,7 +45,7 @@ pub(super) fn write(film: &Film, most: usize, mut out: impl Write) -> Result<Exp
     Ok(Exported { count: marks.len(), what: "marks" })
 }
 
-/// The last marks, each with its number on the time line.
+/// The last marks, each with its index in the timeline.
 fn newest(line: &Timeline, most: usize) -> Vec<(usize, &Mark)> {
     let first = line.marks.len().saturating_sub(most);
     line.marks.iter().enumerate().skip(first).collect()
@@ -125,7 +125,7 @@ fn draw(
     out
 }
 
-/// What a mark says: `sent beat #12`, `expired beat #12`.
+/// The label of a mark: `sent beat #12`, `expired beat #12`.
 fn words(mark: &Mark, names: &crate::store::Names) -> String {
     let what = mark.seen.what;
     let event = match what.event {

@@ -1,4 +1,4 @@
-//! Lines of JSON: one for each state of a node, and one for everything that happened.
+//! Exports lines of JSON: one for each state of a node, and one for each event.
 
 use super::{ExportError, Exported, each_frame};
 use crate::clock::micros;
@@ -56,12 +56,12 @@ fn lines(store: &Store, arrival: &Arrival) -> Vec<Value> {
     }
 }
 
-/// Whether a frame says how a node looks.
+/// Whether a frame carries the state of a node.
 pub(super) const fn is_state(frame: &ServerFrame) -> bool {
     matches!(frame, ServerFrame::Snapshot(_) | ServerFrame::Delta(_))
 }
 
-/// Something that happened, with the names of the cell.
+/// An event as JSON, with the names of the cell.
 pub(super) fn event(life: &Life, at_us: u64, event: &TimedEvent) -> Value {
     let what = event.what;
     let reason = match what.event {
@@ -72,7 +72,7 @@ pub(super) fn event(life: &Life, at_us: u64, event: &TimedEvent) -> Value {
         "at_us": at_us,
         "what": "event",
         "node": life.node.raw(),
-        // Of the node's own clock: only differences within one node mean anything.
+        // On the node's own clock: only differences within one node are meaningful.
         "mono_us": event.mono_us,
         "task": event.task.map(|task| life.names.task(task).raw().to_owned()),
         "event": word(what.event),

@@ -1,5 +1,5 @@
-//! MCAP with JSON messages. A channel for each port, flat and numeric, so that any field can be plotted; one for each
-//! node's state; one for what happened; and a log, in the schema that Foxglove shows as one.
+//! Exports MCAP with JSON messages. There is one channel per port, flat and numeric, so that every field can be
+//! plotted. There is one channel per node's state, one for events, and a log in Foxglove's schema.
 
 use super::{ExportError, Exported, each_frame, jsonl};
 use crate::clock::{Moment, micros};
@@ -16,7 +16,7 @@ use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::{Seek, Write};
 
-/// The fields of a port's messages, and what they are.
+/// The fields of a port's messages, with their descriptions.
 const PORT: &[(&str, &str)] = &[
     ("len", "messages that wait"),
     ("capacity", "messages that may wait"),
@@ -90,7 +90,7 @@ fn flat(life: &Life, task: &TaskSnapshot, port: &PortView, at: Moment) -> Value 
     })
 }
 
-/// What is wrong since now, each once for as long as it stays.
+/// Logs the new findings, each once for as long as it lasts.
 fn findings<W: Write + Seek>(
     tape: &mut Tape<W>,
     store: &Store,
@@ -129,7 +129,7 @@ fn log(at: Moment, level: Level, name: &str, message: &str) -> Value {
     })
 }
 
-/// A name as a part of a topic.
+/// A name as a segment of a topic.
 fn topic(name: &str) -> String {
     name.chars().map(|c| if c.is_alphanumeric() || "_-.".contains(c) { c } else { '_' }).collect()
 }
@@ -179,7 +179,7 @@ const PORT_SCHEMA: Schema = Schema {
 
 struct Tape<W: Write + Seek> {
     writer: Writer<W>,
-    /// By topic: the channel, and how many messages it has.
+    /// By topic: the channel, and the number of its messages.
     channels: BTreeMap<String, (u16, u32)>,
     count: usize,
 }

@@ -1,5 +1,5 @@
-//! Recordings for other tools: lines of JSON for scripts, MCAP for Foxglove and PlotJuggler, a sequence chart as SVG, the
-//! screen as an asciicast.
+//! Exports recordings for other tools: lines of JSON for scripts, MCAP for Foxglove and PlotJuggler, a sequence chart
+//! as SVG, and the screen as an asciicast.
 
 mod asciicast;
 mod chart;
@@ -13,36 +13,36 @@ use std::io::{self, Seek, Write};
 use std::sync::Arc;
 use thiserror::Error;
 
-/// The form of an export.
+/// The format of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Form {
-    /// A line of JSON for everything that came.
+    /// Lines of JSON, one per state or event.
     Jsonl,
-    /// A file that Foxglove and PlotJuggler open.
+    /// MCAP, for Foxglove and PlotJuggler.
     Mcap,
-    /// A sequence chart.
+    /// A sequence chart as SVG.
     Svg,
-    /// The monitor's screen, for players of asciicasts.
+    /// The monitor's screen, for asciicast players.
     Asciicast,
 }
 
-/// What is exported, and how.
+/// The options of an export.
 #[derive(Clone, Debug)]
 pub struct Wanted {
-    /// The form.
+    /// The format.
     pub form: Form,
-    /// Of an asciicast: columns and rows.
+    /// For an asciicast: columns and rows.
     pub size: (u16, u16),
-    /// Of an asciicast: the keys that are pressed before it begins, as on the keyboard.
+    /// For an asciicast: the keys that are pressed at the start; `\n` is Enter.
     pub keys: String,
-    /// Of an asciicast: frames a second, at most.
+    /// For an asciicast: the most frames per second.
     pub frames: u16,
-    /// Of a chart: how many things it shows at most, the last ones.
+    /// For a chart: the most marks that it shows; the newest are kept.
     pub most: usize,
 }
 
 impl Wanted {
-    /// What one gets who says nothing more.
+    /// The default options for a format.
     #[must_use]
     pub const fn new(form: Form) -> Self {
         Self { form, size: (120, 40), keys: String::new(), frames: 10, most: 400 }
@@ -55,20 +55,20 @@ pub enum ExportError {
     /// It cannot be written.
     #[error("cannot be written: {0}")]
     Io(#[from] io::Error),
-    /// The form could not be made.
+    /// The encoding failed.
     #[error("cannot be made: {0}")]
     Mcap(#[from] ::mcap::McapError),
-    /// The recording has nothing of what is wanted.
+    /// The recording lacks the required data.
     #[error("the recording has no {0}")]
     Nothing(&'static str),
 }
 
-/// What an export has.
+/// The size of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Exported {
-    /// Lines, messages, marks or frames.
+    /// The number of lines, messages, marks or frames.
     pub count: usize,
-    /// What they are.
+    /// The word for those units.
     pub what: &'static str,
 }
 
@@ -85,7 +85,7 @@ pub fn export(film: &Arc<Film>, wanted: &Wanted, out: impl Write + Seek) -> Resu
     }
 }
 
-/// Goes through a recording frame by frame: what is known after each, and what came.
+/// Calls `each` for every frame of a recording, with the store after it.
 fn each_frame<E>(film: &Film, mut each: impl FnMut(&Store, &Arrival) -> Result<(), E>) -> Result<(), E> {
     let mut store = Store::default();
     for number in 0..film.frames() {

@@ -1,9 +1,9 @@
-//! What an assertion may compare.
+//! The operands of assertions: quantities of a whole cell.
 
 use super::Condition;
 use super::fields::Field;
 
-/// How the values of all rows become one.
+/// How the values of all rows are combined.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Aggregate {
     Sum,
@@ -27,24 +27,24 @@ impl Aggregate {
     }
 }
 
-/// Something that is known of a whole cell.
+/// A quantity of a whole cell.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Amount {
-    /// Over all ports.
+    /// A field, aggregated over all ports.
     Over(Aggregate, Field),
-    /// So many ports.
+    /// The number of ports that fulfil a condition.
     Count(Condition<Field>),
-    /// Nodes that are up.
+    /// The number of nodes that are up.
     Up,
-    /// Nodes that the cell declares.
+    /// The number of nodes that the cell declares.
     Nodes,
-    /// Those of them that are not up.
+    /// The number of declared nodes that are not up.
     Missing,
-    /// What is wrong, of any level but notes.
+    /// The number of findings, without notes.
     Findings,
-    /// What is critical.
+    /// The number of critical findings.
     Critical,
-    /// Events that were lost on the way to the monitor.
+    /// The number of events that the nodes could not keep for the monitor.
     Lost,
 }
 

@@ -1,4 +1,4 @@
-//! A condition on a whole cell: for scripts and continuous integration.
+//! Assertions: conditions on a whole cell, for scripts and continuous integration.
 
 use super::amount::{Aggregate, Amount};
 use super::fields::{Field, PortRow, Row};
@@ -18,12 +18,12 @@ pub struct Assertion {
     condition: Condition<Amount>,
 }
 
-/// What came of an assertion.
+/// The result of an assertion.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Held {
     /// Whether it holds.
     pub holds: bool,
-    /// What was compared, with the values of this moment: `expired = 3`.
+    /// The compared quantities with their present values: `expired = 3`.
     pub values: Vec<String>,
 }
 
@@ -36,13 +36,13 @@ impl std::str::FromStr for Assertion {
 }
 
 impl Assertion {
-    /// As it was written.
+    /// The text of the assertion.
     #[must_use]
     pub fn text(&self) -> &str {
         &self.text
     }
 
-    /// Whether it holds of the cells `wanted` together.
+    /// Evaluates the assertion over the cells `wanted` together.
     #[must_use]
     pub fn holds(&self, store: &Store, wanted: &[Name], now: Moment) -> Held {
         let cells: Vec<_> = wanted.iter().map(|cell| (cell, findings(store, cell, now))).collect();
@@ -124,7 +124,8 @@ impl Amount {
     }
 }
 
-/// The value of a field over all ports that have it. The least of none is more than anything, the greatest less.
+/// A field, aggregated over all ports that have it. With none, the minimum is positive infinity, and the maximum
+/// negative infinity.
 fn over(
     aggregate: Aggregate,
     field: Field,
@@ -149,7 +150,7 @@ fn over(
     if time { Value::Time(whole) } else { Value::Number(whole) }
 }
 
-/// The ports of the present lives.
+/// Calls `each` for every port of the latest incarnations.
 fn each_port(store: &Store, cells: &Cells<'_>, now: Moment, each: &mut impl FnMut(&PortRow<'_>)) {
     for (cell, findings) in cells {
         for life in store.present(cell) {

@@ -1,4 +1,4 @@
-//! What rows have that can be asked for.
+//! The fields of rows that conditions can use.
 
 use super::Value;
 use crate::clock::{self, Moment};
@@ -11,7 +11,7 @@ use imrs_protocol::{Class, PortView};
 use imrs_wire::obs::{Liveness, TaskSnapshot};
 use std::borrow::Cow;
 
-/// What a field is compared with.
+/// The type of a field.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// A count or a percentage.
@@ -22,22 +22,22 @@ pub enum Kind {
     Text,
 }
 
-/// A field and what it is.
+/// The description of a field.
 #[derive(Clone, Copy, Debug)]
 pub struct FieldInfo {
-    /// Which.
+    /// The field.
     pub field: Field,
-    /// As it is written.
+    /// Its name in conditions.
     pub name: &'static str,
-    /// What it is compared with.
+    /// Its type.
     pub kind: Kind,
-    /// What it is.
+    /// Its meaning.
     pub help: &'static str,
 }
 
 macro_rules! fields {
     ($($field:ident $name:literal $kind:ident $help:literal;)*) => {
-        /// Something that a row has.
+        /// A field of a row.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
         pub enum Field {
             $(#[doc = $help] $field,)*
@@ -86,7 +86,7 @@ fields! {
     Ago "ago" Time "of an event: how long before the newest";
 }
 
-/// The field of this name.
+/// The field with this name or alias.
 pub(super) fn find(name: &str) -> Option<&'static FieldInfo> {
     let name = match name {
         "in" => "enqueued",
@@ -97,18 +97,18 @@ pub(super) fn find(name: &str) -> Option<&'static FieldInfo> {
     FIELDS.iter().find(|info| info.name == name)
 }
 
-/// Something with fields.
+/// A row with fields.
 pub trait Row {
-    /// What the row has.
+    /// The value of a field.
     fn field(&self, field: Field) -> Value<'_>;
-    /// Whether `words`, in lower case, occur in the row.
+    /// Whether the row contains `words`, which must be lower case.
     fn mentions(&self, words: &str) -> bool;
 }
 
-/// A port of a task, on the overview.
+/// A row of a port, on the overview.
 #[derive(Clone, Copy, Debug)]
 pub struct PortRow<'a> {
-    /// What is known.
+    /// The store.
     pub store: &'a Store,
     /// The node.
     pub life: &'a Life,
@@ -116,29 +116,29 @@ pub struct PortRow<'a> {
     pub task: &'a TaskSnapshot,
     /// The port.
     pub port: &'a PortView,
-    /// All that is wrong in the cell.
+    /// All findings of the cell.
     pub findings: &'a [Finding],
-    /// The moment shown.
+    /// The shown moment.
     pub now: Moment,
 }
 
-/// A node or task without a port of its own in the row.
+/// A row of a node or task.
 #[derive(Clone, Copy, Debug)]
 pub struct NodeRow<'a> {
     /// The node.
     pub life: &'a Life,
-    /// The task, if it is one's row.
+    /// The task, if the row is a task's.
     pub task: Option<&'a TaskSnapshot>,
-    /// All that is wrong in the cell.
+    /// All findings of the cell.
     pub findings: &'a [Finding],
 }
 
-/// An event.
+/// A row of an event.
 #[derive(Clone, Copy, Debug)]
 pub struct EventRow<'a> {
-    /// The line of the journal.
+    /// The entry of the journal.
     pub entry: &'a Entry,
-    /// The moment that its age is counted from.
+    /// The moment relative to which its age is computed.
     pub now: Moment,
 }
 
@@ -166,7 +166,7 @@ const fn level(level: Option<Level>) -> &'static str {
 }
 
 fn worst(findings: &[Finding], place: Place) -> Option<&Finding> {
-    // The worst come first.
+    // Findings are sorted by severity, most severe first.
     findings.iter().find(|finding| place.holds(&finding.place))
 }
 

@@ -1,5 +1,5 @@
-//! Conditions in words, the same everywhere: `/` on a screen picks the rows that fulfil one, `--assert` ends with exit code 1
-//! unless a cell fulfils one.
+//! The query language: conditions on rows and cells. `/` filters the rows of a screen, and `--assert` exits with code 1
+//! unless a cell fulfils a condition.
 //!
 //! ```text
 //! condition  = and ("or" and)*
@@ -9,8 +9,8 @@
 //! literal    = 3 | 20ms | 80% | word | "some words"
 //! ```
 //!
-//! Words without an operator are looked for in the names of a row. `~` asks whether a text has another in it. What a row
-//! does not have (the slack of an empty port) fulfils no comparison but `!=`.
+//! Words without an operator match in the names of a row. `~` tests whether a text contains another. A missing value
+//! (the slack of an empty port) fulfils only `!=`.
 
 mod amount;
 mod assertion;
@@ -23,20 +23,20 @@ pub use parse::QueryError;
 
 use std::borrow::Cow;
 
-/// What a field of a row has, or what it is compared with.
+/// The value of a field, or a literal.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Value<'a> {
-    /// Nothing.
+    /// The row has no such value.
     Missing,
-    /// A count, or a part of a hundred.
+    /// A count or a percentage.
     Number(f64),
     /// Microseconds.
     Time(f64),
-    /// A name or a word; compared without regard to case.
+    /// A name or a word; comparison ignores case.
     Text(Cow<'a, str>),
 }
 
-/// How two values are compared.
+/// A comparison operator.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Operator {
     /// `=`, `==`
@@ -55,14 +55,14 @@ pub enum Operator {
     Contains,
 }
 
-/// A condition over operands of one kind: the fields of a row, or what is known of a whole cell.
+/// A condition over operands of one kind: fields of a row, or quantities of a cell.
 #[derive(Clone, Debug, PartialEq)]
 enum Condition<T> {
     And(Vec<Condition<T>>),
     Or(Vec<Condition<T>>),
     Not(Box<Condition<T>>),
     Compare(T, Operator, Value<'static>),
-    /// The words occur in the row's names.
+    /// The row's names contain the words.
     Words(String),
 }
 
@@ -82,15 +82,15 @@ impl<T> Condition<T> {
     }
 }
 
-/// Which rows are wanted.
+/// A filter of rows.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Filter(Condition<Field>);
 
 impl Filter {
-    /// The filter that `text` says; none where it says nothing.
+    /// Parses a filter; `None` if the text is empty.
     ///
     /// # Errors
-    /// [`QueryError`]: where in the text, and what would be right there.
+    /// [`QueryError`]: the column, and what is expected there.
     pub fn parse(text: &str) -> Result<Option<Self>, QueryError> {
         if text.trim().is_empty() {
             return Ok(None);
@@ -98,19 +98,19 @@ impl Filter {
         parse::filter(text).map(|condition| Some(Self(condition)))
     }
 
-    /// As [`parse`](Self::parse), but a text that is no condition, or not yet, is looked for as it is.
+    /// As [`parse`](Self::parse), but an invalid or unfinished condition is matched as plain text.
     #[must_use]
     pub fn lenient(text: &str) -> Option<Self> {
         Self::parse(text).unwrap_or_else(|_| Some(Self(Condition::Words(text.to_lowercase()))))
     }
 
-    /// Whether it is only words to look for: then what lies within a row that has them is wanted, too.
+    /// Whether it is plain words. Then all rows within a matching row match too.
     #[must_use]
     pub const fn is_words(&self) -> bool {
         matches!(self.0, Condition::Words(_))
     }
 
-    /// Whether `row` is wanted.
+    /// Whether `row` matches.
     #[must_use]
     pub fn takes(&self, row: &impl Row) -> bool {
         let compare =
@@ -119,7 +119,7 @@ impl Filter {
     }
 }
 
-/// Whether two values stand in a relation. Values of different kinds, and missing ones, are only unequal.
+/// Compares two values. For values of different types, or missing ones, only `!=` holds.
 fn operator_holds(left: &Value<'_>, operator: Operator, right: &Value<'_>) -> bool {
     let order = match (left, right) {
         (Value::Number(a), Value::Number(b)) | (Value::Time(a), Value::Time(b)) => a.partial_cmp(b),

@@ -1,4 +1,4 @@
-//! Text to conditions.
+//! The parser of conditions.
 
 use super::amount::{Aggregate, Amount};
 use super::fields::{self, FIELDS, Field, Kind};
@@ -6,17 +6,17 @@ use super::{Condition, Operator, Value};
 use std::borrow::Cow;
 use thiserror::Error;
 
-/// A text that is no condition.
+/// A text that is not a valid condition.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("at column {column}: {what}")]
 pub struct QueryError {
-    /// Where, in characters from 1.
+    /// The column, in characters from 1.
     pub column: usize,
-    /// What is wrong there, and what would be right.
+    /// The error, and what is expected instead.
     pub what: String,
 }
 
-/// How deep conditions may be nested.
+/// The deepest nesting of conditions.
 const DEEPEST: usize = 32;
 
 #[derive(Clone, Debug, PartialEq)]
@@ -28,11 +28,11 @@ enum Token {
     Close,
 }
 
-/// What may stand left of an operator.
+/// The left side of a comparison.
 pub(super) trait Operand: Sized {
-    /// The operand that begins with `word`, and what it is compared with.
+    /// Parses the operand that begins with `word`, and returns its type with it.
     fn read(parser: &mut Parser, word: &str, column: usize) -> Result<(Self, Kind), QueryError>;
-    /// Whether words without an operator mean something.
+    /// Whether words without an operator are allowed.
     const WORDS: bool;
 }
 
@@ -92,12 +92,12 @@ fn number_or_time(
     Ok((amount, kind))
 }
 
-/// The condition on rows that `text` says.
+/// Parses a condition on rows.
 pub(super) fn filter(text: &str) -> Result<Condition<Field>, QueryError> {
     whole(text)
 }
 
-/// The condition on a cell that `text` says.
+/// Parses a condition on a cell.
 pub(super) fn assertion(text: &str) -> Result<Condition<Amount>, QueryError> {
     whole(text)
 }
@@ -112,7 +112,7 @@ fn whole<T: Operand>(text: &str) -> Result<Condition<T>, QueryError> {
 }
 
 pub(super) struct Parser {
-    /// Each with the column at which it begins.
+    /// Each token with its start column.
     tokens: Vec<(usize, Token)>,
     at: usize,
     end: usize,
@@ -204,7 +204,7 @@ impl Parser {
         Ok(Condition::Compare(left, operator, right))
     }
 
-    /// Words one after the other, as they would stand in a name.
+    /// A sequence of words, to match in a name.
     fn words<T>(&mut self) -> Result<Condition<T>, QueryError> {
         let mut words: Vec<String> = Vec::new();
         loop {
@@ -251,7 +251,7 @@ impl Parser {
     }
 }
 
-/// Microseconds.
+/// Parses a time; the result is in microseconds.
 fn time(text: &str) -> Option<f64> {
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
     let unit = match &text[digits.len()..] {

@@ -1,5 +1,5 @@
-//! A recording of observations, opened: its frames as they were recorded, and the stops at which it can be looked at. The
-//! present run is looked at the same way ([`History`](crate::history::History)).
+//! An opened recording of observations: its encoded frames, and the stops at which it can be shown. The present run is
+//! viewed the same way ([`History`](crate::history::History)).
 
 use crate::clock::{Moment, micros};
 use crate::error::MonitorError;
@@ -14,21 +14,21 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// About how much goes into one reel of a recording, in bytes.
+/// The approximate size of a segment of a recording, in bytes.
 const REEL: usize = 4 << 20;
 
-/// A frame, encoded as it was recorded.
+/// A frame, in its recorded encoding.
 #[derive(Clone, Debug)]
 struct Frame {
     at: Moment,
     source: u16,
-    /// Whether something went wrong.
+    /// Whether it shows an anomaly.
     odd: bool,
-    /// Among the reel's bytes.
+    /// Its range in the bytes of the reel.
     bytes: Range<u32>,
 }
 
-/// Frames that came one after the other. Shared between a film and the history that goes on.
+/// A segment of consecutive frames. A film and the growing history share it.
 #[derive(Clone, Debug, Default)]
 pub struct Reel {
     bytes: Vec<u8>,
@@ -36,7 +36,7 @@ pub struct Reel {
 }
 
 impl Reel {
-    /// Adds a frame; `odd` says whether something went wrong. False: the reel is full.
+    /// Adds a frame; `odd` marks an anomaly. Returns false if the reel is full.
     pub fn put(&mut self, at: Moment, source: u16, odd: bool, bytes: &[u8]) -> bool {
         let [start, end] = [self.bytes.len(), self.bytes.len() + bytes.len()].map(u32::try_from);
         let (Ok(start), Ok(end)) = (start, end) else { return false };
@@ -45,19 +45,19 @@ impl Reel {
         true
     }
 
-    /// How much memory it takes, in bytes.
+    /// The memory that it takes, in bytes.
     #[must_use]
     pub fn weight(&self) -> usize {
         self.bytes.capacity() + self.frames.capacity() * size_of::<Frame>()
     }
 
-    /// When its first frame came.
+    /// The arrival of its first frame.
     #[must_use]
     pub fn began(&self) -> Option<Moment> {
         self.frames.first().map(|frame| frame.at)
     }
 
-    /// Gives back memory that no frame took.
+    /// Releases unused memory.
     pub fn close(&mut self) {
         self.bytes.shrink_to_fit();
         self.frames.shrink_to_fit();
@@ -69,37 +69,37 @@ impl Reel {
     }
 }
 
-/// A state of the recording that can be looked at: after all frames up to here.
+/// A point at which the recording can be shown: the state after the frames up to here.
 #[derive(Clone, Debug)]
 pub struct Stop {
-    /// When.
+    /// The moment.
     pub at: Moment,
-    /// How many frames came until then.
+    /// The number of frames up to here.
     pub frames: usize,
-    /// Whether something went wrong since the stop before.
+    /// Whether there was an anomaly since the previous stop.
     pub odd: bool,
 }
 
-/// A recording of observations. Frames are kept as they were recorded and decoded when they are shown.
+/// A recording of observations. Frames stay encoded and are decoded when they are shown.
 #[derive(Debug, Default)]
 pub struct Film {
-    /// The frames, and how many there are up to the end of each reel.
+    /// The segments, and the number of frames up to the end of each.
     reels: Vec<(Arc<Reel>, usize)>,
-    /// While it is read: the reel that is not full.
+    /// The segment that is being filled.
     open: Reel,
-    /// How many frames there are.
+    /// The number of frames.
     frames: usize,
     /// Never empty.
     stops: Vec<Stop>,
-    /// What it tells, if it is a counterexample.
+    /// The description of the counterexample, if it is one.
     pub story: Option<Story>,
     /// The name of the cell, as the recording program knew it.
     pub cell: String,
-    /// What is to be known of the file: that it was cut off, or is damaged.
+    /// A note on the file: that it was cut off or is damaged.
     pub notice: Option<String>,
 }
 
-/// What a frame means to who shows it.
+/// A decoded frame for the player.
 pub(crate) enum Scene {
     Arrival(Arrival),
     Step(Step),
@@ -107,21 +107,21 @@ pub(crate) enum Scene {
 }
 
 impl Film {
-    /// Opens a recording and reads it as far as it is whole.
+    /// Opens a recording and reads it up to its last whole record.
     ///
     /// # Errors
-    /// [`MonitorError::Recording`] where nothing of it can be shown: it is not there, is no recording of this version,
-    /// or shows no nodes.
+    /// [`MonitorError::Recording`] if nothing can be shown: the file is missing, is not a recording of this version, or
+    /// shows no nodes.
     pub fn open(path: &Path) -> Result<Self, MonitorError> {
         let failed = |why: String| MonitorError::Recording { path: path.to_owned(), why };
         let file = files::open(path).map_err(|error| failed(error.to_string()))?;
         Self::read(BufReader::new(file)).map_err(failed)
     }
 
-    /// Reads a recording as far as it is whole.
+    /// Reads a recording up to its last whole record.
     ///
     /// # Errors
-    /// Why nothing of it can be shown.
+    /// The reason why nothing can be shown.
     pub fn read(source: impl Read) -> Result<Self, String> {
         let mut reader = RecordingReader::new(source).map_err(|error| error.to_string())?;
         if reader.header().node.is_some() {
@@ -172,7 +172,7 @@ impl Film {
         Ok(film)
     }
 
-    /// What a monitor saw so far: `opening` shows where everything stood, `reels` what came then.
+    /// A film of the present run: `opening` has the state at the start, `reels` the later frames.
     #[must_use]
     pub fn of(cell: String, opening: Arc<Reel>, reels: Vec<Arc<Reel>>) -> Self {
         let mut film = Self { cell, ..Self::default() };
@@ -217,14 +217,14 @@ impl Film {
         self.end_stop();
     }
 
-    /// The reel in hand is full.
+    /// Closes the open segment.
     fn close(&mut self) {
         let mut reel = std::mem::take(&mut self.open);
         reel.close();
         self.reels.push((Arc::new(reel), self.frames));
     }
 
-    /// A step of a story, or a later time, is a stop of its own.
+    /// Starts a new stop if `opens`, and marks the last stop if `odd`.
     fn stop(&mut self, at: Moment, opens: bool, odd: bool) {
         if opens {
             self.stops.push(Stop { at, frames: self.frames, odd: false });
@@ -234,37 +234,37 @@ impl Film {
         }
     }
 
-    /// The last stop is after all frames so far.
+    /// Extends the last stop to all frames so far.
     fn end_stop(&mut self) {
         if let Some(stop) = self.stops.last_mut() {
             stop.frames = self.frames;
         }
     }
 
-    /// The states that can be looked at, in their order.
+    /// The stops, in order.
     #[must_use]
     pub fn stops(&self) -> &[Stop] {
         &self.stops
     }
 
-    /// How long it is.
+    /// Its length.
     #[must_use]
     pub fn length(&self) -> Moment {
         self.stops.last().map_or(Duration::ZERO, |stop| stop.at)
     }
 
-    /// The last stop at this time or before it; the first where there is none.
+    /// The last stop at or before this time; the first one if there is none.
     #[must_use]
     pub fn stop_at(&self, at: Moment) -> usize {
         self.stops.partition_point(|stop| stop.at <= at).saturating_sub(1)
     }
 
-    /// How many frames it has.
+    /// The number of frames.
     pub(crate) const fn frames(&self) -> usize {
         self.frames
     }
 
-    /// Frame number so.
+    /// Decodes the frame with this number.
     pub(crate) fn scene(&self, number: usize) -> Scene {
         let at = self.reels.partition_point(|(_, end)| *end <= number);
         let Some((reel, end)) = self.reels.get(at) else { return Scene::Nothing };
@@ -272,7 +272,7 @@ impl Film {
         else {
             return Scene::Nothing;
         };
-        // It was decoded when the film was made.
+        // Decoding cannot fail: `read` has decoded the frame before, or the history has encoded it.
         let Some(shown) = reel.shown(frame) else { return Scene::Nothing };
         let feed = match shown {
             Shown::Attached { hello, .. } => match hello.role {
@@ -288,7 +288,7 @@ impl Film {
     }
 }
 
-/// Whether something went wrong, of what is not a step of a story.
+/// Whether a frame shows an anomaly; steps of a counterexample carry their own flag.
 pub(crate) fn is_odd(shown: &Shown) -> bool {
     match shown {
         Shown::Lost { .. } => true,

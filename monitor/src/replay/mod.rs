@@ -1,7 +1,7 @@
-//! Looking at a recording of observations: the same screens as on running nodes, at any stop of the recording.
+//! Replays a recording of observations: the same screens as for running nodes, at any stop of the recording.
 //!
-//! A [`Film`] is the recording, a [`Player`] a place in it and whether it moves. Where the player stands depends on the
-//! film, the keys and the moments that it is told, and on nothing else.
+//! A [`Film`] is the recording, and a [`Player`] is a position in it that may move. The position depends only on the
+//! film, the keys and the given moments.
 
 mod film;
 pub(crate) mod tell;
@@ -18,25 +18,25 @@ use std::sync::Arc;
 use std::time::Duration;
 use thiserror::Error;
 
-/// How many states on the way are kept at most, to go back to.
+/// The most intermediate states that are kept, to move back quickly.
 const KEPT: usize = 32;
-/// How much memory they may take together, about, in bytes. Two are kept whatever they take.
+/// Their approximate memory limit, in bytes. Two are kept whatever their size.
 const KEPT_BYTES: usize = 12 << 20;
-/// How long a step of a counterexample is shown at speed one: its ticks are too short to follow.
+/// How long a step of a counterexample is shown at speed 1; its real ticks would be too short.
 const STEP: Duration = Duration::from_secs(1);
 
-/// Where to begin.
+/// A position in a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum At {
-    /// So long after the beginning.
+    /// This long after the beginning.
     After(Duration),
-    /// So long before the end.
+    /// This long before the end.
     BeforeEnd(Duration),
-    /// A tick of a counterexample; in another recording a second.
+    /// A tick of a counterexample; a second in other recordings.
     Tick(u64),
 }
 
-/// A text that names no time.
+/// A text that is not a position.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("`{0}` is no time: write 3s, 1500ms, -30s (before the end), or the tick of a counterexample")]
 pub struct AtError(String);
@@ -65,7 +65,7 @@ impl FromStr for At {
     }
 }
 
-/// A place in a recording, and whether it moves.
+/// A position in a recording, which may play.
 #[derive(Clone, Debug)]
 pub struct Player {
     film: Arc<Film>,
@@ -73,17 +73,17 @@ pub struct Player {
     step: Option<Step>,
     /// The stop shown.
     stop: usize,
-    /// The time shown, which lies between two stops while it plays.
+    /// The shown time; while playing it lies between two stops.
     at: Moment,
-    /// While it plays: since when, from which stop and time.
+    /// While playing: the moment, the stop and the shown time at which it started.
     playing: Option<(Moment, usize, Moment)>,
     speed: f64,
-    /// States on the way, by their stops.
+    /// Intermediate states, by stop.
     kept: Vec<(usize, Store, Option<Step>)>,
 }
 
 impl Player {
-    /// At the first stop of a recording, standing still. `speed`: so many times as fast as it was recorded.
+    /// A player at the first stop, paused. `speed` is a multiple of the recorded speed.
     #[must_use]
     pub fn new(film: Arc<Film>, speed: f64) -> Self {
         let mut player = Self {
@@ -106,31 +106,31 @@ impl Player {
         &self.film
     }
 
-    /// What is known at the stop shown.
+    /// The store at the shown stop.
     #[must_use]
     pub const fn store(&self) -> &Store {
         &self.store
     }
 
-    /// The step of a counterexample shown.
+    /// The shown step of a counterexample.
     #[must_use]
     pub const fn step(&self) -> Option<&Step> {
         self.step.as_ref()
     }
 
-    /// The number of the stop shown, from 0.
+    /// The index of the shown stop.
     #[must_use]
     pub const fn stop(&self) -> usize {
         self.stop
     }
 
-    /// The time shown.
+    /// The shown time.
     #[must_use]
     pub const fn moment(&self) -> Moment {
         self.at
     }
 
-    /// Whether it moves by itself.
+    /// Whether it plays.
     #[must_use]
     pub const fn is_playing(&self) -> bool {
         self.playing.is_some()
@@ -142,7 +142,7 @@ impl Player {
         self.stop + 1 == self.film.stops().len()
     }
 
-    /// Where it stands, in words: `3 of 17, tick 4`, or `1.20s of 9.00s`.
+    /// Its position as text: `3/17 tick 4`, or `1.20s of 9.00s`.
     #[must_use]
     pub fn position(&self) -> String {
         match (&self.step, &self.film.story) {
@@ -151,7 +151,7 @@ impl Player {
         }
     }
 
-    /// Goes to a time.
+    /// Moves to the stop at a time, and pauses.
     pub fn seek(&mut self, at: At) {
         let length = self.film.length();
         let tick_us = self.film.story.as_ref().map_or(1_000_000, |story| story.tick_us);
@@ -163,23 +163,23 @@ impl Player {
         self.go(self.film.stop_at(at.min(length)));
     }
 
-    /// Goes to a stop and stands still there.
+    /// Moves to a stop, and pauses.
     pub fn go(&mut self, stop: usize) {
         self.playing = None;
         self.turn_to(stop.min(self.film.stops().len().saturating_sub(1)));
     }
 
-    /// One stop on or back.
+    /// Moves by this many stops.
     pub fn step_by(&mut self, by: isize) {
         self.go(self.stop.saturating_add_signed(by));
     }
 
-    /// To the last stop.
+    /// Moves to the last stop.
     pub fn go_to_end(&mut self) {
         self.go(usize::MAX);
     }
 
-    /// To the next stop at which something went wrong, or the one before.
+    /// Moves to the next or previous stop with an anomaly.
     pub fn go_to_odd(&mut self, forward: bool) {
         let stops = self.film.stops();
         let found = if forward {
@@ -190,7 +190,7 @@ impl Player {
         self.go(found.unwrap_or(self.stop));
     }
 
-    /// Plays on, or stands still. At the end it begins anew.
+    /// Plays or pauses. At the end it plays from the beginning.
     pub fn toggle(&mut self, now: Moment) {
         if self.playing.take().is_none() {
             if self.is_at_end() {
@@ -200,7 +200,7 @@ impl Player {
         }
     }
 
-    /// Moves on to where it should be at `now`. Says whether anything is shown otherwise.
+    /// Advances to the position at `now`. Returns whether it plays, so that the screen may have changed.
     pub fn advance(&mut self, now: Moment) -> bool {
         let Some((since, from, at)) = self.playing else { return false };
         let passed = now.saturating_sub(since).as_secs_f64() * self.speed;
@@ -243,7 +243,7 @@ impl Player {
         }
     }
 
-    /// Takes over what came after the stop `from` (none: from the beginning) up to the stop `to`.
+    /// Applies the frames after stop `from` (`None`: from the beginning) up to stop `to`.
     fn show(&mut self, from: Option<usize>, to: usize) {
         let film = Arc::clone(&self.film);
         let stops = film.stops();

@@ -1,4 +1,4 @@
-//! Where one is in a recording, as text and for programs.
+//! Prints the position in a recording, as text and as JSON.
 
 use super::Player;
 use crate::name::shown_line;
@@ -7,20 +7,20 @@ use imrs_wire::recording::Story;
 use serde::Serialize;
 use std::fmt::Write as _;
 
-/// Where one is in a recording.
+/// The position in a recording, as JSON.
 #[derive(Serialize)]
 pub(crate) struct Position<'a> {
-    /// The stop shown, from 0, and how many there are.
+    /// The index of the shown stop, and the number of stops.
     stop: usize,
     stops: usize,
     at_us: u64,
-    /// Of a counterexample: ticks since its start.
+    /// Ticks since the start, for a counterexample.
     tick: Option<u64>,
     odd: bool,
     happened: &'a [String],
     tasks: Vec<Doing<'a>>,
     story: Option<Told<'a>>,
-    /// What is to be known of the file.
+    /// A note on the file.
     notice: Option<&'a str>,
 }
 
@@ -44,7 +44,7 @@ struct Told<'a> {
     steps: u32,
 }
 
-/// Where `player` is, for programs.
+/// The position of `player`, for JSON.
 pub(crate) fn position(player: &Player) -> Position<'_> {
     let film = player.film();
     let step = player.step();
@@ -73,19 +73,19 @@ pub(crate) fn position(player: &Player) -> Position<'_> {
     }
 }
 
-/// Where `player` is and what happened there, a fact per line.
+/// The position of `player` and the events there, one fact per line.
 pub(crate) fn text(player: &Player) -> String {
     format!("replay at {}\n{}{}", player.position(), story(player), happened(player))
 }
 
-/// The step that `player` shows: what happened, what the tasks do after it and what waits for them, a fact per line.
+/// The step that `player` shows: its events, and the activities and queues after it, one fact per line.
 pub(crate) fn step(player: &Player) -> String {
     let odd = player.film().stops().get(player.stop()).is_some_and(|stop| stop.odd);
     let odd = if odd { "  !" } else { "" };
     format!("step {}{odd}\n{}{}", player.position(), happened(player), queues(player))
 }
 
-/// What a recording is about, a fact per line.
+/// The subject of a recording, one fact per line.
 pub(crate) fn story(player: &Player) -> String {
     let film = player.film();
     let mut out = String::new();
@@ -113,7 +113,7 @@ fn happened(player: &Player) -> String {
     out
 }
 
-/// What waits in the ports of the tasks and in the transit buffers of the nodes that run; nothing where they are empty.
+/// The queues of the tasks and the transit buffers of the running nodes, as far as they are not empty.
 fn queues(player: &Player) -> String {
     let mut out = String::new();
     let up = |life: &&Life| matches!(life.presence(player.moment()), Presence::Up | Presence::Silent(_));
@@ -135,7 +135,7 @@ fn queues(player: &Player) -> String {
     out
 }
 
-/// What each task does after the step shown, and the line of its statement.
+/// The activity of each task after the shown step, with the line of its statement.
 pub(crate) fn tasks(player: &Player) -> impl Iterator<Item = String> {
     let names = player.store().lives().iter().map(|life| &life.names).max_by_key(|names| names.tasks.len());
     player.step().map_or(&[][..], |step| &step.tasks).iter().map(move |doing| {
@@ -145,12 +145,12 @@ pub(crate) fn tasks(player: &Player) -> impl Iterator<Item = String> {
     })
 }
 
-/// What a story is about, in one line.
+/// The finding of a counterexample, in one line.
 pub(crate) fn cause(story: &Story) -> String {
     format!("{}: {}", shown_line(&story.kind), shown_line(&story.cause))
 }
 
-/// Where that stands in the cell's file.
+/// Its place in the cell's file.
 pub(crate) fn place(story: &Story) -> Option<String> {
     let place = story.place.as_ref()?;
     let first = place.text.lines().next().unwrap_or_default();

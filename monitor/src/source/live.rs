@@ -1,4 +1,4 @@
-//! Running nodes: sockets that were named, or all that the socket folder has, also those that appear later.
+//! A source for running nodes: named endpoints, or all sockets of the socket folder, including later ones.
 
 use super::session::{self, End, Pace, Talk};
 use super::{Feed, Sink, Source, SourceId, Wishes};
@@ -14,26 +14,26 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// How often the socket folder is looked through.
+/// How often the socket folder is scanned.
 const SCAN: Duration = Duration::from_millis(250);
 /// The first and the longest pause before another attempt.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(4));
-/// How long a pause may go on without looking whether to stop.
+/// How often a pause checks whether to stop.
 const LOOK: Duration = Duration::from_millis(50);
 
-/// The most addresses that are followed because nodes told of them.
+/// The most addresses that are followed because a node reported them.
 const MOST_FOLLOWED: usize = 64;
 
-/// Which nodes.
+/// The nodes to attach to.
 #[derive(Clone, Debug)]
 pub enum Which {
-    /// These, and the other nodes of their cells that they know of. They are tried again for ever.
+    /// These endpoints, and the other nodes of their cells that they report. Attempts are repeated for ever.
     Named(Vec<Endpoint>),
-    /// All whose sockets lie under this folder, now or later. A node is given up when its socket is gone.
+    /// All sockets under this folder, present or later. A node is given up when its socket is gone.
     Under(PathBuf),
 }
 
-/// Running nodes. Dropping it ends its threads.
+/// A source for running nodes. Dropping it ends its threads.
 #[derive(Debug)]
 pub struct Live {
     which: Which,
@@ -42,7 +42,7 @@ pub struct Live {
     token: Option<Arc<Token>>,
     stop: Arc<AtomicBool>,
     started: Arc<AtomicUsize>,
-    /// The number of its first source.
+    /// The number of its first connection.
     first: u32,
 }
 
@@ -55,34 +55,34 @@ impl Live {
         Self { which, pace, wishes: Wishes::default(), token: None, stop, started: Arc::default(), first: 0 }
     }
 
-    /// With what it shows that it may look, where a node asks.
+    /// Sets the token for nodes that require one.
     #[must_use]
     pub fn with_token(mut self, token: Option<Token>) -> Self {
         self.token = token.map(Arc::new);
         self
     }
 
-    /// With the wishes of who looks.
+    /// Sets the wishes to pass to the nodes.
     #[must_use]
     pub fn with_wishes(mut self, wishes: &Wishes) -> Self {
         self.wishes = wishes.clone();
         self
     }
 
-    /// The wishes that it passes on.
+    /// The wishes that it passes to the nodes.
     #[must_use]
     pub const fn wishes(&self) -> &Wishes {
         &self.wishes
     }
 
-    /// With numbers of its sources from here on, where others have those from 0.
+    /// Sets the number of the first connection, if lower numbers are in use.
     #[must_use]
     pub const fn numbered_from(mut self, first: u32) -> Self {
         self.first = first;
         self
     }
 
-    /// How many endpoints were there at the start, or were told of since: so many sources will attach or fail.
+    /// How many endpoints were present at the start or reported since. Each of them will attach or fail.
     #[must_use]
     pub fn started(&self) -> usize {
         self.started.load(Ordering::Relaxed)
@@ -141,21 +141,21 @@ struct Crew {
     started: Arc<AtomicUsize>,
 }
 
-/// Where nodes were found, so that none is attached to twice.
+/// The known nodes and addresses, so that no node is attached to twice.
 #[derive(Default)]
 struct Known {
-    /// The nodes that somebody stays with, by cell and number.
+    /// The nodes with a connection thread, by cell and node id.
     nodes: HashSet<(String, u16)>,
-    /// The addresses that other nodes told of: each is followed once.
+    /// The addresses that nodes reported; each is followed once.
     followed: HashSet<Endpoint>,
 }
 
 impl Crew {
-    /// Looks through the folder until told to stop.
+    /// Scans the folder until told to stop.
     fn scan(&self, base: &Path, mut attended: HashMap<PathBuf, JoinHandle<()>>) {
         while !self.pause(SCAN) {
             attended.retain(|_, thread| !thread.is_finished());
-            // A folder that cannot be read now may be readable again next time.
+            // An unreadable folder may be readable at the next scan.
             let found = place::sockets_in(base).unwrap_or_default();
             self.attend_all(found, &mut attended);
         }
@@ -171,7 +171,7 @@ impl Crew {
         }
     }
 
-    /// A thread that stays with `endpoint`. `None` where the system has no thread to give: the next scan tries again.
+    /// Starts a thread that stays connected to `endpoint`. Returns `None` if no thread can be started; the next scan tries again.
     fn attend(&self, endpoint: Endpoint, found: bool) -> Option<JoinHandle<()>> {
         let id = SourceId(self.next.fetch_add(1, Ordering::Relaxed));
         let crew = self.clone();
@@ -222,8 +222,8 @@ impl Crew {
         }
     }
 
-    /// Goes to where a node says that the others of its cell are: so one address finds the system. Where a whole folder
-    /// is looked through, they are found there.
+    /// Follows the addresses that a node reports for the other nodes of its cell, so that one address leads to the
+    /// whole cell. Unix sockets are skipped if the whole folder is scanned anyway.
     fn follow(&self, from: &Endpoint, identity: &NodeIdentity, places: &Places, found: bool) {
         let mut new = Vec::new();
         {
@@ -250,7 +250,7 @@ impl Crew {
         }
     }
 
-    /// Waits. `true`: stop.
+    /// Waits. Returns true if it must stop.
     fn pause(&self, length: Duration) -> bool {
         let until = Instant::now() + length;
         while !self.stop.load(Ordering::Relaxed) {
@@ -264,12 +264,12 @@ impl Crew {
     }
 }
 
-/// The address that a node told, as it is reached from here: an address of any interface, or of its own machine only, is
-/// meant on the machine on which it was reached itself.
+/// A reported address as seen from here. If it is an unspecified or loopback address, the host is the one through which
+/// the reporting node was reached.
 fn seen_from(from: &Endpoint, told: &str) -> Option<Endpoint> {
     let endpoint: Endpoint = told.parse().ok()?;
     let Endpoint::Tcp(address) = &endpoint else {
-        // A socket is on the same machine, or nowhere.
+        // A Unix socket is reachable only on the same machine.
         return matches!(from, Endpoint::Unix(_)).then_some(endpoint);
     };
     let (Endpoint::Tcp(from), Ok(address)) = (from, address.parse::<SocketAddr>()) else {
@@ -282,7 +282,7 @@ fn seen_from(from: &Endpoint, told: &str) -> Option<Endpoint> {
     Some(Endpoint::Tcp(format!("{host}:{}", address.port())))
 }
 
-/// Removes a socket that nothing is behind any more.
+/// Removes a socket without a living process.
 fn clear_away(path: &Path) -> Option<Feed> {
     let cell = path.parent()?.file_name()?.to_str()?.to_owned();
     let node = place::node_of(path)?.to_owned();

@@ -1,4 +1,4 @@
-//! Where the monitor's knowledge comes from. A running node, a recording and a test look alike from here on.
+//! The sources of the monitor's data. From here on a running node, a recording and a test look alike.
 
 pub mod live;
 mod session;
@@ -12,68 +12,68 @@ use crate::error::MonitorError;
 use imrs_wire::obs::{NodeIdentity, ServerFrame};
 use std::sync::Arc;
 
-/// One connection, or what stands for one.
+/// Identifies a connection, or its equivalent in a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct SourceId(pub u32);
 
-/// What a source has to say.
+/// A message from a source.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Feed {
     /// The source is attached to a node.
     Attached {
-        /// Which.
+        /// The node.
         identity: NodeIdentity,
-        /// Its process.
+        /// The process id.
         pid: u32,
-        /// Its program.
+        /// Name and version of the program.
         build: String,
     },
-    /// The node said something.
+    /// The node sent a frame.
     Frame(Box<ServerFrame>),
-    /// The validator has judged what a node recorded. Comes from no node: it names the one that it is about.
+    /// The validator's verdict on the recording of a node. It names its node, because it comes from no connection.
     Judged {
         /// The name of its cell.
         cell: String,
         /// Its name.
         node: String,
-        /// Which of its lives.
+        /// Its incarnation.
         incarnation: u8,
-        /// What it found.
+        /// The verdict.
         said: Box<Conformance>,
     },
     /// The source is no longer attached.
     Lost {
-        /// Why, for people.
+        /// The reason, as text for people.
         why: String,
     },
     /// The source could not attach.
     Failed {
-        /// Where and why, for people.
+        /// The endpoint and the reason, as text for people.
         why: String,
     },
-    /// The source ends: its socket is gone.
+    /// The source ends, because its socket is gone.
     Left,
-    /// A socket was found whose node is gone without having removed it: it was killed.
+    /// A socket was left behind by a node that no longer runs: the node was killed.
     Stale {
-        /// What stands for the cell's name in a file name.
+        /// The cell's name as encoded in a file name.
         cell: String,
-        /// What stands for the node's name in a file name.
+        /// The node's name as encoded in a file name.
         node: String,
     },
 }
 
-/// Something that a source said, and when it came.
+/// A message from a source, with its arrival.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Arrival {
-    /// When it came.
+    /// The moment of arrival.
     pub at: Moment,
-    /// From where.
+    /// The source.
     pub source: SourceId,
-    /// What.
+    /// The message.
     pub feed: Feed,
 }
 
-/// Where sources put what they have to say.
+/// The receiver of what sources deliver.
 #[derive(Clone)]
 pub struct Sink {
     clock: Clock,
@@ -81,7 +81,7 @@ pub struct Sink {
 }
 
 impl Sink {
-    /// A sink that gives everything to `take`, which may wait, and which says whether it wants more.
+    /// A sink that passes everything to `take`. It may block, and returns whether it wants more.
     pub fn new(clock: Clock, take: impl Fn(Arrival) -> bool + Send + Sync + 'static) -> Self {
         Self { clock, take: Arc::new(take) }
     }
@@ -92,23 +92,23 @@ impl Sink {
         self.clock.now()
     }
 
-    /// Gives `feed` on with the present moment. `false`: nobody wants more, the source may end.
+    /// Passes `feed` on with the present moment. Returns false if no more is wanted, so that the source may end.
     #[must_use]
     pub fn deliver(&self, source: SourceId, feed: Feed) -> bool {
         (self.take)(Arrival { at: self.clock.now(), source, feed })
     }
 }
 
-/// Something that can feed a monitor.
+/// A source of data for a monitor.
 pub trait Source {
-    /// Begins to feed `sink` from threads of its own, until the sink wants no more or the source is dropped.
+    /// Starts to feed `sink` from its own threads, until the sink wants no more or the source is dropped.
     ///
     /// # Errors
-    /// Where it cannot even begin.
+    /// If it cannot start.
     fn start(&mut self, sink: Sink) -> Result<(), MonitorError>;
 }
 
-/// A source that says what it was given, at once: for tests and demonstrations.
+/// A source that delivers its contents at once, for tests and demonstrations.
 #[derive(Debug, Default)]
 pub struct Memory(pub Vec<(SourceId, Feed)>);
 

@@ -13,18 +13,18 @@ use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// How long a node has to answer a hello: on a machine that is busy it does so after all else.
+/// How long a node has to answer a hello: on a busy machine its thread for monitors runs last.
 const PATIENCE: Duration = Duration::from_secs(3);
-/// How often a waiting session looks whether it should stop, and for new wishes.
+/// How often a waiting session checks whether to stop, and for new wishes.
 const LOOK: Duration = Duration::from_millis(100);
-/// How many frames a node may send ahead.
+/// How many frames a node may send without new credit.
 const CREDIT: u16 = 8;
 /// How often the clocks are compared.
 const PING: Duration = Duration::from_secs(1);
-/// How often a node tells how its process does.
+/// How often a node sends metrics of its process.
 const VITALS: Duration = Duration::from_secs(1);
 
-/// What a session asks of a node, whatever is on the screen.
+/// The part of a subscription that does not depend on the screen.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Pace {
     pub period: Duration,
@@ -38,24 +38,24 @@ pub(super) struct Talk<'a> {
     pub token: Option<&'a Token>,
     pub sink: &'a Sink,
     pub stop: &'a AtomicBool,
-    /// Hears who the node is, and where it says that others are.
+    /// Receives the node's identity and the addresses that it reports for other nodes.
     pub told: &'a dyn Fn(&NodeIdentity, &Places),
 }
 
 /// How a session ended.
 #[derive(Debug)]
 pub(super) enum End {
-    /// It was told to stop.
+    /// The monitor told it to stop.
     Stopped,
-    /// Nobody listens there.
+    /// No process listens at the endpoint.
     Refused(String),
-    /// It never got through.
+    /// It never attached.
     Failed(String),
-    /// It was attached, and is no longer.
+    /// It lost its connection after attaching.
     Lost(String),
 }
 
-/// Attaches to `endpoint` and delivers what it says until either side ends.
+/// Attaches to `endpoint` and delivers its frames until either side ends.
 pub(super) fn run(endpoint: &Endpoint, with: &Talk<'_>) -> End {
     match endpoint {
         Endpoint::Unix(path) => match UnixStream::connect(path).and_then(|s| {
@@ -108,7 +108,7 @@ fn talk(endpoint: &Endpoint, with: &Talk<'_>, reader: impl Read, writer: impl Wr
     let Feed::Attached { identity, .. } = &attached else { return End::Stopped };
     let identity = identity.clone();
     let mut session = Session::new(with, identity, writer, version.minor >= 1);
-    // A node that asks for a token says nothing more until it has seen it.
+    // A node that requires a token sends nothing more until it has the token.
     let mut attached = Some(attached);
     let ended = |attached: &Option<Feed>, why: &dyn Display| match attached {
         Some(_) => End::Failed(format!("{endpoint}: {why}")),
@@ -133,7 +133,7 @@ fn talk(endpoint: &Endpoint, with: &Talk<'_>, reader: impl Read, writer: impl Wr
         let frame = match frame {
             Ok(ServerFrame::Denied(denied)) => return End::Failed(format!("{endpoint}: {denied}")),
             Ok(frame) => frame,
-            // A kind of a later minor version that the node should not have sent: it can be passed over.
+            // The node should not have sent a frame of a later minor version, but it can be skipped.
             Err(DecodeError::UnknownKind(_)) => continue,
             Err(error) => return End::Lost(format!("it sent {error}")),
         };
@@ -150,21 +150,21 @@ fn talk(endpoint: &Endpoint, with: &Talk<'_>, reader: impl Read, writer: impl Wr
     }
 }
 
-/// A connection that is attached.
+/// An attached connection.
 struct Session<'a, W> {
     with: &'a Talk<'a>,
     identity: NodeIdentity,
     writer: FrameWriter<W>,
     /// Whether the node speaks version 1.1.
     new: bool,
-    /// Frames taken that no credit was given for yet.
+    /// Frames received for which no credit was returned yet.
     owed: u16,
-    /// The versions of the wishes that the node knows.
+    /// The versions of the wishes that were sent to the node.
     known: (u64, u64),
-    /// The node's clock at the snapshot that the next change is of.
+    /// The node's clock at the snapshot to which the next delta applies.
     told: Option<u64>,
     ping_at: Instant,
-    /// The node can be told nothing more. What it said before it went is still to be read.
+    /// The node no longer reads. The frames that it had sent are still to be read.
     deaf: bool,
 }
 
@@ -225,7 +225,7 @@ impl<'a, W: Write> Session<'a, W> {
         self.say(&ClientFrame::Want(want))
     }
 
-    /// Passes wishes on, and asks for the clock.
+    /// Sends changed wishes, and a ping when due.
     fn keep_up(&mut self) -> Result<(), FrameError> {
         if !self.new {
             return Ok(());
@@ -246,7 +246,7 @@ impl<'a, W: Write> Session<'a, W> {
         Ok(())
     }
 
-    /// Passes a frame on. `false`: nobody wants more.
+    /// Passes a frame on. Returns false if no more is wanted.
     fn take(&mut self, frame: ServerFrame) -> Result<bool, FrameError> {
         self.owed += u16::from(frame.costs());
         let mut fits = true;
@@ -262,7 +262,7 @@ impl<'a, W: Write> Session<'a, W> {
         } else if !self.with.sink.deliver(self.with.id, Feed::Frame(Box::new(frame))) {
             return Ok(false);
         }
-        // Credit is given back when a frame has been taken, so a busy monitor slows its own frames, never the node.
+        // Credit is returned after a frame has been handled, so a busy monitor slows its own frames and never the node.
         if self.owed >= CREDIT / 2 {
             self.say(&ClientFrame::Credit(self.owed))?;
             self.owed = 0;
@@ -275,7 +275,7 @@ fn micros(length: Duration) -> u32 {
     u32::try_from(length.as_micros()).unwrap_or(u32::MAX)
 }
 
-/// The handshake. `None`: told to stop.
+/// The handshake. Returns `None` if told to stop.
 fn greet(
     reader: &mut FrameReader<impl Read>,
     writer: &mut FrameWriter<impl Write>,
@@ -333,7 +333,7 @@ mod tests {
     use imrs_wire::obs::Table;
     use std::sync::{Arc, Mutex};
 
-    /// Takes the greeting; whatever else is written comes too late.
+    /// A writer that accepts one write, the hello; later writes fail.
     struct Closed(bool);
 
     impl Write for Closed {

@@ -1,20 +1,20 @@
-//! What the screen needs of the nodes: handed from the thread that draws to those that talk, without waiting.
+//! The subscription that the screen needs. The drawing thread hands it to the connection threads without waiting.
 
 use imrs_protocol::{NodeId, PortId, TaskId};
 use imrs_wire::obs::EventFilter;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// What is wanted of every node.
+/// A subscription for all nodes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Wanted {
-    /// The ports whose queues are looked at, in the cell shown: with what each message has been through.
+    /// The watched ports of the shown cell: the node sends their queues with the history of each message.
     pub watched: Vec<(NodeId, TaskId, PortId)>,
-    /// The cell that they are of; `None`: of any.
+    /// The cell of the watched ports; `None` for any.
     pub cell: Option<String>,
-    /// How many waiting messages of each other port are wanted; at most 64 are told.
+    /// How many queued messages of each other port are listed; at most 64.
     pub queue_limit: u8,
-    /// Which events.
+    /// The selected events; `None` for none.
     pub events: Option<EventFilter>,
 }
 
@@ -24,7 +24,7 @@ impl Default for Wanted {
     }
 }
 
-/// The wishes of one monitor, shared by who has them and who passes them on.
+/// The wishes of one monitor, shared by the drawing thread and the connection threads.
 #[derive(Clone, Debug, Default)]
 pub struct Wishes(Arc<Shared>);
 
@@ -38,7 +38,7 @@ struct Shared {
 }
 
 impl Wishes {
-    /// From now on this is wanted.
+    /// Sets the subscription.
     pub fn want(&self, wanted: Wanted) {
         let mut now = self.wanted();
         if *now != wanted {
@@ -47,12 +47,12 @@ impl Wishes {
         }
     }
 
-    /// A whole snapshot is wanted of every node.
+    /// Asks every node for a whole snapshot.
     pub fn want_whole(&self) {
         self.0.whole.fetch_add(1, Ordering::Release);
     }
 
-    /// What is wanted, and its version.
+    /// The subscription and its version.
     pub(super) fn present(&self) -> (Wanted, u64) {
         let wanted = self.wanted();
         (wanted.clone(), self.version())

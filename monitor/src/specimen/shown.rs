@@ -1,4 +1,4 @@
-//! A screen that shows a specimen, frame after frame.
+//! A screen that shows a specimen frame by frame.
 
 use super::Specimen;
 use crate::app::{App, Msg};
@@ -12,14 +12,14 @@ use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 use std::time::Duration;
 
-/// Between two frames.
+/// The time between two frames.
 const FRAME: Duration = Duration::from_millis(33);
-/// So many nodes say something between two frames.
+/// How many nodes send something between two frames.
 const TELL: u64 = 10;
-/// Of the ports of these one in so many did something: 5 %.
+/// One in this many ports of those nodes changed: 5 %.
 const APART: usize = 20;
 
-/// The app, what its nodes told last, and the two buffers that a terminal compares.
+/// The app, the last state of its nodes, and the two buffers that a terminal compares.
 pub struct Shown {
     app: App,
     cell: Specimen,
@@ -31,7 +31,7 @@ pub struct Shown {
 }
 
 impl Shown {
-    /// A terminal of so many columns and rows, after these keys were pressed: `\n` is Enter.
+    /// A terminal of this size, after these keys were pressed; `\n` is Enter.
     #[must_use]
     pub fn new(cell: Specimen, (width, height): (u16, u16), keys: &str) -> Self {
         let now = Duration::from_secs(1);
@@ -49,7 +49,7 @@ impl Shown {
         Self { app, cell, states, now, frames: 0, shown: blank.clone(), drawn: blank }
     }
 
-    /// The time of a frame passes, and some nodes tell what changed and what happened, in turns.
+    /// Advances by one frame: some nodes, in rotation, send a snapshot and events.
     pub fn go_on(&mut self) {
         self.now += FRAME;
         for turn in 0..TELL.min(self.cell.nodes.into()) {
@@ -65,7 +65,7 @@ impl Shown {
         self.frames += 1;
     }
 
-    /// Builds a frame, and compares it with the one before: how many places of the screen it changes.
+    /// Draws a frame. Returns how many screen cells differ from the previous one.
     pub fn draw(&mut self) -> usize {
         self.drawn.reset();
         view(&self.app, self.now, self.drawn.area, &mut self.drawn);
@@ -75,7 +75,7 @@ impl Shown {
     }
 }
 
-/// What waited too long is gone.
+/// Removes expired messages.
 fn drop_expired(state: &mut Snapshot) {
     for port in state.tasks.iter_mut().flat_map(|task| &mut task.view.ports) {
         if port.len == 0 || port.min_slack == Some(Ticks::ZERO) {

@@ -1,8 +1,8 @@
-//! Which transitions of the machine were seen at work, of all that there are (D63).
+//! Coverage: which transitions of the state machine were observed, out of all that exist.
 
 use imrs_protocol::{Class, Event, Reason, TaskView, Usage};
 
-/// All kinds of observations, in the order in which they are told.
+/// All kinds of observations, in the order of display.
 pub const KINDS: [Event; 40] = [
     Event::Sent,
     Event::Resent,
@@ -49,13 +49,13 @@ pub const KINDS: [Event; 40] = [
 /// How often each of [`KINDS`] was observed.
 pub type Fired = [u64; KINDS.len()];
 
-/// The place of a kind in [`KINDS`].
+/// The index of a kind in [`KINDS`].
 #[must_use]
 pub fn place(event: Event) -> usize {
     KINDS.iter().position(|kind| *kind == event).unwrap_or(0)
 }
 
-/// What a task's ports make possible.
+/// The kinds of messaging that a task's ports allow.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Abilities {
     receives: bool,
@@ -66,7 +66,7 @@ pub struct Abilities {
 }
 
 impl Abilities {
-    /// Those of a task.
+    /// The abilities of a task.
     #[must_use]
     pub fn of(task: &TaskView) -> Self {
         let mut all = Self { meets: !task.meetings.is_empty(), ..Self::default() };
@@ -83,8 +83,8 @@ impl Abilities {
         all
     }
 
-    /// Whether a task with these can come to a transition of this kind at all. What belongs to couples and handlers is
-    /// not seen in a task's ports: it is possible for every task.
+    /// Whether a task with these abilities can reach a transition of this kind. Leases and handlers are not visible in
+    /// a task's ports, so their transitions count as possible for every task.
     #[must_use]
     pub const fn allow(self, event: Event) -> bool {
         match event {

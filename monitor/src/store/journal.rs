@@ -1,4 +1,4 @@
-//! What happened, newest last, in bounded memory; what happens again and again takes one line.
+//! The journal: an event log in bounded memory, newest entry last. Repeated events share one entry.
 
 use super::names::Names;
 use crate::clock::Moment;
@@ -8,64 +8,64 @@ use imrs_protocol::{Event, Observation, Reason, TaskId};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// How many lines are kept of each kind.
+/// How many entries are kept of each of the two kinds.
 pub const KEPT: usize = 4096;
 
-/// How much a line matters.
+/// The severity of an entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Level {
-    /// The ordinary course of things.
+    /// Routine traffic.
     Trace,
-    /// Worth a line.
+    /// Worth an entry.
     Note,
     /// Something was lost or late.
     Warn,
-    /// A robot waits in vain, or somebody died.
+    /// A robot waits in vain, or a node or task died.
     Bad,
 }
 
-/// What happened.
+/// The event of an entry.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum What {
-    /// A machine observed something.
+    /// A state machine observed it.
     Observed {
-        /// At this task, or in the transit buffer.
+        /// The task; `None` for the transit buffer.
         task: Option<TaskId>,
-        /// This.
+        /// The observation.
         observation: Observation,
     },
-    /// The monitor noticed something.
+    /// The monitor noticed it.
     Noticed {
-        /// How much it matters.
+        /// The severity.
         level: Level,
-        /// What kind of thing.
+        /// The kind, in one word.
         kind: &'static str,
-        /// On what.
+        /// The affected object.
         object: String,
         /// Details.
         detail: String,
     },
 }
 
-/// A line of the journal.
+/// An entry of the journal.
 #[derive(Clone, Debug)]
 pub struct Entry {
-    /// Its number among all lines; given by the journal.
+    /// Its number among all entries; the journal assigns it.
     pub number: u64,
-    /// When it came, the last time.
+    /// The moment of its last occurrence.
     pub at: Moment,
-    /// On which node.
+    /// The node.
     pub node: Name,
-    /// What its ids mean.
+    /// The names of its ids.
     pub names: Arc<Names>,
-    /// What.
+    /// The event.
     pub what: What,
-    /// How often in a row.
+    /// How often it occurred in a row.
     pub times: u64,
 }
 
 impl Entry {
-    /// How much it matters.
+    /// Its severity.
     #[must_use]
     pub const fn level(&self) -> Level {
         match &self.what {
@@ -74,7 +74,7 @@ impl Entry {
         }
     }
 
-    /// Where a machine observed it, and what; none where the monitor noticed it.
+    /// The observation and its task; `None` for an entry that the monitor noticed.
     #[must_use]
     pub const fn observed(&self) -> Option<(Option<TaskId>, &Observation)> {
         match &self.what {
@@ -83,7 +83,7 @@ impl Entry {
         }
     }
 
-    /// In one word.
+    /// Its kind, in one word.
     #[must_use]
     pub const fn kind(&self) -> &'static str {
         match &self.what {
@@ -92,7 +92,7 @@ impl Entry {
         }
     }
 
-    /// What it happened to.
+    /// The affected object.
     #[must_use]
     pub fn object(&self) -> String {
         match &self.what {
@@ -107,7 +107,7 @@ impl Entry {
         }
     }
 
-    /// The rest.
+    /// The details.
     #[must_use]
     pub fn detail(&self) -> String {
         match &self.what {
@@ -133,7 +133,7 @@ impl Entry {
         }
     }
 
-    /// Whether `text`, in lower case, occurs in the line.
+    /// Whether the entry contains `text`, which must be lower case.
     #[must_use]
     pub fn mentions(&self, text: &str) -> bool {
         let has = |part: &str| part.to_lowercase().contains(text);
@@ -167,7 +167,7 @@ pub(crate) const fn level_of(event: Event) -> Level {
         | Event::Rejected
         | Event::Granted => Level::Trace,
         Event::Rejoined | Event::ReleasedComplete | Event::ReleasedByConfirm => Level::Trace,
-        // Repeated copies are how the protocol bears losses: dropping them is its ordinary course.
+        // The protocol repeats copies against losses, so dropping a duplicate is routine.
         Event::Discarded(Reason::Duplicate | Reason::OldRound | Reason::Superseded) => Level::Trace,
         Event::Discarded(_) | Event::RefusedByPeer | Event::PartnerAborted | Event::WithinMargin => {
             Level::Warn
@@ -211,17 +211,17 @@ pub(crate) const fn word(event: Event) -> &'static str {
     }
 }
 
-/// The lines: those that matter apart from the ordinary course, so that traffic cannot push them out.
+/// The event log. Notable entries and routine traffic have separate queues, so that traffic cannot displace notable entries.
 #[derive(Clone, Debug, Default)]
 pub struct Journal {
     notable: VecDeque<Entry>,
     trace: VecDeque<Entry>,
-    /// How many lines there have ever been.
+    /// How many entries were ever added.
     ever: u64,
 }
 
 impl Journal {
-    /// Adds a line, or counts it onto the last one of its kind if it only repeats it.
+    /// Adds an entry, or raises the count of the last one of its queue if the entry repeats it.
     pub fn add(&mut self, entry: Entry) {
         let lines = if entry.level() == Level::Trace { &mut self.trace } else { &mut self.notable };
         if let Some(last) = lines.back_mut().filter(|last| last.repeats(&entry)) {
@@ -235,7 +235,7 @@ impl Journal {
         self.ever += 1;
     }
 
-    /// The lines that `text` asks for (a condition, or words that occur in them), oldest first: those that matter, or `all`.
+    /// The entries that match `text` (a condition, or words), oldest first: only notable ones, or `all`.
     #[must_use]
     pub fn lines(&self, all: bool, text: &str) -> Vec<&Entry> {
         let trace = self.trace.iter().filter(|_| all);
@@ -248,12 +248,12 @@ impl Journal {
         lines
     }
 
-    /// The lines that matter from the number `from` on, oldest first.
+    /// The notable entries from number `from` on, oldest first.
     pub fn since(&self, from: u64) -> impl Iterator<Item = &Entry> {
         self.notable.iter().filter(move |e| e.number >= from)
     }
 
-    /// The number that the next line will have.
+    /// The number of the next entry.
     #[must_use]
     pub const fn next_number(&self) -> u64 {
         self.ever

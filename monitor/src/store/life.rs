@@ -1,4 +1,4 @@
-//! One life of one node: from its start to its death, and what it last said.
+//! One incarnation of a node as the monitor sees it: its last state and the recent past.
 
 use super::health::Looked;
 use super::names::Names;
@@ -13,57 +13,57 @@ use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A life that says nothing for so long is shown as silent.
+/// A node that has sent nothing for this long is shown as silent.
 pub const SILENT: Duration = Duration::from_secs(1);
-/// A remaining time that was sampled longer ago than this is shown as an estimate.
+/// A remaining time from a sample older than this is shown as an estimate.
 const FRESH: Duration = Duration::from_millis(200);
-/// Rates are taken over at least so long.
+/// The shortest interval over which rates are computed.
 pub(super) const RATE: Duration = Duration::from_secs(2);
 
-/// Over how long it is reckoned whether timers are late as a rule.
+/// The interval over which the monitor judges whether timers are usually late.
 const LATELY: Duration = Duration::from_secs(3);
 
-/// How many timers of one node are remembered.
+/// How many timers of a node are remembered.
 const TIMERS: usize = 1024;
 
-/// A life of a node, for as long as the monitor runs.
+/// Identifies an incarnation of a node as long as the monitor runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LifeId(pub u32);
 
-/// Whether a node is still there.
+/// Whether the monitor is attached to a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Condition {
     /// The monitor is attached to it.
     Attached,
-    /// The connection ended without a word.
+    /// The connection ended without a goodbye.
     Dead {
-        /// When.
+        /// The moment.
         since: Moment,
-        /// How the monitor noticed.
+        /// How the monitor noticed it.
         why: String,
     },
-    /// It said that it stops.
+    /// The node announced that it stops.
     Stopped {
-        /// When.
+        /// The moment.
         since: Moment,
     },
 }
 
-/// How a node looks at one moment.
+/// The presence of a node at a moment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Presence {
-    /// It speaks.
+    /// It sends frames.
     Up,
-    /// It is attached, but has said nothing for so long.
+    /// It is attached, but has sent nothing for this long.
     Silent(Duration),
-    /// It stopped in order, so long ago.
+    /// It stopped in order, this long ago.
     Stopped(Duration),
-    /// It is gone, for so long.
+    /// It died, this long ago.
     Dead(Duration),
 }
 
 impl Presence {
-    /// Whether the node is known to be no more.
+    /// Whether the node is known to have ended.
     #[must_use]
     pub const fn is_gone(self) -> bool {
         matches!(self, Self::Stopped(_) | Self::Dead(_))
@@ -95,12 +95,12 @@ impl fmt::Display for Whole {
     }
 }
 
-/// A remaining time, counted on from when it was sampled.
+/// A remaining time, counted down since its sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct Left {
-    /// Microseconds; zero: it has ended, as far as is known.
+    /// Microseconds; zero if it has probably ended.
     pub us: u64,
-    /// Whether the sample is so old that the truth may differ.
+    /// Whether the sample is old, so that the value may be wrong.
     pub estimated: bool,
 }
 
@@ -111,123 +111,123 @@ impl fmt::Display for Left {
     }
 }
 
-/// A snapshot and when it came.
+/// A snapshot and its arrival.
 #[derive(Clone, Debug)]
 pub struct Sample {
-    /// When it came.
+    /// The moment of arrival.
     pub at: Moment,
-    /// What it says.
+    /// The snapshot.
     pub snapshot: Arc<Snapshot>,
 }
 
-/// Something that a node said, and when it came.
+/// A message from a node, with its arrival.
 #[derive(Clone, Debug)]
 pub struct Told<T> {
-    /// When it came.
+    /// The moment of arrival.
     pub at: Moment,
-    /// What.
+    /// The message.
     pub what: T,
 }
 
-/// A queue that is watched.
+/// A watched queue.
 #[derive(Clone, Debug)]
 pub struct Watched {
     /// The task that receives.
     pub task: TaskId,
     /// The port.
     pub port: PortId,
-    /// How old the times in it were when it came, in microseconds.
+    /// The age of its remaining times on arrival, in microseconds.
     pub age_us: u64,
-    /// What waits there, and what it has been through.
+    /// Its queued messages, and what they have been through.
     pub queue: QueueView,
 }
 
-/// How a node's clock goes beside the monitor's.
+/// The offset between a node's clock and the monitor's.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ClockOffset {
     /// The node's clock when the monitor's was zero, in microseconds.
     pub us: i64,
-    /// How far off that can be: half the round trip.
+    /// The largest error: half the round trip.
     pub error_us: u64,
-    /// When they were compared.
+    /// The moment of the comparison.
     pub at: Moment,
 }
 
-/// Timers that have ended.
+/// Counts of ended timers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Ended {
     /// How many.
     pub count: u64,
-    /// How many of them later than the tick.
+    /// How many of them ended later than the tick.
     pub late: u64,
 }
 
-/// What is compared with what comes next.
+/// The features of a state that are compared with the next state.
 pub(super) struct Notable {
     pub tasks: Vec<(TaskId, Liveness)>,
     pub link_discards: Vec<Count>,
 }
 
-/// A port of a task. They are ascending, as nodes send them; what is not found so is searched for.
+/// Finds a port of a task. Nodes send ports in ascending order; if the binary search fails, a linear one decides.
 pub(super) fn port_of(task: &TaskSnapshot, id: PortId) -> Option<&PortView> {
     let ports = &task.view.ports;
     let found = ports.binary_search_by_key(&id, |port| port.port).ok().and_then(|at| ports.get(at));
     found.or_else(|| ports.iter().find(|port| port.port == id))
 }
 
-/// One life of one node.
+/// One incarnation of a node.
 #[derive(Clone, Debug)]
 pub struct Life {
-    /// Which.
+    /// Its identifier.
     pub id: LifeId,
     /// The node's name.
     pub node: Name,
-    /// The node's place in the cell.
+    /// The node's index in the cell.
     pub node_id: NodeId,
-    /// Which of the node's lives, as it says.
+    /// The incarnation number that the node reports.
     pub incarnation: u8,
-    /// Its process.
+    /// Its process id.
     pub pid: u32,
-    /// Its program.
+    /// Its program and version.
     pub build: Name,
     /// The digest of its cell.
     pub digest: u32,
     /// Microseconds per tick.
     pub tick_us: u64,
-    /// Whether it is still there.
+    /// Whether the monitor is attached to it.
     pub condition: Condition,
-    /// When it last said anything.
+    /// The moment of its last frame.
     pub heard: Moment,
     /// The names of its cell.
     pub names: Arc<Names>,
-    /// What it said last.
+    /// Its last state.
     pub last: Option<Sample>,
-    /// What it said some seconds ago: rates and growth are against this.
+    /// Its state some seconds ago, as the baseline of rates and growth.
     pub base: Option<Sample>,
-    /// What will be `base` next.
+    /// The next `base`.
     pub(super) next_base: Option<Sample>,
-    /// Events that it could not keep for this monitor.
+    /// Events that the node could not keep for this monitor.
     pub lost: u64,
-    /// The same, as it was at `base` and will be at the next one.
+    /// The value of `lost` at `base` and at `next_base`.
     pub(super) lost_before: (u64, u64),
-    /// The longest that each timer was ever seen to have left: nothing says how long it was armed for.
+    /// The longest remaining time ever seen of each timer, because a node does not report the armed duration.
     pub(super) longest: BTreeMap<(TaskId, TimeId), Ticks>,
-    /// How its process does; `None` before it told, and of a node that does not tell.
+    /// Metrics of its process; `None` until it reports any.
     pub vitals: Option<Told<Vitals>>,
-    /// Which scripts are held back, as it told last.
+    /// Its last report of held-back scripts.
     pub(super) held_back: Option<Told<HeldBack>>,
-    /// How many timers had ended, and how many of them late, as it told in the last seconds.
+    /// Its reports of ended and late timers within the last seconds.
     pub(super) timers: VecDeque<Told<Ended>>,
-    /// The queues that are watched.
+    /// Its watched queues.
     pub watched: Vec<Told<Watched>>,
-    /// How its clock goes, as compared last.
+    /// Its clock offset at the last comparison.
     pub clock: Option<ClockOffset>,
-    /// What is wrong with its tasks, if that was looked for since it last said something.
+    /// Cached findings of its tasks, valid until its next frame.
     pub(super) looked: Looked,
 }
 
 impl Life {
-    /// How it looks now.
+    /// Its presence at `now`.
     #[must_use]
     pub fn presence(&self, now: Moment) -> Presence {
         let ago = |since: Moment| now.saturating_sub(since);
@@ -239,7 +239,7 @@ impl Life {
         }
     }
 
-    /// Its tasks as it last said.
+    /// Its tasks in the last state.
     #[must_use]
     pub fn tasks(&self) -> &[TaskSnapshot] {
         self.last.as_ref().map_or(&[], |s| &s.snapshot.tasks)
@@ -257,8 +257,8 @@ impl Life {
         port_of(self.task(task)?, port)
     }
 
-    /// What is left now of a time that was `remaining` when its task last advanced, `age_us` before the snapshot.
-    /// In a dead node time stands still: its last state is shown as it was.
+    /// The remaining time at `now`. It was `remaining` when its task last advanced, `age_us` before the snapshot. For
+    /// an ended node time stands still, so its last state is shown unchanged.
     #[must_use]
     pub fn left(&self, remaining: Ticks, age_us: u64, now: Moment) -> Left {
         let now = match &self.condition {
@@ -271,13 +271,13 @@ impl Life {
         Left { us, estimated: since > FRESH }
     }
 
-    /// What was left, in microseconds, when the node took the snapshot: `age_us` after its task last advanced.
+    /// The remaining time in microseconds at the snapshot, which was `age_us` after its task last advanced.
     #[must_use]
     pub const fn left_when_seen(&self, remaining: Ticks, age_us: u64) -> u64 {
         remaining.0.saturating_mul(self.tick_us).saturating_sub(age_us)
     }
 
-    /// Messages per second that a port's task sent and took, lately.
+    /// The recent rate at a port: messages per second that its task sent and took.
     #[must_use]
     pub fn rate(&self, task: TaskId, port: PortId) -> Option<f64> {
         let task = self.task(task)?;
@@ -285,13 +285,13 @@ impl Life {
         self.rate_of(self.earlier(task), port)
     }
 
-    /// A task as it was some seconds ago.
+    /// The same task some seconds ago.
     #[must_use]
     pub fn earlier(&self, task: &TaskSnapshot) -> Option<&TaskSnapshot> {
         self.base.as_ref()?.snapshot.tasks.iter().find(|t| t.view.task == task.view.task)
     }
 
-    /// Messages per second at a port, against the task as it was.
+    /// The rate at a port in messages per second, relative to the earlier task.
     #[must_use]
     pub fn rate_of(&self, earlier: Option<&TaskSnapshot>, port: &PortView) -> Option<f64> {
         let (last, base) = (self.last.as_ref()?, self.base.as_ref()?);
@@ -303,26 +303,26 @@ impl Life {
         (seconds > 0.0).then(|| grown as f64 / seconds)
     }
 
-    /// Events that it could not keep for this monitor, lately.
+    /// Events that the node could not keep for this monitor, recently.
     #[must_use]
     pub const fn lost_lately(&self) -> u64 {
         self.lost.saturating_sub(self.lost_before.0)
     }
 
-    /// How long a timer seems to be armed for, in microseconds: the most that was ever seen left of it.
+    /// The estimated duration of a timer in microseconds: the longest remaining time ever seen.
     #[must_use]
     pub fn longest_timer(&self, task: TaskId, id: TimeId) -> Option<u64> {
         self.longest.get(&(task, id)).map(|ticks| ticks.0.saturating_mul(self.tick_us))
     }
 
-    /// A queue that is watched, with what each message has been through, if the node told.
+    /// A watched queue with the history of each message, if the node reported it.
     #[must_use]
     pub fn watched(&self, task: TaskId, port: PortId) -> Option<&Told<Watched>> {
         self.watched.iter().find(|told| (told.what.task, told.what.port) == (task, port))
     }
 
-    /// The tasks whose scripts a restarted node holds back, and for how long from now on, in microseconds. In a dead node time
-    /// stands still.
+    /// The tasks whose scripts are held back after a restart, with the remaining time in microseconds. For an ended
+    /// node time stands still.
     pub fn held_back(&self, now: Moment) -> impl Iterator<Item = (TaskId, u64)> + '_ {
         let now = match &self.condition {
             Condition::Attached => now,
@@ -338,19 +338,19 @@ impl Life {
         })
     }
 
-    /// For how long from now on a script of the node is held back, in microseconds, if one is.
+    /// The longest time in microseconds for which a script of the node is still held back.
     #[must_use]
     pub fn longest_held_back(&self, now: Moment) -> Option<u64> {
         self.held_back(now).map(|(_, us)| us).max()
     }
 
-    /// For how long from now on the script of a task is held back, in microseconds, if it is.
+    /// The time in microseconds for which the script of a task is still held back.
     #[must_use]
     pub fn task_held_back(&self, task: TaskId, now: Moment) -> Option<u64> {
         self.held_back(now).find(|(held, _)| *held == task).map(|(_, us)| us)
     }
 
-    /// About how much memory its states take, in bytes.
+    /// Approximate memory of its states, in bytes.
     pub(super) fn weight(&self) -> usize {
         let samples = [&self.last, &self.base, &self.next_base];
         let port = |port: &PortView| size_of::<PortView>() + size_of_val(port.queue.as_slice());
@@ -358,18 +358,18 @@ impl Life {
             let ports = sample.snapshot.tasks.iter().flat_map(|task| &task.view.ports);
             ports.map(port).sum::<usize>() + size_of_val(sample.snapshot.tasks.as_slice())
         };
-        // Those that are one and the same are counted as often as they are kept.
+        // A sample that is kept twice is counted twice.
         samples.into_iter().flatten().map(tasks).sum()
     }
 
-    /// What will be compared with the next state.
+    /// The features to compare with the next state.
     pub(super) fn notable(&self) -> Option<Notable> {
         let snapshot = &self.last.as_ref()?.snapshot;
         let tasks = snapshot.tasks.iter().map(|task| (task.view.task, task.liveness)).collect();
         Some(Notable { tasks, link_discards: snapshot.link_discards.clone() })
     }
 
-    /// Takes over what changed. False: not of what it said last.
+    /// Applies a delta. Returns false if it does not fit the last state.
     pub(super) fn change(&mut self, at: Moment, delta: &Delta) -> bool {
         if delta.is_whole() {
             let mut snapshot = Snapshot::default();
@@ -380,7 +380,7 @@ impl Life {
             return fits;
         }
         let Some(last) = &mut self.last else { return false };
-        // Looked at before it is copied, where it is shared with an earlier sample.
+        // Check the base before `make_mut` copies a shared snapshot.
         if delta.base_us != Some(last.snapshot.mono_us)
             || Arc::make_mut(&mut last.snapshot).apply(delta).is_err()
         {
@@ -391,18 +391,18 @@ impl Life {
         true
     }
 
-    /// Takes over how its process does.
+    /// Stores the metrics of its process.
     pub(super) fn feel(&mut self, at: Moment, vitals: Vitals) {
         let Lateness { count, late, .. } = vitals.timer;
         self.timers.push_back(Told { at, what: Ended { count, late } });
-        // One of them is as old as the time that is looked at, or all are younger.
+        // Keep one report from before the interval as its start.
         while self.timers.get(1).is_some_and(|next| at.saturating_sub(next.at) >= LATELY) {
             self.timers.pop_front();
         }
         self.vitals = Some(Told { at, what: vitals });
     }
 
-    /// The timers that ended in the last seconds.
+    /// How many timers ended within the last seconds.
     pub(super) fn timers_lately(&self) -> Option<Ended> {
         let (first, last) = (self.timers.front()?.what, self.timers.back()?.what);
         let since = |of: fn(&Ended) -> u64| of(&last).saturating_sub(of(&first));
@@ -425,13 +425,13 @@ impl Life {
         self.clock = Some(ClockOffset { us, error_us: trip.div_ceil(2), at });
     }
 
-    /// Takes a snapshot over; counters are compared with one that is [`RATE`] to twice that older.
+    /// Stores a snapshot. Rates compare it with one that is [`RATE`] to twice [`RATE`] older.
     pub(super) fn take(&mut self, at: Moment, snapshot: Snapshot) {
         self.last = Some(Sample { at, snapshot: Arc::new(snapshot) });
         self.sampled(at);
     }
 
-    /// Remembers how long timers are, as far as it was seen.
+    /// Updates the longest remaining time of each timer.
     fn note_timers(&mut self) {
         let Some(last) = &self.last else { return };
         for timer in &last.snapshot.timers {
@@ -442,7 +442,7 @@ impl Life {
         }
     }
 
-    /// There is a new `last`: keeps it for comparison, when it is time.
+    /// Handles a new `last`: makes it the next `base` when due.
     fn sampled(&mut self, at: Moment) {
         self.note_timers();
         let due = self.next_base.as_ref().is_none_or(|next| at.saturating_sub(next.at) >= RATE);

@@ -1,5 +1,5 @@
-//! A rendezvous put together from what each of its members knows (§4.3): who has arrived, who is missing, who has
-//! confirmed, who waits for whom.
+//! A rendezvous, assembled from the views of its members (§4.3): who has arrived, who is missing, who has confirmed,
+//! and who waits for whom.
 
 use super::health::held_back_words;
 use super::{Left, Life, Names, Presence, Store, unseen};
@@ -8,20 +8,20 @@ use crate::name::Name;
 use imrs_protocol::{MeetingState, MeetingView, PortId, Round, TaskId, TaskState};
 use imrs_wire::obs::Liveness;
 
-/// Where a member stands.
+/// The state of a member in the shown round.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Standing {
-    /// It waits in the round shown.
+    /// It waits in the shown round.
     Arrived,
-    /// It has released the round shown, while others still wait in it.
+    /// It was released from the shown round, while others still wait in it.
     Released,
     /// It has not arrived.
     Missing,
-    /// Nobody who is attached knows.
+    /// Not known: no attached node knows it.
     Unknown,
 }
 
-/// One member.
+/// A member of a rendezvous.
 #[derive(Clone, Debug)]
 pub struct Member {
     /// The task.
@@ -30,21 +30,21 @@ pub struct Member {
     pub name: Name,
     /// The name of its node.
     pub node: Name,
-    /// How its node looks; `None`: never seen.
+    /// The presence of its node; `None` if never seen.
     pub presence: Option<Presence>,
-    /// What else is to be said: what it does instead of arriving, or that it or its node is dead.
+    /// Its activity if it has not arrived, or that it or its node is dead.
     pub doing: String,
-    /// Where it stands.
+    /// Its state in the shown round.
     pub standing: Standing,
-    /// What is left of its patience, if it waits.
+    /// Its remaining patience, if it waits.
     pub left: Option<Left>,
     /// How long it has waited, in microseconds.
     pub waited_us: Option<u64>,
-    /// Whether too little time is left for it to release by itself (D2).
+    /// Whether too little time remains for it to release by itself.
     pub within_margin: bool,
-    /// For each member, whether this one knows of its arrival; `None`: not known, or not in this round.
+    /// For each member, whether this one knows of its arrival; `None` if unknown or not in this round.
     pub knows: Vec<Option<bool>>,
-    /// How many members this one has a confirmation of.
+    /// From how many members this one has a confirmation.
     pub confirmed: usize,
     /// The members that this one waits for.
     pub waits_for: Vec<usize>,
@@ -61,26 +61,26 @@ pub struct Meeting {
     pub round: Round,
     /// The members, owner first.
     pub members: Vec<Member>,
-    /// The least patience left among those who wait.
+    /// The shortest remaining patience among the waiting members.
     pub left: Option<Left>,
-    /// The longest patience of any member, in microseconds: the length of the bar.
+    /// The longest patience of any member, in microseconds: the scale of the bar.
     pub patience_us: u64,
 }
 
 impl Meeting {
-    /// Whether anybody waits.
+    /// Whether any member waits.
     #[must_use]
     pub fn is_waiting(&self) -> bool {
         self.members.iter().any(|m| m.standing == Standing::Arrived)
     }
 
-    /// How many have arrived, or released already.
+    /// How many members have arrived or were released.
     #[must_use]
     pub fn arrived(&self) -> usize {
         self.members.iter().filter(|m| matches!(m.standing, Standing::Arrived | Standing::Released)).count()
     }
 
-    /// The members that others wait for although their node or task is known to be no more.
+    /// The members that others wait for, although their node or task is known to have ended.
     pub fn lost(&self) -> impl Iterator<Item = &Member> {
         let awaited = |at: usize| self.members.iter().any(|m| m.waits_for.contains(&at));
         let members = self.members.iter().enumerate();
@@ -99,7 +99,7 @@ impl Member {
 const CRASHED: &str = "the task CRASHED";
 const ENDED: &str = "the task ended";
 
-/// What one attached member says of a meeting.
+/// The view of a meeting at one attached member.
 struct Told<'a> {
     life: &'a Life,
     age_us: u64,
@@ -164,7 +164,7 @@ fn tell(life: Option<&Life>, task: TaskId, port: PortId) -> Option<Told<'_>> {
     Some(Told { life, age_us: snapshot.age_us, view })
 }
 
-/// The freshest round that somebody waits in; without one, the freshest that anybody would wait in next.
+/// The freshest round in which a member waits; if none waits, the freshest next round of any member.
 fn round_shown(told: &[Option<Told<'_>>], now: Moment) -> Round {
     let rounds = |waiting: bool| {
         let all = told.iter().flatten().filter(move |t| {
@@ -175,7 +175,7 @@ fn round_shown(told: &[Option<Told<'_>>], now: Moment) -> Round {
     rounds(true).or_else(|| rounds(false)).unwrap_or_default()
 }
 
-/// Fills in what a member says of itself.
+/// Fills in a member's own view.
 fn place(member: &mut Member, told: &Told<'_>, tasks: &[TaskId], round: Round, now: Moment) {
     let view = told.view;
     let waits = view.state != MeetingState::Away && view.round == round;
@@ -200,7 +200,7 @@ fn place(member: &mut Member, told: &Told<'_>, tasks: &[TaskId], round: Round, n
     }
 }
 
-/// A member that no source is attached to may still be known to others to have arrived.
+/// Takes the state of a member without an attached source from the views of the others.
 fn hear_of_the_silent(members: &mut [Member]) {
     for i in 0..members.len() {
         if members[i].standing == Standing::Unknown {
@@ -215,7 +215,7 @@ fn hear_of_the_silent(members: &mut [Member]) {
     }
 }
 
-/// What is known of a task on a node that never told anything.
+/// The description of a task whose node never reported.
 fn of_unseen(store: &Store, cell: &Name, names: &Names, task: TaskId) -> String {
     let is_killed = |home| unseen(store, cell).iter().any(|one| one.is_killed && one.node == home);
     let text =
@@ -239,7 +239,7 @@ fn doing(life: &Life, task: TaskId, now: Moment) -> String {
     }
 }
 
-/// What a task does, in words.
+/// The activity of a task, in words.
 #[must_use]
 pub fn state(life: &Life, state: &TaskState) -> String {
     let names = &life.names;

@@ -1,4 +1,4 @@
-//! The life of one message: where it was, what it still had, and what each stage cost it.
+//! The history of one message: its stages, its remaining time at each, and the time that each stage cost.
 
 use super::timeline::{Mark, timeline_of};
 use super::trail::{KEPT, Seen};
@@ -6,42 +6,42 @@ use super::{LifeId, Store};
 use crate::name::Name;
 use imrs_protocol::{Event, PortId, TaskId};
 
-/// Which message: its source's number for it on a port.
+/// Identifies a message: its source, its port, and the source's number for it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MessageKey {
-    /// Who sent it.
+    /// The sender.
     pub source: TaskId,
-    /// On this port.
+    /// The port.
     pub port: PortId,
-    /// Its sequence.
+    /// Its sequence number.
     pub number: u32,
 }
 
-/// One thing that happened to a message.
+/// An event of a message.
 #[derive(Clone, Copy, Debug)]
 pub struct Stage {
-    /// What, where and when.
+    /// The event, with place and time.
     pub mark: Mark,
-    /// What was left of its life, in microseconds.
+    /// The remaining time of the message, in microseconds.
     pub left_us: u64,
-    /// The stage that it follows from, among the stages.
+    /// The index of the stage from which it follows.
     pub after: Option<usize>,
-    /// What the protocol charged since then, in microseconds.
+    /// The time that the protocol charged since that stage, in microseconds.
     pub charged_us: Option<u64>,
-    /// What the clocks saw pass since then.
+    /// The time that passed since that stage by the clocks.
     pub passed: Option<Passed>,
 }
 
-/// A time between two stages.
+/// The time between two stages.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Passed {
-    /// In microseconds.
+    /// Microseconds.
     pub us: u64,
-    /// Whether the clocks of two nodes took part in it.
+    /// Whether it involves the clocks of two nodes, and so is an estimate.
     pub estimated: bool,
 }
 
-/// What is known of the life of a message, causes first. Empty: nothing any more, or not yet.
+/// The stages of a message, causes first. Empty if nothing is known of it.
 #[must_use]
 pub fn life_of(store: &Store, cell: &Name, key: MessageKey) -> Vec<Stage> {
     let marks = timeline_of(store, cell, KEPT, |seen| concerns(seen, key)).marks;
@@ -58,8 +58,8 @@ pub fn life_of(store: &Store, cell: &Name, key: MessageKey) -> Vec<Stage> {
     stages
 }
 
-/// The stage that `mark` follows from: what happened to the message at the same place before, or else what brought it
-/// there. An answer ends the life of the request that waited for it, so that the way back is charged too.
+/// The stage from which `mark` follows: the previous one at the same place, or else the send. An answer follows from
+/// the reply, or from the send of the request, so that the return path is charged too.
 fn before(stages: &[Stage], mark: &Mark, key: MessageKey) -> Option<usize> {
     let same = |s: &Stage| (s.mark.life, s.mark.task, s.mark.in_transit) == place(mark);
     let event = |wanted: Event| move |s: &Stage| s.mark.seen.what.event == wanted;
@@ -85,7 +85,7 @@ fn passed(from: &Mark, to: &Mark) -> Option<Passed> {
     Some(Passed { us: u64::try_from(us).unwrap_or(u64::MAX), estimated: true })
 }
 
-/// The message that an observation is of, if it is of one.
+/// The message of an observation, if it concerns one.
 #[must_use]
 pub fn key_of(seen: &Seen) -> Option<MessageKey> {
     let what = seen.what;

@@ -1,4 +1,4 @@
-//! All that the monitor knows: the lives of the nodes and what happened in them. Reducers only: no clock, no I/O.
+//! The store: the state and the events of every observed node. It contains only reducers, without clock or I/O.
 
 pub mod conformance;
 pub mod coverage;
@@ -31,15 +31,15 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use trail::Trail;
 
-/// How many earlier lives of one node are kept beside the present one.
+/// How many earlier incarnations of a node are kept beside the latest one.
 const EARLIER_LIVES: usize = 3;
-/// How many troubles with attaching are kept.
+/// How many attach errors are kept.
 const TROUBLES: usize = 64;
 
-/// All that the monitor knows.
+/// The state and the events of all observed nodes.
 #[derive(Clone, Debug, Default)]
 pub struct Store {
-    /// In the order of cell, node and life.
+    /// Sorted by cell, node and incarnation.
     lives: Vec<Life>,
     of_source: BTreeMap<SourceId, LifeId>,
     born: u32,
@@ -48,24 +48,24 @@ pub struct Store {
     histories: rounds::Histories,
     judged: conformance::Judged,
     trail: Trail,
-    /// For each source that cannot attach, why.
+    /// For each source that cannot attach, the reason.
     troubles: BTreeMap<SourceId, String>,
-    /// Cells and nodes, as file names, whose sockets were left behind.
+    /// Cells and nodes, as file names, that left their sockets behind.
     killed: Vec<(String, String)>,
-    /// How often something changed in a state that was not there.
+    /// How many deltas did not fit the last state.
     gaps: u64,
-    /// Whether running nodes tell it what it knows: all nodes of a cell should be there then.
+    /// Whether the data comes from running nodes: then all nodes of a cell should be present.
     is_live: bool,
 }
 
 impl Store {
-    /// What is known of running nodes. The default is of recordings, in which a node may be missing without being so.
+    /// A store for running nodes. The default store is for recordings, in which a missing node is normal.
     #[must_use]
     pub fn of_running_nodes() -> Self {
         Self { is_live: true, ..Self::default() }
     }
 
-    /// Takes over what a source said.
+    /// Applies what a source delivered.
     pub fn apply(&mut self, arrival: Arrival) {
         let Arrival { at, source, feed } = arrival;
         match feed {
@@ -88,26 +88,26 @@ impl Store {
         }
     }
 
-    /// All lives, in the order of cell, node and life.
+    /// All incarnations, sorted by cell, node and start.
     #[must_use]
     pub fn lives(&self) -> &[Life] {
         &self.lives
     }
 
-    /// The lives of the nodes of one cell.
+    /// The incarnations of the nodes of one cell.
     pub fn lives_of<'a>(&'a self, cell: &Name) -> impl Iterator<Item = &'a Life> + use<'a> {
         let first = self.lives.partition_point(|l| l.names.cell < *cell);
         let after = self.lives.partition_point(|l| l.names.cell <= *cell);
         self.lives.get(first..after).unwrap_or_default().iter()
     }
 
-    /// One life.
+    /// One incarnation.
     #[must_use]
     pub fn life(&self, id: LifeId) -> Option<&Life> {
         self.lives.iter().find(|l| l.id == id)
     }
 
-    /// The latest life of a node of a cell.
+    /// The latest incarnation of a node of a cell.
     #[must_use]
     pub fn latest(&self, cell: &Name, node: NodeId) -> Option<&Life> {
         let upto = self.lives.partition_point(|l| (&l.names.cell, l.node_id) <= (cell, node));
@@ -115,61 +115,61 @@ impl Store {
         (last.node_id == node && last.names.cell == *cell).then_some(last)
     }
 
-    /// The present life of each node of a cell, or its last one: what an earlier life did is history.
+    /// The latest incarnation of each node of a cell. Findings and rates ignore the earlier ones.
     pub fn present<'a>(&'a self, cell: &'a Name) -> impl Iterator<Item = &'a Life> {
         self.lives_of(cell).filter(|life| self.is_present(life))
     }
 
-    /// Whether a life is the latest of its node.
+    /// Whether an incarnation is the latest of its node.
     #[must_use]
     pub fn is_present(&self, life: &Life) -> bool {
         self.latest(&life.names.cell, life.node_id).is_some_and(|latest| latest.id == life.id)
     }
 
-    /// The cells that are known, sorted.
+    /// The known cells, sorted.
     #[must_use]
     pub fn cells(&self) -> Vec<Name> {
-        // Lives stand in the order of their cells.
+        // The incarnations are sorted by cell.
         self.lives.chunk_by(|a, b| a.names.cell == b.names.cell).map(|of| of[0].names.cell.clone()).collect()
     }
 
-    /// The names of a cell, as its nodes told.
+    /// The names of a cell, as its nodes reported them.
     #[must_use]
     pub fn names(&self, cell: &Name) -> Option<&Arc<Names>> {
         self.lives_of(cell).map(|l| &l.names).max_by_key(|n| n.nodes.len())
     }
 
-    /// How often something changed in a state that was not there: whole snapshots are needed then.
+    /// How many deltas did not fit the last state. If this grows, ask for whole snapshots.
     #[must_use]
     pub const fn gaps(&self) -> u64 {
         self.gaps
     }
 
-    /// About how much memory the states take, in bytes.
+    /// Approximate memory of the states, in bytes.
     #[must_use]
     pub fn weight(&self) -> usize {
         self.lives.iter().map(Life::weight).sum()
     }
 
-    /// From which source something is known of a life, if any is attached to it.
+    /// The source that is attached to an incarnation, if any.
     #[must_use]
     pub fn source_of(&self, life: LifeId) -> Option<SourceId> {
         self.of_source.iter().find(|(_, id)| **id == life).map(|(source, _)| *source)
     }
 
-    /// What happened.
+    /// The event log.
     #[must_use]
     pub const fn journal(&self) -> &Journal {
         &self.journal
     }
 
-    /// What the machines observed, one by one.
+    /// The single observations of the state machines.
     #[must_use]
     pub const fn trail(&self) -> &Trail {
         &self.trail
     }
 
-    /// Why sources cannot attach.
+    /// The reasons why sources cannot attach.
     pub fn troubles(&self) -> impl Iterator<Item = &str> {
         self.troubles.values().map(String::as_str)
     }
@@ -183,7 +183,7 @@ impl Store {
         if let Some(life) = self.lives.iter_mut().find(same) {
             life.condition = Condition::Attached;
             life.heard = at;
-            // Found in two ways, it is heard in one: changes are reckoned from what the same connection told before.
+            // A node found through two sources keeps only the newer one, because deltas continue one connection.
             let id = life.id;
             self.of_source.retain(|_, other| *other != id);
             self.of_source.insert(source, id);
@@ -219,7 +219,7 @@ impl Store {
             looked: health::Looked::default(),
         };
         let again = self.lives.iter().any(|l| l.names.cell == life.names.cell && l.node == life.node);
-        // A node in a checker has no process.
+        // A node of the checker has no process.
         let process = if pid == 0 { String::new() } else { format!("pid {pid}, ") };
         let detail = format!("incarnation {}, {process}{}", life.incarnation, life.build);
         self.notice(
@@ -236,7 +236,7 @@ impl Store {
         self.forget_early_lives();
     }
 
-    /// Drops the earliest gone lives of nodes that have had many.
+    /// Drops the earliest ended incarnations of nodes that have had many.
     fn forget_early_lives(&mut self) {
         let later = |life: &Life| {
             let same = |l: &&Life| l.names.cell == life.names.cell && l.node == life.node && l.id > life.id;
@@ -267,18 +267,18 @@ impl Store {
             ServerFrame::Vitals(vitals) => self.lives[index].feel(at, vitals),
             ServerFrame::HeldBack(what) => self.lives[index].held_back = Some(Told { at, what }),
             ServerFrame::Pong(pong) => self.lives[index].compare_clocks(at, pong),
-            // Who attaches to nodes takes these to heart.
+            // The source has already handled these.
             ServerFrame::Places(_) | ServerFrame::Denied(_) => {}
             ServerFrame::Events(events) => self.events(at, index, events),
             ServerFrame::Bye(bye) => match bye.reason {
                 Goodbye::Stopping => self.end(at, source, Condition::Stopped { since: at }),
-                // The connection ends after this; what follows decides.
+                // The connection closes right after this, and its end is handled then.
                 Goodbye::Misunderstood => {}
             },
         }
     }
 
-    /// The life that a source speaks for.
+    /// The incarnation to which a source is attached.
     #[must_use]
     pub fn life_of(&self, source: SourceId) -> Option<&Life> {
         self.life(*self.of_source.get(&source)?)
@@ -289,16 +289,16 @@ impl Store {
         self.lives.iter().position(|l| l.id == *id)
     }
 
-    /// The names belong to the cell that the node said it is of, whatever the table says.
+    /// Takes over the names. The cell's name is the one in the node's hello, not the one in the table.
     fn table(&mut self, index: usize, table: Table) {
         let cell = self.lives[index].names.cell.raw().to_owned();
         let told = Names::new(Table { cell, ..table });
-        // All nodes of a cell tell the same: it is kept once.
+        // All nodes of a cell report the same names, so they are kept once.
         let known = self.lives.iter().find(|l| *l.names == told).map(|l| Arc::clone(&l.names));
         self.lives[index].names = known.unwrap_or_else(|| Arc::new(told));
     }
 
-    /// A state is there after `change`, if that says so; it was told whole, or as what changed.
+    /// Applies a snapshot or delta with `change`, which returns false if the delta does not fit.
     fn state(&mut self, at: Moment, index: usize, change: impl FnOnce(&mut Life) -> bool) {
         let before = self.lives[index].notable();
         if change(&mut self.lives[index]) {
@@ -312,14 +312,14 @@ impl Store {
         }
     }
 
-    /// Notices what no machine observes: tasks that end, and what links drop.
+    /// Adds journal entries for changes that no state machine observes: ended tasks and drops on links.
     fn compare(&mut self, at: Moment, index: usize, before: Option<Notable>) {
         let (Some(before), Some(after)) = (before, self.lives[index].last.clone()) else { return };
         let after = &after.snapshot;
         let mut found = Vec::new();
         let was = |id: TaskId| before.tasks.iter().find(|(task, _)| *task == id).map(|(_, was)| *was);
         for task in &after.tasks {
-            // Only who ends is looked up.
+            // Only an ended task is looked up.
             if task.liveness == Liveness::Alive {
                 continue;
             }
@@ -393,7 +393,7 @@ impl Store {
         }
     }
 
-    /// Takes over what the validator says of a node; of one that is not known it is of no use.
+    /// Stores the validator's verdict on a node; a verdict on an unknown node is dropped.
     fn judge(&mut self, (cell, node, incarnation): (&str, &str, u8), said: conformance::Conformance) {
         let one =
             |l: &&Life| l.names.cell.raw() == cell && l.node.raw() == node && l.incarnation == incarnation;
@@ -404,7 +404,7 @@ impl Store {
 
     fn end(&mut self, at: Moment, source: SourceId, condition: Condition) {
         let Some(index) = self.index_of(source) else { return };
-        // The connection's own end after an orderly goodbye adds nothing.
+        // Ignore the end of the connection after an orderly goodbye.
         if self.lives[index].condition != Condition::Attached {
             return;
         }

@@ -1,4 +1,4 @@
-//! A cell's table with every name made fit to show.
+//! A cell's table, with every name escaped for the terminal.
 
 use crate::name::Name;
 use imrs_protocol::{Class, NodeId, PortId, TaskId, Ticks, Usage};
@@ -9,7 +9,7 @@ use imrs_wire::obs::{LinkName, PartyName, Table};
 pub struct TaskInfo {
     /// Its name.
     pub name: Name,
-    /// Where it runs.
+    /// The node on which it runs.
     pub node: NodeId,
 }
 
@@ -29,14 +29,14 @@ pub struct PortInfo {
 }
 
 impl PortInfo {
-    /// The time_out that `task` has on this port: the whole of a message's life.
+    /// The time_out of `task` on this port: the TTL of a new message.
     #[must_use]
     pub fn time_out(&self, task: TaskId) -> Option<Ticks> {
         self.parties.iter().find(|p| p.task == task).map(|p| p.time_out)
     }
 }
 
-/// The names of a cell. Ids that it does not have get a name that says so: what a node sends is not trusted.
+/// The names of a cell. Node data is untrusted, so an unknown id gets a placeholder name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Names {
     /// The cell.
@@ -51,7 +51,7 @@ pub struct Names {
     pub tasks: Vec<TaskInfo>,
     /// The ports.
     pub ports: Vec<PortInfo>,
-    /// Those of them that are a rendezvous, ascending: few of many.
+    /// The ports that are a rendezvous, ascending, so that users need not search all ports.
     pub meetings: Vec<PortId>,
 }
 
@@ -79,7 +79,7 @@ impl Names {
         }
     }
 
-    /// The names of a cell of which nothing is known yet.
+    /// Names for a cell whose table has not arrived yet.
     #[must_use]
     pub fn unknown(cell: &str) -> Self {
         Self::new(Table { cell: cell.to_owned(), ..Table::default() })

@@ -1,27 +1,27 @@
-//! What waits at a port: as the node's state lists it, or in detail where the port is watched.
+//! The queued messages of a port: in detail if the port is watched, otherwise as listed in the snapshot.
 
 use super::{Left, Life};
 use crate::clock::Moment;
 use imrs_protocol::{HeldView, PortId, QueueEntry, TaskId};
 use std::time::Duration;
 
-/// Detail that is older than this gives way to the state.
+/// Details older than this are replaced by the snapshot's list.
 const STALE: Duration = Duration::from_secs(1);
 
-/// A message that waits.
+/// A queued message.
 #[derive(Clone, Copy, Debug)]
 pub struct Waiting {
     /// The message.
     pub entry: QueueEntry,
-    /// What is left of its life now.
+    /// Its remaining time now.
     pub left: Left,
-    /// What it has been through, where the port is watched.
+    /// Its history, if the port is watched.
     pub held: Option<HeldView>,
-    /// What is left of its back-off now, in microseconds.
+    /// Its remaining back-off now, in microseconds.
     pub back_off_us: u64,
 }
 
-/// The messages that wait at a port, in the order of their lives.
+/// The queued messages of a port, shortest remaining time first.
 #[must_use]
 pub fn queue(life: &Life, task: TaskId, port: PortId, now: Moment) -> Vec<Waiting> {
     let Some(snapshot) = life.task(task) else { return Vec::new() };

@@ -1,4 +1,4 @@
-//! The rounds of each rendezvous, as its members told of them: who came when, who went on, who gave up (§4.3).
+//! The history of each rendezvous, from the events of its members (§4.3): arrivals, releases and give-ups per round.
 
 use super::Store;
 use super::service::percentile;
@@ -8,13 +8,13 @@ use imrs_protocol::{Event, PortId, TaskId};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-/// How many rounds are kept of each rendezvous.
+/// How many rounds are kept per rendezvous.
 pub const KEPT: usize = 50;
 
 /// How a round ended for one member.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// It went on with the others.
+    /// It was released.
     Released,
     /// It gave up.
     GaveUp,
@@ -25,13 +25,13 @@ pub enum End {
 /// How a round ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// Not known yet of all who came.
+    /// Not all members that arrived have left it.
     Open,
-    /// All who came went on.
+    /// All members that arrived were released.
     Done,
-    /// All who came gave up or left.
+    /// All members that arrived gave up or left.
     InVain,
-    /// Some went on and others did not.
+    /// Some members were released and others were not.
     Divergent,
 }
 
@@ -40,11 +40,11 @@ pub enum Outcome {
 pub struct Round {
     /// Its number.
     pub number: u32,
-    /// Who came, in the order in which it was told, and when by the monitor's clock.
+    /// The members that arrived, in the order of their reports, with the moment on the monitor's clock.
     pub came: Vec<(TaskId, Moment)>,
-    /// How it ended for each who has left it.
+    /// How it ended for each member that has left it.
     pub ended: Vec<(TaskId, End)>,
-    /// When anything was last told of it.
+    /// The moment of its last event.
     pub last: Moment,
 }
 
@@ -62,7 +62,8 @@ impl Round {
         }
     }
 
-    /// From the first arrival to the last, as the monitor heard of them; between nodes only as exact as their connections.
+    /// The last member to arrive, and the time since the first arrival. Between nodes it is only as exact as the
+    /// monitor's connections.
     #[must_use]
     pub fn gathered(&self) -> Option<(TaskId, Moment)> {
         let first = self.came.iter().map(|(_, at)| *at).min()?;
@@ -83,20 +84,20 @@ pub struct History {
     rounds: VecDeque<Round>,
 }
 
-/// The history of a rendezvous in figures.
+/// The statistics of a rendezvous.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Summary {
-    /// Rounds in which all who came went on.
+    /// Rounds in which all members that arrived were released.
     pub done: usize,
-    /// Rounds in which all gave up.
+    /// Rounds in which all members gave up or left.
     pub in_vain: usize,
-    /// Rounds in which some went on and others did not.
+    /// Rounds in which some members were released and others were not.
     pub divergent: usize,
-    /// The median time from the first arrival to the last, in microseconds.
+    /// The median time from the first arrival to the last, in microseconds; only of rounds in which all members arrived.
     pub gather_p50_us: Option<u64>,
     /// Its 99th percentile.
     pub gather_p99_us: Option<u64>,
-    /// Who came last most often, and in how many of a hundred rounds.
+    /// The member that arrived last most often, and in what percentage of the rounds.
     pub slowest: Option<(TaskId, usize)>,
 }
 
@@ -106,7 +107,7 @@ impl History {
         self.rounds.iter()
     }
 
-    /// In figures. `members`: without all of them a round was not gathered.
+    /// The statistics. `members` is the number of members; a round with fewer arrivals has no gather time.
     #[must_use]
     pub fn summary(&self, members: usize) -> Summary {
         let count = |outcome| self.rounds.iter().filter(|r| r.outcome() == outcome).count();
@@ -161,7 +162,7 @@ pub(super) struct Histories {
 }
 
 impl Histories {
-    /// Learns from what happened at a task of a cell.
+    /// Updates the history with an event of a task.
     pub fn happened(
         &mut self,
         cell: &Name,
@@ -178,7 +179,7 @@ impl Histories {
         };
         let history = Arc::make_mut(self.of.entry((cell.clone(), port)).or_default());
         if event == Event::Rejoined {
-            // It left the round in which it waited so far.
+            // The member leaves the round in which it waited so far.
             let waits = |round: &&mut Round| {
                 round.came.iter().any(|(of, _)| *of == task) && !round.ended.iter().any(|(of, _)| *of == task)
             };
@@ -191,7 +192,7 @@ impl Histories {
         history.round(number).last = at;
         match end {
             None => history.came(task, number, at),
-            // Somebody whose arrival was not seen tells nothing of how long the others gathered.
+            // A member whose arrival was not seen does not count for the gather time.
             Some(end) => history.round(number).end(task, end),
         }
     }

@@ -1,5 +1,5 @@
-//! How a port is served, learnt from what its node tells: how long a message takes once it is its turn, how the sources
-//! fare against each other, how full the buffer has been.
+//! Service statistics of a port, derived from events and snapshots: service times, shares of the sources, and fill of
+//! the buffer.
 
 use super::{LifeId, Store};
 use imrs_protocol::{Event, PortId, Reason, TaskId};
@@ -7,59 +7,58 @@ use imrs_wire::obs::{Events, Snapshot};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
-/// How many service times are kept of each port: enough for a 99th percentile, few enough to follow a change.
+/// How many service times are kept per port: enough for a 99th percentile, and few enough to follow a change.
 const TIMES: usize = 256;
-/// How many samples of the buffer are kept.
+/// How many samples of the buffer's fill are kept.
 const FILL: usize = 60;
-/// How many messages with rejections, and how many sources, are kept of each port.
+/// How many rejected messages, and how many sources, are kept per port.
 const KNOWN: usize = 256;
-/// With fewer times nothing is foretold.
+/// With fewer service times there is no forecast.
 const LEAST: usize = 5;
 
-/// How the messages of one source have fared.
+/// Counts of the messages of one source.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Share {
-    /// Messages that came.
+    /// Messages that arrived.
     pub offered: u64,
     /// Messages handed to the task.
     pub served: u64,
-    /// Times that a message was rejected by rank (R16).
+    /// How often a message was rejected by rank.
     pub rejected: u64,
 }
 
-/// How a port is served.
+/// The service statistics of a port.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Service {
-    /// How long a message takes once it is its turn, in microseconds: until it is answered, or until the next one that
-    /// waited is taken. The median; `None` where too little was seen.
+    /// Median service time in microseconds: from delivery until the answer, or until the task takes the next queued
+    /// message. `None` if there are too few samples.
     pub p50_us: Option<u64>,
-    /// What is foretold by the same.
+    /// The forecast from these times.
     pub outlook: Outlook,
-    /// How many such times were seen, at most the last 256.
+    /// The number of service times, at most 256.
     pub samples: usize,
-    /// Each source, ascending.
+    /// The share of each source, ascending.
     pub by_source: Vec<(TaskId, Share)>,
-    /// How full the buffer was at the last samples, oldest first.
+    /// The fill of the buffer in recent samples, oldest first.
     pub fill: Vec<u16>,
-    /// The slack of the most urgent message at those samples where one waited: the 5th percentile, in microseconds.
+    /// The slack of the most urgent message in those samples, if one was queued: the 5th percentile, in microseconds.
     pub slack_p5_us: Option<u64>,
-    /// Its median.
+    /// The median of that slack.
     pub slack_p50_us: Option<u64>,
     rejected: BTreeMap<(TaskId, u32), u32>,
 }
 
-/// What is foretold of a port: what is looked at of all ports, time and again, and so without what only a screen shows.
+/// The forecast for a port. It is computed for all ports repeatedly, so it has no field that only a screen shows.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Outlook {
-    /// The 99th percentile of how long a message takes once it is its turn, in microseconds; `None` where too little was
-    /// seen.
+    /// The 99th percentile of the service time, in microseconds; `None` if there are too few samples.
     pub p99_us: Option<u64>,
-    /// The message rejected most often among those that still wait: of whom, its number, how often.
+    /// The queued message with the most rejections: its source, its number, and how often.
     pub most_rejected: Option<(TaskId, u32, u32)>,
 }
 
 impl Outlook {
-    /// When a message is done that stands at `position` (from 0) in the buffer, in microseconds from now, as it went so far.
+    /// The time in microseconds until the message at `position` (from 0) in the buffer is served, at the present service time.
     #[must_use]
     pub fn done_in(&self, position: usize) -> Option<u64> {
         let turns = u64::try_from(position).unwrap_or(u64::MAX).saturating_add(1);
@@ -68,7 +67,7 @@ impl Outlook {
 }
 
 impl Service {
-    /// Jain's index over the part of its messages that each source had served: 1 where all fare alike, 1/n where one has
+    /// Jain's fairness index over each source's ratio of served messages: 1 if all are equal, 1/n if one source gets
     /// everything. `None` with fewer than two sources.
     #[must_use]
     pub fn jain(&self) -> Option<f64> {
@@ -82,51 +81,51 @@ impl Service {
         (parts.len() > 1 && squares > 0.0).then(|| sum * sum / (parts.len() as f64 * squares))
     }
 
-    /// How often a waiting message was rejected by rank.
+    /// How often a queued message was rejected by rank.
     #[must_use]
     pub fn rejections(&self, source: TaskId, number: u32) -> u32 {
         self.rejected.get(&(source, number)).copied().unwrap_or(0)
     }
 }
 
-/// How a port of a task is served, if anything is known of it.
+/// The service statistics of a port of a task, if there are any.
 #[must_use]
 pub fn service(store: &Store, life: LifeId, task: TaskId, port: PortId) -> Option<Service> {
     store.services.ports.get(&(life, task, port)).map(|port| port.service())
 }
 
-/// What is foretold of a port of a task.
+/// The forecast for a port of a task.
 #[must_use]
 pub fn outlook(store: &Store, life: LifeId, task: TaskId, port: PortId) -> Outlook {
     store.services.ports.get(&(life, task, port)).map_or_else(Outlook::default, |port| port.outlook())
 }
 
-/// What is learnt of all ports.
+/// The statistics of all ports.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Services {
     ports: BTreeMap<(LifeId, TaskId, PortId), Arc<Port>>,
 }
 
-/// What is learnt of one port.
+/// The statistics of one port.
 #[derive(Clone, Debug, Default)]
 struct Port {
-    /// How many messages wait.
+    /// How many messages are queued.
     waiting: u32,
-    /// The message that the task has in hand, since when, and whether others waited behind it.
+    /// The message that the task is serving: source, number, moment of delivery, and whether others were queued behind it.
     in_hand: Option<(TaskId, u32, u64, bool)>,
     times: VecDeque<u32>,
     shares: BTreeMap<TaskId, Share>,
     rejected: BTreeMap<(TaskId, u32), u32>,
     fill: VecDeque<u16>,
-    /// Microseconds; an hour is as good as for ever.
+    /// Microseconds, saturating at about an hour.
     slack: VecDeque<u32>,
 }
 
 impl Services {
-    /// Learns from what happened in a life, in the order of each task.
+    /// Updates the statistics with the events of an incarnation, in the order of each task.
     pub fn happened(&mut self, life: LifeId, events: &Events) {
         if events.lost > 0 {
-            // Across a gap nothing can be measured.
+            // Discard open measurements, because events are missing.
             for (_, port) in self.ports.range_mut(of(life)) {
                 Arc::make_mut(port).in_hand = None;
             }
@@ -149,12 +148,12 @@ impl Services {
         }
     }
 
-    /// Learns from a sample: how full the buffers are.
+    /// Updates the statistics with a snapshot: the fill of the buffers.
     pub fn sampled(&mut self, life: LifeId, tick_us: u64, snapshot: &Snapshot) {
         for task in &snapshot.tasks {
             for view in task.view.ports.iter().filter(|view| view.capacity > 0) {
                 let key = (life, task.view.task, view.port);
-                // Of a port that was always empty nothing is kept.
+                // A port that was always empty needs no statistics.
                 if view.len == 0 && !self.ports.contains_key(&key) {
                     continue;
                 }
@@ -169,7 +168,7 @@ impl Services {
         }
     }
 
-    /// Drops what was learnt of a life.
+    /// Drops the statistics of an incarnation.
     pub fn forget(&mut self, life: LifeId) {
         self.ports.retain(|(of, _, _), _| *of != life);
     }
@@ -190,7 +189,7 @@ impl Port {
                 if let Some((.., since, true)) = self.in_hand.take() {
                     self.took(at.saturating_sub(since));
                 }
-                // What is handed to a task that waits never was in the buffer.
+                // A message for a waiting task is delivered without being queued, so count it here.
                 if self.waiting == 0 {
                     self.share(source).offered += 1;
                 }
@@ -223,7 +222,7 @@ impl Port {
     }
 
     fn share(&mut self, source: TaskId) -> &mut Share {
-        // What a node sends is not trusted: it cannot make a monitor remember without end.
+        // Node data is untrusted, so the number of sources is bounded.
         let source = if self.shares.len() < KNOWN || self.shares.contains_key(&source) {
             source
         } else {
@@ -233,7 +232,7 @@ impl Port {
     }
 
     fn outlook(&self) -> Outlook {
-        // Of at most 256 times the 99th percentile is one of the three greatest.
+        // Of at most 256 values the 99th percentile is one of the three greatest.
         let mut greatest = [0; 3];
         for &us in &self.times {
             if let Some(place) = greatest.iter().position(|&other| us > other) {
@@ -264,7 +263,7 @@ impl Port {
     }
 }
 
-/// Adds `value`, and drops the oldest where there would be more than `most`.
+/// Adds `value`, and drops the oldest one if there are more than `most`.
 fn keep<T>(kept: &mut VecDeque<T>, value: T, most: usize) {
     if kept.len() == most {
         kept.pop_front();
@@ -272,7 +271,7 @@ fn keep<T>(kept: &mut VecDeque<T>, value: T, most: usize) {
     kept.push_back(value);
 }
 
-/// The value that `percent` of `values` are not above; `None` without any.
+/// The value that `percent` of `values` do not exceed; `None` if there are no values.
 pub(super) fn percentile(values: &mut [u64], percent: usize) -> Option<u64> {
     values.sort_unstable();
     let rank = (values.len() * percent).div_ceil(100).max(1);
@@ -302,7 +301,7 @@ mod tests {
     fn a_message_takes_until_it_is_answered_or_until_the_next_that_waited_is_taken() {
         let mut all: Vec<_> = (0..6).map(|n| event(0, Event::Enqueued, 1, n)).collect();
         all.extend((0..6).map(|n| event(u64::from(n) * 1_000, Event::Delivered, 1, n)));
-        // The last one waited for nobody: how long it took is only known because it is answered.
+        // Nothing was queued behind the last one, so only its answer ends the measurement.
         all.push(event(5_300, Event::Replied, 1, 5));
         let service = learnt(all);
         assert_eq!((service.samples, service.p50_us, service.outlook.p99_us), (6, Some(1_000), Some(1_000)));

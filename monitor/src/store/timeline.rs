@@ -1,8 +1,8 @@
-//! What happened in each task, in an order that respects causes: what a task sent stands before what others made of it,
-//! whatever the clocks of their nodes say.
+//! The timeline: the events of all tasks in a causal order. A send comes before its effects, whatever the clocks of the
+//! nodes say.
 //!
-//! The paper has no synchronized clock, and neither has the monitor: each node's clock is put against the monitor's by
-//! the snapshot that took the shortest way, and what follows from that across nodes is an estimate.
+//! The paper has no synchronized clock, and neither has the monitor. A ping gives the offset of a node's clock, or
+//! otherwise the snapshot with the shortest delay. So the order of events on different nodes is an estimate.
 
 use super::trail::Seen;
 use super::{Life, LifeId, Store};
@@ -13,45 +13,45 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap, HashSet};
 use std::time::Duration;
 
-/// How far the clocks of two nodes may be apart in the monitor's estimate, where one looks for the cause of something.
+/// The largest assumed error between the clocks of two nodes when the cause of an event is searched.
 const APART: Duration = Duration::from_millis(100);
 
-/// Something that happened in a task.
+/// An event in a task.
 #[derive(Clone, Copy, Debug)]
 pub struct Mark {
-    /// In this life of its node.
+    /// The incarnation of its node.
     pub life: LifeId,
-    /// In this task; for what a transit buffer dropped, the task that had sent it.
+    /// The task; for a drop in a transit buffer, the task that had sent the packet.
     pub task: TaskId,
-    /// Whether a transit buffer of this life's node dropped it.
+    /// Whether the transit buffer of this node dropped the packet.
     pub in_transit: bool,
-    /// What, and when on the node's own clock.
+    /// The event, with its time on the node's own clock.
     pub seen: Seen,
-    /// When on the monitor's clock, as far as can be told.
+    /// The estimated moment on the monitor's clock.
     pub at: Moment,
-    /// A moment by which all is ordered: [`Mark::at`], but never before its cause.
+    /// The moment used for sorting: [`Mark::at`], but never before its cause.
     pub order: Moment,
-    /// The cause in another task: its place among the marks.
+    /// The index of its cause in another task.
     pub cause: Option<usize>,
 }
 
-/// That observations were lost.
+/// A gap: lost events.
 #[derive(Clone, Copy, Debug)]
 pub struct Gap {
-    /// Of this life.
+    /// The incarnation that lost them.
     pub life: LifeId,
-    /// So many.
+    /// How many.
     pub lost: u64,
-    /// Before this.
+    /// The moment before which they were lost.
     pub order: Moment,
 }
 
-/// The marks of a cell in their order, and the gaps between them.
+/// The marks of a cell in order, and the gaps between them.
 #[derive(Clone, Debug, Default)]
 pub struct Timeline {
     /// The marks.
     pub marks: Vec<Mark>,
-    /// The gaps, in their order.
+    /// The gaps, in order.
     pub gaps: Vec<Gap>,
 }
 
@@ -61,7 +61,7 @@ pub fn timeline(store: &Store, cell: &Name, most: usize) -> Timeline {
     timeline_of(store, cell, most, |_| true)
 }
 
-/// The last `most` marks of a cell that are wanted.
+/// The last `most` marks of a cell that `wanted` selects.
 #[must_use]
 pub fn timeline_of(store: &Store, cell: &Name, most: usize, wanted: impl Fn(&Seen) -> bool) -> Timeline {
     let lives: BTreeSet<LifeId> = store.lives_of(cell).map(|life| life.id).collect();
@@ -93,13 +93,13 @@ pub fn timeline_of(store: &Store, cell: &Name, most: usize, wanted: impl Fn(&See
     Timeline { marks: ordered(marks), gaps }
 }
 
-/// For each life, how far the monitor's clock is ahead of the node's, in microseconds.
+/// For each incarnation, how far the monitor's clock is ahead of the node's, in microseconds.
 fn offsets(store: &Store, cell: &Name) -> BTreeMap<LifeId, i128> {
     store.lives_of(cell).filter_map(|life| Some((life.id, clock_ahead(life)?))).collect()
 }
 
-/// How far the monitor's clock is ahead of a node's, in microseconds: as it was compared, or else by the state that took
-/// the shortest way.
+/// How far the monitor's clock is ahead of a node's, in microseconds. It comes from a ping, or otherwise from the
+/// snapshot with the shortest delay.
 #[must_use]
 pub fn clock_ahead(life: &Life) -> Option<i128> {
     if let Some(clock) = life.clock {
@@ -109,7 +109,7 @@ pub fn clock_ahead(life: &Life) -> Option<i128> {
     samples.map(|s| micros(s.at) - i128::from(s.snapshot.mono_us)).min()
 }
 
-/// What a node's own clock says at a moment of the monitor's: since the node started, in microseconds.
+/// The time since a node's start at a moment of the monitor's clock, in microseconds.
 #[must_use]
 pub fn own_clock(life: &Life, at: Moment) -> Option<u64> {
     let snapshot = &life.last.as_ref()?.snapshot;
@@ -126,7 +126,7 @@ fn micros(at: Moment) -> i128 {
     i128::try_from(at.as_micros()).unwrap_or(i128::MAX)
 }
 
-/// What can be the cause of something elsewhere: by whom, on which port, of which kind, with which number.
+/// The key of a possible cause: its task, port, kind and number.
 type Act = (TaskId, PortId, Kind, u32);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -138,7 +138,7 @@ enum Kind {
     GivingUp,
 }
 
-/// What a mark may be the cause of.
+/// The key under which a mark may be a cause.
 fn act(mark: &Mark) -> Option<Act> {
     let what = mark.seen.what;
     let kind = match what.event {
@@ -171,7 +171,7 @@ fn act(mark: &Mark) -> Option<Act> {
     Some((mark.task, what.port, kind, what.number))
 }
 
-/// What a mark is caused by. A confirmation does not say who sent it: whoever confirmed that round.
+/// The key of a mark's cause. A confirmation does not name its sender, so any task that confirmed the round matches.
 fn caused_by(mark: &Mark) -> Option<(Option<TaskId>, PortId, Kind, u32)> {
     let what = mark.seen.what;
     let (from, kind) = match what.event {
@@ -204,9 +204,10 @@ fn caused_by(mark: &Mark) -> Option<(Option<TaskId>, PortId, Kind, u32)> {
     Some((from, what.port, kind, what.number))
 }
 
-/// Finds each mark's cause: the latest that fits and is not clearly later, since numbers begin anew with a new life.
+/// Finds each mark's cause: the latest match that is not clearly later. Numbers restart with each incarnation, so
+/// several may match.
 fn find_causes(marks: &mut [Mark]) {
-    // The last of those that are alike, and for each of them the one before.
+    // `acts` has the last mark per key, and `alike` links each mark to the previous one with the same key.
     let mut acts: HashMap<(PortId, Kind, u32), usize> = HashMap::new();
     let mut alike = vec![None; marks.len()];
     for (at, mark) in marks.iter().enumerate() {
@@ -214,7 +215,7 @@ fn find_causes(marks: &mut [Mark]) {
             alike[at] = acts.insert((port, kind, number), at);
         }
     }
-    // What a task does with a message that it already has follows from what it did with it before.
+    // Only the first event for a message in a task is caused remotely; later ones follow from it.
     let mut had = HashSet::new();
     for at in 0..marks.len() {
         let mark = marks[at];
@@ -232,9 +233,9 @@ fn find_causes(marks: &mut [Mark]) {
     }
 }
 
-/// The marks ordered so that none stands before its cause or before what its task did earlier, else by their moments.
+/// Sorts the marks topologically: each comes after its cause and after earlier marks of its task, otherwise by moment.
 fn ordered(mut marks: Vec<Mark>) -> Vec<Mark> {
-    // For each mark the next one of its task, its latest effect, and the effect of the same cause before itself.
+    // For each mark: the next one of its task, its latest effect, and the previous effect of the same cause.
     let mut next_own = vec![None; marks.len()];
     let mut effect = vec![None; marks.len()];
     let mut other_effect = vec![None; marks.len()];
@@ -258,8 +259,8 @@ fn ordered(mut marks: Vec<Mark>) -> Vec<Mark> {
     let (mut latest, mut first_open) = (Duration::ZERO, 0);
     while order.len() < marks.len() {
         let Some(Reverse((moment, at))) = ready.pop() else {
-            // What a node says is not trusted: causes that form a circle are none. The first mark that is open stands
-            // after all that its task did earlier, so that only its cause is missing.
+            // Node data is untrusted, so causes may form a cycle. Then drop the cause of the first unplaced mark. Its
+            // task's earlier marks are placed, so only the cause blocks it.
             while placed.get(first_open).is_some_and(|place| *place != usize::MAX) {
                 first_open += 1;
             }

@@ -1,5 +1,5 @@
-//! What the machines observed, one by one and in bounded memory: what the journal folds into one line is here still
-//! apart, for the screens that follow single messages.
+//! The trail: single observations in bounded memory, for screens that follow single messages. The journal, in contrast,
+//! folds repetitions.
 
 use super::LifeId;
 use super::coverage::{Fired, KINDS, place};
@@ -13,58 +13,58 @@ use std::time::Duration;
 /// How many observations are kept.
 pub const KEPT: usize = 32 * 1024;
 
-/// How far back one looks for what belongs to a present state, in batches.
+/// How many batches are searched for the event behind a present state.
 const LOOKED_AT: usize = 64;
 
-/// Of how many lives, and tasks of each, it is counted what happened.
+/// The most incarnations, and tasks of each, for which events are counted.
 const LIVES: usize = 256;
 const TASKS: usize = 4096;
 
 /// One observation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Seen {
-    /// The node's monotonic clock then, in microseconds.
+    /// The node's monotonic clock at the event, in microseconds.
     pub mono_us: u64,
-    /// Where: a task, or `None` for the transit buffer.
+    /// The task; `None` for the transit buffer.
     pub task: Option<TaskId>,
-    /// What.
+    /// The observation.
     pub what: Observation,
 }
 
-/// What one life of a node said at once.
+/// One frame of events from an incarnation of a node.
 #[derive(Clone, Debug)]
 pub struct Batch {
-    /// Which life.
+    /// The incarnation.
     pub life: LifeId,
-    /// When it came.
+    /// The moment of arrival.
     pub at: Moment,
-    /// How many observations before these were lost.
+    /// How many observations were lost before these.
     pub lost: u64,
-    /// The greatest `mono_us` of them.
+    /// The greatest `mono_us` of the batch.
     pub newest_us: u64,
     /// The observations, oldest first for each task.
     pub seen: Arc<[Seen]>,
 }
 
 impl Batch {
-    /// When an observation of the batch was made, as far as its way to the monitor took no time.
+    /// The moment of an observation of the batch, under the assumption of no transfer delay.
     #[must_use]
     pub const fn moment(&self, seen: &Seen) -> Moment {
         self.at.saturating_sub(Duration::from_micros(self.newest_us.saturating_sub(seen.mono_us)))
     }
 }
 
-/// The latest observations of all lives. A copy shares them.
+/// The latest observations of all incarnations. A clone shares them.
 #[derive(Clone, Debug, Default)]
 pub struct Trail {
     batches: VecDeque<Batch>,
     len: usize,
-    /// For each life, and each of its tasks: how often each kind was observed, ever.
+    /// For each incarnation and each of its tasks: how often each kind was ever observed.
     fired: BTreeMap<LifeId, BTreeMap<Option<TaskId>, Box<Fired>>>,
 }
 
 impl Trail {
-    /// Takes over what a life said, and forgets the oldest.
+    /// Adds the events of an incarnation, and drops the oldest batches.
     pub fn take(&mut self, at: Moment, life: LifeId, events: &Events) {
         if events.events.is_empty() && events.lost == 0 {
             return;
@@ -95,13 +95,13 @@ impl Trail {
         }
     }
 
-    /// How often each kind was observed in a task of a life (`None`: in its transit buffer), ever.
+    /// How often each kind was ever observed in a task of an incarnation (`None` for its transit buffer).
     #[must_use]
     pub fn fired(&self, life: LifeId, task: Option<TaskId>) -> Option<&Fired> {
         self.fired.get(&life)?.get(&task).map(|fired| &**fired)
     }
 
-    /// The number in the latest such observation of a task on a port.
+    /// The number in the latest observation of this kind at a task's port.
     #[must_use]
     pub fn last_number(&self, life: LifeId, task: TaskId, event: Event, port: PortId) -> Option<u32> {
         let fits = |s: &&Seen| s.task == Some(task) && s.what.event == event && s.what.port == port;
@@ -109,13 +109,13 @@ impl Trail {
         batches.flat_map(|batch| batch.seen.iter().rev()).find(fits).map(|seen| seen.what.number)
     }
 
-    /// What was said, in the order in which it came.
+    /// The batches, in order of arrival.
     pub fn batches(&self) -> impl DoubleEndedIterator<Item = &Batch> {
         self.batches.iter()
     }
 }
 
-/// A batch counts too, so that empty ones cannot fill the memory.
+/// The cost of a batch includes one for itself, so that empty batches are bounded too.
 fn cost(seen: &[Seen]) -> usize {
     seen.len() + 1
 }

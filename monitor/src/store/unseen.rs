@@ -1,22 +1,22 @@
-//! Nodes that a cell declares, and that told nothing.
+//! Nodes that a cell declares, but that never reported to this monitor.
 
 use super::Store;
 use crate::name::Name;
 use imrs_protocol::NodeId;
 use imrs_wire::obs::place;
 
-/// A node of which nothing but its name is known.
+/// A node of which only the name is known.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Unseen {
-    /// Which.
+    /// Its id.
     pub node: NodeId,
     /// Its name.
     pub name: Name,
-    /// Whether its socket was left behind: it was killed.
+    /// Whether its socket was left behind, which means that it was killed.
     pub is_killed: bool,
 }
 
-/// The nodes of a cell that no life is known of.
+/// The nodes of a cell without a known incarnation.
 #[must_use]
 pub fn unseen(store: &Store, cell: &Name) -> Vec<Unseen> {
     let Some(names) = store.names(cell) else { return Vec::new() };

@@ -1,6 +1,5 @@
-//! Who waits for whom, over every way of waiting: a `waitfor` whose members are missing, a request that is not yet
-//! answered, a receive that only one task can end. From these follow the tasks that everybody waits for, and the
-//! cycles in which each waits for the next.
+//! The wait-for graph over every kind of wait: a `waitfor` with missing members, an unanswered request, and a receive
+//! with a single possible sender. It gives the tasks on which others wait, and the wait-for cycles.
 
 use super::meeting::{Meeting, Standing, meetings};
 use super::names::Names;
@@ -14,43 +13,43 @@ use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-/// How old the state of a node may be in the store: the period of its snapshots, and the way to the monitor.
+/// The age that a node's state may have in the store: one snapshot period plus the transfer.
 const PERIOD: Duration = Duration::from_millis(200);
 
-/// That a task waits for another.
+/// An edge of the graph: a task waits for another.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Wait {
-    /// Who waits.
+    /// The waiting task.
     pub waiter: TaskId,
-    /// For whom.
+    /// The awaited task.
     pub on: TaskId,
-    /// At this port.
+    /// The port.
     pub port: PortId,
-    /// How: `waitfor lift`, `reply grip`, `receive beat`.
+    /// The kind of wait: `waitfor lift`, `reply grip`, `receive beat`.
     pub why: String,
 }
 
-/// Tasks of which each waits for the next, and the last for the first: only a time-out ends it.
+/// A cycle of tasks in which each waits for the next. Only a time_out ends it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Cycle {
-    /// The tasks, the least first.
+    /// The tasks, starting with the least id.
     pub tasks: Vec<TaskId>,
-    /// For each of them, what it waits for: `armL waits for hoist (waitfor lift)`.
+    /// For each task, the reason: `armL waits for hoist (waitfor lift)`.
     pub why: Vec<String>,
 }
 
 /// A task that others wait for.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Awaited {
-    /// Which.
+    /// The awaited task.
     pub task: TaskId,
-    /// Those who wait for it, or for one who waits for it; ascending.
+    /// The tasks that wait for it directly or indirectly, ascending.
     pub by: Vec<TaskId>,
-    /// How the first of them waits.
+    /// The kind of the first wait.
     pub why: String,
 }
 
-/// Every wait of a cell that only the one who is named can end, by waiter.
+/// The waits of a cell that only the awaited task can end, sorted by waiter.
 #[must_use]
 pub fn waits(store: &Store, cell: &Name, now: Moment) -> Vec<Wait> {
     let Some(names) = store.names(cell) else { return Vec::new() };
@@ -68,8 +67,8 @@ pub fn waits(store: &Store, cell: &Name, now: Moment) -> Vec<Wait> {
     found
 }
 
-/// A member waits for those who have not arrived. Whether it has heard of an arrival does not matter: what is on the
-/// way comes.
+/// A member waits for the members that have not arrived. An arrival that is still in flight counts, because it will be
+/// received.
 fn at_meeting(meeting: &Meeting, names: &Names, found: &mut Vec<Wait>) {
     let waiting = meeting.members.iter().filter(|m| m.standing == Standing::Arrived);
     for member in waiting {
@@ -97,7 +96,7 @@ fn at_port(life: &Life, waiter: TaskId, state: &TaskState) -> Option<Wait> {
     }
 }
 
-/// The only task that can end a receive, if there is but one and nothing waits to be taken.
+/// The only task that can end a receive, if there is exactly one and no message is queued.
 fn sole_sender(life: &Life, task: TaskId, port: Option<PortId>) -> Option<(PortId, TaskId)> {
     let view = &life.task(task)?.view;
     let takes = |p: &&imrs_protocol::PortView| {
@@ -123,8 +122,8 @@ const fn sends(usage: Usage) -> bool {
     }
 }
 
-/// The cycles among the waits of a cell. A cycle that an in-flight message may still break is not reported: all that its
-/// tasks sent must have arrived before their nodes last told the monitor how they stand.
+/// The cycles among the waits of a cell. A cycle that an in-flight message may still break is not reported. All
+/// messages that its tasks sent must have arrived before the latest reports of their nodes.
 #[must_use]
 pub fn cycles(store: &Store, cell: &Name, now: Moment) -> Vec<Cycle> {
     let Some(names) = store.names(cell) else { return Vec::new() };
@@ -153,13 +152,14 @@ pub fn cycles(store: &Store, cell: &Name, now: Moment) -> Vec<Cycle> {
     cycles
 }
 
-/// A request is on its way between one who waits for its answer and one who waits to receive it.
+/// Drops the waits of a pair in which one task waits for an answer and the other to receive on the same port: the
+/// request is in flight.
 fn settle(waits: &mut Vec<Wait>) {
     let ends: BTreeSet<_> = waits.iter().map(|w| (w.waiter, w.on, w.port)).collect();
     waits.retain(|w| !ends.contains(&(w.on, w.waiter, w.port)));
 }
 
-/// Leaves only waits of tasks that are waited for and wait: a cycle has no others.
+/// Keeps only waits whose waiter is awaited and whose awaited task waits, because a cycle has no others.
 fn trim(waits: &mut Vec<Wait>) {
     loop {
         let waiters: BTreeSet<_> = waits.iter().map(|w| w.waiter).collect();
@@ -172,12 +172,12 @@ fn trim(waits: &mut Vec<Wait>) {
     }
 }
 
-/// The tasks that have sent anything so lately that it may still be on its way, or that its receiver has not told of it.
+/// The tasks whose last message may still be in flight, or may have arrived since the last report of its receiver.
 fn busy(store: &Store, names: &Names, lives: &[&Life], now: Moment) -> BTreeSet<TaskId> {
     let tick_us = lives.iter().map(|l| l.tick_us).max().unwrap_or(1);
     let link_us = names.links.iter().map(|l| l.delay.0.saturating_mul(tick_us)).max().unwrap_or(0);
     let settled = PERIOD.saturating_add(Duration::from_micros(link_us.saturating_mul(3)));
-    // A node that has been stopped, or whose observer is late, tells nothing: what it received since is not known.
+    // The reports of a suspended or late node may be old, so count from the oldest report of any node.
     let heard = lives.iter().map(|life| life.heard).min().unwrap_or(now);
     let since = heard.saturating_sub(settled);
     let acts = |seen: &Seen| {
@@ -196,7 +196,7 @@ fn busy(store: &Store, names: &Names, lives: &[&Life], now: Moment) -> BTreeSet<
     busy
 }
 
-/// The shortest way from `start` back to itself.
+/// The shortest cycle through `start`.
 fn shortest(waits: &[Wait], start: TaskId) -> Option<Vec<&Wait>> {
     let mut came: BTreeMap<TaskId, &Wait> = BTreeMap::new();
     let mut next = VecDeque::from([start]);
@@ -222,8 +222,8 @@ fn shortest(waits: &[Wait], start: TaskId) -> Option<Vec<&Wait>> {
     None
 }
 
-/// The tasks that others wait for and that wait for none of the others themselves, the most awaited first. In a cycle
-/// everybody is waited for by everybody, and nobody is named.
+/// The tasks that others wait for and that wait for no task themselves, most awaited first. Tasks in a cycle are not
+/// among them.
 #[must_use]
 pub fn awaited(store: &Store, cell: &Name, now: Moment) -> Vec<Awaited> {
     let waits = waits(store, cell, now);

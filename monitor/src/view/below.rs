@@ -1,4 +1,4 @@
-//! Below the overview: whom everybody waits for, the links, and what the model says.
+//! The rows below the overview: the most awaited task, the links, and the verdict of the validator.
 
 use super::pen::Pen;
 use crate::app::App;
@@ -9,7 +9,7 @@ use crate::store::health::held_back_sentence;
 use crate::theme::Ink;
 use imrs_protocol::NodeId;
 
-/// How many rows at the foot are for whom everybody waits for, the links and the model.
+/// How many rows at the bottom of the overview these take.
 pub(super) const fn rows(height: u16) -> u16 {
     match height {
         0..8 => 0,
@@ -18,7 +18,7 @@ pub(super) const fn rows(height: u16) -> u16 {
     }
 }
 
-/// Whom everybody waits for; the links, and what the model says.
+/// Draws the most awaited task, the links, and the validator's verdict.
 pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
     let Some(cell) = app.cell().filter(|_| pen.height() > 0) else { return };
     let mut waits: Vec<_> = super::awaited(app, &cell, now).into_iter().collect();
@@ -37,7 +37,7 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
     pen.line(1, &pieces);
 }
 
-/// The restarted node that is held back longest.
+/// The restarted node with the longest remaining hold-back.
 fn held_back(app: &App, cell: &Name, now: Moment) -> Option<(String, Ink)> {
     let up = app.store().present(cell).filter(|life| !life.presence(now).is_gone());
     let held = up.filter_map(|life| Some((life.longest_held_back(now)?, life)));
@@ -45,7 +45,7 @@ fn held_back(app: &App, cell: &Name, now: Moment) -> Option<(String, Ink)> {
     Some((format!("{} {}", life.node, held_back_sentence(us)), Ink::Warn))
 }
 
-/// For each link whether anything came over it lately, how long it has been quiet, or that an end of it is down.
+/// For each link: active, quiet for how long, or down at one end.
 fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
     let store = app.store();
     let Some(names) = store.names(cell) else { return Vec::new() };
@@ -58,7 +58,7 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
         match heard.into_iter().flatten().min() {
             _ if gone(link.a) || gone(link.b) => pieces.push((format!("{name}DOWN"), Ink::Warn)),
             Some(us) if us <= LATELY_US => pieces.push((format!("{name}ok"), Ink::Plain)),
-            // A cell that has nothing to say leaves its links quiet: that is no fault.
+            // A cell without traffic leaves its links quiet, which is no fault.
             Some(us) => pieces.push((format!("{name}quiet {}", Span::micros(us)), Ink::Dim)),
             None => unknown += 1,
         }
@@ -72,19 +72,19 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
     pieces
 }
 
-/// How many links are looked at: more would not fit.
+/// How many links are shown; more do not fit.
 const SHOWN: usize = 12;
-/// Over a link that is not quiet, something came no longer ago than this.
+/// A link is quiet if its last datagram is older than this.
 const LATELY_US: u64 = 1_000_000;
 
-/// How long ago anything came to `at` from `peer`; `None`: never, or nobody says.
+/// Time since the last datagram at `at` from `peer`, in microseconds; `None` if there was none or it is unknown.
 fn heard(app: &App, cell: &Name, at: NodeId, peer: NodeId, now: Moment) -> Option<u64> {
     let life = app.store().latest(cell, at).filter(|life| !life.presence(now).is_gone())?;
     let last = life.last.as_ref()?;
     last.snapshot.links.iter().find(|link| link.peer == peer)?.heard_us
 }
 
-/// What the validator says of all nodes together.
+/// The validator's verdict on all nodes together.
 fn model(app: &App, cell: &Name) -> Vec<(String, Ink)> {
     let store = app.store();
     let (mut steps, mut unknown, mut violated) = (0_u64, 0, None);

@@ -1,4 +1,4 @@
-//! Screen 6: what happened, the newest at the bottom. It follows until one scrolls up, and goes on with `G`.
+//! Screen 6: the event log, newest entry at the bottom. It follows new entries until the user scrolls up; `G` resumes.
 
 use super::mark;
 use super::pen::{Column, Pen};

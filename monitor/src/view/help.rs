@@ -1,11 +1,12 @@
-//! The help: made from the table of keys, so that it cannot be wrong; first what is of the screen that one came from.
+//! The help, generated from the table of key bindings, so that it cannot be wrong. It starts with the bindings of the
+//! screen from which it was opened.
 
 use super::pen::Pen;
 use crate::app::{App, COMMANDS, Screen};
 use crate::keys::{BINDINGS, Binding};
 use crate::theme::{Ink, Theme};
 
-/// Left, right, and how the right looks.
+/// Left text, right text, and the style of the right text.
 type Line = (String, String, Ink);
 
 pub(super) fn draw(app: &App, pen: &mut Pen<'_>) {
@@ -29,7 +30,7 @@ pub(super) fn draw(app: &App, pen: &mut Pen<'_>) {
     }
 }
 
-/// All lines, for scrolling.
+/// All lines of the help.
 pub(super) fn lines(app: &App) -> Vec<Line> {
     let screen = app.helped();
     let mut lines = vec![heading(&format!("KEYS: {}", title(screen)))];
@@ -123,7 +124,7 @@ fn colours(theme: &Theme) -> Vec<Line> {
     ]
 }
 
-/// What the columns of a screen mean.
+/// Explanations of a screen's columns.
 const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
     match screen {
         Screen::Overview | Screen::Help => &[

@@ -1,4 +1,4 @@
-//! Screen 2b: the life of one message, stage by stage, and what each stage took of it.
+//! Screen 2b: the history of one message, stage by stage, with the time that each stage cost.
 
 use super::pen::{Column, Pen, bar};
 use crate::app::App;
@@ -47,7 +47,7 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
     }
 }
 
-/// The whole life of the message in microseconds: what it was sent with, or what its source's end of the port gives.
+/// The TTL of the message in microseconds: as sent, or else as declared at the source's end of the port.
 fn whole(app: &App, names: &Names, key: MessageKey, stages: &[Stage]) -> u64 {
     let sent = stages.iter().find(|s| s.mark.seen.what.event == Event::Sent).map(|s| s.left_us);
     let tick_us = app.life_of_task(key.source).map_or(1, |life| life.tick_us);
@@ -88,7 +88,7 @@ fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, pen: &mut Pe
     pen.titles(0, &columns, &widths);
     let bar_width = widths.last().map_or(0, |w| w.saturating_sub(2).min(60));
     let room = usize::from(pen.height().saturating_sub(1));
-    // One clock for all rows: nodes start at different moments, so each its own would not be in order.
+    // All rows use one clock, because the nodes' own clocks have different origins and would not be in order.
     let first = stages.first().and_then(|stage| app.store().life(stage.mark.life));
     for (y, stage) in (1..).zip(stages.iter().skip(app.scroll).take(room)) {
         let event = stage.mark.seen.what.event;
@@ -139,7 +139,7 @@ fn clocks(passed: Passed) -> String {
     format!("{sign}{}", Span::micros(passed.us))
 }
 
-/// The stage in one or two words.
+/// The name of a stage, in one or two words.
 const fn word(event: Event) -> &'static str {
     match event {
         Event::Discarded(reason) => reason.name(),
@@ -152,7 +152,7 @@ const fn word(event: Event) -> &'static str {
     }
 }
 
-/// The whole story in a sentence, in lines of at most `width`.
+/// The whole history as one sentence, wrapped at `width`.
 fn sentence(stages: &[Stage], width: usize) -> Vec<(String, Ink)> {
     let part = |stage: &Stage| {
         let event = word(stage.mark.seen.what.event);
@@ -177,7 +177,7 @@ fn sentence(stages: &[Stage], width: usize) -> Vec<(String, Ink)> {
     lines
 }
 
-/// Where it waits now.
+/// The place where the message is queued now.
 fn waiting(app: &App, names: &Names, key: MessageKey, now: Moment) -> Option<(String, Ink)> {
     let cell = app.cell()?;
     for life in app.store().lives_of(&cell) {
@@ -199,7 +199,7 @@ fn waiting(app: &App, names: &Names, key: MessageKey, now: Moment) -> Option<(St
     None
 }
 
-/// How many stages it has, for scrolling.
+/// The number of stages, for scrolling.
 pub(super) fn length(app: &App) -> usize {
     let key = app.cell().zip(app.message());
     key.map_or(0, |(cell, key)| life_of(app.store(), &cell, key).len())

@@ -1,4 +1,4 @@
-//! From what is known to what is seen: pure functions of the app and the moment, one screen per file.
+//! Draws the screens: pure functions of the app and the moment, one screen per file.
 
 mod below;
 mod events;
@@ -67,7 +67,7 @@ pub fn view(app: &App, now: Moment, area: Rect, buffer: &mut Buffer) {
     }
 }
 
-/// How many lines the screen of `app` has at a width, where it only scrolls.
+/// How many lines the screen has at a width, for screens that only scroll.
 pub(crate) fn length(app: &App, now: Moment, width: u16) -> usize {
     let now = app.moment(now);
     match app.screen {
@@ -82,20 +82,20 @@ pub(crate) fn length(app: &App, now: Moment, width: u16) -> usize {
 
 pub(crate) use overview::label;
 
-/// What a place on the screen is, for the mouse.
+/// The target of a mouse click.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hit {
-    /// The name of a screen.
+    /// The tab of a screen.
     Tab(Screen),
     /// A row of the overview.
     Row(Place),
-    /// The title of a column that rows can be sorted by.
+    /// The title of a sortable column.
     Title(Sort),
-    /// A message of a queue, by its place in it.
+    /// A message of a queue, by its index.
     Entry(usize),
 }
 
-/// What is at a column and row of a screen of this size.
+/// The target at a column and row of a screen of this size.
 #[must_use]
 pub fn hit(app: &App, now: Moment, size: (u16, u16), at: (u16, u16)) -> Option<Hit> {
     let moment = app.moment(now);
@@ -125,7 +125,7 @@ pub fn hit(app: &App, now: Moment, size: (u16, u16), at: (u16, u16)) -> Option<H
     }
 }
 
-/// A buffer as text, line by line, without what only fills.
+/// A buffer as text, line by line, without trailing spaces.
 #[must_use]
 pub fn text(buffer: &Buffer) -> String {
     let area = buffer.area;
@@ -138,7 +138,7 @@ pub fn text(buffer: &Buffer) -> String {
     out
 }
 
-/// The screens that the head names; the others belong to one of them.
+/// The tabs in the header. Other screens belong to one of these.
 const TABS: [(Screen, char, &str); 7] = [
     (Screen::Overview, '1', "Over"),
     (Screen::Port, '2', "Port"),
@@ -149,7 +149,7 @@ const TABS: [(Screen, char, &str); 7] = [
     (Screen::Model, '7', "Model"),
 ];
 
-/// A piece of the head, and the screen that a click on it shows.
+/// A piece of the header, with the screen that a click on it opens.
 type Piece = (String, Ink, Option<Screen>);
 
 fn head(app: &App, now: Moment, pen: &mut Pen<'_>) {
@@ -167,7 +167,7 @@ fn pieces(app: &App, width: u16, now: Moment) -> Vec<Piece> {
     let mut pieces: Vec<Piece> = glance.into_iter().map(|(text, ink)| (text, ink, None)).collect();
     let tabs = tabs(app.screen, width);
     if narrow {
-        // What comes last is cut first: where one is matters more than what one could know from the screen.
+        // The end of the line is cut first, so the tab precedes the less important pieces.
         let at = pieces.len().min(4);
         pieces.splice(at..at, tabs);
     } else {
@@ -178,7 +178,7 @@ fn pieces(app: &App, width: u16, now: Moment) -> Vec<Piece> {
     pieces
 }
 
-/// With room the names of all screens; with less their keys, and the name of the one that is shown.
+/// The tabs: all names if they fit, otherwise the keys and the name of the shown screen.
 fn tabs(shown: Screen, width: u16) -> Vec<Piece> {
     let shown_tab = if shown == Screen::Message { Screen::Port } else { shown };
     if width < 60 {
@@ -198,7 +198,7 @@ fn tabs(shown: Screen, width: u16) -> Vec<Piece> {
     TABS.iter().map(tab).collect()
 }
 
-/// The cell's name, how many of its nodes are up, and what is to be known of all that is shown.
+/// The cell's name, the number of nodes that are up, and warnings that concern everything shown.
 fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &mut Vec<(String, Ink)>) {
     let cells = app.cells();
     let at = cells.iter().position(|c| c == cell).filter(|_| cells.len() > 1);
@@ -230,7 +230,7 @@ fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &
     }
 }
 
-/// How many nodes of the cell are up, of how many.
+/// The number of nodes that are up, and of all nodes.
 fn nodes(app: &App, now: Moment) -> (usize, usize) {
     let Some(cell) = app.cell() else { return (0, 0) };
     let store = app.store();
@@ -282,7 +282,7 @@ fn foot(app: &App, findings: &[Finding], now: Moment, pen: &mut Pen<'_>) {
     pen.line(y, &pieces);
 }
 
-/// Whom the most tasks of a cell wait for, and how: what one looks for first when nothing moves.
+/// The most awaited tasks of a cell and the kind of wait: the first question when nothing moves.
 fn awaited(app: &App, cell: &Name, now: Moment) -> Option<(String, Ink)> {
     let store = app.store();
     let names = store.names(cell)?;
@@ -316,7 +316,7 @@ fn awaited(app: &App, cell: &Name, now: Moment) -> Option<(String, Ink)> {
     Some((text, ink))
 }
 
-/// The sign for how much something matters.
+/// The sign of a severity.
 const fn mark(level: Level) -> &'static str {
     match level {
         Level::Trace | Level::Note => " ",

@@ -1,4 +1,4 @@
-//! Screen 7: whether each node does what the model does, and which transitions were seen at all (D63).
+//! Screen 7: the conformance of each node, and the coverage of transitions (D63).
 
 use super::pen::{Pen, bar};
 use super::words::short;
@@ -12,7 +12,7 @@ use crate::store::trail::{KEPT, Trail};
 use crate::theme::Ink;
 use imrs_protocol::{Event, TaskId};
 
-/// How many observations before a violation are shown.
+/// How many observations are shown below a violation.
 const BEFORE: usize = 20;
 
 pub(super) type Line = Vec<(String, Ink)>;
@@ -54,7 +54,7 @@ pub(super) fn lines(app: &App, now: Moment, width: u16) -> Vec<Line> {
     lines
 }
 
-/// What the validator says of the inputs that a node recorded.
+/// The validator's verdict on the recorded inputs of a node.
 fn node(app: &App, life: &Life, now: Moment, width: u16, lines: &mut Vec<Line>) {
     let told = conformance(app.store(), life.id);
     let gone = life.presence(now).is_gone();
@@ -96,7 +96,7 @@ fn node(app: &App, life: &Life, now: Moment, width: u16, lines: &mut Vec<Line>) 
     }
 }
 
-/// The kinds that a task was seen at, and those that it could come to.
+/// The transition kinds of a task: observed ones, and possible ones that were never observed.
 #[derive(Default)]
 struct Sum {
     fired: Vec<(Event, u64)>,
@@ -119,7 +119,7 @@ impl Sum {
         sum
     }
 
-    /// A kind that was seen anywhere counts once.
+    /// Adds another task. A kind that any task showed counts once.
     fn add(&mut self, other: &Self) {
         for &(kind, count) in &other.fired {
             self.never.retain(|never| *never != kind);
@@ -157,7 +157,7 @@ fn name(event: Event) -> String {
     }
 }
 
-/// Words in lines of at most `width`.
+/// Wraps words at `width`.
 fn wrapped(
     title: &str,
     words: impl Iterator<Item = String>,

@@ -1,4 +1,4 @@
-//! Screen 1: nodes, their tasks, their ports; the worst of what is within a row stands in the row.
+//! Screen 1: nodes, their tasks and their ports. Each row shows the most severe finding within it.
 
 use super::pen::{Column, Pen, bar, first_row, widths};
 use super::{Hit, below, mark};
@@ -17,13 +17,13 @@ use std::time::Duration;
 /// Name, state, queue, slack, rate, expired, overflow, rejected, re-sent, timed out, health.
 type Cells = [(String, Ink); 11];
 
-/// The place of the health among them.
+/// The index of the health cell.
 const HEALTH_CELL: usize = 10;
 
 const NAME: Column = Column::left("NODE/TASK/PORT", 0);
 const HEALTH: Column = Column::left("HEALTH", 0);
 
-/// The columns for a width, and which of the cells they show.
+/// The columns for a width, and the indices of the cells that they show.
 fn columns(width: u16) -> (Vec<Column>, &'static [usize]) {
     let state = |w| Column::left("STATE", w);
     let queue = |w| Column::left("QUEUE", w);
@@ -98,7 +98,7 @@ pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, pen: &mut Pen<'
     let first = first_row(selected, rows.len(), height);
     let foot = pen.height().saturating_sub(below);
     below::draw(app, now, &mut pen.below(foot));
-    // Only the rows in sight are made: a cell of ten thousand ports costs no more than what is seen of it.
+    // Only visible rows are built, so that a cell of ten thousand ports costs no more.
     for (y, (i, row)) in (1..).zip(rows.iter().enumerate().skip(first).take(height)) {
         let cells = cells(app, row, findings, pen.area.width, now);
         let cells: Vec<_> = shown.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
@@ -114,7 +114,7 @@ pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, pen: &mut Pen<'
     }
 }
 
-/// What is at a column and row below the head.
+/// The target at a column and row below the header.
 pub(super) fn hit(app: &App, now: Moment, size: (u16, u16), at: (u16, u16)) -> Option<Hit> {
     let (x, y) = at;
     if y == 0 {
@@ -145,7 +145,7 @@ pub(super) fn hit(app: &App, now: Moment, size: (u16, u16), at: (u16, u16)) -> O
     rows.get(first + usize::from(y) - 1).map(|row| Hit::Row(row.place))
 }
 
-/// What a place is called: `node.task.port`, as far as it goes.
+/// The name of a place: `node.task.port`, as far as it goes.
 pub(crate) fn label(app: &App, place: Place) -> String {
     let store = app.store();
     let Ok(life) = place.node else {
@@ -216,7 +216,7 @@ fn fold_sign(app: &App, row: &Row) -> &'static str {
 fn node(app: &App, life: &Life, row: &Row, now: Moment, cells: &mut Cells) {
     let presence = life.presence(now);
     let sign = if presence.is_gone() { app.theme.glyphs.dead } else { fold_sign(app, row) };
-    // A node in a checker has no process.
+    // A node of the checker has no process.
     let pid = if life.pid == 0 { String::new() } else { format!(" (pid {})", life.pid) };
     cells[0] = (format!("{sign} {}{pid}", life.node), Ink::Plain);
     let uptime = life.last.as_ref().map(|s| Duration::from_micros(s.snapshot.uptime_us));
@@ -259,7 +259,7 @@ fn task(app: &App, life: &Life, task: &TaskSnapshot, row: &Row, now: Moment, cel
     sum(app, life, std::slice::from_ref(task), now, cells);
 }
 
-/// What is left of the wait that the task is in.
+/// The remaining time of the task's present wait.
 fn remaining(life: &Life, task: &TaskSnapshot, now: Moment) -> Option<Left> {
     use imrs_protocol::TaskState::{AwaitingReply, Delaying, Receiving, Running, Waiting};
     let remaining = match task.view.state {
@@ -302,7 +302,7 @@ fn sum(app: &App, life: &Life, tasks: &[TaskSnapshot], now: Moment, cells: &mut 
     counts(cells, &total);
 }
 
-/// A port's counters since the start, or since the mark if that is wanted.
+/// A port's counters since the start, or since the mark if the user chose that.
 fn counted(app: &App, life: &Life, task: TaskId, view: &PortView) -> PortCounters {
     let marked = app.mark().filter(|_| app.since_mark);
     let before = marked.and_then(|(_, store)| store.life(life.id)?.port(task, view.port)).map(|p| p.counters);
@@ -368,7 +368,7 @@ fn port(
     counts(cells, &counted(app, life, task.view.task, view));
 }
 
-/// The worst finding within a row; only its sign where there is no room.
+/// The most severe finding within a row; on a narrow screen only its sign.
 fn health(row: &Row, findings: &[Finding], width: u16) -> (String, Ink) {
     let Some(worst) = findings.iter().find(|f| row.place.holds(&f.place)) else {
         let never_seen = row.place.node.is_err();

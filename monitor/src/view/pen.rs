@@ -1,11 +1,11 @@
-//! Drawing lines of text into a buffer: everything is cut at the edge, nothing panics at any size.
+//! Draws text into a part of a buffer. Text is clipped at the edges, and no size causes a panic.
 
 use crate::theme::{Ink, Theme};
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 use ratatui::style::Modifier;
 
-/// A part of the screen and how to draw on it.
+/// A part of the screen that can be drawn on.
 pub(super) struct Pen<'a> {
     pub buffer: &'a mut Buffer,
     pub area: Rect,
@@ -16,7 +16,7 @@ pub(super) struct Pen<'a> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Column {
     pub title: &'static str,
-    /// In columns of the screen, the gap after it not counted; 0: what is left, shared among such columns.
+    /// In screen columns, without the gap after it. 0: such columns share the remaining width.
     pub width: u16,
     pub right: bool,
 }
@@ -32,7 +32,7 @@ impl Column {
 }
 
 impl Pen<'_> {
-    /// The rows of the part.
+    /// The number of rows.
     pub(super) const fn height(&self) -> u16 {
         self.area.height
     }
@@ -44,7 +44,7 @@ impl Pen<'_> {
         Pen { buffer: self.buffer, area, theme: self.theme }
     }
 
-    /// Writes `text` at a column and row of the part, at most `width` columns of it. Gives the column after it.
+    /// Writes `text` at a column and row, at most `width` columns of it. Returns the column after it.
     pub(super) fn at(&mut self, x: u16, y: u16, width: u16, text: &str, ink: Ink) -> u16 {
         if y >= self.area.height || x >= self.area.width {
             return x;
@@ -56,7 +56,7 @@ impl Pen<'_> {
         end - self.area.x
     }
 
-    /// Writes pieces one after the other.
+    /// Writes pieces in sequence.
     pub(super) fn line(&mut self, y: u16, pieces: &[(&str, Ink)]) {
         let mut x = 0;
         for (text, ink) in pieces {
@@ -64,8 +64,7 @@ impl Pen<'_> {
         }
     }
 
-    /// Marks a row as the one that keys act on. All else that is said by style is taken from it, so that the mark is
-    /// seen on every terminal.
+    /// Highlights the selected row. The highlight replaces other styles, so that it is visible on every terminal.
     pub(super) fn select(&mut self, y: u16) {
         if y < self.area.height {
             let row = Rect { y: self.area.y + y, height: 1, ..self.area };
@@ -73,7 +72,7 @@ impl Pen<'_> {
         }
     }
 
-    /// The widths that `columns` get.
+    /// The widths of `columns`.
     pub(super) fn widths(&self, columns: &[Column]) -> Vec<u16> {
         widths(columns, self.area.width)
     }
@@ -96,7 +95,7 @@ impl Pen<'_> {
     }
 }
 
-/// The widths that `columns` get in `width`.
+/// The widths of `columns` in a total `width`.
 pub(super) fn widths(columns: &[Column], width: u16) -> Vec<u16> {
     let gaps = u16::try_from(columns.len().saturating_sub(1)).unwrap_or(0);
     let fixed: u16 = columns.iter().map(|c| c.width).sum();
@@ -113,7 +112,7 @@ pub(super) fn widths(columns: &[Column], width: u16) -> Vec<u16> {
     columns.iter().map(&mut width).collect()
 }
 
-/// A bar of `width` columns of which `part` of `whole` is full. What is not nothing shows at least one full column.
+/// A bar of `width` columns that shows `part` of `whole`. A nonzero part shows at least one full column.
 pub(super) fn bar(theme: &Theme, width: u16, part: u64, whole: u64) -> String {
     let columns = u64::from(width);
     let full = if whole == 0 {
@@ -125,7 +124,7 @@ pub(super) fn bar(theme: &Theme, width: u16, part: u64, whole: u64) -> String {
     theme.glyphs.full.repeat(full) + &theme.glyphs.empty.repeat(usize::from(width) - full)
 }
 
-/// The first of `count` rows to show in `height`, so that `selected` is among them: screens turn like pages.
+/// The first of `count` rows to show in `height`, so that `selected` is visible: lists scroll by pages.
 pub(super) fn first_row(selected: usize, count: usize, height: usize) -> usize {
     let page = selected / height.max(1) * height.max(1);
     page.min(count.saturating_sub(height))

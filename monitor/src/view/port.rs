@@ -1,4 +1,4 @@
-//! Screen 2: the messages that wait at one port, in the order they will be served, and how long each still has.
+//! Screen 2: the queue of one port, most urgent message first, with the remaining time of each message.
 
 use super::Hit;
 use super::pen::{Column, Pen, bar, first_row};
@@ -10,7 +10,7 @@ use crate::store::{Life, PortInfo};
 use crate::theme::Ink;
 use imrs_protocol::{Class, PortView, TaskId};
 
-/// The rows above the table: with little room only what the port is and what it has counted.
+/// The number of rows above the table. A low screen has only the description and the counters there.
 const fn above(height: u16) -> u16 {
     if height < 14 { 2 } else { 5 }
 }
@@ -43,7 +43,7 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
     queue.draw(&mut pen.below(above));
 }
 
-/// The message at a row below the head.
+/// The message at a row below the header.
 pub(super) fn hit(app: &App, now: Moment, size: (u16, u16), y: u16) -> Option<Hit> {
     let queue = app.queue(now);
     let height = size.1.saturating_sub(2);
@@ -53,7 +53,7 @@ pub(super) fn hit(app: &App, now: Moment, size: (u16, u16), y: u16) -> Option<Hi
     (at < queue.len()).then_some(Hit::Entry(at))
 }
 
-/// How long the task takes for a message, and how its sources fare against each other.
+/// Draws the service times and the shares of the sources.
 fn shares(life: &Life, served: Option<&Service>, pen: &mut Pen<'_>) {
     let Some(served) = served else {
         pen.line(2, &[(" service: ", Ink::Dim), ("nothing seen of it yet", Ink::Dim)]);
@@ -79,7 +79,7 @@ fn shares(life: &Life, served: Option<&Service>, pen: &mut Pen<'_>) {
     pen.line(2, &pieces);
 }
 
-/// Of a watched port with rivals: how often others were served before it, of how often at most (D58).
+/// Draws, for a watched port that competes with others, how often it was bypassed, and its limit (D58).
 fn bypassed(life: &Life, task: TaskId, port: imrs_protocol::PortId, pen: &mut Pen<'_>) {
     let Some(told) = life.watched(task, port).filter(|told| told.what.queue.bypass_limit > 0) else { return };
     let queue = &told.what.queue;
@@ -91,7 +91,7 @@ fn bypassed(life: &Life, task: TaskId, port: imrs_protocol::PortId, pen: &mut Pe
     }
 }
 
-/// How full the buffer has been, and how urgent what waited in it.
+/// Draws the fill of the buffer over time, and the slack of its most urgent messages.
 fn fill(app: &App, view: &PortView, served: Option<&Service>, pen: &mut Pen<'_>) {
     let Some(served) = served else { return };
     let heights = app.theme.glyphs.heights;
@@ -163,18 +163,18 @@ fn counters(view: &PortView, pen: &mut Pen<'_>) {
     pen.line(1, &[(" since start: ", Ink::Dim), (&text.join("  "), Ink::Plain)]);
 }
 
-/// The messages of a port, and what their fate is judged by.
+/// The queue of a port, with the data for its verdicts.
 struct Queue<'a> {
     app: &'a App,
     life: &'a Life,
     view: &'a PortView,
     waiting: Vec<Waiting>,
     served: Option<&'a Service>,
-    /// The whole life of a message.
+    /// The TTL of a new message, in microseconds.
     whole_us: u64,
 }
 
-/// How many rejections by rank make a message a starving one.
+/// With this many rejections by rank a message starves.
 const STARVING: u32 = 3;
 
 impl Queue<'_> {
@@ -216,7 +216,7 @@ impl Queue<'_> {
         self.hidden(first + room, pen);
     }
 
-    /// At the right of the titles: how many rows are below.
+    /// Shows at the right of the titles how many rows are below.
     fn hidden(&self, shown: usize, pen: &mut Pen<'_>) {
         let hidden = usize::from(self.view.len).max(self.waiting.len()).saturating_sub(shown);
         if hidden > 0 && pen.height() > 0 {
@@ -256,7 +256,7 @@ impl Queue<'_> {
         ]
     }
 
-    /// What is left of a message's life, the back-off that reaches beyond it, and the mark by which it is likely done.
+    /// A bar: the remaining time, the back-off beyond it, and a mark at the forecast of completion.
     fn bar(&self, width: u16, waiting: &Waiting, done_us: Option<u64>) -> String {
         let signs = self.app.theme.glyphs;
         let life = bar(&self.app.theme, width, waiting.left.us, self.whole_us);
@@ -279,7 +279,7 @@ impl Queue<'_> {
         let left_us = waiting.left.us;
         let status = waiting.entry.class == Class::Status;
         let full = self.view.len >= self.view.capacity && self.view.capacity > 0;
-        // Only class 1 makes room for others, the least urgent first.
+        // Only class-1 messages are evicted, the least urgent first.
         let last = self.waiting.iter().rposition(|w| w.entry.class == Class::Status) == Some(at);
         let capped = waiting.held.is_some_and(|held| held.capped);
         match done_us {

@@ -1,4 +1,4 @@
-//! Screen 3: each meeting as a card with a matrix of who knows of whose arrival.
+//! Screen 3: a card for each rendezvous, with a matrix of known arrivals.
 
 use super::pen::{Pen, bar};
 use crate::app::App;
@@ -59,12 +59,12 @@ fn cards(app: &App, now: Moment, width: u16) -> Vec<Line> {
     lines
 }
 
-/// Whom everybody waits for, in one line.
+/// The most awaited task, in one line.
 fn who(app: &App, cell: &Name, now: Moment) -> Vec<Line> {
     super::awaited(app, cell, now).map(|text| vec![text]).into_iter().collect()
 }
 
-/// How the last rounds ended.
+/// The statistics of the last rounds.
 fn past(app: &App, cell: &Name, meeting: &Meeting, width: u16) -> Vec<Line> {
     let Some(history) = history(app.store(), cell, meeting.port) else { return Vec::new() };
     let told = history.summary(meeting.members.len());
@@ -96,7 +96,7 @@ fn past(app: &App, cell: &Name, meeting: &Meeting, width: u16) -> Vec<Line> {
 fn card(app: &App, meeting: &Meeting, width: u16, lines: &mut Vec<Line>) {
     lines.push(heading(app, meeting, width));
     let narrow = width < 60;
-    // A matrix of many members would not fit: then each row names whom it waits for, as it does anyway.
+    // A matrix of many members does not fit. The rows name the awaited members anyway.
     let matrix = !narrow && meeting.members.len() * 5 <= usize::from(width) / 3;
     if !narrow {
         lines.push(titles(meeting, matrix));

@@ -1,10 +1,10 @@
-//! What a recording adds to every screen: where one is in it, and what happened in the step.
+//! What a recording adds to every screen: the position in it, and the events of the step.
 
 use super::pen::Pen;
 use crate::replay::{Player, tell};
 use crate::theme::Ink;
 
-/// The pieces of the head: that this is a recording, and where in it one is.
+/// The pieces of the header: the word REPLAY and the position.
 pub(super) fn head(player: &Player, pieces: &mut Vec<(String, Ink)>) {
     pieces.push(("  REPLAY".to_owned(), Ink::Warn));
     let position = match (player.step(), &player.film().story) {
@@ -14,7 +14,7 @@ pub(super) fn head(player: &Player, pieces: &mut Vec<(String, Ink)>) {
     pieces.push((position, Ink::Plain));
 }
 
-/// How many rows of a screen so high are for what happened.
+/// How many rows the panel takes on a screen of this height.
 pub(super) fn rows(player: &Player, height: u16) -> u16 {
     match (player.step(), &player.film().notice) {
         (None, None) => 0,
@@ -24,7 +24,7 @@ pub(super) fn rows(player: &Player, height: u16) -> u16 {
     }
 }
 
-/// What happened in the step, and where the story stands in the cell's file.
+/// Draws the panel: the events of the step, and the place in the cell's file.
 pub(super) fn draw(player: &Player, pen: &mut Pen<'_>) {
     let lines = lines(player);
     let room = usize::from(pen.height());
@@ -38,7 +38,7 @@ pub(super) fn draw(player: &Player, pen: &mut Pen<'_>) {
     }
 }
 
-/// The same as lines, the most telling first.
+/// The lines of the panel, most important first.
 fn lines(player: &Player) -> Vec<(String, Ink)> {
     let mut lines = Vec::new();
     if let Some(notice) = &player.film().notice {

@@ -1,5 +1,5 @@
-//! Screen 4: what happened in each task, side by side, time downwards. No effect stands above its cause; the ways of
-//! messages are drawn between the lanes.
+//! Screen 4: the timeline. Each task has a lane, and time runs downwards. No effect is above its cause, and lines
+//! between the lanes show messages.
 
 use super::pen::Pen;
 use super::words::{ink, short};
@@ -10,9 +10,9 @@ use crate::store::timeline::{Mark, own_clock};
 use crate::theme::Ink;
 use std::time::Duration;
 
-/// The columns of the time.
+/// The width of the time axis.
 const AXIS: u16 = 11;
-/// The least columns of a lane.
+/// The least width of a lane.
 const LANE: u16 = 24;
 
 pub(super) fn draw(app: &App, pen: &mut Pen<'_>) {
@@ -64,7 +64,7 @@ pub(super) fn draw(app: &App, pen: &mut Pen<'_>) {
     corner(app, &chart, pen);
 }
 
-/// At the right of the titles: how fine, and whether new rows are followed.
+/// Shows at the right of the titles the zoom, and whether the screen follows new rows.
 fn corner(app: &App, chart: &Chart, pen: &mut Pen<'_>) {
     let lives = chart.lanes.iter().filter_map(|task| app.life_of_task(*task));
     let error = lives.filter_map(|life| life.clock).map(|clock| clock.error_us).max();
@@ -78,7 +78,7 @@ fn corner(app: &App, chart: &Chart, pen: &mut Pen<'_>) {
     pen.at(x, 0, u16::MAX, &text, if chart.held { Ink::Warn } else { Ink::Dim });
 }
 
-/// The time of a row on the clock of the selected lane's node, since that started; whether it was read there.
+/// The time of a row on the clock of the selected lane's node, since its start; and whether it is exact.
 fn time(app: &App, chart: &Chart, marks: &[&Mark]) -> (String, bool) {
     let life = chart.lanes.get(chart.lane).and_then(|task| app.life_of_task(*task));
     let Some(life) = life else { return (String::new(), false) };
@@ -101,7 +101,7 @@ fn narrow(app: &App, marks: &[&Mark], y: u16, pen: &mut Pen<'_>) {
     pen.at(AXIS + 11, y, u16::MAX, &what, ink(mark.seen.what.event));
 }
 
-/// Where the lanes stand.
+/// The layout of the lanes.
 struct Sheet {
     first: usize,
     count: usize,
@@ -116,7 +116,7 @@ impl Sheet {
         Self { first, count, width: room / u16::try_from(count).unwrap_or(1).max(1) }
     }
 
-    /// The column of a lane, or of the edge behind which it lies.
+    /// The column of a lane, or of the edge if it is hidden, and whether it is visible.
     fn x(&self, lane: usize) -> (u16, bool) {
         let at = lane.saturating_sub(self.first).min(self.count);
         let x = AXIS + u16::try_from(at).unwrap_or(0).saturating_mul(self.width);
@@ -178,7 +178,7 @@ impl Sheet {
         }
     }
 
-    /// Draws the way of a message on the row where it ends, around all that stands there.
+    /// Draws the arrow of a message in the row of its arrival, around the text there.
     fn way(
         &self,
         app: &App,
@@ -211,7 +211,7 @@ fn mark_taken(taken: &mut [bool], from: u16, to: u16) {
     }
 }
 
-/// As many texts as fit, and how many are left out; at least a part of the first.
+/// Joins as many texts as fit, with the number of omitted ones. At least a part of the first one is shown.
 fn several(texts: impl ExactSizeIterator<Item = String>, room: usize) -> String {
     let all = texts.len();
     let (mut out, mut shown) = (String::new(), 0);

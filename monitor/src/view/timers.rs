@@ -1,4 +1,4 @@
-//! Screen 5: everything that runs out, soonest first: the Timer's entries of each node, and the waits that have an end.
+//! Screen 5: all deadlines, soonest first: each node's timers, and the waits with a time_out.
 
 use super::pen::{Column, Pen, bar};
 use crate::app::App;
@@ -8,12 +8,12 @@ use crate::store::{Left, Life};
 use crate::theme::Ink;
 use imrs_protocol::{Event, PortId, TaskId, TaskState, TimeId};
 
-/// One thing that runs out.
+/// A timer or a wait.
 struct Entry {
     owner: TaskId,
     id: String,
     kind: &'static str,
-    /// Its whole length in microseconds; `None`: nobody said.
+    /// Its full duration in microseconds; `None` if unknown.
     length_us: Option<u64>,
     left: Left,
     what: String,
@@ -108,7 +108,7 @@ pub(super) fn lines(app: &App, now: Moment) -> Vec<Line> {
     lines
 }
 
-/// How late the Timer was, as far as the node says it.
+/// The lateness of the Timer, if the node reported it.
 fn lateness(life: &Life) -> (String, bool) {
     let Some(told) = &life.vitals else { return ("late: -".to_owned(), false) };
     let timer = told.what.timer;
@@ -128,7 +128,7 @@ fn line(life: &Life, entry: Entry, gone: bool) -> Line {
     let tight = entry.length_us.is_some_and(|length| entry.left.us < length / 10);
     let ink = match (gone, entry.left.us, tight) {
         (true, _, _) => Ink::Dim,
-        // A delay or a timer that ends is its ordinary course; a wait that ends is not.
+        // A delay or timer is meant to expire; a wait is not.
         (false, 0, _) if entry.kind != "timer" && entry.kind != "delay" => Ink::Bad,
         (false, _, true) if entry.kind != "timer" && entry.kind != "delay" => Ink::Warn,
         (false, _, _) => Ink::Plain,
@@ -152,7 +152,7 @@ fn entries(life: &Life, trail: &Trail, now: Moment) -> Vec<Entry> {
     let Some(last) = &life.last else { return found };
     let timers = &last.snapshot.timers;
     for timer in timers {
-        // A task's delays have the names above those of its timers, in scripts and in programs alike.
+        // A task's delays have higher ids than its timers, in scripts and in programs.
         let of_owner = timers.iter().filter(|t| t.owner == timer.owner);
         let last_name = of_owner.map(|t| t.id).max() == Some(timer.id);
         let delays = life.task(timer.owner).is_some_and(|t| t.view.state == TaskState::Delaying);

@@ -1,4 +1,4 @@
-//! Observations in few words, for lanes and tables.
+//! Short descriptions of observations, for lanes and tables.
 
 use crate::store::Names;
 use crate::store::journal::{Level, level_of};
@@ -6,8 +6,8 @@ use crate::store::timeline::Mark;
 use crate::theme::{Ink, Theme};
 use imrs_protocol::{Event, Observation};
 
-/// What happened, as short as it can be said: `> beat#12` came in, `beat#12 >` went out, `* lift r3` is a rendezvous,
-/// `x` a loss, `^` a rejection.
+/// A very short description: `> beat#12` arrived, `beat#12 >` was sent, `* lift r3` is a rendezvous, `x` a loss, `^` a
+/// rejection.
 pub(super) fn short(mark: &Mark, names: &Names, theme: &Theme) -> String {
     let Observation { event, port, peer, number, .. } = mark.seen.what;
     let (port, peer) = (names.port_name(port), names.task(peer));

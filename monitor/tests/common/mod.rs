@@ -1,4 +1,4 @@
-//! A cell to look at: three nodes, two arms and a hoist that meet, with everything at a known place.
+//! The sample cell of these tests: three nodes, and two arms and a hoist that meet, with fixed states.
 
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 pub mod server;
@@ -136,7 +136,7 @@ pub fn events(node: usize, list: &[Observation]) -> Events {
     Events { lost: 0, events: list.iter().enumerate().map(event).collect() }
 }
 
-/// Events at times of the node's own clock, in milliseconds. A snapshot is taken at 5,000.
+/// Events with times of the node's own clock, in milliseconds. The snapshot is taken at 5,000.
 pub fn at(node: usize, list: &[(u64, Observation)]) -> Events {
     let event = |(ms, what): &(u64, Observation)| TimedEvent {
         mono_us: ms * 1_000,
@@ -146,13 +146,13 @@ pub fn at(node: usize, list: &[(u64, Observation)]) -> Events {
     Events { lost: 0, events: list.iter().map(event).collect() }
 }
 
-/// An observation with so many milliseconds left.
+/// An observation with a remaining time of `ms` milliseconds.
 pub fn left(event: Event, port: PortId, peer: u16, number: u32, ms: u64) -> Observation {
     Observation { remaining: Ticks(ms * 1_000), ..observed(event, port, peer, number) }
 }
 
-/// Everything that happened to the messages of a busy second: beats that are queued, taken and answered, one that is
-/// rejected, a round in which the hoist is missing, and seventeen events lost.
+/// The events of a busy second: beats that are queued, taken and answered, one rejection, a round in which the hoist is
+/// missing, and seventeen lost events.
 pub fn traffic() -> [Events; 3] {
     use Event::*;
     let arm_l = at(
@@ -196,7 +196,7 @@ pub const fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
 
-/// The app with feeds at given moments.
+/// The app, fed at given moments.
 pub struct Stage {
     pub app: App,
 }
@@ -239,7 +239,7 @@ impl Stage {
         stage
     }
 
-    /// The cell with all that [`traffic`] has, and a timer and a delay that run.
+    /// The cell with the events of [`traffic`], a running timer and a running delay.
     pub fn busy(theme: Theme) -> Self {
         let mut stage = Self::cell(theme);
         for (node, events) in traffic().into_iter().enumerate() {
@@ -295,7 +295,7 @@ pub fn text(buffer: &Buffer) -> String {
     out
 }
 
-/// The runs of cells with a style of their own, one per line: row, columns, style.
+/// The runs of cells with a style other than the default, one per line: row, columns, style.
 pub fn styles(buffer: &Buffer) -> String {
     let mut out = String::new();
     for y in 0..buffer.area.height {
@@ -317,7 +317,7 @@ pub fn styles(buffer: &Buffer) -> String {
     out
 }
 
-/// A recording that was stopped, once its end is on the disk: a busy one may take longer than whoever stops it waits.
+/// Opens a stopped recording once its end is on disk: a busy disk may take longer than the stop waits.
 pub fn whole_film(path: &Path) -> Film {
     let end = Instant::now() + Duration::from_secs(120);
     loop {

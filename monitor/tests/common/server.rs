@@ -1,4 +1,4 @@
-//! A node that is none: serves the observation protocol from a thread, well or badly.
+//! A fake node: serves the observation protocol from a thread, well or badly.
 
 use super::{identity, snapshot, table};
 use imrs_wire::obs::{
@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::thread;
 use std::time::Duration;
 
-/// The longest any of these servers lives.
+/// The longest time that a server blocks in a read or write.
 const LONG: Duration = Duration::from_secs(150);
 
 pub struct Peer {
@@ -35,7 +35,7 @@ impl Peer {
         self.writer.flush()
     }
 
-    /// What the monitor says next, but for its pings: they are nobody's business here.
+    /// The next frame of the monitor, except pings.
     pub fn hear(&mut self) -> Result<ClientFrame, FrameError> {
         loop {
             match ClientFrame::decode(self.reader.read_frame()?).expect("a monitor's frame") {
@@ -50,7 +50,7 @@ impl Peer {
         stream.write_all(bytes).unwrap();
     }
 
-    /// Hello, table, subscription: up to where snapshots begin.
+    /// Does the handshake, the table and the subscription. Returns the credit.
     pub fn greet(&mut self, node: usize) -> Result<u16, FrameError> {
         self.hello(node, VERSION, SCHEMA)?;
         self.say(&ServerFrame::Table(table()))?;
@@ -67,7 +67,7 @@ impl Peer {
         }
     }
 
-    /// As [`serve`](Self::serve), after the greeting.
+    /// As [`serve`](Self::serve), after the handshake.
     pub fn serve_on(&mut self, node: usize, mut credit: u16) {
         loop {
             while credit > 0 {
@@ -87,8 +87,8 @@ impl Peer {
     }
 }
 
-/// A socket in `base` whose every connection `each` serves, in a thread, until the test's process ends. The folder
-/// is the test's own.
+/// Creates a socket in `base`. `each` serves every connection in a thread, until the test process ends. The folder
+/// belongs to the test.
 pub fn listen(base: &Path, node: &str, each: impl Fn(Peer) + Send + Clone + 'static) -> PathBuf {
     let path = place::prepare_in(base, "beam-lift", node, std::process::id()).unwrap();
     let listener = UnixListener::bind(&path).unwrap();

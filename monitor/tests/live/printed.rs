@@ -1,8 +1,8 @@
-//! What the monitor prints without a screen: once, or sample by sample.
+//! Tests of the output without a screen: one sample, or one per period.
 
 use super::*;
 
-/// Looks again and again until what is printed is so: on a busy machine a node may not show itself as long as one look waits.
+/// Prints repeatedly until the output fulfils `is_so`: on a busy machine a node may not answer in time for one sample.
 fn printed(options: &Options, is_so: impl Fn(&str) -> bool) -> (Verdict, String) {
     let end = Instant::now() + LIMIT;
     loop {
@@ -111,7 +111,7 @@ fn a_stopped_node_does_not_hold_up_a_sample_of_the_others() {
         send.send(printed(&options, is_so)).unwrap();
     });
     let (verdict, out) = done.recv_timeout(LIMIT).expect("it hangs");
-    // Whoever does not answer is not well.
+    // A node that does not answer is a finding.
     assert_eq!(verdict, Verdict::Finding, "{out}");
 }
 
@@ -137,7 +137,7 @@ fn names_of_the_wire_are_printed_escaped_and_kept_in_json() {
     assert_eq!(json["nodes"][0]["name"], identity(0, 1).node);
 }
 
-/// Takes what is printed until it is enough, then behaves like a pipe whose reader has gone.
+/// Accepts output until it is `enough`, then acts like a closed pipe.
 struct Reader<F> {
     enough: F,
     taken: Arc<std::sync::Mutex<String>>,
@@ -158,7 +158,7 @@ impl<F: Fn(&str) -> bool> std::io::Write for Reader<F> {
     }
 }
 
-/// What is printed until whole lines of it are `enough`.
+/// The output up to the line at which it is `enough`.
 fn print_until(options: Options, enough: impl Fn(&str) -> bool + Send + 'static) -> String {
     let taken = Arc::new(std::sync::Mutex::new(String::new()));
     let mut out = Reader { enough, taken: taken.clone() };
@@ -167,7 +167,7 @@ fn print_until(options: Options, enough: impl Fn(&str) -> bool + Send + 'static)
         let end = Instant::now() + LIMIT;
         let verdict = loop {
             match imrs_monitor::print(&options, &mut out) {
-                // On a busy machine a node may take longer to show itself than the monitor waits for it.
+                // On a busy machine a node may answer later than the monitor waits.
                 Err(imrs_monitor::MonitorError::NothingFound { .. }) if Instant::now() < end => {
                     out.taken.lock().unwrap().clear();
                 }
@@ -202,7 +202,7 @@ fn lines_say_what_happens_while_it_happens() {
         peer.say(&ServerFrame::Snapshot(snapshot(0))).unwrap();
         for round in 12.. {
             thread::sleep(Duration::from_millis(50));
-            // Two kinds by turns, so that no line is folded into the one before.
+            // Alternate two kinds, so that the journal does not merge them.
             let event = if round % 2 == 0 { Event::GaveUp } else { Event::PartnerAborted };
             let happened = observed(event, LIFT, 2, round);
             if peer.say(&ServerFrame::Events(events(0, &[happened]))).is_err() {
@@ -216,7 +216,7 @@ fn lines_say_what_happens_while_it_happens() {
     };
     let out = print_until(options, move |out| out.lines().any(says));
     assert!(out.lines().last().is_some_and(says), "{out}");
-    // A machine that stood still before the first look finds the node silent.
+    // If the machine was stalled before the first sample, the node is silent.
     let stood = out.contains("node nl: up") || out.contains("node nl: SILENT");
     assert!(stood, "how it stood comes first: {out}");
 }

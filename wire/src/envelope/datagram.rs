@@ -1,4 +1,4 @@
-//! Making a datagram.
+//! Builds a datagram from encoded packets.
 
 use super::{
     CHECKSUM_BYTES, Digests, Envelope, HEADER_BYTES, MAX_DATAGRAM_BYTES, MAX_PACKETS, OVERHEAD_BYTES,
@@ -6,7 +6,7 @@ use super::{
 use crate::checksum::CRC;
 use imrs_protocol::PACKET_BYTES;
 
-/// A datagram in the making: collects packets, then is sealed. Reused from one to the next without allocating.
+/// A buffer that collects packets and seals them into a datagram. It is reused for the next datagram without allocating.
 #[derive(Clone, Debug)]
 pub struct Datagram {
     bytes: [u8; MAX_DATAGRAM_BYTES],
@@ -33,7 +33,7 @@ impl Datagram {
         self.packets as usize
     }
 
-    /// Adds an encoded packet, or returns false where [`MAX_PACKETS`] are in it.
+    /// Adds an encoded packet. Returns false if the datagram already has [`MAX_PACKETS`].
     pub fn push(&mut self, packet: &[u8; PACKET_BYTES]) -> bool {
         let room = self.len() < MAX_PACKETS;
         if room {
@@ -44,7 +44,7 @@ impl Datagram {
         room
     }
 
-    /// Closes the datagram, and returns what is to be sent. It can be sealed again with another envelope.
+    /// Writes header and checksum, and returns the bytes to send. The datagram can be sealed again with another envelope.
     pub fn seal(&mut self, envelope: &Envelope, digests: Digests) -> &[u8] {
         let end = self.end();
         if let Some(header) = self.bytes.first_chunk_mut() {
@@ -55,7 +55,7 @@ impl Datagram {
         self.sealed()
     }
 
-    /// What [`seal`](Self::seal) returned, as long as nothing was added or taken out since.
+    /// The bytes that [`seal`](Self::seal) returned. Valid until a packet is added or the packets are cleared.
     #[must_use]
     pub fn sealed(&self) -> &[u8] {
         &self.bytes[..self.end() + CHECKSUM_BYTES]
@@ -66,13 +66,13 @@ impl Datagram {
         HEADER_BYTES + self.len() * PACKET_BYTES
     }
 
-    /// Takes all packets out.
+    /// Removes all packets.
     pub fn clear(&mut self) {
         self.packets = 0;
     }
 }
 
-/// A datagram without packets: a greeting or a refusal.
+/// Encodes a datagram without packets: a greeting or a refusal.
 pub(super) fn bare(envelope: &Envelope, digests: Digests) -> [u8; OVERHEAD_BYTES] {
     let mut bytes = [0; OVERHEAD_BYTES];
     if let Some(header) = bytes.first_chunk_mut() {

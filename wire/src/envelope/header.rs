@@ -1,4 +1,4 @@
-//! The header of mode 0 as bytes: see the layout in the parent module.
+//! Encodes and decodes the header of mode 0; the parent module documents the layout.
 
 use super::{
     COUNTER_END, Digests, Echo, Envelope, EnvelopeError, Greeting, HEADER_BYTES, MAGIC, MODE_CHECKSUM,
@@ -6,7 +6,7 @@ use super::{
 };
 use imrs_protocol::{Incarnation, NodeId};
 
-/// Where the number of packets stands.
+/// Offset of the number of packets.
 pub(super) const COUNT_AT: usize = 18;
 const PURPOSE_MASK: u8 = 0b11;
 const FLAG_ECHO: u8 = 1 << 2;

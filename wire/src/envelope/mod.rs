@@ -1,4 +1,4 @@
-//! The envelope (D48, D144): what every datagram between two nodes looks like.
+//! The envelope: header, packets and checksum of every datagram between two nodes.
 //!
 //! ```text
 //!  0..2   magic 9d 4d
@@ -27,18 +27,18 @@
 //! last 4  CRC-32/MEF over everything before it
 //! ```
 //!
-//! A greeting or a refusal takes 64 bytes, one packet makes 96. The most (44) make 1472, which fit an Ethernet frame under
-//! IPv4; 36 fit 1232 bytes, which every IPv6 network carries. Every mode keeps to the same [`OVERHEAD_BYTES`]: one with
-//! keys has 48 bytes of header and a tag of 16.
+//! A greeting or a refusal takes 64 bytes; each packet adds 32. The maximum of 44 packets makes 1472 bytes, which fit
+//! an Ethernet frame under IPv4. 36 packets make 1216 bytes; every IPv6 network carries 1232. Every mode has the same
+//! [`OVERHEAD_BYTES`]: the mode with keys has a header of 48 bytes and a tag of 16.
 //!
-//! The checksum uses another polynomial than the packets' own, because a checksum that is itself covered by one of the
-//! same polynomial adds nothing: what passes the inner one would pass the outer one as well. It notices up to five
-//! flipped bits in the longest datagram (a test computes this), the fields that relays change included. A checksum says
-//! nothing about zeros behind the end, so the number of packets is written down and covered.
+//! The packets' own checksum uses another polynomial, because two nested checksums of one polynomial detect no more
+//! errors than one. The outer one detects up to five flipped bits in the longest datagram (a test computes this),
+//! including the fields that relays change. A checksum does not detect appended zeros, so the header contains the
+//! number of packets.
 //!
-//! A datagram that is not taken says why ([`EnvelopeError`]). [`read`] judges version and mode before the checksum, since
-//! another version may close its datagrams differently. [`Opened::check`] judges digests, receiver and sender after it, so
-//! that damage is never mistaken for another cell. The digests come before the node ids: ids of another cell mean nothing.
+//! [`EnvelopeError`] names the reason for which a datagram is dropped. [`read`] checks version and mode before the
+//! checksum, because another version may use another checksum. [`Opened::check`] runs after it, so damage is never mistaken
+//! for another cell. It compares the digests before the node ids, because the ids of another cell mean nothing.
 
 mod datagram;
 mod error;
@@ -59,13 +59,13 @@ pub const MAGIC: [u8; 2] = [0x9d, 0x4d];
 pub const VERSION: u8 = 2;
 /// The most packets in one datagram.
 pub const MAX_PACKETS: usize = 44;
-/// What an envelope adds to its packets, in every mode.
+/// Bytes that an envelope adds to its packets, in every mode.
 pub const OVERHEAD_BYTES: usize = HEADER_BYTES + CHECKSUM_BYTES;
 /// The shortest datagram: no packet.
 pub const MIN_DATAGRAM_BYTES: usize = OVERHEAD_BYTES;
 /// The longest datagram.
 pub const MAX_DATAGRAM_BYTES: usize = OVERHEAD_BYTES + MAX_PACKETS * PACKET_BYTES;
-/// Counters are below this: 56 bits, which no node ever uses up.
+/// Exclusive upper bound of datagram counters: 56 bits, which no node ever uses up.
 pub const COUNTER_END: u64 = 1 << 56;
 
 const HEADER_BYTES: usize = 60;
@@ -74,13 +74,13 @@ const MODE_CHECKSUM: u8 = 0;
 /// The mode with keys. Reserved: no node speaks it yet.
 pub const MODE_KEYS: u8 = 1;
 
-/// What two nodes must have in common to talk.
+/// The digests that must be equal on two nodes before they talk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Digests {
-    /// Of the cell's declarations: its canonical table.
+    /// Digest of the cell's declarations, computed over its canonical table.
     pub cell: u32,
-    /// Of the cell's statements: the compiled scripts of all its tasks. Zero where no task has a script: of a task in
-    /// another language nothing is known but that the cell declares it so.
+    /// Digest of the cell's statements: the compiled scripts of all tasks. Zero if no task has a script. Of a task in
+    /// another language it covers only the declaration.
     pub statements: u32,
 }
 
@@ -90,44 +90,43 @@ impl fmt::Display for Digests {
     }
 }
 
-/// Names one start of one node: 64 random bits, drawn anew whenever a node gets a socket. Sessions are compared for
-/// equality only.
+/// Identifies one start of one node: 64 random bits, drawn each time a node opens its socket. Sessions have no order;
+/// only equality means something.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct Session(pub u64);
 
-/// What a datagram says about itself.
+/// The decoded header of a datagram.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Envelope {
-    /// The node that sent it: the last hop, not the packets' source.
+    /// The node that sent this datagram: the previous hop, not the packets' source.
     pub sender: NodeId,
-    /// The node that it is for: the next hop, not the packets' destination.
+    /// The node that this datagram is for: the next hop, not the packets' destination.
     pub receiver: NodeId,
-    /// The incarnation of the sender (D49).
+    /// The incarnation of the sender.
     pub incarnation: Incarnation,
-    /// Whether the sender says that an earlier incarnation of it may have taken requests.
+    /// Whether an earlier incarnation of the sender may have taken requests.
     pub restarted: bool,
     /// The session of the sender.
     pub session: Session,
-    /// The position among the datagrams with packets that this session of the sender sent to this receiver; below
-    /// [`COUNTER_END`].
+    /// The sequence number among the datagrams with packets from this session to this receiver; below [`COUNTER_END`].
     pub counter: u64,
-    /// The sender's monotonic clock, in microseconds: not later than the instant for which the remaining times of the
-    /// packets hold.
+    /// The sender's monotonic clock, in microseconds. It is not later than the instant at which the packets' remaining
+    /// times hold.
     pub tx_mono: u64,
-    /// What the sender last heard of the receiver's clock.
+    /// The receiver's clock, as the sender last heard it.
     pub echo: Option<Echo>,
-    /// What it is for.
+    /// What the datagram is for.
     pub purpose: Purpose,
 }
 
-/// The receiver's own `tx_mono`, come back: the one of its last datagram that reached the sender, plus the time that
-/// the sender has held it since. So at the sender's `tx_mono` the receiver's clock showed `mono` or more, and the round
-/// trip took the receiver's clock on arrival minus `mono`.
+/// The receiver's own clock, returned to it. It is the `tx_mono` of the receiver's last datagram that reached the
+/// sender, plus the time for which the sender has held it. So at the sender's `tx_mono` the receiver's clock showed
+/// `mono` or more. The round trip took the receiver's clock on arrival minus `mono`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Echo {
-    /// The session of the receiver whose clock it is: another session has a clock of another origin.
+    /// The session of the receiver that this clock belongs to: each session's clock has its own origin.
     pub session: Session,
-    /// That clock, in microseconds.
+    /// The receiver's clock, in microseconds.
     pub mono: u64,
 }
 
@@ -136,29 +135,30 @@ pub struct Echo {
 pub enum Purpose {
     /// It carries packets, at least one.
     Packets,
-    /// It tells the receiver about the sender, and carries no packet.
+    /// It introduces the sender, and carries no packet.
     Greeting(Greeting),
-    /// It tells the receiver that the sender takes none of its datagrams, and carries no packet.
+    /// It tells the receiver that the sender drops all of its datagrams, and carries no packet.
     Refusal(Refused),
 }
 
-/// What a node says of itself and of the receiver.
+/// What the sender of a greeting tells about itself and about the receiver.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Greeting {
-    /// Whether the receiver is asked for a greeting of its own. An answer wants none.
+    /// Whether the receiver must answer with a greeting. An answer itself sets this to false.
     pub wants_answer: bool,
-    /// Whether the sender has no incarnation yet: it asks which ones are remembered, and its own field means nothing.
+    /// Whether the sender has no incarnation yet. It then asks for the remembered one, and [`Envelope::incarnation`]
+    /// means nothing.
     pub uncounted: bool,
     /// The newest incarnation of the receiver that the sender remembers.
     pub remembers: Option<Incarnation>,
 }
 
-/// Why a node takes no datagram of another.
+/// Why a node drops all datagrams of another.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Refused {
     /// The cell's declarations differ.
     OtherCell,
-    /// The declarations are the same, and the statements differ.
+    /// The declarations are equal, but the statements differ.
     OtherStatements,
     /// The datagram names another receiver.
     Misdelivered,
@@ -178,21 +178,21 @@ impl Refused {
     }
 }
 
-/// A datagram that is whole. Whether it is for this node, [`check`](Self::check) says.
+/// An intact datagram of any cell. [`check`](Self::check) decides whether it is for this node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Opened<'a> {
     /// The sender's digests.
     pub digests: Digests,
-    /// What it says about itself.
+    /// Its decoded header.
     pub envelope: Envelope,
     /// Its packets, still encoded.
     pub packets: &'a [[u8; PACKET_BYTES]],
 }
 
-/// Takes a datagram of any cell apart.
+/// Decodes a datagram of any cell.
 ///
 /// # Errors
-/// Says why the bytes are no whole datagram. Total: never panics, whatever the bytes are.
+/// Says why the bytes are not an intact datagram. Never panics, whatever the bytes are.
 pub fn read(bytes: &[u8]) -> Result<Opened<'_>, EnvelopeError> {
     let too_short = EnvelopeError::TooShort(bytes.len());
     let (prologue, _) = bytes.split_first_chunk::<4>().ok_or(too_short)?;
@@ -228,11 +228,11 @@ pub fn read(bytes: &[u8]) -> Result<Opened<'_>, EnvelopeError> {
     Ok(Opened { digests, envelope, packets })
 }
 
-/// Takes a datagram for `node` of a cell with these digests apart: what it says about itself, and its packets, still
-/// encoded. `known` tells whether a sender is acceptable.
+/// Decodes a datagram and checks that it is for `node` of a cell with these digests. Returns its header and its
+/// packets, still encoded. `known` decides whether a sender is acceptable.
 ///
 /// # Errors
-/// Says why the bytes are not a datagram for this node. Total: never panics, whatever the bytes are.
+/// Says why the bytes are not a datagram for this node. Never panics, whatever the bytes are.
 pub fn open(
     bytes: &[u8],
     node: NodeId,
@@ -245,10 +245,10 @@ pub fn open(
 }
 
 impl Opened<'_> {
-    /// Whether the datagram is for `node` of a cell with these digests. `known` tells whether a sender is acceptable.
+    /// Checks that the datagram is for `node` of a cell with these digests. `known` decides whether a sender is acceptable.
     ///
     /// # Errors
-    /// Says why not.
+    /// The first check that fails.
     pub fn check(
         &self,
         node: NodeId,
@@ -271,8 +271,8 @@ impl Opened<'_> {
     }
 }
 
-/// Whether incarnation `new` comes after `old`, around the wrap. A launcher counts a node's lives up by one (D49), so
-/// the one less than half the circle ahead is the later.
+/// Whether incarnation `new` comes after `old`, with wrap-around. A launcher increments the incarnation at each start,
+/// so the later one is less than 128 steps ahead.
 #[must_use]
 pub const fn supersedes(new: Incarnation, old: Incarnation) -> bool {
     let steps = new.0.wrapping_sub(old.0);
@@ -290,8 +290,8 @@ mod tests {
     use super::*;
     use std::collections::HashSet;
 
-    /// The choice of polynomial rests on this: no two to five flipped bits of the longest datagram go unnoticed. An odd
-    /// number is noticed because the polynomial is a multiple of x + 1. Two or four bits, moved so that the lowest is
+    /// The polynomial was chosen for this property: it detects any two to five flipped bits in the longest datagram. An odd
+    /// number is detected because the polynomial is a multiple of x + 1. Two or four bits, shifted so that the lowest is
     /// bit 0, go unnoticed only where `1 + x^a = x^b + x^c` (or `1 = x^a`) for powers below the datagram's length.
     #[test]
     fn up_to_five_flipped_bits_of_the_longest_datagram_are_noticed() {
@@ -307,7 +307,7 @@ mod tests {
         }
         let pairs: HashSet<u32> = powers[1..].iter().map(|&a| 1 ^ a).collect();
         assert!(pairs.len() == bits - 1 && !pairs.contains(&0), "two bits");
-        // A bitmap over the low bits turns almost all of the 67 million look-ups away.
+        // A bitmap over the low bits filters out almost all of the 67 million look-ups.
         const FILTER_BITS: u32 = 22;
         let slot = |value: u32| (value & ((1 << FILTER_BITS) - 1)) as usize;
         let mut filter = vec![false; 1 << FILTER_BITS];

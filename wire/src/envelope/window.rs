@@ -1,29 +1,29 @@
-//! Which datagrams of one life of one sender came in already.
+//! A replay window: which datagrams of one incarnation of a sender have already arrived.
 
-/// How far behind the newest counter a datagram may come and still be told from a repetition.
+/// How far a datagram's counter may lie behind the newest one and still be checked for repetition.
 pub const WINDOW: u64 = 1024;
 
 const WORD: u64 = u64::BITS as u64;
 const WORDS: usize = (WINDOW / WORD) as usize;
 
-/// The last [`WINDOW`] counters of one sender (one window per peer and incarnation). Takes every counter at most once;
-/// one that is too far behind to tell is not taken.
+/// A replay window over the last [`WINDOW`] counters of one sender; use one per peer and session. It accepts each
+/// counter at most once, and rejects a counter that is too far behind to be checked.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct ReplayWindow {
-    /// One more than the newest counter taken; zero where none was.
+    /// The newest accepted counter plus one; zero if none was accepted.
     next: u64,
     /// Bit `c % WINDOW` stands for counter `c`, for the `WINDOW` counters before `next`.
     seen: [u64; WORDS],
 }
 
 impl ReplayWindow {
-    /// A window that has seen nothing.
+    /// An empty window.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Whether `counter` is new; from now on it is not.
+    /// Returns whether `counter` is new, and marks it as seen.
     pub fn accept(&mut self, counter: u64) -> bool {
         if !self.is_new(counter) {
             return false;
@@ -35,32 +35,32 @@ impl ReplayWindow {
         true
     }
 
-    /// Whether [`accept`](Self::accept) would take `counter`.
+    /// Whether [`accept`](Self::accept) would accept `counter`.
     #[must_use]
     pub const fn is_new(&self, counter: u64) -> bool {
         counter >= self.next || !self.is_behind(counter) && !self.bit(counter)
     }
 
-    /// Whether `counter` is so far behind the newest one that nothing is known of it any more.
+    /// Whether `counter` has left the window, so that a repetition cannot be detected.
     #[must_use]
     pub const fn is_behind(&self, counter: u64) -> bool {
         counter < self.next && self.next - counter > WINDOW
     }
 
-    /// Whether `counter` is newer than all that were taken.
+    /// Whether `counter` is newer than every accepted one.
     #[must_use]
     pub const fn is_newest(&self, counter: u64) -> bool {
         counter >= self.next
     }
 
-    /// Goes on from `counter`, though newer ones were taken: they were mistakes. Takes `counter`; every earlier one counts
-    /// as seen.
+    /// Accepts `counter` and continues from it, although newer counters were accepted: those were errors. Every earlier
+    /// counter counts as seen.
     pub const fn resume(&mut self, counter: u64) {
         self.next = counter.saturating_add(1);
         self.seen = [u64::MAX; WORDS];
     }
 
-    /// Makes `counter` the newest: forgets the counters that fall out of the window.
+    /// Makes `counter` the newest, and forgets the counters that leave the window.
     fn advance(&mut self, counter: u64) {
         if counter - self.next >= WINDOW {
             self.seen = [0; WORDS];
@@ -88,7 +88,7 @@ impl ReplayWindow {
 
     const fn place(counter: u64) -> (usize, u64) {
         let bit = counter % WINDOW;
-        // Below WORDS, so it fits any usize.
+        // The index is below WORDS, so it fits any usize.
         ((bit / WORD) as usize, 1 << (bit % WORD))
     }
 }
@@ -142,7 +142,7 @@ mod tests {
     }
 
     proptest! {
-        /// Against the plain rule: never seen before, and not too far behind the newest.
+        /// Compares with the plain rule: a counter is accepted if it is unseen and not too far behind the newest.
         #[test]
         fn behaves_as_an_unbounded_memory_would(
             steps in proptest::collection::vec((0..3000_u64, any::<bool>()), 1..400), start in 0..1_u64 << 55,

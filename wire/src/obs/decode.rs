@@ -1,35 +1,35 @@
-//! Bytes to values, totally: any bytes give a value or a [`DecodeError`].
+//! Decodes frames. Decoding is total: any bytes give a value or a [`DecodeError`].
 
 use super::version::Version;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 
-/// Why bytes are no frame of this protocol.
+/// Why bytes are not a frame of this protocol.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum DecodeError {
     /// The first frame does not begin with the magic: the other side speaks something else.
     #[error("the other side does not speak imrs-obs")]
     NotObs,
-    /// The other side speaks another major version. Nothing after the version was looked at.
+    /// The other side speaks another major version. The decoder read nothing after the version.
     #[error("the other side speaks imrs-obs {theirs}, this program {ours}")]
     OtherMajor {
-        /// What the other side speaks.
+        /// The version of the other side.
         theirs: Version,
-        /// What this program speaks.
+        /// The version of this program.
         ours: Version,
     },
-    /// A frame of a kind that this version does not know. The stream is still in step: a reader may go on.
+    /// This version does not know the frame's kind. The stream is still in step, so the reader may read the next frame.
     #[error("a frame of unknown kind {0}")]
     UnknownKind(u32),
-    /// The frame's contents are not what its kind has.
+    /// The frame's contents do not match its kind.
     #[error("a malformed frame ({0})")]
     Malformed(postcard::Error),
-    /// The frame is longer than what its kind has, by so many bytes.
+    /// The frame has this many bytes more than its kind needs.
     #[error("a frame with {0} bytes too many")]
     TrailingBytes(usize),
 }
 
-/// The value that `bytes` are, where its type is an enum of `kinds` variants.
+/// Decodes all of `bytes` as one value of an enum with `kinds` variants.
 pub(crate) fn whole<T: DeserializeOwned>(bytes: &[u8], kinds: u32) -> Result<T, DecodeError> {
     let (kind, _) = postcard::take_from_bytes::<u32>(bytes).map_err(DecodeError::Malformed)?;
     if kind >= kinds {

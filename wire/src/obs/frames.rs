@@ -1,4 +1,4 @@
-//! What is said after the handshake.
+//! The frames that follow the handshake, in both directions.
 
 use super::decode::{DecodeError, whole};
 use super::delta::Delta;
@@ -23,7 +23,7 @@ pub struct LinkName {
     pub a: NodeId,
     /// The other end.
     pub b: NodeId,
-    /// The declared bound of its delay (D20).
+    /// The declared upper bound of the link delay.
     pub delay: Ticks,
 }
 
@@ -32,7 +32,7 @@ pub struct LinkName {
 pub struct TaskName {
     /// Its name.
     pub name: String,
-    /// Where it runs.
+    /// The node on which it runs.
     pub node: NodeId,
 }
 
@@ -41,7 +41,7 @@ pub struct TaskName {
 pub struct PartyName {
     /// The task.
     pub task: TaskId,
-    /// What it does with the port.
+    /// Its use of the port.
     pub usage: Usage,
     /// Its time_out.
     pub time_out: Ticks,
@@ -56,13 +56,13 @@ pub struct PortName {
     pub class: Class,
     /// `bounded_buffer`.
     pub capacity: u16,
-    /// The margin of a `waitfor` (D2); zero on other ports.
+    /// The margin of a `waitfor`; zero on other ports.
     pub margin: Ticks,
     /// Owner first, then the users; of a `waitfor`, all members.
     pub parties: Vec<PartyName>,
 }
 
-/// The names and declared bounds of the whole cell. Sent once, before anything refers to it.
+/// The names and declared bounds of the whole cell. The node sends it once, before any frame that refers to it.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Table {
     /// The name of the cell.
@@ -80,7 +80,7 @@ pub struct Table {
 }
 
 impl Table {
-    /// What a monitor needs to know of `table`.
+    /// The part of `table` that a monitor needs.
     #[must_use]
     pub fn of(table: &CellTable) -> Self {
         let cell = table.cell();
@@ -104,71 +104,71 @@ impl Table {
     }
 }
 
-/// Something that happened, as a communication task or the transit buffer observed it.
+/// An observation of a communication task or of the transit buffer, with its time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TimedEvent {
-    /// The node's monotonic clock then, in microseconds.
+    /// The node's monotonic clock at the event, in microseconds.
     pub mono_us: u64,
-    /// Where: a task, or `None` for the transit buffer.
+    /// The task; `None` for the transit buffer.
     pub task: Option<TaskId>,
-    /// What.
+    /// The observation.
     pub what: Observation,
 }
 
-/// What happened since the last such frame, oldest first for each task.
+/// The events since the previous frame of this kind, oldest first for each task.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Events {
-    /// How many more happened and could not be kept.
+    /// How many further events the node had to drop.
     pub lost: u64,
-    /// Those that were kept.
+    /// The events that were kept.
     pub events: Vec<TimedEvent>,
 }
 
-/// Why a node ends a connection in order.
+/// Why a node closes a connection with a [`Bye`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Goodbye {
     /// The node stops.
     Stopping,
-    /// The monitor sent something that is no [`ClientFrame`].
+    /// The monitor sent bytes that are not a [`ClientFrame`].
     Misunderstood,
 }
 
-/// The last frame of a connection that ends in order.
+/// The last frame before the node closes a connection itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Bye {
     /// Why.
     pub reason: Goodbye,
 }
 
-/// What a node says after the handshake.
+/// A frame from a node to a monitor, after the handshake.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ServerFrame {
-    /// The cell, once.
+    /// The cell. Sent once.
     Table(Table),
-    /// The state of the node.
+    /// The whole state of the node.
     Snapshot(Snapshot),
-    /// What happened.
+    /// Events.
     Events(Events),
-    /// The end.
+    /// The node closes the connection.
     Bye(Bye),
-    /// What changed since the last snapshot or change (1.1).
+    /// What changed since the previous snapshot or delta (1.1).
     Delta(Delta),
-    /// What waits at the ports that are watched (1.1).
+    /// The queues of the watched ports (1.1).
     Detail(Detail),
-    /// How the process does (1.1).
+    /// Metrics of the node's process (1.1).
     Vitals(Vitals),
     /// The answer to a ping (1.1).
     Pong(Pong),
-    /// Where the other nodes are (1.1).
+    /// The addresses of the other nodes (1.1).
     Places(Places),
-    /// The node does not show itself; the connection is closed after this (1.1).
+    /// The node denies access, and closes the connection after this frame (1.1).
     Denied(Denied),
-    /// Which scripts of a restarted node have not begun yet (1.2).
+    /// The scripts of a restarted node that have not begun yet (1.2).
     HeldBack(HeldBack),
 }
 
 impl ServerFrame {
-    /// The first version that has this kind of frame.
+    /// The first protocol version with this kind of frame.
     #[must_use]
     pub const fn since(&self) -> Version {
         let minor = match self {
@@ -184,7 +184,7 @@ impl ServerFrame {
         Version { major: 1, minor }
     }
 
-    /// Whether it costs a credit.
+    /// Whether the frame costs a credit.
     #[must_use]
     pub const fn costs(&self) -> bool {
         match self {
@@ -198,48 +198,48 @@ impl ServerFrame {
         }
     }
 
-    /// The frame that `bytes` are.
+    /// Decodes a frame.
     ///
     /// # Errors
-    /// [`DecodeError`]; after [`DecodeError::UnknownKind`] the next frame can still be read.
+    /// [`DecodeError`]. After [`DecodeError::UnknownKind`] the next frame can still be read.
     pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
         whole(bytes, 11)
     }
 }
 
-/// How much a monitor wants to see.
+/// A monitor's subscription, as of version 1.0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Subscribe {
-    /// Microseconds between snapshots. A node may take longer; it never takes less than 10 ms.
+    /// Microseconds between snapshots. A node may take longer; values below 10 ms count as 10 ms.
     pub period_us: u32,
-    /// How many waiting messages of each port a snapshot lists; at most 64 are.
+    /// How many queued messages of each port a snapshot lists; at most 64.
     pub queue_limit: u8,
-    /// Whether events are wanted.
+    /// Whether the node sends events.
     pub events: bool,
     /// How many frames the node may send before it needs a [`ClientFrame::Credit`].
     pub credit: u16,
 }
 
-/// What a monitor says after the handshake. Nothing here can change a node.
+/// A frame from a monitor to a node, after the handshake. No frame can change the node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ClientFrame {
-    /// Begins the snapshots, or changes what is wanted from now on. The credit replaces what was left.
+    /// Starts the snapshots, or changes the subscription. Its credit replaces the remaining credit.
     Subscribe(Subscribe),
-    /// The node may send so many frames more. The sum saturates.
+    /// The node may send this many more frames. The sum saturates.
     Credit(u16),
-    /// Begins what is wanted, or changes it from now on (1.1). The credit replaces what was left. It does not begin
-    /// anew: what changed goes on from what was sent last, if that had as many messages per port.
+    /// Starts or changes a subscription (1.1). Its credit replaces the remaining credit. The deltas do not restart: the
+    /// next one continues from the last snapshot sent, if that one listed as many messages per port.
     Want(Want),
     /// Asks for the node's clock (1.1).
     Ping(Ping),
-    /// Shows that the monitor may look (1.1). Before anything else is said.
+    /// Proves that the monitor may watch (1.1). Sent before any other frame.
     Token(Token),
-    /// Asks for a whole snapshot in place of the next change (1.1).
+    /// Asks for a whole snapshot instead of the next delta (1.1).
     Whole,
 }
 
 impl ClientFrame {
-    /// The frame that `bytes` are.
+    /// Decodes a frame.
     ///
     /// # Errors
     /// [`DecodeError`].

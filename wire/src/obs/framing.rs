@@ -1,16 +1,16 @@
-//! Frames over any byte stream: resumable, so that they work with time limits and non-blocking sockets.
+//! Reads and writes length-prefixed frames over any byte stream. Both resume after a timeout or `WouldBlock`.
 
 use serde::Serialize;
 use std::io::{self, ErrorKind, Read, Write};
 use thiserror::Error;
 
-/// The longest frame, in bytes, its length field not counted.
+/// The longest frame, in bytes, without its length field.
 pub const MAX_FRAME: usize = 1 << 20;
-/// The longest frame that a node takes from a monitor: what a monitor has to say is short.
+/// The longest frame that a node accepts from a monitor, in bytes: requests are short.
 pub const MAX_REQUEST: usize = 4096;
 
 const LENGTH: usize = 4;
-/// How much room is made before the bytes for it have come: a length field alone costs a reader no more than this.
+/// How much memory is allocated before the bytes for it have arrived, so that a length field alone costs a reader little.
 const STEP: usize = 64 * 1024;
 
 /// Why a frame could not be read or written.
@@ -22,12 +22,12 @@ pub enum FrameError {
     /// The other side closed the stream within a frame.
     #[error("the connection was closed after {got} of a frame's {of} bytes")]
     Truncated {
-        /// How many of the frame's bytes came, its length field included.
+        /// How many of the frame's bytes arrived, its length field included.
         got: usize,
-        /// How many it has; of an incomplete length field, the field's own four.
+        /// How many bytes the frame has; for an incomplete length field, four.
         of: usize,
     },
-    /// A frame longer than the limit was announced. The stream cannot be read any further.
+    /// The length field exceeds the limit. The stream cannot be read any further.
     #[error("a frame of {length} bytes was announced, the limit is {limit}")]
     TooLong {
         /// The announced length.
@@ -35,7 +35,7 @@ pub enum FrameError {
         /// The limit.
         limit: usize,
     },
-    /// Nothing (more) can be read or written now. Call again later: what has come or gone is kept.
+    /// The stream would block. Call again later: the bytes read or written so far are kept.
     #[error("the other side is not ready")]
     NotReady,
     /// The value cannot be encoded.
@@ -46,12 +46,12 @@ pub enum FrameError {
     Io(#[from] io::Error),
 }
 
-/// Reads frames.
+/// Reads frames from a byte stream.
 #[derive(Debug)]
 pub struct FrameReader<R> {
     source: R,
     limit: usize,
-    /// The length field and the contents, as far as they have come.
+    /// The bytes of the current frame that have arrived, its length field included.
     bytes: Vec<u8>,
     have: usize,
 }
@@ -84,7 +84,7 @@ impl<R: Read> FrameReader<R> {
         }
     }
 
-    /// The length of the frame with its length field, once that has come.
+    /// The length of the frame, length field included, once that field has arrived.
     fn whole(&self) -> Result<Option<usize>, FrameError> {
         let (true, Some(field)) = (self.have >= LENGTH, self.bytes.first_chunk::<LENGTH>()) else {
             return Ok(None);
@@ -102,7 +102,7 @@ impl<R: Read> FrameReader<R> {
             self.bytes.resize(end, 0);
         }
         let read = match self.source.read(&mut self.bytes[self.have..end]) {
-            // A peer that died with something unread resets the connection: it is closed all the same.
+            // A peer that died with unread data resets the connection, which counts as closed.
             Err(e) if e.kind() == ErrorKind::ConnectionReset => Ok(0),
             read => read,
         };
@@ -122,14 +122,14 @@ impl<R: Read> FrameReader<R> {
     }
 }
 
-/// Writes frames. What a slow reader has not taken yet waits here: whoever writes pushes the next frame only when
-/// [`is_drained`](Self::is_drained), so that never more than one waits.
+/// Writes frames. It keeps the bytes that a slow reader has not taken yet. Push the next frame only when
+/// [`is_drained`](Self::is_drained) returns true, so that never more than one is pending.
 #[derive(Debug)]
 pub struct FrameWriter<W> {
     sink: W,
     pending: Vec<u8>,
     gone: usize,
-    /// Where values are encoded, kept for its memory.
+    /// Scratch buffer for encoding, kept to avoid allocations.
     scratch: Vec<u8>,
 }
 
@@ -150,10 +150,10 @@ impl<W: Write> FrameWriter<W> {
         self.gone == self.pending.len()
     }
 
-    /// Adds `value` to what is pending. Writes nothing.
+    /// Appends `value` as a frame to the pending bytes. Writes nothing.
     ///
     /// # Errors
-    /// [`FrameError::TooLong`] and [`FrameError::Encode`]; then nothing is added.
+    /// [`FrameError::TooLong`] and [`FrameError::Encode`]; nothing is appended then.
     pub fn push<T: Serialize>(&mut self, value: &T) -> Result<(), FrameError> {
         let mut scratch = std::mem::take(&mut self.scratch);
         scratch.clear();
@@ -163,11 +163,11 @@ impl<W: Write> FrameWriter<W> {
         pushed
     }
 
-    /// Adds a frame of these contents to what is pending: a [`Handshake`](super::Handshake), or an encoded frame that
-    /// goes to several readers.
+    /// Appends a frame with these contents to the pending bytes: a [`Handshake`](super::Handshake), or a frame that is
+    /// encoded once for several readers.
     ///
     /// # Errors
-    /// [`FrameError::TooLong`]; then nothing is added.
+    /// [`FrameError::TooLong`]; nothing is appended then.
     pub fn push_bytes(&mut self, contents: &[u8]) -> Result<(), FrameError> {
         let length = contents.len();
         let field = u32::try_from(length).ok().filter(|_| length <= MAX_FRAME);
@@ -177,7 +177,7 @@ impl<W: Write> FrameWriter<W> {
         Ok(())
     }
 
-    /// Writes what is pending.
+    /// Writes the pending bytes.
     ///
     /// # Errors
     /// After [`FrameError::NotReady`] call again; every other error ends the stream.

@@ -1,9 +1,9 @@
-//! A snapshot put together from the machines of a node, the same for a running node and for one in a checker.
+//! Assembles a snapshot from the state machines of a node. A running node and the checker use the same code.
 
 use super::snapshot::{Count, Liveness, Snapshot, TaskSnapshot};
 use imrs_protocol::{Reason, TaskView, TransitView};
 
-/// What the machines of a node say of themselves, while it is asked together.
+/// Collects the views of a node's state machines, one after the other.
 #[derive(Clone, Debug)]
 pub struct Gathering {
     tasks: Vec<TaskSnapshot>,
@@ -11,20 +11,20 @@ pub struct Gathering {
 }
 
 impl Gathering {
-    /// Nothing so far, but the messages that the node itself dropped, by [`Reason::ALL`] position.
+    /// Starts with the messages that the node itself dropped, by [`Reason::ALL`] position.
     #[must_use]
     pub const fn new(discards: [u64; Reason::ALL.len()]) -> Self {
         Self { tasks: Vec::new(), discards }
     }
 
-    /// Adds a communication task: how it looked `age_us` microseconds before the sample, and the messages that it
-    /// dropped. Tasks are added in their order.
+    /// Adds the view of a communication task, taken `age_us` microseconds before the sample, and its drop counters.
+    /// Tasks are added in ascending order.
     pub fn task(&mut self, liveness: Liveness, age_us: u64, view: TaskView, discards: &[u64]) {
         self.add(discards);
         self.tasks.push(TaskSnapshot { liveness, age_us, view });
     }
 
-    /// The snapshot, but for what only the node knows: its clock, its Timer and its links.
+    /// The snapshot without the fields that only the node knows: its clock, its Timer and its links.
     #[must_use]
     pub fn snapshot(mut self, transit: TransitView) -> Snapshot {
         self.add(&transit.discarded);

@@ -6,59 +6,59 @@ use imrs_protocol::Incarnation;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// The CRC-32 of the golden frames of [`VERSION`] and of the minor versions before it: two builds of one version that differ in it were made from
-/// different types and would misread each other.
+/// The CRC-32 of the golden frames of [`VERSION`] and of the minor versions before it. Two builds of one version with
+/// different values have different frame types, and would misread each other.
 pub const SCHEMA: u32 = 0xed49_0a48;
 
 const MAGIC: [u8; 4] = *b"IMOB";
-/// The magic, the major and the minor version: the part that no version changes.
+/// Length of the magic and of the major and minor version: the part that no version changes.
 const HEADER: usize = 8;
 
-/// A node, as it introduces itself.
+/// A node's introduction of itself.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NodeIdentity {
     /// The name of its cell.
     pub cell: String,
-    /// The digest of its cell's table; nodes that differ in it do not talk to each other (D48).
+    /// The digest of its cell's table. Nodes with different digests do not talk to each other.
     pub digest: u32,
     /// Its own name.
     pub node: String,
     /// Its position in the cell's list of nodes.
     pub id: u16,
-    /// Which life of the node this is (D49).
+    /// The node's incarnation.
     pub incarnation: Incarnation,
-    /// Microseconds in one tick of the remaining times it will report.
+    /// Microseconds per tick of the remaining times in later frames.
     pub tick_us: u64,
 }
 
-/// Who introduces itself.
+/// The kind of program that sends the introduction.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Role {
     /// A running node.
     Node(NodeIdentity),
-    /// Somebody who looks.
+    /// A monitor, recorder or test.
     Monitor,
 }
 
-/// The introduction that both sides begin with.
+/// The introduction with which both sides begin.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Hello {
-    /// The types this program was built from: [`SCHEMA`].
+    /// Identifies the frame types of this build: [`SCHEMA`].
     pub schema: u32,
-    /// The process.
+    /// The process id.
     pub pid: u32,
     /// Name and version of the program, for people.
     pub build: String,
     /// The sender's monotonic clock, in microseconds from an arbitrary start.
     pub mono_us: u64,
-    /// Who this is.
+    /// The kind of program, with a node's identity.
     pub role: Role,
 }
 
 /// Why a node does not serve a monitor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, Error)]
 pub enum Refusal {
-    /// The major versions differ; both are named so that a person can act.
+    /// The major versions differ. Both are named, so that a person can update one program.
     #[error("the node speaks imrs-obs {node}, this program {monitor}: use programs of one release")]
     OtherMajor {
         /// The node's version.
@@ -66,7 +66,7 @@ pub enum Refusal {
         /// The monitor's version.
         monitor: Version,
     },
-    /// Same version, but built from different types.
+    /// The versions are equal, but the builds have different frame types.
     #[error(
         "the node was built from other frame types (schema {node:08x}, this program {monitor:08x}): use programs of one release"
     )]
@@ -76,10 +76,10 @@ pub enum Refusal {
         /// The monitor's schema.
         monitor: u32,
     },
-    /// As many monitors as it serves are connected.
+    /// The node already serves its maximum number of monitors.
     #[error("the node serves {limit} monitors already: close one")]
     TooMany {
-        /// How many it serves.
+        /// That maximum.
         limit: u16,
     },
     /// The first frame was a node's, not a monitor's.
@@ -90,17 +90,17 @@ pub enum Refusal {
 /// The first frame in each direction.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Handshake {
-    /// Go ahead.
+    /// The sender's introduction.
     Hello(Hello),
-    /// No. The connection is closed after this.
+    /// The node refuses, and closes the connection after this.
     Refused(Refusal),
 }
 
 impl Handshake {
-    /// The frame's contents, as spoken by `version` ([`VERSION`], except in tests).
+    /// The frame's contents in `version` ([`VERSION`], except in tests).
     ///
     /// # Panics
-    /// Never: memory is the only thing that this encoding can run out of.
+    /// Never: the encoding can only run out of memory.
     #[must_use]
     pub fn encode(&self, version: Version) -> Vec<u8> {
         let mut bytes = MAGIC.to_vec();
@@ -109,7 +109,7 @@ impl Handshake {
         postcard::to_extend(self, bytes).expect("a Vec takes any length")
     }
 
-    /// The handshake that a frame's contents are, and the version its sender speaks.
+    /// Decodes a handshake, and returns the sender's version with it.
     ///
     /// # Errors
     /// [`DecodeError::NotObs`] and [`DecodeError::OtherMajor`] are decided by the first eight bytes, in every version.
@@ -128,10 +128,10 @@ impl Handshake {
     }
 }
 
-/// The version that a node and a monitor use with each other.
+/// Chooses the version that a node and a monitor use with each other. Each argument is a version and its schema.
 ///
 /// # Errors
-/// What the node answers where they have none in common.
+/// The refusal that the node sends if the two have no version in common.
 pub fn agree(node: (Version, u32), monitor: (Version, u32)) -> Result<Version, Refusal> {
     if node.0.major != monitor.0.major {
         return Err(Refusal::OtherMajor { node: node.0, monitor: monitor.0 });

@@ -1,40 +1,40 @@
-//! The observation protocol `imrs-obs/1`: how a running node shows itself to a monitor, a recorder or a test.
+//! The observation protocol `imrs-obs/1`: a running node shows its state to a monitor, a recorder or a test.
 //!
 //! # A connection
 //!
-//! 1. The monitor sends a [`Handshake::Hello`]. The node answers with its own, or with a [`Handshake::Refused`].
-//!    Both begin with the magic and the version at fixed places, so that programs of different major versions can
-//!    still name both versions to their users ([`DecodeError::OtherMajor`]). The minor version in use is the smaller
-//!    of the two ([`agree`]).
+//! 1. The monitor sends a [`Handshake::Hello`]. The node answers with its own, or with a [`Handshake::Refused`]. Both
+//!    begin with the magic and the version at fixed offsets. So programs of different major versions can still name
+//!    both versions to their users ([`DecodeError::OtherMajor`]). The smaller of the two minor versions is used
+//!    ([`agree`]).
 //! 2. The node sends one [`ServerFrame::Table`]: the names that all later frames refer to by index.
 //! 3. The monitor sends [`ClientFrame::Subscribe`] and, from time to time, [`ClientFrame::Credit`].
-//! 4. The node sends [`ServerFrame::Snapshot`] once per period and [`ServerFrame::Events`] as they come. Each costs
-//!    one credit. Without credit the node sends nothing: it lets snapshots go by and counts the events it cannot
-//!    keep in [`Events::lost`], so a slow monitor costs a node a bounded amount of memory and no time.
-//! 5. Either side closes. A node that stops in order says [`ServerFrame::Bye`] first.
+//! 4. The node sends a [`ServerFrame::Snapshot`] once per period, and [`ServerFrame::Events`] as they occur. Each frame
+//!    costs one credit. Without credit the node sends nothing: it skips snapshots, and counts the events that it cannot
+//!    keep in [`Events::lost`]. So a slow monitor costs a node a bounded amount of memory and no time.
+//! 5. Either side closes. A node that stops in order sends a [`ServerFrame::Bye`] first.
 //!
-//! # What version 1.1 adds (D115)
+//! # What version 1.1 adds
 //!
-//! Instead of [`ClientFrame::Subscribe`] a monitor says [`ClientFrame::Want`]: then snapshots come as what changed
-//! ([`Delta`]), of which only the first is whole; of the ports that are watched it tells what each message has been through
-//! ([`Detail`]), and now and then how the process does ([`Vitals`]). [`ClientFrame::Ping`] compares the clocks.
-//! [`ServerFrame::Places`] says where the other nodes are. A node that asks for a [`Token`] says nothing but its hello
-//! until it has come, and [`Denied`] if it does not. Neither side says any of this to one that speaks 1.0, for whom all is
-//! as it was.
+//! A monitor sends [`ClientFrame::Want`] instead of [`ClientFrame::Subscribe`]. Then only the first snapshot is whole,
+//! and later ones are sent as a [`Delta`]. For watched ports the node sends what each queued message has been through
+//! ([`Detail`]). From time to time it sends metrics of its process ([`Vitals`]). [`ClientFrame::Ping`] compares the
+//! clocks. [`ServerFrame::Places`] has the addresses of the other nodes. A node with a [`Token`] sends nothing but its
+//! hello until the monitor has sent that token; without it the node sends [`Denied`]. Neither side sends any of these
+//! frames to a peer that speaks 1.0.
 //!
-//! # What version 1.2 adds (D157)
+//! # What version 1.2 adds
 //!
-//! [`ServerFrame::HeldBack`] says which scripts of a restarted node are held back, and for how long. A peer that speaks 1.1 is
-//! not told.
+//! [`ServerFrame::HeldBack`] lists the scripts of a restarted node that are held back, and for how long. A peer that
+//! speaks 1.1 does not receive it.
 //!
-//! No message can change a node: the only things a monitor can say are how much it wants to see, and how often.
+//! No message can change a node: a monitor can only say how much it wants to see, and how often.
 //!
 //! # Encoding
 //!
-//! A frame is its length (u32, little endian, at most [`MAX_FRAME`]) and that many bytes of postcard. postcard does
-//! not describe itself, so the types of one version never change: what is added comes as a further variant of
-//! [`ServerFrame`] or [`ClientFrame`] under a higher minor version, is sent only to a peer that speaks it, and reads
-//! as [`DecodeError::UnknownKind`] elsewhere. The golden bytes of each version are kept in `tests/obs_golden`.
+//! A frame is a length (u32, little endian, at most [`MAX_FRAME`]) and that many bytes of postcard. postcard is not
+//! self-describing, so the types of one version never change. An addition is a new variant of [`ServerFrame`] or
+//! [`ClientFrame`] under a higher minor version. It is sent only to a peer that speaks that version, and decodes as
+//! [`DecodeError::UnknownKind`] elsewhere. `tests/obs_golden` keeps the golden bytes of each version.
 
 mod decode;
 mod delta;

@@ -1,7 +1,7 @@
-//! Where nodes put their sockets and monitors look for them (D64): `<base>/<cell>/<node>-<pid>.sock`.
+//! The paths of the Unix sockets that nodes create and monitors look for: `<base>/<cell>/<node>-<pid>.sock`.
 //!
-//! The base is `$XDG_RUNTIME_DIR/imrs`, or else `imrs-<uid>` in the folder for temporary files. A node makes these
-//! folders for its user alone; nobody uses one that is another's.
+//! The base is `$XDG_RUNTIME_DIR/imrs`, or else `imrs-<uid>` in the folder for temporary files. A node creates these
+//! folders with access for its user only. Neither nodes nor monitors use a folder that belongs to another user.
 
 use std::ffi::OsStr;
 use std::fs::{self, DirBuilder};
@@ -11,21 +11,21 @@ use std::os::unix::net::UnixStream;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
 
-/// The longest path that the name of a Unix socket can be, in bytes.
+/// The longest path of a Unix socket, in bytes.
 pub const MAX_PATH: usize = 107;
-/// The longest part of a file name that stands for a cell's or a node's name.
+/// The longest part of a file name that encodes the name of a cell or node.
 const MAX_NAME: usize = 32;
 
-/// Why there is no place for a socket.
+/// Why a socket path cannot be used.
 #[derive(Debug, Error)]
 pub enum PlaceError {
-    /// The folder belongs to another user, or others may look into it.
+    /// The folder belongs to another user, or other users have access to it.
     #[error("{0} is not private to this user: remove it, or set XDG_RUNTIME_DIR")]
     NotPrivate(PathBuf),
     /// The path would be longer than [`MAX_PATH`].
     #[error("{0} is too long for a socket: set XDG_RUNTIME_DIR to a shorter path")]
     TooLong(PathBuf),
-    /// The folder could not be made or looked at.
+    /// The folder could not be created or inspected.
     #[error("cannot use the socket folder {path}: {source}")]
     Io {
         /// The folder.
@@ -47,7 +47,7 @@ pub fn socket_dir(cell: &str) -> PathBuf {
     base_dir().join(file_name(cell))
 }
 
-/// Makes the folder of `cell` under [`base_dir`], private to this user, and gives the path of the socket of `node` in
+/// Creates the folder of `cell` under [`base_dir`], private to this user. Returns the path of the socket of `node` in
 /// the process `pid`.
 ///
 /// # Errors
@@ -74,10 +74,10 @@ pub fn prepare_in(base: &Path, cell: &str, node: &str, pid: u32) -> Result<PathB
     if path.as_os_str().len() > MAX_PATH { Err(PlaceError::TooLong(path)) } else { Ok(path) }
 }
 
-/// The sockets of all cells under `base`, sorted. A missing folder has none; a folder of another user is left alone.
+/// The sockets of all cells under `base`, sorted. If `base` is missing, there are none. A folder of another user is skipped.
 ///
 /// # Errors
-/// [`PlaceError::Io`] where `base` exists and cannot be read.
+/// [`PlaceError::Io`] if `base` exists and cannot be read.
 pub fn sockets_in(base: &Path) -> Result<Vec<PathBuf>, PlaceError> {
     let entries = match fs::read_dir(base) {
         Ok(entries) => entries,
@@ -95,22 +95,22 @@ pub fn sockets_in(base: &Path) -> Result<Vec<PathBuf>, PlaceError> {
     Ok(found)
 }
 
-/// The process that a socket's file name names.
+/// The process id in a socket's file name.
 #[must_use]
 pub fn pid_of(socket: &Path) -> Option<u32> {
     let stem = socket.file_name().and_then(OsStr::to_str)?.strip_suffix(".sock")?;
     stem.rsplit_once('-')?.1.parse().ok()
 }
 
-/// What stands for the node's name in a socket's file name: [`file_name`] of it.
+/// The node's name in a socket's file name, encoded by [`file_name`].
 #[must_use]
 pub fn node_of(socket: &Path) -> Option<&str> {
     let stem = socket.file_name().and_then(OsStr::to_str)?.strip_suffix(".sock")?;
     stem.rsplit_once('-').map(|(node, _)| node)
 }
 
-/// Removes `socket` if nothing can be behind it any more: it is this user's, its process is gone, and connecting is
-/// refused. Says whether it was removed.
+/// Removes `socket` if no process can be listening: this user owns it, its process is gone, and a connection is
+/// refused. Returns whether it was removed.
 #[must_use]
 pub fn remove_if_stale(socket: &Path) -> bool {
     let ours = fs::symlink_metadata(socket).is_ok_and(|m| Some(m.uid()) == own_uid());
@@ -119,13 +119,13 @@ pub fn remove_if_stale(socket: &Path) -> bool {
     ours && gone() && refused() && fs::remove_file(socket).is_ok()
 }
 
-/// Whether no process has this id, or one that has ended and that its parent has not asked after yet. Only certain where
-/// `/proc` is there to ask.
+/// Whether the process has ended: no process has this id, or its parent has not reaped it yet. False if `/proc` is
+/// missing.
 fn is_gone(pid: u32) -> bool {
     let Ok(stat) = fs::read_to_string(format!("/proc/{pid}/stat")) else {
         return Path::new("/proc/self").exists() && !Path::new(&format!("/proc/{pid}")).exists();
     };
-    // The name before may have any signs in it.
+    // The process name before the last parenthesis may contain any characters.
     let state = stat.rsplit_once(')').and_then(|(_, rest)| rest.trim_start().chars().next());
     matches!(state, Some('Z' | 'X'))
 }
@@ -136,14 +136,14 @@ fn base_from(runtime_dir: Option<&OsStr>, temp: &Path, uid: Option<u32>) -> Path
     named.map_or_else(private, |dir| dir.join("imrs"))
 }
 
-/// The user of this process, from what the system says of the process itself or of its home folder.
+/// The user id of this process, read from `/proc/self` or from the owner of its home folder.
 fn own_uid() -> Option<u32> {
     let of = |path: &Path| fs::metadata(path).ok().map(|m| m.uid());
     of(Path::new("/proc/self")).or_else(|| of(Path::new(&std::env::var_os("HOME")?)))
 }
 
-/// A file name that stands for `name`: letters, digits, `_` and inner `.` and `-` as they are, anything else as `%XX`;
-/// a long one is cut and ends with a hash of the whole. Who wants the true name asks the node.
+/// A file name for `name`. Letters, digits, `_` and inner `.` and `-` stay, and any other byte becomes `%XX`. A long
+/// name is cut and ends with a hash of the whole. The encoding is lossy: ask the node for its name.
 #[must_use]
 pub fn file_name(name: &str) -> String {
     let mut out = String::new();
@@ -156,7 +156,7 @@ pub fn file_name(name: &str) -> String {
         }
     }
     if out.len() > MAX_NAME {
-        // FNV-1a: only tells names with one beginning apart.
+        // FNV-1a, to tell apart names with the same beginning.
         let fnv = |hash: u32, byte: u8| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193);
         let hash = name.bytes().fold(0x811c_9dc5, fnv);
         out.truncate(MAX_NAME - 9);

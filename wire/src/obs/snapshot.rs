@@ -1,4 +1,4 @@
-//! The state of a node at one instant.
+//! The snapshot: the state of a node at one instant.
 
 use imrs_protocol::{NodeId, TaskId, TaskView, Ticks, TimeId, TransitView};
 use serde::{Deserialize, Serialize};
@@ -10,7 +10,7 @@ pub enum Liveness {
     Alive,
     /// It returned.
     Ended,
-    /// It panicked (D43).
+    /// It panicked.
     Crashed,
 }
 
@@ -19,25 +19,25 @@ pub enum Liveness {
 pub struct TaskSnapshot {
     /// Whether the task still runs.
     pub liveness: Liveness,
-    /// How long before [`Snapshot::mono_us`] the communication task last advanced, in microseconds: every remaining
-    /// time in `view` was true then, and is shorter by this at the snapshot.
+    /// How long before [`Snapshot::mono_us`] the communication task last advanced, in microseconds. The remaining times
+    /// in `view` are as of that moment; at the snapshot each is shorter by this.
     pub age_us: u64,
-    /// Its state; at most the subscribed number of messages per port.
+    /// Its state, with at most the subscribed number of messages per port.
     pub view: TaskView,
 }
 
 /// An entry of the node's Timer (Figure 3).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TimerEntry {
-    /// Whose it is.
+    /// The task that set it.
     pub owner: TaskId,
-    /// Its name at its owner.
+    /// Its identifier, unique within that task.
     pub id: TimeId,
-    /// What is left of it at the snapshot.
+    /// The remaining time at the snapshot.
     pub remaining: Ticks,
 }
 
-/// A named counter. It only grows while the node lives.
+/// A named counter. It only grows during one incarnation of the node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Count {
     /// What is counted: snake_case, as [`Reason::name`](imrs_protocol::Reason::name).
@@ -51,38 +51,38 @@ pub struct Count {
 pub struct LinkView {
     /// The neighbour.
     pub peer: NodeId,
-    /// How long ago anything came from it, in microseconds; `None` before the first time.
+    /// Time since the last datagram from it, in microseconds; `None` before the first one.
     pub heard_us: Option<u64>,
     /// Packets sent to it.
     pub sent: u64,
-    /// Packets taken from it.
+    /// Packets accepted from it.
     pub received: u64,
 }
 
 /// Whether a node runs in real time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RealTime {
-    /// Nobody asked for it.
+    /// It was not requested.
     #[default]
     NotAsked,
-    /// Under SCHED_FIFO, its memory locked, on one core.
+    /// Granted: SCHED_FIFO, locked memory, one core.
     Had,
-    /// The kernel refused some of it.
+    /// The kernel refused a part of the request.
     Refused {
         /// Its memory is not locked.
         memory: bool,
         /// It runs under the ordinary scheduler.
         scheduler: bool,
-        /// It may move from core to core.
+        /// It may migrate between cores.
         core: bool,
     },
 }
 
-/// The whole state of a node at one instant (a keyframe). Never longer than a frame: a node whose snapshot would be
-/// sends fewer messages per port.
+/// The whole state of a node at one instant (a keyframe). It always fits a frame: a node lists fewer messages per port
+/// if the snapshot would be longer.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Snapshot {
-    /// The node's monotonic clock at the sample, in microseconds, as in its hello.
+    /// The node's monotonic clock at the sample, in microseconds: the same clock as in its hello.
     pub mono_us: u64,
     /// How long the node has run, in microseconds.
     pub uptime_us: u64,
@@ -100,8 +100,8 @@ pub struct Snapshot {
     pub timers: Vec<TimerEntry>,
     /// Its links.
     pub links: Vec<LinkView>,
-    /// Messages dropped by its machines, by reason; reasons that never occurred may be left out.
+    /// Messages dropped by its state machines, by reason; reasons with a count of zero may be missing.
     pub discards: Vec<Count>,
-    /// Datagrams and packets dropped by its links before they reached a machine, by reason.
+    /// Datagrams and packets that its links dropped before a state machine saw them, by reason.
     pub link_discards: Vec<Count>,
 }

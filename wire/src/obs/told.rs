@@ -1,19 +1,19 @@
-//! What a node says since version 1.1, besides what changed: watched queues, how the process does, where others are; and since
-//! version 1.2, which scripts are held back.
+//! The frames that version 1.1 added besides deltas (watched queues, process metrics, addresses of other nodes), and
+//! the held-back scripts of version 1.2.
 
 use imrs_protocol::{NodeId, PortId, QueueView, TaskId, Ticks};
 use serde::{Deserialize, Serialize};
 
-/// The most ports that one monitor can watch at one node.
+/// The most ports that one monitor can watch on one node.
 pub const MAX_WATCHED: usize = 64;
 
-/// The queues of the ports that are watched ([`Want::watched`](super::Want::watched)), a little after the snapshot that
-/// came before.
+/// The queues of the watched ports ([`Want::watched`](super::Want::watched)), sampled a little after the previous
+/// snapshot.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Detail {
     /// The node's monotonic clock, in microseconds.
     pub mono_us: u64,
-    /// The ports, in the order they were asked for; those that the node does not have are left out.
+    /// The ports, in the order of the request; ports that the node does not have are missing.
     pub ports: Vec<PortDetail>,
 }
 
@@ -24,44 +24,44 @@ pub struct PortDetail {
     pub task: TaskId,
     /// The port.
     pub port: PortId,
-    /// How long before [`Detail::mono_us`] the times in `queue` were true, in microseconds.
+    /// How long before [`Detail::mono_us`] the remaining times in `queue` were measured, in microseconds.
     pub age_us: u64,
-    /// What waits there.
+    /// Its queued messages.
     pub queue: QueueView,
 }
 
-/// How the process of a node does. Counters only grow while it lives.
+/// Metrics of a node's process. Counters only grow during one incarnation.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Vitals {
     /// The node's monotonic clock, in microseconds.
     pub mono_us: u64,
     /// How late its Timer was.
     pub timer: Lateness,
-    /// What its links found wrong with datagrams, and how sure the node is of how long they waited in the kernel (D50):
-    /// [`Snapshot::link_discards`](super::Snapshot::link_discards) has what was lost, here is the rest.
+    /// Link diagnostics other than drops: irregular datagrams, and how well the node knows the time that they waited in
+    /// the kernel. Drops are in [`Snapshot::link_discards`](super::Snapshot::link_discards).
     pub links: Vec<super::Count>,
-    /// Where the node records its inputs to, if it does.
+    /// The recording of the node's inputs, if there is one.
     pub recording: Option<RecordingFacts>,
     /// Processor time of the process, in microseconds.
     pub cpu_us: u64,
-    /// Its resident memory, in bytes; zero where that cannot be asked.
+    /// Its resident memory, in bytes; zero if unknown.
     pub memory: u64,
-    /// Its threads; zero where that cannot be asked.
+    /// Its threads; zero if unknown.
     pub threads: u32,
 }
 
-/// How much later than their instant the expiries were looked after that no task's thread slept for.
+/// How late the Timer handled expiries for which no task's thread slept.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Lateness {
-    /// How many, since the start.
+    /// How many expiries since the start.
     pub count: u64,
-    /// How many of them later than the declared tick of the cell.
+    /// How many of those were later than the declared tick of the cell.
     pub late: u64,
-    /// Half of those since the last such frame were no later than this, in microseconds.
+    /// Median lateness of the expiries since the previous frame of this kind, in microseconds.
     pub p50_us: u64,
-    /// 99 of a hundred were no later.
+    /// Their 99th percentile, in microseconds.
     pub p99_us: u64,
-    /// None was later.
+    /// Their maximum, in microseconds.
     pub max_us: u64,
 }
 
@@ -70,22 +70,22 @@ pub struct Lateness {
 pub struct RecordingFacts {
     /// The file.
     pub path: String,
-    /// How many inputs could not be written down.
+    /// How many inputs were lost to the recording.
     pub lost: u64,
-    /// Why it is no longer written, if so.
+    /// Why writing stopped, if it did.
     pub failure: Option<String>,
 }
 
 /// The answer to a [`Ping`](super::Ping).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Pong {
-    /// What the ping said.
+    /// [`Ping::mono_us`](super::Ping::mono_us) of the ping.
     pub echo_us: u64,
-    /// The node's monotonic clock then: half the round trip is the most that it is off.
+    /// The node's monotonic clock at the answer. The error of the offset is at most half the round trip.
     pub mono_us: u64,
 }
 
-/// Where a node of the cell serves monitors.
+/// The address at which a node of the cell serves monitors.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NodePlace {
     /// The node.
@@ -94,16 +94,16 @@ pub struct NodePlace {
     pub address: String,
 }
 
-/// Where the other nodes of the cell serve monitors, as far as this one knows: so one address finds the system. Sent
-/// when it changes.
+/// The addresses at which the other nodes of the cell serve monitors, as far as this node knows. So one address leads
+/// to the whole cell. Sent again when it changes.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Places {
-    /// The places.
+    /// The addresses.
     pub nodes: Vec<NodePlace>,
 }
 
-/// The scripts of a restarted node that have not begun yet (D94, D157). Sent before the first snapshot if there are any, then
-/// once a second until there are none: the last such frame has no tasks.
+/// The scripts of a restarted node that have not begun yet. Sent before the first snapshot if there are any, then once
+/// a second. The last such frame has no tasks.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeldBack {
     /// The node's monotonic clock, in microseconds.
@@ -112,22 +112,22 @@ pub struct HeldBack {
     pub tasks: Vec<HeldTask>,
 }
 
-/// A task whose script has not begun yet: commands of its earlier incarnation may still arrive.
+/// A task whose script has not begun yet, because commands of its previous incarnation may still arrive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeldTask {
     /// The task.
     pub task: TaskId,
-    /// How long it is still held back, from [`HeldBack::mono_us`] on.
+    /// How long it is still held back, counted from [`HeldBack::mono_us`].
     pub remaining: Ticks,
 }
 
-/// Why a node does not show itself to who connected.
+/// Why a node denies access to a monitor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 pub enum Denied {
-    /// It asks for a token, and none was given.
+    /// It requires a token, and the monitor sent none.
     #[error("it asks for a token: give the one it was started with (--token FILE)")]
     NoToken,
-    /// It asks for another token.
+    /// It requires another token.
     #[error("it was started with another token: give the same one on both sides (--token FILE)")]
     WrongToken,
 }

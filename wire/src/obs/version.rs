@@ -1,4 +1,4 @@
-//! Which versions of the observation protocol there are.
+//! The version number of the observation protocol.
 
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -6,7 +6,7 @@ use std::fmt;
 /// A version of the observation protocol.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Version {
-    /// Programs of different major versions do not understand each other.
+    /// Programs with different major versions do not understand each other.
     pub major: u16,
     /// A higher minor version only adds kinds of frames.
     pub minor: u16,
@@ -18,5 +18,5 @@ impl fmt::Display for Version {
     }
 }
 
-/// What this library speaks.
+/// The version that this library speaks.
 pub const VERSION: Version = Version { major: 1, minor: 2 };

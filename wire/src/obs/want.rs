@@ -1,36 +1,36 @@
-//! What a monitor wants to see, since version 1.1.
+//! The subscription of version 1.1: what a monitor wants to see, and the token that allows it.
 
 use imrs_protocol::{Event, PortId, TaskId};
 use serde::{Deserialize, Serialize};
 
-/// How much a monitor wants to see. Takes the place of [`Subscribe`](super::Subscribe): whoever says this is told what
-/// changed ([`Delta`](super::Delta)), the first time all. Nothing here can change a node.
+/// A monitor's subscription, in place of [`Subscribe`](super::Subscribe). The node answers with deltas
+/// ([`Delta`](super::Delta)), the first one whole. No field can change the node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Want {
-    /// Microseconds between snapshots or what changed. A node may take longer; it never takes less than 10 ms.
+    /// Microseconds between snapshots or deltas. A node may take longer; values below 10 ms count as 10 ms.
     pub period_us: u32,
-    /// How many waiting messages of each port a snapshot lists; at most 64 are.
+    /// How many queued messages of each port a snapshot lists; at most 64.
     pub queue_limit: u8,
-    /// The ports that are watched: all their waiting messages, and a [`Detail`](super::Detail) in each period. At most
-    /// [`MAX_WATCHED`](super::MAX_WATCHED) are.
+    /// The watched ports, at most [`MAX_WATCHED`](super::MAX_WATCHED). The node lists all their queued messages and
+    /// sends a [`Detail`](super::Detail) in each period.
     pub watched: Vec<(TaskId, PortId)>,
-    /// Which events are wanted, if any.
+    /// Which events the node sends; `None` for none.
     pub events: Option<EventFilter>,
-    /// Microseconds between [`Vitals`](super::Vitals); zero: none.
+    /// Microseconds between [`Vitals`](super::Vitals) frames; zero for none.
     pub vitals_us: u32,
-    /// Microseconds between whole snapshots; zero: only the first one, and those that are asked for.
+    /// Microseconds between whole snapshots. Zero: only the first one and those asked for are whole.
     pub whole_us: u32,
     /// How many frames the node may send before it needs a [`ClientFrame::Credit`](super::ClientFrame::Credit).
     pub credit: u16,
 }
 
-/// Which events are wanted. Of other tasks none is counted as lost; of what is lost of these tasks the kind is not known,
-/// so all of it is.
+/// A filter of events. Lost events of unselected tasks are not counted. The kind of a lost event is unknown, so all
+/// lost events of the selected tasks are counted.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct EventFilter {
-    /// Of these kinds.
+    /// The selected kinds.
     pub kinds: Kinds,
-    /// Of these tasks; empty: of all, and of the transit buffer.
+    /// The selected tasks. Empty selects all tasks and the transit buffer.
     pub tasks: Vec<TaskId>,
 }
 
@@ -38,13 +38,13 @@ impl EventFilter {
     /// All events.
     pub const ALL: Self = Self { kinds: Kinds::ALL, tasks: Vec::new() };
 
-    /// Whether an event of this task (`None`: of the transit buffer) is wanted.
+    /// Whether the filter selects an event of this task (`None` for the transit buffer).
     #[must_use]
     pub fn wants(&self, task: Option<TaskId>, event: Event) -> bool {
         self.kinds.has(event) && self.of(task)
     }
 
-    /// Whether any event of this task is wanted.
+    /// Whether the filter selects any event of this task.
     #[must_use]
     pub fn of(&self, task: Option<TaskId>) -> bool {
         self.tasks.is_empty() || task.is_some_and(|task| self.tasks.contains(&task))
@@ -56,25 +56,25 @@ impl EventFilter {
 pub struct Kinds(u64);
 
 impl Kinds {
-    /// Every kind, those of later versions included.
+    /// Every kind, including those of later versions.
     pub const ALL: Self = Self(u64::MAX);
     /// None.
     pub const NONE: Self = Self(0);
 
-    /// This set and the kind of `event`; of a drop, whatever its reason.
+    /// This set plus the kind of `event`. All drops are one kind, whatever their reason.
     #[must_use]
     pub const fn and(self, event: Event) -> Self {
         Self(self.0 | 1 << place(event))
     }
 
-    /// Whether it has the kind of `event`.
+    /// Whether the set contains the kind of `event`.
     #[must_use]
     pub const fn has(self, event: Event) -> bool {
         self.0 & (1 << place(event)) != 0
     }
 }
 
-/// The bit of an event's kind: its place in the encoding, which no version changes.
+/// The bit of an event's kind: its variant number in the encoding, which no version changes.
 const fn place(event: Event) -> u32 {
     match event {
         Event::Sent => 0,
@@ -106,38 +106,38 @@ const fn place(event: Event) -> u32 {
     }
 }
 
-/// Asks for the node's clock.
+/// A request for the node's clock.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Ping {
-    /// The monitor's own clock, in microseconds: comes back as it is.
+    /// The monitor's own clock, in microseconds; the answer repeats it.
     pub mono_us: u64,
 }
 
 /// The longest token, in bytes.
 pub const MAX_TOKEN: usize = 256;
 
-/// What lets a monitor look at a node that asks for it. It crosses the network as it is: whoever can read the network can
-/// read it, and everything that is watched, too. A tunnel keeps others out.
+/// The shared secret that lets a monitor watch a node. It is sent in plain text: anyone who can read the network can
+/// read it, and everything that the node sends. Use a tunnel on a network that others can read.
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Token(Vec<u8>);
 
-/// A text that can be no token.
+/// A text whose length does not fit a token.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("a token has from 16 to {MAX_TOKEN} bytes")]
 pub struct TokenError;
 
 impl Token {
-    /// The token of a file: its text, without the white space around it.
+    /// Makes a token from the text of a file, without surrounding white space.
     ///
     /// # Errors
-    /// [`TokenError`] where it is too short to keep anybody out, or too long for a frame.
+    /// [`TokenError`] if the text is too short to be hard to guess, or too long for a frame.
     pub fn of(text: &str) -> Result<Self, TokenError> {
         let text = text.trim();
         let fits = (16..=MAX_TOKEN).contains(&text.len());
         if fits { Ok(Self(text.into())) } else { Err(TokenError) }
     }
 
-    /// Whether this is the token that `other` is, found out in a time that does not tell where they differ.
+    /// Whether the tokens are equal, compared in a time that does not reveal where they differ.
     #[must_use]
     pub fn is(&self, other: &Self) -> bool {
         let differ = (0..self.0.len().max(other.0.len())).fold(0, |differ, at| {
@@ -148,7 +148,7 @@ impl Token {
     }
 }
 
-/// Never shows what it is.
+/// Hides the secret.
 impl std::fmt::Debug for Token {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str("Token(..)")

@@ -1,7 +1,7 @@
-//! Writing from a thread of its own, so that no disk ever holds up a node.
+//! Writes a recording from its own thread, so that a slow disk never blocks a node.
 //!
-//! Two ways lead to that thread: a queue of records, for streams of few and long ones, and [`Source`]s, which it empties
-//! itself, for streams of many and short ones. Neither is ever waited for.
+//! Records reach that thread in two ways. Streams of few, long records use a queue. Streams of many, short records use
+//! [`Source`]s, which the thread drains itself. No producer ever waits for either.
 
 use super::{Header, MAX_RECORD_BYTES, Record, RecordingWriter, Stream, WriteError};
 use std::io::{BufWriter, Write};
@@ -11,29 +11,29 @@ use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::{self, JoinHandle, Thread};
 use std::time::{Duration, Instant};
 
-/// How long the thread gathers after each look that found something, unless somebody hurries it. Meanwhile handing
-/// something over wakes nobody.
+/// How long the thread pauses after a pass that found records, unless [`Alert::hurry`] ends the pause. During the pause
+/// no producer needs to wake the thread.
 const GATHER: Duration = Duration::from_millis(5);
-/// How long it sleeps after a look that found nothing, unless somebody wakes it. Who hands something over looks without
-/// a fence whether it sleeps, so one that is about to can be missed: then this is how late it comes. Everybody sees after so
-/// long that it sleeps, so from then on it sleeps until it is woken.
+/// How long the thread parks after a pass that found nothing, unless a producer wakes it. A producer reads the state
+/// without a fence, so it can miss a thread that is about to park; its record is then late by at most this. After this
+/// time every producer sees [`ASLEEP`], so the next park has no timeout.
 const SLEEP: Duration = Duration::from_millis(50);
 const BUFFER_BYTES: usize = 64 * 1024;
-/// The longest state or frame; what else is in its record takes less than the rest.
+/// The longest state or frame in bytes; the other fields of its record fit the remaining 64.
 pub const LONGEST: usize = MAX_RECORD_BYTES - 64;
 
-/// The thread looks again by itself, soon.
+/// The thread makes its next pass by itself, soon.
 const AWAKE: u8 = 0;
-/// The thread found nothing and sleeps, or is about to.
+/// The thread found nothing, and is parked or about to park.
 const ASLEEP: u8 = 1;
-/// Nothing is written any more.
+/// The thread has ended: nothing is written any more.
 const OVER: u8 = 2;
 
 #[derive(Default)]
 struct Shared {
-    /// Of the queue.
+    /// Of the queue, in records.
     capacity: usize,
-    /// The thread that writes.
+    /// The thread that writes, to unpark it.
     writer: OnceLock<Thread>,
     /// [`AWAKE`], [`ASLEEP`] or [`OVER`].
     state: AtomicU8,
@@ -45,41 +45,41 @@ struct Shared {
     sources: Mutex<Vec<Box<dyn Source>>>,
 }
 
-/// Where records are written. Once it has failed nothing more can be.
+/// Appends a record to the recording. After an error no further record can be appended.
 pub type Append<'a> = dyn FnMut(&Record) -> Result<(), WriteError> + 'a;
 
-/// Something that the writing thread empties by itself, again and again.
+/// A buffer that the writing thread drains repeatedly.
 pub trait Source: Send {
-    /// Writes down what is there, and no more than was there when it began. Returns whether anything was.
+    /// Appends the records that are there at the time of the call, and no later ones. Returns whether there were any.
     ///
     /// # Errors
     /// Those of `append`.
     fn fetch(&mut self, append: &mut Append<'_>) -> Result<bool, WriteError>;
 
-    /// Writes down what is there for the last time, and what was lost that no gap tells of.
+    /// Appends the remaining records, and the losses that no gap record has reported yet.
     ///
     /// # Errors
     /// Those of `append`.
     fn finish(&mut self, append: &mut Append<'_>) -> Result<(), WriteError>;
 }
 
-/// Who feeds a [`Source`] asks here how its writer is doing.
+/// The producer's handle on the writing thread: state and wake-up. For the producers that feed a [`Source`].
 #[derive(Clone)]
 pub struct Alert(Arc<Shared>);
 
 impl Alert {
-    /// To be asked whenever something was put into a source: whether [`call`](Self::call) has to be told of it.
+    /// Whether the writing thread must be woken with [`call`](Self::call). Check this after each record put into a source.
     #[must_use]
     pub fn is_due(&self) -> bool {
         self.0.state.load(Ordering::Relaxed) != AWAKE
     }
 
-    /// Wakes the writer, where it sleeps. False where nothing is written any more.
+    /// Wakes the writing thread if it is parked. Returns false if nothing is written any more.
     pub fn call(&self) -> bool {
         self.0.call()
     }
 
-    /// Ends the writer's pause: a good part of a source is full.
+    /// Ends the pause of the writing thread, because a source is filling up.
     pub fn hurry(&self) {
         self.0.unpark();
     }
@@ -91,7 +91,7 @@ impl Alert {
     }
 }
 
-/// What a stream has lost.
+/// The loss counters of a stream.
 struct Losses {
     stream: Stream,
     /// Since its last gap record.
@@ -105,46 +105,45 @@ impl Losses {
         self.total.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// How many records were lost that no gap record tells of; from now on one does.
+    /// Takes the number of lost records that no gap record has reported yet; the caller must report it.
     fn take(&self) -> Option<u64> {
         let lost = self.unannounced.swap(0, Ordering::Relaxed);
         (lost > 0).then_some(lost)
     }
 }
 
-/// How a recording is doing.
+/// The state of a recording.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Status {
     /// Records written, the header included.
     pub records: u64,
     /// Bytes written.
     pub bytes: u64,
-    /// Records lost because the queue was full or the medium had failed.
+    /// Records that were lost: the queue was full, the record was too long, or the medium had failed.
     pub lost: u64,
-    /// Why nothing is written any more.
+    /// Why writing stopped, if it failed.
     pub failure: Option<String>,
-    /// Whether the recording was ended and written to its end.
+    /// Whether the recording was ended and completely written.
     pub ended: bool,
 }
 
-/// A recording that is being written by its own thread.
+/// A recording that its own thread writes.
 ///
-/// Frames are handed over through a handle for each of their sources ([`frames`](Self::frames)); the rest comes from
-/// [`Source`]s.
-/// [`stop`](Self::stop) ends it; one that is dropped is ended too, but nobody waits for that.
+/// Frames come through one handle for each of their sources ([`frames`](Self::frames)), all other records from
+/// [`Source`]s. [`stop`](Self::stop) ends the recording and waits. Dropping it ends it too, without waiting.
 pub struct Recording {
     queue: SyncSender<Record>,
     shared: Arc<Shared>,
-    /// Says whether everything was written.
+    /// Returns whether everything was written.
     thread: Option<JoinHandle<bool>>,
 }
 
 impl Recording {
-    /// Begins a recording on `sink`, with room for `capacity` frames between their streams and the disk. `on_failure` is
-    /// called at most once, by the writing thread, when the medium fails: from then on nothing is written.
+    /// Starts a recording on `sink`, with a queue of `capacity` records. If the medium fails, the writing thread calls
+    /// `on_failure`, at most once, and writes nothing more.
     ///
     /// # Errors
-    /// Where not even the header can be written, or no thread can be started.
+    /// If the header cannot be written or no thread can be started.
     pub fn start(
         sink: impl Write + Send + 'static,
         header: &Header,
@@ -171,31 +170,31 @@ impl Recording {
         Ok(Self { queue, shared, thread: Some(thread) })
     }
 
-    /// How the writing thread is doing.
+    /// A handle to check and wake the writing thread.
     #[must_use]
     pub fn alert(&self) -> Alert {
         Alert(Arc::clone(&self.shared))
     }
 
-    /// From here on the writing thread empties this, too.
+    /// Adds a source that the writing thread drains from now on.
     pub fn attach(&self, source: Box<dyn Source>) {
         self.shared.sources().push(source);
     }
 
-    /// The frames of one source.
+    /// A handle to record the frames of one source.
     #[must_use]
     pub fn frames(&self, source: u16) -> FrameStream {
         FrameStream { source, outlet: self.outlet(Stream::Frames(source)) }
     }
 
-    /// How the recording is doing.
+    /// The present state of the recording.
     #[must_use]
     pub fn status(&self) -> Status {
         self.shared.status(false)
     }
 
-    /// Ends the recording: writes what was handed over, the gaps, and the end. Waits for that as long as `patience`; a
-    /// disk that takes longer is left behind with the thread that waits for it.
+    /// Ends the recording: writes the queued records, the gaps and the end. Waits at most `patience`; a slower disk is
+    /// left to its thread.
     #[must_use]
     pub fn stop(mut self, patience: Duration) -> Status {
         self.shared.stop();
@@ -269,7 +268,7 @@ impl Shared {
     }
 }
 
-/// The writing thread: until it is told to stop, or the medium fails.
+/// The loop of the writing thread. Ends when it is told to stop or the medium fails.
 fn write<W: Write>(
     mut writer: RecordingWriter<W>,
     queue: &Receiver<Record>,
@@ -277,9 +276,9 @@ fn write<W: Write>(
 ) -> Result<(), WriteError> {
     let mut sleeps_since = None;
     loop {
-        // Before the last look, so that what was handed over before the stop is written.
+        // Read before the last pass, so that all records queued before the stop are written.
         let stopping = shared.stopping.load(Ordering::Acquire);
-        // Before the look, too: it is the last one before a sleep without end.
+        // Also read before the pass: this pass may be the last one before a park without timeout.
         let seen = sleeps_since.is_some_and(|since: Instant| since.elapsed() >= SLEEP);
         let mut found = false;
         for record in queue.try_iter().take(shared.capacity) {
@@ -301,7 +300,7 @@ fn write<W: Write>(
     finish(writer, queue, shared)
 }
 
-/// Until there may be something again. `seen`: when it looked, everybody saw for long that it sleeps.
+/// Pauses until there may be records again. `seen`: every producer had seen [`ASLEEP`] before this pass.
 fn pause(shared: &Shared, found: bool, seen: bool, sleeps_since: &mut Option<Instant>) {
     if found {
         shared.state.store(AWAKE, Ordering::Relaxed);
@@ -317,7 +316,7 @@ fn pause(shared: &Shared, found: bool, seen: bool, sleeps_since: &mut Option<Ins
     }
 }
 
-/// What is there now, and no more: the streams may go on.
+/// Writes the records that are there now and ends the recording. It ignores later records, because the streams may continue.
 fn finish<W: Write>(
     mut writer: RecordingWriter<W>,
     queue: &Receiver<Record>,
@@ -341,7 +340,7 @@ fn finish<W: Write>(
     Ok(())
 }
 
-/// A stream's end of the queue.
+/// The sending half of the queue for one stream.
 struct Outlet {
     queue: SyncSender<Record>,
     shared: Arc<Shared>,
@@ -349,7 +348,7 @@ struct Outlet {
 }
 
 impl Outlet {
-    /// Hands a record over that fits, after word of what was lost before it. False where it was lost as well.
+    /// Queues a record that fits, after a gap record if records were lost before it. Returns false if this one is lost as well.
     fn hand_over_if(&self, fits: bool, record: Record) -> bool {
         let taken = fits && self.announce() && self.hand_over(record);
         if !taken {
@@ -358,7 +357,7 @@ impl Outlet {
         taken
     }
 
-    /// Says what was lost. False where there is no room even for that.
+    /// Queues a gap record for the losses. Returns false if there is no room for it.
     fn announce(&self) -> bool {
         let Some(lost) = self.losses.take() else { return true };
         let taken = self.hand_over(Record::Gap { stream: self.losses.stream, lost });
@@ -368,20 +367,20 @@ impl Outlet {
         taken
     }
 
-    /// Puts a record into the queue, if there is room.
+    /// Queues a record if there is room, and wakes the writing thread.
     fn hand_over(&self, record: Record) -> bool {
         self.queue.try_send(record).is_ok() && self.shared.call()
     }
 }
 
-/// Where the frames of one source go.
+/// Records the frames of one source.
 pub struct FrameStream {
     source: u16,
     outlet: Outlet,
 }
 
 impl FrameStream {
-    /// Records a frame that came `at` microseconds after the recording began. Returns whether there was room.
+    /// Records a frame that arrived `at` microseconds after the recording began. Returns false if the frame was lost.
     pub fn frame(&mut self, at: u64, bytes: Vec<u8>) -> bool {
         let fits = bytes.len() <= LONGEST;
         self.outlet.hand_over_if(fits, Record::Frame { source: self.source, at, bytes })

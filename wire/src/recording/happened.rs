@@ -1,53 +1,53 @@
-//! What happened at the tasks of a recorded node: what a replay makes of a recording, and what a run is followed by.
+//! Events at the tasks of a recorded node. A replay derives them from a recording, and the checker follows a run with them.
 
 use imrs_protocol::script::{Address, End, ScriptInput};
 use imrs_protocol::{NodeId, Packet, TaskId};
 
-/// Something that happened at a task.
+/// An event at a task.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Happening {
-    /// When: microseconds of the node's monotonic clock, which all nodes of one machine have in common.
+    /// The node's monotonic clock, in microseconds. All nodes of one machine share this clock.
     pub at: u64,
-    /// Where.
+    /// The task.
     pub task: TaskId,
-    /// What.
+    /// The event.
     pub what: Happened,
 }
 
-/// What happened.
+/// The kind of an event.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Happened {
     /// Its communication task started.
     Started,
     /// Its script began.
     Begun,
-    /// A packet came, with what was left of its life in microseconds.
+    /// A packet arrived, with its remaining time in microseconds.
     Came(Packet),
-    /// It noticed that time has passed.
+    /// It observed that time has passed.
     Time,
-    /// A node that it knows has a new life.
+    /// Another node has a new incarnation.
     PeerRestarted(NodeId),
-    /// The action of a thread ended: whether well, and its result.
+    /// The action of a thread ended: the thread, whether it succeeded, and its result.
     Acted(u8, bool, i32),
-    /// A choice was made for it.
+    /// A nondeterministic choice was made for its script.
     Chosen(u16),
     /// Its communication task sent a packet.
     Sent(Packet),
-    /// Its script took something.
+    /// Its script processed an input.
     Turn(Turn),
-    /// Its node stopped, or was cut off for good: nothing that it does from here on is judged.
+    /// Its node stopped, or was cut off for good. Nothing that it does after this is judged.
     Stopped,
 }
 
-/// What a script made of one input.
+/// How a script processed one input.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Turn {
-    /// The operation that it waited in.
+    /// The operation in which the script waited.
     pub at: Address,
-    /// What came.
+    /// The input.
     pub input: ScriptInput,
-    /// The statements that it began.
+    /// The statements that the script began.
     pub passed: Vec<Address>,
-    /// How it ended, if it did.
+    /// How the script ended, if it did.
     pub end: Option<End>,
 }

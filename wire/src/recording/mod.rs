@@ -1,5 +1,5 @@
-//! Recordings (D62): one container for two kinds of stream, what went into the communication tasks of a node and what a
-//! monitor saw.
+//! Recordings: one file format for two kinds of stream, the inputs of a node's communication tasks and the frames that
+//! a monitor received.
 //!
 //! ```text
 //!  0..8   magic "\x9dimrsrec"
@@ -10,13 +10,13 @@
 //!  12..   contents: a Record in postcard
 //! ```
 //!
-//! A file that was cut off at any byte reads up to its last whole record; [`Ending`] tells that from a recording that
-//! was ended. The length has a checksum of its own: a damaged one is damage, and not the end of a file that was cut off
-//! (D95). Each stream is complete in itself, or says by a [`Record::Gap`] that it is not, so no order between streams
-//! is needed.
+//! A file that is cut off at any byte can be read up to its last whole record; [`Ending`] distinguishes it from a
+//! recording that was ended. The length has its own checksum, so that a damaged length is reported as damage and not as
+//! the end of a cut-off file. Each stream is complete in itself, or contains a [`Record::Gap`]. So readers need no
+//! order between streams.
 //!
-//! [`Recording`] writes from a thread of its own. Handing something over never blocks and never fails for the node: what
-//! finds no room becomes a gap, and after a disk error everything does.
+//! [`Recording`] writes from its own thread. Handing over a record never blocks and never fails for the node. A record
+//! that finds no room becomes a gap, and after a disk error every record does.
 
 mod background;
 mod happened;
@@ -35,33 +35,33 @@ use serde::{Deserialize, Serialize};
 
 /// The first bytes of every recording.
 pub const MAGIC: [u8; 8] = *b"\x9dimrsrec";
-/// The format of this library.
+/// The format version of this library.
 pub const VERSION: u16 = 10;
 /// The longest contents of a record, in bytes.
 pub const MAX_RECORD_BYTES: usize = 2 << 20;
 
 const PROLOGUE_BYTES: usize = 12;
-/// Length and two checksums.
+/// The length and two checksums.
 const RECORD_HEAD_BYTES: usize = 12;
 
-/// What a recording is about.
+/// What a recording belongs to: cell, node and program.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Header {
     /// The name of the cell.
     pub cell: String,
-    /// The digest of its table: only with this table can inputs be replayed.
+    /// The digest of its table. Inputs can be replayed only with the same table.
     pub digest: u32,
-    /// The digest of the statements that the scripts of the node ran; zero where none did, or nobody said.
+    /// The digest of the statements that the node's scripts ran; zero if there were none or it is unknown.
     pub statements: u32,
     /// The node whose inputs these are; `None` in a recording of observations.
     pub node: Option<NodeId>,
-    /// Its life.
+    /// Its incarnation.
     pub incarnation: Incarnation,
-    /// Whether an earlier life of it may have taken requests.
+    /// Whether an earlier incarnation of the node may have taken requests.
     pub restarted: bool,
     /// The program that ran.
     pub build: String,
-    /// Whether the links ran without keys.
+    /// Whether the links ran without authentication keys.
     pub insecure: bool,
     /// When the recording began, in microseconds since 1970. For people; nothing is computed from it.
     pub began: u64,
@@ -70,88 +70,88 @@ pub struct Header {
 /// One entry of a recording.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Record {
-    /// What the recording is about. The first record, and only that.
+    /// The header. The first record, and only the first.
     Header(Header),
-    /// An input of a communication task. Inputs before the task's first [`Record::Keyframe`] follow the beginning of its
-    /// life.
+    /// An input of a communication task. Inputs before the task's first [`Record::Keyframe`] continue from the start of
+    /// its incarnation.
     Input {
         /// The task.
         task: TaskId,
         /// How long after its previous input, in microseconds.
         elapsed: Ticks,
-        /// What came.
+        /// The input.
         input: Input,
-        /// A digest of everything it had put out after that.
+        /// A digest of all its outputs, including those for this input.
         outputs: u64,
     },
     /// The state of a communication task between two inputs.
     Keyframe {
         /// The task.
         task: TaskId,
-        /// Its state, as the machine stores it.
+        /// The encoded state of its state machine.
         state: Vec<u8>,
-        /// The digest of its outputs at this point.
+        /// The digest of all its outputs so far.
         outputs: u64,
     },
-    /// Records of a stream are missing here. Until its next keyframe nothing is known of it.
+    /// Records of a stream are missing here. Its state is unknown until its next keyframe.
     Gap {
         /// The stream.
         stream: Stream,
         /// How many records.
         lost: u64,
     },
-    /// Something that a monitor received, as it came.
+    /// A frame that a monitor received, unchanged.
     Frame {
-        /// From which of its nodes: a number that the recording program gives out.
+        /// The node: a number that the recording program assigns.
         source: u16,
-        /// When, in microseconds since the recording began.
+        /// The time of arrival, in microseconds since the recording began.
         at: u64,
-        /// What: a [`Shown`].
+        /// An encoded [`Shown`].
         bytes: Vec<u8>,
     },
-    /// The recording was ended, and is whole but for the gaps it names. The last record.
+    /// The recording was ended, and is complete except for its gaps. The last record.
     End,
-    /// What the script of a task took, besides the signals of its communication task: those follow from its inputs. It
-    /// comes at the time of the task's previous record.
+    /// An input of a task's script, other than the signals of its communication task, which follow from the task's
+    /// inputs. Its time is that of the task's previous record.
     Script {
         /// The task.
         task: TaskId,
-        /// What it took.
+        /// The input.
         step: ScriptStep,
-        /// A digest of everything that the script had done before.
+        /// A digest of everything that the script did before.
         done: u64,
     },
-    /// The inputs of a task end here: its node has stopped. What was lost just before shows by this.
+    /// The node has stopped, and the task has no further inputs. Losses right before the stop are detected with it.
     Close {
         /// The task.
         task: TaskId,
-        /// How many inputs it took since the beginning of its life, those that are missing included.
+        /// How many inputs it took since the start of its incarnation, missing ones included.
         inputs: u64,
-        /// The digest of everything it put out.
+        /// The digest of all its outputs.
         outputs: u64,
     },
 }
 
-/// What a script takes that follows from nothing else.
+/// A script's input that does not follow from other records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ScriptStep {
     /// It begins.
     Begin {
-        /// The node's monotonic clock, in microseconds: only nodes of one machine have it in common.
+        /// The node's monotonic clock, in microseconds. Only nodes of one machine share it.
         at: u64,
     },
-    /// The action of one of its threads has ended.
+    /// An action of one of its threads ended.
     Acted {
         /// The thread.
         level: u8,
-        /// Whether it succeeded.
+        /// Whether the action succeeded.
         ok: bool,
-        /// Its result.
+        /// The action's result.
         value: i32,
     },
-    /// A choice was made for it.
+    /// A nondeterministic choice was made for it.
     Chosen(u16),
-    /// It acts no more: its node stops.
+    /// It does nothing more, because its node stops.
     Stopped,
 }
 

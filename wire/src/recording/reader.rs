@@ -1,21 +1,21 @@
-//! Reading records, as far as they are whole.
+//! Reads a recording up to its last whole record.
 
 use super::writer::checksum;
 use super::{Header, MAGIC, MAX_RECORD_BYTES, PROLOGUE_BYTES, RECORD_HEAD_BYTES, Record, VERSION};
 use std::io::{self, ErrorKind, Read};
 use thiserror::Error;
 
-/// How much is read at once, and room is made before the bytes for it have come: a damaged length costs a reader no
-/// more than this.
+/// How many bytes are read at once, and allocated before the bytes for them have arrived. So a damaged length costs a
+/// reader little memory.
 const STEP: usize = 64 * 1024;
 
-/// What cannot be read, and where.
+/// An error with the byte offset at which it was found.
 #[derive(Debug, Error)]
 #[error("at byte {offset}: {cause}")]
 pub struct ReadError {
-    /// Where the record (or the file's beginning) starts that cannot be read.
+    /// Offset of the record that cannot be read, or zero for the file's first bytes.
     pub offset: u64,
-    /// What is wrong with it.
+    /// The cause.
     pub cause: Cause,
 }
 
@@ -25,25 +25,25 @@ pub enum Cause {
     /// The first bytes are not those of a recording.
     #[error("not a recording")]
     NotARecording,
-    /// A recording of another version.
+    /// Its version is another one.
     #[error("a recording of version {0}, this program reads {VERSION}")]
     Version(u16),
     /// The first record is not a header, or is cut off.
     #[error("the recording has no header")]
     NoHeader,
-    /// A record that cannot be this long.
+    /// A record's length exceeds the limit.
     #[error("a record of {0} bytes, the limit is {MAX_RECORD_BYTES}")]
     TooLong(u32),
-    /// A damaged record.
+    /// A checksum does not match.
     #[error("the record is damaged (its checksum is wrong)")]
     Checksum,
-    /// A record that this version does not know.
+    /// A record's contents cannot be decoded.
     #[error("the record cannot be understood ({0})")]
     Malformed(postcard::Error),
-    /// More bytes than the record needs.
+    /// A record has more bytes than it needs.
     #[error("the record has {0} bytes too many")]
     Trailing(usize),
-    /// A header where none belongs, or anything after the end.
+    /// A second header, or bytes after the end record.
     #[error("a record that does not belong here")]
     OutOfPlace,
     /// The medium failed.
@@ -51,31 +51,31 @@ pub enum Cause {
     Io(#[from] io::Error),
 }
 
-/// How a recording ends, as far as it was read.
+/// How the part of a recording that was read ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ending {
-    /// It was ended.
+    /// It has an end record.
     Ended,
     /// It stops after a whole record: its writer still runs, or was killed.
     Open,
-    /// It stops within the record that begins at this byte: as before, or the medium was full.
+    /// It stops within a record: its writer still runs or was killed, or the medium was full.
     Torn {
-        /// Where the last whole record ends.
+        /// Offset at which the last whole record ends.
         offset: u64,
     },
 }
 
 /// Reads a recording record by record.
 ///
-/// It reads ahead. Where the records stop without an error, reading again later goes on with what was appended meanwhile:
-/// so the recording of a running node can be followed.
+/// It reads ahead. If the records stop without an error, a later call continues with records that were appended since.
+/// So a reader can follow the recording of a running node.
 #[derive(Debug)]
 pub struct RecordingReader<R> {
     source: R,
     header: Header,
-    /// Where the next record begins.
+    /// Offset at which the next record begins.
     offset: u64,
-    /// What was read, of it and of what follows, from `at` on.
+    /// Bytes read ahead; the next record begins at index `at`.
     bytes: Vec<u8>,
     at: usize,
     ended: bool,
@@ -83,10 +83,10 @@ pub struct RecordingReader<R> {
 }
 
 impl<R: Read> RecordingReader<R> {
-    /// Opens a recording.
+    /// Opens a recording and reads its header.
     ///
     /// # Errors
-    /// Where the source is not a recording of this version with a whole header.
+    /// If the source is not a recording of this version with a whole header.
     pub fn new(source: R) -> Result<Self, ReadError> {
         let (ended, failed) = (false, false);
         let mut reader =
@@ -109,17 +109,17 @@ impl<R: Read> RecordingReader<R> {
         Ok(reader)
     }
 
-    /// What the recording is about.
+    /// The header.
     pub const fn header(&self) -> &Header {
         &self.header
     }
 
-    /// Where the next record begins.
+    /// Offset at which the next record begins, in bytes.
     pub const fn offset(&self) -> u64 {
         self.offset
     }
 
-    /// How the recording ends. Means something once the records have stopped.
+    /// How the recording ends. Meaningful once [`next_record`](Self::next_record) has returned `None`.
     pub const fn ending(&self) -> Ending {
         match (self.ended, self.at == self.bytes.len()) {
             (true, _) => Ending::Ended,
@@ -128,10 +128,10 @@ impl<R: Read> RecordingReader<R> {
         }
     }
 
-    /// The next record, or `None` where no further whole record has come.
+    /// The next record, or `None` if no further whole record has arrived.
     ///
     /// # Errors
-    /// Names the byte and the cause. Nothing after it can be read.
+    /// Names the offset and the cause. No later record can be read.
     pub fn next_record(&mut self) -> Result<Option<Record>, ReadError> {
         let at = self.offset;
         let misplaced = ReadError { offset: at, cause: Cause::OutOfPlace };
@@ -152,12 +152,12 @@ impl<R: Read> RecordingReader<R> {
             return Ok(None);
         }
         let head: [u8; RECORD_HEAD_BYTES] = std::array::from_fn(|i| self.pending()[i]);
-        // A file system that was not told to write may leave zeros where a record should be.
+        // After a crash a file system may leave zeros in place of a record.
         if head == [0; RECORD_HEAD_BYTES] && self.only_zeros_follow()? {
             return Ok(None);
         }
         let word = |at: usize| [head[at], head[at + 1], head[at + 2], head[at + 3]];
-        // Before the length is believed: a damaged one would look like a file that was cut off.
+        // Check the length first: a damaged one would look like a file that was cut off.
         if checksum(&word(0)) != u32::from_le_bytes(word(4)) {
             return Err(self.error(Cause::Checksum));
         }
@@ -182,7 +182,7 @@ impl<R: Read> RecordingReader<R> {
         Ok(Some(record))
     }
 
-    /// What has come of the next record, and what follows it.
+    /// The bytes that have arrived of the next record and of the following ones.
     fn pending(&self) -> &[u8] {
         &self.bytes[self.at..]
     }
@@ -192,7 +192,7 @@ impl<R: Read> RecordingReader<R> {
         self.offset += bytes as u64;
     }
 
-    /// Reads until `want` bytes of the record are there. False where the source has no more for now.
+    /// Reads until `want` bytes of the next record are there. Returns false if the source has no more for now.
     fn fill(&mut self, want: usize) -> Result<bool, ReadError> {
         while self.bytes.len() - self.at < want {
             if self.at > 0 {
@@ -231,7 +231,7 @@ impl<R: Read> RecordingReader<R> {
     }
 }
 
-/// The records up to the first error. Stops where no further whole record has come, and may go on later.
+/// Yields the records up to the first error. Stops when no further whole record has arrived, and may continue later.
 impl<R: Read> Iterator for RecordingReader<R> {
     type Item = Result<Record, ReadError>;
 

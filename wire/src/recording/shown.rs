@@ -1,62 +1,62 @@
-//! What a recording of observations holds: the contents of each [`Record::Frame`](super::Record::Frame).
+//! The contents of a [`Record::Frame`](super::Record::Frame) in a recording of observations.
 //!
-//! The frames of one source are those of a connection (`imrs-obs`), from its introduction to its end. A recording of a
-//! counterexample has besides a [`Story`] before everything else, and a [`Step`] before the frames that show what came
-//! of it: all that comes before the next one belongs to it.
+//! The frames of one source are those of a connection (`imrs-obs`), from its hello to its end. A recording of a
+//! counterexample has in addition a [`Story`] before everything else, and [`Step`]s. The frames between one step and
+//! the next show the state after it.
 
 use crate::obs::{DecodeError, Hello, Refusal, SCHEMA, ServerFrame, VERSION, Version, agree, whole};
 use imrs_protocol::TaskId;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
-/// Something that a monitor was shown.
+/// An event at a monitor: frames of a node, and the steps of a counterexample.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Shown {
     /// A node introduced itself.
     Attached {
-        /// The version that its frames are of.
+        /// The version of its frames.
         version: Version,
-        /// What it said.
+        /// Its introduction.
         hello: Hello,
     },
-    /// It said something.
+    /// The node sent a frame.
     Said(ServerFrame),
-    /// It is no longer attached.
+    /// The connection to the node was lost.
     Lost {
-        /// Why, for people.
+        /// The reason, as text for people.
         why: String,
     },
-    /// What the recording tells. The first record after the header, if any.
+    /// The description of the counterexample. The first record after the header, if there is one.
     Story(Story),
-    /// What happened next.
+    /// The next step of the counterexample.
     Step(Step),
 }
 
-/// What a counterexample shows, and where it stands in the cell's file.
+/// The description of a counterexample, with its place in the cell's file.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Story {
     /// The cell's file.
     pub file: String,
     /// The kind of finding, in one or two words.
     pub kind: String,
-    /// What is wrong, in one line.
+    /// The fault, in one line.
     pub cause: String,
-    /// Where.
+    /// The place in the file.
     pub place: Option<Place>,
-    /// What was searched, in one line.
+    /// The bounds of the search, in one line.
     pub bounds: String,
-    /// Microseconds in one tick.
+    /// Microseconds per tick.
     pub tick_us: u64,
-    /// How many steps there are, the state before the first not counted.
+    /// The number of steps, without the initial state.
     pub steps: u32,
 }
 
 /// A place in a cell's file.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Place {
-    /// From 1.
+    /// Line number, from 1.
     pub line: u32,
-    /// From 1.
+    /// Column, from 1.
     pub column: u32,
     /// The line's statement, or its beginning.
     pub text: String,
@@ -65,54 +65,54 @@ pub struct Place {
 /// A step of a counterexample.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Step {
-    /// From 1; 0 is the state before the first.
+    /// Number of the step, from 1; 0 is the initial state.
     pub number: u32,
     /// Ticks since the start.
     pub tick: u64,
-    /// Whether something goes wrong in it: a fault, or what was found.
+    /// Whether a fault occurs in it, or the finding itself.
     pub odd: bool,
-    /// What happened, in words, in its order.
+    /// What happened, in words, in order.
     pub happened: Vec<String>,
-    /// What each task does after it.
+    /// The activity of each task after the step.
     pub tasks: Vec<Doing>,
 }
 
-/// What a task does.
+/// The activity of a task.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Doing {
     /// The task.
     pub task: TaskId,
-    /// In words.
+    /// A description in words.
     pub text: String,
     /// The line of its statement, from 1.
     pub line: Option<u32>,
 }
 
-/// Why a frame of a recording cannot be shown.
+/// Why a frame of a recording cannot be decoded.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ShownError {
-    /// It is none of this version.
+    /// It is not a frame of this version.
     #[error(transparent)]
     Decode(#[from] DecodeError),
-    /// The recorded node spoke another version of the protocol.
+    /// The recorded node used another version of the protocol.
     #[error("recorded from a node of another version: {0}")]
     Refused(Refusal),
 }
 
 impl Shown {
-    /// The contents of a frame.
+    /// Encodes the contents of a frame.
     ///
     /// # Panics
-    /// Never: memory is the only thing that this encoding can run out of.
+    /// Never: the encoding can only run out of memory.
     #[must_use]
     pub fn encode(&self) -> Vec<u8> {
         postcard::to_allocvec(self).expect("a Vec takes any length")
     }
 
-    /// What the contents of a frame show.
+    /// Decodes the contents of a frame.
     ///
     /// # Errors
-    /// [`ShownError`]. Whether the versions fit is decided before anything that a version might change.
+    /// [`ShownError`]. The versions are compared before any field that a version might change.
     pub fn decode(bytes: &[u8]) -> Result<Self, ShownError> {
         if let Ok(((0_u32, version, schema), _)) = postcard::take_from_bytes::<(u32, Version, u32)>(bytes) {
             agree((version, schema), (VERSION, SCHEMA)).map_err(ShownError::Refused)?;

@@ -1,11 +1,11 @@
-//! Writing records, one after the other.
+//! Writes a recording record by record.
 
 use super::{Header, MAGIC, MAX_RECORD_BYTES, PROLOGUE_BYTES, RECORD_HEAD_BYTES, Record, VERSION};
 use crate::checksum::CRC;
 use std::io::{self, Write};
 use thiserror::Error;
 
-/// Longer than the inputs' records, with their heads.
+/// Initial buffer size, above the size of input records with their heads.
 const SHORT: usize = 256;
 
 /// Why a record could not be written.
@@ -22,21 +22,21 @@ pub enum WriteError {
     Io(#[from] io::Error),
 }
 
-/// Writes a recording. What it hands to `W` is always whole records, so a recording without an end is still readable.
+/// Writes a recording. It passes only whole records to `W`, so a recording without an end is still readable.
 #[derive(Debug)]
 pub struct RecordingWriter<W> {
     sink: W,
-    /// The record in the making, and what is left of longer ones.
+    /// The record being encoded; longer records enlarge it.
     bytes: Vec<u8>,
     records: u64,
     written: u64,
 }
 
 impl<W: Write> RecordingWriter<W> {
-    /// Begins a recording.
+    /// Begins a recording: writes the prologue and the header.
     ///
     /// # Errors
-    /// Where the header cannot be written.
+    /// If the header cannot be written.
     pub fn new(sink: W, header: &Header) -> Result<Self, WriteError> {
         let mut writer = Self { sink, bytes: vec![0; SHORT], records: 0, written: 0 };
         let mut prologue = [0; PROLOGUE_BYTES];
@@ -51,8 +51,8 @@ impl<W: Write> RecordingWriter<W> {
     /// Appends a record.
     ///
     /// # Errors
-    /// After [`WriteError::Io`] part of the record may have been written: the recording can be read up to there, but
-    /// nothing can be appended to it.
+    /// After [`WriteError::Io`] a part of the record may have been written. The recording is readable up to that
+    /// record, but nothing can be appended.
     pub fn append(&mut self, record: &Record) -> Result<(), WriteError> {
         let length = self.encode(record)?;
         if length > MAX_RECORD_BYTES {
@@ -70,11 +70,11 @@ impl<W: Write> RecordingWriter<W> {
         Ok(())
     }
 
-    /// Puts the contents behind the room for their head. How long they are.
+    /// Encodes the contents behind the space for their head. Returns their length.
     fn encode(&mut self, record: &Record) -> Result<usize, WriteError> {
         match postcard::to_slice(record, &mut self.bytes[RECORD_HEAD_BYTES..]) {
             Ok(contents) => Ok(contents.len()),
-            // The longest one until now. From here on there is room for one like it.
+            // The longest record so far enlarges the buffer.
             Err(postcard::Error::SerializeBufferFull) => {
                 self.bytes =
                     postcard::to_extend(record, vec![0; RECORD_HEAD_BYTES]).map_err(WriteError::Encode)?;
@@ -96,18 +96,18 @@ impl<W: Write> RecordingWriter<W> {
         self.written
     }
 
-    /// Hands everything on to the medium.
+    /// Flushes everything to the medium.
     ///
     /// # Errors
-    /// Where the medium fails.
+    /// If the medium fails.
     pub fn flush(&mut self) -> Result<(), WriteError> {
         Ok(self.sink.flush()?)
     }
 
-    /// Ends the recording.
+    /// Ends the recording, and returns the sink.
     ///
     /// # Errors
-    /// Where the last record cannot be written.
+    /// If the last record cannot be written.
     pub fn finish(mut self) -> Result<W, WriteError> {
         self.append(&Record::End)?;
         self.flush()?;

@@ -1,4 +1,4 @@
-//! The golden form, files that stop anywhere, and damage.
+//! Tests of the file format: golden bytes, files cut off anywhere, and damage.
 
 use super::rig::{header, read};
 use imrs_protocol::{
@@ -53,7 +53,7 @@ fn written(records: &[Record]) -> Vec<u8> {
     writer.finish().unwrap()
 }
 
-/// Where each record of a recording begins, the header's first; and where the recording ends.
+/// The offset of each record, starting with the header, and the offset of the end.
 fn boundaries(records: &[Record]) -> Vec<u64> {
     let mut writer = RecordingWriter::new(Vec::new(), &header()).unwrap();
     let mut at = vec![12, writer.written()];
@@ -70,7 +70,7 @@ fn hex(bytes: &[u8]) -> String {
     lines.collect()
 }
 
-/// What a version says never changes. With `IMRS_WRITE_GOLDEN=1` the bytes of a new one are written.
+/// The bytes of a version never change. `IMRS_WRITE_GOLDEN=1` writes those of a new version.
 #[test]
 fn version_10_is_these_bytes() {
     let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/recording_golden/10.hex");
@@ -80,11 +80,11 @@ fn version_10_is_these_bytes() {
     assert_eq!(hex(&written(&records())), std::fs::read_to_string(path).unwrap());
 }
 
-/// The inputs and keyframes of the first two are those of machines without handlers, and without epochs that are said
-/// before they are acted in: no machine of today can go on from them. The third has no checksum of its lengths, and lacks
-/// what scripts took; the fourth does not say which statements were run, nor how many inputs there were; the digests of the fifth are others, and
-/// the keyframes of the sixth have room for every port alike. Those of the seventh lack what others brought to a meeting that is over, and
-/// those of the eighth are of a machine of one piece (D167). An input of the ninth that is time alone says how much (D168).
+/// Why each version cannot be replayed today. Versions 1 and 2: their machines had no handlers, and announced no epoch
+/// before they acted in it. Version 3: no checksum of the lengths, and no script inputs. Version 4: no digest of the
+/// statements, and no number of inputs. Version 5: other digests. Version 6: keyframes with equal space for every port.
+/// Version 7: no arrivals for a finished meeting. Version 8: one state machine per task (D167). Version 9: a time input
+/// carries its length (D168).
 #[test]
 fn older_versions_are_refused_by_their_numbers() {
     let kept = [
@@ -202,7 +202,7 @@ fn records_out_of_place_are_refused() {
     assert!(matches!(writer.append(&too_long), Err(WriteError::TooLong(_))));
 }
 
-/// A source that grows.
+/// A file that grows while it is read.
 struct Growing(Arc<Mutex<Vec<u8>>>, usize);
 
 impl Read for Growing {
@@ -243,7 +243,7 @@ proptest! {
     #[test]
     fn contents_behind_a_right_checksum_are_read_or_refused(contents in proptest::collection::vec(any::<u8>(), 0..100)) {
         let mut file = written(&[Record::Frame { source: 0, at: 0, bytes: contents.clone() }]);
-        // The same file, but for one record whose contents are anything.
+        // The same file with one record of arbitrary contents.
         file.truncate(usize::try_from(boundaries(&[])[1]).unwrap());
         let length = u32::try_from(contents.len()).unwrap().to_le_bytes();
         let crc = crc::Crc::<u32>::new(&crc::CRC_32_MEF);

@@ -1,4 +1,4 @@
-//! Recordings as files, and the thread that writes them.
+//! Tests of recordings: the file format, and the thread that writes it.
 
 mod form;
 mod rig;

@@ -1,4 +1,4 @@
-//! What frames of a recording hold: the golden form, and what is refused.
+//! Tests of the frames in a recording: golden bytes, and versions that are refused.
 
 use imrs_protocol::TaskId;
 use imrs_wire::obs::{DecodeError, Hello, Refusal, Role, SCHEMA, ServerFrame, Table, VERSION, Version};
@@ -9,7 +9,7 @@ fn hello(schema: u32) -> Hello {
     Hello { schema, pid: 7, build: "imrs 1".into(), mono_us: 9, role: Role::Monitor }
 }
 
-/// What the released programs of version 1.0 were built from.
+/// The schema of the released programs that speak version 1.0.
 const SCHEMA_1_0: u32 = 0x3723_afbb;
 
 /// One of each kind.
@@ -39,7 +39,7 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// What is written once can be read for ever.
+/// Frames that were written once stay readable for ever.
 #[test]
 fn each_kind_is_these_bytes() {
     let golden = [
@@ -62,7 +62,7 @@ fn other_versions_are_refused_by_their_names() {
     let refused = of(newer, SCHEMA);
     assert_eq!(refused, Err(ShownError::Refused(Refusal::OtherMajor { node: newer, monitor: VERSION })));
     assert!(matches!(of(VERSION, 1), Err(ShownError::Refused(Refusal::OtherSchema { node: 1, .. }))));
-    // Whatever else has changed in a later version: its introduction begins with its number.
+    // A later version may change everything but the version number at the start of its hello.
     let strange = [0, 9, 0, 1, 255, 255];
     assert!(matches!(Shown::decode(&strange), Err(ShownError::Refused(Refusal::OtherMajor { .. }))));
     assert_eq!(Shown::decode(&[9]), Err(ShownError::Decode(DecodeError::UnknownKind(9))));

@@ -1,4 +1,4 @@
-//! Disks that are slow, stuck or full: the node never waits, and the recording says what it lost.
+//! Tests of the writing thread with slow, stuck and full disks: the node never waits, and the recording reports its losses.
 
 use super::rig::{header, read};
 use imrs_protocol::TaskId;
@@ -9,14 +9,14 @@ use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// Far more than anything here takes on a busy machine.
+/// A time limit far above what any test needs on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A disk: takes bytes when it is let, up to its size.
+/// A simulated disk with a size. It may need a token for each write.
 struct Disk {
     bytes: Arc<Mutex<Vec<u8>>>,
     size: usize,
-    /// Where given: one write for each token.
+    /// If given, each write takes a token.
     tokens: Option<Receiver<()>>,
     /// Whether a write waits, or has waited, for a token.
     stuck: Arc<AtomicBool>,
@@ -113,10 +113,10 @@ fn what_is_handed_over_is_on_disk_soon_without_a_stop() {
     }
 }
 
-/// Numbers that a thread has put down for the one that writes.
+/// Numbers that another thread left for the writing thread.
 struct Numbers {
     waiting: Arc<Mutex<Vec<u64>>>,
-    /// Put down while the first look that finds nothing ends: the writer goes to sleep on it.
+    /// Added right after the first pass that finds nothing, so the writing thread parks without seeing it.
     missed: Option<u64>,
 }
 
@@ -147,9 +147,9 @@ fn a_source_is_emptied_soon_and_once_more_at_the_end() {
     let (waiting, alert) = (Arc::clone(&numbers.waiting), recording.alert());
     let on_disk = || read(&bytes.lock().unwrap()).0.len();
     recording.attach(Box::new(numbers));
-    // The writer may have slept before it had a source. With this call it finds 0, and with its next look nothing.
+    // The writer may be parked without a source yet. This call makes it find 0, and its next pass finds nothing.
     assert!(alert.call());
-    // Nobody says that there is 1: it is found all the same.
+    // No call reports the 1, but the writer finds it.
     wait_for("a record on disk", || on_disk() == 2);
     wait_for("the writer to sleep", || alert.is_due());
     waiting.lock().unwrap().push(2);
@@ -172,7 +172,7 @@ fn a_slow_disk_makes_a_gap_and_never_a_wait() {
     let recording = Recording::start(disk, &header(), 8, no_failure).unwrap();
     let (mut stream, mut other) = (recording.frames(0), recording.frames(1));
     assert!(stream.frame(0, Vec::new()));
-    // A writer that is not stuck yet would make room in the full queue once more.
+    // Before the writer is stuck, it could drain the full queue once more.
     wait_for("the writer to be stuck", || stuck.load(Ordering::Acquire));
     let mut number = 1;
     let start = Instant::now();

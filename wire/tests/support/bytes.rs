@@ -1,4 +1,4 @@
-//! What holds for any bytes of the observation protocol. Also the body of the fuzz target `obs`.
+//! Properties that hold for any bytes of the observation protocol. The fuzz target `obs` runs this too.
 
 use imrs_protocol::Reason;
 use imrs_wire::obs::{
@@ -6,7 +6,7 @@ use imrs_wire::obs::{
 };
 use serde::Serialize;
 
-/// Decodes the bytes as every kind of thing, and as a stream of frames whose changes are applied one after the other.
+/// Decodes the bytes as every kind of frame, and as a stream of frames whose deltas are applied in order.
 pub fn check(bytes: &[u8]) {
     server(bytes);
     if let Ok(frame) = ClientFrame::decode(bytes) {
@@ -22,7 +22,7 @@ pub fn check(bytes: &[u8]) {
         match server(frame) {
             Some(ServerFrame::Delta(delta)) => states.iter_mut().for_each(|state| change(state, &delta)),
             Some(ServerFrame::Snapshot(snapshot)) => {
-                // From any state to any other.
+                // A delta leads from any state to any other.
                 let [first, second] = &mut states;
                 leads(first, &snapshot);
                 *second = std::mem::replace(first, snapshot);
@@ -39,18 +39,18 @@ fn server(bytes: &[u8]) -> Option<ServerFrame> {
     Some(frame)
 }
 
-/// What was decoded comes back from its encoding.
+/// Encoding and decoding a value again gives the same value.
 fn again<T: Serialize + PartialEq + std::fmt::Debug>(value: &T, decode: impl FnOnce(&[u8]) -> T) {
     let bytes = postcard::to_allocvec(value).expect("a value that can be encoded");
     assert_eq!(decode(&bytes), *value);
 }
 
-/// A change is borne: an error leaves the state as it was, and what it leads to is also reached by what changed.
+/// Applies a delta. An error leaves the state unchanged. Otherwise a delta computed between both states leads to the same state.
 fn change(state: &mut Snapshot, delta: &Delta) {
     let before = state.clone();
     if state.apply(delta).is_err() {
         assert_eq!(*state, before);
-        // As if it were of this state.
+        // The same delta with this state as its base.
         let delta = Delta { base_us: delta.base_us.map(|_| state.mono_us), ..delta.clone() };
         if state.apply(&delta).is_err() {
             assert_eq!(*state, before);
@@ -67,7 +67,7 @@ fn leads(from: &Snapshot, to: &Snapshot) {
     }
 }
 
-/// A state with something of everything that changes can be of, but for tasks.
+/// A state with parts of every kind that a delta can change, except tasks.
 fn beginning() -> Snapshot {
     let link = LinkView { peer: imrs_protocol::NodeId(1), heard_us: Some(9), sent: 2, received: 1 };
     let count = |reason: &Reason| Count { name: reason.name().into(), count: 1 };

@@ -1,3 +1,3 @@
-//! What the tests of the wire share with its fuzz target.
+//! Code that the tests of this crate share with its fuzz target.
 
 pub mod bytes;

@@ -1,17 +1,17 @@
-//! What the monitor warns of: a code, how much it matters, and a page about each.
+//! The lints of the monitor: code, severity and explanation of each.
 
 use crate::store::journal::Level;
 
-/// Something that the monitor warns of.
+/// A lint: a kind of finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Lint {
-    /// A name that stays the same, for programs and for `imrs explain`.
+    /// A stable name, for programs and for `imrs explain`.
     pub code: &'static str,
-    /// How much it matters.
+    /// Its severity.
     pub level: Level,
-    /// What it is about, in a few words.
+    /// A short title.
     pub title: &'static str,
-    /// The page, in Markdown: what it means, when it is raised, what to do.
+    /// An explanation in Markdown: meaning, condition, remedy.
     pub explanation: &'static str,
 }
 
@@ -24,7 +24,7 @@ macro_rules! lints {
             explanation: include_str!(concat!("explain/", $code, ".md")),
         };)*
 
-        /// All that the monitor warns of, the worst first.
+        /// All lints, most severe first.
         pub const ALL: &[Lint] = &[$($name,)*];
     };
 }
@@ -60,7 +60,7 @@ lints! {
     EVENTS_LOST Note "events-lost" "the node could not keep all events for this monitor";
 }
 
-/// The lint of this code.
+/// The lint with this code.
 #[must_use]
 pub fn find(code: &str) -> Option<&'static Lint> {
     ALL.iter().find(|lint| lint.code == code)

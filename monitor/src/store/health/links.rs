@@ -1,11 +1,11 @@
-//! What is wrong between nodes: what came in damaged or from strangers, what the kernel dropped, what waits to leave.
+//! Findings between nodes: damaged or foreign datagrams, kernel drops, and a full transit buffer.
 
 use super::codes::{self, Lint};
 use super::{Finding, Lately, Place};
 use crate::store::Life;
 
-/// Names of what a link drops or fails in (`runtime/src/link`), and what each is a sign of. Others are
-/// [`codes::LINK_DISCARDS`], but for those that a link counts in its ordinary course.
+/// The link counters (`runtime/src/link`) with a lint of their own. Any other counter is [`codes::LINK_DISCARDS`],
+/// unless it is routine.
 const SIGNS: &[(&str, &Lint)] = &[
     ("checksum", &codes::INTEGRITY),
     ("length", &codes::INTEGRITY),
@@ -26,7 +26,7 @@ const SIGNS: &[(&str, &Lint)] = &[
     ("kernel_dropped", &codes::KERNEL_RESIDENCY),
 ];
 
-/// Packets of an earlier life of a neighbour still arrive after it came back: the ordinary course of a restart.
+/// Packets of a neighbour's previous incarnation, which still arrive after a restart, are routine.
 const ORDINARY: &[&str] = &["stale_incarnation", "unproven_session"];
 
 pub(super) fn look(life: &Life, lately: &Lately<'_>, found: &mut Vec<Finding>) {
@@ -48,7 +48,7 @@ pub(super) fn look(life: &Life, lately: &Lately<'_>, found: &mut Vec<Finding>) {
 }
 
 impl<'a> Lately<'a> {
-    /// What links have dropped lately, by reason.
+    /// The growth of the links' drop counters, by reason.
     fn link_discards(&self) -> impl Iterator<Item = (&'a str, u64)> + use<'a> {
         let before = self.before;
         self.after.link_discards.iter().filter_map(move |count| {

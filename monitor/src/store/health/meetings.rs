@@ -1,4 +1,4 @@
-//! What is wrong between tasks: meetings that will fail, that failed for some, and circles of waiting.
+//! Findings between tasks: rendezvous that will fail or failed for some members, and wait-for cycles.
 
 use super::{Finding, Place, codes};
 use crate::clock::Moment;
@@ -10,7 +10,7 @@ use crate::store::{Names, Store};
 use imrs_protocol::TaskId;
 use std::time::Duration;
 
-/// How long a round that ended differently for its members is told.
+/// How long a divergent round is reported.
 const TOLD: Duration = Duration::from_secs(10);
 
 pub(super) fn look(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Finding>) {
@@ -28,13 +28,13 @@ pub(super) fn look(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Find
     }
 }
 
-/// The place of a task in the present life of its node.
+/// The place of a task in the latest incarnation of its node.
 fn home(store: &Store, cell: &Name, names: &Names, task: TaskId) -> Option<Place> {
     let life = names.home(task).and_then(|node| store.latest(cell, node))?;
     Some(Place { task: Some(task), ..Place::node(life) })
 }
 
-/// A meeting in which somebody waits, and for whom.
+/// Findings of a rendezvous in which a member waits.
 fn waiting(store: &Store, cell: &Name, names: &Names, meeting: &Meeting, found: &mut Vec<Finding>) {
     let title = |m: &Member| format!("{}@{}", m.name, m.node);
     let lost: Vec<String> = meeting.lost().map(title).collect();
@@ -62,7 +62,7 @@ fn waiting(store: &Store, cell: &Name, names: &Names, meeting: &Meeting, found: 
     }
 }
 
-/// A round that some went on from and others did not.
+/// A recent divergent round: some members were released and others were not.
 fn divergent(
     store: &Store,
     cell: &Name,

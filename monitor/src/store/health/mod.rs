@@ -1,4 +1,4 @@
-//! What is wrong, seen from what is known: each finding names its place and says what it means.
+//! The health checks: they derive findings from the store. Each finding names its place and its meaning.
 
 pub mod codes;
 mod links;
@@ -17,10 +17,10 @@ use imrs_protocol::{NodeId, PortId, TaskId};
 use imrs_wire::obs::Snapshot;
 use std::sync::{Arc, OnceLock};
 
-/// Where something is wrong: the whole node, one task, or one port.
+/// The place of a finding: a whole node, a task, or a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Place {
-    /// The life of the node, or the node that was never seen.
+    /// The incarnation of the node, or the id of a node that was never seen.
     pub node: Result<LifeId, NodeId>,
     /// The task.
     pub task: Option<TaskId>,
@@ -29,12 +29,12 @@ pub struct Place {
 }
 
 impl Place {
-    /// A whole node.
+    /// The place of a whole node.
     const fn node(life: &Life) -> Self {
         Self { node: Ok(life.id), task: None, port: None }
     }
 
-    /// Whether `other` is this place or within it.
+    /// Whether `other` is this place or lies within it.
     #[must_use]
     pub fn holds(&self, other: &Self) -> bool {
         self.node == other.node
@@ -43,16 +43,16 @@ impl Place {
     }
 }
 
-/// Something that is wrong.
+/// A finding.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
-    /// How much it matters.
+    /// Its severity.
     pub level: Level,
-    /// A name that stays the same, for programs: see [`codes`].
+    /// A stable name, for programs: see [`codes`].
     pub code: &'static str,
-    /// Where.
+    /// Its place.
     pub place: Place,
-    /// In words.
+    /// A description in words.
     pub text: Arc<str>,
 }
 
@@ -62,8 +62,8 @@ impl Finding {
     }
 }
 
-/// What is wrong with the tasks and ports of a life. It depends on what the node has told and not on the moment, so it is
-/// looked for once after each time that the node says something: ten thousand ports in every frame would be most of it.
+/// Cached findings of the tasks and ports of an incarnation. They depend only on its frames, so they are computed once
+/// per frame: checking ten thousand ports for each drawn frame would dominate its cost.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Looked(OnceLock<Arc<[Finding]>>);
 
@@ -72,13 +72,13 @@ impl Looked {
         self.0.get_or_init(|| look().into())
     }
 
-    /// The node has said something.
+    /// Drops the cache after a frame of the node.
     pub(super) fn forget(&mut self) {
         self.0.take();
     }
 }
 
-/// All that is wrong in a cell now, worst first.
+/// All findings in a cell at `now`, most severe first.
 #[must_use]
 pub fn findings(store: &Store, cell: &Name, now: Moment) -> Vec<Finding> {
     let mut found = Vec::new();
@@ -92,7 +92,7 @@ pub fn findings(store: &Store, cell: &Name, now: Moment) -> Vec<Finding> {
     found
 }
 
-/// How much a counter has grown since [`Life::base`], and the snapshot it stood in then.
+/// Two snapshots to compare: the one at [`Life::base`] and the latest.
 struct Lately<'a> {
     before: Option<&'a Snapshot>,
     after: &'a Snapshot,

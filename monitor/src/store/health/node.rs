@@ -1,4 +1,4 @@
-//! What is wrong with a node as a whole, and with its tasks.
+//! Findings of a node as a whole, and of its tasks.
 
 use super::{Finding, Lately, Place, codes, links, port};
 use crate::clock::{Moment, Span};
@@ -9,9 +9,9 @@ use imrs_wire::obs::{Liveness, RealTime};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// What a node said of its timers counts for so long.
+/// How long a report on timers stays valid.
 const VITALS: Duration = Duration::from_secs(3);
-/// Of fewer timers nothing is said.
+/// With fewer ended timers there is no finding.
 const A_RULE: u64 = 8;
 
 pub(super) fn look(store: &Store, life: &Life, now: Moment, found: &mut Vec<Finding>) {
@@ -66,7 +66,7 @@ fn tasks(store: &Store, life: &Life, lately: &Lately<'_>) -> Vec<Finding> {
     found
 }
 
-/// Scripts that a restarted node holds back: one finding for all its tasks where all have the same time left, or one for each.
+/// The scripts that a restarted node holds back: one finding if all tasks have the same remaining time, otherwise one each.
 fn held_back(life: &Life, now: Moment, found: &mut Vec<Finding>) {
     let held: Vec<_> = life.held_back(now).collect();
     let Some(&(_, first)) = held.first() else { return };
@@ -81,18 +81,18 @@ fn held_back(life: &Life, now: Moment, found: &mut Vec<Finding>) {
     }
 }
 
-/// How long a script is still held back: "held back 62 s more". The seconds are rounded up.
+/// The words for a held-back script: "held back 62 s more". Seconds are rounded up.
 pub(crate) fn held_back_words(us: u64) -> String {
     format!("held back {} s more", us.div_ceil(1_000_000))
 }
 
-/// The same, and why.
+/// The same, with the reason.
 pub(crate) fn held_back_sentence(us: u64) -> String {
     format!("{}: commands of its earlier incarnation may still arrive", held_back_words(us))
 }
 
-/// Timers that are late as a rule: of those that ended in the last seconds, if they are enough to speak of a rule. Single
-/// ones are late on any shared machine; these are told on the screen of the timers.
+/// Reports timers that are usually late, if enough of them ended within the last seconds. Single timers are late on any
+/// shared machine; only the timer screen shows those.
 fn timers(life: &Life, now: Moment, found: &mut Vec<Finding>) {
     let Some(told) = life.vitals.as_ref().filter(|told| now.saturating_sub(told.at) <= VITALS) else {
         return;
@@ -111,7 +111,7 @@ fn timers(life: &Life, now: Moment, found: &mut Vec<Finding>) {
     }
 }
 
-/// Nodes that never told anything: those of which only a socket is left, and those of which there is nothing.
+/// Reports nodes that were never seen: killed ones, whose socket was left behind, and missing ones.
 pub(super) fn never_seen(store: &Store, cell: &Name, found: &mut Vec<Finding>) {
     for one in unseen(store, cell) {
         let place = Place { node: Err(one.node), task: None, port: None };
@@ -124,7 +124,7 @@ pub(super) fn never_seen(store: &Store, cell: &Name, found: &mut Vec<Finding>) {
     }
 }
 
-/// Nodes that are not what most of their cell are: of another text, or another release.
+/// Reports nodes that differ from the majority of their cell in digest or release.
 pub(super) fn unlike(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Finding>) {
     let up: Vec<&Life> = store.present(cell).filter(|life| !life.presence(now).is_gone()).collect();
     if let Some(usual) = most_usual(up.iter().map(|life| life.digest)) {
@@ -144,7 +144,7 @@ pub(super) fn unlike(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Fi
     }
 }
 
-/// What most of `all` are; of equally many, the greatest.
+/// The most frequent value; among equals, the greatest.
 fn most_usual<T: Ord>(all: impl Iterator<Item = T>) -> Option<T> {
     let mut count: BTreeMap<T, usize> = BTreeMap::new();
     for one in all {

@@ -1,5 +1,5 @@
-//! What is wrong at a port: what it has lost lately, and what it is about to lose. Of what has happened only the most
-//! telling is said: a flood also evicts and lets expire.
+//! Findings of a port: recent losses, and losses to come. Only the most significant loss is reported, because a flood
+//! also causes evictions and expiries.
 
 use super::codes::{self, Lint};
 use super::{Finding, Lately, Place};
@@ -10,9 +10,9 @@ use crate::store::{Life, Store};
 use imrs_protocol::{Class, PortCounters, PortView};
 use imrs_wire::obs::TaskSnapshot;
 
-/// A message that was rejected so often starves (R16, D58).
+/// With this many rejections a message starves (R16, D58).
 const REJECTIONS: u32 = 3;
-/// So many class-1 messages dropped for space within some seconds are a flood, if they are a quarter of what came.
+/// This many class-1 messages dropped for space since the base sample are a flood, if they are a quarter of the arrivals.
 const FLOOD: u64 = 10;
 
 pub(super) fn look(
@@ -25,7 +25,7 @@ pub(super) fn look(
     let earlier = lately.before.and_then(|s| s.tasks.iter().find(|t| t.view.task == task.view.task));
     for (at, port) in task.view.ports.iter().enumerate() {
         let place = Place { task: Some(task.view.task), port: Some(port.port), ..Place::node(life) };
-        // A node tells its ports in the same order every time.
+        // A node lists its ports in the same order every time.
         let there = earlier.and_then(|task| task.view.ports.get(at)).filter(|there| there.port == port.port);
         let earlier = there.or_else(|| port_of(earlier?, port.port));
         if let Some((lint, text)) = earlier.and_then(|e| grown(port.class, &e.counters, &port.counters)) {
@@ -39,7 +39,7 @@ pub(super) fn look(
     }
 }
 
-/// What a port has lost lately, the most telling first.
+/// The recent losses of a port; only the most significant one.
 fn grown(class: Class, before: &PortCounters, after: &PortCounters) -> Option<(&'static Lint, String)> {
     let more = |of: fn(&PortCounters) -> u64| of(after).saturating_sub(of(before));
     let (evicted, refused) = (more(|c| c.evicted), more(|c| c.refused));
@@ -60,7 +60,7 @@ fn grown(class: Class, before: &PortCounters, after: &PortCounters) -> Option<(&
     Some((lint, format!("{words} (+{count})")))
 }
 
-/// What will go wrong with a message that waits.
+/// A queued message that will starve or expire.
 fn waiting(
     store: &Store,
     life: &Life,
@@ -77,8 +77,7 @@ fn waiting(
         let from = life.names.task(source);
         return Some((&codes::STARVING, format!("starving: #{number} of {from} was rejected {times} times")));
     }
-    // As the node saw it: between two snapshots a short-lived message comes and goes, and counting its time down here
-    // would raise an alarm about one that was taken long ago.
+    // Use the node's own sample: counted down here, a message that was taken since the snapshot would raise an alarm.
     for (position, entry) in port.queue.iter().enumerate() {
         let left = life.left_when_seen(entry.remaining, task.age_us);
         if let Some(needed) = outlook.done_in(position)

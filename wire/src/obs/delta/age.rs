@@ -1,10 +1,10 @@
-//! What time alone makes of the parts of a snapshot.
+//! Ages the parts of a snapshot: subtracts the time that passed from every remaining time.
 
 use super::{COUNTERS, NodeFacts};
 use crate::obs::snapshot::{LinkView, Snapshot, TimerEntry};
 use imrs_protocol::{MeetingView, PortCounters, QueueEntry, TaskState, TaskView, Ticks, TransitView};
 
-/// By how much the own time of something went on, of which the snapshots were so old.
+/// By how much the own time of a state machine advanced between two snapshots, given its age at both.
 pub(super) const fn own_time(passed: u64, old_age: u64, new_age: u64) -> u64 {
     passed.wrapping_sub(new_age).wrapping_add(old_age)
 }

@@ -1,4 +1,4 @@
-//! What becomes of a snapshot by what changed, if it fits.
+//! Applies a delta to a snapshot, after checking that it fits.
 
 use super::age::{
     age_parts, age_timers, age_transit, aged, aged_facts, aged_link, aged_state, counters, counters_of,
@@ -10,10 +10,10 @@ use crate::obs::snapshot::{Count, Snapshot, TaskSnapshot};
 use imrs_protocol::{PortCounters, PortId, PortView, TaskView};
 
 impl Snapshot {
-    /// Makes of this snapshot the one that `delta` leads to.
+    /// Changes this snapshot into the one that `delta` leads to.
     ///
     /// # Errors
-    /// [`DeltaError`]; then nothing of it was changed.
+    /// [`DeltaError`]; the snapshot is unchanged then.
     pub fn apply(&mut self, delta: &Delta) -> Result<(), DeltaError> {
         match delta.base_us {
             Some(wanted) if wanted != self.mono_us => {
@@ -58,7 +58,7 @@ impl Snapshot {
     }
 }
 
-/// Hands every element that changed to `change`. Its place was looked at by [`fits`].
+/// Calls `change` for each changed element. [`fits`] has checked that they all exist.
 fn each<T, P>(list: &mut [T], parts: &[At<P>], mut change: impl FnMut(&mut T, &P)) {
     let mut rest = list.iter_mut();
     for part in parts {
@@ -109,7 +109,7 @@ fn grow(counts: &mut Vec<Count>, change: &Changed<u64, Count>) {
     }
 }
 
-/// Whether everything that `delta` changes is there.
+/// Checks that everything that `delta` changes exists.
 fn fits(snapshot: &Snapshot, delta: &Delta) -> Result<(), DeltaError> {
     match &delta.tasks {
         Changed::Whole(tasks) => tasks.iter().try_for_each(fits_anew)?,

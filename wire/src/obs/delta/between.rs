@@ -1,4 +1,4 @@
-//! What one snapshot lacks of another.
+//! Computes the delta between two snapshots.
 
 use super::age::{
     age_meeting, age_timers, age_transit, aged_entry, aged_facts, aged_link, aged_state, counters, facts,
@@ -9,19 +9,19 @@ use crate::obs::snapshot::{Count, LinkView, Snapshot, TaskSnapshot};
 use imrs_protocol::{MeetingView, PortCounters, PortView, Ticks};
 
 impl Delta {
-    /// All of `new`.
+    /// A delta that contains all of `new`.
     #[must_use]
     pub fn whole(new: &Snapshot) -> Self {
         Self { base_us: None, ..Self::between(&Snapshot::default(), new) }
     }
 
-    /// Whether it is all of a snapshot, and needs no other.
+    /// Whether it contains a whole snapshot, and needs no previous one.
     #[must_use]
     pub const fn is_whole(&self) -> bool {
         self.base_us.is_none()
     }
 
-    /// What `old` lacks of `new`.
+    /// The delta that leads from `old` to `new`.
     #[must_use]
     pub fn between(old: &Snapshot, new: &Snapshot) -> Self {
         let passed = new.mono_us.wrapping_sub(old.mono_us);
@@ -53,7 +53,7 @@ fn tasks(old: &Snapshot, new: &Snapshot, passed: u64) -> Changed<TaskChange, Tas
     Changed::Parts(parts(&old.tasks, &new.tasks, |old, new| task(old, new, passed)))
 }
 
-/// What became of each element of a list, where something did.
+/// The changed elements of a list.
 fn parts<T, P>(old: &[T], new: &[T], change: impl Fn(&T, &T) -> Option<P>) -> Vec<At<P>> {
     let (mut parts, mut skip) = (Vec::new(), 0);
     for (old, new) in old.iter().zip(new) {
@@ -93,7 +93,7 @@ fn task(old: &TaskSnapshot, new: &TaskSnapshot, passed: u64) -> Option<TaskChang
     (!nothing).then_some(TaskChange::Parts(parts))
 }
 
-/// What never changes of a port while its node lives.
+/// The features of a port that never change during one incarnation of its node.
 const fn fixed(port: &PortView) -> (u16, u8, bool, u16) {
     (port.port.0, port.usage as u8, matches!(port.class, imrs_protocol::Class::Status), port.capacity)
 }
@@ -141,7 +141,7 @@ fn counts(old: &[Count], new: &[Count]) -> Changed<u64, Count> {
     Changed::Parts(parts(old, new, |old, new| Some(grown(old, new)).filter(|by| *by != 0)))
 }
 
-/// The port, had nothing ever happened there.
+/// The same port as if it had never been used.
 fn untouched(port: &PortView) -> PortView {
     PortView { len: 0, min_slack: None, queue: Vec::new(), counters: PortCounters::default(), ..*port }
 }

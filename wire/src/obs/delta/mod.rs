@@ -1,9 +1,8 @@
-//! What changed from one snapshot to the next: nothing is said of what only grew older.
+//! Deltas: what changed from one snapshot to the next. The mere passing of time is not sent.
 //!
-//! A remaining time is compared as the instant that it ends at. Where the snapshot before, made older by the time that
-//! passed, is the new one, nothing is sent: a node in which nothing happens costs a few bytes a period. The law is
-//! `old.apply(&Delta::between(&old, &new))` gives `new`, whatever the two are. A whole snapshot is told as what changed
-//! since there was nothing.
+//! Remaining times are compared as deadlines. If the previous snapshot, aged by the time that passed, equals the new one,
+//! nothing is sent. So an idle node costs a few bytes per period. The law is: `old.apply(&Delta::between(&old, &new))`
+//! gives `new`, whatever the two are. A whole snapshot is encoded as the delta from the empty snapshot.
 
 mod age;
 mod apply;
@@ -20,47 +19,48 @@ const COUNTERS: usize = 11;
 /// A part of a list that changed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct At<T> {
-    /// How many that did not change lie between the one before and this one.
+    /// How many unchanged elements lie between the previous changed one and this one.
     pub skip: u32,
     /// What changed.
     pub what: T,
 }
 
-/// What became of a list.
+/// The change of a list.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Changed<P, W> {
-    /// Its elements are those of before, and of these something changed.
+    /// It has as many elements as before, and these changed.
     Parts(Vec<At<P>>),
-    /// It is now this.
+    /// The whole new list.
     Whole(Vec<W>),
 }
 
 /// What changed between two snapshots of one node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Delta {
-    /// [`Snapshot::mono_us`](super::Snapshot::mono_us) of the snapshot that it changes. `None`: it is whole, and takes the place of any.
+    /// [`Snapshot::mono_us`](super::Snapshot::mono_us) of the snapshot to which it applies. `None`: the delta is whole,
+    /// and replaces any snapshot.
     pub base_us: Option<u64>,
-    /// How much later the new one was taken, in microseconds; where it is whole, since the clock's start.
+    /// The time between the two samples, in microseconds; for a whole delta, the time since the origin of the clock.
     pub passed_us: u64,
-    /// What a node has besides its parts, where it changed.
+    /// The fields of a node that belong to no part, if they changed.
     pub node: Option<NodeFacts>,
     /// Its tasks.
     pub tasks: Changed<TaskChange, TaskAnew>,
-    /// By how many microseconds the transit buffer's own time went on.
+    /// By how much the transit buffer's own time advanced, in microseconds.
     pub transit_passed_us: u64,
-    /// The transit buffer, where more than its time changed.
+    /// The transit buffer, if more than its time changed.
     pub transit: Option<TransitView>,
-    /// The Timer's entries, where more than their time changed.
+    /// The Timer's entries, if more than their time changed.
     pub timers: Option<Vec<TimerEntry>>,
     /// Its links.
     pub links: Changed<LinkView, LinkView>,
-    /// By how much the counters of messages dropped by its machines grew.
+    /// By how much the counters of messages that its state machines dropped grew.
     pub discards: Changed<u64, Count>,
-    /// By how much those of its links grew.
+    /// By how much the counters of drops at its links grew.
     pub link_discards: Changed<u64, Count>,
 }
 
-/// What a node has besides its parts.
+/// The fields of a node that belong to no part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NodeFacts {
     /// [`Snapshot::uptime_us`](super::Snapshot::uptime_us).
@@ -71,42 +71,42 @@ pub struct NodeFacts {
     pub real_time: RealTime,
 }
 
-/// What became of a task.
+/// The change of a task.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum TaskChange {
-    /// These parts of it changed.
+    /// Some of its parts changed.
     Parts(TaskParts),
-    /// It has other ports or meetings than before.
+    /// Its identity, its ports or the number of its meetings differ from before.
     Anew(TaskAnew),
 }
 
-/// What changed of a task.
+/// The changed parts of a task.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskParts {
-    /// By how many microseconds the communication task's own time went on.
+    /// By how much the communication task's own time advanced, in microseconds.
     pub passed_us: u64,
-    /// Whether it still runs, if that changed.
+    /// Its liveness, if that changed.
     pub liveness: Option<Liveness>,
-    /// What it does, if more than its time changed.
+    /// Its state, if more than the time changed.
     pub state: Option<TaskState>,
     /// Its ports.
     pub ports: Vec<At<PortChange>>,
-    /// Its waitfors.
+    /// Its `waitfor` ports.
     pub meetings: Vec<At<MeetingView>>,
 }
 
-/// What changed of a port.
+/// The change of a port.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PortChange {
-    /// Which of its counters grew: the bits in the order of [`PortCounters`](imrs_protocol::PortCounters), from the lowest.
+    /// A bit for each counter that grew, in the order of [`PortCounters`](imrs_protocol::PortCounters), lowest bit first.
     pub grown: u16,
-    /// By how much each of them did.
+    /// By how much each of those grew.
     pub by: Vec<u64>,
-    /// What waits there, if more than its time changed.
+    /// Its queue, if more than the time changed.
     pub waiting: Option<Waiting>,
 }
 
-/// A task, whatever was known of it.
+/// The whole state of a task, independent of the previous snapshot.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskAnew {
     /// [`TaskView::task`](imrs_protocol::TaskView::task).
@@ -123,10 +123,10 @@ pub struct TaskAnew {
     pub meetings: Vec<MeetingView>,
 }
 
-/// A port, whatever was known of it.
+/// The whole state of a port, independent of the previous snapshot.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PortAnew {
-    /// By how much its number is greater than that of the port before, or than 0, counted around the end of the numbers.
+    /// Its number minus that of the previous port (0 for the first), with wrap-around.
     pub further: u16,
     /// [`PortView::usage`](imrs_protocol::PortView::usage).
     pub usage: Usage,
@@ -134,11 +134,11 @@ pub struct PortAnew {
     pub class: Class,
     /// [`PortView::capacity`](imrs_protocol::PortView::capacity).
     pub capacity: u16,
-    /// How it differs from a port at which nothing ever happened.
+    /// Its difference from a port that was never used.
     pub change: PortChange,
 }
 
-/// What waits at a port.
+/// The queue of a port.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Waiting {
     /// [`PortView::len`](imrs_protocol::PortView::len).
@@ -149,21 +149,21 @@ pub struct Waiting {
     pub queue: Vec<QueueEntry>,
 }
 
-/// Why a delta cannot be applied. The snapshot is as it was.
+/// Why a delta cannot be applied. The snapshot stays unchanged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum DeltaError {
-    /// It changes another snapshot.
+    /// It applies to another snapshot.
     #[error("a change of the snapshot at {wanted} us, the last one is of {have} us")]
     OtherBase {
-        /// The snapshot that it changes.
+        /// The sample time of the snapshot to which it applies, in microseconds.
         wanted: u64,
-        /// The snapshot that there is.
+        /// The sample time of the present snapshot, in microseconds.
         have: u64,
     },
-    /// It changes something that the snapshot does not have.
+    /// It changes a part that the snapshot does not have.
     #[error("a change of something that the snapshot does not have")]
     NoSuchPart,
-    /// It names other counters than it has growths for.
+    /// The number of growths differs from the number of counters named, or a named counter does not exist.
     #[error("a change of counters that is not one for each")]
     OtherCounters,
 }
