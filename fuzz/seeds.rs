@@ -1,4 +1,4 @@
-//! Reads the kept inputs of the fuzz targets, for the tests of the rooms.
+//! Reads the kept inputs of the fuzz targets, for the tests of the crates.
 
 use std::path::Path;
 

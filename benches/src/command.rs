@@ -1,4 +1,4 @@
-//! The command line: which suites, how many rounds, where the answer goes.
+//! The command line: which suites to measure, how many rounds, and where the output goes.
 
 use crate::cases;
 use crate::harness::{Results, measure};
@@ -44,7 +44,7 @@ pub struct BenchArgs {
     pub gate: bool,
 }
 
-/// The forms of an answer.
+/// The forms of the output.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Form {
     /// Tables.
@@ -53,30 +53,30 @@ pub enum Form {
     Json,
 }
 
-/// Whether every goal that was measured is met.
+/// Whether every measured goal is met.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// All of them, or nobody asked.
+    /// All goals are met, or `--gate` was not given.
     Well,
-    /// Not all, and `--gate` asked.
+    /// A goal is not met, and `--gate` was given.
     Missed,
 }
 
-/// Why nothing was measured, or the answer did not get where it should.
+/// Why nothing was measured, or the output was not written.
 #[derive(Debug, thiserror::Error)]
 pub enum BenchError {
     /// There is no such suite.
     #[error("there is no suite `{name}`: {known}")]
     NoSuite {
-        /// What was asked for.
+        /// The name that was given.
         name: String,
-        /// What there is.
+        /// The names that exist.
         known: String,
     },
-    /// No case has such a name.
+    /// No case has this text in its name.
     #[error("no measurement has `{0}` in its name: `--list` names them all")]
     NoCase(String),
-    /// The page was not renewed.
+    /// The page was not updated.
     #[error(transparent)]
     Page(#[from] PageError),
     /// The picture was not written.
@@ -84,18 +84,18 @@ pub enum BenchError {
     Picture {
         /// The picture.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the system.
         source: io::Error,
     },
-    /// The answer was not written.
+    /// The output was not written.
     #[error("cannot write the answer: {0}")]
     Output(#[from] io::Error),
 }
 
-/// Measures what was asked for, and says what came of it as soon as a suite is done.
+/// Measures the chosen suites, and passes the results of each one to `say` as soon as it is done.
 ///
 /// # Errors
-/// [`BenchError`], and what `say` returns.
+/// [`BenchError`], and the errors of `say`.
 pub fn run<E: From<BenchError>>(
     args: &BenchArgs,
     say: &mut impl FnMut(&str) -> Result<(), E>,

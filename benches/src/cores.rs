@@ -1,4 +1,4 @@
-//! Where threads run.
+//! Pins threads to cores, and counts their sleeps.
 
 use rustix::process::Pid;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
@@ -6,16 +6,16 @@ use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::sync::OnceLock;
 
-/// A place for a thread.
+/// A core for a thread.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Core {
     /// The first core that this process may use.
     First,
-    /// The second one; the first where there is no other.
+    /// The second core that this process may use; the first if there is only one.
     Second,
 }
 
-/// The cores that the process was started on.
+/// The cores on which the process was started.
 fn allowed() -> &'static [usize] {
     static ALLOWED: OnceLock<Vec<usize>> = OnceLock::new();
     ALLOWED.get_or_init(|| {
@@ -31,7 +31,7 @@ pub fn count() -> usize {
     allowed().len()
 }
 
-/// Keeps the calling thread, and those it starts, on one core. Whether the kernel allowed it.
+/// Pins the calling thread, and the threads that it starts, to one core. Returns whether the kernel allowed it.
 pub fn pin(core: Core) -> bool {
     let allowed = allowed();
     let at = match core {
@@ -41,19 +41,19 @@ pub fn pin(core: Core) -> bool {
     at.is_some_and(|&at| set([at]))
 }
 
-/// Lets the calling thread run wherever the process may.
+/// Lets the calling thread run on every core of the process.
 pub fn unpin() -> bool {
     set(allowed().iter().copied())
 }
 
-/// As [`pin`], every thread that the process has now: for libraries that keep threads of their own.
+/// Pins every present thread of the process to the first or the last allowed core, for libraries with threads of their own.
 pub fn pin_all(core: Core) {
     let allowed = allowed();
     let at = if core == Core::First { allowed.first() } else { allowed.last() };
     set_all(at.map_or(&[], std::slice::from_ref));
 }
 
-/// As [`unpin`], every thread that the process has now.
+/// Lets every present thread of the process run on every core of the process.
 pub fn unpin_all() {
     set_all(allowed());
 }
@@ -62,7 +62,7 @@ fn set_all(cores: &[usize]) {
     let threads = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
     for thread in threads {
         let id = thread.file_name().to_str().and_then(|name| name.parse().ok()).and_then(Pid::from_raw);
-        // One that has ended meanwhile runs nowhere.
+        // A thread that has ended meanwhile needs no core.
         let _ = id.map(|id| sched_setaffinity(Some(id), &of(cores.iter().copied())));
     }
 }
@@ -79,18 +79,18 @@ fn of(cores: impl IntoIterator<Item = usize>) -> CpuSet {
     set
 }
 
-/// Has the kernel end this thread's sleeps on time, as the runtime's threads do.
+/// Sets this thread's timer slack to 1 ns, as the runtime's threads do, so that its sleeps end on time.
 pub fn sleep_exactly() {
-    // Refused only by a kernel without the call.
+    // Fails only on a kernel without this call.
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
 }
 
-/// How often each thread of this process went to sleep by itself so far.
+/// How often each thread of this process has slept so far: its voluntary context switches.
 #[derive(Debug)]
 pub struct Sleeps(BTreeMap<OsString, u64>);
 
 impl Sleeps {
-    /// Until now.
+    /// The count up to now.
     #[must_use]
     pub fn now() -> Self {
         let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
@@ -105,7 +105,7 @@ impl Sleeps {
         Self(all.collect())
     }
 
-    /// How often they have slept since; threads that ended meanwhile do not count.
+    /// How often the threads have slept since then. Threads that ended meanwhile do not count.
     #[must_use]
     pub fn since(&self) -> u64 {
         let before = |thread| self.0.get(thread).copied().unwrap_or_default();

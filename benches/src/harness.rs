@@ -1,13 +1,13 @@
-//! Rounds: every case once, then every case again. A ratio is of two cases of one round, so that what the machine does
-//! besides falls on both; what is told is the median of the rounds' ratios.
+//! Measures in rounds: every case once, then every case again. A ratio compares two cases of one round, so that other load on
+//! the machine affects both. The result is the median of the rounds' ratios.
 
 use crate::sample::Sample;
 use crate::suite::{Against, Case, Effort, Goal, Row, Stat, Suite};
 
-/// What the rounds said about one case.
+/// The results of one case.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct Measured {
-    /// The case.
+    /// The name of the case.
     pub name: String,
     /// What it measures.
     pub about: &'static str,
@@ -16,13 +16,13 @@ pub struct Measured {
 }
 
 impl Measured {
-    /// The median over the rounds of one number.
+    /// The median of one statistic over the rounds.
     #[must_use]
     pub fn median(&self, stat: Stat) -> Option<f64> {
         self.spread(stat).map(|spread| spread.median)
     }
 
-    /// The same, and how far the rounds lie apart.
+    /// The median of one statistic over the rounds, with the least and the greatest value.
     #[must_use]
     pub fn spread(&self, stat: Stat) -> Option<Spread> {
         let values: Option<Vec<f64>> = self.rounds.iter().map(|sample| stat.of(sample)).collect();
@@ -30,7 +30,7 @@ impl Measured {
     }
 }
 
-/// The middle of some numbers, and how far they lie apart.
+/// The median of some numbers, and their range.
 #[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
 pub struct Spread {
     /// The median.
@@ -42,7 +42,7 @@ pub struct Spread {
 }
 
 impl Spread {
-    /// Of at least one number.
+    /// The spread of these numbers; none if there are none.
     #[must_use]
     pub fn of(mut values: Vec<f64>) -> Option<Self> {
         values.sort_unstable_by(f64::total_cmp);
@@ -57,24 +57,24 @@ impl Spread {
     }
 }
 
-/// How a row came out.
+/// The result of a row.
 #[derive(Clone, Debug)]
 pub struct Outcome {
     /// The row.
     pub row: Row,
-    /// The ratios of the rounds; `None` where one of the two was not measured.
+    /// The ratios of the rounds; `None` if one of the two cases was not measured.
     pub ratio: Option<Spread>,
 }
 
 impl Outcome {
-    /// Whether the goal is met; `None` where it was not measured.
+    /// Whether the goal is met; `None` if it was not measured.
     #[must_use]
     pub fn met(&self, slack: f64) -> Option<bool> {
         self.ratio.map(|ratio| self.row.goal.met(ratio.median, slack))
     }
 }
 
-/// What came of a suite.
+/// The results of a suite.
 #[derive(Clone, Debug)]
 pub struct Results {
     /// Its name.
@@ -85,7 +85,7 @@ pub struct Results {
     pub rows: Vec<Outcome>,
 }
 
-/// Measures a suite in so many rounds. `tell` hears of each case before it is measured.
+/// Measures a suite in `rounds` rounds. Calls `tell` before each measurement of a case.
 pub fn measure(
     suite: Suite,
     rounds: u32,
@@ -136,7 +136,7 @@ mod tests {
 
     fn suite(order: &Rc<RefCell<Vec<char>>>) -> Suite {
         let mut suite = Suite::new("test");
-        // Twice as slow in every round, whatever the machine does meanwhile.
+        // `b` takes twice the time of `a` in every round, although the machine gets slower.
         let noise = Rc::new(Cell::new(1.0));
         for (name, factor) in [("a", 1.0), ("b", 2.0)] {
             let (order, noise) = (Rc::clone(order), Rc::clone(&noise));

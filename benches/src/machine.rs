@@ -1,26 +1,26 @@
-//! What is said of the machine: never more than cores, kernel, governor and build.
+//! The facts about the machine that results show: cores, kernel, governor, build, load and date, and nothing else.
 
 use crate::cores;
 
-/// The facts that belong to every figure.
+/// The facts that belong to every measurement.
 #[derive(Clone, Debug, serde::Serialize)]
 pub struct Facts {
     /// Cores that this process may use.
     pub cores: usize,
     /// The kernel's release.
     pub kernel: String,
-    /// The frequency governor, where the kernel tells.
+    /// The frequency governor, if the kernel shows it.
     pub governor: Option<String>,
-    /// Whether the program was built for speed.
+    /// Whether the program was built without debug assertions.
     pub release: bool,
     /// The day, in UTC.
     pub date: String,
-    /// Runnable threads besides, as the kernel's load average over a minute has it: how busy the machine is.
+    /// The kernel's load average over one minute: how busy the machine is.
     pub load: Option<f64>,
 }
 
 impl Facts {
-    /// Of this machine, now.
+    /// The facts about this machine, now.
     #[must_use]
     pub fn now() -> Self {
         let read = |path: &str| std::fs::read_to_string(path).ok();
@@ -37,7 +37,7 @@ impl Facts {
         }
     }
 
-    /// One line.
+    /// The facts in one line.
     #[must_use]
     pub fn line(&self) -> String {
         let governor = self.governor.as_deref().unwrap_or("unknown");

@@ -1,5 +1,5 @@
-//! The measurements as a program of their own: with `--features peers,network-peers` also what people would pick instead,
-//! and with memory counted.
+//! The measurements as a program of their own. It counts memory, and with `--features peers,network-peers` it also measures
+//! the libraries that people would use instead.
 
 use clap::Parser;
 use imrs_bench::{BenchArgs, BenchError, Verdict, memory, run};
@@ -17,24 +17,24 @@ struct Cli {
 
 struct Counting;
 
-// SAFETY: every call goes to the system's allocator unchanged.
+// SAFETY: every call goes unchanged to the system's allocator.
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         memory::allocated(layout.size());
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the caller keeps the contract of `alloc`, which is the same.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
         memory::freed(layout.size());
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the caller keeps the contract of `dealloc`, which is the same.
         unsafe { System.dealloc(pointer, layout) }
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         memory::freed(layout.size());
         memory::allocated(size);
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the caller keeps the contract of `realloc`, which is the same.
         unsafe { System.realloc(pointer, layout, size) }
     }
 }
@@ -45,7 +45,7 @@ static ALLOCATOR: Counting = Counting;
 fn main() -> ExitCode {
     let mut out = std::io::stdout().lock();
     let mut say = |text: &str| match out.write_all(text.as_bytes()) {
-        // Whoever read has seen enough; the page and the picture are written all the same.
+        // The reader has closed the pipe; the page and the picture are written nevertheless.
         Err(error) if error.kind() == ErrorKind::BrokenPipe => Ok(()),
         said => said.map_err(BenchError::Output),
     };

@@ -1,7 +1,7 @@
-//! What is allocated, where the program counts it.
+//! Counts allocations, if the program's allocator reports them.
 //!
-//! A program that wants the rows about memory makes its global allocator tell [`allocated`] and [`freed`]; where none
-//! does, these rows are not measured. Nothing is counted while times are taken: peers that allocate would pay for it.
+//! A program with rows about memory needs a global allocator that calls [`allocated`] and [`freed`]; without it these rows
+//! are not measured. Nothing is counted while times are taken, because peers that allocate would pay for the counting.
 
 use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU64, Ordering};
 
@@ -9,16 +9,16 @@ static COUNTING: AtomicBool = AtomicBool::new(false);
 static CALLS: AtomicU64 = AtomicU64::new(0);
 static BYTES: AtomicI64 = AtomicI64::new(0);
 
-/// What was allocated while something ran.
+/// The allocations during some work.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Allocated {
-    /// How often.
+    /// The number of allocations.
     pub calls: u64,
-    /// Bytes still in use at its end, less what was freed meanwhile.
+    /// The bytes that were allocated and not freed again.
     pub bytes: i64,
 }
 
-/// So many bytes were allocated.
+/// Reports an allocation of `bytes` bytes.
 pub fn allocated(bytes: usize) {
     if COUNTING.load(Ordering::Relaxed) {
         CALLS.fetch_add(1, Ordering::Relaxed);
@@ -26,18 +26,18 @@ pub fn allocated(bytes: usize) {
     }
 }
 
-/// So many bytes were freed.
+/// Reports that `bytes` bytes were freed.
 pub fn freed(bytes: usize) {
     if COUNTING.load(Ordering::Relaxed) {
         BYTES.fetch_sub(i64::try_from(bytes).unwrap_or(i64::MAX), Ordering::Relaxed);
     }
 }
 
-/// What the whole process allocates while `work` runs; `None` where nobody counts.
+/// The allocations of the whole process while `work` runs; `None` if the allocator does not report them.
 pub fn counted<T>(work: impl FnOnce() -> T) -> (T, Option<Allocated>) {
     let before = (CALLS.load(Ordering::SeqCst), BYTES.load(Ordering::SeqCst));
     COUNTING.store(true, Ordering::SeqCst);
-    // Shows whether the allocator tells.
+    // This allocation shows whether the allocator reports.
     drop(std::hint::black_box(Box::new(0_u64)));
     let seen = CALLS.load(Ordering::SeqCst) - before.0;
     let done = work();

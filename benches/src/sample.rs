@@ -1,8 +1,8 @@
-//! What one measurement of a case comes to.
+//! The result of one measurement of a case.
 
 use std::time::{Duration, Instant};
 
-/// The distribution of what was timed, in nanoseconds.
+/// The distribution of the measured times, in nanoseconds.
 #[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
 pub struct Sample {
     /// The median.
@@ -13,12 +13,12 @@ pub struct Sample {
     pub p999: f64,
     /// The mean.
     pub mean: f64,
-    /// A number that is no time: bytes, allocations, sleeps; each case says which.
+    /// A number that is not a time: bytes, allocations, sleeps. The case says which.
     pub count: Option<f64>,
 }
 
 impl Sample {
-    /// Of times in nanoseconds, in any order; each is one of `group` that were timed together.
+    /// The distribution of times in nanoseconds, in any order. Each of them covers `group` operations.
     #[must_use]
     pub fn of(mut nanos: Vec<u64>, group: u32) -> Self {
         nanos.sort_unstable();
@@ -37,20 +37,20 @@ impl Sample {
         Self { p50: at(0.5), p99: at(0.99), p999: at(0.999), mean, count: None }
     }
 
-    /// Of one time that stands for `operations` of them.
+    /// One time for all of `operations` operations.
     #[must_use]
     pub fn of_all(elapsed: Duration, operations: u64) -> Self {
         let each = elapsed.as_nanos() as f64 / operations.max(1) as f64;
         Self { p50: each, p99: each, p999: each, mean: each, count: None }
     }
 
-    /// Of a number that is no time.
+    /// A sample with a count and no times.
     #[must_use]
     pub fn counted(count: f64) -> Self {
         Self::default().with(count)
     }
 
-    /// The same with a number that is no time.
+    /// The same sample with this count.
     #[must_use]
     pub const fn with(mut self, count: f64) -> Self {
         self.count = Some(count);
@@ -58,13 +58,12 @@ impl Sample {
     }
 }
 
-/// Times `operation`, `times` times. Where one takes less than reading the clock twice, `group` of them are timed
-/// together.
+/// Times `operation`, `times` times. If an operation takes less than reading the clock, `group` of them share one reading.
 pub fn each(times: u32, group: u32, mut operation: impl FnMut()) -> Sample {
     Sample::of(laps(times, group, &mut operation), group)
 }
 
-/// The times of [`each`], for those who put several lists together.
+/// The times of [`each`] in nanoseconds, for callers that merge several lists.
 pub fn laps(times: u32, group: u32, operation: &mut impl FnMut()) -> Vec<u64> {
     let mut nanos = Vec::with_capacity(times as usize);
     let mut before = Instant::now();
@@ -79,7 +78,7 @@ pub fn laps(times: u32, group: u32, operation: &mut impl FnMut()) -> Vec<u64> {
     nanos
 }
 
-/// A length in nanoseconds.
+/// A duration in nanoseconds.
 #[must_use]
 pub fn nanos_of(length: Duration) -> u64 {
     u64::try_from(length.as_nanos()).unwrap_or(u64::MAX)

@@ -1,22 +1,22 @@
-//! What is measured, and against what.
+//! Suites: cases to measure, and the bounds of their ratios.
 
 use crate::sample::Sample;
 use std::fmt;
 
-/// How much of everything a round does.
+/// How much work each case does in a round.
 #[derive(Clone, Copy, Debug)]
 pub enum Effort {
-    /// Such a share of what each case does in a full round.
+    /// This share of a full round.
     Share(f64),
-    /// Each case so many times, whatever it does in a full round.
+    /// This many operations, whatever a full round has.
     Times(u32),
 }
 
 impl Effort {
-    /// All that a case does in a round.
+    /// A full round.
     pub const FULL: Self = Self::Share(1.0);
 
-    /// So many at full effort; never none.
+    /// The number of operations, if `full` is that of a full round; at least one.
     #[must_use]
     pub fn of(self, full: u32) -> u32 {
         match self {
@@ -34,14 +34,14 @@ impl Effort {
     }
 }
 
-/// One thing that is measured: sets everything up, measures, and takes everything down again.
+/// One measurement: sets everything up, measures, and takes everything down again.
 pub type Run = Box<dyn Fn(Effort) -> Sample>;
 
 /// A named measurement.
 pub struct Case {
-    /// Its name: what it is of, a slash, what it does.
+    /// Its name: the subject, a slash, the operation.
     pub name: String,
-    /// What is measured, exactly.
+    /// What exactly is measured.
     pub about: &'static str,
     /// Measures once.
     pub run: Run,
@@ -58,7 +58,7 @@ impl Case {
     }
 }
 
-/// A number of a sample.
+/// A statistic of a sample.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Stat {
@@ -70,12 +70,12 @@ pub enum Stat {
     P999,
     /// The mean time.
     Mean,
-    /// The number that is no time.
+    /// The number that is not a time.
     Count,
 }
 
 impl Stat {
-    /// This number of a sample.
+    /// The value of this statistic in a sample.
     #[must_use]
     pub const fn of(self, sample: &Sample) -> Option<f64> {
         match self {
@@ -100,28 +100,28 @@ impl Stat {
     }
 }
 
-/// What a case is measured against.
+/// What a case is compared with.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Against {
-    /// The same number of another case.
+    /// The same statistic of another case.
     Case(String),
-    /// Another number of itself.
+    /// Another statistic of the same case.
     Itself(Stat),
     /// Nothing: the number itself is bounded.
     Nothing,
 }
 
-/// What a row asks for.
+/// The bound of a row.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Goal {
-    /// The subject takes at most so many times what the other takes.
+    /// The subject takes at most this many times the time of the other.
     AtMost(f64),
-    /// The other takes at least so many times what the subject takes.
+    /// The other takes at least this many times the time of the subject.
     AtLeast(f64),
 }
 
 impl Goal {
-    /// The ratio that is compared with the bound.
+    /// The ratio that the bound limits.
     #[must_use]
     pub fn ratio(self, subject: f64, against: f64) -> Option<f64> {
         let (over, under) = match self {
@@ -131,7 +131,7 @@ impl Goal {
         (under > 0.0).then(|| over / under)
     }
 
-    /// Whether a ratio meets it, with `slack` (1.0 for none).
+    /// Whether a ratio keeps the bound, with `slack` as a factor (1.0 for none).
     #[must_use]
     pub fn met(self, ratio: f64, slack: f64) -> bool {
         match self {
@@ -150,7 +150,7 @@ impl fmt::Display for Goal {
     }
 }
 
-/// A goal: a case, what it is measured against, and the bound of the ratio.
+/// A goal: a case, what it is compared with, and the bound of their ratio.
 #[derive(Clone, Debug)]
 pub struct Row {
     /// The goal's number.
@@ -159,47 +159,47 @@ pub struct Row {
     pub what: String,
     /// The case.
     pub subject: String,
-    /// Its peer or floor.
+    /// Its peer or baseline.
     pub against: Against,
-    /// Which number of both.
+    /// The statistic of both.
     pub stat: Stat,
     /// The bound.
     pub goal: Goal,
 }
 
 impl Row {
-    /// Two cases.
+    /// Compares two cases.
     pub fn new(id: &'static str, subject: impl Into<String>, against: &str, stat: Stat, goal: Goal) -> Self {
         let subject = subject.into();
         let what = format!("{subject} : {against}");
         Self { id, what, subject, against: Against::Case(against.into()), stat, goal }
     }
 
-    /// Two numbers of one case.
+    /// Compares two statistics of one case.
     pub fn within(id: &'static str, subject: &str, stat: Stat, against: Stat, goal: Goal) -> Self {
         let what = format!("{subject}, {} : {}", stat.name(), against.name());
         Self { id, what, subject: subject.into(), against: Against::Itself(against), stat, goal }
     }
 
-    /// A number that is bounded itself.
+    /// Bounds a statistic itself.
     pub fn bounded(id: &'static str, what: &str, subject: &str, stat: Stat, goal: Goal) -> Self {
         Self { id, what: what.into(), subject: subject.into(), against: Against::Nothing, stat, goal }
     }
 }
 
-/// Cases that are measured in turns, and what is asked of their ratios.
+/// Cases that are measured in turns, and the goals for their ratios.
 #[derive(Default)]
 pub struct Suite {
     /// Its name.
     pub name: &'static str,
-    /// What is measured in turns: A B C A B C.
+    /// The cases, measured in turns: A B C A B C.
     pub cases: Vec<Case>,
-    /// What is asked.
+    /// The goals.
     pub rows: Vec<Row>,
 }
 
 impl Suite {
-    /// A suite of nothing.
+    /// An empty suite.
     #[must_use]
     pub fn new(name: &'static str) -> Self {
         Self { name, ..Self::default() }

@@ -1,4 +1,4 @@
-//! Reading, reporting and formatting cell files is total, and formatting changes nothing that means something.
+//! Fuzzes the cell compiler: parsing, reporting and formatting accept any bytes, and formatting keeps the meaning.
 #![no_main]
 
 #[path = "../../language/tests/support/bytes.rs"]

@@ -1,4 +1,4 @@
-//! A communication task takes every input in every state: any operations on any small cell, with the laws of the machine.
+//! Fuzzes a communication task with any operations on any small cell: it takes every input in every state and keeps its laws.
 #![no_main]
 
 #[allow(dead_code, reason = "a fuzz target uses a part of it")]

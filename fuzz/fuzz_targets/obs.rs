@@ -1,4 +1,4 @@
-//! Observation frames are decoded totally, and what changed leads from any state to the right one or to none.
+//! Fuzzes observation frames: the decoder accepts any bytes, and a change leads from any state to the right one or to none.
 #![no_main]
 
 #[path = "../../wire/tests/support/bytes.rs"]

@@ -1,4 +1,4 @@
-//! The decoder of packets is total, and undoes encoding.
+//! Fuzzes packets: the decoder accepts any bytes and inverts the encoder.
 #![no_main]
 
 #[allow(dead_code, reason = "a fuzz target uses a part of it")]

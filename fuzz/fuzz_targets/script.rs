@@ -1,4 +1,4 @@
-//! A task script takes every input in every state, whatever its program is.
+//! Fuzzes task scripts: a script takes every input in every state, whatever its program is.
 #![no_main]
 #![allow(dead_code, unused_imports, unused_macros, reason = "the tests that stand in the same files")]
 

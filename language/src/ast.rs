@@ -1,38 +1,38 @@
-//! What a cell file says, as written: one type per production of the grammar (`specs/language/grammar.md`). Names are
-//! not resolved here, and nothing is checked. Every node knows where it stands.
+//! The abstract syntax tree (AST) of a cell file: one type for each production of the grammar (`specs/language/grammar.md`).
+//! Names are not resolved and nothing is checked. Every node has its span.
 
 use crate::span::Span;
 use imrs_protocol::Usage;
 use imrs_protocol::script::{Binary, Type};
 
-/// A name and where it stands.
+/// A name with its span.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Name {
     /// The name, as written.
     pub text: String,
-    /// Where.
+    /// Its span.
     pub span: Span,
 }
 
-/// A duration: `20 msec`. In microseconds, the unit of the runtime (D34, D42).
+/// A duration such as `20 msec`, in microseconds, the unit of the runtime (D34, D42).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Duration {
-    /// How long.
+    /// Its length in microseconds.
     pub usec: u64,
-    /// Where.
+    /// Its span.
     pub span: Span,
 }
 
-/// A number as an option takes it: `class = 2`, `retry = 3`.
+/// A whole number, as in `class = 2` or `retry = 3`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Number {
     /// Its value.
     pub value: u32,
-    /// Where.
+    /// Its span.
     pub span: Span,
 }
 
-/// A whole file. What could not be parsed is missing; the parser has said so.
+/// A whole file. What could not be parsed is missing here, and the parser has reported it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct File {
     /// `cell name;`
@@ -62,14 +62,14 @@ pub enum Item {
     Check(CheckDecl),
 }
 
-/// The lateness of timers, or the granularity of the model (D42).
+/// How late timers may fire, or the step of the model (D42, D133).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TickDecl {
-    /// Whether it is the model's.
+    /// Whether it is the `model tick`.
     pub model: bool,
     /// How long.
     pub length: Duration,
-    /// Where.
+    /// Its span.
     pub span: Span,
 }
 
@@ -80,9 +80,9 @@ pub struct LinkDecl {
     pub a: Name,
     /// The other.
     pub b: Name,
-    /// The longest time of a packet that is not lost (D20).
+    /// The longest delay of a packet that is not lost (D20).
     pub delay: Duration,
-    /// Where.
+    /// Its span.
     pub span: Span,
 }
 
@@ -91,11 +91,11 @@ pub struct LinkDecl {
 pub struct NodeDecl {
     /// Its name.
     pub name: Name,
-    /// Its host, and where that stands.
+    /// Its host, with its span.
     pub at: Option<(String, Span)>,
     /// Its UDP port.
     pub port: Option<Number>,
-    /// Where.
+    /// Its span.
     pub span: Span,
 }
 
@@ -106,7 +106,7 @@ pub struct TypeDecl {
     pub name: Name,
     /// Its fields.
     pub fields: Vec<Field>,
-    /// Where.
+    /// Its span.
     pub span: Span,
 }
 
@@ -115,7 +115,7 @@ pub struct TypeDecl {
 pub struct Field {
     /// Its name.
     pub name: Name,
-    /// Its type; a parameter may have none, and is one word then (C7).
+    /// Its type. A parameter without a type takes it from the port's record, or is a `word` (C7, D93).
     pub of: Option<TypeName>,
 }
 
@@ -124,7 +124,7 @@ pub struct Field {
 pub enum TypeName {
     /// `bool`, `int8`, `int16`, `int32`, `integer`, `word`, `real`.
     Plain(Type, Span),
-    /// `timer`: of a variable only.
+    /// `timer`: for variables only.
     Timer(Span),
     /// A record.
     Record(Name),
@@ -151,53 +151,53 @@ pub struct TaskDecl {
     pub variables: Vec<VarDecl>,
     /// Its handlers, in the order of the file.
     pub handlers: Vec<Handler>,
-    /// Its body. Handlers and statements may alternate in the text; an `order` in front of the handlers is the first
+    /// Its body. Handlers and statements may alternate in the text. An `order` in front of the handlers is the first
     /// statement of the body.
     pub body: Vec<Statement>,
     /// `takeover ...` (D61).
     pub takeover: Option<Vec<Statement>>,
-    /// Where its head stands: `task armL on nl`.
+    /// The span of its head: `task armL on nl`.
     pub span: Span,
     /// The name after `end`.
     pub end: Option<Name>,
 }
 
-/// `n/dur`: so many in so much time (D53).
+/// `n/dur`: at most `n` messages in each `dur` (D53).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rate {
-    /// How many.
+    /// `n`.
     pub count: Number,
-    /// In how much time.
+    /// `dur`.
     pub per: Duration,
 }
 
 /// `port` or `use_port` (Figure 1).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PortDecl {
-    /// Whether it is the owner's: `port`.
+    /// Whether it is `port`, the owner's.
     pub owner: bool,
     /// Its name.
     pub name: Name,
-    /// Its parameters; a single one with a record's type stands for the record's fields.
+    /// Its parameters. A single parameter of a record type stands for the record's fields.
     pub parameters: Vec<Field>,
-    /// `-> type`: what an answer holds.
+    /// `-> type`: the type of an answer.
     pub answer: Option<TypeName>,
     /// Its options, in the order of the file.
     pub options: Vec<PortOption>,
-    /// Where.
+    /// Its span.
     pub span: Span,
 }
 
-/// An option of a port and where it stands.
+/// An option of a port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PortOption {
     /// Which.
     pub kind: PortOptionKind,
-    /// Where.
+    /// Its span.
     pub span: Span,
 }
 
-/// The options of Figures 1 and 2, and ours.
+/// The options of Figures 1 and 2, and this project's own.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PortOptionKind {
     /// `usage = query`
@@ -236,40 +236,40 @@ pub struct VarDecl {
     pub names: Vec<Name>,
     /// Their type.
     pub of: TypeName,
-    /// Where.
+    /// Its span.
     pub span: Span,
 }
 
 /// `on ... do ... end;`
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Handler {
-    /// What calls it.
+    /// The event that runs it.
     pub trigger: Trigger,
-    /// What it does.
+    /// Its statements.
     pub body: Vec<Statement>,
-    /// Where its head stands.
+    /// The span of its head.
     pub span: Span,
 }
 
-/// What calls a handler.
+/// The event that runs a handler.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Trigger {
     /// `on query p(a)`, `on receive p(a)`
     Message {
-        /// Whether it says `query`.
+        /// Whether it is `on query`.
         query: bool,
         /// The port.
         port: Name,
-        /// Its variables.
+        /// The variables for the message's fields.
         variables: Vec<Name>,
     },
-    /// `on silence p 10 msec when expr`: no message came through the port for so long.
+    /// `on silence p 10 msec when expr`: no message came through the port for this long.
     Silence {
         /// The port.
         port: Name,
         /// For how long.
         length: Duration,
-        /// While this is true.
+        /// The condition that must hold all the time.
         when: Option<Expr>,
     },
     /// `on expiry t`
@@ -283,83 +283,83 @@ pub enum Trigger {
 pub struct Statement {
     /// What it does.
     pub kind: StatementKind,
-    /// What happens when it ends otherwise than hoped for: `on time_out do ... end`.
+    /// What runs if it times out, is refused or fails: `on time_out do ... end`.
     pub branches: Vec<Branch>,
-    /// Where, without its branches and the statements in it.
+    /// Its span, without its branches and inner statements.
     pub span: Span,
 }
 
-/// `on time_out do ... end` and its like, after a statement.
+/// A branch of a statement: `on time_out do ... end`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Branch {
-    /// When it is taken.
+    /// The end of the statement for which it runs.
     pub when: BranchKind,
-    /// What it does.
+    /// Its statements.
     pub body: Vec<Statement>,
-    /// Where its head stands.
+    /// The span of its head.
     pub span: Span,
 }
 
-/// When a branch of a statement is taken.
+/// The end of a statement for which a branch runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum BranchKind {
-    /// `on time_out`: also unsent, unknown, and the restart of the peer.
+    /// `on time_out`: also for a command that is unsent, unknown or whose peer restarted.
     TimeOut,
     /// `on refused`
     Refused,
-    /// `on failed`: of `run`.
+    /// `on failed`: of a `run`, or of a reply that comes too late.
     Failed,
 }
 
 /// What a statement does.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum StatementKind {
-    /// `send p({t,} args)`, `use_send p(args)`, `query p({t,} args) -> vars`. Names of tasks or modules in front say
-    /// who; name resolution tells them from arguments.
+    /// `send p({t,} args)`, `use_send p(args)`, `query p({t,} args) -> vars`. Tasks or modules named in front of the
+    /// arguments are the recipients; name resolution tells them from arguments.
     Send {
         /// The word: `send`, `use_send` or `query`.
         verb: Verb,
         /// The port.
         port: Name,
-        /// Who, and what.
+        /// The recipients and the values.
         arguments: Vec<Expr>,
-        /// Where the answer goes.
+        /// The variables for the answer.
         into: Vec<Place>,
-        /// A shorter life than the port's.
+        /// A TTL below the port's time_out.
         within: Option<Duration>,
     },
     /// `receive`, `receive p(vars)`, `receive p(vars) from t`
     Receive {
-        /// The port; without one, the most urgent message of all that have no handler.
+        /// The port; without one it takes the most urgent message of all ports that have no handler.
         port: Option<Name>,
-        /// Where the message goes.
+        /// The variables for the message.
         into: Vec<Place>,
-        /// From whom.
+        /// The only sender from which it receives.
         from: Option<Name>,
-        /// How long it waits; without it, as long as the port's time_out says, or without end.
+        /// How long it waits at most. The task's own time_out of the port limits it, too; without either it waits for ever.
         within: Option<Duration>,
     },
-    /// `reply(args)`, `response(args)`; `reply p(args) for t` answers a message taken before; `reply p(args) for t ticket
-    /// n` one that another task took, through a port of usage `reply` (D11).
+    /// `reply(args)` and `response(args)` answer the last message. `reply p(args) for t` answers an earlier one.
+    /// `reply p(args) for t ticket n` answers a message that another task received, through a port of usage `reply` (D11).
     Reply {
-        /// Whether it says `response`.
+        /// Whether it is `response`.
         response: bool,
         /// The port.
         port: Option<Name>,
-        /// The answer.
+        /// The values.
         arguments: Vec<Expr>,
-        /// Whose message it answers.
+        /// The task whose message it answers.
         asker: Option<Name>,
-        /// The number of the message.
+        /// The number of that message.
         ticket: Option<Expr>,
     },
     /// `waitfor p(args)`
     Waitfor {
         /// The port.
         port: Name,
-        /// What the others are told.
+        /// The values that the other members are told.
         arguments: Vec<Expr>,
-        /// A shorter patience than the port's.
+        /// A wait below the port's time_out.
         within: Option<Duration>,
     },
     /// `order a > b > self`
@@ -372,11 +372,11 @@ pub enum StatementKind {
         action: Name,
         /// Its arguments.
         arguments: Vec<Expr>,
-        /// Where its result goes.
+        /// The variables for its result.
         into: Vec<Place>,
-        /// `in 0 .. 1000`: the least and the most that its result is.
+        /// `in 0 .. 1000`: the least and the greatest result.
         range: Option<(Expr, Expr)>,
-        /// How long it takes, at least and at most; without it, no time.
+        /// Its shortest and its longest duration; it takes no time without one.
         takes: Option<(Duration, Duration)>,
     },
     /// `start held 4 sec`
@@ -390,18 +390,18 @@ pub enum StatementKind {
     Stop(Name),
     /// `atomic ... end`
     Atomic(Vec<Statement>),
-    /// `place := expr`; of a beat port: what the beats' answers carry (D61).
+    /// `place := expr`. If the place is a heartbeat port, the answers to its heartbeats carry the value (D61).
     Assign {
-        /// Where.
+        /// The variable or the port.
         place: Place,
-        /// What.
+        /// The value.
         value: Expr,
     },
     /// `if .. then .. elsif .. else .. end`
     If {
-        /// Conditions and what is done where they are true.
+        /// The conditions, each with the statements that run if it holds.
         arms: Vec<(Expr, Vec<Statement>)>,
-        /// What is done where none is.
+        /// The statements that run if no condition holds.
         otherwise: Option<Vec<Statement>>,
     },
     /// `loop .. end`
@@ -418,7 +418,7 @@ pub enum StatementKind {
     Assert(Expr),
 }
 
-/// The word of a sending statement (R43).
+/// The keyword of a sending statement (R43).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Verb {
     /// `send`: by the owner.
@@ -434,45 +434,45 @@ pub enum Verb {
 pub struct Place {
     /// The names, outermost first.
     pub path: Vec<Name>,
-    /// Where.
+    /// Its span.
     pub span: Span,
 }
 
 /// An expression.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Expr {
-    /// What it is.
+    /// Its kind.
     pub kind: ExprKind,
-    /// Where.
+    /// Its span.
     pub span: Span,
 }
 
-/// What an expression is.
+/// The kinds of expressions.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ExprKind {
     /// `true`, `false`
     Bool(bool),
     /// `900`
     Int(i64),
-    /// `0.5`: the text, which is a number.
+    /// `0.5`: its digits as text.
     Real(String),
     /// `me.height`, `outcome`, `refused`, `sender`, `armL.me.moving` or `r1.active` in a check.
     Path(Place),
     /// `trunc(x)`: the whole part of a real.
     Trunc(Box<Expr>),
-    /// `lift.arrived(armR)`, `r2.asked(grab)`: in a check; `grab.answered(r1)`: after a query to several; `lift.height(armR)`:
-    /// what `armR` told there.
+    /// A question about a task. In a check: `lift.arrived(armR)`, `r2.asked(grab)`. After a query to several tasks:
+    /// `grab.answered(r1)`. After a waitfor or an answer: `lift.height(armR)`, a value that `armR` sent.
     Call {
-        /// What is asked: `lift.arrived`.
+        /// The question: `lift.arrived`.
         of: Place,
-        /// About whom.
+        /// The task or port that it is about.
         argument: Name,
     },
     /// `not x`
     Not(Box<Expr>),
     /// `-x`
     Negate(Box<Expr>),
-    /// `x + y` and its like; of integers, until types are known.
+    /// `x + y` and the like, as integers until types are known.
     Binary(Binary, Box<Expr>, Box<Expr>),
 }
 
@@ -481,16 +481,16 @@ pub enum ExprKind {
 pub struct CoupleDecl {
     /// The class (Table 1).
     pub kind: CoupleKind,
-    /// Where.
+    /// Its span.
     pub span: Span,
 }
 
-/// The process classes of Table 1, which turn on checks (D24).
+/// The process classes of Table 1. Each turns on checks of its own (D24).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CoupleKind {
     /// `loose {a, b} over t`
     Loose {
-        /// Who shares.
+        /// The sharing tasks.
         tasks: Vec<Name>,
         /// The task that administers what they share.
         over: Name,
@@ -501,19 +501,19 @@ pub enum CoupleKind {
     Serial(Name, Name),
     /// `work a -> b lease .. takeover .. every .. via p` (D61)
     Work {
-        /// Who acts first.
+        /// The task that acts first.
         primary: Name,
-        /// Who takes over.
+        /// The task that takes over.
         standby: Name,
-        /// Whether they exchange roles then: `<->`.
+        /// Whether the two swap roles at a take-over: `<->`.
         mutual: bool,
-        /// How long the primary may act after an answer that was echoed.
+        /// How long the primary may act after sending an answer that the standby echoes.
         lease: Duration,
-        /// When the standby takes over.
+        /// How long after the last answer the standby takes over.
         takeover: Duration,
-        /// The period of the beats.
+        /// The period of the heartbeats.
         every: Duration,
-        /// Their port.
+        /// The port of the heartbeats.
         via: Name,
     },
 }
@@ -523,24 +523,24 @@ pub enum CoupleKind {
 pub struct FaultsDecl {
     /// The faults, in the order of the file.
     pub faults: Vec<Fault>,
-    /// Where.
+    /// Its span.
     pub span: Span,
 }
 
-/// What may go wrong, and how often.
+/// A fault, and how often it occurs.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Fault {
-    /// `loss n`: so many packets are lost.
+    /// `loss n`: up to `n` packets are lost.
     Loss(Number),
-    /// `dup n`: so many packets arrive twice.
+    /// `dup n`: up to `n` packets arrive twice.
     Dup(Number),
-    /// `fail n`: so many actions fail.
+    /// `fail n`: up to `n` actions fail.
     Fail(Number),
-    /// `drift n`: so many ticks are left out or counted twice by some clock.
+    /// `drift n`: up to `n` ticks are skipped or counted twice by some clock.
     Drift(Number),
-    /// `crash t`: the node of the task stops, and starts again or not.
+    /// `crash t`: the node of the task crashes. It may start again.
     Crash(Name),
-    /// `pause t up to 300 msec`: the node of the task takes no step for a while, at most so long.
+    /// `pause t up to 300 msec`: the node of the task takes no step for a while, at most this long.
     Pause(Name, Option<Duration>),
     /// `cut a--b`: the link passes nothing for a while.
     Cut(Name, Name),
@@ -551,13 +551,13 @@ pub enum Fault {
 pub struct CheckDecl {
     /// Its name.
     pub name: Name,
-    /// What must hold.
+    /// The property.
     pub kind: CheckKind,
-    /// Where.
+    /// Its span.
     pub span: Span,
 }
 
-/// What must hold.
+/// A property to check.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CheckKind {
     /// `never expr`
@@ -566,11 +566,11 @@ pub enum CheckKind {
     Always(Expr),
     /// `expr leads expr within 25 msec`
     Leads {
-        /// Whenever this is true,
+        /// The premise: whenever it is true,
         when: Expr,
-        /// this is, then or later,
+        /// the consequence must be true, at the same time or later,
         then: Expr,
-        /// within so much time.
+        /// within this time.
         within: Duration,
     },
 }

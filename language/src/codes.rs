@@ -1,6 +1,6 @@
-//! The codes of the diagnostics, and a page about each: what it means, a wrong example and a right one.
+//! The codes of the diagnostics. Each has a page: what it means, a wrong example and a right one.
 
-/// A code and what is to be said about it.
+/// A code with its title and its page.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct CodeEntry {
     /// `E005`
@@ -103,7 +103,7 @@ codes! {
     HIDES "W319" "a handler's variable hides the task's";
 }
 
-/// The page about a code, in capitals or not.
+/// The page of a code; case is ignored.
 #[must_use]
 pub fn explain(code: &str) -> Option<&'static CodeEntry> {
     ALL.iter().find(|entry| entry.code.eq_ignore_ascii_case(code))

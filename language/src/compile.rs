@@ -1,4 +1,4 @@
-//! All phases, one after another.
+//! Runs all phases of the compiler, one after another.
 
 use crate::ast::File;
 use crate::checks;
@@ -13,30 +13,30 @@ use crate::source::Source;
 use crate::span::Span;
 use imrs_protocol::CellTable;
 
-/// A file after all phases.
+/// The result of all phases.
 #[derive(Clone, Debug)]
 pub struct Compiled {
-    /// The cell; none where a diagnostic is an error.
+    /// The cell; none if a diagnostic is an error.
     pub hir: Option<Hir>,
-    /// What is to be said about it: of a cell without errors in the order of the phases and then of the file, of others in
-    /// the order of the file.
+    /// The diagnostics. Without errors they come in the order of the phases, and within a phase in the order of the file.
+    /// With errors they come in the order of the file.
     pub diagnostics: Vec<Diagnostic>,
-    /// What was not checked, or not all of it, because of errors, as a sentence about the diagnostics.
+    /// A sentence that says what was not checked, or not all of it, because of errors.
     pub unchecked: Option<&'static str>,
 }
 
 impl Compiled {
-    /// What runs, in the unit of who runs it; none where a diagnostic is an error.
+    /// The lowered cell in this unit; none if a diagnostic is an error.
     #[must_use]
     pub fn lower(&self, unit: Unit) -> Option<Lowered> {
         lower(self.hir.as_ref()?, unit).ok()
     }
 }
 
-/// What is asked of a compilation.
+/// Options of a compilation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Options {
-    /// Only the words of the paper are allowed, and its own rules hold (D92).
+    /// Whether only the words of the paper are allowed, and its own rules hold (D92).
     pub paper: bool,
 }
 
@@ -46,8 +46,8 @@ pub fn compile(source: &Source) -> Compiled {
     compile_with(source, Options::default())
 }
 
-/// Compiles a file: syntax, names and types, then what the cell does and what the machine's own tables say. Where a phase found
-/// errors, the later ones look at what is left, and say what does not follow from those: one fault is said once.
+/// Compiles a file: syntax, names and types, then the behaviour of the cell and the tables of the protocol. After errors in a
+/// phase the later ones check the rest. They report only what does not follow from those errors: each fault is reported once.
 #[must_use]
 pub fn compile_with(source: &Source, options: Options) -> Compiled {
     let parsed = parse(source);
@@ -87,15 +87,15 @@ fn has_error(diagnostics: &[Diagnostic]) -> bool {
     diagnostics.iter().any(|found| found.severity == Severity::Error)
 }
 
-/// What can be known of what the cell does, and what its tables say, in the order of the text.
+/// The diagnostics of the checks and of the tables, in the order of the text.
 fn behaviour((file, source): (&File, &Source), hir: &Hir, options: Options) -> Vec<Diagnostic> {
     let mut found = machine(hir);
     if found.iter().any(|found| found.code == TOO_MANY) {
         return found;
     }
     let checked = checks::all(hir, options.paper);
-    // The checks know more of a deadline than the table does; both point at its port. A time_out that cannot cover its way
-    // is not also said to be short.
+    // The checks explain a deadline better than the table does; both point at its port. A time_out that cannot cover its
+    // route is not also reported as short.
     let port = |found: &Diagnostic| found.secondary.first().map(|label| label.span);
     let of = |all: &[Diagnostic], code| -> Vec<Option<Span>> {
         all.iter().filter(|found| found.code == code).map(port).collect()
@@ -118,7 +118,7 @@ fn behaviour((file, source): (&File, &Source), hir: &Hir, options: Options) -> V
     found
 }
 
-/// What only the scripts and the table can tell.
+/// The errors that only lowering and the table can find.
 fn machine(hir: &Hir) -> Vec<Diagnostic> {
     match lower(hir, Unit::Microseconds) {
         Err(found) => found,

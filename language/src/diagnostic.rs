@@ -1,17 +1,17 @@
-//! What is said about a cell file: a stable code, what is wrong, where, and what to write instead.
+//! Diagnostics about a cell file: a stable code, what is wrong, where, and what to write instead.
 
 use crate::codes;
 use crate::span::Span;
 use serde::Serialize;
 use std::fmt;
 
-/// How grave it is.
+/// How severe a diagnostic is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Severity {
     /// Worth knowing.
     Note,
-    /// It may be meant, but mostly is not.
+    /// Probably a mistake.
     Warning,
     /// The cell cannot be used.
     Error,
@@ -27,29 +27,29 @@ impl fmt::Display for Severity {
     }
 }
 
-/// A place and what is to be said about it.
+/// A span, and what is to say about it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Label {
-    /// Where.
+    /// The span.
     pub span: Span,
-    /// What; may be empty on the primary label.
+    /// The text; may be empty on the primary label.
     pub text: String,
 }
 
-/// One finding.
+/// A diagnostic.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Diagnostic {
     /// Its code, one of [`codes::ALL`](crate::codes::ALL): `E104`.
     pub code: &'static str,
-    /// How grave it is.
+    /// Its severity.
     pub severity: Severity,
     /// What is wrong, in one line without a full stop, names in backquotes.
     pub message: String,
-    /// Where.
+    /// The place of the fault.
     pub primary: Label,
-    /// Where another declaration matters.
+    /// Other places that matter, such as a declaration.
     pub secondary: Vec<Label>,
-    /// What to write.
+    /// What to write instead.
     pub help: Vec<String>,
 }
 
@@ -72,7 +72,7 @@ impl Diagnostic {
         Self::new(code, Severity::Note, span, message.into())
     }
 
-    /// Whether it says that the file is larger, longer or deeper than is looked at.
+    /// Whether it reports that the file exceeds a limit of size or depth.
     #[must_use]
     pub fn is_limit(&self) -> bool {
         matches!(self.code, codes::LIMIT | codes::TOO_MANY)
@@ -83,21 +83,21 @@ impl Diagnostic {
         Self { code, severity, message, primary, secondary: Vec::new(), help: Vec::new() }
     }
 
-    /// Says this at the primary place.
+    /// Sets the text of the primary label.
     #[must_use]
     pub fn label(mut self, text: impl Into<String>) -> Self {
         self.primary.text = text.into();
         self
     }
 
-    /// Points at another place, too.
+    /// Adds a secondary label.
     #[must_use]
     pub fn also(mut self, span: Span, text: impl Into<String>) -> Self {
         self.secondary.push(Label { span, text: text.into() });
         self
     }
 
-    /// Says what to write.
+    /// Adds a help text: what to write.
     #[must_use]
     pub fn help(mut self, text: impl Into<String>) -> Self {
         self.help.push(text.into());

@@ -1,7 +1,7 @@
-//! `imrs fmt`: one way to write a cell file.
+//! The formatter, `imrs fmt`: one way to write a cell file.
 //!
-//! As gofmt does, it keeps the writer's line breaks and comments where they are, and settles the rest: indentation, spaces,
-//! at most one empty line, words in small letters, one spelling of each option (D10).
+//! Like gofmt, it keeps line breaks and comments where they are. It sets the rest: indentation, spaces, at most one empty
+//! line, lower-case keywords, one spelling of each option (D10).
 
 mod layout;
 mod space;
@@ -16,10 +16,10 @@ use crate::words::Word;
 use std::borrow::Cow;
 use std::collections::HashSet;
 
-/// The text as it should be written. Only what can be read is formatted.
+/// The formatted text. Only a text without errors is formatted.
 ///
 /// # Errors
-/// What is wrong with the text.
+/// The diagnostics, if one of them is an error.
 pub fn format(source: &Source) -> Result<String, Vec<Diagnostic>> {
     let parsed = parse(source);
     if parsed.diagnostics.iter().any(|found| found.severity == Severity::Error) {
@@ -29,17 +29,17 @@ pub fn format(source: &Source) -> Result<String, Vec<Diagnostic>> {
     names::each(&parsed.file, &mut |name| {
         names.insert(name.span.start);
     });
-    // Nothing is reported: the text was read before.
+    // This reports nothing, because the text was parsed before.
     let lexed = lex(source.text(), &mut Report::default());
     let mut writer = Writer { source, names: &names, pieces: Vec::new() };
     writer.all(&lexed.tokens, &lexed.comments);
     Ok(layout::lay_out(&writer.pieces))
 }
 
-/// What a piece of the text is.
+/// The kind of a piece.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum What {
-    /// A word in its meaning.
+    /// A keyword that is not used as a name.
     Word(Word),
     /// A name, a number, a text.
     Operand,
@@ -52,14 +52,14 @@ enum What {
 struct Piece<'t> {
     what: What,
     text: Cow<'t, str>,
-    /// How many line breaks stood in front of it.
+    /// How many line breaks were in front of it.
     breaks: usize,
 }
 
-/// Brings the tokens and comments in order, and settles their spelling.
+/// Merges the tokens and comments into pieces, and sets their spelling.
 struct Writer<'t> {
     source: &'t Source,
-    /// Where the names begin: a word among them is none.
+    /// The offsets of the names: a free keyword at one of them is a name.
     names: &'t HashSet<u32>,
     pieces: Vec<Piece<'t>>,
 }
@@ -82,7 +82,7 @@ impl<'t> Writer<'t> {
                 (Users::Inside, What::Sign(Kind::ParenOpen)) => what = What::Sign(Kind::BraceOpen),
                 (Users::Closing, What::Sign(Kind::ParenClose)) => what = What::Sign(Kind::BraceClose),
                 (Users::Inside, What::Sign(Kind::Comma)) => {
-                    // Written below, where it is needed.
+                    // Commas are inserted below, between two names.
                     last = span.end as usize;
                     continue;
                 }
@@ -106,7 +106,7 @@ impl<'t> Writer<'t> {
                 _ => in_record,
             };
             if in_record && is_operand && matches!(follows, Some(What::Operand | What::Word(_))) {
-                // `number integer` of Figure 1.
+                // Figure 1 writes `number integer`, without a colon.
                 self.insert(Kind::Colon);
             }
         }
@@ -115,7 +115,7 @@ impl<'t> Writer<'t> {
         }
     }
 
-    /// Whether one more name follows in the list.
+    /// Whether another name follows in the list.
     fn another_user(&self, rest: &[Token]) -> bool {
         let next = rest.iter().find(|(kind, _)| *kind != Kind::Comma);
         next.is_some_and(|(kind, span)| self.what(*kind, span.start) == What::Operand)
@@ -155,7 +155,7 @@ impl<'t> Writer<'t> {
     }
 }
 
-/// Where in `user_list = (a b)` the text is.
+/// The position of the current token in `user_list = (a b)`.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Users {
     Outside,

@@ -1,5 +1,5 @@
-//! The cell with its names resolved and its expressions typed: what the checks read and what lowering turns into the
-//! declarations and scripts of [`imrs_protocol`]. Ids are positions, as in [`imrs_protocol::Cell`].
+//! The high-level intermediate representation (HIR) of a cell: names are resolved, expressions are typed. The checks read it;
+//! lowering turns it into declarations and scripts of [`imrs_protocol`]. Ids are positions, as in [`imrs_protocol::Cell`].
 
 mod whole;
 
@@ -10,7 +10,7 @@ use crate::span::Span;
 use imrs_protocol::script::{Op, Slot, Type};
 use imrs_protocol::{Class, NodeId, PortId, Ranked, TaskId, TimeId, Usage};
 
-/// A duration in microseconds and where it stands.
+/// A duration in microseconds, with its span.
 pub use crate::ast::Duration;
 
 /// A whole cell.
@@ -18,17 +18,17 @@ pub use crate::ast::Duration;
 pub struct Hir {
     /// Its name.
     pub name: String,
-    /// Whether the paper's own rules hold (D92).
+    /// Whether the paper's own rules replace this project's decisions (D92).
     pub paper: bool,
-    /// The declared lateness of timers (D42).
+    /// How late a timer may fire (D42).
     pub tick: Option<Duration>,
-    /// The granularity of the model, where it is coarser.
+    /// The step in which the checker tries the durations between the least and the most of an action (D133).
     pub model_tick: Option<Duration>,
     /// The nodes, by [`NodeId`].
     pub nodes: Vec<Node>,
     /// The links.
     pub links: Vec<Link>,
-    /// The records.
+    /// The record types.
     pub records: Vec<Record>,
     /// The tasks, by [`TaskId`].
     pub tasks: Vec<Task>,
@@ -36,11 +36,11 @@ pub struct Hir {
     pub ports: Vec<Port>,
     /// The process classes (D24).
     pub couples: Vec<Couple>,
-    /// What may go wrong.
+    /// The fault hypotheses.
     pub faults: Vec<Faults>,
-    /// What must hold.
+    /// The properties that must hold.
     pub checks: Vec<Check>,
-    /// Where each line of the text begins, in bytes: findings at run time name lines.
+    /// The byte offset at which each line of the text begins: findings at run time name lines.
     pub lines: Vec<u32>,
 }
 
@@ -51,11 +51,11 @@ impl Hir {
         self.lines.partition_point(|&begin| begin <= span.start).max(1)
     }
 
-    /// The links of the quickest way.
+    /// The route with the least total delay: positions in [`Hir::links`], last link first; empty if there is none.
     #[must_use]
     pub fn way(&self, from: NodeId, to: NodeId) -> Vec<usize> {
         let mut best: Vec<Option<(u64, Option<usize>)>> = vec![None; self.nodes.len()];
-        // Of a cell with errors a task's node may be missing.
+        // In a cell with errors a task's node may be missing.
         if from.index().max(to.index()) >= best.len() {
             return Vec::new();
         }
@@ -89,7 +89,7 @@ pub struct Node {
     pub host: Option<String>,
     /// Its UDP port.
     pub port: Option<u16>,
-    /// Where its name stands.
+    /// The span of its name.
     pub span: Span,
 }
 
@@ -100,9 +100,9 @@ pub struct Link {
     pub a: NodeId,
     /// The other.
     pub b: NodeId,
-    /// Its bound (D20).
+    /// The longest delay of a packet that is not lost (D20).
     pub delay: Duration,
-    /// Where it stands.
+    /// Its span.
     pub span: Span,
 }
 
@@ -113,7 +113,7 @@ pub struct Record {
     pub name: String,
     /// Its fields.
     pub fields: Vec<Field>,
-    /// Where its name stands.
+    /// The span of its name.
     pub span: Span,
 }
 
@@ -124,28 +124,28 @@ pub struct Field {
     pub name: String,
     /// Its type.
     pub of: Type,
-    /// Where it stands.
+    /// Its span.
     pub span: Span,
 }
 
-/// A port (Figure 1), with both ends together.
+/// A port (Figure 1): its owner's and its users' declarations in one.
 #[derive(Clone, Debug)]
 pub struct Port {
     /// Its name.
     pub name: String,
-    /// Who owns it.
+    /// The owning task.
     pub owner: TaskId,
     /// The owner's usage; the users have its counterpart (D11).
     pub usage: Usage,
-    /// Its users, in the order of the `user_list`, modules taken apart (D32).
+    /// Its users, in the order of the `user_list`. A module is replaced by its tasks (D32).
     pub users: Vec<User>,
-    /// Where its `user_list` stands.
+    /// The span of its `user_list`.
     pub user_list: Option<Span>,
-    /// The record of its messages, where it has one.
+    /// The record type of its messages, by position in [`Hir::records`], if they have one.
     pub record: Option<usize>,
-    /// What a message holds.
+    /// The fields of a message.
     pub message: Vec<Field>,
-    /// What an answer holds: of a query, by default, what a message holds; else nothing.
+    /// The fields of an answer. By default a query's answer has the fields of the message, any other answer has none.
     pub answer: Vec<Field>,
     /// Its class, declared or by default.
     pub class: Class,
@@ -153,27 +153,27 @@ pub struct Port {
     pub time_out: Option<Duration>,
     /// `bounded_buffer`.
     pub bounded_buffer: u16,
-    /// Where `bounded_buffer` stands.
+    /// The span of `bounded_buffer`.
     pub buffer_span: Option<Span>,
     /// `retry`.
     pub retry: u8,
     /// `resend`.
     pub resend: Option<Duration>,
-    /// `penalty`, and whether it is the literal one (D4).
+    /// `penalty`, and whether it is the paper's literal rule (D4).
     pub penalty: Option<(Duration, bool)>,
     /// `rate`.
     pub rate: Option<(u16, Duration)>,
     /// `latest`.
     pub latest: bool,
-    /// The work couple, by position in [`Hir::couples`], under whose lease it acts (D61, D88): only the couple sends
-    /// on it, to others.
+    /// The work couple whose lease covers this port, by position in [`Hir::couples`] (D61, D88). Only the couple's tasks send
+    /// on such a port, and only to tasks outside of the couple.
     pub guard: Option<usize>,
-    /// Where its name stands.
+    /// The span of its name.
     pub span: Span,
 }
 
 impl Port {
-    /// What the task does with the port; none where it neither owns nor uses it.
+    /// The task's usage of the port; none if the task neither owns nor uses it.
     #[must_use]
     pub fn usage_of(&self, task: TaskId) -> Option<Usage> {
         if task == self.owner {
@@ -182,20 +182,20 @@ impl Port {
         self.user(task).map(|_| self.usage.counterpart())
     }
 
-    /// The user that is this task.
+    /// The declaration of this task as a user.
     #[must_use]
     pub fn user(&self, task: TaskId) -> Option<&User> {
         self.users.iter().find(|user| user.task == task)
     }
 
-    /// The tasks at the other end from `task`: the owner for a user, the users for the owner, all others in a `waitfor`.
+    /// The tasks at the other end: the owner for a user, the users for the owner, all other members for a `waitfor`.
     pub fn peers(&self, task: TaskId) -> impl Iterator<Item = TaskId> + '_ {
         let all = self.usage == Usage::Waitfor || task == self.owner;
         let parties = std::iter::once(self.owner).chain(self.users.iter().map(|user| user.task));
         parties.filter(move |&peer| peer != task && (all || peer == self.owner))
     }
 
-    /// The position of a task among the owner and the users.
+    /// The position of a task among the parties: 0 is the owner, the users follow.
     #[must_use]
     pub fn party(&self, task: TaskId) -> Option<usize> {
         if task == self.owner {
@@ -216,9 +216,9 @@ pub struct User {
     pub rate: Option<(u16, Duration)>,
     /// Its own `retry`.
     pub retry: Option<u8>,
-    /// Where its name stands in the `user_list`; in its `use_port` where the port has none.
+    /// The span of its name in the `user_list`, or in its `use_port` if the port has no such list.
     pub listed: Span,
-    /// Where the name of the port stands in its `use_port`; nowhere while it has none.
+    /// The span of the port's name in the task's `use_port`; none until that is found.
     pub span: Option<Span>,
 }
 
@@ -231,112 +231,112 @@ pub struct Task {
     pub node: NodeId,
     /// Its module.
     pub module: Option<String>,
-    /// Whom it stands by for.
+    /// The task whose standby it is.
     pub standby_of: Option<TaskId>,
-    /// Whether a Rust program gives its behaviour.
+    /// Whether a Rust program provides its behaviour.
     pub is_extern: bool,
-    /// How often an `extern` task acts at most.
+    /// The highest rate at which an `extern` task acts.
     pub rate: Option<(u16, Duration)>,
-    /// Its variables: [`Slot::Task`] is the position. A record's fields stand one after another: `me.height`.
+    /// Its variables, by the position in [`Slot::Task`]. The fields of a record are adjacent: `me.height`.
     pub variables: Vec<Variable>,
-    /// Its timers: [`TimeId`] is the position.
+    /// Its timers, by [`TimeId`].
     pub timers: Vec<Timer>,
     /// Its handlers.
     pub handlers: Vec<Handler>,
-    /// What it does.
+    /// Its statements.
     pub body: Vec<Statement>,
-    /// What it does when it takes over.
+    /// The statements that it runs when it takes over.
     pub takeover: Option<Vec<Statement>>,
-    /// What its body and its take-over keep for expressions that ask later.
+    /// The values that its body and its take-over save for later expressions.
     pub captures: Vec<Capture>,
-    /// Where its name stands.
+    /// The span of its name.
     pub span: Span,
 }
 
-/// Something that a thread keeps in a variable of its own as soon as it is known, because an expression may ask for it
-/// only some statements later.
+/// A value that a thread saves in a hidden variable as soon as it is known, because an expression may read it several
+/// statements later.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Capture {
-    /// What.
+    /// Which value.
     pub what: Captured,
-    /// Where: [`Slot::Task`] in a body, [`Slot::Local`] in a handler.
+    /// The variable: [`Slot::Task`] in a body, [`Slot::Local`] in a handler.
     pub slot: Slot,
 }
 
-/// What a thread keeps.
+/// The values that a thread can save.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Captured {
-    /// `outcome`: how the last statement that asked for something ended.
+    /// `outcome`: how the last statement with an outcome ended.
     Outcome,
-    /// `sender`: who sent the message that was received last.
+    /// `sender`: the task that sent the last received message.
     Sender,
-    /// `received`: the port through which it came.
+    /// `received`: the port of the last received message.
     Received,
-    /// `p.answered(t)`: whether the task answered the last message to several on the port.
+    /// `p.answered(t)`: whether the task answered the last message that this thread sent on the port.
     Answered(PortId, TaskId),
-    /// `p.refused(t)`: whether it refused it.
+    /// `p.refused(t)`: whether the task refused that message.
     Refused(PortId, TaskId),
-    /// `p.told(t)`, `p.x(t)`: whether it is known what the task told at the waitfor, or answered; in the slots behind, its
-    /// fields.
+    /// `p.told(t)`, `p.x(t)`: whether the values are known that the task brought to the waitfor or sent in its answer. Its
+    /// fields are in the slots behind.
     Told(PortId, TaskId),
-    /// `ticket`: the number of the message that was received last.
+    /// `ticket`: the number of the last received message.
     Ticket,
 }
 
 /// A variable.
 #[derive(Clone, Debug)]
 pub struct Variable {
-    /// Its name; of a field of a record, with the record's.
+    /// Its name. A field of a record is called `record.field`.
     pub name: String,
     /// Its type.
     pub of: Type,
-    /// Where it is declared.
+    /// The span of its declaration.
     pub span: Span,
 }
 
-/// A timer, or the silence of a port that a handler waits for.
+/// A timer: a declared one, or the one that measures a silence.
 #[derive(Clone, Debug)]
 pub struct Timer {
     /// Its name.
     pub name: String,
-    /// Where it is declared.
+    /// The span of its declaration.
     pub span: Span,
 }
 
 /// A handler.
 #[derive(Clone, Debug)]
 pub struct Handler {
-    /// What calls it.
+    /// The event that runs it.
     pub trigger: Trigger,
-    /// Its variables: [`Slot::Local`]. Those of the message come first.
+    /// Its variables, by the position in [`Slot::Local`]. Those of the message come first.
     pub locals: Vec<Variable>,
-    /// How many of them the message is read into: all its fields, or none where the handler does not look at them.
+    /// The number of variables that take fields of the message: all fields, or none if the handler ignores them.
     pub reads: usize,
-    /// What it keeps.
+    /// The values that it saves.
     pub captures: Vec<Capture>,
-    /// What it does.
+    /// Its statements.
     pub body: Vec<Statement>,
-    /// Where its head stands.
+    /// The span of its head.
     pub span: Span,
 }
 
-/// What calls a handler.
+/// The event that runs a handler.
 #[derive(Clone, Debug)]
 pub enum Trigger {
-    /// A message of this port; it is read into the first of the handler's variables, in their order.
+    /// A message of this port. Its fields go into the handler's first variables, in order.
     Message(PortId),
-    /// The port was silent for so long while the condition held, without a break.
+    /// No message came through the port for this long, while the condition held all the time.
     Silence {
         /// The port.
         port: PortId,
-        /// The timer that measures it.
+        /// The timer that measures the silence.
         timer: TimeId,
         /// How long.
         length: Duration,
-        /// The condition; none holds always.
+        /// The condition; none means that it always holds.
         when: Option<Expr>,
     },
-    /// The end of this timer.
+    /// This timer expired.
     Expiry(TimeId),
     /// The lease was lost (D61).
     Fence,
@@ -347,49 +347,49 @@ pub enum Trigger {
 pub struct Statement {
     /// What it does.
     pub kind: StatementKind,
-    /// What happens when it ends otherwise.
+    /// What runs if it times out, is refused or fails.
     pub branches: Vec<Branch>,
-    /// Where it stands, without its branches and the statements in it.
+    /// Its span, without its branches and inner statements.
     pub span: Span,
 }
 
 /// A branch of a statement.
 #[derive(Clone, Debug)]
 pub struct Branch {
-    /// When it is taken.
+    /// The end of the statement for which it runs.
     pub when: BranchKind,
-    /// What it does.
+    /// Its statements.
     pub body: Vec<Statement>,
-    /// Where its head stands.
+    /// The span of its head.
     pub span: Span,
 }
 
-/// Who a message is for.
+/// The recipients of a message.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Recipients {
-    /// All at the other end.
+    /// All tasks at the other end.
     All,
-    /// These.
+    /// Only these.
     These(Vec<TaskId>),
 }
 
-/// Which message an answer is for.
+/// The message that a reply answers.
 #[derive(Clone, Debug)]
 pub enum Answered {
-    /// The one that the thread received last.
+    /// The last message that the thread received.
     Last,
-    /// The one of this task that was taken before and is not answered.
+    /// An earlier message of this task that is not answered yet.
     Of(TaskId),
-    /// One that another task took: through a port of usage `reply` (D11).
+    /// A message that another task received, answered through a port of usage `reply` (D11).
     Ticket {
-        /// Whose it is.
+        /// The task that sent it.
         asker: TaskId,
-        /// Its number.
+        /// Its message number.
         number: Expr,
     },
 }
 
-/// Where one field of a message or a result goes.
+/// The variable for one field of a message or a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Destination {
     /// The variable.
@@ -401,35 +401,35 @@ pub struct Destination {
 /// What a statement does.
 #[derive(Clone, Debug)]
 pub enum StatementKind {
-    /// SEND, or a query: one value for each field.
+    /// SEND, or a query, with one value for each field.
     Send {
         /// The port.
         port: PortId,
-        /// Who it is for.
+        /// Its recipients.
         to: Recipients,
-        /// The fields, each already of its field's type.
+        /// The values, each converted to the type of its field.
         values: Vec<Expr>,
-        /// Where the answer goes; nothing reads it where this is empty.
+        /// The variables for the answer; empty if the answer is not read.
         into: Vec<Destination>,
-        /// A shorter life than the port's.
+        /// A TTL below the port's time_out.
         within: Option<Duration>,
     },
     /// GET.
     Receive {
         /// The port.
         port: Option<PortId>,
-        /// Where the message goes.
+        /// The variables for the message.
         into: Vec<Destination>,
-        /// From whom.
+        /// The only sender from which it receives.
         from: Option<TaskId>,
-        /// How long.
+        /// How long it waits at most.
         within: Option<Duration>,
     },
     /// Answers a message.
     Reply {
-        /// The port whose message it answers; a port of usage `reply` for a third party. None where it cannot be told.
+        /// The port of the answered message; one of usage `reply` for a third party. None if several ports are possible.
         port: Option<PortId>,
-        /// Which message it answers.
+        /// The message that it answers.
         to: Answered,
         /// The fields.
         values: Vec<Expr>,
@@ -438,26 +438,26 @@ pub enum StatementKind {
     Waitfor {
         /// The port.
         port: PortId,
-        /// What the others are told.
+        /// The values that the other members are told.
         values: Vec<Expr>,
-        /// A shorter patience than the port's.
+        /// A wait below the port's time_out.
         within: Option<Duration>,
     },
     /// ORDER.
     Order(Vec<Ranked>),
     /// DELAY.
     Delay(Duration),
-    /// An action outside.
+    /// An action of a robot or another machine.
     Run {
         /// Its name.
         action: String,
         /// Its arguments.
         arguments: Vec<Expr>,
-        /// Where its result goes.
+        /// The variable for its result.
         into: Option<Destination>,
-        /// The least and the most that its result is.
+        /// The least and the greatest result.
         range: Option<(i64, i64)>,
-        /// How long it takes, at least and at most.
+        /// Its shortest and its longest duration.
         takes: (Duration, Duration),
     },
     /// Starts a timer.
@@ -469,41 +469,41 @@ pub enum StatementKind {
     },
     /// Stops a timer.
     Stop(TimeId),
-    /// No handler comes in between.
+    /// Statements that no handler interrupts.
     Atomic(Vec<Statement>),
     /// An assignment.
     Assign {
-        /// Where, and of which type.
+        /// The variable and its type.
         to: Destination,
-        /// What.
+        /// Its new value.
         value: Expr,
     },
-    /// An assignment of a whole record, without a handler in between.
+    /// An assignment of a whole record. No handler interrupts it.
     AssignAll {
-        /// Where, and of which type.
+        /// The variables and their types.
         to: Vec<Destination>,
-        /// What.
+        /// Their new values.
         values: Vec<Expr>,
     },
-    /// What the answers of a beat port carry (D61).
+    /// Sets the values that the answers to this port's heartbeats carry (D61).
     Publish {
         /// The port.
         port: PortId,
         /// The fields.
         values: Vec<Expr>,
     },
-    /// What the partner of the couple published last; where that is nothing, the variables keep their values.
+    /// Reads what the couple's partner published last. The variables keep their values if it has published nothing.
     Published {
-        /// The port of the beats.
+        /// The port of the heartbeats.
         port: PortId,
-        /// Where it goes.
+        /// The variables.
         into: Vec<Destination>,
     },
     /// `if`.
     If {
-        /// Conditions and what is done where they are true.
+        /// The conditions, each with the statements that run if it holds.
         arms: Vec<(Expr, Vec<Statement>)>,
-        /// What is done where none is.
+        /// The statements that run if no condition holds.
         otherwise: Vec<Statement>,
     },
     /// `loop`.
@@ -512,21 +512,21 @@ pub enum StatementKind {
     While(Expr, Vec<Statement>),
     /// Leaves the innermost loop.
     Exit,
-    /// Nothing.
+    /// Does nothing.
     Skip,
     /// Ends the task.
     Abort(String),
-    /// Ends the task where this is false.
+    /// Ends the task if this is false.
     Assert(Expr),
 }
 
-/// An expression: the operations that leave its value on the stack, of exactly this type's kind.
+/// A typed expression: operations in postfix order that leave its value on the stack.
 #[derive(Clone, Debug)]
 pub struct Expr {
-    /// Bool, a real, or one of the integers; a constant or a sum is an `int32`.
+    /// Bool, real or an integer type. A constant or a sum of integers is an `int32`.
     pub of: Type,
     /// The operations.
     pub ops: Vec<Op>,
-    /// Where it stands.
+    /// Its span.
     pub span: Span,
 }

@@ -1,4 +1,4 @@
-//! Text to tokens. Comments are kept aside for the formatter; what is no token is reported and left out.
+//! The lexer: turns text into tokens. It keeps comments aside for the formatter, and reports and skips what is no token.
 
 use crate::codes::{NUMBER, OPERATOR, UNCLOSED_TEXT, UNKNOWN};
 use crate::diagnostic::Diagnostic;
@@ -7,20 +7,20 @@ use crate::span::Span;
 use crate::words::Word;
 use logos::Logos;
 
-/// What a token is.
+/// The kind of a token.
 #[derive(Logos, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[logos(skip r"[ \t\r\n\x0C]+")]
 pub(crate) enum Kind {
     #[regex(r"[A-Za-z_][A-Za-z0-9_]*")]
     Name,
-    /// A name that is a word of the language.
+    /// A keyword.
     Word(Word),
     #[regex(r"[0-9](_?[0-9])*", priority = 10)]
     Int,
     #[regex(r"[0-9](_?[0-9])*\.[0-9](_?[0-9])*([eE][+-]?[0-9]+)?", priority = 20)]
     #[regex(r"[0-9](_?[0-9])*[eE][+-]?[0-9]+", priority = 20)]
     Real,
-    /// Digits that run into letters.
+    /// Digits followed by letters, as in `12ab`.
     #[regex(r"[0-9][0-9_]*[A-Za-z_][A-Za-z0-9_]*", priority = 1)]
     #[regex(r"[0-9][0-9_]*\.[0-9][0-9_]*[A-Za-z_][A-Za-z0-9_]*", priority = 1)]
     BadNumber,
@@ -87,6 +87,10 @@ pub(crate) enum Kind {
     #[token("||")]
     #[token("!")]
     #[token("%")]
+    #[token("+=")]
+    #[token("-=")]
+    #[token("*=")]
+    #[token("/=")]
     Foreign,
     #[regex(r"//[^\n]*", allow_greedy = true)]
     LineComment,
@@ -96,7 +100,7 @@ pub(crate) enum Kind {
 }
 
 impl Kind {
-    /// As a message names it, the text of names and numbers aside.
+    /// How a diagnostic names the kind; the text of names and numbers is not part of it.
     pub(crate) const fn describe(self) -> &'static str {
         match self {
             Self::Name => "a name",
@@ -132,7 +136,7 @@ impl Kind {
         }
     }
 
-    /// Whether [`describe`](Self::describe) says the very text.
+    /// Whether [`describe`](Self::describe) returns the token's own text.
     pub(crate) const fn is_literal(self) -> bool {
         !matches!(
             self,
@@ -150,20 +154,20 @@ impl Kind {
     }
 }
 
-/// A token and where it stands.
+/// A token and its span.
 pub(crate) type Token = (Kind, Span);
 
-/// A text in tokens.
+/// The result of lexing a text.
 pub(crate) struct Lexed {
     /// The tokens.
     pub tokens: Vec<Token>,
-    /// The comments, in order.
+    /// The spans of the comments, in order.
     pub comments: Vec<Span>,
-    /// Whether a comment is open at the end: then anything may be missing.
+    /// Whether the text ends inside of a comment. Anything may then be missing.
     pub open_ended: bool,
 }
 
-/// The longest name, in bytes.
+/// The longest allowed name, in bytes.
 pub(crate) const LONGEST_NAME: usize = 64;
 
 /// Splits a text into tokens.
@@ -204,7 +208,7 @@ pub(crate) fn lex(text: &str, report: &mut Report) -> Lexed {
                 let unit = Word::find(unit).or_else(|| Word::short_unit(unit));
                 lexed.tokens.push((unit.map_or(Kind::Name, Kind::Word), Span::new(middle, end)));
             }
-            // The letters of a command line after a number stand for the unit of a cell.
+            // After a number the short units of the command line (`ms`) are accepted, too.
             Kind::Name
                 if let (Some((Kind::Int | Kind::Real, _)), Some(unit)) =
                     (lexed.tokens.last(), Word::short_unit(lexer.slice())) =>
@@ -243,7 +247,7 @@ fn comment(text: &str) -> (usize, bool) {
     (bytes.len(), false)
 }
 
-/// The token that this stands for, which may have to be reported.
+/// The kind under which the parser sees this token. Reports a token that is wrong.
 fn token(kind: Kind, text: &str, span: Span, report: &mut Report) -> Kind {
     match kind {
         Kind::Name => {
@@ -270,6 +274,14 @@ fn token(kind: Kind, text: &str, span: Span, report: &mut Report) -> Kind {
                     .help(format!("write `\"{}\"`", text.trim_matches('\'')))
             });
             Kind::Text
+        }
+        Kind::Foreign if text.len() == 2 && text.ends_with('=') && !["==", "!="].contains(&text) => {
+            let sign = &text[..1];
+            report.push(|| {
+                Diagnostic::error(OPERATOR, span, format!("`{text}` is no assignment here"))
+                    .help(format!("write `n := n {sign} ..`"))
+            });
+            Kind::Assign
         }
         Kind::Foreign => {
             let (ours, kind) = match text {
@@ -318,7 +330,7 @@ fn long_name(text: &str, span: Span) -> Diagnostic {
     Diagnostic::error(crate::codes::LIMIT, span, message).help("choose a shorter name")
 }
 
-/// The length of a number that a unit of time follows without a space, as in `500ms`.
+/// The length of a number that is followed by a unit of time without a space, as in `500ms`.
 fn before_unit(text: &str) -> Option<usize> {
     let end = text.find(|c: char| c.is_ascii_alphabetic())?;
     let (number, unit) = text.split_at(end);

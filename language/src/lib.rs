@@ -1,5 +1,5 @@
-//! The cell language: one file says which nodes, links, tasks and ports there are and what each task does. Here it
-//! becomes checked declarations and task scripts of [`imrs_protocol`].
+//! The compiler of the cell language: it turns the text of a cell file into checked declarations and task scripts of
+//! [`imrs_protocol`]. A cell file declares nodes, links, tasks and ports, and what each task does.
 //!
 //! ```text
 //!   text --lexer--> tokens --parser--> ast --resolve--> cell with names --checks--> diagnostics
@@ -7,7 +7,7 @@
 //!                  formatter                                lower --> Cell, Programs, checks (in any unit of time)
 //! ```
 //!
-//! No file is read here: whoever calls brings the text (D56). No input makes it panic.
+//! The crate reads no files: the caller passes the text (D56). No input makes it panic.
 //!
 //! ```
 //! use imrs_language::{Source, format, parse, render};
@@ -30,6 +30,7 @@ mod checks;
 pub mod codes;
 mod compile;
 mod diagnostic;
+mod foreign;
 mod format;
 pub mod hir;
 mod lexer;

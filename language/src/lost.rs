@@ -1,7 +1,7 @@
-//! What of a file could not be read, and which later findings may only follow from that.
+//! Records which parts of a file could not be parsed, and drops later findings that may only follow from that.
 //!
-//! Names, types and times of the other parts are checked all the same. A finding is kept where it stands on what is there: it is
-//! dropped where something that was not read could be what it misses.
+//! Names, types and times of the other parts are checked nevertheless. A finding is dropped if it misses something that a
+//! lost part may contain.
 
 use crate::codes::{
     ACTION, ACTS_EARLY, ARGUMENTS, DEADLINE, DISAGREE, DUPLICATE, HANDLERS, INTERVAL, LEASE_TOO_SHORT,
@@ -14,42 +14,42 @@ use crate::source::Source;
 use crate::span::Span;
 use std::collections::BTreeSet;
 
-/// What could not be read.
+/// The parts of a file that could not be parsed.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Lost {
-    /// Lines, blocks, whole declarations.
+    /// The spans of lost lines, blocks and whole declarations.
     pub spans: Vec<Span>,
-    /// Where the declarations of the file begin, readable or not, in the order of the text, and whether they may say by which
-    /// way nodes are joined.
+    /// The offsets of the file's declarations, parsed or not, in the order of the text, and whether each may change routes
+    /// between nodes.
     pub items: Vec<(u32, bool)>,
-    /// Whether something is lost that is neither in a task nor in a record, or one of these.
+    /// Whether a lost part is outside of tasks and records, or is a whole task or record.
     pub outside: bool,
-    /// Whether so much is lost that nothing else can be said.
+    /// Whether so much is lost that nothing else can be checked.
     pub all: bool,
 }
 
-/// What is known to be wrong, and so not to be built upon.
+/// The declarations with errors and the lost parts: findings that depend on them are in doubt.
 pub(crate) struct Doubts<'s> {
     lost: &'s Lost,
     source: &'s Source,
-    /// What is called something in lost parts: it may be declared there.
+    /// The words in lost parts: any of them may be declared there.
     names: BTreeSet<&'s str>,
-    /// The declarations that have a finding in them, by position in the text.
+    /// The declarations with an error in them, by position in the text.
     items: BTreeSet<usize>,
 }
 
 impl Lost {
-    /// Whether a part of this could not be read.
+    /// Whether a lost part overlaps the span.
     pub fn touches(&self, span: Span) -> bool {
         self.spans.iter().any(|lost| lost.start < span.end && span.start < lost.end)
     }
 
-    /// The declaration of the file in which a place is.
+    /// The number of the declaration around a span, from 1; 0 in front of the first.
     fn item(&self, span: Span) -> usize {
         self.items.partition_point(|(begin, _)| *begin <= span.start)
     }
 
-    /// The declaration of the file in which this stands, from its first word up to the next one.
+    /// The declaration of the file around a span, from its first word up to the next declaration.
     pub fn around(&self, span: Span) -> Span {
         let at = self.item(span);
         let begin = |at: usize| self.items.get(at).map(|(begin, _)| *begin);
@@ -61,7 +61,7 @@ impl Lost {
 }
 
 impl<'s> Doubts<'s> {
-    /// What the findings about the syntax of a file leave in doubt.
+    /// The doubts that the syntax errors of a file cause.
     pub fn new(lost: &'s Lost, source: &'s Source, found: &[Diagnostic]) -> Self {
         let texts = lost.spans.iter().map(|span| source.slice(*span));
         let names = texts.flat_map(words).collect();
@@ -70,13 +70,13 @@ impl<'s> Doubts<'s> {
         doubts
     }
 
-    /// These findings are in doubt, too, wherever they point.
+    /// Adds the declarations at which these errors point.
     pub fn add(&mut self, found: &[Diagnostic]) {
         let errors = found.iter().filter(|found| found.severity == Severity::Error);
         self.items.extend(errors.flat_map(places).map(|span| self.lost.item(span)));
     }
 
-    /// Whether a finding about names and types stands on what was read.
+    /// Whether a finding about names and types holds, whatever the lost parts contain.
     pub fn keeps_name(&self, found: &Diagnostic) -> bool {
         if self.lost.touches(found.primary.span) {
             return false;
@@ -87,17 +87,17 @@ impl<'s> Doubts<'s> {
             }
             DUPLICATE | TWO_OWNERS | USAGES | DISAGREE | ARGUMENTS | TOO_LONG | OPTION | TYPES | ACTION
             | HANDLERS | ORDER | TWICE | TOO_MANY | INTERVAL => true,
-            // The others miss something, or may.
+            // The other findings report something missing, which a lost part may contain.
             _ => !self.in_doubt(found) && !self.lost.outside,
         }
     }
 
-    /// Whether an error of behaviour or time stands on declarations that are right.
+    /// Whether an error of behaviour or time depends only on declarations without errors.
     pub fn keeps_behaviour(&self, found: &Diagnostic) -> bool {
         let known = match found.code {
             NEVER_COMES | RING | WAITFOR_ORDER | NEVER_RECEIVED | SHORT_TIME_OUT | NO_TIME_OUT
             | ACTS_EARLY | WRAPS | STATEMENT => true,
-            // Of another link, or a shorter one, nothing is known.
+            // These depend on routes, which an unknown link may change.
             DEADLINE | RATE | NO_LINK | TAKEOVER_TOO_SOON | LEASE_TOO_SHORT => !self.ways_in_doubt(),
             NEVER_ANSWERED => self.lost.spans.is_empty(),
             _ => false,
@@ -105,7 +105,7 @@ impl<'s> Doubts<'s> {
         known && !self.in_doubt(found)
     }
 
-    /// Whether a link may be missing, or be another one.
+    /// Whether a link may be missing or wrong.
     fn ways_in_doubt(&self) -> bool {
         let shapes = |item: &usize| {
             item.checked_sub(1).and_then(|at| self.lost.items.get(at)).is_none_or(|(_, shapes)| *shapes)

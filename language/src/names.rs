@@ -1,4 +1,4 @@
-//! Every name in a syntax tree.
+//! Visits every name in a syntax tree.
 
 use crate::ast::{
     CheckKind, CoupleKind, Expr, ExprKind, Fault, Field, File, Item, Name, Place, PortOptionKind, Statement,

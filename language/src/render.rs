@@ -1,4 +1,4 @@
-//! Diagnostics as a reader sees them, and as a program does.
+//! Renders diagnostics, as text for people and as data for programs.
 
 use crate::diagnostic::{Diagnostic, Label, Severity};
 use crate::source::Source;
@@ -6,7 +6,7 @@ use crate::span::Span;
 use annotate_snippets::{Annotation, AnnotationKind, Group, Level, Origin, Renderer, Snippet};
 use serde::Serialize;
 
-/// Whether the text has colours. Whoever prints it decides.
+/// Whether the text has colours. The caller decides.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Style {
     /// ANSI colours.
@@ -15,11 +15,11 @@ pub enum Style {
     Plain,
 }
 
-/// Lines longer than so many bytes are not shown.
+/// Lines with more bytes than this are not shown.
 const LONGEST_LINE: usize = 2000;
 
-/// The diagnostics with the lines they are about. `file` is the name shown; without a `source` (it was not text) no lines
-/// are.
+/// The diagnostics as text, with their lines of the file. `file` is the name shown. Without a `source`, because the file is
+/// no text, no lines are shown.
 #[must_use]
 pub fn text(diagnostics: &[Diagnostic], file: &str, source: Option<&Source>, style: Style) -> String {
     let renderer = match style {
@@ -51,7 +51,7 @@ fn group<'a>(found: &'a Diagnostic, file: &'a str, source: Option<&'a Source>) -
     group.elements(found.help.iter().map(|help| Level::HELP.message(help)))
 }
 
-/// The whole lines that the labels are about, unless they are too long to be shown.
+/// The whole lines of all labels; none if one of the lines is too long.
 fn window(found: &Diagnostic, source: &Source) -> Option<Span> {
     let all = labels(found).map(|(label, _)| label.span).reduce(Span::to)?;
     let text = source.text();
@@ -106,22 +106,22 @@ fn labels(found: &Diagnostic) -> impl Iterator<Item = (&Label, bool)> {
 pub struct Located<'a> {
     /// `E005`
     pub code: &'a str,
-    /// How grave it is.
+    /// Its severity.
     pub severity: Severity,
-    /// What is wrong, in a line.
+    /// What is wrong, in one line.
     pub message: &'a str,
     /// The name of the file.
     pub file: &'a str,
-    /// Where: the first one is the primary.
+    /// Its labels; the primary one is the first.
     pub labels: Vec<LocatedLabel<'a>>,
-    /// What to write.
+    /// What to write instead.
     pub help: &'a [String],
 }
 
 /// A label with lines and columns.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct LocatedLabel<'a> {
-    /// What is said there; may be empty.
+    /// Its text; may be empty.
     pub text: &'a str,
     /// Its first character.
     pub start: Position,

@@ -1,15 +1,15 @@
-//! Diagnostics on their way out: the first hundred in full, the others as a number.
+//! Collects diagnostics: keeps the first hundred, and counts the others.
 
 use crate::codes::MORE;
 use crate::diagnostic::Diagnostic;
 use crate::span::Span;
 
-/// So many are shown.
+/// How many diagnostics are kept and shown.
 pub(crate) const SHOWN: usize = 100;
-/// After so many nothing is looked for any more.
+/// After this many diagnostics the search for more stops.
 const COUNTED: usize = 1000;
 
-/// What was found so far.
+/// The diagnostics so far.
 #[derive(Default)]
 pub(crate) struct Report {
     shown: Vec<Diagnostic>,
@@ -18,7 +18,7 @@ pub(crate) struct Report {
 }
 
 impl Report {
-    /// One more.
+    /// Adds a diagnostic, which `found` makes if it will be shown.
     pub(crate) fn push(&mut self, found: impl FnOnce() -> Diagnostic) {
         if self.shown.len() < SHOWN {
             self.shown.push(found());
@@ -27,25 +27,25 @@ impl Report {
         }
     }
 
-    /// Whether there is so much that looking for more is of no use.
+    /// Whether there are so many diagnostics that the search should stop.
     pub(crate) fn is_enough(&mut self) -> bool {
         self.stopped |= self.shown.len() + self.more >= COUNTED;
         self.stopped
     }
 
-    /// Whether there is more than is shown.
+    /// Whether there are more diagnostics than are shown.
     pub(crate) fn is_more(&self) -> bool {
         self.more > 0
     }
 
-    /// Where those that are shown stand, sorted.
+    /// The offsets of the shown diagnostics, sorted.
     pub(crate) fn places(&self) -> Vec<u32> {
         let mut places: Vec<u32> = self.shown.iter().map(|found| found.primary.span.start).collect();
         places.sort_unstable();
         places
     }
 
-    /// All of them, in the order of the text.
+    /// The shown diagnostics in the order of the text, and a note that counts the others.
     pub(crate) fn finish(mut self) -> Vec<Diagnostic> {
         self.shown.sort_by_key(|found| found.primary.span.start);
         if self.more > 0 {

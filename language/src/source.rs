@@ -7,7 +7,7 @@ use crate::span::Span;
 /// The longest file, in bytes.
 pub const LONGEST_FILE: usize = 16 << 20;
 
-/// The text of a file and where its lines begin. Spans count bytes of this text: without a byte order mark.
+/// The text of a file, with the offsets of its lines. Spans count the bytes of this text, without a byte order mark.
 #[derive(Clone, Debug)]
 pub struct Source {
     text: String,
@@ -15,7 +15,7 @@ pub struct Source {
 }
 
 impl Source {
-    /// The text in these bytes: UTF-8, a byte order mark in front or not, lines ended by LF or CR LF.
+    /// Reads UTF-8 text, with or without a byte order mark. Its lines end with LF or CR LF.
     ///
     /// # Errors
     /// E013 if it is not UTF-8, E012 if it is longer than 16 MiB.
@@ -52,7 +52,7 @@ impl Source {
         &self.text
     }
 
-    /// What stands in a span; empty if the span is not one of this text.
+    /// The text of a span; empty if the span is not in this text.
     #[must_use]
     pub fn slice(&self, span: Span) -> &str {
         self.text.get(span.range()).unwrap_or_default()
@@ -65,7 +65,7 @@ impl Source {
         let begin = self.lines[line - 1] as usize;
         let end = (byte as usize).min(self.text.len());
         let before = self.text.as_bytes().get(begin..end).unwrap_or_default();
-        // Bytes that continue a character do not begin one.
+        // Continuation bytes of UTF-8 are part of the character before.
         let column = before.iter().filter(|byte| **byte & 0xC0 != 0x80).count();
         (line, column + 1)
     }
@@ -76,7 +76,7 @@ impl Source {
         self.lines.partition_point(|begin| *begin <= byte).max(1)
     }
 
-    /// How many blanks stand in front of the first word of a line, and whether `byte` is where this word begins.
+    /// How many blanks begin the line of a byte, and whether that byte is the first one behind them.
     #[must_use]
     pub(crate) fn indentation(&self, byte: u32) -> (usize, bool) {
         let begin = self.lines[self.line(byte) - 1] as usize;

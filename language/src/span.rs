@@ -1,4 +1,4 @@
-//! Where something stands in the text.
+//! Spans: ranges of bytes in the source text.
 
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
@@ -13,20 +13,20 @@ pub struct Span {
 }
 
 impl Span {
-    /// The range of these bytes. A file has at most 16 MiB.
+    /// The span from `start` to `end`. A file has at most 16 MiB, so offsets fit.
     #[must_use]
     pub fn new(start: usize, end: usize) -> Self {
         let short = |at: usize| u32::try_from(at).unwrap_or(u32::MAX);
         Self { start: short(start), end: short(end) }
     }
 
-    /// From the beginning of this one to the end of the other.
+    /// The least span that contains both.
     #[must_use]
     pub fn to(self, other: Self) -> Self {
         Self { start: self.start.min(other.start), end: self.end.max(other.end) }
     }
 
-    /// The bytes, for slicing the text.
+    /// The span as a range, for slicing the text.
     #[must_use]
     pub fn range(self) -> Range<usize> {
         self.start as usize..self.end as usize

@@ -1,8 +1,9 @@
-//! The words of the language. Reserved ones are never names; the others are words only where the grammar asks for them.
+//! The keywords of the language. Reserved keywords are never names; free ones are keywords only where the grammar expects
+//! them.
 
 macro_rules! words {
     (reserved { $($r:ident $rt:literal,)* } free { $($f:ident $ft:literal,)* }) => {
-        /// A word of the language.
+        /// A keyword of the language.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
         pub enum Word {
             $(#[doc = concat!("`", $rt, "`")] $r,)*
@@ -10,12 +11,12 @@ macro_rules! words {
         }
 
         impl Word {
-            /// All words that are never names.
+            /// All reserved keywords: they are never names.
             pub const RESERVED: &[Self] = &[$(Self::$r,)*];
-            /// All words that may also be names.
+            /// All free keywords: they may also be names.
             pub const FREE: &[Self] = &[$(Self::$f,)*];
 
-            /// As the formatter writes it.
+            /// Its text, as the formatter writes it.
             #[must_use]
             pub const fn text(self) -> &'static str {
                 match self { $(Self::$r => $rt,)* $(Self::$f => $ft,)* }
@@ -60,11 +61,11 @@ words! {
     }
 }
 
-/// Longer than any word.
+/// The size of a buffer for any keyword, in bytes.
 const LONGEST: usize = 16;
 
 impl Word {
-    /// The word that this is, in capitals or not.
+    /// The keyword that `text` spells; case is ignored.
     #[must_use]
     pub fn find(text: &str) -> Option<Self> {
         let mut lower = [0; LONGEST];
@@ -74,7 +75,7 @@ impl Word {
         std::str::from_utf8(lower).ok().and_then(Self::of_lower)
     }
 
-    /// The one of `among` that `text` was probably meant to be.
+    /// The keyword of `among` that `text` probably misspells.
     #[must_use]
     pub fn near(text: &str, among: &[Self]) -> Option<Self> {
         let lower = text.to_ascii_lowercase();
@@ -82,12 +83,12 @@ impl Word {
             return None;
         }
         let far = among.iter().map(|word| (strsim::osa_distance(&lower, word.text()), *word));
-        // A slip in a short word, two in a long one.
+        // One typing error is allowed in a short keyword, two in a long one.
         let near = far.filter(|(distance, word)| *distance <= if word.text().len() < 5 { 1 } else { 2 });
         near.min().map(|(_, word)| word)
     }
 
-    /// Begins a declaration of the file.
+    /// Keywords that begin a declaration of the file.
     pub(crate) const DECLARATIONS: &[Self] = &[
         Self::Tick,
         Self::Model,
@@ -100,10 +101,10 @@ impl Word {
         Self::Check,
     ];
 
-    /// Begins a declaration in front of a task's `begin`.
+    /// Keywords that begin a declaration of a task, and the `begin` behind them.
     pub(crate) const OF_TASK: &[Self] = &[Self::Port, Self::UsePort, Self::Var, Self::Begin];
 
-    /// Begins a statement, or what may stand in its place.
+    /// Keywords that begin a statement, or end or continue a block.
     pub(crate) const STATEMENTS: &[Self] = &[
         Self::Send,
         Self::UseSend,
@@ -132,7 +133,7 @@ impl Word {
         Self::Takeover,
     ];
 
-    /// An option of a port.
+    /// Keywords that begin an option of a port.
     pub(crate) const OPTIONS: &[Self] = &[
         Self::Usage,
         Self::MessageFormat,
@@ -147,10 +148,10 @@ impl Word {
         Self::Latest,
     ];
 
-    /// A unit of time, and its microseconds.
+    /// The units of time, with their microseconds.
     pub(crate) const UNITS: &[(Self, u64)] = &[(Self::Usec, 1), (Self::Msec, 1_000), (Self::Sec, 1_000_000)];
 
-    /// The unit that these letters are short for right after a number, as command lines write it.
+    /// The unit for a short unit of the command line: `ms` is `msec`.
     pub(crate) fn short_unit(text: &str) -> Option<Self> {
         match text {
             "us" => Some(Self::Usec),

@@ -1,4 +1,4 @@
-//! The tests of the language, one program: each file and folder of tests beside this one is a module of it.
+//! The tests of the language as one program: each folder beside this file is a module of it.
 
 mod meaning;
 mod reference;

@@ -11,8 +11,8 @@ use std::fs;
 use std::path::Path;
 use syn::{LitStr, Member};
 
-/// The items of the cell in a file, or the errors that it has. Either way the program is compiled anew when the file
-/// changes.
+/// The items for a cell file, or a compile error with its diagnostics. Either way a change of the file compiles the program
+/// again.
 pub fn expand(path: &LitStr) -> TokenStream {
     let folder = std::env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default();
     let file = Path::new(&folder).join(path.value());
@@ -33,7 +33,7 @@ pub fn expand(path: &LitStr) -> TokenStream {
     }
 }
 
-/// The items of a cell, or its diagnostics as the compiler says them.
+/// The items for a cell, or its diagnostics in the compiler's words.
 fn items(name: &str, text: &[u8]) -> Result<TokenStream, String> {
     let shown = |found: &[_], source| {
         format!("the cell has errors\n{}", render::text(found, name, source, render::Style::Plain).trim_end())
@@ -105,7 +105,7 @@ fn names(hir: &Hir) -> TokenStream {
     quote!(#nodes #tasks #ports)
 }
 
-/// The records, and what the messages and answers of each port are.
+/// The structs of the records, and the types of each port's messages and answers.
 fn types(hir: &Hir) -> TokenStream {
     let records = hir.records.iter().map(|record| {
         let line = format!("The record `{}`.", record.name);
@@ -150,7 +150,7 @@ fn types(hir: &Hir) -> TokenStream {
     }
 }
 
-/// The record that these fields are: the declared one, or one with the same fields.
+/// The record with these fields: the declared one, or another with the same fields.
 fn record_of<'a>(
     hir: &'a Hir,
     fields: &[Field],
@@ -190,7 +190,7 @@ const fn rust_type(of: Type) -> &'static str {
     }
 }
 
-/// A name of the cell as one of Rust: `type` is `r#type`, and what cannot even be that has `_` behind it.
+/// A name of the cell as a Rust identifier: `type` becomes `r#type`. A name that cannot be raw gets a `_` behind it.
 fn ident(name: &str) -> Ident {
     let name = plain(name);
     let raw = || syn::parse_str::<Ident>(&format!("r#{name}"));

@@ -1,6 +1,6 @@
-//! For Rust programs that are tasks of a cell, beside `imrs-runtime`: [`cell!`] compiles a cell file into the program, and
-//! [`derive@Message`] lays a struct out as the cell language lays its records out. What they write refers to
-//! `imrs_runtime`, which the program must depend on.
+//! Macros for Rust programs that are tasks of a cell. [`cell!`] compiles a cell file into the program; [`derive@Message`]
+//! lays a struct out as the cell language lays out its records. Their output refers to `imrs_runtime`, so the program must
+//! depend on that crate.
 
 #![forbid(unsafe_code)]
 
@@ -10,17 +10,17 @@ mod message;
 use proc_macro::TokenStream;
 use syn::{DeriveInput, LitStr, parse_macro_input};
 
-/// Compiles a cell file, named relative to the folder of the package's `Cargo.toml`. An error of the cell is an error of
-/// the program, in the compiler's own words: code, line and help.
+/// Compiles a cell file, named relative to the folder of the package's `Cargo.toml`. An error of the cell is a compile error
+/// of the program, with the code, line and help of the cell compiler.
 ///
-/// Into the module where it stands it writes:
+/// The macro adds to its module:
 /// - `FILE`: the text of the cell.
-/// - `table()`: the cell's table, in microseconds, made once.
-/// - `builder(node)`: an `imrs_runtime::Builder` of this node that has the scripts of the cell already; the program gives
-///   bodies to the `extern` tasks and functions to the actions.
-/// - `nodes`, `tasks`, `ports`: a constant for each, in capitals.
-/// - for each record a struct of its name that is a `Message`.
-/// - `messages` and `answers`: for each port the type of what is sent and of what is answered, under the port's name.
+/// - `table()`: the table of the cell, in microseconds, made once.
+/// - `builder(node)`: an `imrs_runtime::Builder` of this node with the scripts of the cell. The program adds the bodies of
+///   the `extern` tasks and the functions of the actions.
+/// - `nodes`, `tasks`, `ports`: a module with a constant for each, in capitals.
+/// - for each record, a struct of its name that is a `Message`.
+/// - `messages` and `answers`: the type of what each port sends and of what it answers, under the port's name.
 ///
 /// ```
 /// mod vision {
@@ -55,8 +55,8 @@ pub fn cell(input: TokenStream) -> TokenStream {
     cell::expand(&path).into()
 }
 
-/// Makes a struct a message: its fields one after another, in their order, little endian, without padding. Each is a
-/// `bool`, `i8`, `i16`, `i32`, `u32` or `f32`; all together at most 192 bytes (D28).
+/// Makes a struct a message: its fields follow each other in order, little endian, without padding. Each field is a `bool`,
+/// `i8`, `i16`, `i32`, `u32` or `f32`; together they have at most 192 bytes.
 ///
 /// ```
 /// use imrs_macros::Message;
@@ -75,7 +75,7 @@ pub fn cell(input: TokenStream) -> TokenStream {
 /// assert_eq!(Pose::decode(&room[..5]), Some(Pose { x: 1, y: -2, held: true }));
 /// ```
 ///
-/// What has no layout in the cell language is no field:
+/// A type without a layout in the cell language cannot be a field:
 ///
 /// ```compile_fail
 /// #[derive(imrs_macros::Message)]

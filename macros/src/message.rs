@@ -1,4 +1,4 @@
-//! `derive(Message)`.
+//! `derive(Message)`: the implementation of `Message` for a struct.
 
 use proc_macro2::TokenStream;
 use quote::{ToTokens, quote};
@@ -7,7 +7,7 @@ use syn::{Data, DeriveInput, Error, Field, Fields, Ident, Member, Type};
 /// The implementation of `Message` for a struct.
 ///
 /// # Errors
-/// For an enum, a union, and a struct with parameters.
+/// If the input is an enum, a union, or a struct with parameters.
 pub fn expand(input: &DeriveInput) -> syn::Result<TokenStream> {
     let Data::Struct(data) = &input.data else {
         return Err(Error::new_spanned(
@@ -35,7 +35,7 @@ pub fn implementation<T: ToTokens>(
     let field = quote!(::imrs_runtime::message::Field);
     let longest = quote!(::imrs_runtime::message::LONGEST);
     let value = if named { quote!(Self { #(#members,)* }) } else { quote!(Self) };
-    // Of a tuple struct the members are numbers: what is read needs names of its own.
+    // The members of a tuple struct are numbers, so the decoded values need names of their own.
     let locals: Vec<Ident> = (0..members.len()).map(|at| quote::format_ident!("field_{at}")).collect();
     let read = if named { quote!(Self { #(#members: #locals,)* }) } else { value };
     quote! {

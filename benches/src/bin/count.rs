@@ -1,4 +1,4 @@
-//! Carries out one case so many times, and says nothing of it: `.ci/counts` counts the instructions.
+//! Runs one case a given number of times without any result: `.ci/counts` counts the instructions.
 
 use imrs_bench::cases;
 use imrs_bench::suite::Effort;

@@ -1,4 +1,4 @@
-//! Small cells for the cases, and what their tasks run.
+//! Small cells for the cases, and the tasks that run in them.
 
 use crate::sample::{Sample, laps, nanos_of};
 use imrs_protocol::script::{Binary, End, Program, ProgramBuilder, Type};
@@ -14,14 +14,14 @@ pub const A: TaskId = TaskId(0);
 pub const B: TaskId = TaskId(1);
 /// The port that A asks on.
 pub const ASK: PortId = PortId(0);
-/// Longer than anything here takes. Every message carries it: its end would be reported.
+/// The TTL of every message. It is longer than any case takes, so that its end shows as a failure.
 pub const LONG: Duration = Duration::from_secs(60);
-/// The same in ticks of a microsecond.
+/// [`LONG`] in ticks of one microsecond.
 pub const LONG_TICKS: Ticks = Ticks(60_000_000);
-/// Round trips before anything is timed.
+/// How many round trips are made before anything is timed.
 pub const WARM_UP: u32 = 100;
 
-/// `tasks` tasks spread over `nodes` nodes that are all joined.
+/// A cell of `tasks` tasks, spread over `nodes` nodes that are all linked with each other.
 pub fn cell(tasks: usize, nodes: usize) -> Cell {
     let mut cell = Cell::new("bench", Ticks(1));
     for node in 0..nodes {
@@ -41,9 +41,9 @@ pub fn table(cell: Cell) -> Arc<CellTable> {
     Arc::new(CellTable::new(cell).expect("a sound cell"))
 }
 
-/// As much as fits a packet.
+/// The longest contents that fit in one packet.
 pub const FULL: [u8; 12] = [7; 12];
-/// One number, as the scripts here have it.
+/// One number, in the layout of the scripts here.
 pub const NUMBER: [u8; 4] = [7; 4];
 
 /// A asks B, by `send` (class 2) or by `query`.
@@ -53,7 +53,7 @@ pub fn asking(nodes: usize, usage: Usage) -> Arc<CellTable> {
     table(cell)
 }
 
-/// Asks `times` times, after some rounds to warm up; the times of each, and the sleeps of all threads for all of them.
+/// Asks `times` times, after some round trips to warm up. Returns the times, and the sleeps of all threads per round trip.
 pub fn ask(ctx: &mut Context, contents: &[u8], times: u32, group: u32) -> Result<Sample, TaskError> {
     let mut failed = None;
     let mut round_trip = || match ctx.send(ASK, contents) {
@@ -78,7 +78,7 @@ pub fn answer(ctx: &mut Context) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// As [`ask`], by a task that is a future; the times of each of so many in a row.
+/// As [`ask`], in a task that is a future. Returns the times of `group` round trips each.
 pub async fn ask_as_future(ctx: &mut AsyncContext, times: u32, group: u32) -> Result<Sample, TaskError> {
     let mut nanos = Vec::with_capacity(usize::try_from(times / group).unwrap_or_default());
     for round in 0..=times / group {
@@ -87,7 +87,7 @@ pub async fn ask_as_future(ctx: &mut AsyncContext, times: u32, group: u32) -> Re
             let sent = ctx.send(ASK, &FULL).await?;
             assert!(sent.reply().is_some(), "no answer but {sent:?}");
         }
-        // The first one warms up.
+        // The first group warms up.
         if round > 0 {
             nanos.push(nanos_of(begins.elapsed()));
         }
@@ -95,7 +95,7 @@ pub async fn ask_as_future(ctx: &mut AsyncContext, times: u32, group: u32) -> Re
     Ok(Sample::of(nanos, group))
 }
 
-/// As [`answer`], by a task that is a future.
+/// As [`answer`], in a task that is a future.
 pub async fn answer_as_future(mut ctx: AsyncContext) -> Result<(), TaskError> {
     while let Some(message) = ctx.receive(Some(ASK), None).await? {
         ctx.reply(&message.from, message.contents.as_bytes())?;
@@ -111,7 +111,7 @@ pub fn meet(ctx: &mut Context, port: PortId) -> Result<(), TaskError> {
     }
 }
 
-/// Waits for what a task of the node measured, and stops the node.
+/// Waits for the result that a task of the node sends, and stops the node.
 pub fn hear<T>(node: Runtime, told: &Receiver<T>) -> T {
     let heard = told.recv_timeout(LONG);
     stop(node);
@@ -139,7 +139,7 @@ pub fn asker(times: u32) -> Arc<Program> {
     Arc::new(b.finish().expect("a sound program"))
 }
 
-/// A script that answers what it was asked, for ever.
+/// A script that answers every question, for ever.
 pub fn answerer() -> Arc<Program> {
     let mut b = ProgramBuilder::new("answerer");
     let n = b.variable("n", Type::Int32);

@@ -1,4 +1,4 @@
-//! Floors: the least that a hand-over can cost, written by hand, without messages, deadlines or order.
+//! Baselines (`floor/..`): the least that a hand-over can cost, written by hand without messages, deadlines or order.
 
 use crate::cores::{self, Core};
 use crate::sample::{Sample, each, laps};
@@ -16,12 +16,12 @@ use std::task::{Context, Poll, Waker};
 use std::thread::{self, Thread};
 use std::time::Duration;
 
-/// How many operations share one look at the clock where one takes less than that.
+/// How many operations share one reading of the clock, if one operation takes less time than the reading.
 pub const GROUP: u32 = 32;
 const FAR: Duration = Duration::from_secs(60);
 const STOP: u32 = u32::MAX;
 
-/// Two coroutines that hand a number to each other: boxed futures and a queue of who runs next.
+/// Two coroutines that pass a number to each other: boxed futures and a queue of those that are ready.
 pub fn coroutines(effort: Effort) -> Sample {
     struct Turn(Rc<Cell<u64>>, Rc<Cell<bool>>, bool);
     impl Future for Turn {
@@ -58,15 +58,15 @@ pub fn coroutines(effort: Effort) -> Sample {
     sample
 }
 
-/// What tells how far apart the two cores are.
+/// The case that shows how far apart the two cores are.
 pub const LINE: &str = "floor/spinning line";
 
-/// Adds [`LINE`]: a suite that stands and falls with it measures it in the same rounds.
+/// Adds [`LINE`] to a suite whose results depend on it, so that it is measured in the same rounds.
 pub fn line(suite: &mut Suite) {
     suite.case(LINE, "two hot threads on two cores, one cache line", spinning_line);
 }
 
-/// Two threads that hand over a number in one cache line and never sleep.
+/// Two threads that pass a number in one cache line and never sleep.
 fn spinning_line(effort: Effort) -> Sample {
     let line = AtomicU32::new(0);
     ping_pong(
@@ -89,7 +89,7 @@ fn while_spinning(line: &AtomicU32, from: u32) -> u32 {
     }
 }
 
-/// The same, but who waits sleeps on a futex after so many looks, and is woken only if it sleeps.
+/// As `spinning_line`, but a waiting thread sleeps on a futex after some spinning, and is woken only if it sleeps.
 pub fn spin_then_futex(effort: Effort) -> Sample {
     const LOOKS: u32 = 2_000;
     const ASLEEP: u32 = 1 << 31;
@@ -115,7 +115,7 @@ pub fn spin_then_futex(effort: Effort) -> Sample {
             let _ = futex::wake(&line, futex::Flags::PRIVATE, 1);
         }
     };
-    // `STOP` has the bit of sleepers: 0 and 1 are the turns, 2 the end.
+    // `STOP` contains the `ASLEEP` bit, so here 0 and 1 are the turns and 2 is the end.
     let (wait, pass) = (&wait, &pass);
     cores::pin(Core::First);
     let sample = thread::scope(|s| {
@@ -136,7 +136,7 @@ pub fn spin_then_futex(effort: Effort) -> Sample {
     sample
 }
 
-/// This thread writes 1 and waits for 0; another one the other way round.
+/// This thread writes 1 and waits for 0; the other thread does the opposite.
 fn ping_pong(
     times: u32,
     group: u32,
@@ -165,10 +165,10 @@ fn ping_pong(
     sample
 }
 
-/// Threads that wake each other in a row and back, each asleep in `park_timeout` before its turn comes.
+/// A row of threads in which each wakes the next, to the end and back. A waiting thread sleeps in `park` or `park_timeout`.
 pub fn relay(effort: Effort, full: u32, threads: usize, places: [Core; 2], timed: bool) -> Sample {
     let turn = AtomicU32::new(0);
-    // a b c d c b: who runs at each step of a round trip.
+    // a b c d c b: the thread of each step of a round trip.
     let row: Vec<usize> = (0..threads).chain((1..threads - 1).rev()).collect();
     let steps = u32::try_from(row.len()).expect("few threads");
     cores::pin(places[0]);
@@ -225,7 +225,7 @@ fn pass(turn: &AtomicU32, value: u32, steps: u32, row: &[usize], all: &[Thread])
     all[row[next as usize]].unpark();
 }
 
-/// A datagram of 32 bytes there and back over the loopback, both ends asleep in the socket with a time_out.
+/// A datagram of 32 bytes there and back over the loopback. Both ends sleep in the socket with a time_out, or spin.
 pub fn udp(effort: Effort, full: u32, other: Core, spins: bool) -> Sample {
     let socket = || {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).expect("a socket");
@@ -251,7 +251,7 @@ pub fn udp(effort: Effort, full: u32, other: Core, spins: bool) -> Sample {
         s.spawn(|| {
             cores::pin(other);
             let mut buffer = [0; 64];
-            // A datagram of one byte is the end.
+            // A datagram of one byte ends the loop.
             while receive(&b, &mut buffer) > 1 {
                 b.send(&buffer[..32]).expect("sent");
             }
@@ -270,7 +270,7 @@ pub fn udp(effort: Effort, full: u32, other: Core, spins: bool) -> Sample {
     sample
 }
 
-/// A connection over the loopback, both ends without delay for company.
+/// A connection over the loopback, with TCP_NODELAY at both ends.
 pub fn connected() -> [TcpStream; 2] {
     let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a socket");
     let a = TcpStream::connect(listener.local_addr().expect("bound")).expect("it listens");
@@ -281,7 +281,7 @@ pub fn connected() -> [TcpStream; 2] {
     })
 }
 
-/// 32 bytes there and back over a connection on the loopback, both ends asleep in the socket with a time_out.
+/// 32 bytes there and back over a connection on the loopback. Both ends sleep in the socket with a time_out.
 pub fn tcp(effort: Effort, full: u32, other: Core) -> Sample {
     let [mut a, mut b] = connected();
     for stream in [&a, &b] {

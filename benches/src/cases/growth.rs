@@ -1,4 +1,4 @@
-//! How cost grows, what is allocated, and what an idle node does.
+//! How costs grow, how much is allocated, and how often an idle node wakes up.
 
 use super::cells::{self, A, ASK, B, LONG_TICKS};
 use super::floors::GROUP;
@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::sync::mpsc::channel;
 use std::time::Duration;
 
-/// How cost grows with ports, tasks and what waits.
+/// How costs grow with ports, tasks and waiting messages.
 #[must_use]
 pub fn growth() -> Suite {
     let mut suite = Suite::new("growth");
@@ -73,7 +73,7 @@ pub fn growth() -> Suite {
     suite
 }
 
-/// Memory, and what nobody asked for.
+/// Memory, and the wake-ups of an idle node.
 #[must_use]
 pub fn footprint() -> Suite {
     let mut suite = Suite::new("footprint");
@@ -110,7 +110,7 @@ pub fn footprint() -> Suite {
     suite
 }
 
-/// A table that is made when it is first needed, and kept: what is measured is messages.
+/// A table that is made when it is first needed and then kept, because only messages are measured.
 struct Once<F>(OnceCell<Arc<CellTable>>, F);
 
 impl<F: Fn() -> Arc<CellTable>> Once<F> {
@@ -132,7 +132,7 @@ fn crowd(tasks: usize) -> Arc<CellTable> {
     cells::table(cell)
 }
 
-/// A asks B on so many ports.
+/// A asks B on `ports` ports.
 fn questions(ports: usize) -> Arc<CellTable> {
     let mut cell = cells::cell(2, 1);
     for port in 0..ports {
@@ -148,7 +148,7 @@ fn ask_on(effort: Effort, table: &Arc<CellTable>, port: PortId) -> Sample {
     each(effort.of(50_000), GROUP, || machine_round_trip(&mut node, port, contents))
 }
 
-/// A sends to B on so many ports, each with room for so many messages.
+/// A sends to B on `ports` ports, each with room for `room` messages.
 fn fan(ports: usize, room: u16) -> Arc<CellTable> {
     let mut cell: Cell = cells::cell(2, 1);
     for port in 0..ports {
@@ -158,7 +158,7 @@ fn fan(ports: usize, room: u16) -> Arc<CellTable> {
     cells::table(cell)
 }
 
-/// The port of the message that was taken last.
+/// The port of the last received message.
 struct Taken(Option<PortId>);
 
 impl NodeOutbox for Taken {
@@ -236,7 +236,7 @@ fn allocations() -> Sample {
                     })
                 })
             };
-            // The fewest of some series: the harness's own threads may still be on their way to their waits.
+            // The least of several series counts, because other threads may still be on their way to sleep.
             let mut least = None;
             for _ in 0..5 {
                 let (done, allocated) = series();
@@ -269,7 +269,7 @@ fn idle() -> Sample {
     std::thread::sleep(Duration::from_millis(100));
     let before = cores::Sleeps::now();
     std::thread::sleep(Duration::from_millis(500));
-    // This thread's own sleep is one.
+    // This thread's own sleep counts as one.
     let slept = before.since().saturating_sub(1);
     cells::stop(node);
     Sample::counted(slept as f64 * 2.0)

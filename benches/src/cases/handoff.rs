@@ -1,4 +1,4 @@
-//! Send, receive, reply within a node, a deadline armed for every message (P1 to P5).
+//! Send, receive and reply within a node, with a deadline armed for every message (P1 to P5).
 
 use super::cells::{self, A, ASK, B};
 use super::floors::{self, GROUP};
@@ -117,7 +117,7 @@ pub fn threads() -> Suite {
     suite
 }
 
-/// Two Rust tasks on threads of their own, that look so long before they sleep.
+/// Two Rust tasks on threads of their own, which spin this long before they sleep.
 fn asking(effort: Effort, full: u32, group: u32, places: [Core; 2], spin: Duration) -> Sample {
     let (tell, told) = channel();
     let times = effort.of(full);
@@ -140,9 +140,9 @@ fn asking(effort: Effort, full: u32, group: u32, places: [Core; 2], spin: Durati
     sample
 }
 
-/// Two scripts of one node. The thread that lets them begin runs both of them to their end.
+/// Two scripts of one node. The thread that starts them runs both to their end.
 pub fn scripts(effort: Effort, usage: Usage, how: Watched) -> Sample {
-    // One input may cause 10,000 steps of a script.
+    // One input may cause at most 10,000 steps of a script.
     const MOST: u32 = 1_000;
     let all = effort.of(24 * MOST);
     let times = all.min(MOST);
@@ -194,7 +194,7 @@ fn thread_asks_script(effort: Effort) -> Sample {
     cells::hear(node, &told)
 }
 
-/// What a node told its tasks last.
+/// The last signal to each of the two tasks.
 #[derive(Default)]
 struct Told([Option<Signal>; 2]);
 
@@ -210,7 +210,7 @@ impl NodeOutbox for Told {
     }
 }
 
-/// A round trip on this port through the machine of a node whose first two tasks are A and B.
+/// A round trip on this port through the state machine of a node whose first two tasks are A and B.
 pub fn machine_round_trip(node: &mut Node, port: PortId, contents: Contents) {
     let mut told = Told::default();
     let get = Request::Get { port: Some(port), source: None, time_out: None };

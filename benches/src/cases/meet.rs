@@ -1,4 +1,4 @@
-//! Meetings: tasks on threads (P9), and scripts (P10).
+//! Rendezvous: of tasks on threads (P9), and of scripts (P10).
 
 use super::cells::{self, LONG_TICKS};
 use crate::sample::{Sample, laps, nanos_of};
@@ -14,7 +14,7 @@ use std::time::Instant;
 const LIFT: PortId = PortId(0);
 const WARM_UP: u32 = 5;
 
-/// A waitfor of n tasks against barriers.
+/// A `waitfor` of n tasks against barriers.
 #[must_use]
 pub fn meetings() -> Suite {
     let mut suite = Suite::new("meetings");

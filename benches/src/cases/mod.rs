@@ -1,4 +1,4 @@
-//! The cases that need no peer: floors written by hand, and what is to be measured.
+//! The cases that need no peer: hand-written baselines, and the subjects to measure.
 
 pub mod cells;
 pub mod floors;
@@ -15,7 +15,7 @@ pub mod urgent;
 
 use crate::suite::Suite;
 
-/// All suites, with the peers that this build has.
+/// All suites, with the peers of this build.
 #[must_use]
 pub fn all() -> Vec<Suite> {
     let mut suites = vec![

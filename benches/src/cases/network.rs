@@ -17,12 +17,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 
-/// How many packets of 32 bytes the floor of P12 puts into one datagram.
+/// How many packets of 32 bytes the baseline of P12 puts into one datagram.
 const COALESCED: usize = 43;
-/// How many datagrams are sent in one call where the kernel cuts it into them.
+/// How many datagrams one call sends, if the kernel segments them.
 const SEGMENTS: usize = 4;
 
-/// How many packets that is.
+/// How many packets such a call sends.
 const BURST: u64 = (COALESCED * SEGMENTS) as u64;
 
 /// Round trips and streams over UDP.
@@ -92,13 +92,13 @@ pub fn network() -> Suite {
     let (stream, floor) = ("runtime/UDP one way", "floor/UDP one way, 43 a datagram");
     suite.row(Row::new("P12", stream, floor, Stat::Mean, Goal::AtLeast(0.8)));
     suite.row(Row::new("P12", "runtime/UDP one way, 172 together", floor, Stat::Mean, Goal::AtLeast(1.5)));
-    // What segments gain where nothing but the calls costs anything (D129).
+    // What segmentation gains if only the calls cost anything (D129).
     let segmented = "floor/UDP one way, 43 a datagram, segmented";
     suite.row(Row::new("P12", segmented, floor, Stat::Mean, Goal::AtLeast(1.0)));
     suite
 }
 
-/// Builders of the two nodes, each with a link that knows the other's address.
+/// The builders of the two nodes, each with a link that knows the other's address.
 fn two_nodes(table: &Arc<CellTable>) -> [Builder; 2] {
     let bind = |node| {
         let options = UdpOptions::new(Incarnation(1), false);
@@ -118,7 +118,8 @@ fn two_nodes(table: &Arc<CellTable>) -> [Builder; 2] {
     })
 }
 
-/// Between two nodes over UDP; the tasks run on the first core and on this one, and look so long before they sleep.
+/// Round trips between two nodes over UDP. The tasks run on the first core and on `other`, and spin this long before they
+/// sleep.
 pub fn ask(effort: Effort, other: Core, how: Watched, spin: Duration) -> Sample {
     let table = cells::asking(2, Usage::Send);
     let [a, b] = two_nodes(&table).map(|node| node.spin(spin));
@@ -126,7 +127,7 @@ pub fn ask(effort: Effort, other: Core, how: Watched, spin: Duration) -> Sample 
     let (a, b) = (onlookers[0].told_by(a), onlookers[1].told_by(b));
     let (tell, told) = channel();
     let times = effort.of(1_500);
-    // A node's own threads run where the thread that starts it does.
+    // A node's own threads run on the core of the thread that starts the node.
     cores::pin(other);
     let b = b.task("t1", cells::answer).start().expect("a node that starts");
     cores::pin(Core::First);
@@ -155,7 +156,7 @@ fn one_way(effort: Effort, together: u64, window: u64) -> Sample {
     cores::pin(Core::First);
     let b = b.task("t1", move |ctx| {
         let (mut begins, mut count, mut messages) = (None, 0, Vec::with_capacity(MANY));
-        // A datagram that the kernel drops must not hold up the rest: the sender counts what came.
+        // A datagram that the kernel drops must not block the rest, so the sender counts what arrived.
         while ctx.receive_many(None, &mut messages, MANY, None)? > 0 {
             let begins = *begins.get_or_insert_with(Instant::now);
             let before = count;
@@ -196,7 +197,7 @@ fn one_way(effort: Effort, together: u64, window: u64) -> Sample {
     sample
 }
 
-/// Whether the kernel cuts what is sent into datagrams, and puts together what comes.
+/// Whether the kernel segments what is sent, and merges what arrives (GSO and GRO).
 fn cuts_segments() -> bool {
     let takes = || {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).ok()?;
@@ -206,7 +207,7 @@ fn cuts_segments() -> bool {
     takes().is_some()
 }
 
-/// `segments` datagrams with each call.
+/// The baseline of P12, with `segments` datagrams in each call.
 fn coalesced(effort: Effort, segments: usize) -> Sample {
     let socket = || {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).expect("a socket");
@@ -230,7 +231,7 @@ fn coalesced(effort: Effort, segments: usize) -> Sample {
             cores::pin(Core::Second);
             let contents = vec![7; bytes];
             for sent in 0..calls {
-                // As many bytes under way as in the window of messages.
+                // As many packets in flight as the window of messages allows.
                 while (sent * packets).saturating_sub(taken.load(Ordering::Acquire)) > WINDOW {
                     std::thread::yield_now();
                 }
@@ -241,7 +242,7 @@ fn coalesced(effort: Effort, segments: usize) -> Sample {
         let begins = Instant::now();
         let mut buffer = vec![0; bytes + 1];
         while taken.load(Ordering::Acquire) < calls * packets {
-            // Nothing is lost on the loopback while less is under way than the socket holds.
+            // The loopback loses nothing while less is in flight than the socket holds.
             if let Ok(length) = b.recv(&mut buffer) {
                 taken.fetch_add(length as u64 / 32, Ordering::Release);
             }

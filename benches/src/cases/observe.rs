@@ -1,4 +1,4 @@
-//! What monitors cost a node (M3, M4, M6): real ones, over its socket, fast, slow, stopped and mad.
+//! What monitors cost a node (M3, M4, M6): real ones over its socket, which are fast, slow, stopped, or send garbage.
 
 use super::cells;
 use super::recording::{Onlooker, Watched};
@@ -22,29 +22,29 @@ use std::sync::mpsc::channel;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// How long a monitor waits before it looks whether it should end.
+/// How long a monitor waits before it checks whether it should end.
 const LOOK: Duration = Duration::from_millis(20);
-/// What the screen asks for: ten times a second.
+/// The update period that the monitor's screen requests: ten times a second.
 const PERIOD_US: u32 = 100_000;
 
-/// Who watches.
+/// The monitors of a case.
 #[derive(Clone, Copy)]
 enum Crowd {
-    /// Nobody; nobody could.
+    /// None, and the node has no socket for them.
     Nobody,
-    /// The node listens, and nobody comes.
+    /// None, but the node listens.
     Empty,
-    /// So many that read what comes.
+    /// This many, which read everything.
     Readers(usize),
-    /// One that never reads.
+    /// One, which never reads.
     Stopped,
-    /// One that reads a byte a second.
+    /// One, which reads a byte a second.
     Slow,
-    /// One after the other that says nonsense.
+    /// One after the other, each of which sends garbage.
     Mad,
 }
 
-/// What being watched costs, and what a change weighs.
+/// The cost of being observed, and the size of updates.
 #[must_use]
 pub fn observe() -> Suite {
     let mut suite = Suite::new("observe");
@@ -118,7 +118,7 @@ fn changes(suite: &mut Suite) {
 fn watched(effort: Effort, crowd: Crowd) -> Sample {
     let table = cells::asking(1, Usage::Send);
     let (tell, told) = channel();
-    // Long enough for some periods of everything that monitors are told.
+    // Long enough for several update periods of the monitors.
     let times = effort.of(30_000);
     let onlooker = Onlooker::of(Watched::Not, &table, NodeId(0));
     let node = onlooker.told_by(Runtime::builder(table, NodeId(0)));
@@ -139,7 +139,7 @@ fn watched(effort: Effort, crowd: Crowd) -> Sample {
     sample
 }
 
-/// Monitors, while they watch.
+/// Running monitors.
 struct Monitors {
     observer: Option<Observer>,
     stop: Arc<AtomicBool>,
@@ -193,7 +193,7 @@ impl Monitors {
     }
 }
 
-/// A connection on which everything is asked for.
+/// A connection that requests everything.
 fn attach(path: &Path) -> UnixStream {
     let stream = UnixStream::connect(path).expect("the node listens");
     stream.set_read_timeout(Some(LOOK)).expect("a socket");
@@ -214,12 +214,12 @@ fn attach(path: &Path) -> UnixStream {
     stream
 }
 
-/// Reads as the monitor does, and shows nothing.
+/// Reads as the monitor does, but shows nothing.
 fn read_all(stream: UnixStream, stop: &AtomicBool) {
     let mut reader = FrameReader::new(stream, MAX_FRAME);
     let mut frames = 0;
     while !stop.load(Ordering::Relaxed) {
-        // Nothing now, or the node has gone.
+        // Nothing has arrived, or the node has gone.
         frames += u64::from(reader.read_frame().is_ok());
     }
     std::hint::black_box(frames);
@@ -237,7 +237,7 @@ fn socket() -> PathBuf {
     std::env::temp_dir().join(format!("imrs-bench-{}-{number}.sock", std::process::id()))
 }
 
-/// A node of 100 tasks of 100 ports.
+/// A node of 100 tasks with 100 ports each.
 fn large() -> Snapshot {
     let port = |id: u16| PortView {
         port: PortId(id),
@@ -262,7 +262,7 @@ fn large() -> Snapshot {
     Snapshot { mono_us: 1 << 32, tasks: (0..100).map(task).collect(), ..Snapshot::default() }
 }
 
-/// Changes of which one port in `apart` is dirty; `usize::MAX`: nothing happens.
+/// Updates in which one port in `apart` has changed; with `usize::MAX`, none.
 fn change(effort: Effort, apart: usize) -> Sample {
     let old = large();
     let mut new = old.clone();
@@ -292,7 +292,7 @@ fn change(effort: Effort, apart: usize) -> Sample {
     Sample::of_all(begins.elapsed(), times.into()).with(bytes as f64 * 1e6 / f64::from(PERIOD_US))
 }
 
-/// What a change weighs on its way.
+/// The size of an update in bytes, encoded.
 fn size(delta: &Delta) -> usize {
     let mut writer = FrameWriter::new(Vec::new());
     writer.push(&ServerFrame::Delta(delta.clone())).expect("it fits a frame");

@@ -1,4 +1,4 @@
-//! The deadline queue and the timers by themselves (P8, P13), and how late a time_out comes (P14).
+//! The deadline queue and the timers by themselves (P8, P13), and the lateness of time_outs (P14).
 
 use super::cells;
 use super::floors::GROUP;
@@ -14,11 +14,11 @@ use std::collections::BinaryHeap;
 use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 
-/// The most that a queue of the machine holds.
+/// The greatest capacity of a queue.
 const MOST: u16 = 65_000;
 const SIZES: [(u16, &str); 3] = [(16, "16"), (1_000, "1k"), (MOST, "65k")];
 
-/// A packet's key and a payload of its size.
+/// An entry with the key and the size of a packet.
 struct Waiting {
     deadline: u64,
     number: u64,
@@ -38,7 +38,7 @@ impl Entry for Waiting {
     }
 }
 
-/// The queue of what waits.
+/// The deadline queue.
 #[must_use]
 pub fn queues() -> Suite {
     let mut suite = Suite::new("queues");
@@ -69,7 +69,7 @@ pub fn queues() -> Suite {
     suite
 }
 
-/// Deadlines a bounded while ahead of the last one, in no order, the same in every run.
+/// Deadlines at a bounded distance behind the given one, in pseudo-random order, the same in every run.
 fn deadlines() -> impl FnMut(u64) -> u64 {
     let mut state = 0x2545_F491_4F6C_DD1D_u64;
     move |now| {
@@ -80,7 +80,7 @@ fn deadlines() -> impl FnMut(u64) -> u64 {
     }
 }
 
-/// Of a queue with room for one more than are to wait in it.
+/// Measures a queue with room for one more entry than wait in it.
 fn held(effort: Effort, mut queue: Queue<Waiting>) -> Sample {
     let mut next = deadlines();
     let mut number = 0;
@@ -194,7 +194,7 @@ fn in_turn(effort: Effort, size: u16) -> Sample {
     })
 }
 
-/// The floor: entries in a slab, linked both ways within the slot of their time.
+/// The baseline: a hashed timer wheel. Entries are in a slab, doubly linked within the slot of their time.
 struct Wheel {
     links: Vec<[u32; 2]>,
     slots: u32,
@@ -202,7 +202,7 @@ struct Wheel {
 
 impl Wheel {
     fn new(entries: u32, slots: u32) -> Self {
-        // The heads of the slots stand behind the entries, each linked to itself.
+        // The heads of the slots are behind the entries, each linked to itself.
         let links = (0..entries + slots).map(|at| [at, at]).collect();
         Self { links, slots }
     }
@@ -236,7 +236,7 @@ fn wheel(effort: Effort, size: u16) -> Sample {
     })
 }
 
-/// 1 to 2 ms, each time another.
+/// Pseudo-random lengths of 1 to 2 ms.
 fn lengths() -> impl FnMut() -> Duration {
     let mut next = deadlines();
     move || Duration::from_micros(1_000 + next(0) % 1_000)
@@ -259,7 +259,7 @@ fn lateness(times: u32, mut sleep: impl FnMut(Duration)) -> Sample {
 
 fn lateness_of_the_kernel(effort: Effort) -> Sample {
     let times = effort.of(150);
-    // A thread of its own, so that the timer slack is not that of the next case.
+    // A thread of its own, so that the next case does not inherit the timer slack.
     let thread = std::thread::spawn(move || {
         cores::sleep_exactly();
         lateness(times, |length| {

@@ -1,4 +1,4 @@
-//! What recording and being watched cost a node, and how fast a recording is replayed (D62).
+//! What recording and observation cost a node, and how fast a recording is replayed (D62).
 
 use super::cells;
 use super::{handoff, network};
@@ -13,19 +13,19 @@ use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// In the life that is recorded.
+/// The recorded incarnation, and whether an earlier one may have taken commands.
 const LIFE: (Incarnation, bool) = (Incarnation(1), false);
-/// How long a recording may take to be ended.
+/// How long the end of a recording may take.
 const PATIENCE: Duration = Duration::from_secs(60);
 
-/// Who looks on.
+/// How a node is watched.
 #[derive(Clone, Copy)]
 pub enum Watched {
-    /// Nobody.
+    /// It is not watched.
     Not,
-    /// A recorder that writes into a file that takes everything.
+    /// A recorder writes into a sink that takes everything.
     Recorded,
-    /// A reader of its observations, who takes them every 20 ms.
+    /// A reader takes its observations every 20 ms.
     Observed,
 }
 
@@ -68,14 +68,15 @@ pub fn recording() -> Suite {
     suite
 }
 
-/// Somebody who looks on at a node.
+/// The recorder or observer of a node. Call [`of`](Self::of) and [`told_by`](Self::told_by) before the node starts,
+/// [`look`](Self::look) when it runs, and [`leave`](Self::leave) when it has stopped.
 pub struct Onlooker {
     recorder: Option<Arc<FileRecorder>>,
     observer: Option<(std::sync::mpsc::Sender<()>, std::thread::JoinHandle<()>)>,
 }
 
 impl Onlooker {
-    /// Of a node that is still to start: its recorder.
+    /// Makes the recorder of a node that is not started yet.
     #[must_use]
     pub fn of(how: Watched, table: &Arc<CellTable>, node: NodeId) -> Self {
         let recorder = matches!(how, Watched::Recorded)
@@ -83,7 +84,7 @@ impl Onlooker {
         Self { recorder, observer: None }
     }
 
-    /// The node tells its recorder.
+    /// Gives the recorder to the node.
     pub fn told_by(&self, node: Builder) -> Builder {
         let node = node.incarnation(LIFE.0, LIFE.1);
         match &self.recorder {
@@ -92,7 +93,7 @@ impl Onlooker {
         }
     }
 
-    /// The node runs: it is observed from here on.
+    /// Begins to observe the running node.
     pub fn look(&mut self, how: Watched, node: &Runtime) {
         if matches!(how, Watched::Observed) {
             let (stop, stopped) = channel();
@@ -101,7 +102,7 @@ impl Onlooker {
         }
     }
 
-    /// The node has stopped.
+    /// Ends the observation and the recording of a stopped node.
     pub fn leave(self) {
         if let Some((stop, thread)) = self.observer {
             drop(stop);
@@ -148,7 +149,7 @@ fn threads(effort: Effort, how: Watched) -> Sample {
     sample
 }
 
-/// A sink that keeps what was written.
+/// A sink that keeps the written bytes.
 #[derive(Clone, Default)]
 struct Kept(Arc<Mutex<Vec<u8>>>);
 
@@ -163,7 +164,7 @@ impl Write for Kept {
     }
 }
 
-/// A recorded node whose tasks asked and answered.
+/// The table and the recording of a node whose tasks asked and answered.
 fn recorded(times: u32) -> (Arc<CellTable>, Vec<u8>) {
     let table = cells::asking(1, Usage::Send);
     let kept = Kept::default();
@@ -191,7 +192,7 @@ fn recorded(times: u32) -> (Arc<CellTable>, Vec<u8>) {
 }
 
 fn replay(effort: Effort) -> Sample {
-    // All of it finds room between the node and the disk, however late the disk is.
+    // Few enough that everything fits in the buffer in front of the sink, however late that is.
     let (table, bytes) = recorded(3_500);
     let table = NodeTable::new(table, NodeId(0));
     let (times, mut events) = (effort.of(20), 0);

@@ -1,4 +1,4 @@
-//! What a frame of the monitor takes (M1): every screen, of 100 nodes with 10,000 ports, on a large terminal.
+//! The time of a frame of the monitor (M1): every screen, for 100 nodes with 10,000 ports, on a large terminal.
 
 use crate::sample::Sample;
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
@@ -7,7 +7,7 @@ use rustix::time::{ClockId, clock_gettime};
 
 /// Columns and rows.
 const SIZE: (u16, u16) = (200, 60);
-/// M1.
+/// The bound of M1, in nanoseconds.
 const BOUND_NS: f64 = 4e6;
 /// The keys that lead from the overview to each screen.
 const SCREENS: [(&str, &str); 11] = [
@@ -67,7 +67,7 @@ fn frames(effort: Effort, cell: Specimen, keys: &str) -> Sample {
     Sample::of(nanos, 1)
 }
 
-/// The processor time that this thread has had, in nanoseconds.
+/// The processor time of this thread, in nanoseconds.
 fn worked() -> u64 {
     let now = clock_gettime(ClockId::ThreadCPUTime);
     let nanos = i128::from(now.tv_sec) * 1_000_000_000 + i128::from(now.tv_nsec);

@@ -1,4 +1,4 @@
-//! An urgent message behind a full port, and how fast many messages go (P6, P7).
+//! An urgent message behind a full port (P7), and the throughput of many messages (P6).
 
 use super::cells::{self, LONG_TICKS};
 use super::floors;
@@ -13,11 +13,11 @@ use std::sync::mpsc::{TryRecvError, channel, sync_channel};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
-/// How many messages wait before the urgent one.
+/// How many messages wait in front of the urgent one.
 pub const BEHIND: u16 = 1_024;
-/// What one of them takes to be served.
+/// How long the receiver works for one of them.
 const SERVICE: Duration = Duration::from_micros(2);
-/// How many messages of one sender may be under way at once.
+/// How many messages of one sender may be in flight at once.
 pub const WINDOW: u64 = 256;
 
 /// An urgent message behind 1,024 others.
@@ -64,13 +64,13 @@ fn two_channels() -> (impl FnMut(bool) + Send, impl FnMut() -> Option<bool>) {
     (send, receive)
 }
 
-/// How many urgent messages a round: a median of fewer says nothing.
+/// How many urgent messages a round sends: the median of fewer says nothing.
 #[must_use]
 pub fn times(effort: Effort) -> u32 {
     effort.of(100).max(9)
 }
 
-/// Fills what `make` makes, then sends the urgent one, then lets the receiver begin: everything hot, two cores.
+/// Fills a channel of `make`, sends the urgent message, then lets the receiver begin. Both threads are awake, on two cores.
 pub fn urgent_through<S, R>(effort: Effort, make: impl Fn() -> (S, R)) -> Sample
 where
     S: FnMut(bool) + Send,
@@ -113,8 +113,8 @@ where
     Sample::of(nanos, 1)
 }
 
-/// Sender and receiver in step: both are awake and on their cores when the urgent message is sent, so that neither waits
-/// for the scheduler.
+/// Keeps sender and receiver in step: both are awake and on their cores when the urgent message is sent, so that neither
+/// waits for the scheduler.
 #[derive(Default)]
 struct Gate(AtomicU64);
 
@@ -129,26 +129,26 @@ impl Gate {
         }
     }
 
-    /// The sender: all that is not urgent waits. Returns when the receiver is awake.
+    /// For the sender, when all other messages wait. Returns when the receiver is awake.
     fn filled(&self, time: u64) {
         self.reach(4 * time + 1);
         self.until(4 * time + 2, std::hint::spin_loop);
     }
 
-    /// The sender: the urgent one is sent. Returns when all are served.
+    /// For the sender, when the urgent message is sent. Returns when all messages are served.
     fn sent(&self, time: u64) {
         self.reach(4 * time + 3);
         self.until(4 * time + 4, std::thread::yield_now);
     }
 
-    /// The receiver: returns when the urgent one is sent.
+    /// For the receiver. Returns when the urgent message is sent.
     fn ready(&self, time: u64) {
         self.until(4 * time + 1, std::thread::yield_now);
         self.reach(4 * time + 2);
         self.until(4 * time + 3, std::hint::spin_loop);
     }
 
-    /// The receiver: all are served.
+    /// For the receiver, when all messages are served.
     fn served(&self, time: u64) {
         self.reach(4 * time + 4);
     }
@@ -251,7 +251,7 @@ pub fn streams() -> Suite {
     suite
 }
 
-/// 32 bytes, as a packet has.
+/// 32 bytes, the size of a packet.
 pub type Message = [u64; 4];
 
 fn naive_heap() -> (impl FnMut(Message) + Clone + Send, impl FnMut() -> Message) {
@@ -285,7 +285,7 @@ fn naive_heap() -> (impl FnMut(Message) + Clone + Send, impl FnMut() -> Message)
     (send, receive)
 }
 
-/// `senders` threads on one core send to one on the other.
+/// `senders` threads on one core send to one thread on the other.
 pub fn stream_through<S, R>(effort: Effort, senders: usize, make: impl Fn() -> (S, R)) -> Sample
 where
     S: FnMut(Message) + Clone + Send,
@@ -299,7 +299,7 @@ where
             let mut send = send.clone();
             s.spawn(move || {
                 cores::pin(Core::Second);
-                // Later ones are not more urgent: keys in no order, the same in every run.
+                // Keys in pseudo-random order, the same in every run: later messages are not more urgent.
                 (0..each).for_each(|n| send([n.wrapping_mul(0x9E37_79B9_7F4A_7C15), n, 0, 0]));
             });
         }
@@ -313,7 +313,7 @@ where
     Sample::of_all(elapsed, each * senders as u64)
 }
 
-/// The receiver takes up to `most` at once.
+/// Streams through ports of the runtime. The receiver takes up to `most` messages at once.
 fn stream_of_ports(effort: Effort, senders: usize, most: usize) -> Sample {
     let mut cell = cells::cell(senders + 1, 1);
     let receiver = TaskId::from_index(senders);
@@ -341,7 +341,7 @@ fn stream_of_ports(effort: Effort, senders: usize, most: usize) -> Sample {
             }
             let port = PortId::from_index(sender);
             for n in 0..each {
-                // A class-1 port forgets what does not fit: the sender keeps to the window by itself.
+                // A class-1 port drops what does not fit, so the sender keeps to the window.
                 while n - taken[sender].load(Ordering::Acquire) >= WINDOW {
                     std::thread::yield_now();
                 }

@@ -9,7 +9,7 @@ use std::time::Duration;
 const LONG: Duration = Duration::from_secs(60);
 const ROOM: usize = 1_024;
 
-/// Adds them to a suite.
+/// Adds these peers to a suite.
 pub fn join(suite: &mut Suite) {
     match suite.name {
         "threads" => threads(suite),
@@ -67,7 +67,7 @@ where
             answered().expect("an answer");
         };
         laps(50, 1, &mut round_trip);
-        // Single times, as the runtime's: the two are compared with their tails.
+        // Each round trip is timed alone, as the runtime's, because the tails are compared, too.
         let nanos = laps(effort.of(1_500), 1, &mut round_trip);
         drop(ask);
         nanos

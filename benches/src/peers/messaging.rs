@@ -1,4 +1,4 @@
-//! Over a network: the messaging systems that people pick instead. libzmq and nng are C libraries, built from their sources.
+//! Messaging systems over a network that people would use instead. libzmq and nng are C libraries, built from source.
 
 use crate::cores::{self, Core};
 use crate::sample::{Sample, nanos_of};
@@ -10,12 +10,12 @@ use zenoh::Wait;
 
 /// How many round trips warm up.
 const WARM: u32 = 50;
-/// What is asked and answered.
+/// The contents of questions and answers.
 const BYTES: [u8; 32] = [7; 32];
-/// How often an end that connects looks whether the other one is there.
+/// How long a connecting end waits before it checks again whether the other end is there.
 const LOOK: Duration = Duration::from_millis(5);
 
-/// Adds them to a suite.
+/// Adds these peers to a suite.
 pub fn join(suite: &mut Suite) {
     if suite.name != "network" {
         return;
@@ -61,13 +61,13 @@ pub fn join(suite: &mut Suite) {
     }
 }
 
-/// A free port of the loopback.
+/// A free address on the loopback.
 fn address() -> String {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
     format!("tcp/{}", listener.local_addr().expect("bound"))
 }
 
-/// So many round trips after those that warm up.
+/// Times `times` round trips, after some to warm up.
 fn round_trips(times: u32, mut trip: impl FnMut()) -> Sample {
     let mut nanos = Vec::new();
     for round in 0..times + WARM {
@@ -80,7 +80,7 @@ fn round_trips(times: u32, mut trip: impl FnMut()) -> Sample {
     Sample::of(nanos, 1)
 }
 
-/// Runs `serve` on a thread of that core, and `ask` here on the first one.
+/// Runs `serve` on a thread of the core `other`, and `ask` here on the first core.
 fn on_threads(other: Core, serve: impl FnOnce() + Send, ask: impl FnOnce() -> Sample) -> Sample {
     let sample = std::thread::scope(|s| {
         s.spawn(move || {
@@ -132,7 +132,7 @@ fn libzmq_push(effort: Effort) -> Sample {
         let socket = context.socket(zmq::PULL).expect("a socket");
         socket.bind(&at).expect("an address");
         let take = || assert_eq!(socket.recv_bytes(0).expect("a message").len(), BYTES.len());
-        // From the first one on: before it, the two find each other.
+        // Timing starts with the first message: before it the two ends connect.
         take();
         let begins = Instant::now();
         (0..times).for_each(|_| take());
@@ -152,7 +152,7 @@ fn nng(times: u32, other: Core) -> Sample {
             let asked = socket.recv().expect("a message");
             socket.send(asked).expect("sent");
         }
-        // What is sent must leave before the socket is closed.
+        // The last answer must leave before the socket is closed.
         std::thread::sleep(LOOK);
     };
     let ask = || {
@@ -167,7 +167,7 @@ fn nng(times: u32, other: Core) -> Sample {
     on_threads(other, serve, ask)
 }
 
-/// Two peers that know each other, and look for no others.
+/// Two peers that know each other and do not search for others.
 fn sessions() -> (zenoh::Session, zenoh::Session) {
     let at = address();
     let open = |listen: &str, connect: &str| {
@@ -197,7 +197,7 @@ fn zenoh_get(times: u32, other: Core) -> Sample {
     let ask = || {
         here.get("ask").payload(&BYTES[..]).wait().expect("asked").recv().is_ok_and(|a| a.result().is_ok())
     };
-    // Until the one has heard that the other answers.
+    // Repeats until this peer knows that the other one answers.
     while !ask() {
         std::thread::sleep(LOOK);
     }
@@ -215,7 +215,7 @@ fn zenoh_put(effort: Effort) -> Sample {
     let publisher = here.declare_publisher("news").congestion_control(zenoh::qos::CongestionControl::Block);
     let publisher = publisher.wait().expect("a publisher");
     let put = || publisher.put(&BYTES[..]).wait().expect("sent");
-    // Until the one has heard that the other listens; what was heard so far is no part of it.
+    // Repeats until this peer knows that the other one listens. Messages up to then do not count.
     while told.try_recv().is_err() {
         put();
         std::thread::sleep(LOOK);

@@ -1,4 +1,4 @@
-//! What people would pick instead, in the suites of the cases that it is compared with.
+//! Libraries that people would use instead, added to the suites in which they are compared.
 
 #[cfg(feature = "peers")]
 mod actors;
@@ -13,7 +13,7 @@ mod posts;
 
 use crate::suite::Suite;
 
-/// Adds the peers that this build has.
+/// Adds the peers of this build.
 pub fn join(suites: &mut [Suite]) {
     for suite in suites {
         #[cfg(feature = "peers")]

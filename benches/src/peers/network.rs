@@ -9,7 +9,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::{TcpStream, UdpSocket};
 use zeromq::{Socket, SocketRecv, SocketSend, ZmqMessage};
 
-/// Adds them to a suite.
+/// Adds these peers to a suite.
 pub fn join(suite: &mut Suite) {
     if suite.name != "network" {
         return;
@@ -30,7 +30,7 @@ pub fn join(suite: &mut Suite) {
             "32 bytes there and back, REQ and REP over TCP on the loopback, two single-threaded runtimes",
             move |effort| req_rep(effort.of(1_000), other),
         );
-        // Of the floor's time the runtime may take 1.2 and 1.15; tokio took 1.4 of it on one core.
+        // The runtime may take 1.2 and 1.15 of the baseline's time; tokio took 1.4 of it on one core.
         let (zeromq, tokio) = if other == Core::First { (3.5, 1.15) } else { (1.3, 0.87) };
         for (peer, times) in [("zeromq/REQ-REP", zeromq), ("tokio/UDP", tokio), ("tokio/TCP", tokio)] {
             let (own, peer) = (format!("runtime/UDP {name}"), format!("{peer} {name}"));
@@ -50,7 +50,7 @@ fn block_on<T>(work: impl Future<Output = T>) -> T {
     runtime.expect("a runtime").block_on(work)
 }
 
-/// Runs the one end on a thread of its own, and the other here.
+/// Runs `serve` on a thread of its own, and `work` here.
 fn both<T>(other: Core, serve: impl Future<Output = ()> + Send, work: impl Future<Output = T>) -> T {
     let done = std::thread::scope(|s| {
         s.spawn(move || {
@@ -76,7 +76,7 @@ fn tokio_udp(times: u32, other: Core) -> Sample {
     let serve = async move {
         let socket = UdpSocket::from_std(b).expect("a socket");
         let mut buffer = [0; 64];
-        // A datagram of one byte is the end.
+        // A datagram of one byte ends the loop.
         while socket.recv(&mut buffer).await.expect("a datagram") > 1 {
             socket.send(&buffer[..32]).await.expect("sent");
         }
@@ -171,7 +171,7 @@ fn push_pull(effort: Effort) -> Sample {
         for _ in 0..times {
             socket.send(message()).await.expect("sent");
         }
-        // What is sent must leave before the socket is closed.
+        // All messages must leave before the socket is closed.
         let _ = ended.await;
     };
     let work = async move {

@@ -1,4 +1,4 @@
-//! What receives mail in one thread, and answers: tasks of tokio, actors of kameo, ractor and actix.
+//! Receivers on one thread with a mailbox: tasks of tokio, and actors of kameo, ractor and actix.
 
 use crate::cases::urgent::Message;
 use crate::sample::nanos_of;
@@ -6,22 +6,22 @@ use std::future::Future;
 use std::time::{Duration, Instant};
 use tokio::sync::{mpsc, oneshot};
 
-/// As many as may wait in a mailbox.
+/// How many messages fit in a mailbox.
 pub const ROOM: usize = 2_048;
 const SERVICE: Duration = Duration::from_micros(2);
 
-/// What is told and not answered.
+/// A message without an answer.
 #[derive(Debug)]
 pub enum Mail {
     /// A message of a stream.
     Plain(Message),
-    /// One that takes 2 us to be served.
+    /// One that takes 2 us of work.
     Work,
-    /// One that was sent at this instant and is urgent.
+    /// An urgent one, and when it was sent.
     Urgent(Instant),
 }
 
-/// What every one of them does.
+/// The receiver that every peer runs.
 #[derive(Debug, Default)]
 pub struct Clerk {
     took: u64,
@@ -44,15 +44,15 @@ impl Clerk {
     }
 }
 
-/// A way to one of them.
+/// A handle to such a receiver.
 pub trait Post: Clone + 'static {
-    /// How long the last urgent mail took to be served, in nanoseconds.
+    /// Asks how long the last urgent message took until it was served, in nanoseconds.
     fn ask(&self) -> impl Future<Output = u64>;
-    /// Tells it something; waits while its mailbox is full.
+    /// Sends a message; waits while the mailbox is full.
     fn tell(&self, mail: Mail) -> impl Future<Output = ()>;
 }
 
-/// A task of tokio with a channel, and a channel for each answer.
+/// A task of tokio with a channel for messages, and a channel for each answer.
 #[derive(Clone)]
 pub struct Tokio(mpsc::Sender<(Option<Mail>, Option<oneshot::Sender<u64>>)>);
 
@@ -130,11 +130,11 @@ impl Post for Kameo {
     }
 }
 
-/// An actor of ractor; its mailbox has no bound.
+/// An actor of ractor. Its mailbox has no bound.
 #[derive(Clone)]
 pub struct Ractor(ractor::ActorRef<RactorMail>);
 
-/// What a ractor actor takes.
+/// The messages of a ractor actor.
 pub enum RactorMail {
     Mail(Mail),
     Took(ractor::RpcReplyPort<u64>),
@@ -241,7 +241,7 @@ impl Post for Actix {
         self.0.send(Took).await.expect("an answer")
     }
     async fn tell(&self, mail: Mail) {
-        // `do_send` has no bound; `try_send` says when the mailbox is full.
+        // `do_send` has no bound; `try_send` reports a full mailbox.
         let mut mail = mail;
         loop {
             match self.0.try_send(mail) {

@@ -1,11 +1,11 @@
-//! Everything, for programs.
+//! The results as JSON, for programs.
 
 use crate::harness::Results;
 use crate::machine::Facts;
 use crate::suite::{Against, Goal};
 use serde_json::{Value, json};
 
-/// Facts, cases with every round, rows with their ratios. Times are in nanoseconds.
+/// The facts, the cases with every round, and the rows with their ratios. Times are in nanoseconds.
 #[must_use]
 pub fn json(facts: &Facts, rounds: u32, slack: f64, all: &[Results]) -> Value {
     let suites: Vec<Value> = all.iter().map(|results| suite(results, slack)).collect();

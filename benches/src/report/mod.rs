@@ -1,4 +1,4 @@
-//! What is told of the results.
+//! Reports of the results: text, JSON, a page and a picture.
 
 mod json;
 mod page;
@@ -13,14 +13,14 @@ pub use text::{cases, rows};
 use crate::harness::Outcome;
 use crate::suite::{Against, Goal};
 
-/// A ratio with its spread, as tables have it.
+/// A ratio with its spread, for tables.
 pub(crate) fn ratio(outcome: &Outcome) -> String {
     let Some(ratio) = outcome.ratio else { return "not measured".into() };
     let (median, least, most) = (short(ratio.median), short(ratio.least), short(ratio.most));
     format!("{median} ({least} to {most})")
 }
 
-/// What is compared with the bound.
+/// The unit of the number that is compared with the bound.
 pub(crate) fn unit(outcome: &Outcome) -> &'static str {
     match (&outcome.row.against, outcome.row.goal) {
         (Against::Nothing, _) => "the number itself",
@@ -29,7 +29,7 @@ pub(crate) fn unit(outcome: &Outcome) -> &'static str {
     }
 }
 
-/// The verdict in a word.
+/// The verdict in one word.
 pub(crate) fn verdict(outcome: &Outcome, slack: f64) -> &'static str {
     match outcome.met(slack) {
         Some(true) => "met",
@@ -38,7 +38,7 @@ pub(crate) fn verdict(outcome: &Outcome, slack: f64) -> &'static str {
     }
 }
 
-/// A number with three digits that count.
+/// A number with about three significant digits.
 pub(crate) fn short(value: f64) -> String {
     match value.abs() {
         size if size >= 100.0 => format!("{value:.0}"),
@@ -48,7 +48,7 @@ pub(crate) fn short(value: f64) -> String {
     }
 }
 
-/// Nanoseconds in the unit that reads best.
+/// Nanoseconds in the most readable unit.
 pub(crate) fn time(nanos: f64) -> String {
     match nanos {
         n if n >= 1e6 => format!("{} ms", short(n / 1e6)),

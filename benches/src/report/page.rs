@@ -1,4 +1,4 @@
-//! The table in `specs/performance.md`: written by the harness, between two marks, and by nobody else.
+//! Writes the table in `specs/performance.md`, between two marks. Nobody edits that part by hand.
 
 use super::{ratio, unit, verdict};
 use crate::cases::floors::LINE;
@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 const BEGIN: &str = "<!-- measured: begin -->";
 const END: &str = "<!-- measured: end -->";
 
-/// Why the page was not renewed.
+/// Why the page was not updated.
 #[derive(Debug, thiserror::Error)]
 pub enum PageError {
     /// It cannot be read or written.
@@ -20,15 +20,15 @@ pub enum PageError {
     File {
         /// The page.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the system.
         source: io::Error,
     },
-    /// The place of the table is not marked.
+    /// The page has no marks for the table.
     #[error("{0} has no lines `{BEGIN}` and `{END}`")]
     NoMarks(PathBuf),
 }
 
-/// Puts the rows of these suites into the page, in the place of what stood there.
+/// Replaces the table in the page by the rows of these suites.
 ///
 /// # Errors
 /// [`PageError`].
@@ -66,7 +66,7 @@ fn table(facts: &Facts, rounds: u32, slack: f64, all: &[Results]) -> String {
     text
 }
 
-/// How far the two cores were apart: what most rows of two cores stand and fall with.
+/// How long a cache line takes between the two cores: most rows of two cores depend on it.
 fn lines(all: &[Results]) -> String {
     let line = |results: &Results| {
         let case = results.cases.iter().find(|case| case.name == LINE)?;

@@ -1,4 +1,4 @@
-//! The rows as a picture: one bar each, on a logarithmic scale, one at its bound; left of it is better.
+//! Draws the rows as a picture: one bar each on a logarithmic scale, with 1 at the bound. Left of it is better.
 
 use super::{ratio, verdict};
 use crate::harness::{Outcome, Results};
@@ -10,7 +10,7 @@ const WIDTH: f64 = 960.0;
 const LABEL: f64 = 470.0;
 const STEP: f64 = 22.0;
 const TOP: f64 = 56.0;
-/// The ends of the scale: a thousandth of the bound and a thousand times it.
+/// The decades on either side of the bound: from a thousandth of it to a thousand times it.
 const DECADES: f64 = 3.0;
 
 /// The picture of all measured rows.
@@ -44,7 +44,7 @@ pub fn plot(facts: &Facts, slack: f64, all: &[Results]) -> String {
 
 fn bar(outcome: &Outcome, slack: f64, y: f64, text: &impl Fn(f64, f64, &str, &str) -> String) -> String {
     let Some(found) = outcome.ratio else { return String::new() };
-    // How much of its bound a row uses, for both sorts of goals.
+    // The share of its bound that a row uses, for both kinds of goals.
     let share = |value: f64| match outcome.row.goal {
         Goal::AtMost(bound) => value / bound,
         Goal::AtLeast(bound) => bound / value,

@@ -17,7 +17,7 @@ pub fn rows(results: &Results, slack: f64) -> String {
     table(&std::iter::once(header).chain(results.rows.iter().map(of)).collect::<Vec<_>>())
 }
 
-/// The cases of a suite: what each took, medians over the rounds.
+/// The cases of a suite: the times of each, as medians over the rounds.
 #[must_use]
 pub fn cases(results: &Results) -> String {
     let header = ["case", "p50", "p99", "p99.9", "mean", "count"].map(String::from);

@@ -1,4 +1,4 @@
-//! Every message that waits for an answer gets one, on every path of the handler or body that took it.
+//! Checks that every message that waits for an answer gets one, on every path of the handler or body that took it.
 
 use super::unanswered::{self, Question};
 use crate::codes::{NEVER_ANSWERED, NOT_ALWAYS_ANSWERED, STATEMENT};
@@ -51,13 +51,13 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// Where a slot's variable stands.
+/// The span of a slot's variable.
 fn variable(variables: &[Variable], slot: Slot) -> Option<Span> {
     let (Slot::Task(at) | Slot::Local(at)) = slot;
     variables.get(usize::from(at)).map(|variable| variable.span)
 }
 
-/// `p.x(t)` and its like hear what the statements of their own thread brought (D93): without such a statement nothing.
+/// Reports `p.x(t)` and the like in a thread without a statement that can bring the value (D93).
 fn unasked(
     hir: &Hir,
     captures: &[Capture],
@@ -91,7 +91,7 @@ fn unasked(
     }
 }
 
-/// What a thread receives of class 2 must be answered in it: somewhere, and on every path from its `receive`.
+/// Reports received class-2 messages that a thread does not answer, or not on every path from the `receive`.
 fn received(hir: &Hir, id: TaskId, found: &mut Vec<Diagnostic>) {
     let task = &hir.tasks[id.index()];
     let bodies = [Some(&task.body), task.takeover.as_ref()].into_iter().flatten();
@@ -132,7 +132,7 @@ fn received(hir: &Hir, id: TaskId, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// Whether the task answers messages of the port some time after it took them.
+/// Whether the task answers messages of the port later: by `reply .. for`.
 pub(super) fn answers_later(task: &Task, id: PortId) -> bool {
     walk::any(
         task,
@@ -140,7 +140,7 @@ pub(super) fn answers_later(task: &Task, id: PortId) -> bool {
     )
 }
 
-/// Whether it is an answer itself, or a port of usage `reply` may carry that of somebody else (D11).
+/// Whether the message needs no answer here: it is an answer itself, or a port of usage `reply` may carry the answer (D11).
 pub(super) fn answered_by_others(hir: &Hir, at: TaskId, port: &Port) -> bool {
     if port.usage == Usage::Reply {
         return true;

@@ -1,4 +1,4 @@
-//! What a process class asks for (D24).
+//! Checks what each process class requires (D24).
 
 use super::{is_draft, messages, task};
 use crate::codes::{ACTS_EARLY, LOOSE, SERIAL, TELLS_NOBODY, TIGHT};
@@ -28,7 +28,7 @@ fn joins(port: &Port, a: TaskId, b: TaskId) -> bool {
     port.usage_of(a).is_some() && port.peers(a).any(|peer| peer == b)
 }
 
-/// The tasks that `from` is joined with by ports like this, directly or through others.
+/// The tasks of `among` that ports like this join with `from`, directly or through others.
 fn reached(hir: &Hir, from: TaskId, among: &[TaskId], like: impl Fn(&Port) -> bool) -> Vec<TaskId> {
     let mut known = vec![from];
     let mut at = 0;
@@ -45,7 +45,8 @@ fn reached(hir: &Hir, from: TaskId, among: &[TaskId], like: impl Fn(&Port) -> bo
     known
 }
 
-/// With one way only the primary's answers carry something, and only the standby hears them (D61, D78).
+/// Reports values that no heartbeat carries. In a one-way couple only the primary's answers carry values, and only the
+/// standby reads them (D61, D78).
 fn beats(hir: &Hir, couple: &Couple, [primary, standby]: [TaskId; 2], found: &mut Vec<Diagnostic>) {
     let (from, to) = (&task(hir, primary).name, &task(hir, standby).name);
     let mut say = |span, message: String, label: &str| {
@@ -68,7 +69,7 @@ fn beats(hir: &Hir, couple: &Couple, [primary, standby]: [TaskId; 2], found: &mu
     });
 }
 
-/// Its members call each other.
+/// Checks that queries join the members.
 fn tight(hir: &Hir, couple: &Couple, tasks: &[TaskId], found: &mut Vec<Diagnostic>) {
     let Some(&first) = tasks.first() else { return };
     let known = reached(hir, first, tasks, |port| matches!(port.usage, Usage::Query | Usage::Response));
@@ -83,7 +84,7 @@ fn tight(hir: &Hir, couple: &Couple, tasks: &[TaskId], found: &mut Vec<Diagnosti
     }
 }
 
-/// Something makes the second wait for the first.
+/// Checks that a `waitfor` or class-2 messages make the second task wait for the first.
 fn serial(hir: &Hir, couple: &Couple, [first, second]: [TaskId; 2], found: &mut Vec<Diagnostic>) {
     let all: Vec<TaskId> = (0..hir.tasks.len()).map(TaskId::from_index).collect();
     if reached(hir, first, &all, |port| port.class == Class::Command).contains(&second) {
@@ -97,7 +98,7 @@ fn serial(hir: &Hir, couple: &Couple, [first, second]: [TaskId; 2], found: &mut 
     );
 }
 
-/// Its members ask the administrator, and wait for it no longer than they said.
+/// Checks that the members use the administrator's ports, and that no `receive` waits for it without end.
 fn loose(hir: &Hir, couple: &Couple, tasks: &[TaskId], over: TaskId, found: &mut Vec<Diagnostic>) {
     let owner = task(hir, over);
     for &member in tasks.iter().filter(|&&member| member != over) {
@@ -139,7 +140,7 @@ fn waits_for_ever(hir: &Hir, member: TaskId, over: TaskId) -> Vec<(PortId, Span)
     places
 }
 
-/// Who stands by does not act before it takes over (D61).
+/// Checks that a standby runs no action before it takes over (D61).
 fn waits(hir: &Hir, couple: &Couple, standby: TaskId, found: &mut Vec<Diagnostic>) {
     let standby = task(hir, standby);
     if is_draft(standby) {
@@ -158,7 +159,7 @@ fn waits(hir: &Hir, couple: &Couple, standby: TaskId, found: &mut Vec<Diagnostic
     });
 }
 
-/// Whether a port is one that a task must use itself.
+/// Whether tasks use the port in statements. Heartbeats are exchanged by the communication tasks.
 pub(super) fn is_used_by_tasks(hir: &Hir, id: PortId) -> bool {
     !messages::carries_beats(hir, id)
 }

@@ -1,8 +1,9 @@
-//! Deadlines that the way and the work of an answer use up.
+//! Checks that time_outs cover the link delays and the work of an answer.
 //!
-//! What is certain is an error: each link takes its whole bound from a message's life (D20), the way back is kept free (D18),
-//! and no answer comes sooner than the actions in front of it end. A tick is how late a node may act, not how late it
-//! always does (D42): what only ticks and slow actions use up is a warning (D99).
+//! What a time_out certainly cannot cover is an error. Each link subtracts its whole delay from a message's TTL (D20). The
+//! delay back to the sender is reserved (D18). No answer comes before the actions in front of it end.
+//! A tick is how late a node may act, not how late it always acts (D42). What only late ticks and slow actions exceed is a
+//! warning (D99).
 
 use super::messages::{carries_beats, senders, sends_to};
 use super::work::{self, Work};
@@ -39,8 +40,8 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// The least time_out of a port, in whole ticks, that no check of durations complains about: not too short for the tick
-/// (E206), for the way and the work (E201), nor for their ticks (W318). With `of` that of the messages that have this one.
+/// The least time_out of a port in microseconds, a whole number of ticks, about which no check complains: neither E206 (the
+/// tick), E201 (delays and work) nor W318 (their ticks). With `of`, only messages with that time_out count.
 pub(crate) fn least(hir: &Hir, id: PortId, of: Option<Duration>) -> u64 {
     let tick = tick(hir);
     let port = &hir.ports[id.index()];
@@ -56,8 +57,8 @@ pub(crate) fn least(hir: &Hir, id: PortId, of: Option<Duration>) -> u64 {
     least.max(tick.saturating_mul(LEAST_TICKS))
 }
 
-/// The least time_out of a `waitfor`: longer than its margin and the farthest way (D56). Without a `resend` of its own the
-/// margin grows with the time_out.
+/// The least time_out of a `waitfor`: more than its margin and the longest delay between members (D56). Without a `resend` of
+/// its own the margin grows with the time_out.
 fn meeting(hir: &Hir, port: &Port) -> u64 {
     let tick = tick(hir);
     let parties: Vec<TaskId> = std::iter::once(port.owner).chain(port.peers(port.owner)).collect();
@@ -81,10 +82,10 @@ fn meeting(hir: &Hir, port: &Port) -> u64 {
     least
 }
 
-/// After so many rounds even a margin that grows with its time_out, for 255 losses, has come to its end.
+/// After this many rounds even a margin for 255 losses, which grows with its time_out, has converged.
 const ROUNDS: usize = 10_000;
 
-/// The first whole tick behind a time.
+/// The first whole tick after a time.
 fn after(usec: u64, tick: u64) -> u64 {
     (usec / tick).saturating_add(1).saturating_mul(tick)
 }
@@ -93,16 +94,16 @@ fn tick(hir: &Hir) -> u64 {
     hir.tick.map_or(1, |tick| tick.usec.max(1))
 }
 
-/// How long a message of this task lives.
+/// The time_out of this task's messages.
 fn life(port: &Port, from: TaskId) -> Option<Duration> {
     port.user(from).and_then(|user| user.time_out).or(port.time_out)
 }
 
-/// What a message needs, and its answer.
+/// What one message from a sender to a receiver needs, with its answer.
 struct Need {
     from: TaskId,
     to: TaskId,
-    /// The delays of the links on the way, and how many they are.
+    /// The total delay of the links on the route, and their number.
     way: u64,
     links: u64,
     /// Whether an answer comes back.
@@ -115,12 +116,12 @@ impl Need {
         if self.answered { 2 } else { 1 }
     }
 
-    /// So long it certainly takes: what is not longer never does.
+    /// The time that it certainly takes: a time_out that is not longer always ends first.
     fn certain(&self) -> u64 {
         self.way.saturating_mul(self.ways()).saturating_add(self.work.least)
     }
 
-    /// So long it may take where nothing goes wrong: each node on the way acts a tick late, and the actions are slow.
+    /// The time that it may take without faults: each node on the route acts a tick late, and the actions are slow.
     fn enough(&self, hir: &Hir) -> u64 {
         let ticks = self.links.saturating_mul(tick(hir));
         let way = self.way.saturating_add(ticks).saturating_mul(self.ways());
@@ -133,7 +134,7 @@ impl Need {
         if self.answered { format!("{from} -> {to} -> {from}") } else { format!("{from} -> {to}") }
     }
 
-    /// `2 x 3 msec on the links`, with `links` more for each link, and so much work.
+    /// `2 x 3 msec on the links`, with `more` for each link, and with this work.
     fn parts(&self, more: u64, work: u64) -> String {
         let ways = if self.answered { "2 x " } else { "" };
         let tick = match more {
@@ -160,7 +161,7 @@ fn needs(hir: &Hir, id: PortId) -> Vec<Need> {
                 continue;
             }
             let answered = port.class == Class::Command && port.usage != Usage::Reply;
-            // Of the beats of a couple the communication tasks take care (D61). Who is never asked works for nobody.
+            // Communication tasks answer heartbeats themselves (D61). A task that is never asked has no work.
             let works = answered && !carries_beats(hir, id) && sends_to(hir, id, from, to);
             let work = if works { work::of(hir, to, id) } else { Work::default() };
             needs.push(Need { from, to, way: delay(hir, &links), links: links.len() as u64, answered, work });
@@ -169,12 +170,12 @@ fn needs(hir: &Hir, id: PortId) -> Vec<Need> {
     needs
 }
 
-/// The delays of these links.
+/// The total delay of these links.
 fn delay(hir: &Hir, links: &[usize]) -> u64 {
     links.iter().fold(0, |sum: u64, &link| sum.saturating_add(hir.links[link].delay.usec))
 }
 
-/// What is said of a life that those messages have.
+/// The diagnostic for a time_out, or a `within`, that these messages have.
 fn too_short(hir: &Hir, port: &Port, life: Duration, needs: &[&Need]) -> Option<Diagnostic> {
     let enough = needs.iter().map(|need| need.enough(hir)).max()?;
     let tick = tick(hir);

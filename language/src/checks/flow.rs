@@ -1,4 +1,4 @@
-//! Statements that no way leads to.
+//! Finds statements that control flow never reaches.
 
 use crate::codes::UNREACHABLE;
 use crate::diagnostic::Diagnostic;
@@ -35,12 +35,12 @@ fn unreachable(statements: &[Statement], found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// The first byte of a statement: its words are many.
+/// The first four bytes of a statement: the diagnostic points only at its beginning.
 fn head(statement: &Statement) -> crate::Span {
     crate::Span { start: statement.span.start, end: statement.span.end.min(statement.span.start + 4) }
 }
 
-/// Whether the statement behind this one may be reached.
+/// Whether control flow may continue behind this statement.
 fn goes_on(statement: &Statement) -> bool {
     let by_branch = statement.branches.iter().any(|branch| all_go_on(&branch.body));
     by_branch
@@ -60,7 +60,7 @@ fn all_go_on(statements: &[Statement]) -> bool {
     statements.iter().all(goes_on)
 }
 
-/// Whether an `exit` of this loop, not of one in it, may be reached.
+/// Whether the body has an `exit` that leaves this loop. Those of inner loops do not.
 fn has_exit(body: &[Statement]) -> bool {
     body.iter().any(|statement| {
         let own = match &statement.kind {

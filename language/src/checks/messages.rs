@@ -1,4 +1,4 @@
-//! Messages: somebody takes them, nobody asks in a ring, and what asks can end badly.
+//! Checks messages: somebody receives them, no tasks ask each other in a ring, and requests have a branch for a bad end.
 
 use super::{is_draft, ring, task, tasks, time};
 use crate::ast::BranchKind;
@@ -13,7 +13,7 @@ use imrs_protocol::{Class, PortId, TaskId, Usage};
 pub(super) fn check(hir: &Hir, paper: bool, found: &mut Vec<Diagnostic>) {
     for (at, port) in hir.ports.iter().enumerate() {
         let id = PortId::from_index(at);
-        // What a port of usage `reply` carries ends a query (D11): nobody takes it.
+        // A message of usage `reply` ends a query (D11): no statement receives it.
         if !matches!(port.usage, Usage::Waitfor | Usage::Reply) && !carries_beats(hir, id) {
             is_received(hir, id, port, found);
             has_room(hir, port, found);
@@ -27,7 +27,7 @@ pub(super) fn check(hir: &Hir, paper: bool, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// Whether the communication tasks use the port themselves (D61).
+/// Whether the port carries heartbeats, which the communication tasks exchange (D61).
 pub(crate) fn carries_beats(hir: &Hir, id: PortId) -> bool {
     hir.couples.iter().any(|couple| matches!(couple.kind, CoupleKind::Work { via, .. } if via == id))
 }
@@ -46,7 +46,7 @@ fn receivers(port: &Port) -> impl Iterator<Item = TaskId> + '_ {
     parties(port).filter(move |&task| receives(port.usage_of(task)))
 }
 
-/// A statement of `from` that sends to `to` through the port.
+/// The first statement of `from` that sends through the port, and to `to` if that is given.
 fn sending(hir: &Hir, id: PortId, from: TaskId, to: Option<TaskId>) -> Option<&Statement> {
     let mut first = None;
     walk::of_task(task(hir, from), &mut |statement| {
@@ -114,7 +114,8 @@ fn is_received(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) 
     }
 }
 
-/// Class-2 messages of several senders want a place each, or one of them is refused (D21). Of a couple one sends at a time.
+/// Reports a buffer smaller than the number of senders of class-2 messages, because it may refuse one (D21). Of a couple only
+/// one task sends at a time.
 fn has_room(hir: &Hir, port: &Port, found: &mut Vec<Diagnostic>) {
     let number = senders(port).filter(|&from| !is_draft(task(hir, from))).count();
     let commands = port.class == Class::Command && port.usage == Usage::Receive;
@@ -135,8 +136,8 @@ fn has_room(hir: &Hir, port: &Port, found: &mut Vec<Diagnostic>) {
     );
 }
 
-/// A class-2 message that is only taken by a `receive` waits for whatever the body does before. A handler is offered the
-/// message anew until it comes in between (D58), but not where `atomic` forbids it.
+/// Reports work that outlasts a class-2 message. A `receive` takes the message only after the work in front of it. A handler
+/// is offered the message again until it interrupts (D58), but `atomic` prevents that.
 fn has_time(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
     if port.class != Class::Command {
         return;
@@ -172,7 +173,7 @@ fn has_time(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// The longest `run` or `delay` of the body.
+/// The longest `run` or `delay` of the body, or of its atomic sections.
 fn longest(task: &Task, in_atomic: bool) -> Option<(String, u64, crate::Span)> {
     let mut longest: Option<(String, u64, crate::Span)> = None;
     let mut see = |statement: &Statement| {
@@ -216,7 +217,7 @@ fn penalty(port: &Port, paper: bool, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// Tasks that ask each other in a ring, none of which can answer while it asks.
+/// Reports tasks that ask each other in a ring: none can answer while it waits.
 fn rings(hir: &Hir, found: &mut Vec<Diagnostic>) {
     let mut calls: Vec<Call> = Vec::new();
     for (at, port) in hir.ports.iter().enumerate().filter(|(_, port)| port.class == Class::Command) {
@@ -238,7 +239,7 @@ fn rings(hir: &Hir, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// Who certainly asks whom, through which port and where.
+/// A request that is certainly made: its sender, its receiver, the port and the span.
 type Call = (TaskId, TaskId, PortId, crate::Span);
 
 fn asking(hir: &Hir, calls: &[Call], ring: &[usize], found: &mut Vec<Diagnostic>) {
@@ -257,7 +258,7 @@ fn asking(hir: &Hir, calls: &[Call], ring: &[usize], found: &mut Vec<Diagnostic>
     found.push(report.help("answer with a handler (`on query ..`): it runs while its task waits"));
 }
 
-/// Where a task certainly asks another one.
+/// The statement with which a task certainly asks another one.
 fn certain_call(hir: &Hir, id: PortId, from: TaskId, to: TaskId) -> Option<crate::Span> {
     let mut place = None;
     walk::certain(&task(hir, from).body, &mut |statement| {
@@ -272,7 +273,7 @@ fn certain_call(hir: &Hir, id: PortId, from: TaskId, to: TaskId) -> Option<crate
     place
 }
 
-/// Whether a task asks somebody before it takes a message of this port.
+/// Whether a task asks another task before it receives from this port.
 fn calls_first(task: &Task, id: PortId) -> bool {
     let mut first = None;
     walk::each(&task.body, &mut |statement| {
@@ -286,7 +287,7 @@ fn calls_first(task: &Task, id: PortId) -> bool {
     first == Some(true)
 }
 
-/// What ends the task where nobody answers should be said.
+/// Reports a request without `on time_out`: the task ends if nobody answers.
 fn unprepared(hir: &Hir, id: TaskId, statement: &Statement, found: &mut Vec<Diagnostic>) {
     let StatementKind::Send { port, .. } = &statement.kind else { return };
     let port = &hir.ports[port.index()];

@@ -1,5 +1,5 @@
-//! What can be known of a cell without running it (the paper's "compiler"): each finding stands on the line that causes it.
-//! What a check cannot tell for sure it does not say: the model checker tries it.
+//! Static checks of a cell (the paper's "compiler"): each finding stands on the line that causes it. What a check cannot
+//! decide it does not report: the model checker tries it.
 
 mod answers;
 mod couples;
@@ -23,11 +23,11 @@ use crate::diagnostic::Diagnostic;
 use crate::hir::{Hir, Task};
 use imrs_protocol::TaskId;
 
-/// A shorter time_out is lost to the lateness of the timers alone (D42).
+/// A shorter time_out, in ticks, can be lost to the lateness of timers alone (D42).
 const LEAST_TICKS: u64 = 4;
 
-/// Everything that is found in a cell whose names and types are right, in the order of the text. `paper` is the language
-/// of the paper alone: there a `waitfor` needs no branch (D2).
+/// All findings in a cell whose names and types are right, in the order of the text. With `paper` a `waitfor` needs no
+/// branch, as in the paper (D2).
 pub(crate) fn all(hir: &Hir, paper: bool) -> Vec<Diagnostic> {
     let mut found = Vec::new();
     meetings::check(hir, paper, &mut found);
@@ -43,7 +43,7 @@ pub(crate) fn all(hir: &Hir, paper: bool) -> Vec<Diagnostic> {
     found
 }
 
-/// Whether nothing is said yet about what a task does: only its declarations are looked at.
+/// Whether a task has no statements and handlers yet: only its declarations are checked.
 fn is_draft(task: &Task) -> bool {
     !task.is_extern && task.body.is_empty() && task.handlers.is_empty() && task.takeover.is_none()
 }
@@ -56,7 +56,7 @@ fn tasks(hir: &Hir) -> impl Iterator<Item = (TaskId, &Task)> {
     hir.tasks.iter().enumerate().map(|(at, task)| (TaskId::from_index(at), task))
 }
 
-/// A duration as a person writes it.
+/// A duration in its largest whole unit.
 fn time(usec: u64) -> String {
     if usec.is_multiple_of(1_000_000) && usec > 0 {
         format!("{} sec", usec / 1_000_000)

@@ -1,5 +1,5 @@
-//! `--paper`: only what the paper's figures and text have. The network, the tick and the host are no part of them, so `node`,
-//! `link` and `tick` stay: without them there is no cell.
+//! `--paper`: reports what the paper's figures and text do not have. `node`, `link` and `tick` are allowed, because a cell
+//! needs a network, hosts and a tick, which the paper leaves open.
 
 use crate::ast::{
     BranchKind, File, Handler, Item, PortOptionKind, Statement, StatementKind, TaskDecl, Trigger,
@@ -12,7 +12,7 @@ use crate::source::Source;
 use crate::span::Span;
 use crate::words::Word;
 
-/// Everything in a file that the paper has no word for.
+/// The diagnostics for everything in a file that the paper has no word for.
 pub(crate) fn paper(file: &File, source: &Source) -> Vec<Diagnostic> {
     let mut found = Vec::new();
     let mut see = |word: &str, span: Span| {
@@ -27,7 +27,7 @@ pub(crate) fn paper(file: &File, source: &Source) -> Vec<Diagnostic> {
                 .help(help),
         );
     };
-    // Nothing is reported: the text was read before.
+    // This reports nothing, because the text was parsed before.
     for (kind, span) in lex(source.text(), &mut Report::default()).tokens {
         let text = source.slice(span);
         if matches!(kind, Kind::Word(_)) && Word::short_unit(text).is_some() {

@@ -1,4 +1,4 @@
-//! Handlers of a task that says nothing about their rank: `self` comes first, which is seldom what is meant (D46, D58, D93).
+//! Reports handlers in a task without an `order`: `self` ranks first there, which is seldom what is meant (D46, D58, D93).
 
 use super::carries_beats;
 use crate::codes::UNRANKED;
@@ -21,12 +21,12 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// Whether messages of the port come to a handler at all.
+/// Whether handlers are offered messages of the port.
 fn is_offered(hir: &Hir, port: PortId) -> bool {
     hir.ports[port.index()].usage != Usage::Reply && !carries_beats(hir, port)
 }
 
-/// A statement of the body in which the thread itself has a rank: where it waits, but in no `receive`.
+/// The first statement during which the thread has its own rank: one that waits, but is no `receive`.
 fn busy<'h>(hir: &Hir, task: &'h Task) -> Option<&'h Statement> {
     let mut first = None;
     for body in [Some(&task.body), task.takeover.as_ref()].into_iter().flatten() {

@@ -1,9 +1,9 @@
-//! Rings in graphs.
+//! Finds rings (cycles) in directed graphs.
 
-/// So many rings are looked for.
+/// How many rings are searched for at most.
 const MOST: usize = 10;
 
-/// Rings among `size` points that these edges make, the shortest first; no two share an edge.
+/// Rings among `size` vertices with these edges, the shortest first. No two rings share an edge.
 pub(super) fn all(size: usize, edges: &[(usize, usize)]) -> Vec<Vec<usize>> {
     let mut edges = edges.to_vec();
     let mut rings = Vec::new();
@@ -16,12 +16,12 @@ pub(super) fn all(size: usize, edges: &[(usize, usize)]) -> Vec<Vec<usize>> {
     rings
 }
 
-/// The shortest ring among `size` points that these edges make; the one with the least first point of these.
+/// The shortest ring; of several, the one with the least first vertex.
 fn shortest(size: usize, edges: &[(usize, usize)]) -> Option<Vec<usize>> {
     (0..size).filter_map(|start| back_to(start, size, edges)).min_by_key(Vec::len)
 }
 
-/// The shortest way from a point back to itself, through points behind it.
+/// The shortest ring from a vertex through greater ones back to itself.
 fn back_to(start: usize, size: usize, edges: &[(usize, usize)]) -> Option<Vec<usize>> {
     let mut from: Vec<Option<usize>> = vec![None; size];
     let mut at = vec![start];

@@ -1,4 +1,4 @@
-//! Durations against the tick, and what the links must carry.
+//! Checks durations against the tick, and declared rates against the links.
 
 use super::{LEAST_TICKS, time};
 use crate::codes::{LOAD, SHORT_TIME_OUT, SOON};
@@ -6,11 +6,11 @@ use crate::diagnostic::Diagnostic;
 use crate::hir::{Hir, Port};
 use imrs_protocol::{Class, NodeId, PortId, TaskId};
 
-/// Below so many ticks the tick is felt.
+/// In a time_out of fewer ticks than this, the lateness of one tick matters.
 const FEW_TICKS: u64 = 20;
-/// A packet on the wire: 32 bytes, its envelope, IP and UDP, Ethernet and the gap.
+/// The bits of a packet on the wire: 32 bytes, its envelope, IP and UDP, Ethernet and the gap.
 const BITS: f64 = 138.0 * 8.0;
-/// Bits per second of a link of which there should be plenty.
+/// A load of a link above this, in bits per second, is reported.
 const PLENTY: f64 = 100e6;
 
 pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
@@ -20,7 +20,7 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
     loads(hir, found);
 }
 
-/// The shortest time_out of a port against the tick.
+/// Compares the shortest time_out of a port with the tick.
 fn time_outs(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
     let Some(tick) = hir.tick.map(|tick| tick.usec.max(1)) else { return };
     let all = port.time_out.into_iter().chain(port.users.iter().filter_map(|user| user.time_out));
@@ -45,7 +45,7 @@ fn time_outs(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// What the declared rates put on each link, at most.
+/// Adds up the declared rates on each link.
 fn loads(hir: &Hir, found: &mut Vec<Diagnostic>) {
     let mut loads = vec![0.0; hir.links.len()];
     for port in &hir.ports {

@@ -5,17 +5,17 @@ use crate::walk::{self, is_true};
 use imrs_protocol::PortId;
 use imrs_protocol::script::{Op, Slot, Term};
 
-/// The message that is followed.
+/// The message whose paths are followed.
 #[derive(Clone, Copy)]
 pub(super) enum Question<'h> {
-    /// The one that called the handler whose body is analysed.
+    /// The message that called the handler.
     OfHandler,
-    /// The ones that this statement takes from this port.
+    /// The messages that this statement takes from this port.
     Of(&'h Statement, PortId),
 }
 
-/// Whether a path leads from where the message is taken to the next `receive` of its port, to the end of the thread, or into a
-/// loop without an end, and no `reply` on it answers the message.
+/// Whether some path forgets the message. Such a path leads to the next `receive` of its port, to the end of the thread, or
+/// into an endless loop, and no `reply` on it answers the message.
 pub(super) fn forgets(body: &[Statement], captures: &[Capture], question: Question<'_>) -> bool {
     let mut paths = Paths { question, tells: tells(question, captures), forgets: false };
     let from = match question {
@@ -26,8 +26,8 @@ pub(super) fn forgets(body: &[Statement], captures: &[Capture], question: Questi
     paths.forgets || end.unanswered()
 }
 
-/// The variables that tell whether the message is there: what `received` is kept in; and where the `receive` can end without one,
-/// what `outcome` is kept in and what its branches assign. A handler's message is always there.
+/// The variables that tell whether the message is there: the saved `received`, and if the `receive` can fail, the saved
+/// `outcome` and those that its branches assign. The message of a handler is always there.
 fn tells(question: Question<'_>, captures: &[Capture]) -> Vec<Slot> {
     let Question::Of(receive, _) = question else { return Vec::new() };
     let fails = !receive.branches.is_empty();
@@ -45,14 +45,14 @@ fn tells(question: Question<'_>, captures: &[Capture]) -> Vec<Slot> {
     slots
 }
 
-/// The states in which some path reaches a point of the thread.
+/// The states in which paths reach a point of the thread.
 #[derive(Clone, Copy, Default, PartialEq, Eq)]
 struct States {
     /// The message is not there: not taken yet, or answered.
     none: bool,
-    /// It was taken last: a `reply` answers it.
+    /// It was received last: a `reply` answers it.
     open: bool,
-    /// Another message was taken since: a `reply` answers that one.
+    /// Another message was received since: a `reply` answers that one.
     buried: bool,
 }
 
@@ -77,7 +77,7 @@ impl States {
     }
 }
 
-/// How statements are left: at their end, or by `exit`.
+/// The states in which paths leave statements: at their end, or by `exit`.
 #[derive(Clone, Copy, Default)]
 struct Left {
     next: States,
@@ -112,7 +112,7 @@ impl Paths<'_> {
     }
 
     fn through(&mut self, statement: &Statement, from: States) -> Left {
-        // No path comes here: without this, a `receive` behind `abort` would take messages.
+        // No path comes here. Without this, a `receive` behind `abort` would take messages.
         if !from.any() {
             return Left::default();
         }
@@ -127,14 +127,14 @@ impl Paths<'_> {
             StatementKind::Loop(body) => self.endless(body, from),
             StatementKind::While(condition, body) if is_true(condition) => self.endless(body, from),
             StatementKind::While(_, body) => {
-                // The condition may ask whether the message is there: it is carried out of the loop, not round it.
+                // The condition may ask whether the message is there, so the message leaves the loop after one turn.
                 let once = self.through_all(body, from);
                 Left::by_end(from.or(once.next).or(once.exit))
             }
             StatementKind::If { arms, otherwise } => self.choice(arms, otherwise, from),
             _ => Left::by_end(from),
         };
-        // A `reply` fails if there is nothing to answer; another statement's branch begins with what was there before.
+        // A `reply` fails if there is nothing to answer. The branches of other statements begin in the states before them.
         let failed = match statement.kind {
             StatementKind::Reply { .. } => left.next,
             _ => from,
@@ -170,7 +170,7 @@ impl Paths<'_> {
             }
             head = again;
         };
-        // A path that stays in this loop with the message, and comes to no `reply` in it.
+        // A path stays in the loop with the message, and no `reply` in the loop can answer it.
         self.forgets |= left.next.unanswered() && !replies(body) && !left.exit.any();
         Left::by_end(left.exit)
     }
@@ -185,7 +185,7 @@ impl Paths<'_> {
             .collect();
         let mut all = lefts.iter().fold(Left::default(), |all, left| all.or(*left));
         if asks && from.open && lefts.iter().any(|left| left.next.any() && !left.next.open) {
-            // Who asks whether there is a message, and answers in one arm, has none in the others.
+            // If the condition asks whether there is a message, and one arm answers it, the other arms have none.
             all.next = States { none: true, open: false, buried: all.next.buried };
         }
         all

@@ -1,4 +1,4 @@
-//! Declarations that nothing uses.
+//! Finds declarations that nothing uses.
 
 use super::couples::is_used_by_tasks;
 use super::{is_draft, messages, task};
@@ -20,7 +20,7 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// A task without a statement or a handler, though others send to it or wait for it.
+/// Reports a task without statements and handlers if others send to it or wait for it.
 fn nothing(hir: &Hir, id: TaskId, found: &mut Vec<Diagnostic>) {
     let task = task(hir, id);
     if !is_draft(task) {
@@ -52,7 +52,7 @@ fn uses(hir: &Hir, id: PortId, by: TaskId) -> bool {
     messages::is_sent(hir, id, by) || walk::any(task(hir, by), waits)
 }
 
-/// A port that nobody sends or waits on.
+/// Reports a port on which nobody sends or waits.
 fn port(hir: &Hir, id: PortId, found: &mut Vec<Diagnostic>) {
     let port = &hir.ports[id.index()];
     let starts: Vec<TaskId> = match port.usage {
@@ -73,7 +73,7 @@ fn port(hir: &Hir, id: PortId, found: &mut Vec<Diagnostic>) {
     );
 }
 
-/// Variables that nothing reads; a record is one variable.
+/// Reports variables that nothing reads. A record is one variable.
 fn variables(hir: &Hir, id: TaskId, found: &mut Vec<Diagnostic>) {
     let task = &hir.tasks[id.index()];
     if task.is_extern || is_draft(task) {
@@ -111,11 +111,11 @@ fn variables(hir: &Hir, id: TaskId, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// The variables that the file names, with the positions of their fields.
+/// The variables that the file names, each with the positions of its fields.
 fn named(task: &Task) -> BTreeMap<&str, Vec<usize>> {
     let mut named: BTreeMap<&str, Vec<usize>> = BTreeMap::new();
     for (at, variable) in task.variables.iter().enumerate() {
-        // What the compiler keeps for itself has a name in brackets.
+        // Hidden variables of the compiler have a name in parentheses.
         if !variable.name.starts_with('(') {
             let name = variable.name.split('.').next().unwrap_or_default();
             named.entry(name).or_default().push(at);

@@ -1,23 +1,22 @@
-//! How long an answer takes where it is given: the time between a message's arrival in a task and the answer to it, as far as
-//! the statements on the way say so.
+//! Computes how long an answer takes at its receiver: the time from the arrival of a message to its answer, as far as the
+//! statements in between declare it.
 
 use crate::hir::{Answered, Hir, Statement, StatementKind, Task, Trigger};
 use imrs_protocol::{Class, PortId, TaskId, Usage};
 use std::cell::Cell;
 
-/// So many statements are looked at for one answer.
+/// How many statements one search visits at most.
 const STEPS: u32 = 100_000;
-/// So many answers may each wait for another one; what is behind counts as no time.
+/// How many answers may wait for each other in a chain. Deeper ones count as no time.
 const DEEPEST: usize = 8;
 
-/// The least time between what a task takes of a port and its answer, in microseconds: on the quickest way that its
-/// statements have, and where each `run` is as quick, or as slow, as it declares. Nothing where no way is known: what is
-/// answered later, by others, or by a program.
+/// The least time between a message's arrival in a task and its answer, in microseconds, on the quickest path through the
+/// statements. Zero if no path is known: for answers that come later, from other tasks or from a Rust program.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) struct Work {
-    /// With the quickest actions: no answer comes sooner.
+    /// With each `run` as quick as declared: no answer comes sooner.
     pub least: u64,
-    /// With the slowest actions, on the way that is then the quickest: it may take so long, whatever the values are.
+    /// With each `run` as slow as declared: an answer may take this long, whatever the values are.
     pub slow: u64,
 }
 
@@ -26,33 +25,33 @@ pub(super) fn of(hir: &Hir, task: TaskId, port: PortId) -> Work {
     let search = |slow| {
         let steps = Cell::new(STEPS);
         let answer = Search { hir, slow, depth: 0, steps: &steps }.answer(task, port);
-        // What was not looked at to its end may be quicker.
+        // A search that ran out of steps may have missed a quicker path.
         answer.filter(|_| steps.get() > 0).unwrap_or_default()
     };
     Work { least: search(false), slow: search(true) }
 }
 
-/// One search for the quickest way.
+/// One search for the quickest path.
 #[derive(Clone, Copy)]
 struct Search<'h> {
     hir: &'h Hir,
-    /// Whether actions are as slow as they declare.
+    /// Whether actions are as slow as declared.
     slow: bool,
     /// How many answers wait for this one.
     depth: usize,
-    /// How many statements are still looked at: loops in loops are gone through again and again.
+    /// How many statements may still be visited. Nested loops are visited again and again.
     steps: &'h Cell<u32>,
 }
 
-/// How long a message was open where a point is reached, at least; none where it is reached with no message open.
+/// The least time for which a message is open at a point; none if no path reaches the point with an open message.
 type Open = Option<u64>;
 
-/// How statements are left.
+/// The times at which paths leave statements: at the end, by `exit`, or with an answer.
 #[derive(Clone, Copy, Default)]
 struct Left {
     next: Open,
     exit: Open,
-    /// The quickest answer on the way.
+    /// The quickest answer.
     answer: Open,
 }
 
@@ -81,14 +80,14 @@ impl Search<'_> {
         best
     }
 
-    /// Whether an answer may be given behind another message, or by another task (D11, D93).
+    /// Whether a message may be answered later, or by another task (D11, D93).
     fn is_answered_elsewhere(self, task: &Task, id: TaskId, port: PortId) -> bool {
         let declared = &self.hir.ports[port.index()];
         super::answers::answers_later(task, port)
             || super::answers::answered_by_others(self.hir, id, declared)
     }
 
-    /// `receives` is the port whose messages a `receive` takes.
+    /// Follows paths through the statements. A `receive` of the port `receives` opens a message.
     fn statements(self, statements: &[Statement], from: Open, receives: Option<PortId>) -> Left {
         let mut left = Left { next: from, ..Left::default() };
         for statement in statements {
@@ -132,21 +131,21 @@ impl Search<'_> {
             kind => plain(from.map(|open| open.saturating_add(self.takes(kind)))),
         };
         for branch in &statement.branches {
-            // What ends badly may do so at once.
+            // A statement may fail at once, so its branches begin without its time.
             left = either(left, self.statements(&branch.body, from, receives));
         }
         left
     }
 
-    /// The statements of a loop, whose beginning is reached from its end, too.
+    /// Follows paths through the body of a loop, whose beginning is also reached from its end.
     fn turned(self, body: &[Statement], from: Open, receives: Option<PortId>) -> Left {
         let once = self.statements(body, from, receives);
         let head = quicker(from, once.next);
         if head == from { once } else { self.statements(body, head, receives) }
     }
 
-    /// How long a statement takes at least where it ends well. What is under way counts for nothing: a link's delay is a
-    /// bound, a packet may be quicker.
+    /// How long a statement takes at least if it succeeds. Packets in flight count for nothing: the delay of a link is an
+    /// upper bound.
     fn takes(self, kind: &StatementKind) -> u64 {
         match kind {
             StatementKind::Run { takes, .. } => {
@@ -165,7 +164,7 @@ impl Search<'_> {
                     matches!(declared.usage_of(task), Some(Usage::Receive | Usage::Response))
                 });
                 let deeper = Self { depth: self.depth + 1, ..self };
-                // Whom it is for is not looked at: the quickest of those who can answer.
+                // The recipients are ignored: the quickest possible answer counts.
                 answers.map(|task| deeper.answer(task, *port).unwrap_or_default()).min().unwrap_or_default()
             }
             _ => 0,

@@ -1,26 +1,26 @@
-//! Lines and their indentation.
+//! Writes lines with their indentation.
 
 use super::space::Spacing;
 use super::{Piece, What};
 use crate::lexer::Kind;
 use crate::words::Word;
 
-/// So many spaces a level is worth.
+/// How many spaces one level of indentation has.
 const STEP: usize = 2;
 
-/// Blocks that are open, and the level of the line where each began.
+/// The open blocks, each with the level of the line on which it began.
 #[derive(Default)]
 struct Blocks {
     open: Vec<(Word, usize)>,
     /// The token in front.
     last: Option<What>,
-    /// The level of the line that is being written.
+    /// The level of the current line.
     level: usize,
-    /// Words of the task's head that were read: its `on` opens nothing.
+    /// Whether the tokens are in the head of a task: the `on` there opens no block.
     in_head: bool,
 }
 
-/// Writes the pieces, with the line breaks they had.
+/// Writes the pieces, with their line breaks.
 pub(super) fn lay_out(pieces: &[Piece<'_>]) -> String {
     let mut out = String::new();
     let mut blocks = Blocks::default();
@@ -70,7 +70,7 @@ impl Blocks {
                     | Word::Record
             )
         );
-        // `takeover 400 msec` of a `couple` closes nothing, nor does `record` open anything there.
+        // Outside of blocks the `takeover` of a `couple` closes nothing, and a `record` stays at the level of its `type`.
         if closes && !self.open.is_empty() && !is_comment {
             return inside - 1;
         }
@@ -80,7 +80,7 @@ impl Blocks {
         inside + usize::from(self.is_amid(word))
     }
 
-    /// Whether a statement or declaration has begun that is not at its end.
+    /// Whether a statement or declaration has begun, but not ended.
     fn is_amid(&self, next: Option<Word>) -> bool {
         if self.in_head
             && matches!(next, Some(Word::Port | Word::UsePort | Word::Var | Word::Begin | Word::End))
@@ -112,7 +112,7 @@ impl Blocks {
                 self.in_head = true;
                 self.open.push((word, self.level));
             }
-            // The `on` of a task's head opens nothing.
+            // The `on` in the head of a task opens no block.
             Word::Begin => self.in_head = false,
             Word::On if self.in_head => {}
             Word::Record | Word::If | Word::While | Word::Loop | Word::Atomic | Word::On => {

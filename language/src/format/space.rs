@@ -1,16 +1,16 @@
-//! Spaces between what stands on one line.
+//! Sets the spaces between the tokens of a line.
 
 use super::What;
 use crate::lexer::Kind;
 use crate::words::Word;
 
-/// What stood in front, as far as it decides about spaces.
+/// What the tokens in front say about the next space.
 #[derive(Default)]
 pub(super) struct Spacing {
     last: Option<What>,
-    /// Whether the last token is a sign of the operand behind it.
+    /// Whether the last token is a unary minus.
     is_unary: bool,
-    /// How much of `rate = 20 /` has been read.
+    /// How many tokens of `rate = 20 /` were written.
     rate: u8,
     is_comment: bool,
 }
@@ -42,7 +42,7 @@ impl Spacing {
                 What::Sign(Kind::ParenOpen | Kind::BraceOpen | Kind::BracketOpen | Kind::Dot | Kind::DotDot),
                 _,
             ) => true,
-            // `- -x`: together they would be a link.
+            // `- -x`: without the space the two would form a `--`.
             (What::Sign(Kind::Minus), What::Sign(Kind::Minus)) => false,
             (What::Sign(Kind::Minus), _) if self.is_unary => true,
             (What::Operand, What::Sign(Kind::ParenOpen)) => true,
@@ -55,7 +55,7 @@ impl Spacing {
         usize::from(!glued)
     }
 
-    /// Remembers a piece that was written.
+    /// Records a piece that was written.
     pub(super) fn note(&mut self, what: What) {
         self.is_comment = matches!(what, What::LineComment | What::BlockComment);
         if self.is_comment {

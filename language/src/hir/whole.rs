@@ -1,4 +1,4 @@
-//! What is said of the cell as a whole: process classes, faults, checks.
+//! Declarations about the cell as a whole: process classes, faults and checks.
 
 use super::{Duration, Expr};
 use crate::span::Span;
@@ -7,46 +7,46 @@ use imrs_protocol::{NodeId, PortId, TaskId};
 /// A process class (D24).
 #[derive(Clone, Debug)]
 pub struct Couple {
-    /// Which.
+    /// Which class.
     pub kind: CoupleKind,
-    /// Where it stands.
+    /// Its span.
     pub span: Span,
 }
 
 /// The process classes of Table 1.
 #[derive(Clone, Debug)]
 pub enum CoupleKind {
-    /// They share what a task administers.
+    /// Tasks that share what one task administers.
     Loose {
-        /// Who shares.
+        /// The sharing tasks.
         tasks: Vec<TaskId>,
         /// The administrator.
         over: TaskId,
     },
-    /// They act together.
+    /// Tasks that act together.
     Tight(Vec<TaskId>),
-    /// One after the other.
+    /// Two tasks that act one after the other.
     Serial(TaskId, TaskId),
-    /// One takes over from the other (D61).
+    /// A standby that takes over from a primary (D61).
     Work {
-        /// Who acts first.
+        /// The task that acts first.
         primary: TaskId,
-        /// Who takes over.
+        /// The task that takes over.
         standby: TaskId,
-        /// Whether they exchange roles then.
+        /// Whether the two swap roles at a take-over.
         mutual: bool,
-        /// The lease.
+        /// How long the primary may act after sending an answer that the standby echoes.
         lease: Duration,
-        /// The take-over.
+        /// How long after the last answer the standby takes over.
         takeover: Duration,
-        /// The period of the beats.
+        /// The period of the heartbeats.
         every: Duration,
-        /// Their port.
+        /// The port of the heartbeats.
         via: PortId,
     },
 }
 
-/// A hypothesis of what may go wrong, and how often: of several each one is looked at by itself.
+/// A fault hypothesis: what may go wrong, and how often. The checker tries each hypothesis on its own.
 #[derive(Clone, Debug, Default)]
 pub struct Faults {
     /// Lost packets.
@@ -59,11 +59,11 @@ pub struct Faults {
     pub drift: u8,
     /// Nodes that crash, one entry for each crash.
     pub crash: Vec<NodeId>,
-    /// Nodes that pause, one entry for each pause, and for how long at most; none: see [`Pause::most`].
+    /// Nodes that pause, one entry for each pause.
     pub pause: Vec<Pause>,
     /// Links that are cut for a while, one entry for each cut: positions in [`Hir::links`](super::Hir).
     pub cut: Vec<usize>,
-    /// Where the declaration stands.
+    /// The span of the declaration.
     pub span: Span,
 }
 
@@ -72,35 +72,35 @@ pub struct Faults {
 pub struct Pause {
     /// Which node.
     pub node: NodeId,
-    /// How long it lasts at most. None: until every time_out and take-over of the cell that began before it is over.
+    /// Its longest duration. Without one it lasts until every time_out and take-over that began before it has passed.
     pub most: Option<Duration>,
 }
 
-/// What must hold.
+/// A property to check.
 #[derive(Clone, Debug)]
 pub struct Check {
     /// Its name.
     pub name: String,
-    /// What must hold.
+    /// Its kind and its expressions.
     pub kind: CheckKind,
-    /// Where its name stands.
+    /// The span of its name.
     pub span: Span,
 }
 
-/// What must hold. The expressions are those of the script machine, with `Term::Of` and `Term::Is` (D45).
+/// A kind of property. Its expressions are those of the script machine, with `Term::Of` and `Term::Is` (D45).
 #[derive(Clone, Debug)]
 pub enum CheckKind {
-    /// In every state.
+    /// True in every state.
     Always(Expr),
-    /// In no state.
+    /// True in no state.
     Never(Expr),
-    /// Whenever one is true, the other is, then or within so much time.
+    /// Whenever `when` is true, `then` is true at the same time or within `within`.
     Leads {
-        /// The one.
+        /// The premise.
         when: Expr,
-        /// The other.
+        /// The consequence.
         then: Expr,
-        /// How long.
+        /// The time limit.
         within: Duration,
     },
 }

@@ -1,4 +1,4 @@
-//! What passes between a script and the actions outside.
+//! Lowers actions: their types, and the results that a checker should try.
 
 use super::{Action, Behaviour};
 use crate::hir::{CheckKind, Destination, Expr, Hir};
@@ -19,7 +19,7 @@ struct Use {
 pub(super) struct Uses(Vec<Use>);
 
 impl Action {
-    /// Whether every result that the action may give leads where one of [`values`](Self::values) does.
+    /// Whether every possible result has the same effect as one of [`values`](Self::values).
     #[must_use]
     pub fn is_covered(&self) -> bool {
         let all = || {
@@ -31,8 +31,8 @@ impl Action {
 }
 
 impl Uses {
-    /// Notes a statement and returns the number of its action. Statements that take results of another type, or from another
-    /// range, have another number of the same name: what one of them may be given the other may not.
+    /// Records a statement and returns the number of its action. A use with another result type or range gets another number
+    /// of the same name, because a result that one use allows the other may forbid.
     pub fn add(
         &mut self,
         builder: &mut ProgramBuilder,
@@ -103,8 +103,8 @@ fn exprs(hir: &Hir) -> impl Iterator<Item = &Expr> {
     })
 }
 
-/// A value on either side of each constant that the variable is compared with.
-/// Of a real they are the bits of its neighbours, as the outside gives them.
+/// Adds the values on both sides of each constant that the variable is compared with.
+/// For a real they are the bits of its neighbours, as a driver returns them.
 fn both_sides(terms: &[Option<Term>], is: impl Fn(Term) -> bool, reals: bool, into: &mut Vec<i64>) {
     for window in terms.windows(3) {
         let &[Some(a), Some(b), Some(operator)] = window else { continue };
@@ -144,19 +144,19 @@ fn both_sides(terms: &[Option<Term>], is: impl Fn(Term) -> bool, reals: bool, in
     }
 }
 
-/// What an action outside gives for a real: its bits, signed. The scripts know one zero, and no infinity.
+/// The value that a driver returns for a real: its bits, as a signed number. Scripts know one zero, and no infinity.
 fn bits(x: f32) -> i64 {
     let bits = real(x).and_then(|bits| u32::try_from(bits).ok()).unwrap_or(0);
     i64::from(bits.cast_signed())
 }
 
-/// The real that an action outside gives so.
+/// The real for which a driver returns this value.
 fn given(value: i64) -> Option<f32> {
     let x = f32::from_bits(i32::try_from(value).ok()?.cast_unsigned());
     x.is_finite().then_some(x)
 }
 
-/// Whether a variable is read elsewhere than in a comparison with a constant.
+/// Whether a variable is read anywhere else than in a comparison with a constant.
 fn goes_elsewhere(terms: &[Option<Term>], is: impl Fn(Term) -> bool) -> bool {
     let compares = |window: &[Option<Term>]| {
         let mut into = Vec::new();
@@ -171,10 +171,10 @@ fn goes_elsewhere(terms: &[Option<Term>], is: impl Fn(Term) -> bool) -> bool {
     })
 }
 
-/// How many results are tried at most because somebody else compares with them.
+/// How many values from comparisons of other tasks and checks are tried at most.
 const MOST: usize = 16;
 
-/// Gives each action whose result travels what any task or check of the cell compares anything with, within its range.
+/// Adds values to each action whose result travels: those that any task or check of the cell compares anything with.
 pub(super) fn try_what_others_compare(hir: &Hir, tasks: &mut [Behaviour]) {
     let any = |term| matches!(term, Term::Load(_) | Term::Of { .. });
     let [wholes, reals] = [false, true].map(|reals| {
@@ -202,7 +202,7 @@ pub(super) fn try_what_others_compare(hir: &Hir, tasks: &mut [Behaviour]) {
     }
 }
 
-/// What is worth trying of these: what the result's type and range allow.
+/// The values that the result's type and range allow, sorted.
 fn values(action: &Action) -> Vec<i64> {
     let Some(of) = action.result else { return Vec::new() };
     let mut values = action.values.clone();
@@ -221,7 +221,7 @@ fn values(action: &Action) -> Vec<i64> {
             (_, None) => {}
         }
         values.retain(|&value| {
-            // The outside gives 32 bits, signed.
+            // A driver returns signed 32-bit values.
             let comes = i32::try_from(value).is_ok();
             of.holds(value) && comes && action.range.is_none_or(|(low, high)| (low..=high).contains(&value))
         });

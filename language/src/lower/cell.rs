@@ -1,4 +1,4 @@
-//! The declarations.
+//! Lowers the declarations of a cell.
 
 use super::units::Clock;
 use crate::hir::{CoupleKind, Field, Hir, Port};
@@ -38,7 +38,7 @@ const fn via(kind: &CoupleKind) -> Option<PortId> {
     }
 }
 
-/// A late end of the lease and an early take-over are what a checker must see: so they are rounded.
+/// Rounds the lease up and the take-over down, so that a checker sees a late end of the lease and an early take-over.
 fn couple(kind: &CoupleKind, clock: &mut Clock) -> Option<CoupleDecl> {
     let CoupleKind::Work { primary, standby, mutual, lease, takeover, every, via } = *kind else {
         return None;
@@ -90,7 +90,7 @@ fn port(hir: &Hir, port: &Port, is_beat: bool, clock: &mut Clock) -> PortDecl {
     }
 }
 
-/// The penalty of a port. The paper's `save` always has one: where none is declared, a tick (Appendix).
+/// The penalty of a port. By the paper's rules every port has one: if none is declared, a tick (Appendix, `save`).
 fn penalty(hir: &Hir, port: &Port, clock: &mut Clock) -> Option<Penalty> {
     match (port.penalty, hir.tick) {
         (Some((length, literal)), _) => Some(Penalty { length: clock.bound(length), literal }),

@@ -1,15 +1,15 @@
-//! Operations with the places that they come from.
+//! Emits operations, each with the span of its source.
 
 use crate::span::Span;
 use imrs_protocol::script::{Label, Op, Outcomes, Program, ProgramBuilder, ProgramError, Trigger};
 
-/// A program that is being written, with one span for each operation.
+/// A program under construction, with one span for each operation.
 pub(super) struct Emitter {
     pub builder: ProgramBuilder,
     pub spans: Vec<Span>,
-    /// Where what is written now comes from.
+    /// The span of the operations that come next.
     pub at: Span,
-    /// Ends of the task that stand behind the thread that jumps to them.
+    /// Aborts that are emitted behind the thread that jumps to them.
     aborts: Vec<(Label, String, Span)>,
 }
 
@@ -28,7 +28,7 @@ impl Emitter {
         ops.iter().for_each(|&op| self.op(op));
     }
 
-    /// Begins a statement that stands there.
+    /// Begins a statement with this span.
     pub fn statement(&mut self, at: Span) {
         self.at = at;
         self.op(Op::Statement);
@@ -57,14 +57,14 @@ impl Emitter {
         self.spans.push(self.at);
     }
 
-    /// Ends the task where the last statement ended so.
+    /// Ends the task if the last statement has one of these outcomes.
     pub fn abort_on(&mut self, outcomes: Outcomes, reason: String) {
         let label = self.label();
         self.on(outcomes, label);
         self.aborts.push((label, reason, self.at));
     }
 
-    /// Writes the ends of the task that this thread jumps to.
+    /// Emits the aborts to which this thread jumps.
     pub fn flush(&mut self) {
         for (label, reason, at) in std::mem::take(&mut self.aborts) {
             self.put(label);
@@ -74,7 +74,7 @@ impl Emitter {
         }
     }
 
-    /// A handler: what `body` writes, and its end.
+    /// Emits a handler: what `body` emits, and its end.
     pub fn handler(&mut self, trigger: Trigger, at: Span, body: impl FnOnce(&mut Self)) {
         self.at = at;
         let mut builder = std::mem::take(&mut self.builder);
@@ -88,7 +88,7 @@ impl Emitter {
         self.flush();
     }
 
-    /// The section of a take-over: what `body` writes, and the end of the task.
+    /// Emits the take-over: what `body` emits, and the end of the task.
     pub fn takeover(&mut self, at: Span, body: impl FnOnce(&mut Self)) {
         self.at = at;
         let mut builder = std::mem::take(&mut self.builder);

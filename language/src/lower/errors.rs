@@ -1,4 +1,4 @@
-//! What the table of a cell refuses, as diagnostics on the lines that say so.
+//! Turns the errors of a cell's table into diagnostics on the lines that cause them.
 
 use super::Unit;
 use crate::checks::least_time_out;
@@ -11,8 +11,8 @@ use crate::hir::{CoupleKind, Duration, Hir, Port};
 use crate::span::Span;
 use imrs_protocol::{CellError, PortId, Ticks};
 
-/// What [`CellTable::new`](imrs_protocol::CellTable::new) says of the lowered cell, where the file says it. `unit` is
-/// that of the cell.
+/// The diagnostics for the errors of [`CellTable::new`](imrs_protocol::CellTable::new) on a lowered cell. `unit` is the unit
+/// of that cell.
 #[must_use]
 pub fn table_errors(hir: &Hir, unit: Unit, errors: &[CellError]) -> Vec<Diagnostic> {
     errors.iter().map(|error| Mapping { hir, usec: unit.usec(hir) }.error(error)).collect()
@@ -85,7 +85,7 @@ impl Mapping<'_> {
 
     fn deadline(&self, name: &str, time_out: Ticks, least: Ticks, waitfor: bool) -> Diagnostic {
         let (has, needs) = (self.time(time_out), self.time(least));
-        // The end of the port that is the least patient.
+        // The end of the port with the shortest time_out.
         let own = self.port(name).and_then(|port| {
             let ends = port.users.iter().filter_map(|user| user.time_out).chain(port.time_out);
             ends.min_by_key(|length| length.usec)
@@ -99,7 +99,7 @@ impl Mapping<'_> {
                 format!("must exceed {needs}: the margin for lost packets, and the way"),
             )
         } else {
-            // Only in the ticks of the model: in microseconds the checks say it first, and more of it.
+            // This error comes only in ticks of the model: in microseconds the checks report it first, with more detail.
             (
                 format!("deadline cannot be met: `{name}` takes {needs}, its time_out is {has}"),
                 format!("must exceed {needs}: the links on its way, in ticks"),
@@ -161,7 +161,7 @@ impl Mapping<'_> {
             .help(format!("give it {needs}, or shorten the lease or the time_outs of what the couple orders"))
     }
 
-    /// `lease 100 msec + 200 msec of grab + 3 msec for the tick and the drift`, where these are its parts.
+    /// `lease 100 msec + 200 msec of grab + 3 msec for the tick and the drift`, if these parts are known.
     fn parts(&self, couple: &str, least: Ticks) -> String {
         let known = self.work(couple).and_then(|(span, _)| {
             let (at, lease) =
@@ -214,7 +214,7 @@ impl Mapping<'_> {
         task.map_or_else(|| self.whole(), |task| task.span)
     }
 
-    /// Where lease and take-over of a couple stand: it is called `a -> b`.
+    /// The spans of the lease and the take-over of a couple. Its name is `a -> b`.
     fn work(&self, name: &str) -> Option<(Span, Span)> {
         self.hir.couples.iter().find_map(|couple| match couple.kind {
             CoupleKind::Work { primary, standby, lease, takeover, .. } => {
@@ -230,13 +230,13 @@ impl Mapping<'_> {
         self.work(name).map_or_else(|| self.whole(), |(lease, takeover)| lease.to(takeover))
     }
 
-    /// The first thing that the file declares.
+    /// The span for errors about the whole cell: its `tick`.
     fn whole(&self) -> Span {
         self.hir.tick.map_or_else(Span::default, |tick| tick.span)
     }
 }
 
-/// The longer one: what the table needs and a tick, or what the checks find to be enough.
+/// The longer of two times: the table's least and a tick, or the least that all checks accept.
 fn needs_more(least: u64, enough: u64, hir: &Hir) -> u64 {
     let tick = hir.tick.map_or(1, |tick| tick.usec.max(1));
     enough.max(least.saturating_add(tick))

@@ -1,5 +1,5 @@
-//! From a resolved cell to what runs: declarations, task scripts and checks of [`imrs_protocol`], in microseconds for
-//! the runtime or in ticks for the model (D42).
+//! Lowering: turns a resolved cell into declarations, task scripts and checks of [`imrs_protocol`], in microseconds for the
+//! runtime or in ticks for the model (D42).
 
 mod actions;
 mod cell;
@@ -28,72 +28,72 @@ use units::Clock;
 pub struct Lowered {
     /// The declarations. Ids are those of the [`Hir`].
     pub cell: Cell,
-    /// In which unit all durations are.
+    /// The unit of all durations.
     pub unit: Unit,
-    /// What each task does, by `TaskId`.
+    /// The behaviour of each task, by `TaskId`.
     pub tasks: Vec<Behaviour>,
-    /// What the messages of each port hold, by `PortId`.
+    /// The formats of each port's messages, by `PortId`.
     pub formats: Vec<Formats>,
-    /// Where each node is, by `NodeId`.
+    /// The address of each node, by `NodeId`.
     pub addresses: Vec<Address>,
-    /// What may go wrong.
+    /// The fault hypotheses.
     pub faults: Vec<hir::Faults>,
-    /// What must hold.
+    /// The properties to check.
     pub checks: Vec<Check>,
-    /// What was rounded.
+    /// Notes about rounded durations.
     pub notes: Vec<Diagnostic>,
 }
 
-/// What the messages of a port hold.
+/// The formats of a port's messages.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Formats {
-    /// Its messages, or what is told at a `waitfor`; empty for the beats of a couple, whose layout is the machine's own.
+    /// Messages, or the values told at a `waitfor`. Empty for heartbeats, whose layout the protocol sets.
     pub message: Format,
-    /// Its answers.
+    /// Answers.
     pub answer: Format,
 }
 
-/// What a task does.
+/// The behaviour of a task.
 #[derive(Clone, Debug)]
 pub enum Behaviour {
-    /// It runs a script.
+    /// A script.
     Script(Box<Script>),
-    /// A Rust program says so, at most this often.
+    /// A Rust program, which acts at most this often.
     Extern(Option<Rate>),
 }
 
-/// A task's script and where it comes from.
+/// A task's script, with spans of its source.
 #[derive(Clone, Debug)]
 pub struct Script {
     /// The operations.
     pub program: Arc<Program>,
-    /// For each operation the statement that it belongs to.
+    /// The span of the statement for each operation.
     pub spans: Vec<Span>,
-    /// For each handler of the program, its head.
+    /// The span of the head for each handler of the program.
     pub handlers: Vec<Span>,
-    /// For each action of the program, what passes between it and the script.
+    /// The types and results of each action of the program.
     pub actions: Vec<Action>,
 }
 
-/// An action outside.
+/// An action of a robot or another machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Action {
     /// Its name.
     pub name: String,
-    /// What it is given.
+    /// The types of its arguments.
     pub arguments: Vec<Type>,
-    /// What it gives; nothing reads it where there is none.
+    /// The type of its result; none if nothing reads it.
     pub result: Option<Type>,
-    /// The least and the most that it gives.
+    /// The least and the greatest result.
     pub range: Option<(i64, i64)>,
-    /// Whether its result also goes elsewhere than into comparisons with constants: into a message, a sum, another variable.
+    /// Whether its result is also read outside of comparisons with constants: in a message, a sum, another variable.
     pub travels: bool,
-    /// Results that a checker should try: the ends of the range, and both sides of what the results are compared with; of
-    /// those that travel, of whatever the cell compares with.
+    /// Results that a checker should try: the ends of the range, and both sides of the constants that the result is compared
+    /// with. If the result travels, also both sides of every constant in the cell's comparisons.
     pub values: Vec<i64>,
 }
 
-/// Where a node is.
+/// The address of a node.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Address {
     /// Its host.
@@ -102,38 +102,38 @@ pub struct Address {
     pub port: Option<u16>,
 }
 
-/// What must hold.
+/// A property to check.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Check {
     /// Its name.
     pub name: String,
-    /// What.
+    /// Its kind and its terms.
     pub kind: CheckKind,
-    /// Where its name stands.
+    /// The span of its name.
     pub span: Span,
 }
 
-/// What must hold, as expressions that [`imrs_protocol::script::eval`] evaluates.
+/// A kind of property, in terms that [`imrs_protocol::script::eval`] evaluates.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CheckKind {
-    /// In every state.
+    /// True in every state.
     Always(Vec<Term>),
-    /// Whenever `when` is true, `then` is, then or within so much time.
+    /// Whenever `when` is true, `then` is true at the same time or within `within`.
     Leads {
-        /// The one.
+        /// The premise.
         when: Vec<Term>,
-        /// The other.
+        /// The consequence.
         then: Vec<Term>,
-        /// How long.
+        /// The time limit.
         within: Ticks,
     },
 }
 
-/// Turns a cell into what runs.
+/// Lowers a cell.
 ///
 /// # Errors
-/// What is too large for a script (E123), and E125 for a fault of the compiler itself. Nothing else is left to be wrong
-/// in a cell that was resolved without errors.
+/// E123 for a script that is too large, and E125 for a fault of the compiler itself. A cell that was resolved without errors
+/// has no other errors here.
 pub fn lower(hir: &Hir, unit: Unit) -> Result<Lowered, Vec<Diagnostic>> {
     let mut clock = Clock::new(hir, unit);
     let cell = cell::cell(hir, &mut clock);
@@ -185,7 +185,7 @@ fn check(check: &hir::Check, clock: &mut Clock) -> Check {
     Check { name: check.name.clone(), kind, span: check.span }
 }
 
-/// The terms of an expression that asks the communication task nothing.
+/// The terms of an expression that reads nothing from the communication task.
 fn terms(expr: &hir::Expr) -> Vec<Term> {
     let terms = expr.ops.iter().map(|op| match op {
         Op::Term(term) => Some(*term),

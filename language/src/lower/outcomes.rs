@@ -1,4 +1,4 @@
-//! What follows from how a statement ended.
+//! Emits what follows from the outcome of a statement: its branches, and the values to save.
 
 use super::task::Writer;
 use crate::ast::BranchKind;
@@ -7,11 +7,11 @@ use crate::resolve::after;
 use imrs_protocol::script::{Binary, Mark, Op, Outcomes, Slot, StatementOutcome, Term, Type};
 use imrs_protocol::{PortId, TaskId};
 
-/// A way in which a statement may end badly: its branch, and what is said where it has none.
+/// A bad end of a statement: the branch for it, and the reason for which the task ends without that branch.
 pub(super) struct Bad {
     branch: Option<BranchKind>,
     outcomes: Outcomes,
-    /// `None`: then the task goes on.
+    /// `None`: the task continues.
     word: Option<&'static str>,
 }
 
@@ -26,7 +26,7 @@ pub(super) const FAILED: Bad = Bad {
     outcomes: Outcomes::of(&[StatementOutcome::Failed, StatementOutcome::Fenced]),
     word: Some("failure of"),
 };
-/// An answer that comes too late ends nobody: its asker knows already.
+/// A reply that comes too late ends no task: the asker has given up already.
 pub(super) const TOO_LATE: Bad = Bad {
     branch: Some(BranchKind::Failed),
     outcomes: Outcomes::of(&[StatementOutcome::Unanswerable]),
@@ -34,7 +34,7 @@ pub(super) const TOO_LATE: Bad = Bad {
 };
 
 impl<'h> Writer<'h, '_> {
-    /// The branches of a statement; where it has none for a bad end, the task ends (D33, D45).
+    /// Emits the branches of a statement. A bad end without a branch ends the task (D33, D45).
     pub fn branches(&mut self, statement: &'h Statement, name: &str, ways: &[Bad]) {
         let taken: Vec<(&'h Branch, Outcomes)> = statement
             .branches
@@ -77,7 +77,7 @@ impl<'h> Writer<'h, '_> {
         }
     }
 
-    /// Keeps who answered and who refused, where something asks for it.
+    /// Saves who answered and who refused, if an expression reads it.
     pub fn keep_answers(&mut self, port: PortId, asked: &[TaskId]) {
         for capture in self.captures {
             let (task, mark, alone) = match capture.what {
@@ -100,7 +100,7 @@ impl<'h> Writer<'h, '_> {
                     self.emit.ops(&[Op::Outcome, push(alone as i64), int(Binary::Equal)]);
                 }
                 several if !several.contains(&task) || bit == 0 => self.emit.op(push(0)),
-                // The last bit is the sign.
+                // The highest bit is the sign bit.
                 _ if bit < 0 => self.emit.ops(&[Op::Mark(mark), push(0), int(Binary::Less)]),
                 _ => self.emit.ops(&[
                     Op::Mark(mark),
@@ -116,8 +116,8 @@ impl<'h> Writer<'h, '_> {
         }
     }
 
-    /// Keeps what members told at a waitfor, or what those who were `asked` answered, where something asks for it. What is
-    /// not known is zero.
+    /// Saves what members brought to a waitfor, or what the `asked` tasks answered, if an expression reads it. An unknown
+    /// value is zero.
     pub fn keep_told(&mut self, port: PortId, asked: Option<&[TaskId]>) {
         let declared = &self.hir.ports[port.index()];
         let fields = if asked.is_some() { &declared.answer } else { &declared.message };

@@ -1,12 +1,12 @@
-//! `on silence p d when e`: a timer that runs while `e` is true, and anew from each message of `p`. So a task that
-//! waits for nothing has no timer running.
+//! Lowers `on silence p d when e` to a timer that runs while `e` is true, and that each message of `p` restarts. So an idle
+//! task has no running timer.
 
 use super::emit::Emitter;
 use crate::hir::{Expr, Task, Trigger};
 use imrs_protocol::script::{Op, Slot, Term, Type, eval};
 use imrs_protocol::{PortId, Ticks, TimeId};
 
-/// A silence that the task waits for.
+/// A silence that a handler waits for.
 pub(super) struct Silence {
     pub port: PortId,
     pub timer: TimeId,
@@ -14,12 +14,12 @@ pub(super) struct Silence {
     pub when: Option<Expr>,
     /// The task's variables in `when`.
     watched: Vec<Slot>,
-    /// Where `when` is kept while several of them are looked at together.
+    /// The variable that saves `when` if one store can change several silences.
     kept: Option<Slot>,
 }
 
 impl Silence {
-    /// The silences of a task; `length` gives their durations.
+    /// The silences of a task; `length` converts their durations.
     pub fn all(task: &Task, mut length: impl FnMut(crate::hir::Duration) -> Ticks) -> Vec<Self> {
         let mut silences = Vec::new();
         for handler in &task.handlers {
@@ -39,7 +39,7 @@ impl Silence {
         emit.op(Op::Start { timer: self.timer, length: self.length });
     }
 
-    /// Starts it where `when` is true now.
+    /// Starts the timer if `when` is true now.
     pub fn restart(&self, emit: &mut Emitter) {
         let Some(when) = &self.when else { return self.start(emit) };
         let on = emit.label();
@@ -49,7 +49,7 @@ impl Silence {
         emit.put(on);
     }
 
-    /// Starts it at the beginning of the task, when all variables are zero.
+    /// Starts the timer at the beginning of the task, when all variables are zero, if `when` is true then.
     pub fn begin(&self, emit: &mut Emitter) {
         let holds = self.when.as_ref().is_none_or(|when| {
             let terms: Vec<Term> = super::terms(when);
@@ -60,7 +60,7 @@ impl Silence {
         }
     }
 
-    /// Starts or stops it where `when` is no more what it was; what it was is on top of the operands.
+    /// Starts or stops the timer if the value of `when` has changed. The old value is on top of the stack.
     fn changed(&self, emit: &mut Emitter) {
         let Some(when) = &self.when else { return };
         let (was_false, on) = (emit.label(), emit.label());
@@ -80,7 +80,7 @@ impl Silence {
     }
 }
 
-/// Gives each silence a place to keep its condition, where one variable may change several of them.
+/// Gives each silence a variable for its condition if one store can change several silences.
 pub(super) fn keep(silences: &mut [Silence], emit: &mut Emitter) {
     let with_condition = silences.iter().filter(|silence| !silence.watched.is_empty()).count();
     if with_condition < 2 {
@@ -91,7 +91,7 @@ pub(super) fn keep(silences: &mut [Silence], emit: &mut Emitter) {
     }
 }
 
-/// Writes what stores into these variables, and what follows from it for the silences.
+/// Emits `write`, which stores into these variables, and starts or stops the silences that depend on them.
 pub(super) fn store(
     silences: &[Silence],
     emit: &mut Emitter,

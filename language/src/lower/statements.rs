@@ -1,4 +1,4 @@
-//! Operations of statements.
+//! Lowers statements to operations.
 
 use super::outcomes::{Bad, FAILED, FENCED, REFUSED, TIMED_OUT, TOO_LATE};
 use super::silence;
@@ -14,7 +14,7 @@ use imrs_protocol::{Class, PortId, Ranked, ServiceOrder, Target, TaskId, Ticks};
 impl<'h> Writer<'h, '_> {
     pub fn statements(&mut self, statements: &'h [Statement]) {
         for statement in statements {
-            // A `while` begins anew each time, and the builder begins an `order`.
+            // A `while` begins its statement anew in each turn, and the builder begins that of an `order`.
             if !matches!(statement.kind, StatementKind::While(..) | StatementKind::Order(_)) {
                 self.emit.statement(statement.span);
             }
@@ -160,7 +160,7 @@ impl<'h> Writer<'h, '_> {
         self.loops.pop();
     }
 
-    /// The silence of a port ranks just behind the port (D86).
+    /// Emits an `order`. The silence of a port ranks just behind the port (D86).
     fn order(&mut self, named: &[Ranked]) {
         let mut ranked = Vec::new();
         for &level in named {
@@ -217,7 +217,7 @@ impl<'h> Writer<'h, '_> {
         self.branches(statement, &declared.name, &ways);
     }
 
-    /// The parties of a port, bit by bit.
+    /// The parties of a port as a bit mask.
     fn mask(&mut self, port: PortId, tasks: &[TaskId]) -> u64 {
         let mut mask = 0;
         for &task in tasks {
@@ -250,7 +250,8 @@ impl<'h> Writer<'h, '_> {
         self.branches(statement, name, limited);
     }
 
-    /// Reads what came, if something came; of a message also from whom, and what it ends.
+    /// Unpacks the answer or message, if one came. For a message, also saves its source and restarts the silences of its
+    /// port.
     fn unpack(&mut self, format: u16, into: &[Destination], received: Option<Option<PortId>>) {
         let keeps = |capture: &crate::hir::Capture| {
             matches!(capture.what, Captured::Sender | Captured::Received | Captured::Ticket)
@@ -312,7 +313,7 @@ impl<'h> Writer<'h, '_> {
         self.branches(statement, "reply", &[TOO_LATE]);
     }
 
-    /// Where the result of an action goes.
+    /// Stores the result of an action.
     fn result(&mut self, into: Option<Destination>) {
         self.keep_outcome();
         let Some(to) = into else { return };
@@ -323,7 +324,7 @@ impl<'h> Writer<'h, '_> {
         self.store(&[to], |writer| {
             writer.emit.op(Op::Value);
             if to.of == Type::Real {
-                // Its bits, without their sign.
+                // The bits as an unsigned number.
                 let beyond = i64::from(u32::MAX) + 1;
                 for term in [
                     Term::Push(beyond),
@@ -343,7 +344,7 @@ impl<'h> Writer<'h, '_> {
         values.iter().for_each(|value| self.emit.ops(&value.ops));
     }
 
-    /// Writes what stores into these variables, and what follows from it for the silences.
+    /// Emits `write`, which stores into these variables, and starts or stops the silences that depend on them.
     fn store(&mut self, into: &[Destination], write: impl FnOnce(&mut Self)) {
         let slots: Vec<Slot> = into.iter().map(|to| to.slot).collect();
         let silences = std::mem::take(&mut self.silences);

@@ -1,4 +1,4 @@
-//! A task's script: its body, its take-over and its handlers.
+//! Lowers a task to its script: body, take-over and handlers.
 
 use super::Script;
 use super::actions::Uses;
@@ -12,7 +12,7 @@ use imrs_protocol::TaskId;
 use imrs_protocol::script::{self, Address, Label, Op, ProgramError, Slot};
 use std::sync::Arc;
 
-/// Writes the script of one task.
+/// Emits the script of one task.
 pub(super) struct Writer<'h, 'c> {
     pub hir: &'h Hir,
     pub id: TaskId,
@@ -20,12 +20,12 @@ pub(super) struct Writer<'h, 'c> {
     pub clock: &'c mut Clock,
     pub emit: Emitter,
     pub silences: Vec<Silence>,
-    /// What the thread that is written keeps.
+    /// The values that the current thread saves.
     pub captures: &'h [Capture],
     pub uses: Uses,
     /// How many atomic sections are open.
     pub atomic: usize,
-    /// Where `exit` goes, and how many atomic sections are open there.
+    /// For each loop, the label behind it and how many atomic sections are open there.
     pub loops: Vec<(Label, usize)>,
     pub errors: Vec<Diagnostic>,
 }
@@ -56,7 +56,7 @@ pub(super) fn script(hir: &Hir, id: TaskId, clock: &mut Clock) -> Result<Script,
 
 impl<'h> Writer<'h, '_> {
     fn body(&mut self) {
-        // An order in front counts from the first moment on, also while the task waits for its lease.
+        // An `order` at the beginning counts from the start on, also while the task waits for its lease.
         let is_order = |statement: &&Statement| matches!(statement.kind, StatementKind::Order(_));
         let orders = self.task.body.iter().take_while(is_order).count();
         let (orders, rest) = self.task.body.split_at(orders);
@@ -77,7 +77,7 @@ impl<'h> Writer<'h, '_> {
         self.emit.flush();
     }
 
-    /// A task of handlers alone is there for them: it waits in a plain `receive`, in which each of them may come.
+    /// Emits an endless plain `receive` for a task that has only handlers. Each of them may interrupt it.
     fn serve(&mut self) {
         let top = self.emit.label();
         self.emit.put(top);
@@ -86,7 +86,7 @@ impl<'h> Writer<'h, '_> {
         self.emit.jump(top);
     }
 
-    /// Whether the task acts under a lease from its beginning on (D61).
+    /// Whether the task needs a lease from its beginning on (D61).
     fn is_primary(&self) -> bool {
         self.hir.couples.iter().any(|couple| match couple.kind {
             CoupleKind::Work { primary, .. } => primary == self.id,
@@ -103,7 +103,7 @@ impl<'h> Writer<'h, '_> {
         });
     }
 
-    /// Has the emitter call back into this writer.
+    /// Emits the take-over, with this writer as the source of its operations.
     fn within(&mut self, write: impl FnOnce(&mut Self)) {
         let at = self.task.span;
         let mut emit = std::mem::replace(&mut self.emit, Emitter::new(""));
@@ -153,14 +153,14 @@ impl<'h> Writer<'h, '_> {
         }
     }
 
-    /// Starts these silences anew, where they are waited for.
+    /// Restarts the timers of these silences, if their conditions hold.
     pub fn restart(&mut self, which: impl Fn(&Silence) -> bool) {
         let silences = std::mem::take(&mut self.silences);
         silences.iter().filter(|silence| which(silence)).for_each(|silence| silence.restart(&mut self.emit));
         self.silences = silences;
     }
 
-    /// Keeps from whom and through which port a message came, where something asks for it.
+    /// Saves the sender, the port and the number of a message, if an expression reads them.
     pub fn keep_source(&mut self) {
         for capture in self.captures {
             let op = match capture.what {

@@ -1,4 +1,4 @@
-//! Durations of a cell in the unit of who reads them.
+//! Converts durations into the unit of the runtime or of the model.
 
 use crate::codes::ROUNDED;
 use crate::diagnostic::Diagnostic;
@@ -8,15 +8,15 @@ use imrs_protocol::Ticks;
 /// The unit of all durations.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Unit {
-    /// Of the runtime.
+    /// Microseconds, for the runtime.
     Microseconds,
-    /// Of the model: the cell's `tick`. What must come in time is rounded down to it, what may take time is rounded up
-    /// (D42). The `model tick` rounds nothing: it says which times between the ends of an interval are looked at.
+    /// The cell's `tick`, for the model. A limit is rounded down to it, a time that may pass is rounded up (D42). The
+    /// `model tick` rounds nothing: it sets which durations between the ends of an interval the checker tries (D133).
     Ticks,
 }
 
 impl Unit {
-    /// How many microseconds one is.
+    /// How many microseconds a unit has.
     #[must_use]
     pub fn usec(self, hir: &Hir) -> u64 {
         match self {
@@ -26,7 +26,7 @@ impl Unit {
     }
 }
 
-/// Turns durations into ticks, and notes what it rounded.
+/// Converts durations into ticks, and notes those that it rounded.
 pub(super) struct Clock {
     /// Microseconds per tick.
     tick: u64,
@@ -49,26 +49,26 @@ impl Clock {
         }
     }
 
-    /// What must be over in time: rounded down, but not to nothing.
+    /// A limit: rounded down, but not to zero.
     pub fn time_out(&mut self, length: Duration) -> Ticks {
         let ticks = (length.usec / self.tick).max(u64::from(length.usec > 0));
         self.note(length, ticks);
         Ticks(ticks)
     }
 
-    /// What passes at most: rounded up.
+    /// A time that may pass: rounded up.
     pub fn bound(&mut self, length: Duration) -> Ticks {
         let ticks = length.usec.div_ceil(self.tick);
         self.note(length, ticks);
         Ticks(ticks)
     }
 
-    /// How often something comes: rounded down, so that it comes no less often.
+    /// A period: rounded down, so that events do not become rarer.
     pub fn period(&mut self, length: Duration) -> Ticks {
         self.time_out(length)
     }
 
-    /// How long an action takes: outward.
+    /// The duration of an action: the least rounded down, the most rounded up.
     pub fn takes(&mut self, (least, most): (Duration, Duration)) -> (Ticks, Ticks) {
         let ticks = least.usec / self.tick;
         self.note(least, ticks);

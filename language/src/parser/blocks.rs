@@ -1,17 +1,18 @@
-//! Statements: the blocks among them, and the lines in these.
+//! Parses statements: their blocks, and the lines inside of the blocks.
 
-use super::failure::unexpected;
+use super::failure::{clip, unexpected};
 use super::{Context, Driver, Opener, limits};
 use crate::ast::{Branch, Handler, Statement, StatementKind, TaskDecl};
-use crate::codes::{LIMIT, MISPLACED, MISSPELT, STRAY_END, UNEXPECTED};
+use crate::codes::{LIMIT, MISPLACED, STRAY_END, UNEXPECTED};
 use crate::diagnostic::Diagnostic;
+use crate::foreign;
 use crate::lexer::Kind;
 use crate::parser::lines::Line;
 use crate::span::Span;
 use crate::words::Word;
 
 impl<'t> Driver<'t> {
-    /// Handlers and statements of a task, and its `takeover`.
+    /// The handlers and statements of a task, and its `takeover`.
     pub(super) fn task_body(&mut self, task: &mut TaskDecl) {
         let mut takeover: Option<Vec<Statement>> = None;
         loop {
@@ -45,14 +46,14 @@ impl<'t> Driver<'t> {
         task.takeover = takeover;
     }
 
-    /// Whether the `end` here is neither the task's, nor what should have been it.
+    /// Whether the `end` here closes nothing: neither a name, a declaration nor the end of the file follows.
     fn is_stray_end(&self) -> bool {
         let behind = if self.kind(self.at + 1) == Some(Kind::Semicolon) { self.at + 2 } else { self.at + 1 };
         !self.is_name(self.at + 1) && behind < self.tokens.len() && !self.is_declaration(behind)
     }
 
-    /// Statements up to a word that ends them: `end`, `else`, `takeover`, or what cannot stand in a task. Handlers are
-    /// among them where there is a list for them.
+    /// Statements up to a word that ends them: `end`, `else`, `takeover`, or a word that cannot stand in a task. Handlers go
+    /// into `handlers`; they are misplaced where there is none.
     fn statements(&mut self, into: &mut Vec<Statement>, mut handlers: Option<&mut Vec<Handler>>) {
         while let Some(kind) = self.kind(self.at) {
             if self.report.is_enough() {
@@ -95,7 +96,7 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// `on` at the beginning of a statement: a handler, or a branch of the statement in front, whose `;` is wrong.
+    /// Parses `on` at the beginning of a statement: a handler, or a branch that a wrong `;` separates from its statement.
     fn on(&mut self, into: &mut [Statement], handlers: &mut Option<&mut Vec<Handler>>) {
         if matches!(self.word(self.at + 1), Some(Word::TimeOut | Word::Refused | Word::Failed)) {
             let branch = self.source.slice(self.span(self.at).to(self.span(self.at + 1)));
@@ -178,7 +179,7 @@ impl<'t> Driver<'t> {
         self.at = self.at.max(from + 1);
     }
 
-    /// A statement of one line, and its branches.
+    /// A statement of one line, with its branches.
     fn simple(&mut self, line: fn(&Self) -> &Line<'t, StatementKind>, into: &mut Vec<Statement>) {
         let from = self.at;
         let to = self.reach(from + 1, Context::Body);
@@ -207,7 +208,7 @@ impl<'t> Driver<'t> {
         into.extend(statement);
     }
 
-    /// Skips an `end` too many between two branches of a statement.
+    /// Skips a superfluous `end` between two branches of a statement.
     fn skips_end(&mut self) -> bool {
         let stray = self.word(self.at) == Some(Word::End)
             && self.word(self.at + 1) == Some(Word::On)
@@ -219,7 +220,7 @@ impl<'t> Driver<'t> {
         stray
     }
 
-    /// Whether a branch of a statement begins here: `on time_out`, also without its `on`.
+    /// Whether a branch of a statement begins here: `on time_out`, or `time_out do` without its `on`.
     fn is_branch(&self, index: usize) -> bool {
         let of_branch = matches!(self.word(index), Some(Word::TimeOut | Word::Refused | Word::Failed));
         self.word(index) == Some(Word::On) && !self.is_handler(index)
@@ -237,7 +238,7 @@ impl<'t> Driver<'t> {
     fn branch(&mut self) -> Option<Branch> {
         let from = self.at;
         if self.word(from) != Some(Word::On) {
-            // Without its `on`, or behind a line that could not be read.
+            // The `on` is missing, or the line in front could not be parsed.
             if self.word(from) != Some(Word::Do) {
                 self.unexpected(UNEXPECTED, "write `on` in front of it", |found| {
                     format!("expected `on` or `;`, found {}", found.describe())
@@ -258,14 +259,14 @@ impl<'t> Driver<'t> {
         when.map(|when| Branch { when, body, span })
     }
 
-    /// A line that begins with a name that is no word. What it opens is read, and forgotten.
+    /// A line that begins with an unknown word. A block that it opens is parsed and dropped.
     fn unknown_statement(&mut self) {
         let from = self.at;
         let name = self.text(from);
-        let calls = self.kind(from + 1) == Some(Kind::ParenOpen);
+        let follows = self.kind(from + 1);
         let (span, known) = (self.span(from), self.is_faulty(from, from + 1));
         if !known {
-            self.report.push(|| unknown_statement(name, span, calls));
+            self.report.push(|| foreign::unknown_statement(name, &clip(name), span, follows));
         }
         self.at = self.reach(from + 1, Context::Body);
         match self.word(self.at) {
@@ -283,7 +284,7 @@ impl<'t> Driver<'t> {
         self.lose(from, self.at);
     }
 
-    /// Goes on behind the `;` of a line that is of no use.
+    /// Skips an unusable line, with its `;`, `then` or `do`.
     fn skip_line(&mut self, from: usize) {
         self.at = self.reach(from, Context::Body);
         self.lose(from.saturating_sub(1), self.at);
@@ -330,7 +331,7 @@ impl<'t> Driver<'t> {
         self.finish(readable.then_some(StatementKind::If { arms, otherwise }), span, into);
     }
 
-    /// The branches and the `;` of a statement that is a block.
+    /// The `;` behind a block statement. Adds the statement, or records its span as lost.
     fn finish(&mut self, kind: Option<StatementKind>, span: Span, into: &mut Vec<Statement>) {
         self.semicolon_of_end();
         if kind.is_none() {
@@ -340,7 +341,7 @@ impl<'t> Driver<'t> {
         into.extend(kind.map(|kind| Statement { kind, branches: Vec::new(), span }));
     }
 
-    /// The statements of a block and its `end`.
+    /// The statements of a block, and its `end`.
     fn block(&mut self, opener: Opener) -> Vec<Statement> {
         let body = self.open_block(opener);
         self.block_end(opener);
@@ -351,7 +352,7 @@ impl<'t> Driver<'t> {
     fn open_block(&mut self, opener: Opener) -> Vec<Statement> {
         let mut body = Vec::new();
         if self.open.len() > limits::DEEPEST {
-            // Where `do` is missing often enough, the count of the words was too low.
+            // The limit check counts openers, so missing `do`s can hide how deep the blocks are.
             self.report.push(|| {
                 Diagnostic::error(LIMIT, opener.span, "too many blocks are nested here")
                     .help("split the task, or close the blocks above")
@@ -396,9 +397,9 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// What stands between a block's first word and its `then` or `do`, which is skipped, too.
+    /// Parses a head: the part between a block's first keyword and its `then` or `do`. Skips that word, too.
     fn head<O>(&mut self, line: fn(&Self) -> &Line<'t, O>, from: usize, then: Word) -> Option<O> {
-        // The word behind `on` may be that of a statement: `on query`.
+        // The word behind `on` may be the keyword of a statement: `on query`.
         let scan = if self.word(from - 1) == Some(Word::On) && self.kind(from) != Some(Kind::Semicolon) {
             from + 1
         } else {
@@ -419,23 +420,10 @@ impl<'t> Driver<'t> {
         read.output
     }
 
-    /// From the first word of a head to the word in front of its `then` or `do`.
+    /// The span from the first word of a head to the word in front of its `then` or `do`.
     fn head_span(&self, from: usize, then: Word) -> Span {
         let last = self.at.saturating_sub(1).max(from);
         let last = if self.word(last) == Some(then) { last.saturating_sub(1).max(from) } else { last };
         self.span(from).to(self.span(last))
-    }
-}
-
-fn unknown_statement(name: &str, span: Span, calls: bool) -> Diagnostic {
-    let shown = super::failure::clip(name);
-    let found = Diagnostic::error(MISSPELT, span, format!("`{shown}` begins no statement"));
-    match name.to_ascii_lowercase().as_str() {
-        "for" | "repeat" => found.help("loops are written `loop ... end;` and `while ... do ... end;`"),
-        "case" => found.help("choices are written `if ... then ... elsif ... else ... end;`"),
-        "return" | "break" => found.help("`exit;` leaves a loop"),
-        "print" | "log" => found.help("what a task does beside its messages is an action: `run`"),
-        _ if calls => found.help(format!("an action is carried out by `run {shown}`")),
-        _ => found.help("a statement begins with a word like `send`, or is `variable := value`"),
     }
 }

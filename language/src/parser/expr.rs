@@ -11,16 +11,16 @@ use crate::words::Word;
 use chumsky::prelude::*;
 use imrs_protocol::script::Binary;
 
-/// A part of the grammar.
+/// A parser for a part of the grammar.
 pub(super) trait Part<'t, O>: Parser<'t, Tokens<'t>, O, Extra> + Clone + 't {}
 impl<'t, O, P: Parser<'t, Tokens<'t>, O, Extra> + Clone + 't> Part<'t, O> for P {}
 
-/// This word.
+/// The keyword `word`.
 pub(super) fn word<'t>(word: Word) -> impl Part<'t, Span> {
     just(Kind::Word(word)).map_with(|_, extra| extra.span())
 }
 
-/// This sign.
+/// The token `kind`.
 pub(super) fn sign<'t>(kind: Kind) -> impl Part<'t, Span> {
     just(kind).map_with(|_, extra| extra.span())
 }
@@ -40,7 +40,7 @@ pub(super) fn name<'t>(text: &'t str) -> impl Part<'t, Name> {
         .labelled(NAME)
 }
 
-/// What has a rank: a name, `self`, or `timer` for all timers of the task.
+/// An entry of an `order`: a name, `self`, or `timer` for all timers of the task.
 pub(super) fn name_or_self<'t>(text: &'t str) -> impl Part<'t, Name> {
     let myself = word(Word::Myself).map(|span| Name { text: "self".to_owned(), span });
     let timers = word(Word::Timer).map(|span| Name { text: "timer".to_owned(), span });
@@ -61,7 +61,7 @@ pub(super) fn number<'t>(text: &'t str) -> impl Part<'t, Number> {
         .labelled("a number")
 }
 
-/// Without the `_` between groups of digits.
+/// Removes the `_` between groups of digits.
 fn digits(text: &str) -> String {
     text.replace('_', "")
 }
@@ -72,12 +72,12 @@ fn too_large(span: Span, most: u64) -> Failure {
     Failure::Said(Box::new(found))
 }
 
-/// A number and where it stands, in front of a unit or not.
+/// The span of a number, with a fraction or not.
 fn amount<'t>() -> impl Part<'t, Span> {
     choice((sign(Kind::Int), sign(Kind::Real))).labelled("a number")
 }
 
-/// A unit of time, in microseconds.
+/// A unit of time, as its length in microseconds.
 fn unit<'t>(text: &'t str) -> impl Part<'t, u64> {
     let known = choice(Word::UNITS.iter().map(|(unit, usec)| word(*unit).to(*usec)).collect::<Vec<_>>());
     let unknown = just(Kind::Name).validate(move |_, extra, emitter| {
@@ -132,7 +132,7 @@ pub(super) fn durations<'t>(text: &'t str) -> impl Part<'t, (Duration, Duration)
     })
 }
 
-/// So many microseconds.
+/// The duration of `number` times `unit` microseconds.
 fn length(number: &str, unit: u64, span: Span) -> Result<Duration, Box<Diagnostic>> {
     let number = digits(number);
     let wrong = |message: &str| Diagnostic::error(NUMBER, span, message);
@@ -145,7 +145,7 @@ fn length(number: &str, unit: u64, span: Span) -> Result<Duration, Box<Diagnosti
         let usec = whole.checked_mul(unit).ok_or_else(too_long)?;
         return Ok(Duration { usec, span });
     }
-    // 2^53 microseconds are 285 years: below, a double is exact.
+    // Below 2^53 microseconds, 285 years, a double is exact.
     let usec = number.parse::<f64>().unwrap_or(f64::INFINITY) * unit as f64;
     if usec >= (1_u64 << 53) as f64 {
         return Err(too_long());
@@ -162,7 +162,7 @@ pub(super) fn rate<'t>(text: &'t str) -> impl Part<'t, Rate> {
     number(text).then_ignore(just(Kind::Slash)).then(duration(text)).map(|(count, per)| Rate { count, per })
 }
 
-/// A text between quotes, without them.
+/// A text in quotes, without the quotes.
 pub(super) fn text<'t>(text: &'t str) -> impl Part<'t, (String, Span)> {
     just(Kind::Text)
         .map_with(move |_, extra| {
@@ -212,7 +212,7 @@ pub(super) fn expr<'t>(text: &'t str) -> impl Part<'t, Expr> {
     })
 }
 
-/// `a + b + c`, from the left.
+/// A left-associative chain: `a + b + c`.
 fn chain<'t>(of: impl Part<'t, Expr>, operator: impl Part<'t, Binary>) -> impl Part<'t, Expr> {
     let more = operator.labelled("an operator").then(of.clone()).repeated();
     of.foldl(more, binary_of)
@@ -223,7 +223,7 @@ fn binary_of(left: Expr, (operator, right): (Binary, Expr)) -> Expr {
     Expr { kind: ExprKind::Binary(operator, Box::new(left), Box::new(right)), span }
 }
 
-/// At most one comparison, and whether there is one.
+/// A sum or a comparison of two sums, and whether it is a comparison.
 fn comparison<'t>(sum: impl Part<'t, Expr>) -> impl Part<'t, (Expr, bool)> {
     let operator = choice((
         just(Kind::Equal).to(Binary::Equal),
@@ -240,7 +240,7 @@ fn comparison<'t>(sum: impl Part<'t, Expr>) -> impl Part<'t, (Expr, bool)> {
     })
 }
 
-/// `not not a`. Of `not a = b` Structured Text and RAPID make different things, so it wants parentheses.
+/// `not not a`. Structured Text and RAPID disagree about `not a = b`, so it needs parentheses.
 fn negated<'t>(of: impl Part<'t, (Expr, bool)>) -> impl Part<'t, Expr> {
     let nots = word(Word::Not).repeated().collect::<Vec<_>>();
     nots.then(of).validate(|(nots, (of, compares)), _, emitter| {
@@ -273,7 +273,7 @@ fn literal<'t>(text: &'t str) -> impl Part<'t, Expr> {
         let number = digits(&text[span.range()]);
         if !number.parse::<f32>().is_ok_and(f32::is_finite) {
             let found = Diagnostic::error(NUMBER, span, "this number is too large for a `real`")
-                .help("write a number below 1e308");
+                .help("write a smaller number: at most 3.4e38");
             emitter.emit(Failure::Said(Box::new(found)));
         }
         Expr { kind: ExprKind::Real(number), span }

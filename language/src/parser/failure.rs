@@ -1,4 +1,4 @@
-//! What the grammar could not read, and what is said about it.
+//! What the grammar could not parse, and the diagnostics for it.
 
 use super::Tokens;
 use crate::codes::{MISSPELT, OPERATOR, RESERVED, SEMICOLON, UNEXPECTED};
@@ -10,28 +10,28 @@ use chumsky::DefaultExpected;
 use chumsky::error::{Error, LabelError};
 use chumsky::util::MaybeRef;
 
-/// What might have stood there.
+/// An alternative that the grammar would have accepted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Expected {
     Token(Kind),
-    /// In words.
+    /// A part of the grammar, in words.
     Label(&'static str),
-    /// The end of the part of a line that was to be read.
+    /// The end of the part of a line that is parsed.
     End,
 }
 
-/// Why a part of a line cannot be read.
+/// Why a part of a line was not accepted.
 #[derive(Clone, Debug)]
 pub(super) enum Failure {
     Unexpected {
         span: Span,
         expected: Vec<Expected>,
     },
-    /// Read, but wrong.
+    /// It was parsed, but is wrong.
     Said(Box<Diagnostic>),
 }
 
-/// A label of the grammar that messages treat in a way of their own.
+/// A label of the grammar that diagnostics treat specially.
 pub(super) const NAME: &str = "a name";
 /// Likewise.
 pub(super) const TYPE: &str = "a type";
@@ -91,22 +91,22 @@ impl<'t> LabelError<'t, Tokens<'t>, &'static str> for Failure {
     }
 }
 
-/// What stands where a failure is.
+/// The token at a failure.
 pub(super) struct Found<'t> {
-    /// The token, unless the file ends there.
+    /// Its kind; none at the end of the file.
     pub kind: Option<Kind>,
     /// Its text.
     pub text: &'t str,
-    /// Where it stands.
+    /// Its span.
     pub span: Span,
-    /// Where the token in front of it ends.
+    /// The span of the token in front of it.
     pub after: Span,
-    /// Whether it is the first one of its line.
+    /// Whether it is the first token of its line.
     pub first_of_line: bool,
 }
 
 impl Found<'_> {
-    /// As a message names it.
+    /// How a diagnostic names it.
     pub(super) fn describe(&self) -> String {
         match self.kind {
             None => "the end of the file".to_owned(),
@@ -118,7 +118,7 @@ impl Found<'_> {
     }
 }
 
-/// A text short enough for a message.
+/// Shortens a text for a diagnostic.
 pub(super) fn clip(text: &str) -> String {
     if text.chars().count() <= 40 {
         return text.to_owned();
@@ -126,7 +126,7 @@ pub(super) fn clip(text: &str) -> String {
     text.chars().take(37).chain("...".chars()).collect()
 }
 
-/// Says that something else was expected. `end` is what would have ended the part that was read: `;`, `then`.
+/// The diagnostic for an unexpected token. `end` is the token that would have ended the parsed part: `;`, `then`.
 pub(super) fn unexpected(expected: &[Expected], found: &Found<'_>, end: &str) -> Diagnostic {
     if found.kind == Some(Kind::Equal) && expected.contains(&Expected::Token(Kind::Assign)) {
         return Diagnostic::error(OPERATOR, found.span, "a value is assigned by `:=`").help("write `:=`");
@@ -161,12 +161,12 @@ pub(super) fn unexpected(expected: &[Expected], found: &Found<'_>, end: &str) ->
     diagnostic.label(format!("expected {wanted}")).help(help)
 }
 
-/// Whether a name might have stood there.
+/// Whether a name would have been accepted.
 pub(super) fn wants_name(expected: &[Expected]) -> bool {
     expected.iter().any(|one| matches!(one, Expected::Label(NAME | TYPE)))
 }
 
-/// Says that a semicolon is missing behind the token in front.
+/// The diagnostic for a missing semicolon behind the token in front.
 pub(super) fn missing_semicolon(found: &Found<'_>) -> Diagnostic {
     let at = Span { start: found.after.end.saturating_sub(1).max(found.after.start), end: found.after.end };
     Diagnostic::error(SEMICOLON, at, format!("expected `;`, found {}", found.describe()))
@@ -174,13 +174,13 @@ pub(super) fn missing_semicolon(found: &Found<'_>) -> Diagnostic {
         .help("write `;` behind it")
 }
 
-/// Says which word was probably meant.
+/// The diagnostic for a misspelt keyword.
 pub(super) fn misspelt(span: Span, text: &str, word: Word) -> Diagnostic {
     Diagnostic::error(MISSPELT, span, format!("`{}` is not known here", clip(text)))
         .help(format!("did you mean `{}`?", word.text()))
 }
 
-/// Says that a name is none.
+/// The diagnostic for a reserved keyword in place of a name.
 pub(super) fn reserved(span: Span, text: &str) -> Diagnostic {
     let message = format!("`{text}` is a word of the language: choose another name");
     Diagnostic::error(RESERVED, span, message)
@@ -188,7 +188,7 @@ pub(super) fn reserved(span: Span, text: &str) -> Diagnostic {
         .help(format!("write another name, such as `{text}_1`"))
 }
 
-/// The option, or the word that may stand here, that was probably meant.
+/// The option or other keyword that was probably meant.
 fn near_option(expected: &[Expected], found: &Found<'_>) -> Option<Word> {
     if found.kind != Some(Kind::Name) {
         return None;
@@ -216,13 +216,13 @@ fn near_option(expected: &[Expected], found: &Found<'_>) -> Option<Word> {
     Word::near(found.text, &words)
 }
 
-/// At most so many alternatives are named.
+/// How many alternatives a diagnostic names at most.
 const ALTERNATIVES: usize = 4;
 
 fn in_words(expected: &[Expected], end: &str) -> String {
     let mut words: Vec<String> = Vec::new();
     let mut sorted = expected.to_vec();
-    // What ends the line is the likeliest, then the kinds of things, then single signs.
+    // The end of the line is the likeliest, then parts of the grammar, then single tokens.
     sorted.sort_by_key(|one| match one {
         Expected::End => 0,
         Expected::Label(_) => 1,

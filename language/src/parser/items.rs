@@ -1,4 +1,4 @@
-//! The file, its types and tasks: what has blocks.
+//! Parses the file, its types and its tasks: the declarations with blocks.
 
 use super::failure::{missing_semicolon, reserved};
 use super::lines::TaskHead;
@@ -6,11 +6,12 @@ use super::{Context, Driver, Opener};
 use crate::ast::{Field, File, Item, Name, PortDecl, PortOption, TaskDecl, TypeDecl};
 use crate::codes::{MISPLACED, MISSPELT, STRAY_END, UNCLOSED_BLOCK, UNEXPECTED};
 use crate::diagnostic::Diagnostic;
+use crate::foreign;
 use crate::lexer::Kind;
 use crate::span::Span;
 use crate::words::Word;
 
-/// So many tokens of a task's head are looked through for its `begin`.
+/// In how many tokens of a task's head its `begin` is searched for.
 const LONGEST_HEAD: usize = 2000;
 
 impl Driver<'_> {
@@ -73,13 +74,13 @@ impl Driver<'_> {
         }
     }
 
-    /// Says that a declaration was expected, and skips what stands there: an unknown line, or everything up to the next
-    /// declaration.
+    /// Reports that a declaration was expected. Skips to the next declaration, or only the line if an unknown word begins it.
     fn no_declaration(&mut self) {
         let is_line = self.is_name(self.at)
             && !matches!(self.kind(self.at + 1), Some(Kind::Assign | Kind::Dot | Kind::Equal));
         let code = if is_line { MISSPELT } else { UNEXPECTED };
-        self.unexpected(code, "begin with the word of a declaration: `node n1;`, `task arm on n1 ..`; statements belong into a task", |found| {
+        let help = foreign::declaration(self.text(self.at));
+        self.unexpected(code, help, |found| {
             format!(
                 "expected a declaration (`node`, `link`, `type`, `task`, `couple`, `faults`, `check`), found {}",
                 found.describe()
@@ -107,7 +108,7 @@ impl Driver<'_> {
         if let Some(stopped) = head.stopped
             && self.word(to - 1) != Some(Word::Record)
         {
-            // Without `record` it is not known whether fields follow.
+            // Without `record` it is unknown whether fields follow.
             self.recover(from, to, stopped);
             return None;
         }
@@ -120,7 +121,7 @@ impl Driver<'_> {
                     let before = self.at;
                     let line = self.line(|d| &d.lines.fields, Context::Field);
                     fields.extend(line.into_iter().flatten());
-                    // A word that ends lines where a field should be.
+                    // A word that ends lines may stand in place of a field: it is skipped, or the loop would never end.
                     self.at = self.at.max(before + 1);
                 }
                 _ => {
@@ -139,7 +140,7 @@ impl Driver<'_> {
             self.unexpected(STRAY_END, "write `end;`", |_| "a record is closed by `end` alone".to_owned());
             self.at += 1;
         }
-        // Figure 1 has none behind the `end`.
+        // In Figure 1 no `;` follows the `end`.
         if self.kind(self.at) == Some(Kind::Semicolon) {
             self.at += 1;
         }
@@ -175,7 +176,7 @@ impl Driver<'_> {
         (!task.name.text.is_empty()).then_some(task)
     }
 
-    /// What stands in front of `begin`. Whether a body follows.
+    /// Parses the declarations in front of `begin`. Returns whether a body follows.
     fn task_head(&mut self, task: &mut TaskDecl) -> bool {
         loop {
             match self.kind(self.at) {
@@ -199,14 +200,11 @@ impl Driver<'_> {
                 None => return false,
                 Some(_) if self.is_declaration(self.at) || self.report.is_enough() => return false,
                 Some(kind) => {
-                    self.unexpected(
-                        UNEXPECTED,
-                        "declare ports and variables here, and write `begin` in front of statements",
-                        |found| {
-                            let found = found.describe();
-                            format!("expected `port`, `use_port`, `var` or `begin`, found {found}")
-                        },
-                    );
+                    let help = foreign::in_task(self.text(self.at));
+                    self.unexpected(UNEXPECTED, help, |found| {
+                        let found = found.describe();
+                        format!("expected `port`, `use_port`, `var` or `begin`, found {found}")
+                    });
                     let is_statement = matches!(kind, Kind::Word(word) if Word::STATEMENTS.contains(&word));
                     if is_statement && !self.begins_later() {
                         return true;
@@ -222,7 +220,7 @@ impl Driver<'_> {
         }
     }
 
-    /// Whether the `begin` of the task is still to come.
+    /// Whether the `begin` of the task still follows.
     fn begins_later(&self) -> bool {
         let rest = self.at..self.tokens.len().min(self.at + LONGEST_HEAD);
         let mut words = rest.map(|index| (index, self.word(index)));
@@ -235,7 +233,7 @@ impl Driver<'_> {
             .is_some_and(|(_, word)| word == Some(Word::Begin))
     }
 
-    /// A port: its head and each option are read on their own, so that each may be wrong on its own.
+    /// A port. Its head and its options are parsed one by one, so that an error in one leaves the others intact.
     pub(super) fn port(&mut self) -> Option<PortDecl> {
         let from = self.at;
         let to = self.reach(from + 1, Context::Head);
@@ -277,11 +275,11 @@ impl Driver<'_> {
         Some(PortDecl { owner, name, parameters, answer, options, span })
     }
 
-    /// Whether an option begins here, known or not.
+    /// Whether an option begins here, a known one or not.
     fn is_option(&self, index: usize) -> bool {
         let opens = matches!(self.kind(index + 1), Some(Kind::Equal | Kind::BracketOpen));
         let known = self.word(index).is_some_and(|word| Word::OPTIONS.contains(&word));
-        // An option without its `=` begins a part, too, unless it stands as a name: behind `=`, in a list.
+        // An option without its `=` begins a part, too, unless it is a name: behind `=`, or in a list.
         let before = self.kind(index.saturating_sub(1));
         let behind_value = !matches!(
             before,
@@ -291,7 +289,7 @@ impl Driver<'_> {
         opens && self.is_name(index) || known && behind_value && !self.is_in_list(index)
     }
 
-    /// Whether a token stands in a list of names in parentheses or braces.
+    /// Whether a token is in a list of names in parentheses or braces.
     fn is_in_list(&self, index: usize) -> bool {
         let back = (0..index).rev().map(|index| self.tokens[index].0);
         for kind in back {
@@ -335,7 +333,7 @@ impl Driver<'_> {
         }
     }
 
-    /// Says that a block is not closed: this one, or one in it whose `end` stands elsewhere.
+    /// Reports a block that is not closed: this one, or one inside of it whose `end` is indented differently.
     pub(super) fn unclosed(&mut self, opener: Opener) {
         if self.open_ended {
             return;
@@ -365,7 +363,7 @@ impl Driver<'_> {
         });
     }
 
-    /// Reports a word of the language where a name should be.
+    /// Reports a reserved keyword in place of a name.
     pub(super) fn reserved_name(&mut self, index: usize) {
         let (span, text) = (self.span(index), self.text(index));
         self.report.push(|| reserved(span, text));
@@ -389,7 +387,7 @@ fn wrong_end(end: &Name, name: &Name) -> Diagnostic {
         .help(format!("write `end {};`", name.text))
 }
 
-/// A task of which no more than the head is known; without a name if that could not be read.
+/// A task with only its head. Its name is empty if the head could not be parsed.
 fn empty_task(head: Option<TaskHead>, span: Span) -> TaskDecl {
     let nameless = || Name { text: String::new(), span };
     let head = head.unwrap_or_else(|| TaskHead {

@@ -1,16 +1,16 @@
-//! What is too deep or too long is refused before it is read: no recursion over a tree that was accepted can overflow.
+//! Limits of depth and length, checked before parsing: no recursion over an accepted tree can overflow the stack.
 
 use crate::codes::LIMIT;
 use crate::diagnostic::Diagnostic;
 use crate::lexer::{Kind, Token};
 use crate::words::Word;
 
-/// So deep may blocks, parentheses, and signs in front of operands be nested.
+/// How deep blocks, parentheses, and signs in front of operands may be nested.
 pub(crate) const DEEPEST: usize = 64;
-/// So many operators and parentheses may an expression have.
+/// How many operators and parentheses an expression may have.
 pub(crate) const LONGEST_EXPRESSION: usize = 256;
 
-/// The first place where a limit is exceeded.
+/// The diagnostic for the first place that exceeds a limit.
 pub(super) fn exceeded(tokens: &[Token]) -> Option<Diagnostic> {
     let (mut blocks, mut brackets, mut signs, mut operators) = (0_usize, 0_usize, 0_usize, 0_usize);
     for (kind, span) in tokens {

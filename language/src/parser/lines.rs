@@ -1,4 +1,4 @@
-//! The grammar, line by line: what stands between one `;`, `do` or `then` and the next.
+//! The grammar, line by line: the part between one `;`, `do` or `then` and the next.
 
 use super::expr::{
     Part, duration, durations, expr, name, name_or_self, number, place, rate, sign, text, word,
@@ -17,7 +17,7 @@ use chumsky::prelude::*;
 use imrs_protocol::Usage;
 use imrs_protocol::script::Type;
 
-/// A line of the grammar.
+/// A parser for one line.
 pub(super) type Line<'t, O> = Boxed<'t, 't, Tokens<'t>, O, Extra>;
 
 /// The head of a port: its name, its parameters, the type of its answer.
@@ -33,7 +33,7 @@ pub(super) struct TaskHead {
     pub rate: Option<Rate>,
 }
 
-/// All lines that are no statements, built once for a text.
+/// The parsers of all lines that are no statements, built once for each text.
 pub(super) struct Lines<'t> {
     pub cell: Line<'t, Name>,
     pub item: Line<'t, Item>,
@@ -267,7 +267,7 @@ pub(super) fn places<'t>(source: &'t str) -> impl Part<'t, Vec<Place>> {
     place(source).separated_by(just(Kind::Comma)).at_least(1).collect()
 }
 
-/// Names that a statement lists between `>`.
+/// The entries of an `order`, between `>`.
 pub(super) fn ranks<'t>(source: &'t str) -> impl Part<'t, Vec<Name>> {
     name_or_self(source).separated_by(just(Kind::Greater)).at_least(1).collect()
 }

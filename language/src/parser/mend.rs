@@ -1,5 +1,5 @@
-//! Misspelt words at the beginning of a line: they are reported here, and read as what was meant from then on. So
-//! `whlie` opens a block whose `end` fits.
+//! Corrects misspelt keywords at the beginning of a line: reports them, and replaces their tokens by the keywords that were
+//! meant. So `whlie` opens a block, and its `end` fits.
 
 use super::failure::misspelt;
 use crate::codes::STRAY_END;
@@ -10,7 +10,7 @@ use crate::source::Source;
 use crate::span::Span;
 use crate::words::Word;
 
-/// So many names are compared with all words: that takes time.
+/// How many names are compared with all keywords at most, because comparing takes time.
 const MOST: usize = 1000;
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -21,7 +21,7 @@ enum Region {
     Body,
 }
 
-/// Mends the tokens and reports what was wrong with them.
+/// Replaces misspelt keywords among the tokens and reports them.
 pub(super) fn mend(tokens: &mut [Token], source: &Source, report: &mut Report) {
     let mut region = Region::Top;
     let mut compared = 0;
@@ -41,10 +41,15 @@ pub(super) fn mend(tokens: &mut [Token], source: &Source, report: &mut Report) {
             (_, Word::Task) => Region::Head,
             (_, Word::Begin) => Region::Body,
             (Region::Record, Word::End) => Region::Top,
-            (_, Word::End) if matches!(follows, Some(Kind::Name)) => Region::Top,
+            (_, Word::End) if is_name(follows) => Region::Top,
             _ => region,
         };
     }
+}
+
+/// Whether a token may be a name: words that are not reserved are names, too.
+fn is_name(kind: Option<Kind>) -> bool {
+    matches!(kind, Some(Kind::Name)) || matches!(kind, Some(Kind::Word(word)) if !word.is_reserved())
 }
 
 fn begins_line(tokens: &[Token], index: usize, region: Region, source: &Source) -> bool {
@@ -65,7 +70,7 @@ fn begins_line(tokens: &[Token], index: usize, region: Region, source: &Source) 
     behind || region == Region::Head && gap()
 }
 
-/// The word that was meant, and what is said about it.
+/// The keyword that was meant, and the diagnostic.
 fn meant(text: &str, span: Span, region: Region, index: usize) -> Option<(Word, Diagnostic)> {
     let near = |among: &[Word]| Word::near(text, among).map(|word| (word, misspelt(span, text, word)));
     match region {

@@ -1,7 +1,7 @@
-//! Tokens to a syntax tree.
+//! The parser: turns tokens into a syntax tree.
 //!
-//! Blocks are found by their words (`loop`, `if`, `end`), here; what stands on a line is read by a grammar of combinators,
-//! one line at a time. So an error ends where its line ends, whatever it is, and never takes the block along.
+//! The driver finds blocks by their keywords (`loop`, `if`, `end`). A grammar of combinators parses the lines, one at a time.
+//! So an error of any kind ends with its line, and the block around it stays intact.
 
 mod blocks;
 mod expr;
@@ -26,7 +26,7 @@ use failure::{Failure, Found};
 use lines::{Line, Lines};
 use statements::Statements;
 
-/// Tokens as the grammar reads them.
+/// The tokens as input of the grammar.
 type Tokens<'t> = MappedInput<'t, Kind, Span, &'t [Token]>;
 type Extra = extra::Err<Failure>;
 
@@ -49,18 +49,18 @@ impl chumsky::span::Span for Span {
     }
 }
 
-/// What a text says, as far as it could be read, and what is wrong with it.
+/// A parsed file: its syntax tree and the diagnostics.
 #[derive(Clone, Debug)]
 pub struct Parsed {
-    /// The syntax tree. Complete if there is no error among the diagnostics.
+    /// The syntax tree. It is complete if no diagnostic is an error.
     pub file: File,
-    /// What is wrong, in the order of the text: at most 100, and a line that says how many more there are.
+    /// At most 100 diagnostics in the order of the text, and a note that counts the others.
     pub diagnostics: Vec<Diagnostic>,
-    /// What could not be read.
+    /// The parts that could not be parsed.
     pub(crate) lost: Lost,
 }
 
-/// Reads a cell file.
+/// Parses a cell file.
 #[must_use]
 pub fn parse(source: &Source) -> Parsed {
     let mut report = Report::default();
@@ -94,33 +94,33 @@ pub fn parse(source: &Source) -> Parsed {
     Parsed { file, diagnostics: driver.report.finish(), lost: driver.lost }
 }
 
-/// Nothing was read.
+/// The result if nothing was parsed.
 fn nothing(report: Report) -> Parsed {
     let lost = Lost { all: true, ..Lost::default() };
     Parsed { file: File::default(), diagnostics: report.finish(), lost }
 }
 
-/// What kind of line is read: that decides which words end it.
+/// The kind of line that is parsed: it decides which words end the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Context {
     /// A declaration of the file.
     Top,
     /// A field of a record.
     Field,
-    /// What stands in front of `begin`.
+    /// A declaration of a task, in front of `begin`.
     Head,
     /// A statement.
     Body,
 }
 
-/// A block that is open: its word and where that stands.
+/// An open block: its keyword and the span of that.
 #[derive(Clone, Copy, Debug)]
 struct Opener {
     word: Word,
     span: Span,
 }
 
-/// Finds the blocks and lets the grammar read the lines.
+/// Finds the blocks and has the grammar parse the lines.
 struct Driver<'t> {
     source: &'t Source,
     tokens: &'t [Token],
@@ -129,37 +129,37 @@ struct Driver<'t> {
     report: Report,
     lines: Lines<'t>,
     statements: Statements<'t>,
-    /// Where something was found before: a line with one of these is not complained about again.
+    /// The offsets of earlier diagnostics: a line with one of these is not reported again.
     faulty: Vec<u32>,
-    /// The blocks of the task that are open, outermost first.
+    /// The open blocks of the task, outermost first.
     open: Vec<Opener>,
-    /// Blocks whose `end` does not stand under them.
+    /// Blocks whose `end` is indented differently, with the span of that `end`.
     suspects: Vec<(Opener, Span)>,
-    /// Whether a comment is open at the end: then anything may be missing.
+    /// Whether the text ends inside of a comment. Anything may then be missing.
     open_ended: bool,
-    /// Where a block was found not to be closed: no `;` is missed there.
+    /// The token at which a block was found not to be closed: no missing `;` is reported there.
     left_open: Option<usize>,
-    /// Behind a statement that could not be read: its branches may follow.
+    /// The token behind a statement that could not be parsed: its branches may follow.
     broken: usize,
-    /// What could not be read.
+    /// The parts that could not be parsed.
     lost: Lost,
 }
 
-/// What became of a line.
+/// The result of parsing a line.
 struct Read<O> {
     output: Option<O>,
-    /// Where the grammar could not go on.
+    /// Where the grammar stopped, unless it accepted the line.
     stopped: Option<Stopped>,
 }
 
-/// Where and how the grammar could not go on.
+/// Where and how the grammar stopped.
 #[derive(Clone, Copy)]
 struct Stopped {
     /// The token.
     at: usize,
-    /// Whether the line might have ended in front of it.
+    /// Whether the line could have ended in front of that token.
     can_end: bool,
-    /// Whether it is a word where a name should be.
+    /// Whether a reserved keyword stands in place of a name.
     reserved: bool,
 }
 
@@ -175,7 +175,7 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// Where a token stands; of the end of the file, its last byte.
+    /// The span of a token; behind the last one, an empty span at the end of the text.
     fn span(&self, index: usize) -> Span {
         self.tokens
             .get(index)
@@ -186,7 +186,7 @@ impl<'t> Driver<'t> {
         self.source.slice(self.span(index))
     }
 
-    /// Whether a name stands here.
+    /// Whether the token may be a name.
     fn is_name(&self, index: usize) -> bool {
         match self.kind(index) {
             Some(Kind::Name) => true,
@@ -195,7 +195,7 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// Whether a token is the first one of its line.
+    /// Whether a token is the first of its line.
     fn is_first_of_line(&self, index: usize) -> bool {
         index == 0 || {
             let (before, here) = (self.span(index - 1), self.span(index));
@@ -220,7 +220,7 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// What stands at a token, for a message.
+    /// A token, as the diagnostics need it.
     fn found(&self, index: usize) -> Found<'t> {
         let after = if index == 0 { Span::default() } else { self.span(index - 1) };
         Found {
@@ -232,14 +232,14 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// Whether something was reported before between these tokens.
+    /// Whether these tokens contain the place of an earlier diagnostic.
     fn is_faulty(&self, from: usize, to: usize) -> bool {
         let (begin, end) = (self.span(from).start, self.span(to).start);
         let first = self.faulty.partition_point(|place| *place < begin);
         self.faulty.get(first).is_some_and(|place| *place < end.max(begin + 1))
     }
 
-    /// Lets the grammar read the tokens from `from` to `to`, which `end` should follow, and reports what is wrong.
+    /// Has the grammar parse the tokens from `from` to `to`, and reports errors. `end` should follow these tokens.
     fn read<O>(&mut self, line: fn(&Self) -> &Line<'t, O>, from: usize, to: usize, end: &str) -> Read<O> {
         let tokens = &self.tokens[from..to];
         let last = Span { start: self.span(to).start, end: self.span(to).start };
@@ -273,13 +273,13 @@ impl<'t> Driver<'t> {
         Read { output, stopped }
     }
 
-    /// Remembers that these tokens mean nothing to anybody.
+    /// Records that these tokens could not be parsed.
     fn lose(&mut self, from: usize, to: usize) {
         let last = self.span(to.saturating_sub(1).max(from));
         self.lost.spans.push(self.span(from).to(last));
     }
 
-    /// The token that ends a line whose first words are read already: its `;`, or a word that cannot stand in it.
+    /// The token at `from` or later that ends the line: its `;`, or a word that cannot be part of it.
     fn reach(&self, from: usize, context: Context) -> usize {
         let rest = from..self.tokens.len();
         rest.into_iter().find(|index| self.ends_line(*index, context)).unwrap_or(self.tokens.len())
@@ -296,7 +296,7 @@ impl<'t> Driver<'t> {
         ) {
             return true;
         }
-        // A word that may be a name ends the line only where a new one begins.
+        // A free keyword ends the line only if it is the first word of a new one.
         let begins = word.is_reserved() || self.is_first_of_line(index) && self.is_name(index + 1);
         let of_statement =
             Word::STATEMENTS.contains(&word) && begins || matches!(word, Word::Then | Word::Do);
@@ -313,7 +313,7 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// Reads a line up to its `;`.
+    /// Parses a line up to its `;`.
     fn line<O>(&mut self, line: fn(&Self) -> &Line<'t, O>, context: Context) -> Option<O> {
         let from = self.at;
         let to = self.reach(from + 1, context);
@@ -332,7 +332,7 @@ impl<'t> Driver<'t> {
         read.output
     }
 
-    /// Goes on behind the `;` that should stand here.
+    /// Continues behind the `;` that should be here, and reports a missing one.
     fn semicolon(&mut self, from: usize, to: usize) {
         self.at = to;
         if self.kind(to) == Some(Kind::Semicolon) {
@@ -343,7 +343,7 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// Skips what is left of a line behind what could not be read, up to a word that begins something else.
+    /// Skips the rest of a line that could not be parsed, up to a keyword that begins something else.
     fn skip_rest(&mut self) {
         while self.at < self.tokens.len() && !self.is_first_of_line(self.at) {
             match self.kind(self.at) {
@@ -357,12 +357,12 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// Whether what was read last ended with a `;`.
+    /// Whether the last token is a `;`.
     fn is_behind_semicolon(&self) -> bool {
         self.at > 0 && self.kind(self.at - 1) == Some(Kind::Semicolon)
     }
 
-    /// Goes on behind a line that could not be read.
+    /// Continues behind a line that could not be parsed.
     fn recover(&mut self, from: usize, to: usize, stopped: Stopped) {
         if stopped.can_end && stopped.at > from && self.is_first_of_line(stopped.at) {
             self.at = stopped.at;
@@ -370,7 +370,7 @@ impl<'t> Driver<'t> {
         }
         self.at = to;
         if stopped.reserved && stopped.at == to && !self.is_first_of_line(to) {
-            // A word of the language as a name: the line goes on behind it.
+            // A reserved keyword in place of a name: the line continues behind it.
             let mut index = to + 1;
             while index < self.tokens.len() && !self.is_first_of_line(index) {
                 if matches!(
@@ -388,7 +388,7 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// Reports what nobody expects at the next token, and what to write.
+    /// Reports the next token as unexpected. `help` says what to write.
     fn unexpected(&mut self, code: &'static str, help: &str, message: impl FnOnce(&Found<'t>) -> String) {
         let found = self.found(self.at);
         if !self.is_faulty(self.at, self.at + 1) {
@@ -396,7 +396,7 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// Skips `;` and says that they are too many.
+    /// Skips superfluous `;` and reports them once.
     fn stray_semicolons(&mut self) {
         if self.broken != self.at {
             self.unexpected(crate::codes::UNEXPECTED, "remove it", |_| {

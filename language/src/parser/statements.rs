@@ -1,4 +1,4 @@
-//! The grammar of statements of one line, and of what calls a handler.
+//! The grammar of one-line statements, and of the heads of handlers and branches.
 
 use super::expr::{Part, duration, expr, name, place, text, word};
 use super::lines::{Line, places, ranks, takes};
@@ -7,9 +7,9 @@ use crate::lexer::Kind;
 use crate::words::Word;
 use chumsky::prelude::*;
 
-/// Statements of one line, and heads of handlers and branches, built once for a text.
+/// The parsers of one-line statements and of the heads of handlers and branches, built once for each text.
 pub(super) struct Statements<'t> {
-    /// Those that begin with a word.
+    /// Statements that begin with a keyword.
     pub command: Line<'t, StatementKind>,
     pub assignment: Line<'t, StatementKind>,
     pub trigger: Line<'t, Trigger>,
@@ -114,7 +114,7 @@ fn waitfor<'t>(source: &'t str) -> impl Part<'t, StatementKind> {
     line.map(|((port, arguments), within)| StatementKind::Waitfor { port, arguments, within })
 }
 
-/// Arguments of an action stand bare, `run weld p.spot, 3`, or in parentheses, `run weld(p.spot, 3)`.
+/// The arguments of an action stand alone, `run weld p.spot, 3`, or in parentheses, `run weld(p.spot, 3)`.
 fn run<'t>(source: &'t str) -> impl Part<'t, StatementKind> {
     let list = expr(source).separated_by(just(Kind::Comma));
     let several = list.clone().at_least(2).collect::<Vec<_>>();
@@ -137,7 +137,7 @@ fn run<'t>(source: &'t str) -> impl Part<'t, StatementKind> {
     })
 }
 
-/// What stands between `on` and `do` of a handler.
+/// The trigger of a handler, between `on` and `do`.
 fn trigger<'t>(source: &'t str) -> impl Part<'t, Trigger> {
     let variables = name(source).separated_by(just(Kind::Comma)).collect();
     let variables = variables.delimited_by(just(Kind::ParenOpen), just(Kind::ParenClose));
@@ -154,7 +154,7 @@ fn trigger<'t>(source: &'t str) -> impl Part<'t, Trigger> {
     choice((message.boxed(), silence.boxed(), expiry.boxed(), fence))
 }
 
-/// What stands between `on` and `do` behind a statement.
+/// The kind of a branch, between `on` and `do`.
 fn branch<'t>() -> impl Part<'t, BranchKind> {
     choice((
         word(Word::TimeOut).to(BranchKind::TimeOut),

@@ -1,4 +1,4 @@
-//! Actions outside: `run`.
+//! Resolves `run`: actions of a robot or another machine.
 
 use super::expr::{self, Typed};
 use super::scope::Found;
@@ -10,7 +10,7 @@ use crate::hir::{Destination, Expr, StatementKind};
 use crate::span::Span;
 use imrs_protocol::script::Type;
 
-/// The shape of an action as its first use has it.
+/// The types of an action's arguments and result, as in its first use.
 #[derive(Clone, Debug)]
 pub(super) struct Shape {
     arguments: Vec<Kind>,
@@ -126,7 +126,7 @@ impl<'a> Thread<'_, 'a> {
         Some((low_value, high_value))
     }
 
-    /// One action has one shape: a driver, a command or a simulation stands behind it.
+    /// All uses of an action in a task must have one shape, because one driver, command or simulation carries it out.
     pub fn shape(&mut self, action: &Name, arguments: &[Expr], into: Option<Destination>) -> Option<()> {
         let shape = Shape {
             arguments: arguments.iter().map(|argument| kind(argument.of)).collect(),

@@ -1,4 +1,4 @@
-//! Ticks, nodes, links, records and faults.
+//! Resolves ticks, nodes, links, records and faults.
 
 use super::names::duplicate;
 use super::{DUPLICATE, MISSING, OPTION, Resolver, TOO_MANY, TWICE, TYPES, UNKNOWN_NAME};
@@ -9,7 +9,7 @@ use crate::span::Span;
 use imrs_protocol::NodeId;
 use imrs_protocol::cell::MAX_NODES;
 
-/// The most of anything that has a number of 16 bits.
+/// The most things that 16-bit numbers can count.
 pub(super) const MOST: usize = u16::MAX as usize;
 
 impl<'a> Resolver<'a> {
@@ -60,7 +60,7 @@ impl<'a> Resolver<'a> {
         }
     }
 
-    /// The model counts in ticks of the cell.
+    /// Checks that the `model tick` is a multiple of the `tick`, because the model counts in ticks.
     fn model_tick(&mut self) {
         let (Some(tick), Some(model)) = (self.hir.tick, self.hir.model_tick) else { return };
         if tick.usec > 0 && model.usec > 0 && !model.usec.is_multiple_of(tick.usec) {
@@ -73,7 +73,7 @@ impl<'a> Resolver<'a> {
         }
     }
 
-    /// Of such a cell nothing else is said: every way between two nodes would have to be found for it.
+    /// Reports a cell with too many nodes. Nothing else of it is checked: that would search the routes between all nodes.
     pub(super) fn has_too_many_nodes(&mut self, file: &'a ast::File) -> bool {
         let mut nodes = file.items.iter().filter_map(|item| match item {
             Item::Node(node) => Some(node),
@@ -178,7 +178,7 @@ impl<'a> Resolver<'a> {
         self.hir.records.push(Record { name, fields, span });
     }
 
-    /// Fields that are of no plain type: of a record, or of nothing that is known.
+    /// Reports fields whose type is a record, or an unknown name.
     fn nested_records(&mut self, file: &'a ast::File) {
         for item in &file.items {
             let Item::Type(record) = item else { continue };
@@ -253,12 +253,12 @@ impl<'a> Resolver<'a> {
         }
     }
 
-    /// The node of this name, or that of the task of this name: a task stands for its node.
+    /// The node of this name, or the node on which the task of this name runs.
     fn node_or_task(&mut self, name: &'a ast::Name) -> Option<NodeId> {
         let task = self.tasks.get(&name.text).map(|at| self.hir.tasks[at].node);
         let node = task.or_else(|| self.nodes.get(&name.text).map(NodeId::from_index));
         if node.is_none() {
-            // Says so.
+            // Reports the unknown name.
             let _ = self.task(name);
         }
         node

@@ -1,4 +1,4 @@
-//! What must hold: expressions over all tasks (D45).
+//! Resolves checks: expressions over the variables of all tasks (D45).
 
 use super::expr::{self, Leaves, Typed};
 use super::names::{duplicate, unknown};
@@ -49,7 +49,7 @@ impl<'a> Resolver<'a> {
     }
 }
 
-/// The most values that the operations hold at once.
+/// The most values that the operations keep on the stack at once.
 fn depth(ops: &[Op]) -> usize {
     let (mut held, mut most) = (0_usize, 0);
     for op in ops {
@@ -64,7 +64,7 @@ fn depth(ops: &[Op]) -> usize {
     most
 }
 
-/// The names of a check: those of the whole cell.
+/// The scope of a check: all names of the cell.
 struct Cell<'r, 'a> {
     resolver: &'r mut Resolver<'a>,
 }

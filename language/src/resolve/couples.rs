@@ -1,4 +1,4 @@
-//! Process classes: who is coupled with whom, and how (D24, D30, D61).
+//! Resolves process classes: which tasks are coupled, and how (D24, D30, D61).
 
 use super::ports::SHORT;
 use super::{COUPLE, Resolver, TAKEOVER, TOO_LONG, TWICE};
@@ -9,7 +9,7 @@ use crate::span::Span;
 use crate::walk;
 use imrs_protocol::{PortId, TaskId, Usage};
 
-/// The bytes of a message that carries an epoch behind its contents (D78).
+/// The most bytes of contents in a message that carries an epoch behind them (D78).
 const GUARDED: usize = 11;
 
 impl<'a> Resolver<'a> {
@@ -86,7 +86,7 @@ impl<'a> Resolver<'a> {
         None
     }
 
-    /// A task is in one work couple at most.
+    /// Reports a task that is in two work couples.
     fn alone(&mut self, span: Span, members: [(TaskId, &'a Name); 2]) {
         for (task, name) in members {
             let other = self.hir.couples.iter().find(|couple| match couple.kind {
@@ -105,7 +105,7 @@ impl<'a> Resolver<'a> {
         }
     }
 
-    /// The beats have a port of their own: the standby asks, the primary responds.
+    /// Checks that the heartbeats have a port of their own: the standby queries, the primary responds.
     fn carries_beats(&mut self, port: PortId, primary: TaskId, standby: TaskId, via: &Name) {
         if self.poisoned_ports.contains(&port.index()) {
             return;
@@ -139,7 +139,7 @@ impl<'a> Resolver<'a> {
         self.found.extend(found);
     }
 
-    /// `standby of` and `couple work` say the same.
+    /// Checks that `standby of` and `couple work` agree.
     fn standby(&mut self, id: TaskId) {
         let task = &self.hir.tasks[id.index()];
         let Some(declared) = self.written.get(id.index()) else { return };
@@ -185,8 +185,8 @@ impl<'a> Resolver<'a> {
         (stands_by, mutual)
     }
 
-    /// Which ports act under a lease (D61): those that carry what a couple orders from others. A port on which the
-    /// standby sends before it takes over is none of them.
+    /// Finds the ports that a lease guards (D61): those through which a couple commands other tasks. A port on which the
+    /// standby sends before it takes over is not guarded.
     pub(super) fn guards(&mut self) {
         for at in 0..self.hir.couples.len() {
             let CoupleKind::Work { primary, standby, via, .. } = self.hir.couples[at].kind else { continue };

@@ -1,7 +1,7 @@
-//! Types and constants of expressions.
+//! Types expressions and folds constants.
 //!
-//! Integers of all sizes mix; an integer becomes a real where a real is wanted, never the other way. What can be
-//! computed now is computed now, so that a constant that does not fit is said here and not at run time.
+//! Integers of all sizes mix. An integer becomes a real where a real is wanted, never the other way. Constants are folded
+//! here, so that the compiler reports a constant that does not fit, before anything runs.
 
 use super::TYPES;
 use crate::ast::{Expr as Written, ExprKind, Name, Place};
@@ -10,7 +10,7 @@ use crate::hir::Expr;
 use crate::span::Span;
 use imrs_protocol::script::{Binary, Op, ScriptFault, Term, Type, eval, real};
 
-/// A typed expression, and its value where that is known.
+/// A typed expression, and its value if it is constant.
 #[derive(Clone, Debug)]
 pub(super) struct Typed {
     pub of: Type,
@@ -33,20 +33,21 @@ impl Typed {
     }
 }
 
-/// What differs between the expressions of tasks and those of checks: names, and where faults are said.
+/// What differs between the expressions of tasks and those of checks: the names, and where diagnostics go.
 pub(super) trait Leaves {
     fn report(&mut self, found: Diagnostic);
-    /// A variable, or a word that stands for a value.
+    /// A variable, or a keyword that stands for a value.
     fn place(&mut self, place: &Place) -> Option<Typed>;
     /// `lift.arrived(armR)`
     fn call(&mut self, of: &Place, argument: &Name, span: Span) -> Option<Typed>;
-    /// `outcome = refused`, `sender = armL`, `received = halt`: where one side is such a word.
+    /// A comparison with a keyword on one side: `outcome = refused`, `sender = armL`, `received = halt`. None if neither side
+    /// is one.
     fn compared(&mut self, a: &Written, b: &Written, span: Span) -> Option<Option<Typed>>;
 }
 
-/// The type and the operations of an expression; `None` where that has been said to be impossible.
+/// The type and the operations of an expression; `None` if an error was reported.
 pub(super) fn typed(leaves: &mut impl Leaves, written: &Written) -> Option<Typed> {
-    // A chain `a + b + c ..` is as deep as it is long: it is walked, not descended.
+    // A chain `a + b + c ..` nests as deep as it is long, so it is walked in a loop, not by recursion.
     let mut chain = Vec::new();
     let mut first = written;
     while let ExprKind::Binary(operator, a, b) = &first.kind {
@@ -263,7 +264,7 @@ fn to_real(value: Typed) -> Typed {
     unary(Term::ToReal, Type::Real, value, span)
 }
 
-/// A truth value, as `if` wants one.
+/// The value if it is a bool, as `if` needs it; else reports it.
 pub(super) fn truth(leaves: &mut impl Leaves, value: Typed, of: &str) -> Option<Typed> {
     if value.of == Type::Bool {
         return Some(value);
@@ -274,7 +275,7 @@ pub(super) fn truth(leaves: &mut impl Leaves, value: Typed, of: &str) -> Option<
     None
 }
 
-/// A value of this type, where `place` says what for.
+/// The value converted to this type. `place` names its destination in diagnostics.
 pub(super) fn coerced(leaves: &mut impl Leaves, value: Typed, of: Type, place: &str) -> Option<Typed> {
     let (wanted, has) = (word(of), word(value.of));
     let numbers = value.of != Type::Bool && of != Type::Bool;
@@ -321,7 +322,7 @@ fn mismatch(message: &str, span: Span, label: &str) -> Diagnostic {
     Diagnostic::error(TYPES, span, message).label(label)
 }
 
-/// How a bool is got from a number, and a number from a bool.
+/// How to get a bool from a number, and a number from a bool.
 const fn other_kind(wanted: Type) -> &'static str {
     match wanted {
         Type::Bool => "a number is compared to get a bool: `x <> 0`",
@@ -331,7 +332,7 @@ const fn other_kind(wanted: Type) -> &'static str {
     }
 }
 
-/// The language's word for a type.
+/// The keyword of a type.
 pub(crate) const fn word(of: Type) -> &'static str {
     match of {
         Type::Bool => "bool",
@@ -343,7 +344,7 @@ pub(crate) const fn word(of: Type) -> &'static str {
     }
 }
 
-/// The least and the most of an integer type.
+/// The least and the greatest value of an integer type.
 pub(super) const fn range(of: Type) -> (i64, i64) {
     match of {
         Type::Bool => (0, 1),

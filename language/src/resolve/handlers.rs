@@ -1,4 +1,4 @@
-//! Handlers: what calls them, and their variables (D15, D46).
+//! Resolves handlers: their triggers and their variables (D15, D46).
 
 use super::names::duplicate;
 use super::scope::{Entity, Scope};
@@ -82,7 +82,7 @@ impl<'a> Resolver<'a> {
         None
     }
 
-    /// The variables of a handler: one for the record, one for each field, or none.
+    /// Adds the variables of a handler: one for the record, one for each field, or none.
     fn bind(
         &mut self,
         port: PortId,
@@ -191,7 +191,7 @@ impl<'a> Resolver<'a> {
         None
     }
 
-    /// The head of the handler that is called by the same thing.
+    /// The head of an earlier handler with the same trigger.
     fn same_trigger(&self, task: TaskId, trigger: &Trigger) -> Option<crate::Span> {
         let same = |other: &Trigger| match (trigger, other) {
             (Trigger::Message(a), Trigger::Message(b)) => a == b,
@@ -207,7 +207,7 @@ impl<'a> Resolver<'a> {
     }
 }
 
-/// A handler's variable is a new one, although `receive p(x)` assigns to the task's.
+/// The diagnostic for a handler's variable that hides the task's. By contrast, `receive p(x)` assigns to the task's.
 fn hides(name: &Name, first: crate::Span) -> Diagnostic {
     let message = format!("`{}` hides the task's variable `{}` in this handler", name.text, name.text);
     Diagnostic::warning(HIDES, name.span, message)

@@ -1,4 +1,4 @@
-//! What statements say: arguments, recipients, destinations.
+//! Resolves the arguments, recipients and destinations of statements.
 
 use super::expr::{self, Typed};
 use super::names::unknown;
@@ -13,7 +13,7 @@ use imrs_protocol::script::Type;
 use imrs_protocol::{PortId, TaskId, Usage};
 
 impl<'a> Thread<'_, 'a> {
-    /// The port that a statement names, if the task has an end of it, and the task's usage.
+    /// The port that a statement names and the task's usage of it. Reports a port that the task cannot use in statements.
     pub fn own_port(&mut self, name: &'a Name) -> Option<(PortId, Usage)> {
         let port = self.resolver.port(name)?;
         if self.resolver.poisoned_ports.contains(&port.index()) {
@@ -35,7 +35,7 @@ impl<'a> Thread<'_, 'a> {
         Some((port, usage))
     }
 
-    /// A port of others.
+    /// Reports a port that the task does not declare.
     pub fn not_declared(&mut self, port: PortId, name: &Name) {
         if self.resolver.poison.ports.contains(name.text.as_str()) {
             return;
@@ -50,7 +50,7 @@ impl<'a> Thread<'_, 'a> {
         self.report(found);
     }
 
-    /// The names in front of the arguments that say who: tasks or modules, unless a variable is called so.
+    /// Splits off the recipients: tasks or modules in front of the arguments. A variable of such a name is an argument.
     pub fn recipients(
         &mut self,
         port: PortId,
@@ -89,7 +89,7 @@ impl<'a> Thread<'_, 'a> {
         whole.then_some((to, written.get(named..).unwrap_or_default()))
     }
 
-    /// One value for each field; a whole record variable stands for its fields.
+    /// One value for each field. A record variable stands for its fields.
     pub fn values(
         &mut self,
         written: &'a [Written],
@@ -107,7 +107,7 @@ impl<'a> Thread<'_, 'a> {
             }
         }
         if values.len() != fields.len() {
-            // One that is not known may be a whole record.
+            // A value that could not be typed may be a whole record.
             if values.iter().any(Option::is_none) {
                 return None;
             }
@@ -152,7 +152,7 @@ impl<'a> Thread<'_, 'a> {
         self.report(found);
     }
 
-    /// Where the fields of a message go: as many places, each of the kind of its field.
+    /// The variables for the fields of a message: as many, each of the kind of its field.
     pub fn destinations(
         &mut self,
         written: &'a [Place],
@@ -198,7 +198,7 @@ impl<'a> Thread<'_, 'a> {
         whole.then(|| places.into_iter().map(|(to, _)| to).collect())
     }
 
-    /// A task that a name means, at the other end of the port.
+    /// The task of this name, if it is at the other end of the port.
     pub fn peer(&mut self, port: PortId, name: &'a Name) -> Option<TaskId> {
         let task = self.resolver.task(name)?;
         let declared = &self.resolver.hir.ports[port.index()];
@@ -220,7 +220,7 @@ impl<'a> Thread<'_, 'a> {
     }
 }
 
-/// Whether a field can be read into such a variable as it is: bits are not converted on the way.
+/// Whether such a variable can take the field: reading copies the bits and converts nothing.
 fn fits(field: Type, variable: Type) -> bool {
     let kind = |of: Type| match of {
         Type::Bool => 0,

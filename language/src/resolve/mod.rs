@@ -1,6 +1,6 @@
-//! From what is written to what is meant: names become positions, expressions get types (C1..C7).
+//! Name resolution: turns the AST into the HIR. Names become positions, expressions get types (C1..C7).
 //!
-//! One fault is said once: what could not be resolved is left out or *poisoned*, so that its uses are not faults too.
+//! Each fault is reported once: what could not be resolved is left out or *poisoned*, so that its uses are not reported, too.
 
 mod actions;
 mod cell;
@@ -39,14 +39,14 @@ use std::collections::{BTreeMap, BTreeSet};
 /// A cell with its names resolved, as far as that is possible.
 #[derive(Clone, Debug)]
 pub struct Resolved {
-    /// The cell. Where a diagnostic is an error, parts of it are missing.
+    /// The cell. Parts of it are missing if a diagnostic is an error.
     pub hir: Hir,
-    /// What is wrong with it.
+    /// The diagnostics.
     pub diagnostics: Vec<Diagnostic>,
 }
 
 impl Resolved {
-    /// Whether the cell is whole.
+    /// Whether no diagnostic is an error, so that the cell is complete.
     #[must_use]
     pub fn is_whole(&self) -> bool {
         self.diagnostics.iter().all(|found| found.severity != Severity::Error)
@@ -59,7 +59,7 @@ pub fn resolve(file: &ast::File, text: &str) -> Resolved {
     resolve_rest(file, text, &Lost::default())
 }
 
-/// The same of a file of which parts could not be read: what is declared half is not looked at where it is used.
+/// Like [`resolve`], for a file of which parts could not be parsed. Uses of incomplete declarations are not checked.
 pub(crate) fn resolve_rest(file: &ast::File, text: &str, lost: &Lost) -> Resolved {
     let mut resolver = Resolver { lost: lost.clone(), ..Resolver::default() };
     let ends = text.bytes().enumerate().filter(|&(_, byte)| byte == b'\n');
@@ -72,7 +72,7 @@ pub(crate) fn resolve_rest(file: &ast::File, text: &str, lost: &Lost) -> Resolve
     Resolved { hir, diagnostics: found }
 }
 
-/// A name that is unknown is said once in a declaration of the file: its other uses mean the same thing.
+/// Keeps one diagnostic for an unknown name in each declaration of the file: its other uses mean the same thing.
 fn said_once(found: &mut Vec<Diagnostic>, lost: &Lost) {
     let mut said = BTreeSet::new();
     found.retain(|found| {
@@ -81,42 +81,42 @@ fn said_once(found: &mut Vec<Diagnostic>, lost: &Lost) {
     });
 }
 
-/// What is known while a file is resolved.
+/// The state of name resolution.
 #[derive(Debug, Default)]
 struct Resolver<'a> {
     hir: Hir,
     found: Vec<Diagnostic>,
     nodes: Names,
-    /// The links by their ends, the lower one first: positions in [`Hir::links`].
+    /// The links by their two nodes, the lower first: positions in [`Hir::links`].
     links: BTreeMap<(NodeId, NodeId), usize>,
     records: Names,
     tasks: Names,
     ports: Names,
     /// The modules and their tasks (D32).
     modules: BTreeMap<&'a str, Vec<TaskId>>,
-    /// What is declared, but could not be resolved.
+    /// The names of wrong declarations.
     poison: Poison<'a>,
-    /// The tasks in the order of [`Hir::tasks`], as written.
+    /// The declarations of the tasks, in the order of [`Hir::tasks`].
     written: Vec<&'a ast::TaskDecl>,
-    /// Ports that are declared wrongly, by position: their uses are not looked at.
+    /// Wrongly declared ports, by position. Their uses are not checked.
     poisoned_ports: BTreeSet<usize>,
-    /// Records of which not all fields are known, by position: what holds them is not looked at.
+    /// Records with unknown fields, by position. Ports and variables of these types are not checked.
     broken_records: BTreeSet<usize>,
-    /// Variables of types that are not known: their uses are not looked at.
+    /// Variables of unknown types. Their uses are not checked.
     broken_variables: BTreeSet<(TaskId, &'a str)>,
-    /// Ports whose `user_list` names somebody unknown, by position: any task may be meant.
+    /// Ports with an unknown name in their `user_list`, by position. Any task may be meant.
     guessed_users: BTreeSet<usize>,
-    /// Tasks with a `use_port` of an unknown port: any port may be meant.
+    /// Tasks with a `use_port` of an unknown port. Any port may be meant.
     guessed_uses: BTreeSet<TaskId>,
-    /// Who stands by for whom, as written, and whether the roles are exchanged.
+    /// The work couples as written: standby, primary, and whether they swap roles.
     coupled: Vec<(&'a str, &'a str, bool)>,
     /// The shapes of the actions of each task.
     actions: BTreeMap<(TaskId, String), actions::Shape>,
-    /// The ports that carry the beats of couples.
+    /// The ports that carry heartbeats.
     beats: Vec<PortId>,
-    /// Whether there is a couple whose beats have no proper port.
+    /// Whether a couple has no valid heartbeat port.
     beats_unknown: bool,
-    /// What could not be read.
+    /// The parts that could not be parsed.
     lost: Lost,
 }
 

@@ -1,13 +1,14 @@
-//! Tables of names, and what may have been meant by a name that is in none.
+//! Tables of names, and suggestions for unknown names.
 
 use super::{DUPLICATE, Resolver, UNKNOWN_NAME};
 use crate::ast::Name;
 use crate::diagnostic::Diagnostic;
+use crate::foreign;
 use crate::span::Span;
 use imrs_protocol::{NodeId, PortId, TaskId};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Names and the positions of what they name.
+/// The positions of named things, by name.
 #[derive(Debug, Default)]
 pub(super) struct Names(BTreeMap<String, (usize, Span)>);
 
@@ -16,7 +17,7 @@ impl Names {
         self.0.get(name).map(|&(at, _)| at)
     }
 
-    /// Adds a name; where it is taken, gives the place of the first one.
+    /// Adds a name. If it is taken, returns the span of its first declaration.
     pub fn add(&mut self, name: &Name, at: usize) -> Result<(), Span> {
         if let Some(&(_, first)) = self.0.get(&name.text) {
             return Err(first);
@@ -30,7 +31,7 @@ impl Names {
     }
 }
 
-/// Names of things that are declared, but wrongly: using them is no second fault.
+/// Names of wrong declarations: their uses are not reported.
 #[derive(Debug, Default)]
 pub(super) struct Poison<'a> {
     pub nodes: BTreeSet<&'a str>,
@@ -39,32 +40,38 @@ pub(super) struct Poison<'a> {
     pub ports: BTreeSet<&'a str>,
 }
 
-/// So many names are listed where none is near.
-const SHOWN: usize = 6;
+/// How many names are listed if none is similar: of more, those that are nearest.
+const SHOWN: usize = 12;
 
 /// The name among `known` that was probably meant.
 pub(super) fn nearest<'n>(name: &str, known: impl IntoIterator<Item = &'n str>) -> Option<&'n str> {
     let lower = name.to_lowercase();
     let far = known.into_iter().map(|other| (strsim::osa_distance(&lower, &other.to_lowercase()), other));
-    // A slip in a short name, two or three in a long one; the case of letters is none.
-    // Of a name of one letter every other one is a slip.
+    // One typing error is allowed in a short name, two or three in a long one; case does not count.
+    // For a name of one letter every other one would be similar.
     let most = (name.len() / 3).clamp(1, 3).min(name.chars().count().saturating_sub(1));
     let near = far.filter(|&(distance, other)| other != name && distance <= most);
     near.min().map(|(_, other)| other)
 }
 
-/// `unknown task `armX``, and what may have been meant.
+/// The diagnostic for an unknown name, with a suggestion.
 pub(super) fn unknown<'n>(what: &str, name: &Name, known: impl IntoIterator<Item = &'n str>) -> Diagnostic {
-    let message = format!("there is no {what} `{}`", name.text);
-    let found = Diagnostic::error(UNKNOWN_NAME, name.span, message).label(format!("no {what} has this name"));
-    found.help(meant(&name.text, known))
+    nothing_called(what, name).help(meant(&name.text, known))
 }
 
-/// What may have been meant, or what there is.
+fn nothing_called(what: &str, name: &Name) -> Diagnostic {
+    let message = format!("there is no {what} `{}`", name.text);
+    Diagnostic::error(UNKNOWN_NAME, name.span, message).label(format!("no {what} has this name"))
+}
+
+/// A similar name, or the names that exist.
 pub(super) fn meant<'n>(name: &str, known: impl IntoIterator<Item = &'n str>) -> String {
-    let known: Vec<&str> = known.into_iter().filter(|name| !name.starts_with('(')).collect();
+    let mut known: Vec<&str> = known.into_iter().filter(|name| !name.starts_with('(')).collect();
     if let Some(other) = nearest(name, known.iter().copied()) {
         return format!("did you mean `{other}`?");
+    }
+    if known.len() > SHOWN {
+        known.sort_by_key(|other| strsim::osa_distance(name, other));
     }
     let first = known.iter().take(SHOWN).map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
     match known.len() {
@@ -74,7 +81,7 @@ pub(super) fn meant<'n>(name: &str, known: impl IntoIterator<Item = &'n str>) ->
     }
 }
 
-/// Two things of one name.
+/// The diagnostic for two things with the same name.
 pub(super) fn duplicate(what: &str, name: &Name, first: Span) -> Diagnostic {
     Diagnostic::error(DUPLICATE, name.span, format!("two {what} are called `{}`", name.text))
         .label("the second one")
@@ -83,7 +90,7 @@ pub(super) fn duplicate(what: &str, name: &Name, first: Span) -> Diagnostic {
 }
 
 impl<'a> Resolver<'a> {
-    /// A name that is unknown is said once: its other uses mean the same thing.
+    /// Reports an unknown name once: its other uses mean the same thing.
     pub(super) fn node(&mut self, name: &'a Name) -> Option<NodeId> {
         if let Some(at) = self.nodes.get(&name.text) {
             return Some(NodeId::from_index(at));
@@ -95,12 +102,15 @@ impl<'a> Resolver<'a> {
         None
     }
 
-    /// A record; none where not all of its fields are known, which is said where it is declared.
+    /// A record; none if some of its fields are unknown, which was reported at its declaration.
     pub(super) fn record(&mut self, name: &'a Name) -> Option<usize> {
         let at = self.records.get(&name.text);
         if at.is_none() && self.poison.records.insert(&name.text) {
             let plain = ["bool", "int8", "int16", "int32", "integer", "word", "real"];
-            let found = unknown("type", name, self.records.all().chain(plain));
+            let found = match foreign::data_type(&name.text) {
+                Some(help) => nothing_called("type", name).help(help),
+                None => unknown("type", name, self.records.all().chain(plain)),
+            };
             self.report(found);
         }
         at.filter(|at| !self.broken_records.contains(at))
@@ -128,7 +138,7 @@ impl<'a> Resolver<'a> {
         None
     }
 
-    /// The tasks that a name of a task or a module stands for (D32).
+    /// The task of this name, or the tasks of the module of this name (D32).
     pub(super) fn tasks_or_module(&mut self, name: &'a Name) -> Vec<TaskId> {
         if let Some(at) = self.tasks.get(&name.text) {
             return vec![TaskId::from_index(at)];

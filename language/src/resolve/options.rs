@@ -1,4 +1,4 @@
-//! The options of ports: which there are, and which fit (Figures 1 and 2, D9).
+//! Resolves the options of ports and checks which fit (Figures 1 and 2, D9).
 
 use super::ports::Options;
 use super::{OPTION, Resolver};
@@ -9,7 +9,7 @@ use crate::span::Span;
 use imrs_protocol::{Class, Usage};
 
 impl<'a> Resolver<'a> {
-    /// The options of a declaration; what is given twice or belongs to the owner is said.
+    /// The options of a declaration. Reports options that are given twice, and a user's that belong to the owner.
     pub(super) fn options(&mut self, decl: &'a PortDecl) -> Options<'a> {
         let mut options = Options::default();
         let mut seen: Vec<(&'static str, Span)> = Vec::new();
@@ -76,7 +76,7 @@ impl<'a> Resolver<'a> {
         }
     }
 
-    /// A duration that is not zero.
+    /// Reports a duration of zero.
     pub(super) fn some_time(&mut self, what: &str, length: Duration) -> Option<Duration> {
         if length.usec == 0 {
             self.report(
@@ -128,7 +128,7 @@ impl<'a> Resolver<'a> {
         })
     }
 
-    /// The class of a port: what is answered is class 2 (§3, D7).
+    /// The class of a port: messages that are answered are class 2 (§3, D7).
     pub(super) fn class(
         &mut self,
         decl: &'a PortDecl,
@@ -160,7 +160,7 @@ impl<'a> Resolver<'a> {
         }
     }
 
-    /// Options that mean nothing on a port of this usage.
+    /// Reports options that have no meaning for this usage.
     pub(super) fn fitting(&mut self, decl: &'a PortDecl, usage: Usage, options: &Options<'a>) {
         let class = options.class.map(|(class, _)| class);
         if let (Some(retry), Usage::Send | Usage::Receive, None | Some(Class::Status)) =
@@ -193,7 +193,7 @@ impl<'a> Resolver<'a> {
     }
 }
 
-/// The word of an option, and whether only the owner has it.
+/// The keyword of an option, and whether only the owner may give it.
 const fn word(kind: &PortOptionKind) -> (&'static str, bool) {
     match kind {
         PortOptionKind::Usage(_) => ("usage", false),

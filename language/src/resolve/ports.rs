@@ -1,4 +1,4 @@
-//! The owner's end of ports: Figure 1 with its options (R27..R31, R35, D11).
+//! Resolves the owners' declarations of ports: Figure 1 with its options (R27..R31, R35, D11).
 
 use super::names::duplicate;
 use super::{DISAGREE, MISSING, OPTION, Resolver, TOO_LONG, TWICE, TWO_OWNERS, TYPES};
@@ -9,10 +9,10 @@ use crate::span::Span;
 use imrs_protocol::script::{MAX_MESSAGE, Type};
 use imrs_protocol::{Class, TaskId, Usage};
 
-/// The bytes that an arrival at a `waitfor`, or an answer to a beat, has for what a task says (D47, D61).
+/// How many bytes of a task's values fit in an arrival at a `waitfor`, or in an answer to a heartbeat (D47, D61).
 pub(super) const SHORT: usize = 8;
 
-/// What a message holds, and the record that says so.
+/// The fields of a message, and the record that declares them.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Message {
     pub record: Option<usize>,
@@ -33,7 +33,7 @@ pub(super) struct Options<'a> {
     pub penalty: Option<(Duration, bool, Span)>,
     pub rate: Option<(u16, Duration)>,
     pub latest: Option<Span>,
-    /// Whether one of them cannot be used: what the port is then is not known.
+    /// Whether an option is unusable: the port is then not fully known.
     pub broken: bool,
 }
 
@@ -50,7 +50,7 @@ impl<'a> Resolver<'a> {
         if let Err(first) = self.ports.add(&decl.name, self.hir.ports.len()) {
             return self.second_owner(owner, decl, first);
         }
-        // Positions of names and ports stay the same even where the port turns out to be no good.
+        // A wrong port is added, too, because names map to positions.
         let at = self.hir.ports.len();
         let options = self.options(decl);
         let message = self.message(decl, options.format).unwrap_or_else(|| {
@@ -132,7 +132,7 @@ impl<'a> Resolver<'a> {
             }
             _ => duplicate("ports", &decl.name, first),
         };
-        // What this task does with it is meant for a port that is not there.
+        // The statements of this task mean a port that does not exist.
         self.poison.ports.insert(&decl.name.text);
         self.poisoned_ports.extend(self.ports.get(&decl.name.text));
         self.report(found);
@@ -162,13 +162,13 @@ impl<'a> Resolver<'a> {
         }
     }
 
-    /// Uses of this port are no faults: it is one itself.
+    /// Marks a port as wrong, so that its uses are not reported, too.
     pub(super) fn poison_port(&mut self, at: usize, decl: &'a PortDecl) {
         self.poison.ports.insert(&decl.name.text);
         self.poisoned_ports.insert(at);
     }
 
-    /// The users that a `user_list` names, modules taken apart (D32).
+    /// The users in a `user_list`. A module stands for its tasks (D32).
     fn users(&mut self, owner: TaskId, names: &'a [Name]) -> Vec<User> {
         let mut users: Vec<User> = Vec::new();
         for name in names {
@@ -197,7 +197,7 @@ impl<'a> Resolver<'a> {
         users
     }
 
-    /// What a message holds: the parameters, a record's fields, or what `message_format` says (R41, C5, C7).
+    /// The fields of a message: the parameters, a record's fields, or those of `message_format` (R41, C5, C7).
     pub(super) fn message(&mut self, decl: &'a PortDecl, format: Option<&'a Name>) -> Option<Message> {
         let mut broken = false;
         let format = format.and_then(|name| {
@@ -274,7 +274,7 @@ impl<'a> Resolver<'a> {
         whole.then_some(Message { record: None, fields })
     }
 
-    /// What an answer holds.
+    /// The fields of an answer.
     fn answer(&mut self, decl: &'a PortDecl, usage: Usage, message: &Message) -> Option<Vec<Field>> {
         let fields = match (&decl.answer, usage) {
             (Some(of), _) => self.answer_of(of),
@@ -348,7 +348,7 @@ impl<'a> Resolver<'a> {
     }
 }
 
-/// The parameters with what `fields` say of those without a type, as Figure 1 writes them.
+/// The parameters. One without a type takes it from `fields`, as in Figure 1.
 pub(super) fn adopted(decl: &PortDecl, said: &[Field], fields: &[Field]) -> Vec<Field> {
     let mut adopted = said.to_vec();
     if said.len() == fields.len() && decl.parameters.len() == fields.len() {

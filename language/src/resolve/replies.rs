@@ -1,4 +1,4 @@
-//! Answers to messages that were taken before, or by another task (D11, D93).
+//! Resolves replies to earlier messages, and to messages of other tasks (D11, D93).
 
 use super::STATEMENT;
 use super::expr::{self, Typed};

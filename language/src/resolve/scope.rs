@@ -1,4 +1,4 @@
-//! The variables that a name may mean: a task's, and in front of them a handler's.
+//! Scopes: the variables of a task, and those of a handler, which hide them.
 
 use super::names::meant;
 use crate::ast::{Name, Place};
@@ -10,29 +10,29 @@ use imrs_protocol::TimeId;
 use imrs_protocol::script::{Slot, Type};
 use std::collections::BTreeMap;
 
-/// What a name of a variable means.
+/// The meaning of a variable's name.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Entity {
     /// A plain variable.
     Plain(Slot, Type),
-    /// A record: its fields stand one after another from here on.
+    /// A record: its first field has this slot, the others follow.
     Record { record: usize, first: Slot },
     /// A timer.
     Timer(TimeId),
-    /// A variable of a type that does not exist.
+    /// A variable of an unknown type.
     Unknown,
 }
 
-/// The variables that can be named.
+/// The variables in scope.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Scope<'a> {
     names: BTreeMap<&'a str, (Entity, Span)>,
-    /// Where names stand that are taken.
+    /// The spans of names that were declared twice.
     twice: Vec<Span>,
 }
 
 impl<'a> Scope<'a> {
-    /// Adds a name; where it is taken, gives the place of the first one.
+    /// Adds a name. If it is taken, returns the span of its first declaration.
     pub fn add(&mut self, name: &'a Name, entity: Entity) -> Result<(), Span> {
         if let Some(&(_, first)) = self.names.get(name.text.as_str()) {
             self.twice.push(name.span);
@@ -42,7 +42,7 @@ impl<'a> Scope<'a> {
         Ok(())
     }
 
-    /// Adds a name of a handler, in front of the task's.
+    /// Adds a variable of a handler. It hides a variable of the task.
     pub fn shadow(&mut self, name: &'a Name, entity: Entity) {
         self.names.insert(&name.text, (entity, name.span));
     }
@@ -51,7 +51,7 @@ impl<'a> Scope<'a> {
         self.names.get(name).map(|&(entity, _)| entity)
     }
 
-    /// Where a name is declared.
+    /// The span of a name's declaration.
     pub fn declared(&self, name: &str) -> Option<Span> {
         self.names.get(name).map(|&(_, span)| span)
     }
@@ -68,10 +68,10 @@ impl<'a> Scope<'a> {
         self.names.keys().copied()
     }
 
-    /// Where a place is: one variable, or the fields of a record.
+    /// The meaning of a place: one variable, the fields of a record, or a timer.
     ///
     /// # Errors
-    /// What is wrong with it; nothing where that has been said already.
+    /// The diagnostic; none if the fault was reported before.
     pub fn place(&self, place: &Place, records: &[Record]) -> Result<Found, Option<Box<Diagnostic>>> {
         let [name, rest @ ..] = &place.path[..] else { return Err(None) };
         let Some(entity) = self.get(&name.text) else {
@@ -110,7 +110,7 @@ impl<'a> Scope<'a> {
     }
 }
 
-/// What a place is.
+/// The meaning of a place.
 #[derive(Clone, Debug)]
 pub(super) enum Found {
     One(Destination),
@@ -132,12 +132,12 @@ pub(super) fn path(names: &[Name]) -> String {
     names.join(".")
 }
 
-/// The variable of a task at this position.
+/// The slot of a task's variable.
 pub(super) fn slot(at: usize) -> Slot {
     Slot::Task(u16::try_from(at).unwrap_or(u16::MAX))
 }
 
-/// The slot so many places behind another.
+/// The slot `by` positions behind `first`.
 pub(crate) fn after(first: Slot, by: usize) -> Slot {
     let by = u16::try_from(by).unwrap_or(u16::MAX);
     match first {

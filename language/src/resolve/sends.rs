@@ -1,4 +1,4 @@
-//! Statements that ask the communication task for something, and what fits them (R43, D11, D17).
+//! Resolves the statements that make requests to the communication task, and their branches (R43, D11, D17).
 
 use super::STATEMENT;
 use super::statements::{Thread, branch_word};
@@ -156,7 +156,7 @@ impl<'a> Thread<'_, 'a> {
         })
     }
 
-    /// The ports that a plain `receive` takes messages of.
+    /// The ports from which a plain `receive` takes messages.
     fn unhandled(&self) -> Vec<PortId> {
         let ports = self.resolver.hir.ports.iter().enumerate();
         let receives = ports
@@ -268,7 +268,7 @@ impl<'a> Thread<'_, 'a> {
         Some(StatementKind::Waitfor { port, values, within })
     }
 
-    /// `alive := p`: what the answers to the beats carry (D61).
+    /// `alive := p`: sets what the answers to the heartbeats carry (D61).
     pub fn publish(&mut self, port: PortId, name: &'a Name, value: &'a Written) -> Option<StatementKind> {
         if !self.resolver.beats.contains(&port) {
             if self.resolver.beats_unknown {
@@ -294,7 +294,7 @@ impl<'a> Thread<'_, 'a> {
         Some(StatementKind::Publish { port, values })
     }
 
-    /// The port of beats that an expression names.
+    /// The heartbeat port that an expression names.
     pub fn beats_of(&self, value: &Written) -> Option<PortId> {
         let ast::ExprKind::Path(Place { path, .. }) = &value.kind else { return None };
         let [name] = &path[..] else { return None };
@@ -302,7 +302,7 @@ impl<'a> Thread<'_, 'a> {
         port.map(PortId::from_index).filter(|port| self.resolver.beats.contains(port))
     }
 
-    /// `p := alive`: what the partner published last (D61).
+    /// `p := alive`: reads what the partner published last (D61).
     pub fn published(&mut self, port: PortId, place: &'a Place) -> Option<StatementKind> {
         let declared = self.resolver.hir.ports[port.index()].clone();
         if declared.usage_of(self.task).is_none() {
@@ -315,7 +315,7 @@ impl<'a> Thread<'_, 'a> {
         Some(StatementKind::Published { port, into })
     }
 
-    /// Whether the statement can end so.
+    /// Reports a branch for an end that the statement cannot have.
     pub fn branch_fits(&mut self, statement: &StatementKind, branch: &ast::Branch) {
         let port = |port: PortId| &self.resolver.hir.ports[port.index()];
         let (fits, why) = match (statement, branch.when) {

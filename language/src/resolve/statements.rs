@@ -1,4 +1,4 @@
-//! Statements of a body or a handler.
+//! Resolves the statements of a body or a handler.
 
 use super::expr::{self, Typed};
 use super::scope::{Entity, Found, Scope, slot};
@@ -10,19 +10,19 @@ use crate::span::Span;
 use imrs_protocol::script::{Slot, Type};
 use imrs_protocol::{PortId, Ranked, ServiceOrder, TaskId};
 
-/// The statements of one thread: of a body with its take-over, or of a handler.
+/// Resolves the statements of one thread: of a body with its take-over, or of a handler.
 pub(super) struct Thread<'r, 'a> {
     pub resolver: &'r mut Resolver<'a>,
     pub task: TaskId,
     pub scope: &'r Scope<'a>,
-    /// A handler's variables.
+    /// The variables of a handler; none in a body.
     pub locals: Option<Vec<Variable>>,
     pub captures: Vec<Capture>,
-    /// The ports of which the last received message may be.
+    /// The ports from which the last message may have been received.
     pub received: Vec<PortId>,
-    /// Whether something was received of which nothing is known.
+    /// Whether a message may have been received from an unknown port.
     pub received_unknown: bool,
-    /// How many loops are open.
+    /// How many loops are around the statement.
     loops: usize,
 }
 
@@ -60,7 +60,7 @@ impl<'r, 'a> Thread<'r, 'a> {
     fn statement(&mut self, written: &'a ast::Statement) -> Option<Statement> {
         let span = written.span;
         let kind = self.kind(written);
-        // Branches are looked at even where the statement is wrong: faults in them are faults of their own.
+        // Branches are resolved even if the statement is wrong: their faults are independent of it.
         let branches = self.branches(written, kind.as_ref());
         Some(Statement { kind: kind?, branches, span })
     }
@@ -114,7 +114,7 @@ impl<'r, 'a> Thread<'r, 'a> {
         })
     }
 
-    /// The body of a loop: what it receives at its end it may answer at its beginning.
+    /// Resolves the body of a loop. What it receives at its end it may answer at its beginning, one turn later.
     fn looped(&mut self, body: &'a [ast::Statement]) -> Vec<Statement> {
         let before = self.received.clone();
         let mut later = Vec::new();
@@ -203,7 +203,7 @@ impl<'r, 'a> Thread<'r, 'a> {
         }
     }
 
-    /// The fields of a record variable, for a place that wants such a record.
+    /// The fields of a record variable, for a place that needs values of these types.
     pub fn whole(&mut self, value: &'a Written, fields: &[Type], what: &str) -> Option<Vec<Expr>> {
         let places = match &value.kind {
             ast::ExprKind::Path(place) => match self.find(place)? {
@@ -289,7 +289,7 @@ impl<'r, 'a> Thread<'r, 'a> {
         Some(StatementKind::Order(ranked))
     }
 
-    /// A port, a task, a timer of this task, all `timers`, or `self`.
+    /// An entry of an `order`: a port, a task, a timer of this task, all `timers`, or `self`.
     fn ranked(&mut self, name: &'a ast::Name) -> Option<Ranked> {
         let word = name.text.to_ascii_lowercase();
         if word == "self" {
@@ -353,7 +353,7 @@ impl<'r, 'a> Thread<'r, 'a> {
         branches
     }
 
-    /// A slot of this thread that keeps something for later.
+    /// The hidden variable in which this thread saves a value.
     pub fn capture(&mut self, what: Captured, span: Span) -> (Slot, Type) {
         let (name, of) = match what {
             Captured::Outcome => ("outcome", Type::Int8),
@@ -372,7 +372,7 @@ impl<'r, 'a> Thread<'r, 'a> {
         (slot, of)
     }
 
-    /// A slot of its own for something that has no name in the cell.
+    /// Adds a variable that has no name in the cell.
     fn keep(&mut self, variable: Variable) -> Slot {
         if let Some(locals) = &mut self.locals {
             locals.push(variable);
@@ -384,7 +384,7 @@ impl<'r, 'a> Thread<'r, 'a> {
         }
     }
 
-    /// The slot of whether it is known what a task told; its fields stand behind it.
+    /// The slot that says whether a task's values are known. Its fields follow.
     pub fn told(&mut self, port: PortId, task: TaskId, fields: &[Field], span: Span) -> Slot {
         let what = Captured::Told(port, task);
         let is_new = self.captures.iter().all(|known| known.what != what);
@@ -402,7 +402,7 @@ pub(super) fn load(place: Destination, span: Span) -> Expr {
     Expr { of: place.of, ops: vec![Op::Term(Term::Load(place.slot))], span }
 }
 
-/// The ports that these statements receive from.
+/// The ports from which these statements receive.
 fn received_in<'a>(statements: &'a [ast::Statement], into: &mut Vec<&'a ast::Name>) {
     for statement in statements {
         statement.branches.iter().for_each(|branch| received_in(&branch.body, into));
@@ -431,7 +431,7 @@ fn received_in<'a>(statements: &'a [ast::Statement], into: &mut Vec<&'a ast::Nam
     }
 }
 
-/// What a branch is called.
+/// The keywords of a branch.
 pub(super) const fn branch_word(kind: BranchKind) -> &'static str {
     match kind {
         BranchKind::TimeOut => "on time_out",

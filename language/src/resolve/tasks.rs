@@ -1,4 +1,4 @@
-//! Tasks: where they run, what they hold, what they do.
+//! Resolves tasks: their nodes, variables and statements.
 
 use super::cell::MOST;
 use super::names::duplicate;
@@ -146,7 +146,7 @@ impl<'a> Resolver<'a> {
         self.hir.tasks[id.index()].variables.push(Variable { name, of, span });
     }
 
-    /// A take-over belongs to a standby (D61).
+    /// Checks that standbys have a `takeover`, and no other task has one (D61).
     fn role(&mut self, id: TaskId, task: &'a ast::TaskDecl) {
         let (stands_by, mutual) = self.stands_by(id);
         let declared = &self.hir.tasks[id.index()];
@@ -180,7 +180,7 @@ impl<'a> Resolver<'a> {
         self.found.extend(found);
     }
 
-    /// What is started is awaited, and a task has as many timers as its communication task keeps.
+    /// Checks that every timer has a handler, and that the communication task has room for all timers.
     fn timers(&mut self, id: TaskId, task: &'a ast::TaskDecl, scope: &Scope<'a>) {
         let declared = &self.hir.tasks[id.index()];
         let handled = |timer: usize| {

@@ -1,4 +1,4 @@
-//! The users' ends of ports: `use_port` (R28, C4, C5, C6).
+//! Resolves the users' declarations of ports: `use_port` (R28, C4, C5, C6).
 
 use super::names::duplicate;
 use super::ports::{Options, adopted, same_types, span_of, types};
@@ -57,7 +57,7 @@ impl<'a> Resolver<'a> {
                 self.report(found);
             }
             let (listed, span) = (decl.name.span, None);
-            // Listed or not: what it does with the port is no second fault.
+            // Added even if it is not listed, so that its statements on the port are not reported, too.
             let user = User { task, time_out: None, rate: None, retry: None, listed, span };
             self.hir.ports[id.index()].users.push(user);
         }
@@ -79,7 +79,7 @@ impl<'a> Resolver<'a> {
         }
     }
 
-    /// Usages, formats and classes of the two ends (D9, D11).
+    /// Checks that usages, formats and classes of the two ends agree (D9, D11).
     fn ends_agree(&mut self, id: PortId, decl: &'a PortDecl, options: &Options<'a>) {
         let port = self.hir.ports[id.index()].clone();
         let wanted = port.usage.counterpart();
@@ -135,7 +135,7 @@ impl<'a> Resolver<'a> {
         }
     }
 
-    /// Every member of a user_list has a `use_port` (C6).
+    /// Checks that every member of a `user_list` has a `use_port` (C6).
     fn every_member(&mut self, at: usize) {
         if self.poisoned_ports.contains(&at) {
             return;

@@ -1,4 +1,4 @@
-//! What others told: at a meeting, in answers, in beats; and answers that come later or from somebody else (D93).
+//! Values from other tasks, in meetings, answers and heartbeats, and replies that come later or from a third task (D93).
 
 use super::floor::Floor;
 use super::{all_found, found, whole};
@@ -241,7 +241,7 @@ fn figure_1_is_compiled_as_it_is_printed() {
     assert!(codes.iter().all(|code| !code.starts_with('E')), "{codes:?}");
     let lowered = compiled.lower(Unit::Ticks).expect("a whole cell");
     assert_eq!(lowered.cell.rules, Rules::PAPER);
-    // A rejection always costs something in the paper: where nothing is said, a tick.
+    // In the paper a rejection always has a penalty: if none is declared, a tick.
     let penalty = lowered.cell.ports[0].penalty.expect("a penalty");
     assert_eq!((penalty.length, penalty.literal), (Ticks(1), true));
     let plain = compile_with(&source, Options::default()).lower(Unit::Ticks).expect("a whole cell");

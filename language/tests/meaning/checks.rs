@@ -1,4 +1,4 @@
-//! The static checks: what each finds and where, and what they keep silent about.
+//! The static checks: what each one finds and where, and what it does not report.
 
 use super::{BEAM_LIFT, WELD, all_found, source};
 use imrs_language::{Diagnostic, Options, Severity, compile, compile_with};
@@ -6,7 +6,7 @@ use std::path::Path;
 
 const HEAD: &str = "cell c; tick 1 msec; node na; node nb; link na -- nb delay 1 msec;\n";
 
-/// Two tasks.
+/// A cell of two tasks.
 fn pair(a: &str, b: &str) -> String {
     format!("{HEAD}task a on na {a} end a;\ntask b on nb {b} end b;\n")
 }
@@ -16,7 +16,7 @@ fn check(text: &str, expected: &[&str]) {
     assert_eq!(all_found(text), expected, "in:\n{text}");
 }
 
-/// What is said of a text, but for notes.
+/// The warnings and errors about a text.
 fn serious(text: &str) -> Vec<Diagnostic> {
     let found = compile(&source(text)).diagnostics;
     found.into_iter().filter(|found| found.severity != Severity::Note).collect()
@@ -31,8 +31,8 @@ fn the_examples_have_only_notes() {
     check(WELD, &["N201 `15 msec`"]);
 }
 
-/// Each file of `examples/faulty` and `examples/rules` says in its first line what is found in it: `(* finds: E104 9:45 *)`. What a file
-/// without such a line shows is found by the model checker.
+/// Each file in `examples/faulty` and `examples/rules` lists its findings in the first line: `(* finds: E104 9:45 *)`. The
+/// faults of a file without such a line are found by the model checker.
 #[test]
 fn faulty_cells_are_found_out_where_they_say() {
     let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples");
@@ -72,10 +72,10 @@ fn meetings() {
     let wait = "waitfor m() on time_out do abort \"\"; end;";
     let uses = "use_port m() usage = waitfor;";
     check(&pair(&format!("{meet} begin {wait}"), &format!("{uses} begin {wait}")), &[]);
-    // The owner is the one that is missing.
+    // The owner is missing.
     check(&pair(&format!("{meet} begin skip;"), &format!("{uses} begin {wait}")), &["E104 `m`"]);
     check(&pair(&format!("{meet} begin {wait}"), &format!("{uses} begin skip;")), &["E104 `b`"]);
-    // A task that says nothing yet, and one whose behaviour is a program.
+    // A task without statements yet, and one whose behaviour is a Rust program.
     check(&pair(&format!("{meet} begin {wait}"), &format!("{uses} begin")), &["W316 `b`"]);
     let program = pair(&format!("{meet} begin {wait}"), &format!("{uses} begin"));
     check(&program.replace("task b on nb", "task b on nb extern"), &[]);
@@ -83,7 +83,7 @@ fn meetings() {
         &pair(&format!("{meet} begin waitfor m();"), &format!("{uses} begin {wait}")),
         &["E208 `waitfor m()`"],
     );
-    // Both on a condition: it may be the same one.
+    // Both meet on a condition, which may be the same one.
     let sometimes = format!("var x: bool; begin run look -> x; if x then {wait} end;");
     check(&pair(&format!("{meet} {sometimes}"), &format!("{uses} {sometimes}")), &[]);
 }
@@ -96,7 +96,7 @@ fn rings_of_meetings_and_of_calls() {
     let uses = "use_port m() usage = waitfor; use_port n() usage = waitfor; begin";
     check(&pair(&a, &format!("{uses} loop {} {} end;", wait("m"), wait("n"))), &[]);
     check(&pair(&a, &format!("{uses} loop {} {} end;", wait("n"), wait("m"))), &["E203 `waitfor m()`"]);
-    // Questions by turns are no ring.
+    // Tasks that ask each other in turns are no ring.
     let a = "port p() usage = query user_list = {b} time_out = 50 msec; use_port q() usage = response; begin loop query p() on time_out do skip; end; receive q(); response(); end;";
     let b = "use_port p() usage = response; port q() usage = query user_list = {a} time_out = 50 msec; begin";
     let ask = "query q() on time_out do skip; end;";
@@ -152,12 +152,12 @@ fn long_work_keeps_messages_waiting() {
         &b("loop run work takes 1..51 msec; receive q(); response(); end;"),
         &["W303 `run work takes 1..51 msec`"],
     );
-    // What does not outrank `self` is offered until it comes in between (D58), but not into an `atomic`.
+    // A handler that does not outrank `self` is offered its message until it interrupts (D58), but not inside of `atomic`.
     check(&b(&format!("{handler} loop delay 1 sec; end;")), &[]);
     check(&b(&format!("{handler} loop atomic delay 1 sec; end; end;")), &["W303 `delay 1 sec`"]);
 }
 
-/// What is said of the `receive`s of a task that takes messages of `q`, a query, and of `go`, a message of class 2.
+/// The W308 findings about the `receive`s of a task that takes messages of `q`, a query, and of `go`, a class-2 message.
 fn received(variables: &str, body: &str) -> Vec<String> {
     let asks = "port q(n: int8) usage = query user_list = {b} time_out = 500 msec;
   port go() usage = send user_list = {b} time_out = 500 msec class = 2;
@@ -167,7 +167,7 @@ begin loop query q(1) on time_out do skip; end; send go() on time_out do skip; e
     );
     let text = pair(asks, &takes.replace("response()", "response(n)"));
     let serious = serious(&text);
-    // Not each body takes messages of both ports.
+    // Some bodies take messages of only one port.
     let wrong = |found: &&Diagnostic| found.severity == Severity::Error && found.code != "E204";
     let errors: Vec<_> = serious.iter().filter(wrong).collect();
     assert!(errors.is_empty(), "{errors:?}");
@@ -178,7 +178,7 @@ begin loop query q(1) on time_out do skip; end; send go() on time_out do skip; e
 fn what_a_body_receives_is_answered_on_every_path() {
     let forgets = |body: &str| received("", body);
     let (q, go) = ("W308 `receive q(n)`", "W308 `receive go()`");
-    // Until the next turn, the end of the task, another message, and a loop that never answers.
+    // A path ends at the next turn, the end of the task, another message, or a loop that never answers.
     assert_eq!(forgets("loop receive q(n); if n > 0 then response(); end; end;"), [q]);
     assert_eq!(forgets("receive q(n); if n > 0 then response(); end;"), [q]);
     assert_eq!(forgets("loop receive q(n); receive go(); reply(); end;"), [q]);
@@ -196,7 +196,7 @@ fn what_a_body_receives_is_answered_on_every_path() {
     let asks =
         "loop receive q(n); run work on failed do skip; end; if outcome = done then response(); end; end;";
     assert_eq!(forgets(asks), [q], "this `receive` cannot end without a message");
-    // The first is answered, the second is not.
+    // The first message is answered, the second is not.
     assert_eq!(forgets("receive q(n); response(); loop receive go(); end;"), [go]);
     for whole in [
         "loop receive q(n); if n > 0 then response(); else response(); end; end;",
@@ -205,14 +205,14 @@ fn what_a_body_receives_is_answered_on_every_path() {
         "loop receive q(n) within 20 msec on time_out do skip; end; response() on failed do skip; end; end;",
         "receive q(n); if n > 3 then abort \"too many\"; end; response();",
         "loop receive q(n); exit; end; response(); receive go(); reply();",
-        // What was received last in a turn is answered in the next one.
+        // A message received last in one turn is answered in the next.
         "receive q(n); loop response(); receive q(n); end;",
     ] {
         assert_eq!(forgets(whole), [""; 0], "{whole}");
     }
 }
 
-/// Whoever asks how the `receive` ended knows whether there is something to answer.
+/// A task that asks how the `receive` ended knows whether there is a message to answer.
 #[test]
 fn a_receive_that_brought_nothing_needs_no_answer() {
     let forgets = |body: &str| received("var got: bool;", body);
@@ -240,7 +240,7 @@ fn what_a_handler_receives_is_answered_on_every_path() {
     assert_eq!(handler("receive q(m); response();"), [""; 0]);
 }
 
-/// A failing `reply` had nothing to answer.
+/// A `reply` that fails had nothing to answer.
 #[test]
 fn a_handler_that_looks_whether_its_answer_left_has_answered() {
     let b = "use_port q() usage = response; var late: bool; begin order q > self;

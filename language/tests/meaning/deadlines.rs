@@ -1,11 +1,11 @@
-//! Deadlines: the way, the work of the answer, and a help line that satisfies all checks of durations.
+//! Deadlines: link delays, the work of the answer, and a help line that satisfies all checks of durations.
 
 use super::{all_found, source};
 use imrs_language::compile;
 use imrs_protocol::CellTable;
 use proptest::prelude::*;
 
-/// `a` asks `b`, whose node is `links` links of 2 msec away; the tick is 1 msec.
+/// `a` asks `b`, whose node is `links` links of 2 msec away. The tick is 1 msec.
 fn asks(links: usize, port: &str, a: &str, b: &str) -> String {
     let nodes = ["na", "nr", "ns", "nb"];
     let on = if links == 0 { "na" } else { nodes[links] };
@@ -21,13 +21,13 @@ fn asks(links: usize, port: &str, a: &str, b: &str) -> String {
 
 const ASK: &str = "loop query q() on time_out do skip; end on refused do skip; end; end;";
 
-/// What is said of durations with this time_out of a query that is answered so.
+/// The findings about durations for a query with this time_out and this answer.
 fn of_query(links: usize, time_out: u64, answer: &str) -> Vec<String> {
     let text = asks(links, &format!("usage = query time_out = {time_out} msec"), ASK, answer);
     all_found(&text).into_iter().filter(|found| !found.starts_with("N201")).collect()
 }
 
-/// The least time_out of which E201 is not said, and the least of which W318 is not said either.
+/// The least time_out without E201, and the least without W318 either.
 #[track_caller]
 fn limits(links: usize, answer: &str) -> (u64, u64) {
     let first = |code: &str| {
@@ -42,9 +42,9 @@ fn limits(links: usize, answer: &str) -> (u64, u64) {
 #[test]
 fn the_way_counts_with_each_link_and_ticks_only_warn() {
     let handler = "begin order q > self; on query q() do response(); end;";
-    // 2 x 2 msec, 2 x 4 msec, 2 x 6 msec; a tick for each link, there and back, is no certain cost.
+    // 2 x 2 msec, 2 x 4 msec, 2 x 6 msec. A tick for each link, there and back, is not certain to pass.
     assert_eq!([1, 2, 3].map(|links| limits(links, handler)), [(5, 7), (9, 13), (13, 19)]);
-    // In one node nothing is under way: four ticks are the least.
+    // Within one node there is no link delay: four ticks are the least.
     assert_eq!(limits(0, handler), (1, 4));
 }
 
@@ -60,7 +60,7 @@ fn the_work_of_an_answer_counts() {
     };
     assert_eq!(on("run look takes 10..30 msec; response();"), (15, 37));
     assert_eq!(on("delay 10 msec; run look takes 1..2 msec; response();"), (16, 19));
-    // What stands behind the answer is no part of it, what may be left out neither.
+    // Statements behind the answer, or in an optional branch, do not count.
     assert_eq!(on("response(); run look takes 10..30 msec;"), (5, 7));
     assert_eq!(on("if x then run look takes 10..30 msec; end; response();"), (5, 7));
     assert_eq!(on("if x then delay 9 msec; response(); else delay 12 msec; response(); end;"), (14, 16));
@@ -77,7 +77,7 @@ fn what_a_receive_takes_is_answered_behind_it() {
     assert_eq!(body("receive q(); delay 10 msec; response();"), (15, 17));
     assert_eq!(body("receive; delay 10 msec; response();"), (15, 17));
     assert_eq!(body("receive q(); if x then delay 10 msec; end; response();"), (5, 7));
-    // Answered in the next turn of the loop.
+    // It is answered in the next turn of the loop.
     assert_eq!(body("if x then response(); end; receive q(); delay 10 msec;"), (16, 18));
     assert_eq!(body("receive q(); response q() for a; delay 10 msec;"), (5, 7), "answered whenever it likes");
 }
@@ -97,7 +97,7 @@ fn an_answer_that_asks_somebody_waits_for_that() {
         )
     };
     let short = |time_out| all_found(&text(time_out)).iter().any(|found| found.starts_with("E201"));
-    // The links between b and d may be quicker than they declare: only the delay is certain.
+    // The links between b and d may be quicker than declared: only the `delay` is certain.
     assert_eq!([24, 25].map(short), [true, false]);
     let nobody = text(90).replace(
         "on query r() do delay 20 msec; response(); end;",
@@ -171,7 +171,7 @@ fn who_is_never_asked_needs_no_time() {
     assert_eq!(all_found(&text("")), ["E201 `40 msec`"]);
 }
 
-/// What a help line offers in the form `give it 27 msec or more`.
+/// The duration that a help line offers, `give it 27 msec or more`, and the one that it replaces.
 fn offered(text: &str) -> Option<(String, String)> {
     let source = source(text);
     let found = compile(&source).diagnostics;
@@ -183,7 +183,7 @@ fn offered(text: &str) -> Option<(String, String)> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 200, ..ProptestConfig::default() })]
 
-    /// Who does what the help says is done: no check of a time_out is left, and the table takes the cell.
+    /// Following the help is enough: no check of a time_out reports the mended cell, and the table accepts it.
     #[test]
     fn who_follows_the_help_is_done(
         (tick, delay, least) in (1_u64..3_000, 0_u64..9_000, 0_u64..9_000),

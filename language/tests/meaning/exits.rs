@@ -1,4 +1,4 @@
-//! What ends a task that no branch saves: the reason names the statement and its line.
+//! The end of a task without a branch for a bad outcome: the reason names the statement and its line.
 
 use super::floor::Floor;
 use super::whole;

@@ -1,4 +1,4 @@
-//! Each code of names and types, with the place it points at. One fault is said once.
+//! Each code about names and types, with the place that it points at. Each fault is reported once.
 
 use super::{BEAM_LIFT, WELD, compile, found, source, whole};
 
@@ -6,7 +6,7 @@ const HEAD: &str = "cell c; tick 1 msec; node na; node nb; link na -- nb delay 1
 type Pos is record x: int16; ok: bool; end;
 ";
 
-/// Two tasks: `a` owns the ports, `b` uses them.
+/// A cell of two tasks: `a` owns the ports, `b` uses them.
 fn pair(ports: &str, a: &str, uses: &str, b: &str) -> String {
     format!("{HEAD}task a on na {ports} {a} end a;\ntask b on nb {uses} {b} end b;\n")
 }
@@ -21,7 +21,7 @@ fn check(text: &str, expected: &[&str]) {
     assert_eq!(found(text), expected, "in:\n{text}");
 }
 
-/// The body of task `a`, which owns `p` (send) and `q` (response), beside a `b` that uses them.
+/// Checks the body of task `a`, which owns `p` (send) and `q` (response); a task `b` uses them.
 #[track_caller]
 fn body(a: &str, expected: &[&str]) {
     check(&pair(&format!("{SEND} {ASK}"), a, &format!("{RECEIVE} {QUERY}"), "begin"), expected);
@@ -362,7 +362,7 @@ fn what_the_table_refuses_stands_on_its_line() {
 
 #[test]
 fn a_fault_is_said_once() {
-    // The port is no good: nothing that uses it is a second fault.
+    // The port is wrong, so its uses are not reported, too.
     let text = pair(
         "port p(v: Poss) usage = send user_list = {b} time_out = 5 msec;",
         "var x: Poss; begin send p(x); x.y := 1;",
@@ -370,7 +370,7 @@ fn a_fault_is_said_once() {
         "begin receive p();",
     );
     assert_eq!(found(&text), ["E102 `Poss`"]);
-    // Ten faults in ten places are ten findings.
+    // Ten faults in ten places give ten findings.
     let ten = format!(
         "{HEAD}task a on nx begin x := 1; exit; send no(1); delay 5 msec; end a; task b on nb var t: timer; var p: Poss; begin reply(); if 1 then skip; end; run f takes 4..2 sec; assert 5; end b;"
     );

@@ -1,4 +1,4 @@
-//! Lowered cells on nodes in virtual time: every packet takes its link's bound, every action its least time.
+//! Runs lowered cells in virtual time: every packet takes its link's whole delay, every action its least time.
 
 use imrs_language::Lowered;
 use imrs_language::lower::Behaviour;
@@ -6,7 +6,7 @@ use imrs_protocol::script::{Action, End, HostInput, HostOutbox, ScriptedNode};
 use imrs_protocol::*;
 use std::sync::Arc;
 
-/// Whatever reached the outside, as `time task: what`.
+/// The environment of the nodes: links, actions, and a log of `time task: what`.
 #[derive(Default)]
 struct Outside {
     now: u64,
@@ -53,18 +53,18 @@ impl HostOutbox for Outside {
     }
 }
 
-/// A running cell.
+/// A whole cell that runs in virtual time.
 pub struct Floor {
     table: Arc<CellTable>,
     nodes: Vec<ScriptedNode>,
     down: Vec<bool>,
     out: Outside,
-    /// What an action gives, by its name and the time.
+    /// The result of an action, by its name and the time.
     pub results: fn(&str, u64) -> i32,
 }
 
 impl Floor {
-    /// The cell at its beginning.
+    /// The cell at its start.
     pub fn new(lowered: &Lowered) -> Self {
         let table = Arc::new(CellTable::new(lowered.cell.clone()).expect("a checked cell"));
         let mut names = Vec::new();
@@ -104,7 +104,7 @@ impl Floor {
         }
     }
 
-    /// Ends the actions that are over; those that take no time end at once.
+    /// Ends the actions whose time has passed. Actions that take no time end at once.
     fn end_actions(&mut self) {
         while let Some(at) = self.out.actions.iter().position(|&(due, ..)| due <= self.out.now) {
             let (_, task, level, name) = self.out.actions.remove(at);

@@ -1,4 +1,4 @@
-//! The operations that statements become.
+//! The operations to which statements are lowered.
 
 use super::{BEAM_LIFT, WELD, whole};
 use imrs_language::lower::{Behaviour, CheckKind, Script};
@@ -14,7 +14,7 @@ fn script<'l>(lowered: &'l Lowered, task: &str) -> &'l Script {
     }
 }
 
-/// The operations of a task, one a line, with the beginning of what they stand for in front of each statement.
+/// The operations of a task, one a line. A statement is shown as its first source line.
 fn listing(text: &str, unit: Unit, task: &str) -> String {
     let lowered = whole(text).lower(unit).expect("a whole cell");
     let script = script(&lowered, task);
@@ -96,7 +96,7 @@ fn a_primary_waits_for_its_lease_and_a_standby_takes_over() {
     assert!(primary.takeover.is_none());
     let standby = &script(&lowered, "r2").program;
     assert!(standby.takeover.is_some() && !standby.code.contains(&Op::Lease));
-    // What the couple orders from others acts under its lease; what it tells itself does not.
+    // The ports through which the couple commands others are under its lease; those between its own tasks are not.
     let guards: Vec<_> = lowered.cell.ports.iter().map(|port| (port.name.as_str(), port.guard)).collect();
     assert_eq!(guards, [("grab", Some(0)), ("free", Some(0)), ("prog", None), ("alive", None)]);
 }
@@ -116,7 +116,7 @@ fn durations_are_rounded_to_the_tick_and_said() {
     assert!(code.contains(&Op::Delay(Ticks(13))));
     assert!(code.iter().any(|op| matches!(op, Op::Start { length: Ticks(1), .. })));
     assert_eq!(lowered.cell.ports[2].time_out, Ticks(90));
-    // The least and the most time, the delay and the time_out; the `model tick` rounds nothing.
+    // The least and the most time, the delay and the time_out. The `model tick` rounds nothing.
     assert_eq!(lowered.notes.len(), 4, "{:?}", lowered.notes);
     let usec = compiled.lower(Unit::Microseconds).expect("a whole cell");
     assert!(usec.notes.is_empty());
@@ -140,7 +140,7 @@ fn actions_say_what_they_take_and_what_is_worth_trying() {
     let lowered = whole(BEAM_LIFT).lower(Unit::Ticks).expect("a whole cell");
     let actions = &script(&lowered, "armL").actions;
     let read = actions.iter().find(|action| action.name == "read_height").expect("an action");
-    // `me.height > 900` changes between these.
+    // `me.height > 900` changes between these values.
     assert_eq!((read.values.clone(), read.arguments.len()), (vec![900, 901], 0));
     let lowered = whole(WELD).lower(Unit::Ticks).expect("a whole cell");
     let actions = &script(&lowered, "r1").actions;
@@ -170,7 +170,7 @@ fn one_variable_may_hold_several_silences() {
   response(v.ok);
   v := w; v.x := 4;",
     );
-    // Both conditions are looked at before and after each store, and no operand is left while a timer is started.
+    // Both conditions are computed before and after each store, and the stack is empty when a timer starts.
     let listing = listing(&text, Unit::Ticks, "a");
     assert_eq!(listing.matches("Start { timer: TimeId(1)").count(), 6, "{listing}");
 }

@@ -1,4 +1,4 @@
-//! What cells mean: names and types, lowered scripts, and how those run.
+//! The meaning of cells: names and types, lowered scripts, and how the scripts run.
 
 mod answers;
 mod checks;
@@ -16,7 +16,7 @@ use imrs_language::{Compiled, Diagnostic, compile, render};
 const BEAM_LIFT: &str = include_str!("cells/beam_lift.cell");
 const WELD: &str = include_str!("cells/weld_cell.cell");
 
-/// The cell of a text that must have no fault.
+/// Compiles a text that must have no errors.
 fn whole(text: &str) -> Compiled {
     let source = source(text);
     let compiled = compile(&source);
@@ -25,7 +25,8 @@ fn whole(text: &str) -> Compiled {
     compiled
 }
 
-/// Each error of names, types and tables as `E101 `what stands there``: these cells do little, and that is found, too.
+/// The errors of names, types and tables, each as "E101 `source text`". Other checks are left out, because these cells do
+/// little.
 fn found(text: &str) -> Vec<String> {
     let behaviour = ["E104", "E202", "E203", "E204", "E206", "E208", "E209", "E211"];
     let is = |found: &String| {
@@ -34,7 +35,7 @@ fn found(text: &str) -> Vec<String> {
     all_found(text).into_iter().filter(is).collect()
 }
 
-/// Each finding as `E101 `what stands there``.
+/// All findings, each as "E101 `source text`".
 fn all_found(text: &str) -> Vec<String> {
     let source = source(text);
     let shown = |found: &Diagnostic| format!("{} `{}`", found.code, source.slice(found.primary.span));

@@ -1,15 +1,15 @@
-//! No file makes the compiler panic: what can be parsed is resolved, what is whole is lowered.
+//! No file makes the compiler panic: what parses is resolved, and what resolves is lowered.
 
 use super::{BEAM_LIFT, WELD, source};
 use imrs_language::{Options, Unit, compile, compile_with, lower, parse, resolve};
 use proptest::prelude::*;
 
-/// Everything that follows from a text.
+/// Runs all phases on a text.
 fn all(text: &str) {
     let source = source(text);
     let _ = compile(&source);
     let _ = compile_with(&source, Options { paper: true });
-    // Also what has syntax errors: what is left of it must do no harm.
+    // Texts with syntax errors, too: the parsed rest must do no harm.
     let resolved = resolve(&parse(&source).file, source.text());
     for unit in [Unit::Microseconds, Unit::Ticks] {
         if let Ok(lowered) = lower(&resolved.hir, unit) {
@@ -18,7 +18,7 @@ fn all(text: &str) {
     }
 }
 
-/// The examples, and the whole cells of the reference: together they have every statement.
+/// The examples, and the whole cells of the reference: together they contain every statement.
 fn texts() -> Vec<&'static str> {
     let pages = [
         include_str!("../../../specs/language/statements.md"),
@@ -30,7 +30,7 @@ fn texts() -> Vec<&'static str> {
     [BEAM_LIFT, WELD].into_iter().chain(cells).collect()
 }
 
-/// Words, numbers and signs of a text.
+/// The words, numbers and signs of a text.
 fn tokens(text: &str) -> Vec<String> {
     let mut tokens: Vec<String> = Vec::new();
     for line in text.lines() {

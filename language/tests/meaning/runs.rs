@@ -1,4 +1,4 @@
-//! The examples, run.
+//! Runs the examples.
 
 use super::floor::Floor;
 use super::{BEAM_LIFT, WELD, whole};
@@ -8,7 +8,7 @@ fn floor(text: &str) -> Floor {
     Floor::new(&whole(text).lower(Unit::Ticks).expect("a whole cell"))
 }
 
-/// Entries of the log that have one of these words, without their times.
+/// The entries of the log that contain one of these words, without their times.
 fn only(log: &[String], words: &[&str]) -> Vec<String> {
     let named = log.iter().filter(|line| words.iter().any(|word| line.contains(word)));
     named.map(|line| line.split_once(' ').expect("a time").1.to_owned()).collect()

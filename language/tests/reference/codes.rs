@@ -1,4 +1,4 @@
-//! The page of codes is written from the compiler's own pages.
+//! Checks that the reference page of codes is what the compiler's own pages say.
 
 use super::same;
 use imrs_language::codes::ALL;
@@ -44,7 +44,7 @@ const KINDS: [(&str, &str); 7] = [
     ("W3", "What mostly is not meant"),
 ];
 
-/// What stands in front of the examples of a page.
+/// The text in front of the examples of a page.
 fn prose(page: &str) -> String {
     let body = page.split_once('\n').map_or("", |(_, rest)| rest);
     body.split("```").next().unwrap_or_default().trim().to_owned()

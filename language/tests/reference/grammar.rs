@@ -1,4 +1,4 @@
-//! Whatever the grammar of the reference produces is read without a complaint.
+//! Checks that the parser accepts whatever the grammar in the reference produces.
 
 use super::{pages, read};
 use imrs_language::{Source, parse, render};
@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 /// A part of a rule.
 #[derive(Clone, Debug)]
 enum Part {
-    /// As it stands.
+    /// Literal text.
     Sign(String),
     /// Another rule, or a token.
     Rule(String),
@@ -98,18 +98,18 @@ fn sequence(tokens: &[String], at: &mut usize) -> Part {
     }
 }
 
-/// What decides while a text is made.
+/// Makes a text from the rules.
 struct Making<'a> {
     rules: &'a Rules,
     choices: std::slice::Iter<'a, u8>,
     depth: usize,
-    /// How many expressions are open.
+    /// How many expressions enclose the current part.
     exprs: usize,
 }
 
 impl Making<'_> {
-    /// A number below `of`; the first alternative once the choices have run out, so that every text ends. Expressions have
-    /// a limit of their own (E012): they stay small, and leave choices for the rest.
+    /// A number below `of`. Once the choices have run out it is the first alternative, so that every text ends. Expressions
+    /// have a limit of their own (E012), so they stay small and leave choices for the rest.
     fn choose(&mut self, of: usize) -> usize {
         if self.depth > 40 || self.exprs > 1 {
             return 0;
@@ -142,7 +142,7 @@ impl Making<'_> {
     fn rule(&mut self, name: &str, out: &mut Vec<String>) {
         let pick = |making: &mut Self, of: &[&str]| of[making.choose(of.len())].to_owned();
         let token = match name {
-            // One name for all: the name behind a task's `end` is the task's.
+            // All names are one, because the name behind a task's `end` must be the task's.
             "name" => "a".to_owned(),
             "number" => pick(self, &["1", "20", "1_000"]),
             "text" => "\"x\"".to_owned(),
@@ -177,7 +177,7 @@ proptest! {
         prop_assert!(parsed.diagnostics.is_empty(), "{shown}");
     }
 
-    /// Statements come seldom in the above.
+    /// Statements are rare in the test above.
     #[test]
     fn statements_of_the_grammar_are_read(choices in proptest::collection::vec(any::<u8>(), 20..400)) {
         let rules = rules();

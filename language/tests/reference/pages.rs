@@ -1,14 +1,14 @@
-//! The cells of the pages.
+//! Checks the cells in the pages.
 //!
-//! A block fenced as `cell` is a whole file, `cell,paper` one for `--paper`, `cell,NAME` a piece that stands in a frame: a
-//! comment of the page, `<!-- frame NAME`, with a line `...` where the piece goes. A block fenced as `diagnostics` behind it
-//! is what is said of it; where there is none, nothing is.
+//! A block fenced as `cell` is a whole file, `cell,paper` one for `--paper`. `cell,NAME` is a part that goes into a frame: a
+//! comment of the page, `<!-- frame NAME`, with a line `...` in place of the part. A block fenced as `diagnostics` behind it
+//! lists its findings; without such a block there are none.
 
 use super::{pages, read, same};
 use imrs_language::{Options, Source, Unit, compile_with, render};
 use std::collections::BTreeMap;
 
-/// The frames of a page: what stands before the piece, and behind it.
+/// The frames of a page: the text in front of the part, and behind it.
 fn frames(page: &str) -> BTreeMap<&str, (&str, &str)> {
     let comments = page.split("<!-- frame ").skip(1).filter_map(|rest| rest.split("\n-->").next());
     comments
@@ -20,7 +20,7 @@ fn frames(page: &str) -> BTreeMap<&str, (&str, &str)> {
         .collect()
 }
 
-/// What is said of a piece: lines and columns are its own.
+/// The findings about a part, with its own lines and columns.
 fn brief(text: &str, from: usize, paper: bool) -> String {
     let source = Source::new(text.as_bytes()).expect("a text");
     let mut said = String::new();
@@ -47,7 +47,7 @@ fn word(code: &str) -> &'static str {
     }
 }
 
-/// What is said of a whole file, as a user sees it.
+/// The findings about a whole file, as a user sees them.
 fn full(text: &str, paper: bool) -> String {
     let source = Source::new(text.as_bytes()).expect("a text");
     let compiled = compile_with(&source, Options { paper });
@@ -72,7 +72,7 @@ fn said_of(fence: &str, code: &str, frames: &BTreeMap<&str, (&str, &str)>, page:
     }
 }
 
-/// The page with what is so in its blocks of diagnostics, and how many cells it has.
+/// The page with the actual findings in its blocks of diagnostics, and the number of its cells.
 fn checked(page: &str, name: &str) -> (String, usize) {
     let frames = frames(page);
     let lines: Vec<&str> = page.lines().collect();
@@ -90,7 +90,7 @@ fn checked(page: &str, name: &str) -> (String, usize) {
         let said = said_of(fence, &code, &frames, name);
         out += &format!("{code}```\n");
         at = end + 1;
-        // A block of diagnostics follows after an empty line, or none does.
+        // A block of diagnostics, if there is one, follows after an empty line.
         if lines.get(at) == Some(&"") && lines.get(at + 1) == Some(&"```diagnostics") {
             at = end_of(at + 2) + 1;
         }

@@ -1,9 +1,9 @@
-//! What holds for any bytes. Also the body of the fuzz target `cell`.
+//! Properties that hold for any bytes; also the body of the fuzz target `cell`.
 
 use imrs_language::lower::Behaviour;
 use imrs_language::{Options, Source, Unit, compile_with, format, parse, render};
 
-/// Reads, reports, compiles and formats.
+/// Parses, reports, compiles and formats.
 pub fn check(bytes: &[u8]) {
     let source = match Source::new(bytes) {
         Ok(source) => source,
@@ -25,11 +25,11 @@ pub fn check(bytes: &[u8]) {
     if parsed.diagnostics.is_empty() {
         formats(&source);
     }
-    // Also of what could be read in part, names, types and times are checked.
+    // Names, types and times are checked even if only a part could be parsed.
     [false, true].into_iter().for_each(|paper| compiles(&source, paper));
 }
 
-/// Compiles and lowers in both units; what is lowered has programs that pass the machine's own check.
+/// Compiles, and lowers in both units. The lowered programs must pass the script machine's own check.
 pub fn compiles(source: &Source, paper: bool) {
     let compiled = compile_with(source, Options { paper });
     for found in &compiled.diagnostics {
@@ -47,7 +47,7 @@ pub fn compiles(source: &Source, paper: bool) {
     }
 }
 
-/// Formatting changes nothing that means something, and is done once.
+/// Formatting changes no meaning and is idempotent.
 pub fn formats(source: &Source) {
     let once = format(source).expect("no errors");
     let formatted = Source::new(once.as_bytes()).expect("a text");
@@ -57,7 +57,7 @@ pub fn formats(source: &Source) {
     assert_eq!(format(&formatted).expect("no errors"), once, "formatting again");
 }
 
-/// A tree without what says where things stand.
+/// A syntax tree as text, without its spans.
 pub fn plain(file: &imrs_language::ast::File) -> String {
     let shown = format!("{file:?}");
     let mut parts = shown.split("Span { start: ");

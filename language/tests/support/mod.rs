@@ -1,4 +1,4 @@
-//! What the tests of the language share; the fuzz target `cell` shares `bytes.rs`.
+//! Shared by the tests of the language; the fuzz target `cell` uses `bytes.rs`, too.
 
 pub mod bytes;
 

@@ -1,11 +1,12 @@
-//! Any bytes: no panic, bounded findings inside the text, a formatter that settles and changes nothing.
+//! Any bytes: the compiler does not panic, its findings are few and inside of the text, and formatting is idempotent and
+//! changes no meaning.
 
 use super::{BEAM_LIFT, PAPER, WELD};
 use proptest::prelude::*;
 
 use crate::support::bytes::check;
 
-/// Words and signs, in any order.
+/// Keywords and signs in any order.
 fn soup() -> impl Strategy<Value = String> {
     let words: Vec<&'static str> = imrs_language::Word::RESERVED
         .iter()
@@ -21,7 +22,7 @@ fn soup() -> impl Strategy<Value = String> {
     words.prop_map(|words| words.join(" "))
 }
 
-/// An example with a few bytes overwritten, left out or doubled.
+/// An example with a few pieces replaced by copies of others.
 fn mutated() -> impl Strategy<Value = Vec<u8>> {
     let text = proptest::sample::select(vec![BEAM_LIFT, WELD, PAPER]);
     let change = (any::<prop::sample::Index>(), 0..12_usize, any::<prop::sample::Index>(), 0..12_usize);

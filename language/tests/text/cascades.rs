@@ -1,4 +1,4 @@
-//! One fault is said once, and with what to write instead.
+//! Each fault is reported once, and with what to write instead.
 
 use imrs_language::codes::ALL;
 use imrs_language::{Diagnostic, Options, Severity, Source, compile_with, parse};
@@ -6,7 +6,7 @@ use std::path::Path;
 
 const NEXT: u64 = 6_364_136_223_846_793_005;
 
-/// What is said of a text, but for notes and warnings.
+/// The errors that are reported for a text.
 fn errors(text: &str, paper: bool) -> Vec<Diagnostic> {
     match Source::new(text.as_bytes()) {
         Ok(source) => {
@@ -17,7 +17,7 @@ fn errors(text: &str, paper: bool) -> Vec<Diagnostic> {
     }
 }
 
-/// The cells of `examples`.
+/// The cells in `examples`, with their paths.
 fn examples() -> Vec<(String, String)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples");
     let entries = std::fs::read_dir(folder).expect("the examples").flatten();
@@ -31,7 +31,7 @@ fn examples() -> Vec<(String, String)> {
     cells
 }
 
-/// Where words, numbers and signs stand, without comments.
+/// The offsets of words, numbers and signs, without comments.
 fn tokens(text: &str) -> Vec<(usize, usize)> {
     let (bytes, mut tokens, mut at) = (text.as_bytes(), Vec::new(), 0);
     let word = |byte: u8| byte.is_ascii_alphanumeric() || byte == b'_';
@@ -58,7 +58,7 @@ fn tokens(text: &str) -> Vec<(usize, usize)> {
     tokens
 }
 
-/// One of these texts with one word left out, misspelt, or written twice.
+/// The text with one token dropped, doubled, misspelt, or replaced by another one.
 fn mutated(text: &str, tokens: &[(usize, usize)], seed: &mut u64) -> String {
     let mut draw = |below: usize| {
         *seed = seed.wrapping_mul(NEXT).wrapping_add(1_442_695_040_888_963_407);
@@ -78,8 +78,8 @@ fn mutated(text: &str, tokens: &[(usize, usize)], seed: &mut u64) -> String {
     format!("{}{other}{}", &text[..begin], &text[end..])
 }
 
-/// A file with one fault seldom has more than a few errors: three at most in nearly all, and what more there is belongs to a
-/// declaration that everything else needs.
+/// A file with one fault seldom has more than a few errors: nearly always three at most. More come only from a declaration
+/// that everything else needs.
 #[test]
 fn one_wrong_word_is_few_errors() {
     let (mut seed, mut number, mut many, mut one, mut mute) = (7, 0, Vec::new(), 0, Vec::new());
@@ -115,12 +115,12 @@ fn one_wrong_word_is_few_errors() {
     assert!(many.len() * 100 <= number * SELDOM_MORE, "{} of {number}:\n{}", many.len(), many.join("\n"));
 }
 
-/// Percent of the mutants with an error that have exactly one, at least.
+/// The least percentage of the faulty mutants that have exactly one error.
 const MOSTLY_ONE: usize = 85;
-/// Percent of them that have more than three, at most.
+/// The greatest percentage of them that have more than three.
 const SELDOM_MORE: usize = 1;
 
-/// The wrong example of each page is one finding, through all phases, and says what to write.
+/// The wrong example of each page gives one finding, through all phases, and the finding says what to write.
 #[test]
 fn each_wrong_example_is_one_finding() {
     let mut surprising = Vec::new();
@@ -160,7 +160,7 @@ fn every_error_says_what_to_write() {
     assert!(texts >= 25);
 }
 
-/// Faults that once were said twice, in other words.
+/// Faults that used to be reported twice, in different words.
 #[test]
 fn a_fault_of_a_declaration_is_not_one_of_its_uses() {
     let codes = |text: &str| errors(text, false).iter().map(|found| found.code).collect::<Vec<_>>().join(" ");
@@ -192,7 +192,7 @@ fn a_fault_of_a_declaration_is_not_one_of_its_uses() {
         "port p(n: int8) usage = receive user_list = {a} time_out = 50 msec;",
     );
     assert_eq!(codes(&both), "E103");
-    // A slip in a list, or in a `use_port`: the other end is no second fault.
+    // A misspelt name in a list, or in a `use_port`: the other end is not reported, too.
     assert_eq!(codes(&port("class = 2", "").replace("{b}", "{bb}")), "E102");
     assert_eq!(codes(&port("class = 2", "").replace("use_port p(", "use_port pp(")), "E102");
     assert_eq!(

@@ -1,4 +1,4 @@
-//! Texts without faults, and what they mean.
+//! Texts without faults, and their syntax trees.
 
 use super::{BEAM_LIFT, PAPER, WELD, diagnostics, rendered, source, tree};
 use imrs_language::ast::{ExprKind, Item, StatementKind, TaskDecl};
@@ -10,7 +10,7 @@ fn tasks(text: &str) -> Vec<TaskDecl> {
     items.filter_map(|item| if let Item::Task(task) = item { Some(task) } else { None }).collect()
 }
 
-/// Of each task: ports, options, variables, handlers, statements of the body, and of `takeover`.
+/// For each task: its ports, options, variables, handlers, statements of the body, and statements of `takeover`.
 fn sizes(text: &str) -> Vec<(String, [usize; 6])> {
     let size = |task: TaskDecl| {
         let options = task.ports.iter().map(|port| port.options.len()).sum();

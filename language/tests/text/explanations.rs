@@ -1,9 +1,9 @@
-//! The pages about codes: every example is tried.
+//! The pages about codes: a test compiles every example in them.
 
 use imrs_language::codes::{ALL, explain};
 use imrs_language::{Options, Source, compile_with, parse};
 
-/// The codes that this text is turned down with.
+/// The codes of the parser's findings about a text.
 fn codes(text: &str) -> Vec<&'static str> {
     match Source::new(text.as_bytes()) {
         Ok(source) => parse(&source).diagnostics.iter().map(|found| found.code).collect(),
@@ -11,13 +11,13 @@ fn codes(text: &str) -> Vec<&'static str> {
     }
 }
 
-/// The codes that this cell is turned down with: pages about the syntax show pieces of cells, the others whole ones.
+/// The codes of all findings about a whole cell. Only pages about the syntax show parts of cells.
 fn codes_of_cell(text: &str, paper: bool) -> Vec<&'static str> {
     let source = Source::new(text.as_bytes()).expect("a text");
     compile_with(&source, Options { paper }).diagnostics.iter().map(|found| found.code).collect()
 }
 
-/// The blocks of a page that are fenced like this.
+/// The blocks of a page with this fence.
 fn blocks<'p>(page: &'p str, fence: &str) -> Vec<&'p str> {
     let fence = format!("```cell,{fence}\n");
     let begins = page.split(&fence).skip(1);
@@ -61,11 +61,11 @@ fn codes_are_sorted_and_have_a_page_each() {
     assert_eq!(explain("E999"), None);
 }
 
-/// What is wrong is told with a place that has a word for it, and with what to write instead.
+/// Each error and warning says what to write instead.
 #[test]
 fn every_error_and_warning_says_what_to_write() {
     let mut mute = Vec::new();
-    // Their messages say it: `expected ..`, `choose another name`.
+    // The messages of these codes say it: `expected ..`, `choose another name`.
     let plain = ["E005", "E006", "E009"];
     let serious = ALL.iter().filter(|entry| !entry.code.starts_with('N') && !plain.contains(&entry.code));
     for entry in serious {

@@ -1,4 +1,4 @@
-//! What is said about faulty texts. Each file of `tests/faulty` is one; its findings are recorded beside it.
+//! The findings about faulty texts. Each file in `tests/faulty` is one; its findings are recorded beside it.
 
 use super::{codes, rendered, source};
 use imrs_language::{parse, render};
@@ -24,7 +24,7 @@ fn faulty_texts_are_reported_as_recorded() {
     for path in texts {
         let text = std::fs::read_to_string(&path).expect("a text");
         let name = path.file_stem().and_then(|name| name.to_str()).expect("a name").to_owned();
-        // How many errors there are is said by the text itself, in its first line.
+        // The first line of the text lists its errors.
         let first = text.lines().next().unwrap_or_default();
         let expected: Vec<&str> = first.trim_start_matches("// ").split(' ').collect();
         if codes(&text) != expected {
@@ -36,7 +36,7 @@ fn faulty_texts_are_reported_as_recorded() {
     assert!(surprising.is_empty(), "{}", surprising.join("\n"));
 }
 
-/// Syntax, names, types, behaviour and times: each error is said on its line, and nothing follows from it.
+/// Syntax, names, types, behaviour and times: each error is reported on its line, and causes no other finding.
 #[test]
 fn ten_different_errors_are_ten_diagnostics() {
     let text = include_str!("ten.cell");
@@ -87,4 +87,30 @@ fn bytes_that_are_no_text_are_one_error() {
     assert!(found.message.contains("byte 8 (line 2)"), "{}", found.message);
     let shown = render::text(&[*found], "a.cell", None, render::Style::Plain);
     assert!(shown.contains("a.cell"), "{shown}");
+}
+
+/// Whoever writes a type of another language is told which one is meant here.
+#[test]
+fn types_of_other_languages_are_explained() {
+    let types = [
+        ("int", "int16"),
+        ("DINT", "int32"),
+        ("uint8", "word"),
+        ("float", "real"),
+        ("double", "real"),
+        ("boolean", "bool"),
+        ("string", "number"),
+        ("array", "record"),
+        ("robtarget", "record"),
+        ("duration", "delay"),
+    ];
+    for (other, ours) in types {
+        let text = format!(
+            "cell c;\ntick 1 msec;\nnode n;\ntask t on n\n  var x: {other};\nbegin\n  run look takes 1 msec;\nend t;\n"
+        );
+        let compiled = imrs_language::compile(&source(&text));
+        let [found] = &compiled.diagnostics[..] else { panic!("{other}: {:?}", compiled.diagnostics) };
+        assert_eq!(found.code, "E102", "{other}");
+        assert!(found.help[0].contains(ours) && found.help.len() == 1, "{other}: {:?}", found.help);
+    }
 }

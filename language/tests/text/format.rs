@@ -27,7 +27,7 @@ fn examples_are_formatted_as_recorded() {
 fn spellings_and_spaces_are_settled() {
     let text = "CELL c ;TASK t ON n\n\n\n\n PORT Rate( a:INT8 ,b )Usage=send user_list=( a,b c )rate = 1 / 2 sec  \
                 bounded_buffer [ 3 ] ;\r\nBEGIN\nRate:=- 1-( - - 2)+NOT.x [";
-    // It cannot be read.
+    // It does not parse.
     assert!(format(&source(text)).is_err());
     let text = text.replace(
         "+NOT.x [",
@@ -92,9 +92,9 @@ fn gap() -> impl Strategy<Value = &'static str> {
     ])
 }
 
-/// Splits a text where blanks stand, and puts other gaps there.
+/// Splits a text at its blanks and puts other gaps there.
 fn regapped(text: &'static str) -> impl Strategy<Value = String> {
-    // Texts and comments keep what stands in them.
+    // Texts in quotes stay whole, and comments are removed.
     let lines = text.lines().map(|line| line.split("//").next().unwrap_or_default());
     let plain = lines.collect::<Vec<_>>().join("\n");
     let plain = match (plain.find("/*"), plain.find("*/")) {

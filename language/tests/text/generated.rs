@@ -1,10 +1,10 @@
-//! Texts made from the grammar: they are read without complaint, and formatting changes nothing in them.
+//! Texts made from the grammar: they parse without findings, and formatting changes no meaning.
 
 use super::{diagnostics, rendered, source};
 use crate::support::bytes::formats;
 use proptest::prelude::*;
 
-/// Names, words that may be names among them, in either case.
+/// Names in either case, some of which are free keywords.
 fn name() -> impl Strategy<Value = &'static str> {
     proptest::sample::select(vec![
         "a", "B2", "armL", "x_1", "Rate", "class", "stop", "FROM", "within", "order", "Silence",

@@ -1,4 +1,4 @@
-//! What is larger than is allowed is refused, quickly and without overflow.
+//! What exceeds a limit is refused, quickly and without a stack overflow.
 
 use super::{codes, diagnostics, source};
 use imrs_language::{LONGEST_FILE, Source, format};
@@ -8,7 +8,7 @@ fn in_task(body: &str) -> String {
     format!("cell c; task t on n begin {body} end t;")
 }
 
-/// Of too many nodes one thing is said, and no way between them is looked for.
+/// Too many nodes give one finding, and no routes between them are searched.
 #[test]
 fn nodes_have_a_bound() {
     let cell = |nodes: usize, links: &dyn Fn(usize) -> String| {
@@ -75,9 +75,8 @@ fn files_have_a_bound() {
     assert_eq!(Source::new(text.as_bytes()).expect_err("too long").code, "E012");
 }
 
-/// Sixteen megabytes of rubbish of several kinds. The bound is generous: what it is to catch takes minutes.
-/// So much of `length`, and how long that may take: all of it where `IMRS_LONGEST` is set, else a sixteenth. What takes
-/// more than its share of the time for a longer text would take minutes for the longest.
+/// How much of `length` a test uses, and its time limit. With `IMRS_LONGEST` it is the whole length, else a sixteenth. The
+/// limits are generous: what takes more than linear time would take minutes for the longest text.
 fn part_of(length: usize, limit: Duration) -> (usize, Duration) {
     if std::env::var_os("IMRS_LONGEST").is_some() {
         (length, limit)
@@ -140,7 +139,7 @@ fn a_long_text_without_faults_is_read_and_formatted_quickly() {
     assert!(formatted.len() > text.len() && begin.elapsed() < limit);
 }
 
-/// Each loop of sixty in one another is not gone through twice for each one around it.
+/// Nested loops are not visited twice for each loop around them.
 #[test]
 fn loops_in_loops_are_checked_quickly() {
     let loops = |begin: &str, inside: &str| format!("{} {inside} {}", begin.repeat(58), "end; ".repeat(58));
@@ -163,7 +162,7 @@ fn loops_in_loops_are_checked_quickly() {
             &format!("on query q() do {} end; end b;", loops(begin, inside).replace("receive q();", "skip;")),
         );
         let _ = imrs_language::compile(&source(&handled));
-        // Gone through twice for each, it would never end.
+        // With two visits for each loop around, this would never end.
         assert!(begun.elapsed().as_secs() < 120, "{begin}");
     }
 }

@@ -1,4 +1,4 @@
-//! What can be seen of the language from outside: texts in, trees, diagnostics and formatted texts out.
+//! The language from outside: texts in; syntax trees, diagnostics and formatted texts out.
 
 mod bytes;
 mod cascades;
@@ -29,7 +29,7 @@ fn rendered(text: &str) -> String {
     render::text(&parse(&source).diagnostics, "test.cell", Some(&source), render::Style::Plain)
 }
 
-/// The tree of a text without what says where things stand.
+/// The syntax tree of a text, without spans.
 fn tree(text: &str) -> String {
     plain(&parse(&source(text)).file)
 }
