@@ -1,9 +1,9 @@
-//! The program at a tool that two work-coupled tasks share: it acts for one of them at a time, whatever becomes of the nodes
+//! The program at a tool that two work-coupled tasks share. It acts for one of them at a time, whatever happens to the nodes
 //! that started it (`imrs_runtime::actuator`).
 //!
-//! `imrs run CELL --action 'weld=target/debug/examples/actuator FOLDER MILLISECONDS'`: it acts once a millisecond, and writes
-//! down when. `FOLDER` holds the gate of the tool and the log. An epoch behind that stands for one that the runtime does not
-//! give: 1 for the primary, 2 for the standby.
+//! `imrs run CELL --action 'weld=target/debug/examples/actuator FOLDER MILLISECONDS'` makes it act once a millisecond and log
+//! each step. `FOLDER` holds the gate of the tool and the log. A further argument is the epoch if the runtime gives none: 1 for
+//! the primary, 2 for the standby.
 
 use imrs_runtime::actuator::{Deadline, Gate, Orders, Refused, now};
 use std::error::Error;
@@ -13,11 +13,11 @@ use std::path::Path;
 use std::time::Duration;
 use std::{env, thread};
 
-/// Between two steps.
+/// The time between two steps.
 const STEP: Duration = Duration::from_millis(1);
 
-/// What the log says, a line each: when, under which epoch, and what. One write each, so that lines of several processes stay
-/// whole.
+/// The log: each line has an instant, an epoch and an event. A line is one write, so that lines of several processes do not
+/// mix.
 struct Log(File);
 
 impl Log {
@@ -30,7 +30,7 @@ impl Log {
     }
 }
 
-/// Moves the tool in this folder for so long, under this epoch, while it may.
+/// Acts with the tool in this folder for so long, under this epoch, as long as the gate admits it.
 ///
 /// # Errors
 /// The gate refuses it, or a file cannot be used.
@@ -44,19 +44,19 @@ pub fn weld(folder: &Path, epoch: u8, deadline: Deadline, length: Duration) -> R
         if now() >= end {
             break Ok(());
         }
-        // Here the motor would be told to go on for one more step.
+        // A real program would move the motor by one step here.
         match permit.act(|| log.line(epoch, "act")) {
             Ok(written) => written?,
             Err(refused) => break Err(refused),
         }
         thread::sleep(STEP);
     };
-    // It acts no more: this is no act.
+    // This line is written outside the permit, because it is not an act.
     log.line(epoch, "end")?;
     stopped.map_err(Refused::into)
 }
 
-/// Acts as the runtime says.
+/// Acts under the epoch and the deadline that the runtime gives.
 pub fn main() -> Result<(), Box<dyn Error>> {
     let arguments: Vec<String> = env::args().skip(1).collect();
     let [folder, millis, rest @ ..] = arguments.as_slice() else {
@@ -69,7 +69,7 @@ pub fn main() -> Result<(), Box<dyn Error>> {
         (None, None) => return Err("the task is in no couple: name an epoch behind the milliseconds".into()),
     };
     let said = deadline.clone();
-    // A runtime that gives no deadline gives no input, either.
+    // A runtime that gives no deadline sends no new deadlines on standard input either.
     if env::var_os(imrs_runtime::actuator::DEADLINE).is_some() {
         thread::spawn(move || said.follow(io::stdin().lock()));
     }

@@ -1,4 +1,4 @@
-//! A cell whose camera is a Rust program: it finds parts on a belt, and a scripted robot picks them.
+//! A cell with a camera in Rust: the camera finds parts on a belt, and a scripted robot picks them.
 //!
 //! `cargo run --example extern_task`, or the camera alone: `cargo run --example extern_task -- --node nc`, beside
 //! `imrs run examples/extern_task.cell --node np`.
@@ -7,9 +7,9 @@ use imrs::{Context, Program, ProgramError, TaskEnd, TaskError};
 use std::time::Duration;
 
 const CELL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/extern_task.cell");
-/// 30 pictures a second.
+/// The time between two pictures: about 30 a second.
 const PERIOD: Duration = Duration::from_millis(34);
-/// The camera stops after ten seconds. By then the robot has picked all that it wants.
+/// The camera stops after ten seconds. By then the robot has picked all its parts.
 const PICTURES: i16 = 300;
 
 /// Sees a part every picture; every other one lies out of reach.
@@ -40,7 +40,7 @@ pub fn main() -> Result<(), ProgramError> {
     {
         program = program.node(node);
     }
-    // The run ends with its last task, and after a minute at most.
+    // The run ends when the last task does, or after a minute.
     for (task, end) in program.run(Some(Duration::from_secs(60)))? {
         let how = match end {
             TaskEnd::Script(_) => "done",

@@ -1,5 +1,5 @@
-//! A task whose program is a future: a gripper that closes until its force sensor stops it, or a message of another task,
-//! whichever comes first. The sensor belongs to a driver of its own, with a thread of its own; the future waits for both.
+//! A task written as a future: a gripper that closes until its force sensor or a message of another task stops it, whichever
+//! comes first. The sensor has a driver with a thread of its own; the future waits for both.
 //!
 //! `cargo run --example futures`
 
@@ -19,10 +19,10 @@ mod cell {
 }
 use cell::{Hold, ports};
 
-/// Enough to hold the part, in newtons.
+/// The force that holds a part, in newtons.
 const FIRM: u32 = 40;
 
-/// What the driver of the sensor has measured last, and who waits for it. Any source that wakes a waker will do.
+/// The last measurement of the sensor's driver, and the task that waits for it. Any source that wakes a waker works like this.
 #[derive(Default)]
 struct Force {
     newtons: AtomicU32,
@@ -30,7 +30,7 @@ struct Force {
 }
 
 impl Force {
-    /// Closes the fingers on a part of so many newtons.
+    /// Closes the fingers on a part that resists with so many newtons.
     fn squeeze(self: &Arc<Self>, part: u32) {
         let force = Arc::clone(self);
         thread::spawn(move || {
@@ -42,7 +42,7 @@ impl Force {
         });
     }
 
-    /// Waits until the fingers press as hard as this.
+    /// Waits until the fingers press with this force.
     async fn reaches(&self, newtons: u32) {
         poll_fn(|poller| {
             self.waiting.register(poller.waker());
@@ -57,7 +57,7 @@ async fn gripper(mut ctx: AsyncContext, parts: [u32; 2]) -> Result<(), TaskError
         let Some(asked) = ctx.take::<()>(ports::CLOSE, None).await? else { continue };
         let force = Arc::new(Force::default());
         force.squeeze(part);
-        // The loser is dropped: the wait for `halt` is taken back, and no message is lost by that.
+        // The other future is dropped: that cancels the wait for `halt`, and loses no message.
         let held = match select(pin!(force.reaches(FIRM)), pin!(ctx.receive(Some(ports::HALT), None))).await {
             Either::Left(((), _)) => true,
             Either::Right((halted, _)) => halted.map(|_| false)?,
@@ -67,7 +67,7 @@ async fn gripper(mut ctx: AsyncContext, parts: [u32; 2]) -> Result<(), TaskError
     Ok(())
 }
 
-/// A thread asks a future as it asks any task. The second part is too soft to be held, and then somebody reaches in.
+/// A thread queries a future like any other task. The second part is too soft to be held, and then somebody reaches in.
 fn pendant(ctx: &mut Context) -> Result<(), TaskError> {
     for expected in [true, false] {
         if !expected {
@@ -93,7 +93,7 @@ async fn curtain(mut ctx: AsyncContext) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// Runs the cell until its programs have ended.
+/// Runs the cell until its tasks have ended.
 pub fn main() {
     let node = cell::builder(cell::nodes::HERE)
         .async_task("gripper", |ctx| gripper(ctx, [2 * FIRM, FIRM / 2]))

@@ -1,5 +1,5 @@
-//! Independent processes: two robots change the speed of one belt. Only the belt's own task changes it, and only for
-//! who knows how it stands: of two changes at once one is told the version that it missed, and asks again.
+//! Independent processes: two robots change the speed of one belt. Only the belt's own task sets the speed, and only for a
+//! request with the current version. Of two changes at once, one robot is told the version that it missed, and asks again.
 //!
 //! `cargo run --example independent`
 
@@ -11,7 +11,7 @@ mod cell {
 }
 use cell::{Speed, ports};
 
-/// Tells its speed to all, and changes it for whoever asks with the version that is now.
+/// Sends its speed to all, and changes it on a request with the current version.
 fn belt(ctx: &mut Context<Speed>) -> Result<(), TaskError> {
     ctx.on_query(ports::CHANGE, |ctx, wanted: Speed| {
         if wanted.version == ctx.state.version {
@@ -39,7 +39,7 @@ fn robot(ctx: &mut Context, mm_s: i16) -> Result<(), TaskError> {
                 println!("{} has set {mm_s} mm/s", ctx.name());
                 return Ok(());
             }
-            // Another was faster, or the first attempt did it and its answer was late.
+            // The other robot was faster, or an earlier attempt succeeded and its answer was late.
             Asked::Reply(speed) => now = speed,
             Asked::Refused | Asked::TimedOutUnsent => ctx.delay(Duration::from_millis(10))?,
             Asked::TimedOutUnknown | Asked::PeerRestarted => println!("{} asks again", ctx.name()),
@@ -47,7 +47,7 @@ fn robot(ctx: &mut Context, mm_s: i16) -> Result<(), TaskError> {
     }
 }
 
-/// Runs the cell until its programs have ended.
+/// Runs the cell until its tasks have ended.
 pub fn main() {
     let node = cell::builder(cell::nodes::HERE)
         .task_with("belt", Speed { version: 0, mm_s: 200 }, belt)

@@ -1,5 +1,5 @@
-//! Loosely coupled processes: two welders share one tool. Its administrator lends it; who does not get it does something
-//! else meanwhile; who dies with it loses it when its time is over.
+//! Loosely coupled processes: two welders share one tool, which its administrator lends. A welder that is refused does other
+//! work meanwhile. A welder that dies with the tool loses it when the time limit ends.
 //!
 //! `cargo run --example loose`
 
@@ -12,12 +12,12 @@ mod cell {
 }
 use cell::{Grant, ports};
 
-/// No seam takes longer: who has the tool then is dead.
+/// The time limit of a loan. No seam takes longer, so a welder that still has the tool then is dead.
 const LENT: Duration = Duration::from_secs(4);
 const HELD: TimeId = TimeId(1);
 const SEAMS: u32 = 3;
 
-/// Lends the tool to one at a time, until it has lain idle for a second.
+/// Lends the tool to one welder at a time, until nobody has used it for a second.
 fn tool(ctx: &mut Context<Option<TaskId>>) -> Result<(), TaskError> {
     ctx.on_timer(HELD, |ctx| {
         ctx.state = None;
@@ -41,11 +41,11 @@ fn tool(ctx: &mut Context<Option<TaskId>>) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// Whether the task at the other end has done it.
+/// Queries the other task. Returns its answer, if one came.
 fn done<M: imrs_runtime::Message>(ctx: &mut Context, port: PortId) -> Result<Option<M>, TaskError> {
     Ok(match ctx.query::<(), M>(port, &())? {
         Asked::Reply(answer) => Some(answer),
-        // Not heard of: the tool's own time limit ends what may have begun.
+        // No answer came. If the loan began anyway, the tool's time limit ends it.
         Asked::Refused | Asked::TimedOutUnsent | Asked::TimedOutUnknown | Asked::PeerRestarted => None,
     })
 }
@@ -61,13 +61,13 @@ fn welder(ctx: &mut Context) -> Result<(), TaskError> {
                 println!("{:>5} cannot give the tool back", ctx.name());
             }
         }
-        // Another action that does not need the tool.
+        // Other work that does not need the tool.
         ctx.delay(Duration::from_millis(10))?;
     }
     Ok(())
 }
 
-/// Runs the cell until its programs have ended.
+/// Runs the cell until its tasks have ended.
 pub fn main() {
     let node = cell::builder(cell::nodes::HERE)
         .task_with("tool", None, tool)

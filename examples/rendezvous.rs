@@ -1,4 +1,4 @@
-//! Three robots meet before each of three lifts: a whole program, on one node, without any network.
+//! Three robots meet before each of three lifts: a whole program, on one node, without a network.
 //!
 //! `cargo run --example rendezvous`
 
@@ -10,7 +10,7 @@ use std::time::{Duration, Instant};
 const ROBOTS: [&str; 3] = ["left arm", "right arm", "hoist"];
 const LIFTS: u32 = 3;
 
-/// Gets ready, each robot at its own speed, meets the others, and lifts.
+/// Gets ready at the robot's own speed, meets the others, and lifts.
 fn robot(ctx: &mut Context, begin: Instant) -> Result<(), TaskError> {
     let lift = ctx.port("lift")?;
     let slowness = u64::from(ctx.id().0) + 1;
@@ -31,7 +31,7 @@ fn main() -> Result<(), StartError> {
     let mut cell = Cell::new("three-robots", Ticks(1_000));
     let here = cell.node("here");
     let [left, right, hoist]: [TaskId; 3] = ROBOTS.map(|name| cell.task(name, here));
-    // Microseconds: they wait for each other at most two seconds.
+    // In microseconds: the robots wait for each other for at most two seconds.
     cell.port(PortDecl::new("lift", left, Usage::Waitfor, &[right, hoist], Ticks(2_000_000)));
     let table = Arc::new(CellTable::new(cell).expect("a cell without faults"));
 

@@ -1,5 +1,5 @@
-//! Serialized motions: one robot hands parts to the other. They meet, the second one closes its gripper, and only when it
-//! says that it holds the part the first one opens its own.
+//! Serialized motions: one robot hands parts to the other. They meet, and the second robot closes its gripper. The first one
+//! opens its own only when the second one reports that it holds the part.
 //!
 //! `cargo run --example serial`
 
@@ -43,14 +43,14 @@ fn place(ctx: &mut Context) -> Result<(), TaskError> {
         match ctx.query::<bool, ()>(ports::RELEASE, &true)? {
             Asked::Reply(()) => println!("place has part {part}"),
             Asked::Refused | Asked::TimedOutUnsent => println!("place opens again: pick was not told"),
-            // Both may hold it now, or this one alone: neither may drop it.
+            // Both robots may hold the part, or this one alone: neither may drop it.
             Asked::TimedOutUnknown | Asked::PeerRestarted => println!("place holds on to part {part}"),
         }
     }
     Ok(())
 }
 
-/// Runs the cell until its programs have ended.
+/// Runs the cell until its tasks have ended.
 pub fn main() {
     let node = cell::builder(cell::nodes::HERE)
         .task("pick", pick)

@@ -1,5 +1,5 @@
-//! Tightly coupled processes: two arms lift one beam. They begin together, and while they move the left one asks the
-//! right one where it is; when either hears nothing of the other, it stops.
+//! Tightly coupled processes: two arms lift one beam. They start together, and while they move the left arm keeps asking the
+//! right one for its position. An arm that hears nothing from the other one stops.
 //!
 //! `cargo run --example tight`
 
@@ -12,7 +12,7 @@ mod cell {
 }
 use cell::{Beat, ports};
 
-/// The right arm stops when no beat came for so long.
+/// The right arm stops when no `beat` has come for so long.
 const SILENCE: Duration = Duration::from_millis(300);
 const WATCH: TimeId = TimeId(1);
 const HEIGHT: i16 = 40;
@@ -27,7 +27,7 @@ fn left(ctx: &mut Context<Beat>) -> Result<(), TaskError> {
         let me = Beat { moving: ctx.state.height < HEIGHT, ..ctx.state };
         ctx.state.moving = match ctx.query::<_, Beat>(ports::BEAT, &me)? {
             Asked::Reply(other) => me.moving && other.moving,
-            // The other arm may have stopped or not: this one does.
+            // The other arm may have stopped or not, so this one stops.
             Asked::Refused | Asked::TimedOutUnsent | Asked::TimedOutUnknown | Asked::PeerRestarted => false,
         };
         ctx.delay(Duration::from_millis(3))?;
@@ -47,21 +47,21 @@ fn right(ctx: &mut Context<Beat>) -> Result<(), TaskError> {
         ctx.state = Beat { height: other.height, moving: ctx.state.moving && other.moving };
         Ok(ctx.state)
     })?;
-    // It may be asked before it knows that it is released: it moves from its arrival on.
+    // A query may come before this arm knows of its release, so it counts as moving from its arrival on.
     ctx.state.moving = true;
     match ctx.waitfor(ports::LIFT)? {
         Rendezvous::Released { .. } => ctx.start_timer(WATCH, SILENCE)?,
         Rendezvous::GaveUp { .. } => ctx.state.moving = false,
     }
     while ctx.state.moving {
-        // Interrupted by every beat, and by their silence.
+        // Every `beat` interrupts this delay, and so does `WATCH`.
         ctx.delay(Duration::from_millis(5))?;
     }
     println!("right stops at {} mm", ctx.state.height);
     Ok(())
 }
 
-/// Runs the cell until its programs have ended.
+/// Runs the cell until its tasks have ended.
 pub fn main() {
     let node = cell::builder(cell::nodes::HERE)
         .task_with("left", Beat::default(), left)

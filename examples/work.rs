@@ -1,5 +1,5 @@
-//! Work-coupled processes: one robot welds spot after spot under a lease, and its program crashes. The other, which has
-//! heard its beats, takes over at the spot that was published last. The gun obeys one of them at a time.
+//! Work-coupled processes: one robot welds spot after spot under a lease, and its program crashes. The other robot, which has
+//! received its heartbeats, takes over at the last published spot. The gun obeys one of them at a time.
 //!
 //! `cargo run --example work`
 
@@ -16,7 +16,7 @@ use cell::{Spot, ports};
 const SPOTS: i8 = 6;
 const CRASHES_AT: i8 = 3;
 
-/// Welds a spot, or says that nobody knows whether it was.
+/// Welds a spot, or prints that it must be rechecked, because it may have been welded.
 fn weld<S>(ctx: &mut Context<S>, gun: PortId, number: i8) -> Result<(), TaskError> {
     match ctx.query::<_, ()>(gun, &Spot { number })? {
         Asked::Reply(()) => println!("{:>6} has welded spot {number}", ctx.name()),
@@ -32,7 +32,7 @@ fn first(ctx: &mut Context) -> Result<(), TaskError> {
         ctx.publish(&[number.to_le_bytes()[0]])?;
         assert_ne!(number, CRASHES_AT, "the first robot's program crashes here");
         weld(ctx, ports::WELD, number)?;
-        // Longer than a beat: the other hears where this one is.
+        // Longer than a heartbeat period, so that the other robot learns the current spot.
         ctx.delay(Duration::from_millis(100))?;
     }
     Ok(())
@@ -58,11 +58,11 @@ fn second(ctx: &mut Context<bool>) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// Obeys until nobody has asked for some time, and tells what it has welded.
+/// Obeys until the last spot, or until no request has come for some time. Reports each spot that it welds.
 fn gun(ctx: &mut Context, welded: &Sender<i8>) -> Result<(), TaskError> {
     while let Some(asked) = ctx.receive(None, Some(Duration::from_secs(20)))? {
         let Spot { number } = ctx.read(&asked)?;
-        // Who has ended listens to nothing more.
+        // The receiver may be gone, which does not matter.
         let _ = welded.send(number);
         ctx.answer(&asked.from, &())?;
         if number == SPOTS - 1 {
@@ -72,7 +72,7 @@ fn gun(ctx: &mut Context, welded: &Sender<i8>) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// Runs the cell until its programs have ended.
+/// Runs the cell until its tasks have ended.
 pub fn main() {
     let (tells, welded) = channel();
     let node = cell::builder(cell::nodes::HERE)
@@ -83,12 +83,12 @@ pub fn main() {
         .expect("a node that starts");
     assert!(node.wait(Duration::from_secs(60)), "the programs have ended");
     for (task, end) in node.stop(Duration::from_secs(1)) {
-        // On a machine that stands still the first one may lose its lease before it crashes.
+        // If the machine stalls, the first robot may lose its lease before it crashes.
         let gone = matches!(end, TaskEnd::Panicked(_) | TaskEnd::Failed(_));
         assert!(gone == (task == "first") && (gone || end == TaskEnd::Returned), "{task}: {end:?}");
     }
     let mut spots: Vec<i8> = welded.iter().collect();
-    // The one that was under way last may be welded twice: the other knows what it heard, no more.
+    // The interrupted spot may be welded twice: the second robot knows only what it has heard.
     spots.sort_unstable();
     spots.dedup();
     assert_eq!(spots, [0, 1, 2, 3, 4, 5], "every spot");

@@ -1,4 +1,4 @@
-//! `imrs bench`: the measurements that need no peer. The default build leaves them out.
+//! `imrs bench`: runs the measurements that compare with no other library. The default build leaves them out.
 
 use crate::args::BenchArgs;
 use crate::exit::Exit;

@@ -1,4 +1,4 @@
-//! Cell files as they come from a disk or a pipe.
+//! Reads and replaces cell files; `-` reads standard input.
 
 use imrs_language::{LONGEST_FILE, Source};
 use imrs_wire::files::{self, FileError};
@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 /// Why a cell file cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum CellFileError {
-    /// There is none.
+    /// The file does not exist.
     #[error("{}: there is no such file: name a cell file, such as examples/beam_lift.cell", .0.display())]
     Missing(PathBuf),
     /// It is a folder.
@@ -20,15 +20,15 @@ pub enum CellFileError {
     /// It is a pipe, a device or the like: reading it might never end.
     #[error("{}: not a regular file: name a cell file, or `-` for standard input", .0.display())]
     NotAFile(PathBuf),
-    /// It has more bytes than are read.
+    /// It is larger than a cell file may be.
     #[error("{}: larger than {} MiB, the most that is read: is it a cell file?", .0.display(), LONGEST_FILE >> 20)]
     TooLarge(PathBuf),
-    /// It is no text.
+    /// It is not UTF-8 text.
     #[error("{}: {message}: save the file as UTF-8", path.display())]
     NotText {
         /// The file.
         path: PathBuf,
-        /// Where it is not.
+        /// The first invalid place.
         message: String,
     },
     /// It cannot be read.
@@ -49,17 +49,17 @@ pub enum CellFileError {
     },
 }
 
-/// Whether a name stands for standard input.
+/// Whether a path stands for standard input.
 pub fn is_stdin(path: &Path) -> bool {
     path.as_os_str() == "-"
 }
 
-/// The name of a file as diagnostics show it.
+/// The name of a file for diagnostics.
 pub fn shown(path: &Path) -> String {
     if is_stdin(path) { "<stdin>".to_owned() } else { path.display().to_string() }
 }
 
-/// Reads a cell file; `-` is standard input. No more is read than a cell file may have.
+/// Reads a cell file; `-` is standard input. Stops reading beyond the largest allowed size.
 ///
 /// # Errors
 /// [`CellFileError`], all but `Unwritable`.
@@ -79,8 +79,8 @@ pub fn read(path: &Path) -> Result<Source, CellFileError> {
     Source::new(&bytes).map_err(|found| CellFileError::NotText { path: own(), message: found.message })
 }
 
-/// Gives a file another text: written beside it, on the disk, and then put in its place. Where that fails the file stays as
-/// it was.
+/// Replaces the text of a file atomically: writes a new file beside it, syncs it, and renames it. If that fails, the file stays
+/// as it was.
 ///
 /// # Errors
 /// [`CellFileError::Unwritable`].
@@ -89,7 +89,7 @@ pub fn replace(path: &Path, text: &str) -> Result<(), CellFileError> {
 }
 
 fn replaced(path: &Path, text: &str) -> io::Result<()> {
-    // A link goes on leading to the file.
+    // A symbolic link stays a link: its target is replaced.
     let path = fs::canonicalize(path)?;
     access(&path, Access::WRITE_OK)?;
     let old = fs::metadata(&path)?;

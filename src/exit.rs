@@ -1,4 +1,4 @@
-//! How the command ends: its exit codes.
+//! The exit codes of the command.
 
 use imrs_language::Diagnostic;
 use rustix::io::Errno;
@@ -8,17 +8,17 @@ use std::process::ExitCode;
 /// The exit codes of every verb.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Exit {
-    /// All well.
+    /// Everything is as it should be.
     Well = 0,
-    /// A finding: a claim came out otherwise than expected, a run broke a promise.
+    /// A finding: a claim did not come out as expected, or a run broke a promise.
     Finding = 1,
     /// Bad input or usage.
     Usage = 2,
-    /// Nothing to attach to.
+    /// No node to attach to.
     Nothing = 3,
-    /// Out of the given budget, with a partial answer.
+    /// The given budget is used up; the answer is partial.
     Budget = 4,
-    /// Evidence is missing: nothing was found, and not everything could be judged.
+    /// Nothing was found, but evidence is missing, so not everything could be judged.
     Incomplete = 5,
     /// A fault of this program.
     Internal = 70,
@@ -32,12 +32,12 @@ impl From<Exit> for ExitCode {
     }
 }
 
-/// Whether the operating system has run out of something.
+/// Whether an error says that the operating system has run out of memory, descriptors or threads.
 pub fn is_exhausted(error: &io::Error) -> bool {
     error.raw_os_error().is_some_and(|code| EXHAUSTED.contains(&code))
 }
 
-/// What the operating system says then: no memory, no descriptors (of this process, of the system), no thread or process.
+/// The error codes for that: no memory, no descriptors (of this process, of the system), no thread or process.
 pub(crate) const EXHAUSTED: [i32; 4] = [
     Errno::NOMEM.raw_os_error(),
     Errno::MFILE.raw_os_error(),
@@ -45,13 +45,13 @@ pub(crate) const EXHAUSTED: [i32; 4] = [
     Errno::AGAIN.raw_os_error(),
 ];
 
-/// Whether a panic says so: libraries may not hand such an error on.
+/// Whether a panic message says so: libraries may panic on such an error.
 pub fn says_exhausted(panic: &str) -> bool {
     EXHAUSTED.iter().any(|code| panic.contains(&format!("Os {{ code: {code},")))
 }
 
-/// What a verb ends with where the compiler turned a cell down: what is larger or deeper than is looked at is bad input, like a
-/// file that is too long.
+/// The exit code if the compiler rejects a cell. A cell beyond the compiler's limits is bad input, like a file that is too
+/// long.
 pub fn turned_down(found: &[Diagnostic]) -> Exit {
     if found.iter().any(Diagnostic::is_limit) { Exit::Usage } else { Exit::Finding }
 }

@@ -1,4 +1,4 @@
-//! `imrs explain`: the pages about the codes of diagnostics, and about what the monitor warns of.
+//! `imrs explain`: shows the pages about the codes of diagnostics and of the monitor's warnings.
 
 use crate::args::{ExplainArgs, Format};
 use crate::exit::Exit;
@@ -16,7 +16,7 @@ struct Entry {
     explanation: &'static str,
 }
 
-/// Those of `imrs check`, then those of `imrs monitor`.
+/// All entries: those of `imrs check`, then those of `imrs monitor`.
 fn entries() -> impl Iterator<Item = Entry> {
     let diagnostics =
         codes::ALL.iter().map(|of| Entry { code: of.code, title: of.title, explanation: of.explanation });
@@ -25,7 +25,7 @@ fn entries() -> impl Iterator<Item = Entry> {
     diagnostics.chain(lints)
 }
 
-/// Explains a code, or lists them.
+/// Explains one code, or lists all.
 ///
 /// # Errors
 /// [`Failure`].
@@ -60,7 +60,7 @@ fn page(code: &str) -> Result<Entry, Failure> {
     if let Some(found) = entries().find(|entry| entry.code.eq_ignore_ascii_case(code)) {
         return Ok(found);
     }
-    // An O for a zero is the likeliest slip.
+    // The likeliest misspelling is an O for a zero.
     let slip = upper.replace('O', "0");
     let near = did_you_mean(&slip, codes::ALL.iter().map(|entry| entry.code));
     let lower = code.to_ascii_lowercase();
@@ -69,12 +69,12 @@ fn page(code: &str) -> Result<Entry, Failure> {
     } else {
         did_you_mean(&lower, lints::ALL.iter().map(|l| l.code))
     };
-    // The list of all is too long for a line.
+    // The list of all codes is too long for an error message.
     let hint = if near.starts_with(": did") { near } else { ": `imrs explain` lists them".to_owned() };
     Err(Failure::Usage(format!("no code `{code}`{hint}")))
 }
 
-/// A page as a terminal shows it. Of Markdown the pages have a heading, paragraphs and fenced cells.
+/// A page, formatted for a terminal. Pages use headings, paragraphs and fenced cells of Markdown.
 fn shown(page: &str) -> String {
     let mut lines: Vec<String> = Vec::new();
     let mut in_cell = false;
@@ -97,7 +97,7 @@ fn shown(page: &str) -> String {
     lines.join("\n") + "\n"
 }
 
-/// A line of a cell, with its words and comments set off.
+/// A line of a cell, with highlighted keywords and comments.
 fn cell(line: &str) -> String {
     let (code, comment) = line.split_at(line.find("//").unwrap_or(line.len()));
     let is_of_word = |c: char| c.is_alphanumeric() || c == '_';
@@ -115,7 +115,7 @@ fn cell(line: &str) -> String {
     if comment.is_empty() { shown } else { shown + &Styled(FAINT, comment).to_string() }
 }
 
-/// A line of a paragraph: what stands between backticks is set off, too.
+/// A line of a paragraph, with highlighted backtick spans.
 fn prose(line: &str) -> String {
     let mut shown = String::new();
     for (at, piece) in line.split('`').enumerate() {

@@ -1,4 +1,4 @@
-//! `imrs export`: recordings for other tools.
+//! `imrs export`: converts recordings for other tools.
 
 use crate::args::{ExportArgs, ExportForm};
 use crate::exit::Exit;
@@ -40,7 +40,7 @@ pub fn run(args: &ExportArgs, out: &mut Output) -> Result<Exit, Failure> {
     }
     let path = args.out.clone().unwrap_or_else(|| free_name(&args.file.with_extension(args.to.ending())));
     kept::check(&path, args.force)?;
-    // Half an export is of no use, and would look like a whole one.
+    // A partial export could be taken for a complete one, so it never gets the name.
     let done = kept::keep_or(&path, args.force, |file| {
         export(&film, &wanted, BufWriter::new(file))
             .map_err(|error| Failure::from(failed(&path, error.to_string())))

@@ -1,19 +1,19 @@
-//! What keeps the command from doing what it was asked to, and which exit code that leads to.
+//! The errors of the command, and their exit codes.
 
 use crate::exit::{Exit, is_exhausted};
 use std::error::Error;
 use std::io;
 
-/// What keeps the command from doing what it was asked to.
+/// Why the command cannot do what was asked.
 #[derive(Debug, thiserror::Error)]
 pub enum Failure {
-    /// An argument names something that is not there, or does not fit the others.
+    /// An argument names something that does not exist, or does not fit the others.
     #[error("{0}")]
     Usage(String),
     /// A cell file cannot be read or written.
     #[error(transparent)]
     CellFile(#[from] crate::cell_file::CellFileError),
-    /// What was asked for cannot be kept in a file.
+    /// An output file cannot be written.
     #[error(transparent)]
     Kept(#[from] crate::kept::KeptError),
     /// The cell has errors: the diagnostics of its compiler.
@@ -25,17 +25,17 @@ pub enum Failure {
     /// The cell could not be run.
     #[error(transparent)]
     Launch(#[from] crate::launch::error::LaunchError),
-    /// A node of it could not do its part.
+    /// A node failed.
     #[error(transparent)]
     Node(#[from] crate::launch::NodeError),
     /// The recording cannot be replayed.
     #[error(transparent)]
     Replay(#[from] crate::replay::error::ReplayError),
-    /// Nothing could be measured, or the answer not be kept.
+    /// The measurements failed, or their answer cannot be written.
     #[cfg(feature = "bench")]
     #[error(transparent)]
     Bench(#[from] imrs_bench::BenchError),
-    /// The monitor could not do its work.
+    /// The monitor failed.
     #[error(transparent)]
     Monitor(#[from] imrs_monitor::MonitorError),
 }
@@ -43,7 +43,7 @@ pub enum Failure {
 impl Failure {
     /// The exit code it leads to.
     pub fn exit(&self) -> Exit {
-        // The stream is non-blocking and its reader slow: nothing has run out.
+        // On a non-blocking stream this error code means a slow reader, not a system that has run out of anything.
         if matches!(self, Self::Output(error) if error.kind() == io::ErrorKind::WouldBlock) {
             return Exit::Usage;
         }

@@ -1,4 +1,4 @@
-//! `imrs fmt`: writes cell files the one way.
+//! `imrs fmt`: formats cell files.
 
 use crate::args::FmtArgs;
 use crate::cell_file::{is_stdin, read, replace, shown};
@@ -8,10 +8,10 @@ use crate::output::{Output, complain, complain_in_full};
 use imrs_language::{format, render};
 use std::path::Path;
 
-/// So many lines of a difference are shown on each side.
+/// Most lines of a difference that are shown on each side.
 const SHOWN: usize = 8;
 
-/// Formats cell files. One that cannot be read or has errors does not keep the others from being written.
+/// Formats cell files. A file that cannot be read or has errors does not stop the others from being formatted.
 ///
 /// # Errors
 /// [`Failure::Output`].
@@ -60,7 +60,7 @@ fn one(path: &Path, only_check: bool, out: &mut Output) -> Result<Exit, Failure>
     Ok(Exit::Well)
 }
 
-/// What would be written otherwise, from the first line that differs to the last one.
+/// The difference between the old and the new text, from the first line that differs to the last.
 fn difference(file: &str, old: &str, new: &str) -> String {
     let (old, new): (Vec<&str>, Vec<&str>) = (old.split('\n').collect(), new.split('\n').collect());
     let same = old.iter().zip(&new).take_while(|(a, b)| a == b).count();
@@ -68,7 +68,7 @@ fn difference(file: &str, old: &str, new: &str) -> String {
     let mut shown = format!("{file}:{}: would be written as\n", same + 1);
     for (sign, lines) in [('-', &old[same..old.len() - rest]), ('+', &new[same..new.len() - rest])] {
         for line in lines.iter().take(SHOWN) {
-            // A carriage return would hide what stands in front of it.
+            // A carriage return would hide the text before it.
             shown.push_str(&format!("{sign} {}\n", line.trim_end_matches('\r')));
         }
         if lines.len() > SHOWN {

@@ -1,5 +1,5 @@
-//! Files that a verb writes because somebody named them: `--save`, `--trace`, `--out`. One rule for all: what is there is replaced with
-//! `--force` only (D151).
+//! Writes the files that an option names: `--save`, `--trace`, `--out`. One rule for all: an existing file is replaced only
+//! with `--force` (D151).
 
 use crate::cell_file::shown;
 use imrs_wire::files::{self, FileError};
@@ -9,10 +9,10 @@ use std::io::{self, Write};
 use std::os::unix::fs::FileTypeExt;
 use std::path::{Path, PathBuf};
 
-/// Why a file cannot be kept.
+/// Why a file cannot be written.
 #[derive(Debug, thiserror::Error)]
 pub enum KeptError {
-    /// There is something of this name.
+    /// The file exists already.
     #[error("{}: {}", .0.display(), FileError::Exists)]
     Taken(PathBuf),
     /// It cannot be written.
@@ -41,7 +41,7 @@ impl KeptError {
     }
 }
 
-/// Refuses a file that cannot be written, or that may not be replaced, before the work for it begins. Changes nothing.
+/// Fails early if a file cannot be written or may not be replaced, before the work for it begins. Changes nothing.
 ///
 /// # Errors
 /// [`KeptError`].
@@ -50,15 +50,15 @@ pub fn check(path: &Path, force: bool) -> Result<(), KeptError> {
     files::check(path, force).map_err(KeptError::of(path))
 }
 
-/// As far as that can be known before there is anything to write.
+/// Whether a path can be written, as far as that shows before there is data.
 fn writable(path: &Path) -> io::Result<()> {
     let target = match fs::metadata(path) {
         Ok(of) if of.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
-        // Opening a pipe waits until somebody reads it.
+        // Opening a pipe would block until another process reads it.
         Ok(of) if of.file_type().is_fifo() || of.file_type().is_socket() => {
             return Err(FileError::NotAFile.into());
         }
-        // It is replaced, which takes its folder.
+        // A regular file is replaced by renaming, which needs write access to its folder.
         Ok(of) if of.is_file() => files::folder_of(path),
         Ok(_) => path,
         Err(error) if error.kind() == io::ErrorKind::NotFound => files::folder_of(path),
@@ -67,14 +67,14 @@ fn writable(path: &Path) -> io::Result<()> {
     Ok(access(target, Access::WRITE_OK)?)
 }
 
-/// A new file, which only its owner can read; with `force` in the place of one that is there.
+/// Creates a file that only its owner can read; `force` replaces an existing one.
 fn create(path: &Path, force: bool) -> Result<File, KeptError> {
     let made = files::free(path, force).and_then(|()| files::create(path));
     made.map_err(KeptError::of(path))
 }
 
-/// Gives a new file to `write`, which takes the name when it is whole. Until then what has the name stays as it is, and where that
-/// fails no half is left.
+/// Calls `write` with a temporary file, and gives it the name `path` once it is complete. Until then, an existing file stays as
+/// it is. If `write` fails, no partial file remains.
 ///
 /// # Errors
 /// [`KeptError`], or that of `write`.
@@ -84,7 +84,7 @@ pub fn keep_or<T, E: From<KeptError>>(
     write: impl FnOnce(File) -> Result<T, E>,
 ) -> Result<T, E> {
     let unwritable = KeptError::unwritable(path);
-    // A device is written to: nothing takes its place.
+    // A device is written directly: it cannot be replaced.
     if fs::metadata(path).is_ok_and(|of| !of.is_file()) {
         return write(create(path, force)?);
     }
@@ -99,7 +99,7 @@ pub fn keep_or<T, E: From<KeptError>>(
     Ok(kept)
 }
 
-/// The same where `write` fails as files do.
+/// Like [`keep_or`], for a `write` that fails with I/O errors.
 ///
 /// # Errors
 /// [`KeptError`].
@@ -107,7 +107,7 @@ pub fn keep<T>(path: &Path, force: bool, write: impl FnOnce(File) -> io::Result<
     keep_or(path, force, |file| write(file).map_err(KeptError::unwritable(path)))
 }
 
-/// The same for a text.
+/// Like [`keep`], for a text.
 ///
 /// # Errors
 /// [`KeptError`].
@@ -115,7 +115,8 @@ pub fn keep_text(path: &Path, force: bool, text: &str) -> Result<(), KeptError> 
     keep(path, force, |mut file| file.write_all(text.as_bytes()))
 }
 
-/// Says that nothing was written to a file that was named, and why not. What an earlier run left there would be taken for the answer.
+/// The message that a named file was not written, and why. Also warns of an older file there, which could be taken for the
+/// answer.
 pub fn nothing_kept(path: &Path, why: &str) -> String {
     let is_old = path.symlink_metadata().is_ok_and(|of| of.is_file());
     let old = if is_old { "; what is there is of an earlier run" } else { "" };

@@ -1,5 +1,5 @@
-//! The `imrs` command: wiring only. It reads the command line, asks the crates that can answer, and shows the answers.
-//! Besides, [`Program`]: how a Rust program runs nodes of a cell file.
+//! The `imrs` command: it reads the command line, calls the crate that has the answer, and prints the answer. Also
+//! [`Program`], with which a Rust program runs nodes of a cell file.
 #![forbid(unsafe_code)]
 
 mod args;
@@ -46,11 +46,11 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-/// The `imrs` command: does what the command line says. Returns its exit code.
+/// Runs the `imrs` command of this process's command line. Returns its exit code.
 #[doc(hidden)]
 #[must_use]
 pub fn command() -> ExitCode {
-    // A node starts this program again for each command of an action.
+    // A node starts this executable again as a guard, one for each command of an action.
     if let Some(code) = imrs_runtime::guard::entry() {
         return code;
     }
@@ -78,14 +78,14 @@ fn panic_text(panic: &(dyn Any + Send)) -> Option<&str> {
     panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied())
 }
 
-/// Where memory runs out the standard library says so and aborts; this ends the process with an exit code that says so, too.
-/// An abort after a panic is a fault of this program, and stays one.
+/// Gives an abort for lack of memory its own exit code: the standard library reports the lack and aborts. An abort after a
+/// panic of another cause remains a fault of this program.
 fn end_without_memory(sound: Arc<AtomicBool>) {
-    // Without it the process ends by a signal, as others do.
+    // If the handler cannot be registered, an abort ends the process by its signal, as usual.
     let _ = signal_hook::flag::register_conditional_shutdown(SIGABRT, Exit::System as i32, sound);
 }
 
-/// The command line as it can be shown.
+/// The arguments of this process, made printable.
 fn arguments() -> impl Iterator<Item = String> {
     std::env::args_os().map(|argument| argument.to_string_lossy().into_owned())
 }
@@ -96,9 +96,8 @@ fn answer() -> ExitCode {
     let cli = match parsed {
         Ok(cli) => cli,
         Err(error) => {
-            // Nobody is left to tell where even this cannot be printed.
             if error.use_stderr() {
-                // It repeats what it was given.
+                // The message quotes the arguments, which may hold terminal escapes: `complain_in_full` neutralises them.
                 let color = match early_color(arguments()) {
                     ColorChoice::Always => Color::Always,
                     ColorChoice::Never => Color::Never,

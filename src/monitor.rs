@@ -1,4 +1,4 @@
-//! `imrs monitor`: what the command line and the user's file say, put together; and nodes to look at where there are none.
+//! `imrs monitor`: merges the command line with the user's configuration file, and starts nodes for `--demo`.
 
 use crate::args::{Format, MonitorArgs};
 use crate::cells;
@@ -22,14 +22,14 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How long the nodes of the demonstration have to appear.
+/// Time limit for the nodes of `--demo` to appear.
 const READY_WITHIN: Duration = Duration::from_secs(20);
-/// Who judges comes after who works.
+/// The niceness of the thread that judges recordings: nodes go first.
 const LEAST_PRIORITY: i32 = 19;
-/// How long they have to stop.
+/// Time limit for the nodes of `--demo` to stop.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
 
-/// Watches nodes.
+/// Runs the monitor.
 ///
 /// # Errors
 /// [`Failure`].
@@ -105,7 +105,7 @@ fn options(
     })
 }
 
-/// Runs the recordings of nodes again: of the cell in this file, or of the demos.
+/// Judges the recordings of nodes by replaying them: for the cell in this file, or for the demos.
 fn validator(cell: Option<&Path>) -> Result<Arc<dyn Judge>, Failure> {
     let known = match cell {
         Some(path) => vec![cells::open(path, false)?.1],
@@ -124,30 +124,30 @@ impl fmt::Debug for Validator {
 
 impl Judge for Validator {
     fn sit(&self) -> Box<dyn Sitting + '_> {
-        // Of this thread alone, which is the judge's: far behind, it would take a core from the nodes that it judges.
+        // Only this thread, which judges: if it is far behind, it must not take a core from the nodes.
         let _ = setpriority_process(None, LEAST_PRIORITY);
         Box::new(self.0.follow())
     }
 }
 
-/// Nodes to look at: three arms and a belt that lift together, of which one after the other dies and comes back, so that all
-/// wait for it. They live in a folder of their own, and end with this.
+/// The nodes of `--demo`: three arms and a belt that lift together. One after another is killed and restarted, so that the
+/// others wait for it. They use a folder of their own, and stop when this is dropped.
 struct Stage {
     nodes: Child,
     folder: PathBuf,
 }
 
-/// What they run.
+/// The cell of these nodes.
 const CELL: &str = include_str!("../examples/carry.cell");
-/// What that is called in their folder.
+/// The file name of the cell in their folder.
 const FILE: &str = "carry.cell";
-/// Who dies, by turns.
+/// The tasks whose nodes are killed, in turn.
 const MORTALS: [&str; 3] = ["belt", "rear", "left"];
-/// When the first one dies, after how long the next one does, and how long one is away: long enough to give up and wait
-/// again.
+/// The time of the first kill, the time between kills, and how long each node stays down: long enough for the others to give up
+/// and wait again.
 const FAULTS: (Duration, Duration, Duration) =
     (Duration::from_secs(4), Duration::from_secs(20), Duration::from_secs(12));
-/// How many deaths there are.
+/// The number of kills.
 const DEATHS: u32 = 90;
 
 impl Stage {
@@ -165,7 +165,7 @@ impl Stage {
             command.args(["--kill", &format!("{who}@{dies}s")]);
             command.args(["--restart", &format!("{who}@{}s", dies + away.as_secs())]);
         }
-        // So that the monitor can say whether they do what was checked.
+        // Recordings let the monitor judge whether the nodes conform to the verified machine.
         command.arg("--record").arg(folder.join("carry"));
         command.env("XDG_RUNTIME_DIR", &folder).env("XDG_STATE_HOME", &folder);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
@@ -184,12 +184,12 @@ impl Stage {
         Ok(stage)
     }
 
-    /// What its nodes run.
+    /// The cell file of the nodes.
     fn cell(&self) -> PathBuf {
         self.folder.join(FILE)
     }
 
-    /// Where its nodes serve monitors.
+    /// The folder of the nodes' observer sockets.
     fn base(&self) -> PathBuf {
         self.folder.join(Path::new("imrs"))
     }
@@ -198,7 +198,7 @@ impl Stage {
 impl Drop for Stage {
     fn drop(&mut self) {
         if let Some(pid) = i32::try_from(self.nodes.id()).ok().and_then(Pid::from_raw) {
-            // It may have ended already.
+            // If this fails, the launcher has ended already.
             let _ = kill_process(pid, Signal::TERM);
         }
         let end = Instant::now() + STOP_WITHIN;

@@ -1,8 +1,8 @@
-//! Names that a person wrote, and those that there are.
+//! Suggestions for misspelt names.
 
 use std::collections::BTreeSet;
 
-/// Of `names`, the one most like `wanted`, as the end of an error message: ": did you mean `x`?", or all of them.
+/// The end of an error message about an unknown name: ": did you mean `x`?" with the most similar name, or the list of all.
 pub fn did_you_mean<'a>(wanted: &str, names: impl IntoIterator<Item = &'a str>) -> String {
     let mut names: Vec<&str> = names.into_iter().collect();
     let mut seen = BTreeSet::new();

@@ -1,7 +1,7 @@
-//! Panics that are caught: the first of a thread at a line is printed as usual, and the others are counted.
+//! The panic hook: the first panic of a thread at a line is printed as usual, and later ones are counted.
 //!
-//! The checker catches panics of the machine and reports them as findings, and the runtime reports a task that panics as crashed. While a
-//! finding is shrunk, the same line may panic in thousands of runs.
+//! The checker catches panics of the state machine and reports them as findings. The runtime reports a task that panics as
+//! crashed. While a finding is shrunk, the same line may panic in thousands of runs.
 
 use crate::exit::says_exhausted;
 use crate::output::harmless;
@@ -11,31 +11,31 @@ use std::panic::PanicHookInfo;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// The name of a thread, and the line.
+/// The name of a thread, and the source line of a panic.
 type Place = (Option<String>, Option<String>);
 
-/// What has panicked in this process.
+/// The panics of this process.
 pub struct Panics {
-    /// False once something panicked for another reason than want of memory, descriptors or threads.
+    /// False once a panic had another cause than a lack of memory, descriptors or threads.
     sound: Arc<AtomicBool>,
     counts: Mutex<BTreeMap<Place, u64>>,
 }
 
-/// Counts the panics of this process from now on, and prints them. It ends nothing.
+/// Installs the hook that counts and prints the panics of this process. It does not end the process.
 pub fn report() -> Arc<Panics> {
     let panics = Arc::new(Panics { sound: Arc::new(AtomicBool::new(true)), counts: Mutex::default() });
     let (default, own) = (std::panic::take_hook(), Arc::clone(&panics));
     std::panic::set_hook(Box::new(move |panic| {
-        // Not where the system has nothing left: writing that down may need the memory that there is none of.
+        // A panic for lack of resources leaves `sound` true: printing it may abort for the same lack.
         if !panic.payload_as_str().is_some_and(says_exhausted) {
             own.sound.store(false, Ordering::SeqCst);
         }
         let place = place(panic);
         match own.count(&place) {
             1 => default(panic),
-            // At 2, 4, 8: thousands of them must not fill the screen.
+            // Only at 2, 4, 8, and so on: thousands of panics must not fill the screen.
             times if times.is_power_of_two() => {
-                // Where standard error has gone there is nobody to tell.
+                // If standard error is closed, the line is lost.
                 let message = panic.payload_as_str().unwrap_or("no message");
                 let line = format!("imrs: {}, this time with: {message}\n", again(&place, times));
                 let _ = io::stderr().write_all(harmless(&line).as_bytes());
@@ -63,7 +63,7 @@ impl Panics {
         Arc::clone(&self.sound)
     }
 
-    /// How often each panicked in all, where the last number that was printed is another one.
+    /// The total of each place whose last printed count is out of date.
     pub fn untold(&self) -> Vec<String> {
         let counts = self.counts();
         let untold = counts.iter().filter(|(_, times)| !times.is_power_of_two());
@@ -99,7 +99,7 @@ mod tests {
         assert!(main.join().expect("the panic was caught"));
     }
 
-    /// No test of its own: a program of which a thread panics five times at one line, and another once.
+    /// Run as a child program by another test: one thread name panics five times at one line, another once.
     #[test]
     fn panics_again_and_again() {
         if std::env::var_os("IMRS_PANICS").is_none() {
@@ -114,7 +114,7 @@ mod tests {
         eprintln!("untold: {:?}", panics.untold());
     }
 
-    /// No test of its own: a program that finds no room for what it wants to say of a panic.
+    /// Run as a child program by another test: it panics, then aborts, as when memory runs out while a panic is printed.
     #[test]
     fn a_panic_that_cannot_be_written_down() {
         let Ok(says) = std::env::var("IMRS_PANICS_OF") else { return };
@@ -144,7 +144,7 @@ mod tests {
         let all = |word: &str| said.matches(word).count();
         assert_eq!((all("no part"), all("thread 'dress'")), (4, 1), "{said}");
         for (times, is_said) in [(2, 1), (3, 0), (4, 1), (5, 1)] {
-            // The last one is in the list of what was not said before.
+            // The last count comes from `untold`.
             let pieces = said.lines().flat_map(|line| line.split('"'));
             let pieces = pieces.map(|piece| piece.trim_end_matches(", this time with: no part"));
             let told = pieces.filter(|piece| {

@@ -1,4 +1,4 @@
-//! Running nodes of a cell file from a Rust program.
+//! Runs nodes of a cell file from a Rust program, with Rust functions for actions and extern tasks.
 
 use crate::cells::{self, Loaded, Source};
 use crate::launch::error::PlaceError;
@@ -19,9 +19,9 @@ use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// How long the programs of the tasks have to end when the run does.
+/// How long the tasks have to end after the run has been stopped.
 const PATIENCE: Duration = Duration::from_secs(2);
-/// How often the ends of the tasks are looked at.
+/// Poll interval for the ends of the tasks.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
 type Body = Box<dyn FnOnce(&mut Context) -> Result<(), TaskError> + Send>;
@@ -41,12 +41,12 @@ pub enum ProgramError {
     /// The cell has no node of this name.
     #[error("the cell has no node `{0}`")]
     NoNode(String),
-    /// The task has a script in the cell: only an extern task has a body in Rust.
+    /// The task has a script in the cell. Only an extern task takes a body in Rust.
     #[error(
         "task `{0}` has a script in the cell; write `task {0} on … extern` there to give it a body in Rust"
     )]
     NotExtern(String),
-    /// The extern task runs here and was given no body.
+    /// The extern task runs on a node of this program, and has no body.
     #[error("task `{0}` is extern and was given no body: call `body(\"{0}\", …)`")]
     NoBody(String),
     /// The node's address is no loopback address, and nothing authenticates its packets.
@@ -54,18 +54,18 @@ pub enum ProgramError {
         "node `{0}` at {1}: nothing authenticates its packets; call `insecure()` on a network of your own"
     )]
     Insecure(String, SocketAddr),
-    /// Monitors would be served where anybody could watch.
+    /// The observer address is reachable from other machines, and no token is required of monitors.
     #[error(
         "monitors at {0}: whoever reaches this address could watch, for nothing asks who it is; call `observe_token(…)`, or take a loopback address"
     )]
     Watched(SocketAddr),
-    /// The text can be no token.
+    /// The text is not a valid token.
     #[error(transparent)]
     Token(#[from] TokenError),
-    /// The node cannot run by itself.
+    /// The node cannot run on its own: it has no address, or runs already, or cannot store its incarnation.
     #[error(transparent)]
     Place(#[from] PlaceError),
-    /// The node has no socket.
+    /// The UDP socket of the node cannot be opened.
     #[error(transparent)]
     Link(#[from] UdpError),
     /// A node did not start.
@@ -81,9 +81,9 @@ pub enum ProgramError {
 
 /// Nodes of a cell file, with Rust functions for its actions and Rust bodies for its extern tasks.
 ///
-/// All nodes run as threads of this process, joined without sockets; or with [`node`](Self::node) one of them, over UDP
-/// at the address that the cell declares for it. Actions without a function are simulated. Monitors find the nodes as
-/// they find those of `imrs run`.
+/// All nodes run as threads of this process and exchange packets in memory. With [`node`](Self::node) one of them runs,
+/// over UDP at the address that the cell declares for it. Actions without a function are simulated. Monitors find the nodes
+/// as they find those of `imrs run`.
 ///
 /// ```no_run
 /// # fn main() -> Result<(), imrs::ProgramError> {
@@ -111,12 +111,12 @@ pub struct Program {
 
 type Function = Box<dyn Fn(&Call) -> Result<i32, String> + Send + Sync>;
 
-/// A node that runs.
+/// A running node.
 struct Running {
     runtime: Runtime,
-    /// Locked while the node runs, where it runs by itself.
+    /// The lock on the node's stored incarnation, if the node runs on its own.
     _state: Option<State>,
-    /// Served while they are here.
+    /// Monitors are served until these are dropped.
     _observers: Vec<Observer>,
 }
 
@@ -153,8 +153,8 @@ impl Program {
         }
     }
 
-    /// The function that carries out an action, in all tasks: its result (a `real` by its bits), or why it failed. Each
-    /// call has a thread of its own; one that panics has failed.
+    /// The function that carries out an action of any task. It returns the result (a `real` as its bits), or why the action
+    /// failed. Each call runs on a thread of its own; a panic counts as a failure.
     pub fn action(
         mut self,
         name: &str,
@@ -164,7 +164,7 @@ impl Program {
         self
     }
 
-    /// What an extern task does: run once, on a thread of its own.
+    /// The body of an extern task. It runs once, on a thread of its own.
     pub fn body(
         mut self,
         task: &str,
@@ -186,30 +186,29 @@ impl Program {
         self
     }
 
-    /// Serves monitors at this TCP address, too; of several nodes each takes the next port. Off the loopback that takes
+    /// Also serves monitors at this TCP address; several nodes take successive ports. An address off the loopback requires
     /// [`observe_token`](Self::observe_token).
     pub const fn observe(mut self, address: SocketAddr) -> Self {
         self.observe = Some(address);
         self
     }
 
-    /// Over TCP shows the nodes only to monitors that have this token, of 16 to 256 bytes.
+    /// Over TCP, serves only monitors that present this token, of 16 to 256 bytes.
     pub fn observe_token(mut self, token: &str) -> Self {
         self.token = Some(token.into());
         self
     }
 
-    /// Seeds what is simulated and left to chance.
+    /// The seed of everything that is simulated or random.
     pub const fn seed(mut self, seed: u64) -> Self {
         self.seed = seed;
         self
     }
 
-    /// Runs the nodes until the programs of all their tasks have ended, at most so long, then stops them. Returns how each
-    /// program ended.
+    /// Runs the nodes until all their tasks have ended, at most for `length`, then stops them. Returns how each task ended.
     ///
     /// # Errors
-    /// [`ProgramError`]: nothing runs then.
+    /// [`ProgramError`]; then nothing keeps running.
     pub fn run(mut self, length: Option<Duration>) -> Result<Vec<(String, TaskEnd)>, ProgramError> {
         let nodes = self.nodes()?;
         self.check(&nodes)?;
@@ -220,7 +219,7 @@ impl Program {
         for (after, node) in nodes.into_iter().enumerate() {
             running.push(self.start(node, after, &network, Arc::clone(&actions))?);
         }
-        // Scripts of a later life could only wait in vain at first (D94). The time runs once all have begun.
+        // Scripts of a restarted node are held back at first (D94). `length` counts from when all have begun.
         let begin = || running.iter().filter_map(|node: &Running| node.runtime.begin()).min();
         let (mut begins, mut end) = (begin(), None);
         loop {
@@ -310,13 +309,13 @@ impl Program {
             builder = match (&self.loaded.scripts[task.index()], self.bodies.remove(name)) {
                 (Some(script), _) => builder.script(name, Arc::clone(&script.program)),
                 (None, Some(body)) => builder.task(name, body),
-                // Said before.
+                // `check` has refused this already.
                 (None, None) => return Err(ProgramError::NoBody(name.clone())),
             };
         }
         let runtime = builder.start()?;
         let mut observers = vec![];
-        // A node runs without a monitor, too; an address that was asked for must be had.
+        // A node runs without its Unix socket, too. A TCP address was asked for, so failing to bind it is an error.
         observers.extend(Observer::start(Arc::clone(runtime.node())).ok());
         if let Some(first) = self.observe {
             let address = crate::launch::observed_at(first, after);

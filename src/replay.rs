@@ -1,4 +1,4 @@
-//! `imrs replay`: runs the state machine again on what a node recorded, and compares every output.
+//! `imrs replay`: runs the recorded inputs of a node through the state machine again, and compares every output.
 
 mod assumptions;
 pub mod error;
@@ -29,7 +29,7 @@ use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// What a replay found.
+/// The result of replaying one recording.
 #[derive(Debug, Serialize)]
 struct Replayed {
     version: u32,
@@ -37,18 +37,18 @@ struct Replayed {
     node: String,
     build: String,
     insecure: bool,
-    /// Whether the file has its end.
+    /// Whether the file has its end marker.
     whole: bool,
-    /// Whether it has its end, and every step could be judged.
+    /// Whether the file has its end marker, and every step could be judged.
     complete: bool,
     tasks: Vec<Task>,
 }
 
-/// What the replay of one task found.
+/// The result of replaying one task.
 #[derive(Debug, Serialize)]
 struct Task {
     name: String,
-    /// Steps that were run again and put out the same.
+    /// Steps that gave the recorded outputs again.
     steps: usize,
     /// Recorded steps that could not be judged, because the state before them is not known.
     unjudged: usize,
@@ -56,7 +56,7 @@ struct Task {
     lost: u64,
     /// `same`, `unknown` (something is missing) or `differs`.
     verdict: &'static str,
-    /// The first step that put out something else, if any did.
+    /// The first step whose outputs differ, if any.
     divergence: Option<String>,
 }
 
@@ -103,7 +103,7 @@ struct Opened<'a> {
     cell: &'a Loaded,
 }
 
-/// Opens a recording of one of these cells; `given` is the file of the only one, where one was named.
+/// Opens a recording of one of the `known` cells; `given` is the file of the only one, if the user named it.
 fn open<'a>(path: &Path, known: &'a [Loaded], given: Option<&str>) -> Result<Opened<'a>, ReplayError> {
     let own = || path.to_owned();
     let file = files::open(path).map_err(|source| ReplayError::Open { path: own(), source })?;
@@ -172,7 +172,7 @@ fn read(path: &Path, known: &[Loaded], given: Option<&str>) -> Result<Replayed, 
     })
 }
 
-/// What a task of this name did that its recording does not say.
+/// How a task of this name differs from its recording.
 fn divergence(verdict: Verdict, name: &str) -> Option<String> {
     match verdict {
         Verdict::Differs(Divergence { index, .. }) => {

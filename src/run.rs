@@ -1,4 +1,4 @@
-//! `imrs run`: a cell of the cell language on real nodes.
+//! `imrs run`: runs a cell of the cell language on real nodes.
 
 use crate::args::{LaunchArgs, RunArgs};
 use crate::cells::{self, Loaded};
@@ -40,7 +40,7 @@ pub fn run(args: &RunArgs, out: &mut Output) -> Result<Exit, Failure> {
     launch::run(&Run { source, loaded: &loaded, args, length, actions, courses, only, tale }, out)
 }
 
-/// Whether the program of a command can be found, as it will be.
+/// Whether the program of a command can be found, by the same rules as when it is executed.
 fn is_there(program: &str) -> bool {
     if Path::new(program).components().count() > 1 {
         return Path::new(program).is_file();
@@ -49,7 +49,7 @@ fn is_there(program: &str) -> bool {
     env::split_paths(&folders).any(|folder| folder.join(program).is_file())
 }
 
-/// The only node that is run here, if one was named; and whether all that was asked for goes together.
+/// The only node that runs here, if `--node` names one. Also checks that the options fit the cell and each other.
 ///
 /// # Errors
 /// [`Failure::Usage`].
@@ -93,13 +93,13 @@ pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Fail
     Ok(only)
 }
 
-/// No recording of an earlier run is lost unasked. This only looks: a node replaces a file once it is bound and locked, so
-/// that a run which does not begin loses nothing.
+/// Refuses to replace recordings of an earlier run without `--force`. Changes nothing: a node replaces its file only once it is
+/// bound and locked, so that a run that never begins loses no recording.
 fn recordings_are_free(loaded: &Loaded, only: Option<NodeId>, args: &LaunchArgs) -> Result<(), Failure> {
     let Some(file) = &args.record else { return Ok(()) };
     let nodes = loaded.table.cell().nodes.iter().enumerate();
     for (_, node) in nodes.filter(|(at, _)| only.is_none_or(|only| only.index() == *at)) {
-        // A node that is started again writes the recording of its next incarnation beside the others.
+        // A restarted node writes its next incarnation into another file beside the first.
         let later = (2..=args.restart.len() + 1).map(|number| format!("{}-{number}", node.name));
         for name in std::iter::once(node.name.clone()).chain(later) {
             let path = record_file(file, &name);

@@ -1,14 +1,14 @@
-//! Times on the command line: `2s`, `500ms`, `500 msec`, `1min 30s`.
+//! Parses durations of the command line: `2s`, `500ms`, `500 msec`, `1min 30s`.
 
 use std::time::Duration;
 
-/// No run, fault or search lasts longer. What follows from a longer time may have no instant.
+/// The longest duration. Adding a longer one to an instant could overflow.
 const LONGEST: Duration = Duration::from_secs(100 * 365 * 24 * 3600);
 
-/// Why a text is no time.
+/// Why a text is not a duration.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum TimeError {
-    /// It cannot be read.
+    /// The text does not parse.
     #[error("{0}: write a number and a unit, as in 500ms, 500 msec, 2s or 1min 30s")]
     Text(humantime::DurationError),
     /// It is longer than a century.
@@ -16,7 +16,7 @@ pub enum TimeError {
     TooLong,
 }
 
-/// Reads a time of the command line.
+/// Parses a duration of the command line.
 ///
 /// # Errors
 /// [`TimeError`].

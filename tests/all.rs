@@ -1,5 +1,5 @@
-//! The end-to-end tests of the command and the checks of the repository, one module each. One binary is linked once, and
-//! its tests, most of which wait for processes, run beside each other.
+//! The end-to-end tests of the command and the checks of the repository, one module each. They form one binary, which is linked
+//! once. Its tests mostly wait for processes, and so run side by side.
 
 mod support;
 

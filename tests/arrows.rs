@@ -1,4 +1,4 @@
-//! Who may import whom: the picture of ARCHITECTURE.md, checked against what cargo knows.
+//! Checks the imports between the crates against the picture of ARCHITECTURE.md, with the help of cargo.
 
 use crate::support::metadata;
 use std::collections::{BTreeMap, BTreeSet};
@@ -8,7 +8,7 @@ use std::process::Command;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
-/// By package of this workspace: the names of what it imports, and of what its tests import besides.
+/// For each package of the workspace: its dependencies, and its development dependencies.
 fn imports() -> BTreeMap<String, (BTreeSet<String>, BTreeSet<String>)> {
     let metadata = metadata();
     let mut packages = BTreeMap::new();
@@ -53,11 +53,11 @@ fn the_rooms_import_each_other_only_along_the_arrows() {
         let Some(allowed) = allowed.get(package.as_str()) else {
             panic!("`{package}` is new here: say in ARCHITECTURE.md and in this test what it may import")
         };
-        // The checker's tests compile cells; the checker does not. What the macros write is run by their tests and by the
-        // programs of `examples/`: none of them is part of the command.
+        // Tests may import more. The checker's tests compile cells. The macros' tests and the programs of `examples/` run what
+        // the macros generate.
         let tested_with = |name: &String| {
             let both = (package.as_str(), name.as_str());
-            // With what robots leave out.
+            // The protocol itself, with features that robots leave out.
             let itself = ("imrs-protocol", "imrs-protocol");
             [
                 ("imrs-model", "imrs-language"),
@@ -85,7 +85,7 @@ fn heavy_libraries_stay_in_their_rooms() {
             ("indicatif", "imrs"),
         ] {
             let uses = normal.contains(library) || dev.contains(library);
-            // The measurements are a program of their own, too.
+            // The measurements are a program with a command line of its own.
             let measures = package == "imrs-bench" && library == "clap";
             assert!(!uses || package == room || measures, "{library} in {package}: it belongs in {room}");
         }
@@ -99,7 +99,7 @@ fn heavy_libraries_stay_in_their_rooms() {
     }
 }
 
-/// All packages that one is built from with these features; `known` must be among them.
+/// All packages that a package with these features is built from; `known` must be among them.
 fn tree_of(package: &str, features: &str, known: &str) -> Vec<String> {
     let output = Command::new(env!("CARGO"))
         .args(["tree", "-p", package, "-e", "normal,build", "--prefix", "none", "--offline"])

@@ -1,6 +1,6 @@
-//! `imrs replay --model` names what a run broke of the assumptions of its check: packets lost or doubled, actions that
-//! failed, nodes that were killed, clocks that ran apart, each against what the cell declares of it. Recordings are of real
-//! runs, with the launcher's faults, or changed in one thing. How late this machine is changes no verdict here.
+//! `imrs replay --model` names the assumptions of the checks that a run broke: packets lost or doubled, failed actions, killed
+//! nodes, clocks that drifted apart, each against what the cell declares. The recordings come from real runs with the
+//! launcher's faults, or are altered in one respect. Lateness of this machine changes no verdict here.
 
 use crate::support::program::{one_after_the_other, times};
 use crate::support::{Said, run_in, run_until, runtime_dir, tape};
@@ -9,7 +9,7 @@ use imrs_wire::recording::{Record, Stream};
 use serde_json::Value;
 use std::sync::LazyLock;
 
-/// Two nodes that tell each other something all the time, and ask for nothing.
+/// Two nodes that exchange statuses all the time, and no commands.
 const NEWS: &str = "\
 cell news;
 tick 10 msec;
@@ -42,17 +42,17 @@ begin
 end b_hears;
 ";
 
-/// An action that takes its time, and one that fails after it.
+/// An action that takes some time, and one that fails after it.
 const WORKS: &str = "work=sleep 0.05";
 const FAILS: &str = "work=timeout 0.05 sleep 9";
 const NODES: [&str; 2] = ["n1", "n2"];
 
-/// A recorded run of the cell. The recording is judged as that of the cell with other `faults`, too: they are no part of what
-/// runs.
+/// A recorded run of the cell. Declarations of `faults` are not part of what runs, so the same recording can be judged under
+/// several.
 struct Run(tempfile::TempDir);
 
 impl Run {
-    /// Runs the cell until its lines are enough.
+    /// Runs the cell until `is_enough` accepts a line.
     fn of(args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Self {
         let run = Self(runtime_dir());
         let (cell, file) = (run.cell(""), run.path("run.imrs"));
@@ -62,7 +62,7 @@ impl Run {
         run
     }
 
-    /// A run without faults: the same one each time, in a folder of its own.
+    /// A run without faults. All calls share one run, each with a copy of its recordings.
     fn well() -> Self {
         static FILES: LazyLock<[Vec<u8>; 2]> = LazyLock::new(|| {
             let run = Run::of(&["--action", WORKS, "--in-process"], dozens());
@@ -97,7 +97,7 @@ impl Run {
         run_in(self.0.path(), &how)
     }
 
-    /// What it broke of these `faults`, by kind.
+    /// The breaches of the run under these `faults`: kind, text and count.
     fn breaches(&self, faults: &str) -> Vec<(String, String, u64)> {
         let said = self.follow(faults, "json");
         let told = said.last_json();
@@ -110,20 +110,20 @@ impl Run {
         all
     }
 
-    /// The breach of a kind.
+    /// The breach of this kind, if there is one.
     fn breach(&self, faults: &str, kind: &str) -> Option<(String, u64)> {
         let all = self.breaches(faults);
         all.into_iter().find(|breach| breach.0 == kind).map(|(_, what, times)| (what, times))
     }
 
-    /// Writes the recording of a node again, changed.
+    /// Alters the recording of a node.
     fn change(&self, node: &str, change: impl FnOnce(&mut Vec<Record>)) {
         let file = self.file(node);
         tape::change(file.as_ref(), file.as_ref(), change);
     }
 }
 
-/// Some dozens of news.
+/// Enough lines for some dozens of statuses.
 fn dozens() -> impl FnMut(&str) -> bool {
     times(40, " begins work")
 }
@@ -131,7 +131,7 @@ fn dozens() -> impl FnMut(&str) -> bool {
 #[test]
 fn a_run_without_faults_loses_doubles_and_fails_nothing() {
     let kinds: Vec<String> = Run::well().breaches("").into_iter().map(|(kind, ..)| kind).collect();
-    // How late links and nodes are is this machine's.
+    // Only delays may be found: they depend on this machine.
     assert!(kinds.iter().all(|kind| ["delay", "late"].contains(&kind.as_str())), "{kinds:?}");
 }
 
@@ -148,7 +148,7 @@ fn more_lost_packets_than_declared_are_named_and_as_many_are_not() {
     assert_eq!(some.breach("faults loss 250;", "loss"), None);
     let told_meanwhile =
         &[" s fault: nothing passes", "sends `", "sends `", "reach each other again", "sends `"];
-    // So long that two of the actions, each of them a process, begin and end meanwhile.
+    // The cut is long enough that two actions, each a process, begin and end within it.
     let cut = ["--action", WORKS, "--cut", "n1--n2@500ms+6s"];
     let cut = Run::of(&cut, one_after_the_other(told_meanwhile));
     assert_eq!(cut.breach("faults loss 250;", "loss"), None);
@@ -183,7 +183,7 @@ fn a_packet_that_a_link_doubled_is_a_path_and_named() {
         run.change("n2", |records| {
             let news: Vec<usize> = (0..records.len()).filter(|&at| is_news(&records[at])).collect();
             let [first, next, ..] = news[..] else { panic!("news") };
-            // When its task waits again. Its machine drops the copy: nothing that it puts out is another.
+            // The copy arrives when the task waits again. Its state machine drops the copy, so the outputs stay the same.
             let mut copy = records[first].clone();
             let Record::Input { task: doubled, elapsed, outputs, .. } = &mut copy else { panic!("an input") };
             let doubled = *doubled;
@@ -210,12 +210,12 @@ fn a_packet_that_a_link_doubled_is_a_path_and_named() {
     assert_eq!(run.breach("faults dup 1;", "dup"), None);
 }
 
-/// Nothing but its times tells the recording of a node whose clock is fast from another.
+/// A recording of a node with a fast clock differs from another one only in its times.
 #[test]
 fn clocks_that_run_apart_are_named() {
     let slow_down = |run: &Run| {
         run.change("n2", |records| {
-            // Its tasks wait for an action or for news then, and in their machines no time runs.
+            // During such waits for an action or a status, no timer of the state machines runs.
             for record in records {
                 if let Record::Input { elapsed, .. } = record
                     && elapsed.0 > 1_000

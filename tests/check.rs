@@ -1,4 +1,4 @@
-//! `imrs check`, `fmt`, `explain` and `graph` as programs and people meet them.
+//! End-to-end tests of `imrs check`, `fmt`, `explain` and `graph`.
 
 use crate::support::live::{Live, figure};
 use crate::support::{Said, example, finish, imrs, run, runtime_dir};
@@ -9,7 +9,7 @@ use tempfile::TempDir;
 
 const ESCAPE: char = '\u{1b}';
 
-/// A file with these bytes in a folder of its own.
+/// Writes a file with these bytes into a folder of its own.
 fn file(bytes: &[u8]) -> (TempDir, String) {
     let dir = tempfile::tempdir().expect("a folder");
     let path = dir.path().join("x.cell");
@@ -23,7 +23,7 @@ fn check_bytes(bytes: &[u8]) -> Said {
     run(&["check", &path, "--format", "json"])
 }
 
-/// Runs a command with this on its standard input.
+/// Runs a command with this text on its standard input.
 fn run_with(args: &[&str], input: &str) -> Said {
     let (_dir, path) = file(input.as_bytes());
     let dir = runtime_dir();
@@ -101,7 +101,7 @@ fn strange_texts_are_findings_and_no_faults() {
                 seed ^= seed << 13;
                 seed ^= seed >> 17;
                 seed ^= seed << 5;
-                // Text in every other round: what is no text is turned down at once.
+                // Every other round has ASCII text, because other bytes are rejected at once.
                 (seed >> 8) as u8 & if round % 2 == 0 { 0x7f } else { 0xff }
             })
             .collect();
@@ -134,7 +134,7 @@ fn what_is_larger_or_deeper_than_is_looked_at_ends_with_2() {
     }
 }
 
-/// Syntax, names, types, behaviour and times in one file: each is said, and that not everything was looked at.
+/// One file with errors of syntax, names, types, behaviour and times: each is reported, and that not all was checked.
 #[test]
 fn ten_different_errors_are_ten_diagnostics() {
     let text = include_str!("../language/tests/text/ten.cell");
@@ -182,7 +182,7 @@ fn fmt_rewrites_checks_and_pipes() {
     assert_eq!((again.code, again.out.as_str()), (Some(0), ""));
     let piped = run_with(&["fmt", "-"], "cell  c;\nnode n;\n");
     assert_eq!((piped.code, piped.out.as_str()), (Some(0), "cell c;\nnode n;\n"));
-    // One that cannot be read does not keep the others from being written.
+    // A file that cannot be read does not stop the others from being formatted.
     let (_faulty, faulty) = file(b"cell c\nnode ;");
     let (_other, other) = file(b"cell  c;\n");
     let mixed = run(&["fmt", &faulty, &other]);
@@ -192,7 +192,7 @@ fn fmt_rewrites_checks_and_pipes() {
     assert_eq!(fs::read_to_string(&other).unwrap(), "cell c;\n");
 }
 
-/// A title, a screen that is cleared by one byte, and text that runs from right to left.
+/// Escapes that set a title, a one-byte control that clears the screen, and right-to-left text.
 #[test]
 fn what_a_cell_file_hides_reaches_no_terminal() {
     let hidden = "\u{1b}]0;owned\u{7} \u{9b}2J \u{202e}evil";
@@ -248,13 +248,13 @@ fn fmt_keeps_the_file_where_it_cannot_write_all_of_the_new_one() {
     assert!(said.err.contains("cannot be written"), "{said:?}");
     assert_eq!(fs::read_to_string(&path).unwrap(), text, "it is as it was");
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2, "and nothing is left beside it");
-    // Root may write what is protected.
+    // Root may write even a read-only file.
     fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o444)).unwrap();
     if fs::OpenOptions::new().write(true).open(&path).is_err() {
         assert_eq!(run(&["fmt", &path]).code, Some(2));
         assert_eq!(fs::read_to_string(&path).unwrap(), text, "it is as it was");
     }
-    // A link goes on leading to the file, and who may read it stays.
+    // A symbolic link stays a link, and the permissions of its target stay.
     fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o640)).unwrap();
     assert_eq!(run(&["fmt", link.to_str().unwrap()]).code, Some(0));
     assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
@@ -340,7 +340,7 @@ fn standard_input_is_a_file_like_any_other() {
     assert!(said.out.contains("<stdin>"), "{}", said.out);
 }
 
-/// A task that is busy while it is asked, and two that meet in a loop at different speeds.
+/// Two cells: a task that is busy when it gets a query, and two tasks that meet in loops of different speeds.
 const BUSY: &str = "cell busy; tick 1 msec; node na; node nb; link na -- nb delay 1 msec;
 task a on na port q() -> int8 usage = response user_list = {b} time_out = 30 msec;
 begin on query q() do response(1); end; loop delay 1 sec; end; end a;
@@ -371,7 +371,7 @@ fn the_papers_own_rules_fail_where_the_decisions_hold() {
     }
 }
 
-/// A tool that has one task wait for it while another holds it.
+/// A tool that lets one task wait while another one holds it.
 const LATER: &str = r"cell later;
 tick 1 msec;
 node na; node nb; node nd;
@@ -422,7 +422,7 @@ fn an_answer_that_comes_later_is_checked_and_runs() {
     let (_dir, path) = file(LATER.as_bytes());
     let verified = run(&["verify", &path, "--jobs", "1"]);
     assert!(verified.code == Some(0) && verified.out.contains("the check holds"), "{verified:?}");
-    // Both give the tool back, whoever had to wait for it, and however long this machine stands still meanwhile.
+    // Both tasks return the tool, whichever of them had to wait, and however long this machine suspends them.
     let dir = runtime_dir();
     let patient = LATER.replace("time_out = 1 sec", "time_out = 1000 sec");
     let (_patient_dir, path) = file(patient.replace("time_out = 3 sec", "time_out = 1000 sec").as_bytes());
@@ -446,7 +446,7 @@ fn the_first_cell_of_the_reference_holds() {
     assert!(verified.out.contains("nothing found, everything within these bounds"), "{}", verified.out);
 }
 
-/// What begins an exchange goes to who is told; an answer comes back; at a waitfor all tell all.
+/// The first message of an exchange goes to its receiver, and an answer goes back. At a waitfor all send to all.
 #[test]
 fn the_arrows_of_a_graph_go_as_messages_do() {
     let expected: [(&str, &[&str]); 6] = [

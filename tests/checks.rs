@@ -1,9 +1,10 @@
-//! The checks of a cell are judged by what a run does. How late this machine is changes no verdict here.
+//! A run judges the checks of its cell. Lateness of this machine changes no verdict here.
 
 use crate::support::{Said, example, own_address, run_in, runtime_dir, side_by_side, tried, was_late};
 use serde_json::Value;
 
-/// `apart` and `soon` cannot hold; what `quiet` is about never comes. Both tasks end after some rounds, and with them the run.
+/// `apart` and `soon` must break; the condition of `quiet` never comes. Both tasks end after some rounds, and then the run
+/// ends.
 const OVERLAP: &str = "\
 cell overlap;
 tick 1 msec;
@@ -75,7 +76,7 @@ fn a_check_that_a_run_breaks_is_told_with_its_line_and_values() {
         assert_eq!(said.code, Some(1), "{said:?}");
         let words = "check apart (line 18) does not hold: a.busy = true, b.busy = true";
         assert!(said.out.contains(words), "{said:?}");
-        // With the text of its line, where only complaints are looked at.
+        // The complaint quotes the line, because it may be read without the cell file.
         assert!(
             said.err.contains(words) && said.err.contains("`check apart: never a.busy and b.busy;`"),
             "{said:?}"
@@ -107,7 +108,7 @@ fn a_recording_is_judged_as_the_run_was() {
     assert_eq!(outcomes(&answer), EXPECTED, "{said:?}");
     assert_eq!(answer["checks"][0]["line"], 18, "{said:?}");
     assert_eq!(answer["checks"][0]["first"]["values"][1], "b.busy = true", "{said:?}");
-    // In lines for people, too.
+    // The text output for people shows it, too.
     let said = run_in(bench.folder.path(), &replay[..6]);
     assert!(said.out.contains("check apart (line 18): DID NOT HOLD"), "{said:?}");
 }
@@ -122,7 +123,7 @@ fn a_recording_of_another_text_of_the_cell_is_refused_as_that() {
         run_in(bench.folder.path(), &["replay", &na, "--cell", &changed])
     };
     let overlap = &bench.cell;
-    // 5: the disk was so late that the recording has no end.
+    // Code 5: the disk was so slow that the recording has no end.
     let is_same = |said: &Said| matches!(said.code, Some(0 | 5)) && said.err.is_empty();
     let same = replay(overlap);
     assert!(is_same(&same), "{same:?}");
@@ -144,7 +145,7 @@ fn a_recording_of_another_text_of_the_cell_is_refused_as_that() {
     );
     assert_eq!(statements.code, Some(2), "{statements:?}");
     assert!(statements.err.contains("its statements have digest"), "{statements:?}");
-    // Of `na`, whose statements are the same; and comments are none.
+    // A comment changes no statement of `na`.
     let commented = replay(&overlap.replace("cell overlap;", "cell overlap;  // the same"));
     assert!(is_same(&commented), "{commented:?}");
     let none = run_in(bench.folder.path(), &["replay", &na]);
@@ -163,8 +164,8 @@ fn a_node_by_itself_judges_what_it_can_see() {
 
 #[test]
 fn of_a_killed_node_nothing_is_made_up() {
-    // Before b was ever busy, and after that it never can be. What is left of it ends when a has ended. On a machine that is late
-    // b may have been busy by then.
+    // `b` is killed before it is ever busy, so it never is. The run ends when `a` has ended. On a late machine `b` may have
+    // been busy before the kill.
     tried("b was killed too late each time", || {
         let bench = Bench::new();
         let said = bench.run(&["--kill", "b@1ms", "--format", "json"]);
@@ -178,7 +179,7 @@ fn of_a_killed_node_nothing_is_made_up() {
     });
 }
 
-/// Where this machine is later than the cell declares, a check may fail: then the same recording says that it was.
+/// If this machine is later than the cell declares, a check may break. Then the recording must show the lateness.
 #[test]
 fn the_runs_of_the_examples_break_no_check_in_time() {
     side_by_side(["beam_lift", "belt", "conveyor", "shared_tool", "weld_cell"], |name| {
@@ -193,8 +194,7 @@ fn the_runs_of_the_examples_break_no_check_in_time() {
                 && outcomes(&summary).iter().all(|(_, outcome)| *outcome != "unknown"),
             "{said:?}"
         );
-        // A check that is broken is told, and so is a task that gave up. A node that could not tell all that happened breaks
-        // nothing.
+        // Code 1 reports a broken check, or a task that gave up. A node that could not report all events breaks no check.
         if said.code != Some(1) {
             assert!(said.is_well(), "{said:?}");
             assert!(outcomes(&summary).iter().all(|(_, outcome)| *outcome != "broken"), "{said:?}");

@@ -1,5 +1,5 @@
-//! No file of a room imports, in however many steps, one that imports it: so each can be read, and tested, after what it is
-//! made of. A file and those of its own folder are one where it calls them by their bare names.
+//! The import graph of the files of each crate has no cycle, so each file can be read and tested after its imports. A file and
+//! the files of its folder count as one if it calls them by their bare names.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -18,10 +18,10 @@ const ROOMS: [&str; 8] = [
     "macros/src",
 ];
 
-/// Where a module stands below `crate`.
+/// The path of a module below `crate`.
 type Module = Vec<String>;
 
-/// The modules of a room with their code: without comments and unit tests.
+/// The modules of a crate with their code, without comments and unit tests.
 fn room(folder: &Path) -> BTreeMap<Module, String> {
     let mut modules = BTreeMap::new();
     let mut folders = vec![(folder.to_owned(), Module::new())];
@@ -47,13 +47,13 @@ fn code(text: &str) -> String {
     own.lines().map(|line| line.split("//").next().unwrap_or_default()).collect::<Vec<_>>().join("\n")
 }
 
-/// The paths in some code that begin with `crate`, `super` or `self`.
+/// The paths in the code that begin with `crate`, `super` or `self`.
 fn paths(code: &str) -> BTreeSet<Module> {
     let (mut found, mut rest) = (BTreeSet::new(), code.chars().peekable());
     let mut is_begin = true;
     while let Some(&next) = rest.peek() {
         if !is_word(next) {
-            // After `::` or `.` a word goes on with what stands before it.
+            // A word after `::` or `.` continues what is before it.
             is_begin = !matches!(next, ':' | '.' | '\'');
             rest.next();
             continue;
@@ -79,7 +79,7 @@ fn space(rest: &mut Peekable<Chars<'_>>) {
     while rest.next_if(|c| c.is_whitespace()).is_some() {}
 }
 
-/// What stands behind the first words of a path: more of it, or several ends in braces.
+/// Reads the rest of a path: more segments, or several ends in braces.
 fn path(mut own: Module, rest: &mut Peekable<Chars<'_>>, found: &mut BTreeSet<Module>) {
     while rest.peek() == Some(&':') {
         rest.next();
@@ -119,7 +119,7 @@ fn ends(own: &Module, rest: &mut Peekable<Chars<'_>>, found: &mut BTreeSet<Modul
     }
 }
 
-/// The file that a path of this module leads to, if it is another one than its own and the root.
+/// The module that a path of module `own` leads to, unless that is `own` or the root.
 fn file(path: &Module, own: &Module, modules: &BTreeMap<Module, String>) -> Option<Module> {
     let mut at: Module = if path[0] == "crate" { Module::new() } else { own.clone() };
     for step in path {
@@ -135,7 +135,7 @@ fn file(path: &Module, own: &Module, modules: &BTreeMap<Module, String>) -> Opti
     (!at.is_empty() && at != *own).then_some(at)
 }
 
-/// Who imports whom in a circle.
+/// The modules in import cycles, each with its imports in them.
 fn circles(modules: &BTreeMap<Module, String>) -> BTreeMap<Module, BTreeSet<Module>> {
     let imports = |(own, code): (&Module, &String)| {
         let others: BTreeSet<Module> =
@@ -143,7 +143,7 @@ fn circles(modules: &BTreeMap<Module, String>) -> BTreeMap<Module, BTreeSet<Modu
         (own.clone(), others)
     };
     let mut left: BTreeMap<Module, BTreeSet<Module>> = modules.iter().map(imports).collect();
-    // What imports nothing that is left, or is imported by nothing that is left, is in no circle.
+    // A module that imports no remaining one, or is imported by none, is in no cycle.
     loop {
         let before = left.len();
         let imported: BTreeSet<Module> = left.values().flatten().cloned().collect();

@@ -1,5 +1,4 @@
-//! The Rust programs of the process classes (D24), and the one whose tasks are futures (D113): each runs, and ends as it
-//! says.
+//! The Rust programs of the process classes (D24), and the one with tasks as futures (D113): each runs and ends as it should.
 
 #[path = "../examples/futures.rs"]
 mod futures;

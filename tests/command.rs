@@ -1,4 +1,4 @@
-//! The command as programs and people meet it: help, exit codes, JSON, pipes.
+//! End-to-end tests of the command line: help, exit codes, JSON, pipes.
 
 use crate::support::{finish, imrs, run, runtime_dir};
 use serde_json::Value;

@@ -1,5 +1,6 @@
-//! Commands of actions end with their node, however it ends, and with all that they started (D141). The nodes are processes of `imrs run`; an
-//! action is a shell script that starts a child and a process that leaves its process group, and writes down who they are.
+//! Commands of actions end with their node, however it ends, together with all that they started (D141). The nodes are
+//! processes of `imrs run`. The action is a shell script that starts a child and a process in another session, and writes their
+//! ids to files.
 
 use crate::support::program::Program;
 use crate::support::{
@@ -36,7 +37,8 @@ begin
 end t;
 ";
 
-/// A command with a child, and with one that left its process group. `setsid` makes no new process here: its parent is a shell.
+/// A command with a child, and a process in a session of its own. `setsid` forks no further process here, because its parent is
+/// a shell.
 const FAMILY: &str = "\
 note() { echo $2 > $DIR/$1.new; mv $DIR/$1.new $DIR/$1; }
 echo \"$IMRS_EPOCH\" > $DIR/epoch
@@ -48,7 +50,7 @@ note command $$
 exec cat > $DIR/orders
 ";
 
-/// Everybody whom [`FAMILY`] writes down.
+/// The processes whose ids [`FAMILY`] writes down.
 const ALL: [&str; 3] = ["command", "child", "left"];
 
 struct Scene {
@@ -59,7 +61,7 @@ struct Scene {
 }
 
 impl Scene {
-    /// A run of a cell whose action is this script.
+    /// Starts a run of a cell whose action is this script.
     fn start(cell: &str, action: &str, script: &str, args: &[&str]) -> Self {
         let dir = runtime_dir();
         let file = dir.path().join("cell.cell");
@@ -73,7 +75,7 @@ impl Scene {
         Self { dir, program: Some(program), nodes }
     }
 
-    /// A run whose action is the family, all of whom are there.
+    /// Starts a run whose action is [`FAMILY`], and waits until all its processes run.
     fn with_family(args: &[&str]) -> (Self, [u32; 3]) {
         let scene = Self::start(HELD, "grip", FAMILY, args);
         let family = ALL.map(|name| scene.process(name));
@@ -81,7 +83,7 @@ impl Scene {
         (scene, family)
     }
 
-    /// The same, but the launcher kills the node after this time; none if all were not there before.
+    /// The same, but the launcher kills the node after this time. None if the processes did not all run before.
     fn with_doomed_family(killed_after: Duration) -> Option<(Self, [u32; 3])> {
         let begin = Instant::now();
         let scene = Self::start(HELD, "grip", FAMILY, &["--kill", &format!("n@{}s", killed_after.as_secs())]);
@@ -93,7 +95,7 @@ impl Scene {
         }
         let family = ALL.map(|name| scene.process(name));
         let are_alive = family.iter().all(|&pid| is_alive(pid));
-        // The clock is read after that: the kill has not come before this instant.
+        // The clock is read after the check, so the kill came after the check.
         (!is_late()).then(|| {
             assert!(are_alive, "{family:?}");
             (scene, family)
@@ -104,13 +106,13 @@ impl Scene {
         self.dir.path().join(name)
     }
 
-    /// What a file says, once it is there.
+    /// The text of a file, once it exists.
     fn text(&self, name: &str) -> String {
         wait_until(&format!("the action has written `{name}`"), || self.path(name).exists());
         std::fs::read_to_string(self.path(name)).expect("a text")
     }
 
-    /// The process whose number is in a file.
+    /// The process id in a file.
     fn process(&self, name: &str) -> u32 {
         self.text(name).trim().parse().expect("the number of a process")
     }
@@ -131,7 +133,7 @@ impl Scene {
 }
 
 impl Drop for Scene {
-    /// A test that fails must not leave processes behind.
+    /// Kills remaining processes, in case a test fails.
     fn drop(&mut self) {
         for name in ALL {
             let text = std::fs::read_to_string(self.path(name)).unwrap_or_default();
@@ -159,7 +161,7 @@ fn all_end(family: [u32; 3]) {
     wait_until("the command and all that it started have ended", || !family.iter().any(|&pid| is_alive(pid)));
 }
 
-/// The clock of deadlines, in microseconds.
+/// `CLOCK_BOOTTIME`, the clock of deadlines, in microseconds.
 fn boottime() -> u64 {
     let now = clock_gettime(ClockId::Boottime);
     u64::try_from(now.tv_sec).expect("positive") * 1_000_000
@@ -205,7 +207,7 @@ fn a_killed_guard_takes_its_command_with_it_and_that_is_told() {
     let [command, child, left] = family;
     signal(parent(command), Signal::KILL);
     wait_until("the group of the command has ended", || !is_alive(command) && !is_alive(child));
-    // Out of reach for everybody, and that is said.
+    // With its guard dead, nothing can kill this process, and the run says so.
     signal(left, Signal::KILL);
     let said = scene.finish();
     assert_eq!(said.code, Some(1), "{said:?}");
@@ -218,7 +220,7 @@ fn a_command_learns_by_when_it_must_be_over_and_no_epoch_without_a_couple() {
     let before = boottime();
     let (mut scene, family) = Scene::with_family(&[]);
     let deadline: u64 = scene.text("deadline").trim().parse().expect("microseconds");
-    // As long as the cell says, and the margin.
+    // The declared time and the margin.
     let length = 602_000_000;
     assert!((before + length..=boottime() + length).contains(&deadline), "{deadline}");
     assert_eq!(scene.text("epoch").trim(), "");
@@ -249,13 +251,13 @@ fn a_command_may_say_any_amount_and_leave_a_child_that_holds_its_output() {
         (Some(0), Some("finished")),
         "{said:?}"
     );
-    // The end of the command is told after that of all that it left.
+    // The end of the command is reported only after that of its descendants.
     assert!(!is_alive(scene.process("child")));
 }
 
 #[test]
 fn a_command_that_takes_too_long_is_killed_and_its_action_fails_by_name() {
-    // The guard kills two seconds after the start, whether the script has written down everybody by then or not.
+    // The guard kills the command two seconds after its start, even if the script has not written all ids by then.
     tried_again("the command was killed before it had written down all that it started", || {
         let mut scene = Scene::start(SHORT, "grip", FAMILY, &[]);
         let said = scene.finish();
@@ -268,19 +270,19 @@ fn a_command_that_takes_too_long_is_killed_and_its_action_fails_by_name() {
     });
 }
 
-/// The welding cell whose owner welds by [`FAMILY`]. Everything else takes no time. The owner's node is the first one.
+/// Starts the weld cell with [`FAMILY`] as the weld action; all other actions take no time. The owner's node is the first one.
 fn weld(lease: &str, args: &[&str]) -> Scene {
     let cell = std::fs::read_to_string(example("weld_cell.cell")).expect("the example");
     let usual = "lease 100 msec takeover 400 msec every 20 msec";
     assert!(cell.contains(usual));
     let others = ["--action", "dress=true", "--action", "inspect=true", "--action", "recheck=true"];
     let cell = cell.replace(usual, lease).replace("takes 2500 msec", "takes 0..600 sec");
-    // A busy machine answers late.
+    // A busy machine may answer late.
     let cell = cell.replace("time_out = 15 msec", "time_out = 1 sec");
     Scene::start(&cell, "weld", FAMILY, &[&others, args].concat())
 }
 
-/// Long enough that a busy machine does not lose it.
+/// A lease that a busy machine does not lose.
 const LEASE: &str = "lease 4000 msec takeover 9000 msec every 100 msec";
 
 #[test]
@@ -296,7 +298,7 @@ fn a_stopped_node_keeps_its_command_no_longer_than_its_lease() {
     signal(scene.nodes[0], Signal::STOP);
     all_end(family);
     assert!(is_alive(scene.nodes[0]));
-    // Not before the end of the lease, as it was told last.
+    // The command ends no earlier than the lease that it was last told.
     let last = last().expect("a deadline");
     assert!(boottime() >= last, "{last}");
     assert!(last < first + 600_000_000, "the end of a lease, not that of the action");
@@ -304,7 +306,7 @@ fn a_stopped_node_keeps_its_command_no_longer_than_its_lease() {
     scene.summary();
 }
 
-/// The check that only one of both welds.
+/// The check that at most one of both robots is active.
 fn one_active(summary: &Value) -> &Value {
     let checks = summary["checks"].as_array().expect("checks");
     checks.iter().find(|check| check["name"] == "one_active").expect("the check")
@@ -312,7 +314,7 @@ fn one_active(summary: &Value) -> &Value {
 
 #[test]
 fn a_check_is_unknown_while_the_command_of_a_killed_node_may_go_on() {
-    // The guard dies with its node: nobody confirms anything, and what the command started goes on.
+    // The guard dies with its node, so the end of the command is never confirmed, and its descendants go on.
     let mut scene = weld(LEASE, &[]);
     let family = ALL.map(|name| scene.process(name));
     let guard = parent(family[0]);
@@ -325,10 +327,10 @@ fn a_check_is_unknown_while_the_command_of_a_killed_node_may_go_on() {
     scene.program().interrupt();
     let launcher = scene.program().pid();
     wait_until("the run has ended", || !is_alive(launcher));
-    // Until then they hold the standard error of the run.
+    // Until then these processes hold the standard error of the run open.
     family[1..].iter().for_each(|&pid| signal(pid, Signal::KILL));
     let said = scene.finish();
-    // That somebody killed the node is a finding, which comes before what is unknown (D148).
+    // The kill of the node is a finding, which outranks an unknown check (D148).
     assert_eq!(said.code, Some(1), "{said:?}");
     let summary = said.last_json();
     let check = one_active(&summary);
@@ -351,7 +353,7 @@ fn a_check_holds_when_the_guard_has_confirmed_the_end_before_the_standby_acts() 
     assert_eq!(one_active(&scene.summary())["outcome"], "held");
 }
 
-/// A number of `/proc/PID/stat`, counted as `man proc_pid_stat` does.
+/// A field of `/proc/PID/stat`, numbered as in `man proc_pid_stat`.
 fn stat(pid: u32, field: usize) -> String {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).expect("a process");
     let (_, rest) = stat.rsplit_once(')').expect("a name");

@@ -1,5 +1,5 @@
-//! The demos as they are shipped: real processes, real sockets, real faults. Runs end when what is looked for has come:
-//! the machine may be busy. What must hold on any machine is exact.
+//! End-to-end tests of the demos: real processes, sockets and faults. A run ends once the expected output has come, because the
+//! machine may be busy. What must hold on any machine is asserted exactly.
 
 mod garbage;
 
@@ -12,16 +12,16 @@ use crate::support::{
 use rustix::process::Signal;
 use serde_json::Value;
 
-/// What the beam lift says of an arm that goes on alone.
+/// Words of the beam lift about an arm that went on alone.
 const ALONE: &str = " moved on for ";
 
-/// Whether an arm went on alone. If its node stands still in mid lift, it cannot stop.
+/// Whether an arm went on alone. An arm cannot stop if its node is suspended during a lift.
 fn is_alone(summary: &Value) -> bool {
     let outcome = &summary["outcome"];
     outcome["held"] == false && outcome["words"].to_string().contains(ALONE)
 }
 
-/// Whether the tasks gave up the lift. They do if a node stands still for longer than the time_out of the lift.
+/// Whether the tasks gave up the lift. They do if a node is suspended for longer than the time_out of the lift.
 fn gave_up(words: &str) -> bool {
     words.contains("partner missing") || words.contains("arms missing")
 }
@@ -29,7 +29,7 @@ fn gave_up(words: &str) -> bool {
 /// Why the beam lift is run again.
 const GAVE_UP: &str = "a node stood still for longer than the time_out of the lift";
 
-/// The promise of the demo is kept.
+/// Asserts that the promise of the demo was kept.
 fn check_outcome(summary: &Value) {
     if is_alone(summary) {
         excused("an arm could not stop, because its node stood still in mid lift");
@@ -38,13 +38,13 @@ fn check_outcome(summary: &Value) {
     }
 }
 
-/// What no fault of the demo's own kind may break.
+/// Asserts what must hold under the faults that the demo is about.
 fn check(summary: &Value) -> &Value {
     check_outcome(summary);
     check_rounds(summary)
 }
 
-/// What nothing may break.
+/// Asserts what must hold under any fault.
 fn check_rounds(summary: &Value) -> &Value {
     let lift = &summary["rendezvous"][0];
     assert_eq!(lift["port"], "lift", "{summary}");
@@ -60,27 +60,27 @@ fn node<'a>(summary: &'a Value, name: &str) -> &'a Value {
     node
 }
 
-/// Whether a demo ended well, but for an arm that could not stop.
+/// Whether a demo ended well, except for an arm that could not stop.
 fn ends_well(summary: &Value, code: Option<i32>, errors: &str) -> bool {
     let is_excused = code == Some(1) && is_alone(summary);
     is_well(code, errors) || is_excused && (errors.is_empty() || is_well(Some(5), errors))
 }
 
-/// The end of a demo that is interrupted when a monitor sees this: the summary, the exit code, and what it complained of.
+/// Interrupts a demo once a monitor sees this. Returns the summary, the exit code, and the complaints.
 fn interrupted(demo: Live, what: &str, is_so: impl FnMut(&Value) -> bool) -> (Value, Option<i32>, String) {
     demo.until(what, is_so);
     demo.interrupt();
     demo.finish()
 }
 
-/// The end of a demo that ends well when it is interrupted so: the summary, and what it complained of.
+/// The same for a demo that then ends well. Returns the summary and the complaints.
 fn ended(demo: Live, what: &str, is_so: impl FnMut(&Value) -> bool) -> (Value, String) {
     let (summary, code, errors) = interrupted(demo, what, is_so);
     assert!(ends_well(&summary, code, &errors), "{errors}");
     (summary, errors)
 }
 
-/// The summary of a beam lift that is interrupted when a monitor sees this. If the tasks gave up before, it is run again.
+/// The summary of a beam lift that is interrupted once a monitor sees this. If the tasks gave up before, it is run again.
 fn lifts(args: &[&str], what: &str, is_so: impl Fn(&Value) -> bool) -> Value {
     for _ in 0..TIMES {
         let demo = Live::demo(&[&["--for", "10m"], args].concat());
@@ -90,7 +90,7 @@ fn lifts(args: &[&str], what: &str, is_so: impl Fn(&Value) -> bool) -> Value {
             assert!(ends_well(&summary, code, &errors), "{errors}");
             return summary;
         }
-        // What is lost on purpose may be all copies of a message.
+        // The injected loss may hit all copies of a message.
         if summary["loss"] == 0.0 {
             excused(GAVE_UP);
         }
@@ -98,20 +98,20 @@ fn lifts(args: &[&str], what: &str, is_so: impl Fn(&Value) -> bool) -> Value {
     panic!("each time {GAVE_UP}");
 }
 
-/// All that a demo says until its lines are enough, however it ends; what it does after that is of no account.
+/// The output of a demo, which is interrupted once its lines are enough. It may end in any way.
 fn said_until(args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
     let dir = runtime_dir();
     run_until(dir.path(), &[&["demo", "--for", "5min"], args].concat(), is_enough)
 }
 
-/// The same of a demo that ends well.
+/// The same for a demo that ends well.
 fn told(args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
     let said = said_until(args, is_enough);
     assert!(said.is_well(), "{said:?}");
     said
 }
 
-/// The same of the beam lift. If a node stood still, in mid lift or for longer than the others wait, it is run again.
+/// The same for the beam lift. It is run again if a node was suspended during a lift, or for longer than the others wait.
 fn lift_told<E: FnMut(&str) -> bool>(args: &[&str], is_enough: impl Fn() -> E) -> Said {
     for _ in 0..TIMES {
         let said = said_until(&[&["beam-lift"], args].concat(), is_enough());
@@ -125,7 +125,7 @@ fn lift_told<E: FnMut(&str) -> bool>(args: &[&str], is_enough: impl Fn() -> E) -
     panic!("each time a node stood still");
 }
 
-/// All of these words stand there.
+/// Asserts that the output contains all of these words.
 fn says(said: &Said, words: &[&str]) {
     for words in words {
         assert!(said.out.contains(words), "`{words}` is missing in\n{}", said.out);
@@ -134,7 +134,7 @@ fn says(said: &Said, words: &[&str]) {
 
 #[test]
 fn without_faults_everybody_starts_together() {
-    // An answer has 5 msec: a late machine may take several lifts for one. Of what was sent the last is still asked.
+    // An answer must come within 5 msec: a late machine may need several lifts for one. The last query may still be open.
     let summary = lifts(&["--no-fault"], "three lifts and an answer", |seen| {
         let beats = |name: &str| figure(seen, "armL", "beat", name);
         released(seen, "armL") >= 3 && beats("sent") >= beats("timed_out") + 2
@@ -161,15 +161,15 @@ fn without_faults_everybody_starts_together() {
 #[test]
 fn the_text_is_for_people_and_has_no_escapes_in_a_pipe() {
     let said = lift_told(&["--no-fault"], || times(2, "ends stop_now"));
-    // Where the machine was late for a check, that is told, and nothing else.
+    // A check that a late machine broke may be reported, and nothing else.
     assert!(!said.out.contains('\u{1b}') && !said.err.contains('\u{1b}'), "{said:?}");
     assert!(said.code == Some(1) || said.err.is_empty(), "{said:?}");
     says(&said, &["imrs monitor", "false releases: 0", "start skew:", "What happened", "The arms "]);
     assert!(said.out.lines().all(|line| line.chars().count() <= 120), "{}", said.out);
 }
 
-/// The fault comes when the arms move. On a machine that is late they have stopped by then, or notice nothing of it, and the
-/// demo says so: then it is run again, a few times.
+/// The cut comes while the arms move. On a late machine they may have stopped by then, or not notice it. The demo says so, and
+/// the test runs it again, a few times.
 #[test]
 fn a_link_that_fails_in_mid_lift_stops_both_arms() {
     let gone_on = &[" s fault: nothing passes", "reach each other again", "ends stop_now", "ends stop_now"];
@@ -189,13 +189,13 @@ fn a_link_that_fails_in_mid_lift_stops_both_arms() {
 fn when_the_robots_node_dies_the_other_takes_over_and_looks_at_the_spot() {
     let said = told(&["failover-weld", "--seed", "3"], one_after_the_other(&["TAKES OVER", "begins"]));
     says(&said, &["TAKES OVER", "At no instant were both robots active", "As promised"]);
-    // On a machine that is late r1 may be without its lease before its node is killed.
+    // On a late machine r1 may lose its lease before its node is killed.
     if said.out.lines().any(|line| line.contains(" r1 ") && line.contains("has lost the lease")) {
         excused("r1 lost its lease before its node was killed");
     } else {
         says(&said, &["the node of r1 was killed, in the middle of `weld 0`", "r2 began with `recheck 0`"]);
     }
-    // They reach each other through nt, which passes their packets on.
+    // nt relays the packets between them.
     assert!(
         said.out.lines().any(|line| line.contains("node nt") && line.contains("passed on")),
         "{}",
@@ -228,23 +228,23 @@ fn a_camera_that_stands_still_costs_time_and_no_wrong_grip() {
         let dir = runtime_dir();
         let demo =
             Live::start(dir.path(), &[&["demo", "conveyor", "--seed", "3", "--for", "10m"], how].concat());
-        // The camera stands still when pick has let go of its first part. Under this seed place has hold of that.
+        // The camera is suspended once pick has let go of its first part. With this seed, place then holds that part.
         let (summary, errors) =
             ended(demo, "a fourth part", |seen| figure(seen, "place", "coming", "delivered") >= 4);
         assert_eq!(summary["outcome"]["held"], true, "{summary} {errors}");
         assert!(summary["outcome"]["words"].to_string().contains(words), "{summary}");
-        // No part is left out: how many were taken, and where each is.
+        // All parts are accounted for: the number taken is the sum of the others.
         let parts = summary["outcome"]["words"][0].as_str().expect("a sentence");
         let numbers = parts.split(|c: char| !c.is_ascii_digit()).filter_map(|number| number.parse().ok());
         let numbers: Vec<u64> = numbers.collect();
         assert!(numbers.len() >= 3 && numbers[0] == numbers[1..].iter().sum::<u64>(), "{parts}");
         assert_eq!(number(&summary["rendezvous"][0]["false_releases"]), 0, "{summary}");
-        // Who stood still ended well.
+        // The suspended node ended well.
         assert_eq!(node(&summary, "nc")["exit"], "clean", "{summary}");
     });
 }
 
-/// The time and the argument of a line where this action begins.
+/// The time and the argument of a line in which this action begins.
 fn begins(line: &str, action: &str) -> Option<(f64, String)> {
     let argument = line.split_once(&format!(" begins {action} "))?.1;
     Some((line.split_whitespace().next()?.parse().ok()?, argument.to_owned()))
@@ -252,7 +252,7 @@ fn begins(line: &str, action: &str) -> Option<(f64, String)> {
 
 #[test]
 fn of_two_that_change_the_speed_at_once_one_gives_way() {
-    // The line of the one is within a few milliseconds of that of the other, where the machine lets them ask at once.
+    // If the machine lets both ask at once, their lines are within a few milliseconds of each other.
     let (mut adapted, mut gave_way) = (Vec::new(), Vec::new());
     let said = told(&["belt-administrator", "--seed", "3"], |line| {
         adapted.extend(begins(line, "adapt"));
@@ -280,7 +280,7 @@ fn lost_packets_cost_time_but_never_a_false_start() {
     let tasks = ["armL", "armR", "hoist"];
     let summary = lifts(&["--loss", "20%", "--seed", "5"], "some rounds with copies", |seen| {
         let resent = tasks.iter().any(|task| figure(seen, task, "lift", "resent") > 0);
-        // As many messages of each that some are lost.
+        // Enough messages of each task that some are lost.
         let rounds = |name: &&str| task(seen, name)["waitfor"][0]["round"].as_u64().unwrap_or(0);
         resent && tasks.iter().map(rounds).min() >= Some(6)
     });
@@ -297,11 +297,11 @@ fn lost_packets_cost_time_but_never_a_false_start() {
 
 #[test]
 fn with_the_hoist_killed_both_arms_get_their_time_out() {
-    // It ends when both have given up.
+    // The run ends when both arms have given up.
     let (summary, code, errors) = Live::demo(&["--for", "10m", "--kill", "hoist@1ms"]).finish();
     let lift = check(&summary);
     assert!(ends_well(&summary, code, &errors), "{errors}");
-    // The arms grip for 400 msec before they meet.
+    // The arms grip for 400 msec before they wait at the rendezvous.
     if number(&lift["released"]) > 0 {
         excused("the hoist was killed after the first lift");
     }
@@ -310,7 +310,7 @@ fn with_the_hoist_killed_both_arms_get_their_time_out() {
     for arm in ["armL", "armR"] {
         let gave_up = after.iter().find(|a| a["task"] == arm).unwrap_or_else(|| panic!("{arm} in {summary}"));
         let (waited, time_out) = (number(&gave_up["waited_us"]), number(&gave_up["time_out_us"]));
-        // Never early; late only by what a busy machine adds.
+        // Never early, and late only by the delay of a busy machine.
         let late = if is_quiet() { 2_000_000 } else { 60_000_000 };
         assert!(waited >= time_out && waited < time_out + late, "{gave_up}");
     }
@@ -323,7 +323,7 @@ fn a_killed_node_lives_again_and_the_others_hear_of_it() {
         let args =
             ["demo", "failover-weld", "--kill", "nt@1s", "--restart", "dresser@1500ms", "--for", "10m"];
         let demo = Live::start(dir.path(), &[&args[..], how].concat());
-        // Its second life passes packets on.
+        // Its second incarnation relays packets.
         let (summary, errors) = ended(demo, "the second life of the relay", |seen| {
             let mut lives =
                 seen["nodes"].as_array().expect("nodes").iter().filter(|node| node["name"] == "nt");
@@ -366,14 +366,14 @@ fn a_node_that_stood_still_carries_out_nothing_old() {
             return false;
         }
         signal(demo.pid("nr"), Signal::STOP);
-        // The partners give up, as their scripts say: that is longer than anything lives in this cell.
+        // The partners give up, as their scripts say. Their time_outs exceed every TTL in this cell.
         demo.until("who waits gives up", |seen| {
             ["armL", "hoist"]
                 .iter()
                 .any(|name| ["ended", "crashed"].contains(&task(seen, name)["state"].as_str().unwrap_or("")))
         });
         signal(demo.pid("nr"), Signal::CONT);
-        // They went on announcing themselves; what waited for the node in its kernel came out old.
+        // They kept announcing their arrival. The packets that waited in the kernel for the node come out expired.
         demo.until("what came out old", |seen| {
             let discards = named(&seen["nodes"], "nr")["discards"].as_array().cloned().unwrap_or_default();
             discards.iter().any(|of| of["reason"] == "expired_on_the_way" && of["count"].as_u64() > Some(0))
@@ -381,7 +381,7 @@ fn a_node_that_stood_still_carries_out_nothing_old() {
         demo.interrupt();
         let (summary, code, errors) = demo.finish();
         let lift = check_rounds(&summary);
-        // An arm whose node is frozen in mid lift cannot stop: the demo says so.
+        // An arm whose node is suspended during a lift cannot stop, and the demo says so.
         let alone = is_alone(&summary);
         assert!(alone || summary["outcome"]["held"] != false, "{summary}");
         assert!(code == Some(0) || code == Some(1) && (alone || errors.contains("aborted")), "{errors}");
@@ -394,7 +394,7 @@ fn a_node_that_stood_still_carries_out_nothing_old() {
 #[test]
 fn a_cut_link_is_survived() {
     tried_again("the launcher stood still until the cut was over", || {
-        // Of three lifts, each of which takes half a second, one falls into it.
+        // Of three lifts, each half a second long, at least one falls into the cut.
         let summary = lifts(&["--cut", "nl--nr@500ms+1s"], "some lifts", |seen| {
             let up = named(&seen["nodes"], "nl")["uptime_us"].as_u64();
             released(seen, "armL") >= 3 && up > Some(2_000_000)
@@ -404,7 +404,7 @@ fn a_cut_link_is_survived() {
     });
 }
 
-/// Where the record begins that holds this byte.
+/// The offset of the record that contains this byte.
 fn record_near(bytes: &[u8], byte: usize) -> usize {
     let mut at = 12;
     loop {
@@ -440,7 +440,7 @@ fn what_was_recorded_replays_bit_equal_and_a_changed_file_is_noticed() {
         std::fs::write(&recorded, bytes).unwrap();
         run(&["replay", recorded.to_str().unwrap()])
     };
-    // In the length, its checksum, that of the contents, and the contents.
+    // One bit in the length, in its checksum, in the checksum of the contents, and in the contents.
     for place in [0, 2, 3, 5, 9, 12] {
         let mut damaged = whole.clone();
         damaged[at + place] ^= 1;
@@ -448,7 +448,7 @@ fn what_was_recorded_replays_bit_equal_and_a_changed_file_is_noticed() {
         assert_eq!(said.code, Some(2), "{said:?}");
         assert!(said.err.contains(&format!("at byte {at}: the record is damaged")), "{}", said.err);
     }
-    // A file that was cut off is as good as far as it goes.
+    // A truncated file is judged as far as it goes.
     for length in [at + 5, at + 20] {
         let said = replayed(&whole[..length]);
         assert_eq!(said.code, Some(5), "{said:?}");
@@ -522,7 +522,7 @@ fn no_node_outlives_its_launcher() {
 
 #[test]
 fn a_node_that_somebody_else_ends_is_a_finding() {
-    // It ends when both others have given up.
+    // The run ends when both other tasks have given up.
     let demo = Live::demo(&["--for", "10m"]);
     signal(demo.pid("nr"), Signal::KILL);
     let (summary, code, errors) = demo.finish();

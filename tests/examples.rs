@@ -1,14 +1,14 @@
-//! Every cell of `examples/`: checked, verified within the faults that it declares, and run.
+//! Every cell of `examples/` is checked, verified within the faults that it declares, and run.
 
 use crate::support::live::Live;
 use crate::support::{example, is_well, is_whole, run, runtime_dir, side_by_side, was_late};
 use serde_json::Value;
 use std::path::Path;
 
-/// Its camera is a Rust program, which its own test runs.
+/// Cells with a task in Rust, which have tests of their own.
 const RUN_APART: [&str; 1] = ["extern_task"];
 
-/// The cells: their names and files.
+/// The names and files of the cells.
 fn cells() -> Vec<(String, String)> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples");
     let files = std::fs::read_dir(folder).expect("the examples").map(|entry| entry.expect("an entry").path());
@@ -21,12 +21,12 @@ fn cells() -> Vec<(String, String)> {
     all
 }
 
-/// Faults that take a cell from seconds to half a minute, and what it is verified within unless `IMRS_WHOLE=1` asks for all.
+/// Cells whose declared faults take half a minute to verify, those faults, and the quick replacement. `IMRS_WHOLE=1` keeps all.
 const FEWER: [(&str, &str, &str); 7] = [
     ("beam_lift", "faults loss 2;", "faults loss 1;"),
     ("beam_lift", "faults cut nl -- nr loss 1;", "faults cut nl -- nr;"),
     ("beam_lift", "faults crash hoist;", ""),
-    // The checker's own tests look at all of this one.
+    // The checker's own tests verify this one with all its faults.
     ("press_line", "faults crash n2;", ""),
     ("shared_tool", "faults loss 1 crash weldA;", "faults crash weldA;"),
     ("weld_cell", "faults loss 3;", "faults loss 1;"),
@@ -49,7 +49,7 @@ fn every_cell_holds_under_the_faults_that_it_declares() {
         }
         std::fs::write(&looked_at, text).expect("written");
         let looked_at = looked_at.to_str().expect("UTF-8");
-        // Far more than it takes: the machine may be busy.
+        // Far more time than needed, because the machine may be busy.
         let said = run(&["verify", looked_at, "--within", "300s", "--format", "json"]);
         assert_eq!(said.code, Some(0), "{said:?}");
         let verdict = said.last_json();
@@ -58,7 +58,7 @@ fn every_cell_holds_under_the_faults_that_it_declares() {
     }
 }
 
-/// What a cell says, and what it must not say.
+/// A correct text of a cell, and a mistake to replace it.
 type Slip = (&'static str, &'static str);
 
 const BORROWED_TOO_SHORT: Slip = ("start lent 4 sec", "start lent 2 sec");
@@ -70,7 +70,7 @@ const ANY_VERSION: Slip = ("s.version = now.version and ", "");
 const ANY_SPEED: Slip = (" and s.mm_s <= 500", "");
 const CHANGED_ONCE: Slip = ("time_out = 100 msec retry = 2", "time_out = 100 msec retry = 0");
 
-/// A cell, a slip in it, the faults without which nobody would notice, and the checks that notice.
+/// A cell, a mistake in it, the faults needed to notice it, and the checks that then fail.
 const SPOILT: [(&str, Slip, &str, &[&str]); 8] = [
     ("shared_tool", BORROWED_TOO_SHORT, "", &["one_holder"]),
     ("shared_tool", BORROWED_TOO_LONG, "faults crash weldA;", &["dead_holder"]),
@@ -130,7 +130,7 @@ fn every_cell_runs() {
         let ports = summary["ports"].as_array().expect("ports");
         let delivered: u64 = ports.iter().filter_map(|port| port["delivered"].as_u64()).sum();
         assert!(delivered > 0, "{name}: {summary}");
-        // Where this machine is later than the cell declares, a buffer may be full.
+        // If this machine is later than the cell declares, a buffer may be full.
         let refused: u64 = ports.iter().filter_map(|port| port["refused"].as_u64()).sum();
         assert!(refused == 0 || was_late(dir.path(), &file, record[1].as_ref(), &nodes), "{name}: {summary}");
         for node in summary["nodes"].as_array().expect("nodes") {

@@ -1,4 +1,4 @@
-//! `imrs verify --explore`: a claim's world served to a browser on this machine.
+//! `imrs verify --explore`: serves the state space of a claim to a browser on this machine.
 
 use crate::support::{PATIENCE, imrs, run, runtime_dir, wait_until};
 use serde_json::Value;
@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::{Child, Stdio};
 
-/// The server, ended when the test is.
+/// The server process, killed when this is dropped.
 struct Server(Child);
 
 impl Drop for Server {
@@ -16,9 +16,9 @@ impl Drop for Server {
     }
 }
 
-/// What the server answers to a GET.
+/// The server's JSON answer to a GET.
 fn get(address: &str, path: &str) -> Value {
-    // It says where it will be before it is there.
+    // The command prints its address before the server listens.
     wait_until("the server is there", || TcpStream::connect(address).is_ok());
     let mut stream = TcpStream::connect(address).expect("a server");
     stream.set_read_timeout(Some(PATIENCE)).expect("a time limit");
@@ -30,7 +30,7 @@ fn get(address: &str, path: &str) -> Value {
     serde_json::from_str(body).unwrap_or_else(|error| panic!("{error}: {body}"))
 }
 
-/// The server of a claim, and where it is.
+/// Starts the server of a claim. Returns it with its address.
 fn explore(claim: &str) -> (Server, String) {
     let folder = runtime_dir();
     let mut command = imrs(folder.path(), &["verify", "--claim", claim, "--explore", "127.0.0.1:0"]);

@@ -1,5 +1,5 @@
-//! What a stranger reads first, against the tree and the command: the README, the page of the monitor, the README of each crate.
-//! Excerpts stand in their files, commands and flags in the help, and what is shown as printed is printed.
+//! Checks the pages that a stranger reads first against the tree and the command: the README, the page of the monitor, the
+//! README of each crate. Excerpts occur in their files, commands and flags in the help, and quoted output is really printed.
 
 mod crates;
 mod printed;
@@ -10,8 +10,8 @@ use std::fs;
 use std::path::Path;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
-/// A README is read in one go.
-const LONGEST_README: usize = 150;
+/// The README must stay shorter than this, because it is read in one go.
+const LONGEST_README: usize = 120;
 const CRATES: [&str; 8] =
     ["protocol", "language", "wire", "model", "runtime", "macros", "monitor", "benches"];
 
@@ -19,7 +19,7 @@ fn read(path: &str) -> String {
     fs::read_to_string(Path::new(ROOT).join(path)).unwrap_or_else(|e| panic!("{path}: {e}"))
 }
 
-/// The pages, by their path from the root, with their texts.
+/// The pages: their paths from the root, and their texts.
 fn pages() -> Vec<(String, String)> {
     let crates = CRATES.iter().map(|room| format!("{room}/README.md"));
     let all = ["README.md", "docs/monitor.md"].map(str::to_owned).into_iter().chain(crates);
@@ -45,7 +45,7 @@ pub fn blocks(text: &str) -> Vec<Block<'_>> {
     found
 }
 
-/// What stands between backquotes, line by line, blocks of code aside.
+/// The spans between backquotes, line by line, without code blocks.
 fn spans(text: &str) -> Vec<Vec<&str>> {
     let mut in_block = false;
     let mut found = Vec::new();
@@ -59,13 +59,13 @@ fn spans(text: &str) -> Vec<Vec<&str>> {
     found
 }
 
-/// Where the links of a text lead to, within the tree.
+/// The targets of the links of a text within the tree.
 pub fn links(text: &str) -> Vec<&str> {
     let targets = text.split("](").skip(1).filter_map(|rest| rest.split([')', '#']).next());
     targets.filter(|target| !target.is_empty() && !target.contains("://")).collect()
 }
 
-/// Whether these lines stand in a source in their order, one after another but where a line is `...`.
+/// Whether these lines occur in a source in their order, and adjacent except where a line is `...`.
 pub fn is_excerpt(excerpt: &[&str], source: &[&str]) -> bool {
     let mut at = 0;
     excerpt.split(|line| line.trim() == "...").filter(|piece| !piece.is_empty()).all(|piece| {
@@ -89,7 +89,7 @@ fn every_excerpt_is_a_part_of_its_file() {
             excerpts += 1;
             let room = page.strip_suffix("/README.md").filter(|room| CRATES.contains(room));
             let files = match room {
-                // Of a crate the example is one of its documentation, or one of `crates`.
+                // The example of a crate comes from its documentation, or from `crates`.
                 Some(room) => vec![format!("{room}/src/lib.rs"), "tests/front_door/crates.rs".into()],
                 None => {
                     let named =
@@ -115,7 +115,7 @@ impl Block<'_> {
     }
 }
 
-/// A line of an example, whether it stands in a comment or in a function.
+/// A line of an example, without the comment marks of a doc example.
 fn code(line: &str) -> &str {
     let line = line.trim();
     line.strip_prefix("//!").or_else(|| line.strip_prefix("///")).unwrap_or(line).trim()
@@ -175,7 +175,7 @@ fn arguments<'a>(words: &[&'a str]) -> Option<Vec<&'a str>> {
     }
 }
 
-/// What Cargo is told besides: examples and features.
+/// Whether Cargo knows the examples and features that a command names.
 fn cargo_knows(words: &[&str]) -> bool {
     words.windows(2).all(|pair| match pair {
         ["--example", name] => Path::new(ROOT).join(format!("examples/{name}.rs")).exists(),
@@ -263,7 +263,7 @@ fn the_two_commands_come_first_and_stand_in_the_gate() {
     assert_eq!(commands, ["cargo run", "cargo test"]);
     let gate = read(".ci/run");
     let has = |words: &str| gate.lines().any(|line| line.starts_with("step ") && line.contains(words));
-    // What `cargo run` runs may have been built before.
+    // The gate may call the program of `cargo run` directly, because it was built before.
     assert!(has("cargo run") || has("/imrs\" verify"), "the gate does not check the claims");
     assert!(has("cargo test"), "the gate does not run the tests");
 }

@@ -1,5 +1,5 @@
-//! The guide (`docs/guide`), followed literally: the test writes each cell of a chapter into an empty folder, runs each command there, and
-//! compares what the command prints with what the chapter shows. [`Block`] says which kinds of blocks a chapter has.
+//! Follows the guide (`docs/guide`) literally. The test writes each cell of a chapter into an empty folder, runs each command
+//! there, and compares its output with the chapter. [`Block`] lists the kinds of blocks.
 
 use crate::front_door::{blocks, is_excerpt, links};
 use crate::support::program::Program;
@@ -50,13 +50,13 @@ fn follow(chapter: &str) {
 enum Block<'a> {
     /// ```` ```cell first.cell ````: a file that the reader writes.
     Cell(&'a str),
-    /// ```` ```cell-part first.cell ````: lines that stand in a file of the chapter.
+    /// ```` ```cell-part first.cell ````: lines of a file of the chapter.
     PartOfCell(&'a str),
-    /// ```` ```rust-part examples/extern_task.rs ````: lines that stand in a file of the repository.
+    /// ```` ```rust-part examples/extern_task.rs ````: lines of a file of the repository.
     PartOfTree(&'a str),
-    /// ```` ```console ````: commands, each behind `$ `, with lines that they print.
+    /// ```` ```console ````: commands, each after `$ `, with lines of their output.
     Console,
-    /// Pictures and arithmetic.
+    /// ```` ```text ````: pictures and arithmetic, which are not checked.
     Text,
 }
 
@@ -74,7 +74,7 @@ impl<'a> Block<'a> {
     }
 }
 
-/// Follows a chapter in a folder. Returns what is not so, with the number of its line.
+/// Follows a chapter in a folder. Returns the faults of the chapter, each with a line number.
 fn carry_out(dir: &Path, text: &str) -> Vec<String> {
     let mut faults = Vec::new();
     for block in blocks(text) {
@@ -105,7 +105,7 @@ fn carry_out(dir: &Path, text: &str) -> Vec<String> {
     faults
 }
 
-/// What of these lines does not stand in a file.
+/// A fault if these lines are no excerpt of the file.
 fn part(lines: &[&str], file: &Path, first: usize) -> Option<String> {
     let Ok(text) = fs::read_to_string(file) else {
         return Some(format!("{first}: there is no file {}", file.display()));
@@ -143,7 +143,7 @@ fn console(dir: &Path, lines: &[&str], first: usize) -> Vec<String> {
     faults
 }
 
-/// Runs a line of a reader's shell, with both of its streams as one.
+/// Runs a shell line as a reader would, with both output streams merged.
 fn shell(dir: &Path, line: &str) -> Said {
     let programs = Path::new(env!("CARGO_BIN_EXE_imrs")).parent().expect("a folder");
     let path = std::env::var("PATH").unwrap_or_default();
@@ -156,14 +156,14 @@ fn shell(dir: &Path, line: &str) -> Said {
     program.finish()
 }
 
-/// The first shown line that is not printed after the ones before it.
+/// The first shown line that is not printed after its predecessors.
 fn missing<'a>(shown: &[&'a str], printed: &str) -> Option<&'a str> {
     let mut printed = printed.lines();
     let shown = shown.iter().copied().filter(|line| !line.trim().is_empty() && line.trim() != "...");
     shown.into_iter().find(|line| !printed.any(|printed| is_like(line, printed)))
 }
 
-/// Whether a printed line is the shown one, in which `…` stands for any text. Spaces count as one.
+/// Whether a printed line matches the shown one, in which `…` stands for any text. Runs of spaces count as one.
 fn is_like(shown: &str, printed: &str) -> bool {
     let [shown, printed] = [shown, printed].map(|line| line.split_whitespace().collect::<Vec<_>>().join(" "));
     let mut pieces = shown.split('…');
@@ -191,7 +191,7 @@ fn the_contents_are_the_chapters() {
     }
 }
 
-/// What is wrong in a chapter is named with its line.
+/// Each fault of a chapter is reported with its line.
 #[test]
 fn a_chapter_that_is_wrong_says_where() {
     let page = "# T\n```cell a.cell\ncell  a;\n```\n```cell-part a.cell\ncell b;\n```\n```console\n$ echo one; echo two\n\

@@ -1,4 +1,4 @@
-//! `imrs monitor` as scripts and pipes use it: what it prints, and the code it ends with.
+//! End-to-end tests of `imrs monitor` in scripts and pipes: its output and exit codes.
 
 use crate::support::live::Live;
 use crate::support::{PATIENCE, Said, imrs, look_until, run, run_in, runtime_dir, signal, wait_until};
@@ -9,7 +9,7 @@ use std::time::Instant;
 
 const ESCAPE: char = '\u{1b}';
 
-/// Ends with `code`, and says this of what is wrong.
+/// Asserts the exit code, and that the complaint has these words.
 fn fails(said: &Said, code: i32, words: &[&str]) {
     assert_eq!(said.code, Some(code), "{said:?}");
     for word in words {
@@ -26,7 +26,7 @@ fn one_demo_seen_through_pipes() {
         look_until(demo.dir(), &[&["monitor"], args].concat(), "all nodes are up", is_so)
     };
 
-    // Into a pipe: a sample as text, without escapes, and it ends by itself.
+    // In a pipe, the monitor prints one sample as text without escapes, and ends.
     let piped = once_up(&[], &|said| said.out.contains("node nh: up"));
     assert!(matches!(piped.code, Some(0 | 1)), "{piped:?}");
     assert!(!piped.out.contains(ESCAPE), "{piped:?}");
@@ -38,7 +38,7 @@ fn one_demo_seen_through_pipes() {
     let report = once.last_json();
     assert_eq!(report["version"], 1, "{report}");
 
-    // What is true, what is false, what is no condition.
+    // A true assertion, a false one, and a malformed one.
     once_up(&["--assert", "up==3 and nodes==3"], &|said| said.code == Some(0));
     let all = |said: &Said| format!("{}{}", said.out, said.err).contains("up = 3");
     let wrong = once_up(&["--assert", "up>=4"], &all);
@@ -46,7 +46,7 @@ fn one_demo_seen_through_pipes() {
     fails(&monitor(&["--assert", "up >== 4"]), 2, &["up >== 4", "column 6"]);
     once_up(&["--assert", "up==3", "--for", "500ms"], &|said| said.code == Some(0));
 
-    // Only the cell that is asked for.
+    // Only the requested cell is shown.
     let other = once_up(&["--cell", "no-such-cell", "--once"], &|said| said.err.contains("no-such-cell"));
     fails(&other, 3, &["no node of cell `no-such-cell`", "beam_lift"]);
     fails(&monitor(&["--filter", "slakc<5ms", "--once"]), 2, &["did you mean `slack`"]);
@@ -62,7 +62,7 @@ fn samples_come_until_the_reader_has_enough() {
         imrs(demo.dir(), &args).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
     let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
     let end = Instant::now() + PATIENCE;
-    // From the first sample of all nodes on, each has all of them.
+    // Once a sample has all nodes, every later one has them, too.
     let mut whole = 0;
     while whole < 5 {
         let line = lines.next().expect("a sample").expect("text");
@@ -72,7 +72,7 @@ fn samples_come_until_the_reader_has_enough() {
         assert!(Instant::now() < end, "{line}");
         whole += usize::from(nodes == Some(3));
     }
-    // Each node records its inputs; these are run again while it goes on, and do what was verified.
+    // Each node records its inputs. The monitor replays them while the node runs, and they conform to the verified machine.
     loop {
         let line = lines.next().expect("a sample").expect("text");
         let report: Value = serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line}"));
@@ -117,9 +117,9 @@ fn the_file_of_settings_is_read_and_its_slips_are_told() {
         path.to_str().expect("UTF-8").to_owned()
     };
     let monitor = |config: &str| run_in(dir.path(), &["monitor", "--config", config, "--once"]);
-    // Taken; there is nothing to show.
+    // The example file is accepted, but there is no node to show.
     fails(&monitor(&file("example.toml", &example.out)), 3, &["no running node found"]);
-    // With every line in force it is taken, too: its token is not there.
+    // With every line uncommented, only the missing token file is wrong.
     let all: String = example.out.lines().map(|line| uncommented(line) + "\n").collect();
     fails(&monitor(&file("all.toml", &all)), 2, &["/etc/imrs/observe.token"]);
     fails(

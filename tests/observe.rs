@@ -1,4 +1,4 @@
-//! Attaching, dying and coming back, as one who watches sees it (M8): real processes, killed as a power cut would.
+//! What a monitor sees of nodes that appear, die and come back (M8): real processes, killed as by a power cut.
 
 use crate::support::{bound, is_quiet};
 use imrs_monitor::Watch;
@@ -15,19 +15,19 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Where the node of the other process puts its socket.
+/// The environment variable with the folder in which the node of the child process puts its socket.
 const FOLDER: &str = "IMRS_TEST_NODE_IN";
-/// Long enough for anything, on a machine that is not quiet.
+/// Time limit of every wait on a busy machine.
 const LONG: Duration = Duration::from_secs(60);
-/// What is promised of a machine that is, at its best: of attaching, of a death, of a return. Asserted where `IMRS_QUIET=1`
-/// says that this one is.
+/// The promised times on a quiet machine, at best: to attach, to show a death, to show a return. Asserted if `IMRS_QUIET=1`
+/// says that this machine is quiet.
 const GOALS: [(&str, Duration); 3] = [
     ("attach to first full frame", Duration::from_millis(150)),
     ("death shown", Duration::from_secs(1)),
     ("reattach after restart", Duration::from_secs(1)),
 ];
 
-/// Not a test of its own: what the other one starts as a process, to kill it.
+/// Run as a child process by the other test, which kills it.
 #[test]
 fn the_node_of_the_other_process() {
     let Some(folder) = std::env::var_os(FOLDER) else { return };
@@ -52,11 +52,11 @@ fn the_node_of_the_other_process() {
         .unwrap();
     let path = PathBuf::from(folder).join(format!("n0-{}.sock", std::process::id()));
     let _observer = Observer::start_at(Arc::clone(runtime.node()), &path).unwrap();
-    // Nobody waits for it longer.
+    // The other test waits for no more than this.
     thread::sleep(2 * LONG);
 }
 
-/// A node in a process of its own, killed when it is dropped.
+/// A node in a child process. Dropping this kills it.
 struct Node(Child);
 
 impl Node {
@@ -74,7 +74,7 @@ impl Node {
         node
     }
 
-    /// As `kill -9` does.
+    /// Kills the process, as `kill -9` does.
     fn kill(mut self) {
         self.0.kill().unwrap();
         self.0.wait().unwrap();

@@ -1,5 +1,5 @@
-//! What `imrs run` does is a path of the model that `imrs verify` explores. Nodes and links may be as late as the machine
-//! makes them: that is told, and no true run is called one that the model cannot do.
+//! A run of `imrs run` is a path of the model that `imrs verify` explores. Nodes and links may be as late as the machine makes
+//! them: lateness is reported, and no true run is called impossible.
 
 mod recorded;
 
@@ -17,12 +17,12 @@ const WELD: &str = "weld_cell.cell";
 const IN_PROCESSES: &[&str] = &["--seed", "5"];
 const IN_ONE: &[&str] = &["--seed", "6", "--in-process"];
 
-/// Until both arms have stopped after so many lifts.
+/// True once both arms have stopped after so many lifts.
 fn lifts(number: usize) -> impl FnMut(&str) -> bool {
     times(2 * number, " ends stop_now")
 }
 
-/// Whether the arms gave up the lift, as they do if a node stands still for longer than their time_out.
+/// Whether the arms gave up the lift, as they do if a node is suspended for longer than their time_out.
 fn is_given_up(run: &Recorded) -> bool {
     let is_so = run.said.contains("partner missing") || run.said.contains("arms missing");
     if is_so {
@@ -39,7 +39,7 @@ fn a_beam_lift_is_a_path_of_the_model() {
         if is_given_up(&run) {
             return;
         }
-        // They grip, meet, and lift: beats, looks at the height, answers.
+        // The arms grip, meet and lift, with heartbeats, height readings and answers.
         assert!(number(&told, "inputs") > 50 && number(&told, "turns") > 50, "{told}");
         assert!(number(&told, "moves") >= number(&told, "inputs") / 2, "{told}");
         assert!(number(&told, "kinds") > 10, "{told}");
@@ -51,7 +51,7 @@ fn a_weld_is_a_path_of_the_model() {
     side_by_side([IN_PROCESSES, IN_ONE], |how| {
         let run = Recorded::of(WELD, how, times(1, " begins weld"));
         let Some(told) = path_of(&run) else { return };
-        // On a machine that is late r1 may lose its lease at once, and with it its beats.
+        // On a late machine r1 may lose its lease at once, and then its heartbeats end.
         let is_cut_short = run.said.contains("has lost the lease") || number(&told, "late_at_most") > 100;
         assert!(is_cut_short || number(&told, "inputs") > 50 && number(&told, "turns") > 10, "{told}");
     });
@@ -81,7 +81,7 @@ fn welds_with_faults_are_paths_of_the_model() {
         let run = Recorded::of(WELD, &[how, fault].concat(), all_of(until));
         let Some(told) = path_of(&run) else { return };
         let lost = told["lost"].as_array().expect("links");
-        // On a machine that is late r1 may be without its lease, and without beats, before the fault comes.
+        // On a late machine r1 may lose its lease, and with it the heartbeats, before the fault comes.
         let too_late =
             run.said.find("has lost the lease").is_some_and(|at| run.said[at..].contains(" s fault: n"));
         assert!(too_late || !lost.is_empty(), "{fault:?}: {told}");
@@ -96,17 +96,17 @@ fn in_both_ways<A: Copy>(cases: [A; 3]) -> impl Iterator<Item = (A, &'static [&'
 fn nodes_of_two_runs_are_no_run() {
     let [one, other] = ["11", "12"].map(|seed| {
         let run = Recorded::of(BEAM, &["--seed", seed, "--in-process"], lifts(1));
-        // So that one is over clearly before the other begins.
+        // A clear gap between the end of one run and the beginning of the other.
         std::thread::sleep(std::time::Duration::from_millis(300));
         run
     });
     let mut files = one.files();
     files[0] = other.file("nl");
-    // Each of them replays bit-equal by itself.
+    // Each recording alone replays bit by bit.
     for file in &files {
         let file = file.to_str().expect("UTF-8");
         let said = run_in(one.folder.path(), &["replay", file, "--cell", &one.cell]);
-        // 5: the disk was so late that the recording has no end.
+        // Code 5: the disk was so slow that the recording has no end.
         assert!(matches!(said.code, Some(0 | 5)), "{said:?}");
     }
     let mixed = one.follow(&files);
@@ -119,7 +119,7 @@ fn nodes_of_two_runs_are_no_run() {
     assert!(twice.err.contains("node nl is given twice: "), "{twice:?}");
 }
 
-/// The recordings of a node that was restarted are several files of one run: the model does not follow them, and nobody says more.
+/// A restarted node has several recordings of one run. The model does not follow them, so the result is unknown.
 #[test]
 fn of_a_run_with_a_restart_nothing_is_known() {
     for how in [IN_PROCESSES, IN_ONE] {
@@ -129,13 +129,13 @@ fn of_a_run_with_a_restart_nothing_is_known() {
         let with = |files: &[&PathBuf]| -> Vec<PathBuf> {
             others.iter().chain(files.iter().copied()).cloned().collect()
         };
-        // A machine that is late may record nothing of the second start.
+        // A late machine may record nothing of the second incarnation.
         let nothing = run.folder.path().join("nothing.nt-2.imrs");
         tape::change(&second, &nothing, |records| {
             records.retain(|record| matches!(record, Record::Header(_) | Record::End));
         });
         let mut given = vec![with(&[&first, &second]), with(&[&second, &first]), with(&[&first, &nothing])];
-        // An answer of the first start shows that it is missing.
+        // An answer of the first incarnation shows that its recording is missing.
         let before = run.said.split(" is killed").next().unwrap_or_default();
         if before.contains("begins dress") {
             given.extend([with(&[&second]), with(&[&nothing])]);
@@ -158,7 +158,7 @@ fn of_a_run_with_a_restart_nothing_is_known() {
         assert_eq!(twice.code, Some(2), "{twice:?}");
         assert!(twice.err.contains("node nt is given twice: "), "{twice:?}");
 
-        // A second recording of another run is refused, before or after this one.
+        // A recording of another run is refused, before or after this one.
         std::thread::sleep(std::time::Duration::from_millis(300));
         let other = Recorded::restarted_weld(how);
         let mixed = run.follow(&with(&[&first, &other.file("nt-2")]));
@@ -183,7 +183,7 @@ fn of_a_cell_of_one_node_a_restart_leaves_a_gap() {
 
 #[test]
 fn what_nobody_sent_is_no_path() {
-    // An arm ends its start only after an answer of the other one.
+    // `start_lift` of armL ends only after an answer of the other arm.
     let (mut lifted, mut answered) = (lifts(3), false);
     let run = Recorded::of(BEAM, IN_ONE, |line| {
         answered |= line.contains("armL") && line.contains("ends start_lift");
@@ -192,7 +192,7 @@ fn what_nobody_sent_is_no_path() {
     if is_given_up(&run) || path_of(&run).is_none() {
         return;
     }
-    // An answer that nobody asked for: armL's own machine takes no notice of it.
+    // An answer without a query: armL's own state machine ignores it.
     let files = run.change("nl", |records| {
         let answer = |record: &Record| {
             matches!(record, Record::Input { input: Input::Packet(Packet { kind: Kind::Response, .. }), .. })
@@ -208,7 +208,7 @@ fn what_nobody_sent_is_no_path() {
             (*elapsed, *digest) = (Ticks::ZERO, outputs.expect("an input before it"));
         }
         records.insert(at, forged);
-        // Its count alone would give it away.
+        // Without this, the count of inputs alone would reveal it.
         for record in records {
             if let Record::Close { inputs, .. } = record {
                 *inputs += 1;
@@ -262,7 +262,7 @@ fn a_member_that_never_heard_of_the_others_is_not_released() {
 const GRIPS: &str =
     "cell grips; tick 1 msec; node n; task a on n begin loop run grip takes 100..200 msec; end; end a;";
 
-/// What is said of a run of [`GRIPS`] whose first grips took so many microseconds, and the others 150 ms.
+/// Replays a run of [`GRIPS`] whose first grips took so many microseconds, and the others 150 ms.
 fn grips_that_took(microseconds: &[u64]) -> Said {
     let run = Recorded::of_text(GRIPS, times(3, " ends grip"));
     let files = run.change("n", |records| {
@@ -271,7 +271,7 @@ fn grips_that_took(microseconds: &[u64]) -> Said {
         let mut before = records.iter().position(|record| matches!(record, Record::Script { .. }));
         let took = microseconds.iter().copied().chain(std::iter::repeat(150_000));
         for (end, took) in ends.into_iter().zip(took) {
-            // Nothing but time tells it from a run where the robot was so fast.
+            // Only the times differ from a run in which the robot was that fast.
             let mut took = Ticks(took);
             for record in records[before.replace(end).expect("a beginning")..end].iter_mut().rev() {
                 if let Record::Input { elapsed, .. } = record {
@@ -302,12 +302,12 @@ fn of_a_machine_that_is_late_it_is_unknown_what_times_say_by_few_ticks() {
     let told = said.last_json();
     assert_eq!((&told["path"], &told["complete"]), (&Value::from(false), &Value::from(false)), "{told}");
     assert!(told["unknown"].as_str().is_some_and(|why| why.starts_with("nodes acted late")), "{told}");
-    // But it cannot have been so fast.
+    // Lateness cannot explain a grip that was this fast.
     no_path(&grips_that_took(&[600_000, 15_000]));
 }
 
-/// Timers of a task that end in one tick of the model end in either order on a real node: one that was started first ends
-/// before a `delay` that is over in that tick or after it, long after anything that could be rounded otherwise.
+/// Timers of a task that expire in one tick of the model expire in either order on a real node. One that was started first may
+/// expire before or after a `delay` that ends in that tick, long after any time that could be rounded otherwise.
 #[test]
 fn timers_that_end_in_one_tick_end_in_either_order() {
     const TIES: &str = "\
@@ -324,7 +324,7 @@ begin
   while ends < 44 do delay 1 msec; end;
 end a;";
     let run = Recorded::of_text(TIES, |_| false);
-    // Of some forty ends about half come after that of a delay which was to end in the same tick.
+    // About half of some forty expirations come after the end of a delay in the same tick.
     path_of(&run);
 }
 

@@ -1,12 +1,12 @@
-//! The list of faults that `.ci/planted` puts into the protocol, against the tree: each must still be one that can be
-//! planted, or the checker would be asked for nothing.
+//! Checks the list of faults that `.ci/planted` plants into the protocol: each must still fit its file, or the checker would be
+//! tested with nothing.
 
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
-/// Fewer say too little about the claims.
+/// Fewer faults would test the claims too little.
 const FEWEST: usize = 80;
 
 struct Fault {
@@ -17,7 +17,7 @@ struct Fault {
     new: String,
 }
 
-/// The list as `.ci/planted` reads it.
+/// The list, parsed as by `.ci/planted`.
 fn faults() -> Vec<Fault> {
     let list = fs::read_to_string(Path::new(ROOT).join("model/planted.txt")).expect("the list");
     list.split("\n# ").skip(1).map(fault).collect()
@@ -47,7 +47,7 @@ fn every_planted_fault_fits_its_file_exactly_once() {
         let text = fs::read_to_string(Path::new(ROOT).join(&file)).unwrap_or_else(|e| panic!("{file}: {e}"));
         assert!(!old.is_empty() && old != new, "{title}: changes nothing");
         assert_eq!(text.matches(&old).count(), 1, "{title}: its lines in {file}");
-        // Random cells (model/tests/guard) are no claim.
+        // The random cells of model/tests/guard are not a claim.
         let is_known = claim == "guard" || imrs_model::claim_names().contains(&claim.as_str());
         assert!(is_known, "{title}: no claim is named {claim}");
         assert!(titles.insert(title.clone()), "{title}: twice");

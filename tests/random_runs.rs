@@ -1,5 +1,5 @@
-//! Random cells on the real runtime: what threads and clocks make of a cell is a path of the model, too. The cells are those
-//! with which the search is compared (`model/tests/guard`).
+//! Random cells on the real runtime: what threads and clocks do with a cell is a path of the model, too. The cells are those
+//! that test the search (`model/tests/guard`).
 
 #[path = "../model/tests/guard/cells.rs"]
 #[expect(dead_code, reason = "bodies for tasks outside are of the checker's own tests")]
@@ -11,7 +11,7 @@ use crate::support::{bound, excused, run_in, runtime_dir};
 use imrs_language::{Source, Unit, compile};
 use std::path::Path;
 
-/// So many numbers for a cell.
+/// Number of random bytes for a cell.
 const TAPE: usize = 300;
 
 fn tape(seed: u64) -> Vec<u8> {
@@ -25,7 +25,7 @@ fn tape(seed: u64) -> Vec<u8> {
     (0..TAPE).map(|_| byte()).collect()
 }
 
-/// The random cell of a seed; none where the compiler turns it down, or a Rust program would have to say what a task does.
+/// The random cell of a seed; none if the compiler rejects it, or it has an extern task.
 fn random_cell(seed: u64) -> Option<String> {
     let text = cells::cell(&tape(seed));
     if text.contains(" extern") {
@@ -46,7 +46,7 @@ fn recordings(folder: &Path) -> Vec<String> {
     files
 }
 
-/// `IMRS_RANDOM_RUNS` of them, from `IMRS_SEED` on.
+/// Runs `IMRS_RANDOM_RUNS` cells, from seed `IMRS_SEED` on.
 #[test]
 fn runs_of_random_cells_are_paths_of_the_model() {
     let (first, number) = (bound("IMRS_SEED", 1), bound("IMRS_RANDOM_RUNS", 4));
@@ -69,7 +69,7 @@ fn runs_of_random_cells_are_paths_of_the_model() {
         let told = said.last_json();
         match said.code {
             Some(1 | 4 | 5) if told["path"] != true && told["complete"] == false => late += 1,
-            // A link took longer than its bound: the model promises nothing then.
+            // A link took longer than its bound, so the model promises nothing.
             _ if told["within_assumptions"] == false => late += 1,
             Some(0 | 1 | 5) if told["path"] == true => paths += 1,
             _ => panic!("seed {seed}: {said:?}\n{text}"),

@@ -1,5 +1,5 @@
-//! `imrs run` as it is shipped: cells of the language on real processes and sockets, with real faults. Runs end by
-//! themselves or when what is looked for has come: the machine may be busy. What must hold on any machine is exact.
+//! End-to-end tests of `imrs run`: cells on real processes and sockets, with real faults. A run ends by itself or once the
+//! expected output has come, because the machine may be busy. What must hold on any machine is asserted exactly.
 
 use crate::support::live::{Live, named, released};
 use crate::support::program::{Program, one_after_the_other, times};
@@ -13,8 +13,8 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-/// Two tasks that meet and ask each other through a third node, which only relays. They wait longer for each other than any
-/// machine keeps a process from running or from starting.
+/// Two tasks that meet and query each other through a third node, which only relays. Their time_outs exceed any delay of a
+/// process on a busy machine.
 const RELAYED: &str = "\
 cell relayed;
 tick 1 msec;
@@ -45,7 +45,7 @@ begin
 end b;
 ";
 
-/// One that comes to its end, and one that answers for ever.
+/// A task that ends, and one that serves for ever.
 const SERVED: &str = "\
 cell served;
 tick 1 msec;
@@ -76,7 +76,7 @@ impl Bench {
         Self::of(RELAYED)
     }
 
-    /// The same cell, whose tasks wait for each other for so many seconds.
+    /// The same cell with time_outs of so many seconds.
     pub fn that_waits(seconds: u32) -> Self {
         Self::of(&RELAYED.replace("time_out = 600 sec", &format!("time_out = {seconds} sec")))
     }
@@ -91,7 +91,7 @@ impl Bench {
         self.0.path().join("relayed.cell")
     }
 
-    /// A run that ends by itself: `b` aborts when it waits in vain for `a`.
+    /// Runs the cell until it ends by itself: `b` aborts when it waits in vain for `a`.
     fn run(&self, args: &[&str]) -> Said {
         self.run_until(args, |_| false)
     }
@@ -118,10 +118,10 @@ fn exit<'a>(summary: &'a Value, name: &str) -> &'a Value {
 #[test]
 fn scripts_meet_and_ask_through_a_node_that_only_relays() {
     side_by_side([&["--format", "json"][..], &["--format", "json", "--in-process"]], |how: &[&str]| {
-        // So long no machine keeps one of them from running, and so long it takes until `b` gives up at the end.
+        // Long enough for any machine. It is also how long `b` takes to give up at the end.
         let said = Bench::that_waits(10).run(how);
         let summary = said.last_json();
-        // When a has ended, b waits for it in vain: that abort is the finding.
+        // After `a` has ended, `b` waits for it in vain: its abort is the finding.
         assert_eq!(said.code, Some(1), "{said:?}");
         assert!(said.err.contains("task `b` aborted: nobody came (line"), "{said:?}");
         assert!(!said.err.contains("task `a`"), "{said:?}");
@@ -146,7 +146,7 @@ fn a_run_says_when_only_servers_are_left_and_can_end_then() {
         let cell = cell.to_str().expect("UTF-8");
         let run = ["run", cell, "--seed", "3"];
         let words = "only servers are left: b; Ctrl-C ends the run, or use --until-idle";
-        // It would go on for ever.
+        // This run would go on for ever.
         let said = run_until(bench.0.path(), &[&run[..], how].concat(), times(1, words));
         assert!(said.code == Some(0) && said.out.contains(words), "{said:?}");
         let idle = [&run[..], &["--until-idle"], how].concat();
@@ -158,7 +158,7 @@ fn a_run_says_when_only_servers_are_left_and_can_end_then() {
             (&"a".into(), &Value::Null),
             "{summary}"
         );
-        // One whose node is gone for good does not come to its end either.
+        // A task whose node is gone for good does not end either.
         let said = run_in(bench.0.path(), &[&idle[..], &["--kill", "na@1ms"]].concat());
         assert!(said.code == Some(0) && said.out.contains("only servers are left: b"), "{said:?}");
         let serves = SERVED.replace("run grip takes 10..20 msec;", "loop run grip takes 10..20 msec; end;");
@@ -190,11 +190,11 @@ fn what_every_node_recorded_under_loss_replays_bit_equal() {
 
 #[test]
 fn a_killed_node_and_a_cut_link_are_found_by_their_time_outs() {
-    // A node that is killed before it told anything leaves nothing that counts as false.
+    // A node that is killed before it reported anything leaves no false release.
     let faults =
         [&["--kill", "a@1ms"][..], &["--cut", "na--nm@0s+10m"], &["--kill", "nm@1ms", "--in-process"]];
     side_by_side(faults, |fault: &[&str]| {
-        // It is over when those who are left have given up.
+        // The run ends when the remaining tasks have given up.
         let said = Bench::that_waits(2).run(fault);
         assert_eq!(said.code, Some(1), "{said:?}");
         assert!(said.err.contains(" aborted: no"), "{said:?}");
@@ -202,7 +202,7 @@ fn a_killed_node_and_a_cut_link_are_found_by_their_time_outs() {
     });
 }
 
-/// What an action gives for a real is the same to the checker, to a simulated action and to a command that prints a number.
+/// The checker, simulated actions and commands that print a number agree on the value of a `real` result.
 #[test]
 fn a_real_result_is_a_real() {
     let dir = runtime_dir();
@@ -307,7 +307,7 @@ fn an_interrupt_ends_all_nodes_and_gives_the_summary() {
     live.interrupt();
     let (summary, code, errors) = live.finish();
     assert_eq!(summary["nodes"].as_array().expect("nodes").len(), 3);
-    // So soon some checks may not have come to anything.
+    // After so short a run some checks may be undecided.
     assert!(is_well(code, &errors), "{errors}");
     wait_until("all nodes are gone", || pids.iter().all(|&pid| !is_alive(pid)));
 }
@@ -318,7 +318,7 @@ fn robots_that_reach_each_other_through_a_third_node_are_relayed() {
     side_by_side([&[][..], &["--in-process"]], |how: &[&str]| {
         let dir = runtime_dir();
         let live = Live::start(dir.path(), &[&["run", &weld, "--seed", "3"], how].concat());
-        // r1 and r2 are asked and answer every few milliseconds, and only nt lies between them.
+        // r1 and r2 exchange queries every few milliseconds, and only nt connects them.
         let is_passed = |seen: &Value, node: &str, least: u64| {
             named(&seen["nodes"], node)["transit"]["forwarded"].as_u64() >= Some(least)
         };
@@ -334,7 +334,7 @@ fn robots_that_reach_each_other_through_a_third_node_are_relayed() {
     });
 }
 
-/// One address and the token of the run show the whole cell; without the token it shows nothing but why.
+/// One address and the run's token give access to the whole cell. Without the token a monitor only learns why it is refused.
 #[test]
 fn nodes_are_watched_over_tcp() {
     let dir = runtime_dir();
@@ -366,25 +366,25 @@ fn nodes_are_watched_over_tcp() {
     live.finish();
 }
 
-/// The nodes of a sample.
+/// The names of the nodes in a sample.
 fn names_of_nodes(sample: &str) -> Vec<String> {
     let sample: Value = serde_json::from_str(sample).expect("JSON");
     let nodes = sample["nodes"].as_array().expect("nodes").iter();
     nodes.map(|node| node["name"].as_str().expect("a name").to_owned()).collect()
 }
 
-/// A thread of a process, as the kernel shows it.
+/// A thread of a process, from `/proc`.
 #[derive(Debug)]
 struct Thread {
     name: String,
     /// 1 is SCHED_FIFO.
     policy: String,
-    /// Of real time: the higher one comes first; 0 of ordinary threads.
+    /// The real-time priority: higher values run first; 0 for ordinary threads.
     priority: u32,
     cores: String,
 }
 
-/// Those that serve monitors, write complaints and tell the launcher: they run behind all that work.
+/// The threads that serve monitors, write complaints and report to the launcher, at a lower priority than the rest.
 const BEHIND: [&str; 3] = ["imrs observer", "imrs printer", "imrs teller"];
 
 impl Thread {
@@ -393,7 +393,7 @@ impl Thread {
     }
 }
 
-/// Whether somebody serves monitors there: what a node starts last.
+/// Whether the observer thread runs there: a node starts it last.
 fn are_watched(threads: &[Thread]) -> bool {
     threads.iter().any(|thread| thread.name == BEHIND[0])
 }
@@ -420,7 +420,7 @@ fn real_time_is_had_or_refused_with_what_to_do() {
         let args = ["run", cell.to_str().expect("UTF-8"), "--rt", "--for", "10m", "--format", "json"];
         let mut command = imrs(bench.0.path(), &args);
         if !rights {
-            // Whoever has no rights was refused above.
+            // A user without the rights was refused in the first case.
             if !rustix::process::geteuid().is_root() {
                 return;
             }
@@ -436,7 +436,7 @@ fn real_time_is_had_or_refused_with_what_to_do() {
         }
         let mut nodes = Program::start(command);
         let started = nodes.json();
-        // A thread has its own name when it has begun to run.
+        // A thread has its own name only once it runs.
         let mut all = Vec::new();
         wait_until("somebody serves monitors", || {
             all = threads(number(&started["started"][0]["pid"]));
@@ -456,7 +456,7 @@ fn real_time_is_had_or_refused_with_what_to_do() {
         behind.sort_unstable_by_key(|thread| &thread.name);
         assert!(behind.iter().map(|thread| &*thread.name).eq(BEHIND), "one of each: {threads:?}");
         if summary["rt"] == true {
-            // After all tasks, before all else: it holds locks that tasks wait for.
+            // Below all tasks and above ordinary programs: these threads hold locks that tasks wait for.
             let comes_last = |thread: &&Thread| (&*thread.policy, thread.priority) == ("1", 1);
             assert!(behind.iter().all(comes_last), "{threads:?}");
             assert!(works().all(|thread| thread.priority > 1), "{threads:?}");
@@ -464,7 +464,7 @@ fn real_time_is_had_or_refused_with_what_to_do() {
             assert_eq!((shown, said.contains("--rt")), ("had", false), "{seen} {said}");
             assert!(rights, "rights that were taken away");
         } else {
-            // Once for each, not once for each node.
+            // Complained of once, not once per node.
             assert_eq!(said.matches("SCHED_FIFO").count(), 1, "{said}");
             assert!(said.contains("limits.conf") && said.contains("setcap"), "{said}");
             assert!(shown.starts_with("refused") && shown.contains("scheduler"), "{seen}");
@@ -487,7 +487,7 @@ fn without_rt_all_threads_stay_ordinary_ones() {
         pids.push(launcher.pid().into());
         pids.sort_unstable();
         pids.dedup();
-        // Where a node runs, somebody looks and somebody records.
+        // A process with a node has an observer and a recorder thread.
         for pid in pids {
             let mut all = Vec::new();
             let launches = pid == u64::from(launcher.pid()) && how.is_empty();
@@ -507,14 +507,14 @@ fn without_rt_all_threads_stay_ordinary_ones() {
 #[path = "../examples/extern_task.rs"]
 mod extern_task;
 
-/// Tells the program that it is the other process.
+/// The environment variable that makes the test program run as the other process.
 const OTHER: &str = "IMRS_TEST_EXTERN_TASK";
 
-/// Not a test of its own: what the next one starts as a process.
+/// Run as a child process by the next test.
 #[test]
 fn the_program_of_the_other_process() {
     if std::env::var_os(OTHER).is_some() {
-        // The name of this test stands on the line.
+        // The test harness has printed the name of this test on the line.
         println!();
         extern_task::main().expect("it runs");
     }
@@ -527,7 +527,7 @@ fn an_extern_task_is_a_rust_program() {
     let said = run_in(dir.path(), &["run", &cell]);
     assert_eq!(said.code, Some(2), "{said:?}");
     assert!(said.err.contains("task `camera` is extern") && said.err.contains("--node"), "{said:?}");
-    // All nodes in a process of its own, which is this program once more.
+    // All nodes run in one process, which is this test program again.
     let mut program = Command::new(std::env::current_exe().expect("this program"));
     program.args(["--exact", "run::the_program_of_the_other_process", "--nocapture", "--test-threads", "1"]);
     program.env(OTHER, "1").env("XDG_RUNTIME_DIR", dir.path());

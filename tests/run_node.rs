@@ -5,7 +5,7 @@ use crate::support::program::Program;
 use crate::support::{imrs, number, own_address, run_in};
 use serde_json::Value;
 
-/// The cell of the two that meet, but each node has an address, and they are neighbours.
+/// The cell of [`Bench`] with addresses for its two nodes, which are now neighbours.
 fn placed(bench: &Bench, host: Option<&str>) -> String {
     let (own, [a, b]) = own_address();
     let host = host.map_or_else(|| own.to_string(), str::to_owned);
@@ -23,7 +23,7 @@ fn placed(bench: &Bench, host: Option<&str>) -> String {
 
 #[test]
 fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_next_lives() {
-    // In its next life a node waits as long as something said in the one before may be under way.
+    // A restarted node is held back as long as messages of its earlier incarnation may be in flight.
     let bench = Bench::that_waits(8);
     let cell = placed(&bench, None);
     let start = |node: &str| {
@@ -33,14 +33,14 @@ fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_
     for life in 0..2 {
         let (b, a) = (start("nb"), start("na"));
         let a = a.finish();
-        // It has nobody to meet any more.
+        // The other node's task waits in vain from now on, so it is interrupted.
         b.interrupt();
         let b = b.finish();
         let summary = a.last_json();
         assert_eq!(a.code, Some(0), "life {life}: {a:?} {b:?}");
         assert_eq!(summary["tasks"][0]["end"], "finished", "{summary}");
         assert_eq!(number(&port(&summary, "ask")["sent"]), 5, "{summary}");
-        // One node cannot know who had arrived at the other.
+        // One node does not know the arrivals at the other one.
         let meet = &summary["rendezvous"][0];
         assert_eq!((&meet["false_releases"], &meet["start_skew_us"]), (&Value::Null, &Value::Null), "{meet}");
         assert_eq!(summary["nodes"].as_array().map(Vec::len), Some(1), "{summary}");
@@ -76,10 +76,11 @@ fn a_node_without_a_place_to_run_is_told_what_is_missing() {
     }
 }
 
-/// 130 of them made the real start pass for an earlier one: the others did not hear it, and nobody said so.
+/// If failed starts counted, 130 of them would make the real start look older than the last: its neighbours would ignore it,
+/// without a message.
 #[test]
 fn failed_starts_count_nothing_and_the_real_one_is_heard() {
-    // A node that starts again waits as long as something said before may be under way.
+    // A restarted node is held back as long as messages of its earlier incarnation may be in flight.
     let bench = Bench::that_waits(8);
     let cell = placed(&bench, None);
     let life = bench.0.path().join("state/imrs/relayed/na.life");
@@ -118,7 +119,7 @@ fn failed_starts_count_nothing_and_the_real_one_is_heard() {
     }
     drop(taken);
     assert_eq!(std::fs::read_to_string(&life).expect("its life").trim(), "0");
-    // Both nodes start again, with what they remember themselves.
+    // Both nodes restart from their own stored incarnations.
     let (a, b) = meet();
     assert_eq!(a.code, Some(0), "{a:?} {b:?}");
     assert_eq!(std::fs::read_to_string(&life).expect("its life").trim(), "1");
@@ -138,7 +139,7 @@ fn a_node_that_has_lost_its_state_takes_a_later_incarnation_than_its_neighbour_r
     assert_eq!(a.code, Some(0), "{a:?}");
     assert_eq!(std::fs::read_to_string(&life).expect("its state").trim(), "0");
     std::fs::remove_file(&life).expect("its state is lost");
-    // nb waits for na, and remembers it.
+    // nb still waits for na, and remembers its incarnation.
     let mut again = start("na");
     let _started = again.json();
     assert_eq!(std::fs::read_to_string(&life).expect("its state").trim(), "1");

@@ -1,4 +1,4 @@
-//! `imrs simulate CELL`: random runs of a cell, from the file to the answer, and back from a saved one.
+//! End-to-end tests of `imrs simulate CELL`: random runs of a cell file, their answers, and replays of saved findings.
 
 use crate::support::{imrs, run};
 use rustix::process::{Pid, Signal, kill_process};
@@ -9,7 +9,7 @@ use std::time::Duration;
 
 const TWICE: &str = "examples/faulty/part_placed_twice.cell";
 
-/// A file in a folder of its own.
+/// Writes a file into a folder of its own.
 fn file(name: &str, text: &str) -> (tempfile::TempDir, String) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join(name);
@@ -99,7 +99,7 @@ fn a_saved_finding_is_shown_again_of_its_own_cell_alone() {
     let other = run(&["simulate", TWICE, "--plan", &saved]);
     assert_eq!(other.code, Some(2), "{other:?}");
     assert!(other.err.contains("it was saved from the cell `token`, this is `twice`"), "{other:?}");
-    // The cell with another declaration.
+    // The same cell with one more declaration.
     let text = fs::read_to_string(cell).expect("a cell");
     let (_folder, changed) = file("changed.cell", &text.replacen("node n1;", "node n1; node spare;", 1));
     let other = run(&["simulate", &changed, "--plan", &saved]);
@@ -108,7 +108,7 @@ fn a_saved_finding_is_shown_again_of_its_own_cell_alone() {
     assert!(twice.code == Some(2) && twice.err.contains("leave out --seed"), "{twice:?}");
 }
 
-/// A file of an earlier run would be taken for the answer of this one.
+/// Without a finding the command says that nothing is saved: a file of an earlier run could be taken for the answer.
 #[test]
 fn where_nothing_is_found_it_is_said_that_nothing_is_saved() {
     let sound = "cell sound;\ntick 1 msec;\nnode n;\ntask t on n\nbegin\n  run turn takes 3 msec;\nend t;\n";
@@ -138,7 +138,7 @@ fn where_nothing_is_found_it_is_said_that_nothing_is_saved() {
 fn what_cannot_be_saved_is_shown_and_a_file_that_cannot_be_written_is_refused_before_the_runs() {
     let lost = "--> examples/faulty/part_placed_twice.cell:25:7";
     for verb in [&["simulate", TWICE, "--seed", "1", "--seeds", "50"][..], &["verify", TWICE]] {
-        // A disk without room.
+        // A full disk.
         let full = run(&[verb, &["--save", "/dev/full"]].concat());
         assert!(full.code == Some(2) && full.out.contains(lost), "{full:?}");
         assert!(full.err.contains("/dev/full: cannot be written: No space left"), "{full:?}");
@@ -219,7 +219,7 @@ fn times_that_were_rounded_are_named() {
     assert_eq!(json(&args)["rounded"][0]["line"], 10);
 }
 
-/// Each run shows two findings: nobody answers in time.
+/// A cell whose every run has two findings: neither query is answered in time.
 const BUSY: &str = "cell busy;
 tick 1 msec;
 node n1; node n2;
@@ -238,7 +238,7 @@ task busy on n2
 begin run think takes 100 msec; receive first(); response(1); receive second(); response(2); end busy;
 ";
 
-/// The command of each finding, run, shows that finding with its whole chart.
+/// The command that each finding suggests shows that finding with its whole chart.
 #[test]
 fn the_command_of_a_finding_shows_it_again() {
     let (_folder, cell) = file("busy.cell", BUSY);
@@ -324,8 +324,8 @@ fn a_broken_plan_says_what_is_wrong_with_it() {
     }
 }
 
-/// Sends Ctrl-C once the command has its second thread, which comes after all that waits for Ctrl-C. Before, that ends the process as
-/// any, or is lost while its handler is put in. Gives the exit code and the answer.
+/// Sends Ctrl-C once the command has its second thread, which starts after the signal handlers are installed. An earlier signal
+/// could end the process, or be lost. Returns the exit code and the answer.
 fn stopped(args: &[&str]) -> (Option<i32>, Value) {
     let folder = tempfile::tempdir().expect("a folder");
     let mut command = imrs(folder.path(), &[args, &["--jobs", "2", "--format", "json"]].concat());
@@ -345,7 +345,7 @@ fn ctrl_c_ends_it_with_what_it_has() {
     let conveyor = "examples/conveyor.cell";
     let (code, answer) = stopped(&["simulate", conveyor, "--seeds", "100000000", "--seed", "1"]);
     assert_eq!((code, &answer["complete"]), (Some(4), &false.into()), "{answer}");
-    // One batch of these runs takes minutes: it is not waited for.
+    // A batch of these runs takes minutes, and the command does not wait for its end.
     let long = ["simulate", conveyor, "--seeds", "1000", "--seed", "1", "--steps", "1000000"];
     let (code, answer) = stopped(&long);
     assert_eq!((code, &answer["complete"]), (Some(4), &false.into()), "{answer}");

@@ -1,5 +1,5 @@
-//! Whoever reads what a run says may read late, or never, and the disk of its log may be full: the run goes on as it would,
-//! carries out its faults, obeys signals, stops its nodes in order, and says how many lines are missing.
+//! The reader of a run's output may be slow or stopped, and the disk of its log full. The run goes on, injects its faults,
+//! obeys signals, stops its nodes in order, and reports how many lines are missing.
 
 use crate::support::live::released;
 use crate::support::{
@@ -15,7 +15,7 @@ use std::path::PathBuf;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
-/// Two that meet for ever. Their lines are more than a full pipe takes: none.
+/// Two tasks that meet for ever. A full pipe takes none of their lines.
 const MEETS: &str = "\
 cell meets;
 tick 1 msec;
@@ -42,10 +42,10 @@ end b;
 
 struct Bench(tempfile::TempDir);
 
-/// A run whose output goes where the test says.
+/// A run whose output goes to a stream of the test.
 struct Running {
     child: Child,
-    /// No later than its start.
+    /// An instant no later than its start.
     started: Instant,
 }
 
@@ -68,7 +68,7 @@ impl Bench {
         Running { child, started }
     }
 
-    /// Waits until the two have met.
+    /// Waits until both tasks have met.
     fn until_they_met(&self) {
         wait_until("they meet", || {
             let said = run_in(self.0.path(), &["monitor", "--once", "--format", "json"]);
@@ -78,7 +78,7 @@ impl Bench {
 }
 
 impl Running {
-    /// The processes of the nodes that are alive.
+    /// The live processes of the nodes.
     fn nodes(&self) -> Vec<u32> {
         let threads = std::fs::read_dir(format!("/proc/{}/task", self.child.id())).into_iter().flatten();
         let of = |thread: std::fs::DirEntry| std::fs::read_to_string(thread.path().join("children")).ok();
@@ -86,7 +86,7 @@ impl Running {
         all.split_whitespace().filter_map(|pid| pid.parse().ok()).filter(|&pid| is_alive(pid)).collect()
     }
 
-    /// Waits for the end. Returns how long the run took, too.
+    /// Waits for the end. Also returns how long the run took.
     fn finish(mut self) -> (Said, Duration) {
         let mut err = String::new();
         if let Some(mut pipe) = self.child.stderr.take() {
@@ -111,7 +111,7 @@ impl Drop for Running {
     }
 }
 
-/// A pipe that is full, and whose reader does not read.
+/// A full pipe whose reader does not read.
 fn full_pipe() -> (io::PipeReader, io::PipeWriter) {
     let (reader, mut writer) = io::pipe().expect("a pipe");
     let flags = fcntl_getfl(writer.as_fd()).expect("flags");
@@ -157,12 +157,12 @@ fn faults_come_and_ctrl_c_is_obeyed_though_nobody_reads() {
         wait_until("the other is stopped", || {
             run.nodes().is_empty() && !left.iter().any(|&pid| is_alive(pid))
         });
-        // Now somebody reads: the summary has waited.
+        // Now the pipe is read: the summary has waited for its reader.
         let mut out = String::new();
         reader.read_to_string(&mut out).expect("text");
         let (said, _) = run.finish();
         assert_eq!(said.code, Some(0), "{said:?}");
-        // The launcher waits five seconds for its reader. One of them may stand still for longer.
+        // The launcher waits five seconds for its reader, and this test may be suspended for longer.
         if said.err.contains("not read") {
             excused("the reader of the summary came too late");
             return false;
@@ -205,14 +205,14 @@ fn a_full_disk_ends_no_run_and_is_told() {
 fn nobody_waits_for_who_reads_the_complaints() {
     side_by_side([&[][..], &["--in-process"]], |how: &[&str]| {
         let bench = Bench::new();
-        // A file that cannot be executed: the node complains when it tries.
+        // A file that cannot be executed, so that the node complains.
         let gripper = bench.0.path().join("gripper");
         std::fs::write(&gripper, "no program").expect("a file");
         let action = format!("grip={}", gripper.display());
         let ((_out, to_out), (_err, to_err)) = (full_pipe(), full_pipe());
         let run = bench.start(&[&["--action", &action, "--for", "4s"], how].concat(), to_out, to_err);
         let (said, took) = run.finish();
-        // The failed action is the finding, and the run went on to its end.
+        // The failed action is the finding; the run still went on to its end.
         assert_eq!(said.code, Some(1), "{said:?}");
         assert!(took >= Duration::from_secs(4), "{took:?}");
     });

@@ -1,4 +1,4 @@
-//! The documents in `specs/` against the tree: whatever they name must exist, and whatever must be in them is.
+//! Checks the documents in `specs/` against the tree: what they name exists, and what they must contain is there.
 
 use crate::support::claims::settled;
 use std::collections::BTreeMap;
@@ -12,7 +12,7 @@ fn read(path: impl AsRef<Path>) -> String {
     fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
 }
 
-/// The documents, by their path from the root.
+/// The paths of the documents from the root.
 fn documents() -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> =
         ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "SECURITY.md"].map(PathBuf::from).into();
@@ -27,14 +27,14 @@ fn documents() -> Vec<PathBuf> {
     found
 }
 
-/// Whether `word` stands in `text` with no letter, digit or underscore at its ends.
+/// Whether `text` contains `word` without a letter, digit or underscore next to it.
 fn has_word(text: &str, word: &str) -> bool {
     let joins = |c: char| c.is_alphanumeric() || c == '_';
     text.match_indices(word)
         .any(|(at, _)| !text[..at].ends_with(joins) && !text[at + word.len()..].starts_with(joins))
 }
 
-/// What stands between backquotes, code blocks aside.
+/// The spans between backquotes, outside of code blocks.
 fn quoted(text: &str) -> Vec<&str> {
     let mut in_block = false;
     let mut found = Vec::new();
@@ -48,7 +48,7 @@ fn quoted(text: &str) -> Vec<&str> {
     found
 }
 
-/// The numbers of rules or decisions in a text: `D54` for the letter D, with what follows it (`b` in `R64b`).
+/// The rule or decision numbers in a text: `D54` for the letter D, with suffixes (`b` in `R64b`).
 fn numbers(text: &str, letter: char) -> Vec<String> {
     let words = text.split(|c: char| !c.is_alphanumeric());
     let digits =
@@ -76,7 +76,7 @@ fn every_file_and_name_of_the_trace_exists() {
     assert!(entries > 100, "only {entries} entries were found");
 }
 
-/// The part of a page of `specs/protocol` under this heading, its rules and quotes aside, if it is carried out.
+/// The part of a page of `specs/protocol` under this heading (without its rules and backquotes), if it has an executable block.
 fn scenario<'a>(page: &'a str, heading: &str) -> Option<&'a str> {
     let mut parts = page.split("\n## ").skip(1);
     let part = parts.find(|part| {
@@ -86,7 +86,7 @@ fn scenario<'a>(page: &'a str, heading: &str) -> Option<&'a str> {
     (part.contains("```transcript\n") || part.contains("```wrong\n")).then_some(part)
 }
 
-/// A heading of an executable page, and the rules that it names.
+/// A heading of an executable page, and the rules in it.
 type Heading = (String, Vec<String>);
 
 /// The executable pages: path, text, headings.
@@ -128,7 +128,7 @@ fn every_scenario_names_rules_that_exist() {
     }
 }
 
-/// The last part of the trace leads from each rule to the scenarios that name it. `IMRS_BLESS=1` writes it.
+/// The last part of the trace maps each rule to the scenarios that name it. `IMRS_BLESS=1` writes it.
 #[test]
 fn the_trace_leads_from_each_rule_to_its_scenarios() {
     let mut by_rule: BTreeMap<(bool, u32, String), Vec<String>> = BTreeMap::new();
@@ -189,7 +189,7 @@ fn every_rule_of_the_paper_is_traced() {
     }
 }
 
-/// The decisions that are written down, by number: how often.
+/// How often each decision number is written down.
 fn decisions() -> BTreeMap<u32, usize> {
     let mut found = BTreeMap::new();
     for path in documents().iter().filter(|path| path.starts_with("specs/decisions")) {
@@ -253,7 +253,7 @@ fn decisions_that_code_and_documents_cite_are_written_down() {
         }
     }
     for path in files {
-        // In code only comments cite: `D1` may be a name.
+        // In code only comments count, because `D1` may be an identifier.
         let text = read(&path);
         let is_code = path.extension().is_some_and(|extension| extension == "rs");
         for line in text.lines() {
@@ -280,7 +280,7 @@ fn the_page_of_claims_has_every_claim_and_no_other() {
     }
 }
 
-/// Of the claims that take a moment only: the page says what the checker finds now. `specs/claims.py` renews it.
+/// The page shows what the checker finds now, tested for quick claims only. `specs/claims.py` renews the page.
 #[test]
 fn the_page_of_claims_has_the_numbers_and_charts_of_the_checker() {
     let text = read("specs/claims.md");

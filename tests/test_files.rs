@@ -1,5 +1,5 @@
-//! Every test file is compiled: where cargo does not find test programs by itself, a file that no `mod` names would be passed
-//! over without a word.
+//! Every test file is compiled. Cargo does not discover test programs here, so a file that no `mod` names would be silently
+//! ignored.
 
 use crate::support::metadata;
 use serde_json::Value;
@@ -7,7 +7,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// The root files of all test programs, and the `tests/` folder of each room that has one, as cargo knows them.
+/// The root files of all test programs, and all `tests/` folders, according to cargo.
 fn programs_and_folders() -> (Vec<PathBuf>, Vec<PathBuf>) {
     let metadata = metadata();
     let path = |value: &Value| PathBuf::from(value.as_str().expect("a path"));
@@ -21,7 +21,7 @@ fn programs_and_folders() -> (Vec<PathBuf>, Vec<PathBuf>) {
     (programs, folders)
 }
 
-/// Every Rust file in a folder and below it.
+/// All Rust files in a folder and its subfolders.
 fn rust_files(folder: &Path) -> Vec<PathBuf> {
     let entries = fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").path());
     let (folders, files): (Vec<_>, Vec<_>) = entries.partition(|path| path.is_dir());
@@ -29,20 +29,20 @@ fn rust_files(folder: &Path) -> Vec<PathBuf> {
     files.into_iter().filter(|path| path.extension().is_some_and(|e| e == "rs")).chain(below).collect()
 }
 
-/// The file that `path` names, without `..` and links.
+/// The canonical form of a path.
 fn whole(path: &Path) -> PathBuf {
     fs::canonicalize(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
 }
 
-/// What a line `mod name;` names, also with `pub` before it.
+/// The module name in a line `mod name;`, also with `pub` before it.
 fn module(line: &str) -> Option<&str> {
     let (before, rest) = line.split_once("mod ")?;
     let visible = before.is_empty() || (before.starts_with("pub") && before.ends_with([' ', ')']));
     rest.strip_suffix(';').filter(|_| visible)
 }
 
-/// The files that the modules of a file stand in. A file that is the root of a program, or named by `#[path]`, or called
-/// `mod.rs`, has its modules beside it; every other one has them in a folder of its own name.
+/// The files of a file's modules. The modules of a program's root, of a file named by `#[path]` and of `mod.rs` are beside the
+/// file. All others are in a folder with its name.
 fn modules(file: &Path, beside: bool) -> Vec<(PathBuf, bool)> {
     let text = fs::read_to_string(file).expect("a source file");
     let here = file.parent().expect("a folder");

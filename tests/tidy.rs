@@ -1,4 +1,4 @@
-//! House rules that a reader would otherwise have to enforce.
+//! Checks house rules of the sources, so that no reviewer has to.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -9,9 +9,9 @@ const ROOMS: [&str; 12] = [
     "src", "tests", "examples", "protocol", "language", "wire", "model", "runtime", "macros", "monitor",
     "benches", "fuzz",
 ];
-/// Longer files, and longer functions, want to be two.
+/// Most lines of a file, and of a function.
 const LONGEST: (usize, usize) = (400, 70);
-/// Those that are longer yet: how long, where, and of a function its name. This list only shrinks.
+/// The exceptions: length, path, and the name of a function. This list only shrinks.
 const LONGER: &str = include_str!("tidy_longer.txt");
 
 /// Every Rust file of the workspace, with its text.
@@ -33,7 +33,7 @@ fn sources() -> Vec<(PathBuf, String)> {
     found
 }
 
-/// The functions of a formatted file by name, and how many lines they have: of several of one name the longest.
+/// The number of lines of each function of a formatted file, by name. Of several with one name the longest counts.
 fn functions(text: &str) -> BTreeMap<String, usize> {
     let lines: Vec<&str> = text.lines().collect();
     let mut found = BTreeMap::new();
@@ -46,7 +46,7 @@ fn functions(text: &str) -> BTreeMap<String, usize> {
         }
         let Some(name) = rest.strip_prefix("fn ") else { continue };
         let indent = &line[..line.len() - inner.len()];
-        // One on a single line ends before any line that is indented like it.
+        // A function on a single line has no closing brace on a line of its own.
         let is_end =
             |line: &&str| line.strip_prefix(indent).is_some_and(|rest| !rest.starts_with([' ', ')']));
         let length = lines[at + 1..]
@@ -101,7 +101,7 @@ fn the_length_of_a_function_is_measured() {
 
 #[test]
 fn nothing_is_left_out_or_left_for_later() {
-    // Put together here, so that this file does not find itself.
+    // The words are concatenated, so that this file does not contain them.
     let unwanted = [
         concat!("#[ig", "nore"),
         concat!("to", "do!("),
@@ -125,7 +125,7 @@ fn words_promise_no_more_than_is_so() {
         .map(|name| (PathBuf::from(name), fs::read_to_string(Path::new(ROOT).join(name)).expect(name)));
     for (path, text) in sources().into_iter().chain(texts) {
         for word in unwanted {
-            // To say that it is not so is allowed.
+            // Denials of the claim are allowed.
             let claims = text.lines().find(|l| l.contains(word) && !l.contains("no ") && !l.contains("not "));
             assert_eq!(claims, None, "{}", path.display());
         }

@@ -1,5 +1,5 @@
-//! The Promela models of `specs/promela` beside the checker: two tools, two descriptions, the same verdicts and the same
-//! least numbers.
+//! Compares the Promela models of `specs/promela` with the checker: two tools and two descriptions must give the same verdicts
+//! and the same least numbers.
 
 #[path = "../model/tests/support/spin.rs"]
 mod spin;
@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use verifier::{OPTIMISED, Twin};
 
-/// The rules of D1: as the checker's claims name them, as the machine does, as the twin does.
+/// The confirmation rules: their names in the checker's claims, in the machine, and in the twin (D1).
 const RULES: [(&str, Confirmation, &str); 4] = [
     ("no-confirmation", Confirmation::None, "NO_CONFIRMATION"),
     ("first-complete", Confirmation::FirstComplete, "FIRST_COMPLETE"),
@@ -22,7 +22,7 @@ const RULES: [(&str, Confirmation, &str); 4] = [
     ("pass-on", Confirmation::PassOn, "PASS_ON"),
 ];
 
-/// Whether SPIN can run. Without it these tests say so; where everything is required they fail.
+/// Whether SPIN can run. Without it these tests print that they were skipped; if everything is required they fail.
 fn spin_is_here() -> bool {
     is_here(spin::missing(), "the Promela twins were NOT compared")
 }
@@ -38,7 +38,7 @@ fn fails(scenario: &Arc<Scenario>) -> bool {
     found.violation.is_some()
 }
 
-/// The twin strands a member with `least` lost packets, and not with one less. (A budget is "at most".)
+/// Asserts that the twin strands a member with `least` lost packets, and not with one less. (A budget is "at most".)
 fn twin_strands_with(members: u32, rule: &str, least: u32) {
     let stranded = |losses: u32| {
         let definitions = [&format!("N={members}"), rule, &format!("LOSS={losses}"), "FORGET"];
@@ -72,7 +72,7 @@ fn as_many_lost_packets_strand_one_of_four() {
         return;
     }
     for ((name, confirmation, rule), least) in RULES.into_iter().zip([1, 2, 4, 4]) {
-        // The rule that was decided on is the last one; the one before it takes as long.
+        // Quick runs check the decided rule, which is the last one; the one before it takes as long.
         if confirmation == Confirmation::EveryComplete && !is_whole() {
             continue;
         }
@@ -87,13 +87,13 @@ fn as_many_lost_packets_strand_one_of_four() {
     }
 }
 
-/// With nothing reduced, the two descriptions have the same number of states.
+/// Without reductions, the two descriptions have the same number of states.
 #[test]
 fn as_many_states_where_nothing_is_reduced() {
     if !spin_is_here() {
         return;
     }
-    // The machine keeps and forgets other things than the twin under the other rules.
+    // Under the other rules the machine keeps and forgets other things than the twin.
     for ((_, confirmation, rule), loss) in [(RULES[0], 0), (RULES[2], 1), (RULES[2], 2)] {
         let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
         let budget = Budget { loss, dup: 0, crash: 0 };
@@ -107,7 +107,7 @@ fn as_many_states_where_nothing_is_reduced() {
     }
 }
 
-/// What vanishes early in the twin changes nothing: with and without, the same verdicts.
+/// The twin's reduction `FORGET` changes no verdict.
 #[test]
 fn what_the_twin_forgets_changes_nothing() {
     if !spin_is_here() {
@@ -123,14 +123,15 @@ fn what_the_twin_forgets_changes_nothing() {
     }
 }
 
-/// Members with time_outs that send again: with the least margin that holds and with one tick less, the same verdict.
+/// Members with time_outs and retransmissions: with the least margin that holds, and with one tick less, both give the same
+/// verdict.
 #[test]
 fn the_same_margin_keeps_all_or_none() {
     if !spin_is_here() {
         return;
     }
     let all = [(3, 1, true, 2), (2, 2, false, 4), (2, 1, false, 3), (3, 0, true, 1)];
-    // A verifier takes much longer to compile than to run.
+    // Quick runs check one case, because a verifier takes much longer to compile than to run.
     let some = if is_whole() { &all[..] } else { &all[..1] };
     for &(members, losses, hurry, least) in some {
         for margin in least - 1..=least {
@@ -193,11 +194,11 @@ fn commands_are_handed_over_once() {
         compared += 1;
     }
     assert_eq!(compared, twins.len());
-    // What the memory is kept for in time: no copy of anything older may outlive it.
+    // Dedup entries must outlive every copy of an older command.
     assert!(!holds("command.pml", &["FORGET_OLDER"]));
 }
 
-/// A single command whose receiver answers at once: how many lost packets leave its sender without the answer.
+/// A single command whose receiver answers at once: how many lost packets leave its sender without an answer.
 #[test]
 fn as_many_lost_packets_leave_a_command_without_its_answer() {
     if !spin_is_here() {
@@ -225,14 +226,14 @@ fn as_many_lost_packets_leave_a_command_without_its_answer() {
         let least = (0..12).find(unanswered).expect("enough losses leave it without");
         assert_eq!(least, retry + 1, "each copy brings an answer of its own");
         assert!(twin_answers(least - 1, &["PROMPT"]) && !twin_answers(least, &["PROMPT"]));
-        // A copy that finds the first one not yet answered brings none: a receiver that takes its time makes one loss enough.
+        // A copy that comes before the first one is answered brings no answer: with a slow receiver one loss is enough.
         if retry == 2 {
             assert!(twin_answers(0, &[]) && !twin_answers(1, &[]));
         }
     }
 }
 
-/// A world of the take-over: lease, way of a packet, period of beats, drift, all in ticks.
+/// A scenario of the take-over: lease, link delay, heartbeat period and drift, all in ticks.
 #[derive(Clone, Copy, Debug)]
 struct TakeOver {
     lease: u32,
@@ -252,10 +253,10 @@ impl TakeOver {
         holds("takeover.pml", &definitions)
     }
 
-    /// The least time by which the take-over must come later than the lease, as the twin finds it.
+    /// The least time by which the take-over must come after the end of the lease, according to the twin.
     fn least_margin(self) -> u32 {
         let least = (0..=self.lease).find(|margin| self.holds(self.lease + margin, &[])).expect("a margin");
-        // Each smaller margin was tried. One that would come before the lease was not.
+        // All smaller margins from 0 have failed. If 0 holds, a take-over before the end of the lease must still fail.
         assert!(least > 0 || !self.holds(self.lease - 1, &[]), "{self:?}");
         least
     }
@@ -266,7 +267,7 @@ const TAKE_OVERS: [(TakeOver, u32); 2] = [
     (TakeOver { lease: 8, delay: 2, every: 3, drift: 2 }, 2),
 ];
 
-/// What the twin says about the margin: the drift, and nothing for the way of packets.
+/// The twin's margin equals the drift; the link delay adds nothing.
 #[test]
 fn the_margin_of_the_take_over() {
     if !spin_is_here() {
@@ -275,14 +276,14 @@ fn the_margin_of_the_take_over() {
     for (world, margin) in TAKE_OVERS {
         assert_eq!(world.least_margin(), margin, "{world:?}");
     }
-    // The same of the machine itself, at equal bounds.
+    // The machine itself has the same margin, at equal bounds.
     let report = settled("one-active");
     for (rule, drift) in [("default", 0), ("default, drift", 1)] {
         let verdict = report.claims.iter().find(|v| v.rule == rule).expect("a verdict");
         let twin = TakeOver { lease: 8, delay: 1, every: 2, drift }.least_margin();
         assert_eq!(verdict.found.least_safe_margin, Some(u64::from(twin)), "{rule}");
     }
-    // The property is not true of nothing: leases are renewed and the standby can take over.
+    // The property is not vacuous: leases are renewed, and the standby can take over.
     let (world, _) = TAKE_OVERS[1];
     for reachable in ["RENEWED", "TAKEN"] {
         assert!(!world.holds(world.lease + world.drift, &[reachable]), "{reachable}");
@@ -301,8 +302,8 @@ fn plain_heartbeats_let_both_be_active() {
     }
 }
 
-/// The lease that lasts while the two are in touch and nothing is lost: an answer is first echoed by the beat after its way
-/// there and back, the next one a period later, and that is a way later at the primary.
+/// The least lease that never ends while both tasks are connected and nothing is lost. The next heartbeat after a round trip
+/// echoes an answer; the following echo comes a period later, and reaches the primary after a link delay.
 #[test]
 fn the_least_lease_that_lasts() {
     if !spin_is_here() {

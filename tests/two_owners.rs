@@ -1,6 +1,6 @@
-//! Two tasks share a tool, and never act at a time: their nodes are killed, stopped and frozen, with the guards of their commands and
-//! without, and the log of the tool says who acted when (D158). The actions are commands: `examples/actuator.rs`, as this test program
-//! itself.
+//! Two tasks that share a tool never act at the same time. Their nodes are killed, stopped and frozen, with and without the
+//! guards of their commands. The log of the tool shows who acted when (D158). The actions are commands: `examples/actuator.rs`,
+//! run by this test program itself.
 
 mod fault;
 mod freezer;
@@ -16,12 +16,12 @@ use std::thread;
 use tally::{Tally, Trials, tell};
 use trial::{Plan, trial};
 
-/// Trials at a time: they wait more than they work.
+/// Number of concurrent trials: they wait more than they work.
 const ABREAST: usize = 8;
-/// From so many trials on it is a long series, which has long faults, and comparisons of each fault.
+/// A series with more trials than this is a long one, with long faults and comparisons of each fault.
 const MANY: u64 = 50;
 
-/// Carries out what is not done yet, side by side.
+/// Runs the remaining trials, several at a time.
 fn carry_out(plans: &[Plan], tally: &Tally) {
     let next = AtomicUsize::new(0);
     thread::scope(|scope| {
@@ -35,7 +35,7 @@ fn carry_out(plans: &[Plan], tally: &Tally) {
     });
 }
 
-/// The comparisons of a series: of each fault that lets a command go on, or twice of all.
+/// The comparisons of a series: three of faults that let a command go on, or in a long series two of every fault.
 fn comparisons(are_many: bool) -> Vec<Plan> {
     let faults = FAULTS.iter().filter(|fault| are_many || fault.lets_the_command_go_on());
     let faults: Vec<_> = faults.cycle().take(if are_many { 2 * FAULTS.len() } else { 3 }).collect();
@@ -44,7 +44,7 @@ fn comparisons(are_many: bool) -> Vec<Plan> {
 
 #[test]
 fn two_tasks_never_act_at_a_time() {
-    // A node that is killed or stopped anywhere: 200 of them in `.ci/long`.
+    // `.ci/long` runs 200 trials.
     let count = bound("IMRS_TRIALS", 20);
     let are_many = count > MANY;
     let tally = Tally::open(std::env::var_os("IMRS_TRIALS_DONE").map(Into::into));
@@ -64,15 +64,15 @@ fn nobody_acted_beside_another(trials: &Trials, count: u64) {
         assert_ne!(trial.check, "broken", "{trial:?}");
     }
     assert_eq!(trials.0.len() as u64, count);
-    // So many of 200 must say something, and as large a part of fewer.
+    // At least so many of 200 trials must be conclusive; of fewer trials the same share.
     let least = |of_200: u64| of_200 * count / 200;
     assert!(trials.count(|trial| trial.mid_action) >= least(100), "{}", trials.counts());
     assert!(trials.count(|trial| trial.guard_held) >= least(30), "{}", trials.counts());
     took_over(trials, least(if count > MANY { 150 } else { 100 }), count > MANY);
 }
 
-/// Whether the standby acted in so many. In a short series a busy machine is excused: where a primary loses its lease before the fault, its
-/// standby is struck, and nobody takes over from that.
+/// Asserts that the standby acted in at least so many trials. A short series on a busy machine is excused: if a primary loses
+/// its lease before the fault, its standby is struck instead, and no task takes over from a standby.
 fn took_over(trials: &Trials, least: u64, is_asked: bool) {
     let (took_over, counts) = (trials.count(|trial| trial.took_over.is_some()), trials.counts());
     assert!(took_over >= least || !is_asked, "{counts}");
@@ -81,8 +81,8 @@ fn took_over(trials: &Trials, least: u64, is_asked: bool) {
     }
 }
 
-/// The same measurement finds two owners where nothing but the guard binds the command, and the guard stands still. So the zero above says
-/// something. And no run says then that its check held.
+/// The same measurement finds two owners if only the guard bounds the command, and the guard is stopped. So the zero above is
+/// meaningful. And in such runs the check is never reported as held.
 fn two_owners_are_seen(comparisons: &Trials, are_many: bool) {
     let unbound = comparisons.0.iter().filter(|trial| trial.guard_held && trial.took_over.is_some());
     let unbound = unbound.filter(|trial| {
@@ -98,8 +98,7 @@ fn two_owners_are_seen(comparisons: &Trials, are_many: bool) {
     took_over(comparisons, 1, are_many);
 }
 
-/// The primary stands still for longer than the take-over takes, again and again: what checks see of it is no longer active than its lease
-/// lasts.
+/// The primary is suspended for longer than a take-over, several times. The checks never see it active beyond its lease.
 #[test]
 fn a_stopped_owner_is_active_no_longer_than_its_lease() {
     let tally = Tally::open(None);
@@ -111,8 +110,8 @@ fn a_stopped_owner_is_active_no_longer_than_its_lease() {
     took_over(&trials, 1, false);
 }
 
-/// Runs a cell of one node with this script in a time namespace. `grip` is the command of its action. `None` where the machine has no
-/// such namespaces.
+/// Runs a cell of one node with this script in a time namespace. `grip` is the command of its action. `None` if the machine has
+/// no such namespaces.
 fn with_clocks_apart(offset: [&str; 2], script: &str, grip: &str, dir: &Path) -> Option<Said> {
     let cell = format!("cell waits;\ntick 1 msec;\nnode n;\ntask t on n\nbegin\n  {script}\nend t;\n");
     let (file, action) = (dir.join("waits.cell"), dir.join("grip.sh"));
@@ -133,7 +132,7 @@ fn with_clocks_apart(offset: [&str; 2], script: &str, grip: &str, dir: &Path) ->
     Some(finish(command))
 }
 
-/// The clock of the nodes is far ahead of the one that the kernel sleeps by, as after a suspend of a day.
+/// The nodes' clock is far ahead of the clock that the kernel sleeps by, as after a suspend of a day.
 #[test]
 fn a_machine_that_was_suspended_keeps_its_times() {
     let dir = runtime_dir();
@@ -148,11 +147,11 @@ fn a_machine_that_was_suspended_keeps_its_times() {
     let stat = std::fs::read_to_string(seen).expect("what the guard used");
     let (_, rest) = stat.rsplit_once(')').expect("a name");
     let spent = rest.split_whitespace().skip(11).take(2).map(|ticks| ticks.parse::<u64>().expect("ticks"));
-    // Of 100 in a second. A guard whose timer has expired before the deadline must not spin.
+    // In hundredths of a second. A guard whose timer expires before the deadline must not spin.
     assert!(spent.sum::<u64>() < 30, "{stat}");
 }
 
-/// The other way round. The deadline of a command is on the clock of the nodes.
+/// The nodes' clock is far behind. The deadline of a command is on the clock of the nodes.
 #[test]
 fn a_command_ends_at_its_deadline_where_the_clocks_are_apart() {
     let dir = runtime_dir();

@@ -1,9 +1,9 @@
-//! `imrs verify CELL`: a cell's own scripts under the checker, from the file to the answer.
+//! End-to-end tests of `imrs verify CELL`: from a cell file to the answer.
 
 use crate::support::run;
 use std::path::PathBuf;
 
-/// Two robots, one of which asks the other.
+/// A cell with two robots, one of which queries the other.
 const PAIR: &str = r#"cell pair;
 tick 1 msec;
 node n1 at "10.0.0.1";  node n2 at "10.0.0.2";
@@ -23,7 +23,7 @@ begin
 end teller;
 "#;
 
-/// The pair where the answer is this, with more declarations behind it.
+/// Writes the pair with this answer, followed by more declarations.
 fn cell(answer: &str, more: &str) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("pair.cell");
@@ -126,7 +126,7 @@ fn statements_for_faults_that_did_not_come_about_are_told_as_untried() {
     assert!(answer.out.contains("    asker 9:39  at := 0"), "{answer:?}");
 }
 
-/// The text of what is printed, which a terminal of 80 columns must not wrap where it is a chart.
+/// The lines of the printed chart. They must fit a terminal of 80 columns.
 fn chart_of(out: &str) -> Vec<&str> {
     let from = out.lines().skip_while(|line| !line.starts_with("  tick  "));
     from.take_while(|line| !line.starts_with("  step by step")).collect()
@@ -227,7 +227,7 @@ fn a_cell_that_the_checker_cannot_look_at_is_not_checked_and_not_found_wrong() {
 
 #[test]
 fn a_search_that_is_cut_short_says_how_far_it_came() {
-    // Less than any machine takes.
+    // Less time than any machine needs.
     let answer = run(&["verify", "examples/shared_tool.cell", "--within", "1ms"]);
     assert_eq!(answer.code, Some(4), "{answer:?}");
     let told = "cut short, out of time (0.001 s): every order of events was looked at up to its choice ";
@@ -257,7 +257,7 @@ fn a_replayed_finding_is_told_step_by_step_as_text() {
     assert!(one.out.contains("tick 1\n") && !one.out.contains("ASSERTION"), "{}", one.out);
 }
 
-/// What is quoted is what is printed.
+/// The reference quotes a finding exactly as the command prints it.
 #[test]
 fn the_finding_in_the_reference_is_what_is_said() {
     let page = std::fs::read_to_string("specs/language/faults-and-checks.md").expect("the page");
@@ -277,8 +277,8 @@ fn a_finding_that_no_steps_lead_to_is_not_saved_and_that_is_said() {
     assert!(!answer.out.contains("step by step") && !saved.exists(), "{answer:?}");
 }
 
-/// A model tick that is longer than an action is no reason to say that the action may take so long; and times that are no
-/// multiples of the tick are said, with what is found.
+/// A model tick longer than an action does not lengthen the action. Times that are not multiples of the tick are reported with
+/// the findings.
 #[test]
 fn the_model_tick_rounds_nothing() {
     let text = |tick: &str| {
@@ -306,7 +306,7 @@ fn the_model_tick_rounds_nothing() {
     assert!(found.out.contains("not confirmed: these findings may come of the rounding"), "{found:?}");
 }
 
-/// What the text leaves open, programs read, too.
+/// The JSON answer also lists the statements that the search left open.
 #[test]
 fn statements_that_were_not_reached_are_told_to_programs() {
     let json = |text: &str, more: &[&str]| -> serde_json::Value {
@@ -328,7 +328,7 @@ fn statements_that_were_not_reached_are_told_to_programs() {
     assert_eq!(lines(&said["not_exercised"]), [("asker".to_owned(), 9)], "{said}");
     assert_eq!((lines(&said["not_tried"]), lines(&said["not_seen"])), (none.clone(), none.clone()), "{said}");
     assert_eq!(said["outside"], serde_json::json!([]), "{said}");
-    // Of a task outside the cell only some answers are tried.
+    // Only some answers of an extern task are tried.
     let (head, _) = sound.split_once("  var x: int8;").expect("the variable of the teller");
     let outside = format!(
         "{}end teller;\n",
@@ -339,7 +339,7 @@ fn statements_that_were_not_reached_are_told_to_programs() {
     let said = json(&outside, &[]);
     assert_eq!(lines(&said["not_tried"]), [("asker".to_owned(), 10)], "{said}");
     assert!(said["outside"].as_array().is_some_and(|values| values.contains(&0.into())), "{said}");
-    // Behind a finding that ends its way nothing was looked at, nor was a check.
+    // Beyond a finding that ends its path nothing is explored, so a check stays unknown.
     let failing = format!(
         "{}\ncheck c: always asker.at < 99;\n",
         sound.replace("assert at < 9;", "assert at < 7; skip;")
@@ -350,7 +350,7 @@ fn statements_that_were_not_reached_are_told_to_programs() {
     assert_eq!(lines(&said["not_exercised"]), none, "{said}");
 }
 
-/// A third robot has nothing to do with the pair: it is searched, drawn and saved by itself.
+/// A third robot is independent of the pair: it is searched, drawn and saved by itself.
 #[test]
 fn independent_parts_are_told_and_replayed_one_by_one() {
     let alone = "node n3 at \"10.0.0.3\";\ntask loner on n3\n  var n: int8;\nbegin\n\

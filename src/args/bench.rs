@@ -1,4 +1,4 @@
-//! What `imrs bench` is asked.
+//! The options of `imrs bench`.
 
 #[cfg(feature = "bench")]
 pub use imrs_bench::BenchArgs;

@@ -1,4 +1,4 @@
-//! What can be asked of the text of a cell: `imrs check`, `fmt`, `explain`, `graph`.
+//! The options of the verbs on the text of a cell: `imrs check`, `fmt`, `explain`, `graph`.
 
 use super::Format;
 use clap::{Args, ValueEnum};

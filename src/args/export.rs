@@ -1,4 +1,4 @@
-//! What `imrs export` can be asked.
+//! The options of `imrs export`.
 
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;

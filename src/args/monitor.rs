@@ -1,4 +1,4 @@
-//! What `imrs monitor` can be asked.
+//! The options of `imrs monitor`.
 
 use super::Format;
 use clap::{ArgGroup, Args};

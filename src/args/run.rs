@@ -1,4 +1,4 @@
-//! How cells are run, and runs looked at again: `imrs run`, `demo`, `replay`.
+//! The options of the verbs on runs: `imrs run`, `demo`, `replay`.
 
 use super::Format;
 use crate::demo::Scene;

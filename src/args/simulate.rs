@@ -1,4 +1,4 @@
-//! What `imrs simulate` can be asked.
+//! The options of `imrs simulate`.
 
 use super::{Format, MOST_JOBS};
 use clap::Args;

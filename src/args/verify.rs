@@ -1,4 +1,4 @@
-//! What `imrs verify` can be asked.
+//! The options of `imrs verify`.
 
 use super::{Format, MOST_JOBS};
 use clap::{ArgGroup, Args};

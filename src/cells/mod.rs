@@ -1,4 +1,4 @@
-//! Cells of the cell language, compiled to run.
+//! Compiles cells of the cell language, and names what is in them for people.
 
 use crate::cell_file;
 use crate::failure::Failure;
@@ -13,27 +13,27 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
-/// The text of a cell: what a node is told to run.
+/// The text of a cell; the launcher sends it to each node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Source {
     /// The name of its file.
     pub name: String,
     /// The text.
     pub text: String,
-    /// Whether the paper's own rules hold.
+    /// Whether it is compiled by the paper's own rules (`--paper`).
     pub paper: bool,
 }
 
-/// A cell with what its tasks do.
+/// A compiled cell, with the scripts of its tasks.
 #[derive(Debug)]
 pub struct Loaded {
     /// The cell; its ticks are microseconds.
     pub table: Arc<CellTable>,
-    /// By task, its script; none where a Rust program says what the task does.
+    /// The script of each task; none for an extern task, whose body is a Rust program.
     pub scripts: Vec<Option<Box<Script>>>,
-    /// By node, where it is.
+    /// The declared address of each node.
     pub addresses: Vec<Address>,
-    /// What must hold.
+    /// The checks of the cell.
     pub checks: Vec<Check>,
     source: imrs_language::Source,
 }
@@ -77,7 +77,7 @@ fn table(cell: Cell) -> Result<Arc<CellTable>, Failure> {
     })
 }
 
-/// Whether a way through the operations leads to the end of the task.
+/// Whether some path through the operations leads to the end of the task.
 fn reaches_end(program: &Program) -> bool {
     let handlers = program.handlers.iter().map(|handler| handler.entry);
     let mut next: Vec<u16> = handlers.chain(program.takeover).chain([0]).collect();
@@ -113,20 +113,20 @@ impl Loaded {
         Some(&self.scripts.get(task.index())?.as_ref()?.program)
     }
 
-    /// Whether a task can come to the end of its text: not one that serves for ever, in a `loop` without `exit`. Such a task may
-    /// still abort, or lose its lease.
+    /// Whether a task can reach the end of its script. A task that serves for ever (`loop` without `exit`) cannot, though it
+    /// may abort or lose its lease.
     pub fn can_finish(&self, task: TaskId) -> bool {
         self.program(task).is_none_or(|program| reaches_end(program))
     }
 
-    /// The digest of what the scripts of a node do; zero where it has none.
+    /// The digest of the scripts of a node; zero if it has none.
     pub fn statements(&self, node: NodeId) -> u32 {
         let tasks = self.table.tasks_on(node);
         statements(tasks.filter_map(|task| Some((task, &**self.program(task)?))))
     }
 
-    /// The digest of what the scripts of all nodes do; zero where there are none. Nodes that differ in it do not talk: a task
-    /// without a script counts for nothing, so both must declare it `extern`.
+    /// The digest of the scripts of all nodes; zero if there are none. Nodes with different digests refuse each other. An
+    /// extern task has no part in it, so both nodes must declare the task `extern`.
     pub fn all_statements(&self) -> u32 {
         let tasks = (0..self.scripts.len()).map(TaskId::from_index);
         statements(tasks.filter_map(|task| Some((task, &**self.program(task)?))))
@@ -142,27 +142,27 @@ impl Loaded {
         self.source.text().lines().nth(line.saturating_sub(1)).unwrap_or_default().trim()
     }
 
-    /// The arguments of an action, as a person writes them.
+    /// The arguments of an action, as text for people.
     pub fn arguments(&self, task: TaskId, action: u16, values: &[i64]) -> Vec<String> {
         let types = self.one_action(task, action).map_or(&[][..], |action| &action.arguments);
         let of = |(i, &value): (usize, &i64)| shown(types.get(i).copied(), value);
         values.iter().enumerate().map(of).collect()
     }
 
-    /// The result of an action, as a person writes it; none where nothing reads it.
+    /// The result of an action, as text for people; none if nothing reads it.
     pub fn result(&self, task: TaskId, action: u16, value: i32) -> Option<String> {
         let of = self.one_action(task, action)?.result?;
-        // A real by its bits.
+        // A `real` is passed as its bits.
         let bits = i64::from(value.cast_unsigned());
         Some(shown(Some(of), if of == Type::Real { bits } else { i64::from(value) }))
     }
 
-    /// The line, from 1, at which something begins.
+    /// The line, from 1, at which a span begins.
     pub fn line_of(&self, span: Span) -> usize {
         self.source.position(span.start).0
     }
 
-    /// What a check asks, as it is written there; `None` of constants and operators.
+    /// A value that a check reads, as the cell file writes it; `None` for constants and operators.
     pub fn term(&self, term: Term) -> Option<String> {
         let task = |task: TaskId| self.table.cell().tasks.get(task.index()).map(|task| task.name.as_str());
         let port = |port: PortId| self.table.port(port).map(|port| port.decl.name.as_str());
@@ -190,7 +190,7 @@ impl Loaded {
         }
     }
 
-    /// A value of that, as a person writes it.
+    /// A value of a term, as text for people.
     pub fn shown(&self, term: Term, value: i64) -> String {
         let is_truth = matches!(term, Term::Is(_));
         shown(self.variable(term).map(|variable| variable.of).or(is_truth.then_some(Type::Bool)), value)
@@ -201,7 +201,7 @@ impl Loaded {
         self.program(task)?.variables.get(usize::from(variable))
     }
 
-    /// How soon the check of this name wants what it leads to.
+    /// The time within which the check of this name must be fulfilled, if it is a `leads`.
     pub fn within(&self, check: &str) -> Option<u64> {
         let check = self.checks.iter().find(|one| one.name == check)?;
         match &check.kind {
@@ -219,14 +219,15 @@ impl Loaded {
         self.all_actions().map(|action| action.name.as_str())
     }
 
-    /// What simulated actions give: what is declared, else what the cell compares it with, else something small.
+    /// The ranges of simulated results: the declared range, else the values that the cell compares them with, else a small
+    /// default.
     pub fn results(&self) -> Vec<Results> {
         let mut results: BTreeMap<&str, (i64, i64, bool)> = BTreeMap::new();
         for action in self.all_actions() {
             if let Some((least, most)) = range(action) {
                 let real = action.result == Some(Type::Real);
                 let known = results.entry(&action.name).or_insert((least, most, real));
-                // What one statement may not be given is given to none, where that leaves anything.
+                // Statements with the same action share the intersection of their ranges, or the hull if that is empty.
                 let common = (known.0.max(least), known.1.min(most));
                 let all = (known.0.min(least), known.1.max(most));
                 let (least, most) = if common.0 <= common.1 { common } else { all };
@@ -250,9 +251,9 @@ impl Loaded {
     }
 }
 
-/// The least and the most that an action gives.
+/// The least and the greatest result of an action.
 fn range(action: &Action) -> Option<(i64, i64)> {
-    // Of a real the whole numbers around it.
+    // For a `real`, the whole numbers below and above it.
     let around = |&value: &i64| match action.result {
         Some(Type::Real) => {
             let x = f32::from_bits(i32::try_from(value).unwrap_or(0).cast_unsigned());

@@ -1,4 +1,4 @@
-//! Judges the checks by what the tasks of a run told of themselves, in the order of its times.
+//! Judges the checks by the changes that the nodes of a run reported, in the order of their times.
 
 use super::told::{Outcome, Settled, Settlement, Unvouched};
 use super::vouch::{Doubt, Fate, Vouched};
@@ -10,85 +10,85 @@ use imrs_protocol::{NodeId, PortId, Round, TaskId};
 use imrs_runtime::guard::Notice;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// How exactly the order of two steps on different nodes is known, in microseconds: each is stamped with the next whole
-/// one. What lasted no longer may never have been.
+/// Resolution in microseconds of the order of two steps on different nodes: each time is rounded up to a whole microsecond. A
+/// state that lasted no longer may never have existed.
 const READING: u64 = 1;
-/// How many events may wait for a node that tells nothing. Beyond that, waiting changes are dropped.
+/// How many events may wait for a silent node. Beyond that, waiting changes are dropped.
 const WAITING: usize = if cfg!(test) { 64 } else { 1 << 20 };
-/// How long a node that is killed may have told nothing before: it tells every 20 ms, and a busy machine is late. In microseconds.
+/// Longest silence before a kill that does not count, in microseconds: a node reports every 20 ms, or later if busy.
 const LAST_WORDS: u64 = 1_000_000;
-/// Of so many values nobody may vouch for a check is still looked at, with each of them true and false.
+/// Up to so many unknown truth values a check is still evaluated, with each of them true and false.
 const MOST_OPEN: usize = 6;
-/// How many times of a check that did not hold are told.
+/// How many breaks of each check are reported in detail.
 const TOLD: usize = 3;
 
 /// Judges the checks of a run.
 pub struct Judge<'a> {
     loaded: &'a Loaded,
-    /// By task.
+    /// For each task, the values that checks read.
     asks: Vec<Vec<Ask>>,
-    /// By task, the values of its asks; `None` where a value is not known.
+    /// For each task, these values; `None` if a value is not known.
     stand: Vec<Vec<Option<i64>>>,
-    /// By task, why values of it are not known; `None` while its node tells all of them, and before it told any.
+    /// For each task, why values of it are not known; `None` while its node reports all of them, and before its first report.
     unknown: Vec<Option<Doubt>>,
-    /// By check.
+    /// The state of each check.
     courses: Vec<Course>,
     vouched: Vouched,
-    /// By time, and then by when they came.
+    /// Pending events by time, then by the order in which they came.
     changes: BTreeMap<(u64, u64), Event>,
     came: u64,
-    /// By node, up to when it has told everything; none where it is not heard.
+    /// For each node, the instant up to which it has reported everything; `None` if it does not report here.
     told: Vec<Option<u64>>,
-    /// By node, when it was killed, until all of its words were heard.
+    /// For each node, when it was killed, until its pipe has ended.
     killed: Vec<Option<u64>>,
-    /// The first instant that is no part of the run.
+    /// The first instant after the run.
     over: u64,
     settled: u64,
-    /// By node, why changes of its tasks are missing that should have been judged.
+    /// For each node, why changes of its tasks are missing.
     missing: Vec<Option<Doubt>>,
 }
 
 enum Event {
     Change(Change),
-    /// The node tells nothing any more.
+    /// The node reports nothing any more.
     Unknown(NodeId),
-    /// The node lives, but could not tell what its tasks did from now on.
+    /// The node lives, but could not report all changes from now on.
     Untold(NodeId),
     /// The node is dead.
     Dead(NodeId),
-    /// The node was started again.
+    /// The node was restarted.
     Back(NodeId),
-    /// Something happened to the command of this key.
+    /// An event of the command with this key.
     Command(String, Fate),
 }
 
-/// One check so far.
+/// The state of one check during the judgement.
 #[derive(Default)]
 struct Course {
-    /// One of its tasks is on a node that is not heard: which.
+    /// The first of its tasks whose node does not report here.
     elsewhere: Option<TaskId>,
-    /// Whether it could ever be judged.
+    /// Whether it could be evaluated at any time so far.
     judged: bool,
-    /// Of `leads`, how often its condition came, and whether it is there.
+    /// For `leads`: how often its condition came, and whether it is true now.
     mattered: u64,
     matters: bool,
-    /// Since when it does not hold, and the values then.
+    /// Since when an `always` or `never` is broken, and the values then.
     since: Option<(u64, Vec<String>)>,
-    /// Why nobody can say whether it holds now.
+    /// Why it is unknown whether it holds now.
     doubt: Option<Doubt>,
-    /// For how long that was so, by why.
+    /// For how long that was unknown, by reason.
     doubted: BTreeMap<Doubt, u64>,
-    /// This time is told already.
+    /// Whether the current break has been reported.
     is_told: bool,
-    /// Of `leads`, since when it matters, and when it is too late.
+    /// For `leads`: since when the second condition is awaited, and when it is late.
     due: Option<(u64, u64)>,
     times: u64,
     broken: Vec<Broken>,
 }
 
 impl Course {
-    /// For how long nobody can say whether it held, and why for the most of it. The last words of a killed node are always missing: that
-    /// alone is no reason.
+    /// For how long it is unknown whether the check held, and the main reason. The last messages of a killed node are always
+    /// missing: that alone does not count.
     fn unvouched(&self) -> Option<(Doubt, u64)> {
         let counts = |(doubt, length): &(&Doubt, &u64)| match doubt {
             Doubt::Silent(_) => **length > LAST_WORDS,
@@ -99,21 +99,21 @@ impl Course {
     }
 }
 
-/// A check did not hold.
+/// A break of a check.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Broken {
-    /// Which.
+    /// The index of the check.
     pub check: usize,
-    /// When, in microseconds of the nodes' clock.
+    /// When, in microseconds of the clock that all nodes share.
     pub at: u64,
-    /// Of `leads`, since when it should have come to hold.
+    /// For `leads`: since when the second condition was awaited.
     pub since: Option<u64>,
-    /// What it is about: `armL.me.moving = true`.
+    /// The values that the check reads: `armL.me.moving = true`.
     pub values: Vec<String>,
 }
 
 impl<'a> Judge<'a> {
-    /// Nothing yet, of a run in which these nodes are heard.
+    /// A run in which these nodes report, without any events yet.
     pub fn new(loaded: &'a Loaded, here: &[NodeId]) -> Self {
         let cell = loaded.table.cell();
         let asks = asks(loaded);
@@ -143,7 +143,7 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// A task stands otherwise.
+    /// Takes a change of a task's values.
     pub fn change(&mut self, change: Change) {
         self.push(change.at, Event::Change(change));
     }
@@ -156,8 +156,8 @@ impl<'a> Judge<'a> {
         self.came += 1;
     }
 
-    /// Makes room. What happened to nodes and commands is kept: nobody tells it again. A task that loses a change is unknown until its
-    /// next one.
+    /// Drops pending changes to make room. Events of nodes and commands stay, because nobody repeats them. A task that loses a
+    /// change is unknown until its next one.
     fn drop_changes(&mut self) {
         let mut tasks = BTreeSet::new();
         self.changes.retain(|_, event| match event {
@@ -176,20 +176,20 @@ impl<'a> Judge<'a> {
         self.look(self.settled);
     }
 
-    /// The values of a task are not known, for this reason.
+    /// Marks the values of a task as unknown, for this reason.
     fn forget(&mut self, task: TaskId, why: Doubt) {
         self.stand[task.index()].fill(None);
         self.unknown[task.index()] = Some(why);
     }
 
-    /// A node has told everything that was before this instant.
+    /// A node has reported everything before this instant.
     pub fn told(&mut self, node: NodeId, until: u64) {
         if let Some(Some(told)) = self.told.get_mut(node.index()) {
             *told = until.max(*told);
         }
     }
 
-    /// A live node lost some of what it did from this instant on. Each of its tasks is known again at its next change.
+    /// A live node could not report some changes since this instant. Each of its tasks is known again at its next change.
     pub fn untold(&mut self, node: NodeId, since: u64) {
         if let Some(missing) = self.missing.get_mut(node.index()) {
             missing.get_or_insert(Doubt::Untold(node));
@@ -197,14 +197,14 @@ impl<'a> Judge<'a> {
         self.push(since, Event::Untold(node));
     }
 
-    /// A node was killed. Its last words may still come.
+    /// A node was killed. Its last messages may still come.
     pub fn killed(&mut self, node: NodeId, at: u64) {
         if let Some(killed) = self.killed.get_mut(node.index()) {
             killed.get_or_insert(at);
         }
     }
 
-    /// All words of a node were heard. What it did after the last of them nobody knows, unless it had told everything.
+    /// The pipe of a node has ended. What the node did after its last report is unknown, unless it had reported everything.
     pub fn gone(&mut self, node: NodeId) {
         let until = self.told.get_mut(node.index()).and_then(|told| told.replace(u64::MAX));
         let Some(until) = until.filter(|until| *until < u64::MAX) else { return };
@@ -218,7 +218,7 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// A node or a guard told of a command.
+    /// Takes a notice of a node or a guard about a command.
     pub fn notice(&mut self, notice: Notice) {
         let (key, at, fate) = match notice {
             Notice::Began { key, task, at } => {
@@ -232,12 +232,12 @@ impl<'a> Judge<'a> {
         self.push(at, Event::Command(key, fate));
     }
 
-    /// All nodes have told everything.
+    /// All nodes have reported everything.
     pub fn all_told(&mut self) {
         self.told.iter_mut().flatten().for_each(|told| *told = u64::MAX);
     }
 
-    /// A killed node was started again.
+    /// A killed node was restarted.
     pub fn revived(&mut self, node: NodeId, at: u64) {
         self.gone(node);
         self.push(at, Event::Back(node));
@@ -245,12 +245,12 @@ impl<'a> Judge<'a> {
         self.told[node.index()] = Some(at);
     }
 
-    /// What is from here on is no part of the run.
+    /// Ends the run at this instant: later events are not judged.
     pub fn over(&mut self, at: u64) {
         self.over = self.over.min(at);
     }
 
-    /// Judges as far as all nodes have told everything. Returns what does not hold, the first times.
+    /// Judges up to the instant before which all nodes have reported everything. Returns new breaks, at most `TOLD` per check.
     pub fn settle(&mut self) -> Vec<Broken> {
         let until = self.told.iter().flatten().copied().min().unwrap_or(u64::MAX).min(self.over);
         let mut broken = Vec::new();
@@ -272,7 +272,7 @@ impl<'a> Judge<'a> {
         self.missing.iter().any(Option::is_some)
     }
 
-    /// For how long nobody can say whether a check held, and why. Where changes of its tasks are missing, it may not have held in between.
+    /// For how long it is unknown whether a check held, and why. While changes are missing, it may have been broken.
     fn unvouched(&self, check: usize) -> Option<(Doubt, u64)> {
         let course = &self.courses[check];
         course.unvouched().or_else(|| {
@@ -283,7 +283,7 @@ impl<'a> Judge<'a> {
         })
     }
 
-    /// What came of the checks.
+    /// The verdicts on all checks.
     pub fn settlement(&self, began: u64) -> Settlement {
         let settled = |(at, course): (usize, &Course)| {
             let unvouched = self.unvouched(at);
@@ -317,7 +317,7 @@ impl<'a> Judge<'a> {
         matches!(self.loaded.checks[check].kind, CheckKind::Leads { .. })
     }
 
-    /// Time passes with everything as it is.
+    /// Lets time pass until `until` without a change, and notes breaks that last or come due.
     fn pass(&mut self, until: u64, broken: &mut Vec<Broken>) {
         let length = until.saturating_sub(std::mem::replace(&mut self.settled, until));
         for check in 0..self.courses.len() {
@@ -356,7 +356,7 @@ impl<'a> Judge<'a> {
                 table.tasks_on(node).for_each(|task| self.forget(task, Doubt::Silent(node)));
                 self.vouched.silent(node, table.tasks_on(node));
             }
-            // The node lives, and answers for its commands.
+            // The node lives, and still controls its commands.
             Event::Untold(node) => {
                 table.tasks_on(node).for_each(|task| self.forget(task, Doubt::Untold(node)));
             }
@@ -374,19 +374,19 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// A task told its values.
+    /// Stores the reported values of a task.
     fn stands(&mut self, task: TaskId, values: &[i64]) {
         let known = self.stand.get_mut(task.index()).zip(self.asks.get(task.index()));
         let Some((stand, asks)) = known else { return };
         *stand = (0..asks.len()).map(|at| values.get(at).copied()).collect();
         self.unknown[task.index()] = None;
-        // A task that may no longer act does not answer for a command that has not ended.
+        // A task that may no longer act does not control a command that is still running.
         if asks.iter().zip(values).any(|(ask, value)| *ask == Ask::Active && *value == 0) {
             self.vouched.inactive(task);
         }
     }
 
-    /// What is so now, at this instant.
+    /// Evaluates all checks at this instant.
     fn look(&mut self, now: u64) {
         let loaded = self.loaded;
         for (at, check) in loaded.checks.iter().enumerate() {
@@ -412,7 +412,7 @@ impl<'a> Judge<'a> {
                     let doubts = || self.doubts(when).chain(self.doubts(then)).filter(|doubt| doubt.lasts());
                     let (when, then) = (self.is(when), self.is(then));
                     let lasting = if when.and(then).is_none() { doubts().min() } else { None };
-                    // A node notices a tick late what it is time for (D42).
+                    // A node may notice a deadline one tick late (D42).
                     let late = now.saturating_add(within.0 + loaded.table.cell().tick.0 + READING);
                     let course = &mut self.courses[at];
                     course.judged |= when.is_some() && then.is_some();
@@ -438,9 +438,9 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// Whether an expression is true; `None` where it is not known.
+    /// Whether an expression is true; `None` if that is not known.
     fn is(&self, terms: &[Term]) -> Option<bool> {
-        // The terms for which nobody vouches; bit `i` of `case` is what the `i`-th of them is taken for.
+        // The unknown truth values. Bit `i` of `case` is the value that the `i`-th of them is assumed to have.
         let (mut open, mut case, mut found) = (Vec::new(), 0_u64, None);
         loop {
             let mut known = true;
@@ -453,7 +453,7 @@ impl<'a> Judge<'a> {
                 known &= value.is_some() || bit.is_some_and(|bit| bit < MOST_OPEN);
                 value.or_else(|| bit.map(|bit| i64::from(case >> bit.min(MOST_OPEN) & 1 == 1)))
             });
-            // As the checker has it: what cannot be computed is not true.
+            // As in the checker, an expression that cannot be computed is not true.
             let value = value.is_ok_and(|value| value != 0);
             if !known || found.replace(value).is_some_and(|before| before != value) {
                 return None;
@@ -465,7 +465,7 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// Whether nobody vouches for a value that is true or false: then the check may come to the same with both.
+    /// Whether a term is an unknown truth value. The check may still have the same result with both values.
     fn is_in_doubt(&self, term: Term) -> bool {
         if let Term::Of { task, variable } = term {
             let program = self.loaded.program(task);
@@ -477,7 +477,7 @@ impl<'a> Judge<'a> {
         of(&self.loaded.table, term).into_iter().any(|(task, _)| self.doubt_of(task).is_some())
     }
 
-    /// Why values of an expression are not known.
+    /// Why values in an expression are not known.
     fn doubts(&self, terms: &[Term]) -> impl Iterator<Item = Doubt> {
         let unknown = terms.iter().filter(|term| self.value(**term).is_none());
         let tasks = unknown.flat_map(|term| of(&self.loaded.table, *term)).map(|(task, _)| task);
@@ -501,7 +501,7 @@ impl<'a> Judge<'a> {
     }
 
     fn seen(&self, task: TaskId, ask: Ask) -> Option<i64> {
-        // Whatever the node told last, and even if it is dead: the robot may still act.
+        // Whatever the node reported last, and even if it is dead, the command may still move the robot.
         if self.vouched.has_orphan(task) {
             return None;
         }
@@ -509,7 +509,7 @@ impl<'a> Judge<'a> {
         *self.stand[task.index()].get(at)?
     }
 
-    /// Whether the task reached the waitfor and nobody has begun a later meeting there since (D85).
+    /// Whether the task has reached the waitfor, and no party has begun a later round there since (D85).
     fn has_arrived(&self, port: PortId, task: TaskId) -> Option<bool> {
         let (mut newest, mut own) = (None, None);
         for party in &self.loaded.table.port(port)?.parties {
@@ -524,7 +524,7 @@ impl<'a> Judge<'a> {
         Some(own.is_some_and(|round| round.is_none() || round == newest))
     }
 
-    /// What a check is about, in words.
+    /// The values that a check reads, as text.
     fn values(&self, check: usize) -> Vec<String> {
         let mut words = Vec::new();
         for term in terms(&self.loaded.checks[check]) {
@@ -540,8 +540,8 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// A task whose node is dead, as the checker has it: its variables are those of a new incarnation, and it does nothing. Whether it still
-/// counts as arrived is not known, because the others may have gone on.
+/// The values of a task on a dead node, as in the checker: initial variables, no activity. Whether it still counts as arrived
+/// is unknown, because the others may have moved on.
 fn dead(loaded: &Loaded, (task, asks): (TaskId, &[Ask])) -> Vec<Option<i64>> {
     let program = loaded.program(task);
     let value = |ask: &Ask| match ask {

@@ -1,11 +1,11 @@
-//! The checks of a cell (`never`, `always`, `leads … within`), judged by what a run did (D101).
+//! Judges the checks of a cell (`never`, `always`, `leads … within`) by what happened in a run (D101).
 //!
 //! ```text
-//!   node:      after every step of a script, what checks ask of its task: told where it changed        Sight
-//!   launcher:  all changes in the order of their times, up to where every node has told everything     Judge
+//!   node:      after every step of a script, the values of its task that checks read; sent when they change    Sight
+//!   launcher:  all changes in the order of their times, up to where every node has reported everything         Judge
 //! ```
 //!
-//! A recording shows the same changes when it is run again, so that `imrs replay --model` judges as the run did.
+//! Replaying a recording gives the same changes, so `imrs replay --model` judges as the run did.
 
 mod judge;
 mod sight;
@@ -21,22 +21,23 @@ use imrs_language::lower::{Check, CheckKind};
 use imrs_protocol::script::{Predicate, Term};
 use imrs_protocol::{CellTable, PortId, TaskId};
 
-/// What checks ask of one task.
+/// A value of one task that a check reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ask {
     /// The value of a variable, by its position.
     Variable(u16),
-    /// Whether it may act.
+    /// Whether it is active: it may act.
     Active,
-    /// Whether it waits for an answer on this port.
+    /// Whether it has an outstanding request on this port.
     Asked(PortId),
     /// Whether its last request on this port was answered.
     Answered(PortId),
-    /// How far it came at this waitfor: −1 where it was not there in this incarnation, else 1 more than its last round, 0 without.
+    /// Its progress at this waitfor: −1 if it has not reached it in this incarnation, else its last round plus 1, or 0 without
+    /// a round.
     Arrived(PortId),
 }
 
-/// For each task, what the checks of the cell ask of it.
+/// For each task, the values that the checks of the cell read.
 pub fn asks(loaded: &Loaded) -> Vec<Vec<Ask>> {
     let mut asks = vec![Vec::new(); loaded.table.cell().tasks.len()];
     for term in loaded.checks.iter().flat_map(terms) {
@@ -59,14 +60,14 @@ fn terms(check: &Check) -> impl Iterator<Item = &Term> {
     one.iter().chain(other)
 }
 
-/// What must be known for a term: of which tasks, and what.
+/// The values that a term reads, each with its task.
 fn of(table: &CellTable, term: Term) -> Vec<(TaskId, Ask)> {
     match term {
         Term::Of { task, variable } => vec![(task, Ask::Variable(variable))],
         Term::Is(Predicate::Active(task)) => vec![(task, Ask::Active)],
         Term::Is(Predicate::Asked { task, port }) => vec![(task, Ask::Asked(port))],
         Term::Is(Predicate::Answered { task, port }) => vec![(task, Ask::Answered(port))],
-        // Who has arrived depends on the round that the others are in (D85).
+        // Whether a task has arrived depends on the rounds of all parties (D85).
         Term::Is(Predicate::Arrived { port, .. }) => {
             let parties = table.port(port).map_or(&[][..], |port| &port.parties);
             parties.iter().map(|party| (party.task, Ask::Arrived(port))).collect()

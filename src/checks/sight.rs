@@ -1,4 +1,4 @@
-//! What checks ask of the tasks of a node, seen after every step.
+//! Samples the values that checks read from the tasks of a node, after every step.
 
 use super::{Ask, asks};
 use crate::cells::Loaded;
@@ -9,43 +9,43 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 
-/// Sees what checks ask of the tasks of a node.
+/// Samples the values that checks read, and reports changes.
 pub struct Sight {
-    /// By task.
+    /// For each task, the values that checks read.
     asks: Vec<Vec<Ask>>,
     known: Vec<Known>,
 }
 
-/// What is known of a task.
+/// The last sample of a task, and what later samples need.
 #[derive(Clone, Debug, Default)]
 struct Known {
-    /// As they were last seen.
+    /// The values of the last sample.
     values: Vec<i64>,
-    /// When its lease ends, in microseconds of the node's clock, unless it is renewed.
+    /// When its lease ends unless it is renewed, in microseconds of the node's clock.
     leased_until: Option<u64>,
-    /// The ports of its requests whose ends are still to come, the last one last: a handler asks while its task waits.
+    /// The ports of its requests without an end yet, the newest last: a handler may send while its task waits.
     open: Vec<PortId>,
-    /// It has just asked to send: what is accepted at once has no other end.
+    /// Whether its last request was a send: if that is merely accepted, it has no other end.
     sends: bool,
-    /// By port, whether the last request there was answered.
+    /// For each port, whether the last request there was answered.
     answered: BTreeMap<PortId, bool>,
-    /// The waitfors that it reached.
+    /// The waitfors that it has reached.
     reached: Vec<PortId>,
 }
 
 impl Sight {
-    /// Nothing yet.
+    /// No samples yet.
     pub fn new(loaded: &Loaded) -> Self {
         let asks = asks(loaded);
         Self { known: vec![Known::default(); asks.len()], asks }
     }
 
-    /// Whether no check asks anything.
+    /// Whether no check reads any value.
     pub fn is_blind(&self) -> bool {
         self.asks.iter().all(Vec::is_empty)
     }
 
-    /// The script of a task did something.
+    /// Takes an event of a task's script.
     pub fn note(&mut self, task: TaskId, note: &Note) {
         let Some(known) = self.known.get_mut(task.index()) else { return };
         match note {
@@ -60,10 +60,10 @@ impl Sight {
         }
     }
 
-    /// How a task stands at `at`: its values, in the order of what is asked, where one has changed.
+    /// Samples a task at `at`, and returns its values if any has changed.
     ///
-    /// A task is active no longer than its lease lasts, though a node that stood still notices the end late: that comes as a
-    /// change of its own, from when the lease ended (D153).
+    /// A lease ends the activity of its task on time, even if a suspended node notices late. So a late end is a change of its
+    /// own, with the time at which the lease ended (D153).
     pub fn look(&mut self, task: TaskId, at: u64, stands: &Stands<'_>) -> impl Iterator<Item = Change> {
         let seen = self.asks.get(task.index()).zip(self.known.get_mut(task.index()));
         let changes = seen.map(|(asks, known)| {
@@ -78,7 +78,7 @@ impl Sight {
 }
 
 impl Known {
-    /// The lease of a task that was active ended before `at`, when that was noticed: since when, and what it stands at since.
+    /// If the lease of an active task ended before `at`, when the node noticed: the time of that end, and the values since.
     fn lease_ends(&mut self, asks: &[Ask], at: u64, stands: &Stands<'_>) -> Option<(u64, Vec<i64>)> {
         let now = stands.machine.lease_left().map(|left| at.saturating_add(left.0));
         let before = std::mem::replace(&mut self.leased_until, now).filter(|&until| until < at);
@@ -121,7 +121,7 @@ impl Known {
         }
     }
 
-    /// As the model has it.
+    /// The value, by the definition that the checker uses.
     fn value(&self, ask: Ask, stands: &Stands<'_>) -> i64 {
         let Stands { script, machine } = *stands;
         match ask {
@@ -143,27 +143,27 @@ fn round(machine: &CommTask, port: PortId) -> i64 {
     machine.announced(port).map_or(0, |round| i64::from(round.0) + 1)
 }
 
-/// A task stands otherwise.
+/// A change of the values of a task.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Change {
-    /// Since when, on the boot-time clock that all processes of one machine share, in microseconds.
+    /// Since when, in microseconds of the boot-time clock that all processes of one machine share.
     pub at: u64,
     /// The task.
     pub task: TaskId,
-    /// What checks ask of it, in the order of [`asks`].
+    /// All its values that checks read, in the order of [`asks`].
     pub values: Vec<i64>,
 }
 
-/// Looks at a recording that is run again.
+/// Samples a recording while it is replayed.
 pub struct Looker(Mutex<(Sight, Vec<Change>)>);
 
 impl Looker {
-    /// Nothing yet.
+    /// No samples yet.
     pub fn new(loaded: &Loaded) -> Self {
         Self(Mutex::new((Sight::new(loaded), Vec::new())))
     }
 
-    /// What changed since this was last asked, in the times of the replay.
+    /// Takes the changes since the last call, in the times of the replay.
     pub fn changes(&self) -> Vec<Change> {
         std::mem::take(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner).1)
     }

@@ -1,4 +1,4 @@
-//! What came of the checks, for people and for programs.
+//! The verdicts on the checks after a run, for people and for programs.
 
 use super::Broken;
 use super::vouch::Doubt;
@@ -7,7 +7,7 @@ use crate::failure::Failure;
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count, span};
 use serde::Serialize;
 
-/// What came of a check.
+/// The verdict on a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
@@ -15,51 +15,51 @@ pub enum Outcome {
     Held,
     /// It did not.
     Broken,
-    /// What should lead somewhere never came.
+    /// The condition of a `leads` never came.
     Untested,
-    /// One of its tasks runs elsewhere.
+    /// One of its tasks runs on a node that does not run here.
     Elsewhere,
-    /// One of its tasks told nothing; or for some time nobody could say whether it held.
+    /// One of its tasks reported nothing, or for some time its values were not known.
     Unknown,
 }
 
-/// All checks of a cell after a run.
+/// The verdicts on all checks of a cell.
 #[derive(Clone, Debug, Default, Serialize)]
 #[serde(transparent)]
 pub struct Settlement(pub Vec<Settled>);
 
-/// A check after a run.
+/// The verdict on one check, with its details.
 #[derive(Clone, Debug, Serialize)]
 pub struct Settled {
     name: String,
-    /// Of the cell's text.
+    /// Its line in the cell file.
     line: usize,
     outcome: Outcome,
-    /// Of `leads`, how often it came to matter.
+    /// For `leads`: how often its condition came.
     mattered: Option<u64>,
-    /// How often it did not hold.
+    /// How often it was broken.
     times: u64,
     first: Option<First>,
-    /// The first of its tasks that runs elsewhere.
+    /// The name of its first task that runs elsewhere.
     elsewhere: Option<String>,
-    /// The time for which nobody can say whether it held.
+    /// For how long it is unknown whether it held.
     unvouched: Option<Unvouched>,
-    /// The text of its line.
+    /// The text of that line.
     #[serde(skip)]
     text: String,
 }
 
-/// The time for which nobody can say whether a check held.
+/// For how long it is unknown whether a check held.
 #[derive(Clone, Debug, Serialize)]
 pub struct Unvouched {
-    /// How long, in all.
+    /// The total, in seconds.
     seconds: f64,
-    /// Why, for the most of it.
+    /// The reason for the largest part.
     why: String,
 }
 
 impl Unvouched {
-    /// So many microseconds, for this reason.
+    /// From a total of microseconds and the main reason.
     pub(super) fn new(loaded: &Loaded, doubt: Doubt, length: u64) -> Self {
         let cell = loaded.table.cell();
         let why = match doubt {
@@ -86,10 +86,10 @@ impl Unvouched {
     }
 }
 
-/// The first time that a check did not hold.
+/// The first time at which a check was broken.
 #[derive(Clone, Debug, Serialize)]
 struct First {
-    /// Since the run began.
+    /// Seconds since the run began.
     seconds: f64,
     values: Vec<String>,
     #[serde(skip)]
@@ -97,7 +97,7 @@ struct First {
 }
 
 impl Broken {
-    /// What a person reads: `check no_early (line 71) does not hold: armL.me.moving = true, armR.gripping = true`.
+    /// The text for people: `check no_early (line 71) does not hold: armL.me.moving = true, armR.gripping = true`.
     pub fn words(&self, loaded: &Loaded) -> String {
         let check = &loaded.checks[self.check];
         let waited = self.since.map(|since| format!(" {} after its condition came", span(self.at - since)));
@@ -112,8 +112,8 @@ impl Broken {
 }
 
 impl Settled {
-    /// Of the check at this position; `counts`: how often it mattered and how often it did not hold; `why`: the reasons for which it was not
-    /// judged at all, and not all the time.
+    /// The verdict on the check at this position. `counts`: how often it mattered, and how often it was broken. `why`: why it
+    /// was never judged, and why not all the time.
     pub(super) fn new(
         loaded: &Loaded,
         at: usize,
@@ -135,7 +135,7 @@ impl Settled {
         Self { name, line, outcome, mattered, times, first, elsewhere, unvouched, text }
     }
 
-    /// Whether it held; `None` if nobody can say.
+    /// Whether it held; `None` if that is unknown.
     pub const fn held(&self) -> Option<bool> {
         match self.outcome {
             Outcome::Held | Outcome::Untested => Some(true),
@@ -144,12 +144,12 @@ impl Settled {
         }
     }
 
-    /// When it first did not hold, in seconds since the run began.
+    /// When it was first broken, in seconds since the run began.
     pub fn broke_at(&self) -> Option<f64> {
         self.first.as_ref().map(|first| first.seconds)
     }
 
-    /// What is wrong, in a line; `None` where nothing is.
+    /// The complaint about a broken check, in one line.
     fn complaint(&self) -> Option<String> {
         let First { seconds, words, .. } = self.first.as_ref()?;
         Some(format!("{words}, at {seconds:.3} s (`{}`)", self.text))
@@ -157,12 +157,12 @@ impl Settled {
 }
 
 impl Settlement {
-    /// What does not hold, a line each.
+    /// The complaints about broken checks, one line each.
     pub fn complaints(&self) -> impl Iterator<Item = String> {
         self.0.iter().filter_map(Settled::complaint)
     }
 
-    /// Checks that could not be judged, or not all the time, a line each with the reason.
+    /// The checks that could not be judged all the time, one line each with the reason.
     pub fn unjudged(&self) -> impl Iterator<Item = String> {
         let unknown = self.0.iter().filter(|settled| settled.outcome == Outcome::Unknown);
         unknown.map(|Settled { name, line, unvouched, .. }| match unvouched {
@@ -171,17 +171,17 @@ impl Settlement {
         })
     }
 
-    /// The check of this name.
+    /// The verdict on the check of this name.
     pub fn named(&self, name: &str) -> Option<&Settled> {
         self.0.iter().find(|settled| settled.name == name)
     }
 
-    /// Whether a check did not hold.
+    /// Whether any check was broken.
     pub fn is_broken(&self) -> bool {
         self.0.iter().any(|settled| settled.outcome == Outcome::Broken)
     }
 
-    /// A line for each check.
+    /// Prints one line per check.
     ///
     /// # Errors
     /// [`Failure::Output`].

@@ -1,60 +1,60 @@
-//! For which tasks somebody vouches. A node tells what its tasks do; once it is dead or silent, the commands of its actions may go on until
-//! their guards have confirmed the end (D142).
+//! Tracks which tasks may act unobserved. A node reports what its tasks do. Once it is dead or silent, commands of its actions
+//! may go on until their guards confirm the end (D142).
 
 use imrs_protocol::{NodeId, TaskId};
 use std::collections::BTreeMap;
 
-/// Which nodes are down, and which commands run.
+/// Which nodes are down, and which commands of actions run.
 #[derive(Clone, Debug)]
 pub struct Vouched {
-    /// By node, whether it is silent or dead.
+    /// For each node, whether it is silent or dead.
     down: Vec<bool>,
-    /// The commands of tasks that answer for them, by key.
+    /// Running commands under the control of their tasks, by key.
     running: BTreeMap<String, TaskId>,
-    /// Commands for which no task answers any more.
+    /// Running commands that no task controls any more, by key.
     orphans: BTreeMap<String, TaskId>,
 }
 
-/// What happened to a command.
+/// An event of a command.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Fate {
     /// A node starts it for this task.
     Began(TaskId),
-    /// All of it has ended.
+    /// The command, and all that it started, has ended.
     Ended,
-    /// Its guard died, and it may go on.
+    /// Its guard died, so that the command may go on.
     Lost,
 }
 
-/// Why nobody vouches for a task. The first reason is told where there are several.
+/// Why values of a task are not known. If several reasons apply, the first one is reported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Doubt {
-    /// A command of it was not confirmed to have ended.
+    /// The end of one of its commands was not confirmed.
     Command(TaskId),
-    /// Its node told nothing.
+    /// Its node reported nothing.
     Silent(NodeId),
-    /// Its live node lost some of what it should have told.
+    /// Its live node could not report some events.
     Untold(NodeId),
     /// Changes were dropped, because too many waited to be judged.
     Dropped,
-    /// Its node is dead, and a value depends on what the others did since.
+    /// Its node is dead, and a value depends on what other tasks have done since.
     Dead(NodeId),
 }
 
 impl Doubt {
-    /// Whether nothing that comes later makes up for it.
+    /// Whether no later report resolves this doubt.
     pub const fn lasts(self) -> bool {
         matches!(self, Self::Untold(_) | Self::Dropped | Self::Dead(_))
     }
 }
 
 impl Vouched {
-    /// So many nodes, all of which tell what their tasks do.
+    /// So many nodes, all of which report what their tasks do.
     pub fn new(nodes: usize) -> Self {
         Self { down: vec![false; nodes], running: BTreeMap::new(), orphans: BTreeMap::new() }
     }
 
-    /// Something happened to a command; `node` says on which node a task is.
+    /// Takes an event of a command; `node` gives the node of a task.
     pub fn command(&mut self, key: String, fate: &Fate, node: impl Fn(TaskId) -> Option<NodeId>) {
         match *fate {
             Fate::Began(task) if node(task).is_some_and(|node| self.is_down(node)) => {
@@ -75,19 +75,19 @@ impl Vouched {
         }
     }
 
-    /// From now on the node of these tasks tells nothing, or it is dead.
+    /// From now on this node, with these tasks, is silent or dead.
     pub fn silent(&mut self, node: NodeId, tasks: impl Iterator<Item = TaskId>) {
         self.set(node, true);
         tasks.for_each(|task| self.inactive(task));
     }
 
-    /// The task may no longer act: it does not answer for its commands any more.
+    /// The task may no longer act, so it no longer controls its commands.
     pub fn inactive(&mut self, task: TaskId) {
         let orphans = self.running.extract_if(.., |_, of| *of == task);
         self.orphans.extend(orphans);
     }
 
-    /// The node tells what its tasks do again. The commands of its earlier incarnation may still run.
+    /// The node reports again. Commands of its earlier incarnation may still run.
     pub fn back(&mut self, node: NodeId) {
         self.set(node, false);
     }
@@ -102,7 +102,7 @@ impl Vouched {
         self.down.get(node.index()) == Some(&true)
     }
 
-    /// Whether a command of this task may go on for which no task answers.
+    /// Whether a command of this task may still run that no task controls.
     pub fn has_orphan(&self, task: TaskId) -> bool {
         self.orphans.values().any(|of| *of == task)
     }

@@ -1,4 +1,4 @@
-//! Tightly coupled: what may not happen is that one arm goes on alone.
+//! Explains the demo `beam-lift`. Forbidden: one arm goes on alone.
 
 use crate::launch::Fault;
 use crate::launch::deed::{Deed, Did};
@@ -6,18 +6,18 @@ use crate::launch::story::{Outcome, Story};
 use crate::output::{count, span};
 use imrs_protocol::TaskId;
 
-/// How long after its partner an arm may be seen to stop, whatever this machine is busy with, in microseconds: one that
-/// is still moving then goes on alone.
+/// Longest delay in microseconds from the stop of one arm to that of the other, even on a busy machine. An arm that moves
+/// longer goes on alone.
 const ALONE: u64 = 1_000_000;
 
-/// A movement of an arm: from its start to its stop, if that came.
+/// A movement of an arm, from its start to its stop, if it stopped.
 #[derive(Clone, Copy, Debug)]
 struct Movement {
     from: u64,
     to: Option<u64>,
 }
 
-/// Says what happened to the lifts.
+/// Explains what happened to the lifts.
 pub fn explain(story: &Story<'_>) -> Outcome {
     let (Some(left), Some(right)) = (story.task("armL"), story.task("armR")) else {
         return Outcome::default();
@@ -63,7 +63,7 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     Outcome { held, words }
 }
 
-/// From each end of `start_lift` to the end of the next `stop_now`.
+/// The movements of an arm: from each end of `start_lift` to the end of the next `stop_now`.
 fn movements(story: &Story<'_>, arm: TaskId) -> Vec<Movement> {
     let mut all: Vec<Movement> = Vec::new();
     for did in story.of(arm) {
@@ -78,7 +78,7 @@ fn movements(story: &Story<'_>, arm: TaskId) -> Vec<Movement> {
             _ => {}
         }
     }
-    // Who dies moves no more.
+    // An arm stops when its node is killed.
     for death in story.deaths(arm) {
         for movement in all.iter_mut().filter(|m| m.from <= death && m.to.is_none_or(|to| to > death)) {
             movement.to = Some(death);
@@ -87,7 +87,7 @@ fn movements(story: &Story<'_>, arm: TaskId) -> Vec<Movement> {
     all
 }
 
-/// What made an arm stop after this instant.
+/// Describes why an arm stopped after this instant.
 fn why(story: &Story<'_>, arm: TaskId, at: u64) -> Option<String> {
     let after = || story.of(arm).filter(move |did| did.at >= at);
     let begins = |did: &&Did| matches!(&did.what, Deed::Begins { action, .. } if action == "stop_now");
@@ -107,7 +107,7 @@ fn why(story: &Story<'_>, arm: TaskId, at: u64) -> Option<String> {
     })
 }
 
-/// Whether an arm went on when its partner had stopped.
+/// Describes how an arm moved on after its partner had stopped, if it did.
 fn alone(story: &Story<'_>, own: &[Movement], partner: &[Movement], arm: TaskId) -> Option<String> {
     if story.died(arm).is_some() {
         return None;
@@ -157,7 +157,7 @@ fn apart(story: &Story<'_>, skew: u64) -> String {
     }
 }
 
-/// What came after the cut.
+/// Describes what happened after the cut.
 fn afterwards(story: &Story<'_>, at: u64) -> String {
     let expired: u64 =
         story.summary.nodes.iter().flat_map(|node| node.discards.iter()).filter_map(expired).sum();
@@ -182,7 +182,7 @@ fn expired((name, count): (&String, &u64)) -> Option<u64> {
     name.starts_with("expired").then_some(*count)
 }
 
-/// Who died, and who waited for it no longer than it had to.
+/// Describes killed nodes, and the tasks that waited for them no longer than their time_outs.
 fn waiting(story: &Story<'_>) -> Vec<String> {
     let mut words = Vec::new();
     for (at, fault) in &story.faults {

@@ -1,16 +1,16 @@
-//! Independent robots: what may not happen is that two change the speed at once, each from what it was before.
+//! Explains the demo `belt-administrator`. Forbidden: two robots change the speed at once, each from the same old value.
 
 use crate::launch::deed::{Deed, Did};
 use crate::launch::story::{Outcome, Story};
 use crate::output::count;
 use imrs_protocol::TaskId;
 
-/// By how much one change may alter the speed, in mm/s.
+/// The most that one change may alter the speed, in mm/s.
 const STEP: i64 = 100;
-/// Two questions so close together are of one period, in microseconds.
+/// Two requests so close together belong to one period, in microseconds.
 const TOGETHER: u64 = 10_000;
 
-/// Says how the speed went, and what became of two that wanted to change it at once.
+/// Explains how the speed changed, and what happened when two robots wanted to change it at once.
 pub fn explain(story: &Story<'_>) -> Outcome {
     let (Some(administrator), Some(slower), Some(faster)) =
         (story.task("administrator"), story.task("r1"), story.task("r2"))
@@ -51,7 +51,7 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     Outcome { held, words }
 }
 
-/// The argument of this action, where it begins here.
+/// The argument of the action `name`, if this event is its beginning.
 fn argument(did: &Did, name: &str) -> Option<i64> {
     match &did.what {
         Deed::Begins { action, arguments } if action == name => arguments.first()?.parse().ok(),
@@ -63,7 +63,7 @@ fn answers(story: &Story<'_>, robot: TaskId, action: &str) -> Vec<(u64, i64)> {
     story.of(robot).filter_map(|did| Some((did.at, argument(did, action)?))).collect()
 }
 
-/// The first time that one robot was first and the other one gave way, in one period.
+/// Describes the first period in which one robot changed the speed and the other one gave way.
 fn together(story: &Story<'_>, slower: TaskId, faster: TaskId) -> Option<String> {
     let pairs = [(slower, faster), (faster, slower)].into_iter().flat_map(|(first, second)| {
         let gave_way = answers(story, second, "give_way");

@@ -1,14 +1,14 @@
-//! Serially coupled: what may not happen is that a pick acts on what was long ago, or that the belt jams.
+//! Explains the demo `conveyor`. Forbidden: a pick acts on an old pose, or the belt jams.
 
 use crate::launch::deed::Deed;
 use crate::launch::story::{Outcome, Story};
 use crate::output::{count, span};
 use imrs_protocol::TaskId;
 
-/// How long after the pause the next part may be on its way, whatever this machine is busy with, in microseconds.
+/// Longest time in microseconds from the end of the pause to the next grip, even on a busy machine.
 const JAMMED: u64 = 3_000_000;
 
-/// Says how many parts were handed on, and what a camera that stood still cost.
+/// Explains how many parts were handed on, and what the suspended camera cost.
 pub fn explain(story: &Story<'_>) -> Outcome {
     let (Some(pick), Some(place)) = (story.task("pick"), story.task("place")) else {
         return Outcome::default();
@@ -16,7 +16,7 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     let grips = begins(story, pick, "grip_at");
     let handed = begins(story, place, "put_away").len();
     let boxed = begins(story, pick, "drop_into_box").len();
-    // What pick holds, or place has not yet put away, when the run ends.
+    // The parts that pick holds, or that place has not put away, when the run ends.
     let rest = grips.len().saturating_sub(handed + boxed);
     let on_the_way = match rest {
         0 => String::new(),

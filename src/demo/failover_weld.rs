@@ -1,4 +1,4 @@
-//! Work-coupled: what may not happen is that both robots are active, or that a spot is welded twice unseen.
+//! Explains the demo `failover-weld`. Forbidden: both robots are active, or a spot is welded twice without a look.
 
 use crate::checks::Settled;
 use crate::launch::Fault;
@@ -7,7 +7,7 @@ use crate::launch::story::{Outcome, Story};
 use crate::output::span;
 use imrs_protocol::TaskId;
 
-/// Says who was active when, and what became of the spot under way.
+/// Explains which robot was active when, and what happened to the interrupted spot.
 pub fn explain(story: &Story<'_>) -> Outcome {
     let couple = story.loaded.table.cell().couples.first().cloned();
     let Some(couple) = couple else { return Outcome::default() };
@@ -30,7 +30,7 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     if let Some(at) = taken {
         words.push(spot_in_words(story, primary, standby, at));
     }
-    // The cell's own check knows when a lease ended, though a node that stood still notices it later.
+    // The cell's own check counts the end of a lease on time, even if a suspended node notices it late.
     let one_active = story.summary.checks.named("one_active");
     let twice = welded_twice(story, primary, standby);
     let killed = story.died(primary).is_some_and(|at| at + 2 * couple.takeover.0 < story.ended);
@@ -73,7 +73,7 @@ fn fault_in_words(story: &Story<'_>, at: u64, fault: Fault, primary: TaskId) -> 
     }
 }
 
-/// What a task was doing at an instant: `weld 3`.
+/// The action that a task was executing at an instant: `weld 3`.
 fn under_way(story: &Story<'_>, task: TaskId, at: u64) -> Option<String> {
     let mut last = story.of(task).filter(|did| did.at <= at).filter(|did| {
         matches!(did.what, Deed::Begins { .. } | Deed::Ends { .. } | Deed::Fails(_) | Deed::CutShort(_))
@@ -98,7 +98,7 @@ fn taking_over(story: &Story<'_>, couple: &imrs_protocol::CoupleDecl, at: u64) -
     )
 }
 
-/// What became of the spot that the first robot had under way when the second took over.
+/// Describes what happened to the spot that the first robot was welding when the second one took over.
 fn spot_in_words(story: &Story<'_>, primary: TaskId, standby: TaskId, taken: u64) -> String {
     let open = under_way(story, primary, taken);
     let next = story.of(standby).filter(|did| did.at >= taken).find_map(|did| match &did.what {
@@ -119,7 +119,7 @@ fn spot_in_words(story: &Story<'_>, primary: TaskId, standby: TaskId, taken: u64
     }
 }
 
-/// A spot that the first robot welded to its end, and the second once more without looking at it.
+/// A spot that the first robot finished, and that the second one welded again without a look.
 fn welded_twice(story: &Story<'_>, primary: TaskId, standby: TaskId) -> Option<String> {
     let done = welded(story, primary);
     let mut looked_at: Vec<String> = Vec::new();
@@ -135,7 +135,7 @@ fn welded_twice(story: &Story<'_>, primary: TaskId, standby: TaskId) -> Option<S
     None
 }
 
-/// The spots that a robot has welded to their end.
+/// The spots that a robot has finished.
 fn welded(story: &Story<'_>, robot: TaskId) -> Vec<String> {
     let (mut done, mut open) = (Vec::new(), None);
     for did in story.of(robot) {

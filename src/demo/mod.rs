@@ -1,6 +1,6 @@
-//! `imrs demo`: cells of `examples/`, each with a fault at the moment when it hurts, and the outcome explained.
+//! `imrs demo`: runs cells of `examples/`, injects a fault at the worst moment, and explains the outcome.
 //!
-//! A demo is a [`Scene`] in [`SCENES`] and a function that explains a run of it ([`Story`]).
+//! A demo is a [`Scene`] in [`SCENES`], and a function that explains a finished run ([`Story`]).
 
 mod beam_lift;
 mod belt_administrator;
@@ -22,26 +22,26 @@ use imrs_runtime::script::Course;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// A cell with a fault, and what to make of it.
+/// A demo: a cell, a fault, and an explanation.
 #[derive(Clone, Copy, Debug)]
 pub struct Scene {
-    /// What it is called on the command line.
+    /// Its name on the command line.
     name: &'static str,
-    /// What it shows, in a line.
+    /// What it shows, in one line.
     about: &'static str,
     /// The name of its file.
     file: &'static str,
     /// Its text.
     text: &'static str,
-    /// What a person should know before.
+    /// The text that is printed before the run.
     introduction: &'static str,
     /// How long it runs.
     length: Duration,
-    /// Its fault, where the cell does not bring its trouble along.
+    /// Its fault; none if the cell itself causes the trouble.
     moment: Option<Moment>,
-    /// What simulated actions give as time goes on: an action, the one that it follows, and how long it takes.
+    /// How results of simulated actions change with time: the action, the action that starts the change, and its duration.
     courses: &'static [(&'static str, &'static str, Duration)],
-    /// Says what happened, and whether it was what is promised.
+    /// Explains what happened, and says whether the promise was kept.
     explain: fn(&Story<'_>) -> Outcome,
 }
 
@@ -178,7 +178,7 @@ pub fn cells() -> impl Iterator<Item = Loaded> {
 /// [`Failure`].
 pub fn run(args: &DemoArgs, out: &mut Output) -> Result<Exit, Failure> {
     let (launch, loaded) = (&args.launch, args.cell.load()?);
-    // The demo itself lives as long as the program.
+    // The scene in `SCENES` is static, and so its moment is, too.
     let scene = SCENES.iter().find(|scene| scene.name == args.cell.name);
     let own_faults =
         launch.loss.0 > 0.0 || !launch.kill.is_empty() || !launch.cut.is_empty() || launch.node.is_some();
@@ -211,7 +211,7 @@ pub fn beam_lift() -> std::sync::Arc<imrs_protocol::CellTable> {
 mod tests {
     use super::*;
 
-    /// D65: the patience of a meeting is well above its margin.
+    /// The time_out of a waitfor is well above its margin (D65).
     #[test]
     fn the_beam_lift_leaves_time_to_meet_again() {
         let table = beam_lift();

@@ -1,4 +1,4 @@
-//! Loosely coupled: what may not happen is that two have the tool, or that it stays with the dead.
+//! Explains the demo `shared-tool`. Forbidden: two robots have the tool, or it stays with a killed one.
 
 use crate::launch::Fault;
 use crate::launch::deed::Deed;
@@ -6,10 +6,11 @@ use crate::launch::story::{Outcome, Story};
 use crate::output::{count, span};
 use imrs_protocol::TaskId;
 
-/// How much longer than the cell says the tool may stay with the dead, whatever this machine is busy with, in microseconds.
+/// Tolerance in microseconds, for a busy machine, beyond the time that the cell allows until the tool of a killed robot is
+/// free.
 const LATE: u64 = 3_000_000;
 
-/// Somebody has the tool.
+/// A time in which a robot has the tool.
 #[derive(Clone, Copy, Debug)]
 struct Holding {
     by: TaskId,
@@ -17,7 +18,7 @@ struct Holding {
     to: u64,
 }
 
-/// Says who had the tool when, and what became of it when its holder died.
+/// Explains which robot had the tool when, and what happened to the tool when its holder was killed.
 pub fn explain(story: &Story<'_>) -> Outcome {
     let robots: Vec<TaskId> =
         ["weldA", "weldB", "inspC"].iter().filter_map(|name| story.task(name)).collect();
@@ -50,7 +51,7 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     Outcome { held: if two.is_some() { Some(false) } else { freed }, words }
 }
 
-/// When a robot had the tool: while it dresses or cleans, and until it dies.
+/// The times in which a robot had the tool: while it dresses or cleans, and at most until its node is killed.
 fn holdings(story: &Story<'_>, robot: TaskId) -> Vec<Holding> {
     let mut all: Vec<Holding> = Vec::new();
     let uses = |action: &str| action == "dress" || action == "clean";
@@ -75,7 +76,7 @@ fn holdings(story: &Story<'_>, robot: TaskId) -> Vec<Holding> {
     all
 }
 
-/// How often the robots asked, and what became of that.
+/// Describes how often the robots asked, and the outcomes.
 fn asking(story: &Story<'_>) -> String {
     let Some(grab) = story.summary.ports.iter().find(|port| port.name == "grab") else {
         return String::new();
@@ -89,13 +90,14 @@ fn asking(story: &Story<'_>) -> String {
     }
 }
 
-/// How often a robot had the tool.
+/// Describes how often a robot had the tool.
 fn turns(story: &Story<'_>, robot: TaskId, held: &[Holding]) -> String {
     let had = held.iter().filter(|h| h.by == robot).count();
     format!("{} had it {}.", story.name(robot), count(u64::try_from(had).unwrap_or(u64::MAX), "time"))
 }
 
-/// What became of the tool of somebody who died. Returns whether another had it in time; `None` where the run ended before.
+/// Describes what happened to the tool of a killed robot. Returns whether another robot had it in time; `None` if the run ended
+/// before.
 fn after_death(story: &Story<'_>, dead: Holding, held: &[Holding], words: &mut Vec<String>) -> Option<bool> {
     let name = story.name(dead.by);
     words.push(format!("At {} the node of {name} was killed, and {name} had the tool.", story.at(dead.to)));

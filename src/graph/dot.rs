@@ -1,5 +1,5 @@
-//! A cell for Graphviz: a cluster for each node, an edge for what passes between the owner of a port and each of its users,
-//! from who begins to who is told; dashed, the answer.
+//! Draws a cell for Graphviz: a cluster per node, and an edge between the owner of a port and each user, from the sender of the
+//! first message to its receiver. A dashed edge is the answer.
 
 use super::{flow, label, links};
 use imrs_language::hir::Hir;
@@ -36,7 +36,7 @@ pub(super) fn write(hir: &Hir) -> String {
     out
 }
 
-/// A text in quotes. A backslash begins an escape in DOT.
+/// A quoted string of DOT, with escaped quotes and backslashes.
 fn quoted(text: &str) -> String {
     format!("\"{}\"", text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n"))
 }

@@ -1,4 +1,4 @@
-//! `imrs graph`: a picture of a cell.
+//! `imrs graph`: draws a cell.
 
 mod dot;
 mod svg;
@@ -32,7 +32,7 @@ pub fn run(args: &GraphArgs, out: &mut Output) -> Result<Exit, Failure> {
     Ok(Exit::Well)
 }
 
-/// What is said at the arrow of a port, by what they do with it who begin: `beat: query, class 2, 5 ms`.
+/// The label of a port's arrow, with the usage of the side that begins: `beat: query, class 2, 5 ms`.
 fn label(port: &Port) -> String {
     let class = match port.class {
         Class::Status => 1,
@@ -43,13 +43,13 @@ fn label(port: &Port) -> String {
     format!("{}: {begins}, class {class}{life}", port.name)
 }
 
-/// What passes between the owner of a port and each of its users.
+/// The directions of messages between the owner of a port and each user.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Flow {
-    /// To the users and to the owner: what begins the exchange.
+    /// Whether the first message goes to the users, and whether it goes to the owner.
     to_users: bool,
     to_owner: bool,
-    /// Which way the answer goes, where there is one: `true` to the owner.
+    /// Whether the answer goes to the owner; none if there is no answer.
     answer_to_owner: Option<bool>,
 }
 
@@ -59,13 +59,13 @@ const fn flow(usage: Usage) -> Flow {
         Usage::Receive => (false, true, None),
         Usage::Query => (true, false, Some(true)),
         Usage::Response => (false, true, Some(false)),
-        // All tell all that they have arrived.
+        // Every party tells all others that it has arrived.
         Usage::Waitfor => (true, true, None),
     };
     Flow { to_users, to_owner, answer_to_owner }
 }
 
-/// The links, a line each: `na -- nb, 1.0 ms`.
+/// The links as text, one line each: `na -- nb, 1.0 ms`.
 fn links(hir: &Hir) -> impl Iterator<Item = String> + '_ {
     hir.links.iter().map(|link| {
         let name = |node: imrs_protocol::NodeId| hir.nodes[node.index()].name.as_str();

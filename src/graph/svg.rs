@@ -1,6 +1,6 @@
-//! A cell as SVG: the nodes in a row, their tasks side by side in them, and below a row for each port with arrows along
-//! what passes between its owner and its users; a white head is that of the answer. Nothing
-//! overlaps, and the same cell gives the same picture.
+//! Draws a cell as SVG: the nodes in a row with their tasks, and below them one row per port. Arrows follow the messages
+//! between the owner and the users; a white head marks the answer. Nothing overlaps, and the same cell always gives the same
+//! picture.
 
 use super::{flow, label, links};
 use imrs_language::hir::{Hir, Port};
@@ -11,7 +11,7 @@ const CHARACTER: usize = 8;
 /// The least width of a task's column.
 const COLUMN: usize = 110;
 const MARGIN: usize = 16;
-/// Between two nodes.
+/// The space between two nodes.
 const GAP: usize = 20;
 /// The lower edges of the nodes, and of the tasks in them.
 const NODES_END: usize = 100;
@@ -45,7 +45,7 @@ pub(super) fn draw(hir: &Hir) -> String {
     out
 }
 
-/// Where everything stands from left to right.
+/// The horizontal layout.
 struct Plan {
     /// The left and the right edge of each node.
     nodes: Vec<(usize, usize)>,
@@ -99,7 +99,7 @@ fn arrow(port: &Port, plan: &Plan, y: usize, width: usize, out: &mut String) {
     let most = users.iter().copied().fold(owner, usize::max);
     line(out, (least, y), (most, y), "stroke=\"black\"");
     let flow = flow(port.usage);
-    // At the owner a head for each side from which something comes.
+    // The owner gets an arrow head on each side from which messages come.
     let sides = [users.iter().find(|user| **user < owner), users.iter().find(|user| **user > owner)];
     for &user in &users {
         match (flow.to_users, flow.answer_to_owner) {
@@ -118,7 +118,7 @@ fn arrow(port: &Port, plan: &Plan, y: usize, width: usize, out: &mut String) {
     let label = label(port);
     let half = label.chars().count() * CHARACTER / 2 + MARGIN / 2;
     let middle = ((least + most) / 2).min(width.saturating_sub(half)).max(half);
-    // Not every program draws a rim around letters: a white ground keeps the lines off them.
+    // A white background keeps the lines off the letters; not every program can draw outlined letters.
     let ground = label.chars().count() * CHARACTER;
     let _ = writeln!(
         out,
@@ -129,7 +129,7 @@ fn arrow(port: &Port, plan: &Plan, y: usize, width: usize, out: &mut String) {
     text(out, (middle, y - 8), "middle", &label);
 }
 
-/// The head of an arrow that comes from the side of `from`.
+/// The head of an arrow from the side of `from`.
 fn head(out: &mut String, (x, y): (usize, usize), from: usize, fill: &str) {
     let tail = if x > from { x.saturating_sub(8) } else { x + 8 };
     let (top, low) = (y - 4, y + 4);
@@ -139,7 +139,7 @@ fn head(out: &mut String, (x, y): (usize, usize), from: usize, fill: &str) {
     );
 }
 
-/// Where an arrow begins.
+/// The dot at the beginning of an arrow.
 fn start(out: &mut String, (x, y): (usize, usize)) {
     let _ = writeln!(out, "<circle cx=\"{x}\" cy=\"{y}\" r=\"3\"/>");
 }

@@ -1,4 +1,4 @@
-//! The nodes of a run, seen from the launcher: a process each (D64), or a thread each of this one.
+//! The nodes of a run as child processes of the launcher (D64), or as threads of its process.
 
 use super::error::LaunchError;
 use super::lines::{Order, Setup, Word, hear, say};
@@ -19,18 +19,18 @@ use std::sync::mpsc::SyncSender;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-/// What reaches the launcher.
+/// What the launcher receives.
 #[derive(Debug)]
 pub enum Message {
-    /// A node said something.
+    /// A message from a node.
     Said(NodeId, Word),
-    /// The pipe of a node in this life has ended: its process has, or soon will.
+    /// The pipe of a node in this incarnation (counted from 0) has ended: its process has exited, or soon will.
     Gone(NodeId, usize),
     /// The user wants the run to end.
     Interrupted,
 }
 
-/// All node processes. Whatever happens to the launcher, none outlives it.
+/// All node processes. No process outlives the launcher.
 pub struct Children {
     processes: Vec<Process>,
     network: Option<Arc<Network>>,
@@ -40,10 +40,10 @@ pub struct Children {
 struct Process {
     node: NodeId,
     name: String,
-    /// How many lives it had before.
+    /// The number of its incarnations before this one.
     life: usize,
     body: Body,
-    /// Here while orders can be given.
+    /// The pipe for orders; none once it has failed or been closed.
     orders: Option<Box<dyn Write + Send>>,
     killed: bool,
 }
@@ -51,16 +51,16 @@ struct Process {
 /// What a node runs in.
 enum Body {
     Process(Child),
-    /// Gone once it was joined.
+    /// None once it has been joined.
     Thread(Option<JoinHandle<Result<(), NodeError>>>),
 }
 
-/// What the launcher hears of a node with.
+/// The pipe from which the launcher reads a node's messages.
 type Words = Box<dyn Read + Send>;
 
 impl Children {
-    /// Starts a node for each setup: a process of its own, or a thread where a network joins them. What they say goes
-    /// to `messages`.
+    /// Starts a node for each setup: a process of its own, or a thread if `network` joins the nodes. Their messages go to
+    /// `messages`.
     ///
     /// # Errors
     /// A process or a thread cannot be started.
@@ -84,7 +84,7 @@ impl Children {
     pub fn restart(&mut self, node: NodeId, setup: &Setup) -> Result<(), LaunchError> {
         let Some(at) = self.processes.iter().position(|process| process.node == node) else { return Ok(()) };
         let before = &mut self.processes[at];
-        // What is left of its last life ends first.
+        // The previous incarnation ends first.
         before.orders = None;
         before.end(Instant::now() + BURIAL);
         let life = before.life + 1;
@@ -98,7 +98,7 @@ impl Children {
             None => as_process(),
         }
         .map_err(LaunchError::Start)?;
-        // A node that is gone already says so by the end of its pipe.
+        // If the node has exited already, the end of its pipe reports that.
         let _ = say(&mut orders, setup);
         let messages = self.messages.clone();
         let reader = thread::Builder::new().name(format!("imrs {}", setup.node));
@@ -111,17 +111,17 @@ impl Children {
         self.processes.len()
     }
 
-    /// Whether they are threads of this process.
+    /// Whether the nodes are threads of this process.
     pub const fn in_one_process(&self) -> bool {
         self.network.is_some()
     }
 
-    /// Which nodes.
+    /// The nodes.
     pub fn nodes(&self) -> impl Iterator<Item = NodeId> {
         self.processes.iter().map(|process| process.node)
     }
 
-    /// The process of a node.
+    /// The process id of a node.
     pub fn pid(&self, node: NodeId) -> u32 {
         match self.of(node).map(|process| &process.body) {
             Some(Body::Process(child)) => child.id(),
@@ -134,12 +134,12 @@ impl Children {
         self.of(node).map_or("?", |process| &process.name)
     }
 
-    /// Whether this is the life that a node is in, and the launcher did not end it.
+    /// Whether this is the node's current incarnation, and the launcher has not killed it.
     pub fn lives(&self, node: NodeId, life: usize) -> bool {
         self.of(node).is_some_and(|process| process.life == life && !process.killed)
     }
 
-    /// The number of the life that a node is in.
+    /// The number of a node's current incarnation, from 0.
     pub fn life(&self, node: NodeId) -> usize {
         self.of(node).map_or(0, |process| process.life)
     }
@@ -148,14 +148,14 @@ impl Children {
         self.processes.iter().find(|process| process.node == node)
     }
 
-    /// Gives all nodes an order. Those that are gone do not hear it.
+    /// Sends an order to all nodes. Nodes that have exited do not receive it.
     pub fn order_all(&mut self, order: &Order) {
         for process in &mut self.processes {
             process.order(order);
         }
     }
 
-    /// Gives a node an order.
+    /// Sends an order to a node.
     pub fn order(&mut self, node: NodeId, order: &Order) {
         if let Some(process) = self.processes.iter_mut().find(|process| process.node == node) {
             process.order(order);
@@ -166,27 +166,27 @@ impl Children {
     pub fn kill(&mut self, node: NodeId) {
         let Some(process) = self.processes.iter_mut().find(|process| process.node == node) else { return };
         match &mut process.body {
-            // It is gone already; that is seen later.
+            // If this fails, the process has exited already: the end of its pipe reports that.
             Body::Process(child) => drop(child.kill()),
             Body::Thread(_) => process.order(&Order::Die),
         }
         process.killed = true;
     }
 
-    /// Stops the process of a node, or lets it go on. Returns whether it has one of its own.
+    /// Suspends the process of a node, or resumes it. Returns whether the node has a process of its own.
     pub fn stand_still(&mut self, node: NodeId, stands: bool) -> bool {
         let Some(process) = self.of(node) else { return false };
         let Body::Process(child) = &process.body else { return false };
         let signal = if stands { Signal::STOP } else { Signal::CONT };
-        // It is gone already; that is seen later.
+        // If this fails, the process has exited already: the end of its pipe reports that.
         let _ = kill_process(Pid::from_child(child), signal);
         true
     }
 
-    /// Waits until all processes have ended, at most so long; then kills those that have not. Returns how each ended.
+    /// Waits for all processes to end, at most for `patience`, then kills the rest. Returns how each ended.
     pub fn wait(&mut self, patience: Duration) -> Vec<(NodeId, End)> {
         let deadline = Instant::now() + patience;
-        // Whoever has not heard the order sees the end of the pipe.
+        // A node that missed the order stops at the end of the pipe.
         self.processes.iter_mut().for_each(|process| process.orders = None);
         self.processes.iter_mut().map(|process| (process.node, process.end(deadline))).collect()
     }
@@ -212,7 +212,7 @@ impl Process {
                     thread::sleep(Duration::from_millis(2));
                 }
                 match thread.take().map(JoinHandle::join) {
-                    // One that could not be started again was joined before.
+                    // A node whose restart failed was joined before.
                     Some(Ok(Ok(()))) | None if killed => End::Killed,
                     Some(Ok(Ok(()))) => End::Clean,
                     Some(Ok(Err(error))) => End::Code(Failure::from(error).exit() as i32),
@@ -254,7 +254,7 @@ fn as_process() -> io::Result<(Body, Box<dyn Write + Send>, Words)> {
         .arg("node")
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
-        // Ctrl-C reaches the launcher alone, which ends its nodes in order.
+        // In its own process group the node does not get Ctrl-C: the launcher does, and stops its nodes in order.
         .process_group(0)
         .spawn()?;
     let (orders, words) = (child.stdin.take(), child.stdout.take());
@@ -276,21 +276,21 @@ fn as_thread(setup: &Setup, network: &Arc<Network>) -> io::Result<(Body, Box<dyn
     Ok((Body::Thread(Some(thread)), Box::new(orders), Box::new(words)))
 }
 
-/// How long the rest of a killed node has to be gone before it is started again.
+/// How long a killed node may take to exit before its restart.
 const BURIAL: Duration = Duration::from_secs(3);
 
 /// How a node's process ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// As it should.
+    /// With exit code 0.
     Clean,
-    /// Killed by the launcher, as the schedule of faults says.
+    /// Killed by the launcher, as a scheduled fault.
     Killed,
-    /// With a code that says what went wrong.
+    /// With an exit code that names the problem.
     Code(i32),
-    /// By a signal of somebody else.
+    /// By a signal that the launcher did not send.
     Signal(i32),
-    /// It did not, and was killed.
+    /// It did not exit in time, and was killed.
     Hung,
 }
 
@@ -304,7 +304,7 @@ impl End {
         }
     }
 
-    /// `None` where it ended as it should; otherwise whether it is at fault itself.
+    /// `None` if it ended as it should; otherwise whether the node itself is at fault.
     pub fn at_fault(self) -> Option<bool> {
         match self {
             Self::Clean | Self::Killed => None,

@@ -1,18 +1,18 @@
-//! What a script does, as the launcher, its diary and the stories of the demos know it.
+//! Events of scripts, as the launcher, its event log and the explanations of the demos use them.
 
 use imrs_protocol::{CellTable, PortId, TaskId};
 use serde::{Deserialize, Serialize};
 
-/// Something that a script did.
+/// An event of a script.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Did {
-    /// When, on the monotonic clock that all processes of one machine share, in microseconds.
+    /// When, in microseconds of the boot-time clock that all processes of one machine share.
     pub at: u64,
     /// The task.
     pub task: TaskId,
-    /// The line of the cell's text.
+    /// The line in the cell file.
     pub line: Option<usize>,
-    /// What.
+    /// What it did.
     pub what: Deed,
 }
 
@@ -22,18 +22,18 @@ pub struct Did {
 pub enum Deed {
     /// It arrived at a waitfor.
     Waits(PortId),
-    /// All have arrived there: it goes on.
+    /// A waitfor released it: all had arrived.
     Met(PortId),
     /// Its time_out at a waitfor ended.
     GaveUp {
         /// The port.
         port: PortId,
-        /// Who had not arrived.
+        /// The tasks that had not arrived.
         missing: Vec<TaskId>,
     },
     /// It sends a message.
     Sends(PortId),
-    /// A message of class 2 or a query had no good end.
+    /// A class-2 message or a query ended without a reply.
     Unanswered {
         /// Its port.
         port: PortId,
@@ -44,23 +44,23 @@ pub enum Deed {
     Begins {
         /// Its name.
         action: String,
-        /// Its arguments, as a person writes them.
+        /// Its arguments, as text.
         arguments: Vec<String>,
     },
-    /// An action has ended well.
+    /// An action succeeded.
     Ends {
         /// Its name.
         action: String,
-        /// Its result, where it has one.
+        /// Its result, if it has one.
         value: Option<String>,
     },
     /// An action has failed.
     Fails(String),
     /// An action was cut short.
     CutShort(String),
-    /// The lease of its couple came or went.
+    /// Its lease was granted or lost.
     Lease(Lease),
-    /// It has ended.
+    /// The script has ended.
     Ended(String),
 }
 
@@ -68,17 +68,17 @@ pub enum Deed {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Unanswered {
-    /// Refused for space.
+    /// Refused, because there was no space.
     Refused,
     /// Timed out before any copy left.
     NeverLeft,
-    /// Timed out; it may have run.
+    /// Timed out after a copy left: it may have run.
     Unknown,
-    /// The peer restarted; it may have run.
+    /// The peer restarted before the answer: it may have run.
     PeerRestarted,
 }
 
-/// What became of a lease.
+/// A change of a lease.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Lease {
@@ -86,17 +86,17 @@ pub enum Lease {
     Granted,
     /// The task takes over from its partner.
     TookOver,
-    /// The task may act no more.
+    /// The task may no longer act.
     Fenced,
 }
 
 impl Deed {
-    /// Whether it is told however busy the task is.
+    /// Whether the event log shows it even if the task does more than fits.
     pub const fn is_rare(&self) -> bool {
         matches!(self, Self::Lease(_) | Self::Ended(_))
     }
 
-    /// What a person reads.
+    /// The text for people.
     pub fn words(&self, table: &CellTable) -> String {
         let port = |port: &PortId| table.port(*port).map_or("?", |port| port.decl.name.as_str());
         match self {

@@ -1,4 +1,4 @@
-//! What the scripts do, as lines for a person: in the order of time, and no faster than can be read.
+//! The event log of a run, for people: lines in the order of time, and no faster than they can be read.
 
 use super::deed::Did;
 use crate::failure::Failure;
@@ -6,25 +6,25 @@ use crate::output::{BAD, FAINT, NOTE, Output, Styled, count};
 use imrs_protocol::{Cell, CellTable};
 use std::collections::BTreeMap;
 
-/// Nodes tell what happened every few milliseconds: after so long, in microseconds, nothing earlier is told any more.
+/// Nodes report events every few milliseconds. Events this old, in microseconds, are shown: no earlier ones can still come.
 const SETTLED: u64 = 100_000;
-/// How many lines of one task are shown in one
+/// Most lines of one task that are shown within one `SPAN`.
 const PER_SPAN: u32 = 20;
-/// span of so many microseconds.
+/// The interval for `PER_SPAN`, in microseconds.
 const SPAN: u64 = 1_000_000;
 
 /// Collects lines until they can be shown.
 pub struct Diary {
     /// When the run began.
     began: u64,
-    /// By time, and then by when they were told.
+    /// Lines by time, then by the order in which they were reported.
     waiting: BTreeMap<(u64, u64), Entry>,
     told: u64,
-    /// By task: the span that its last line was in, and how many came in it.
+    /// For each task, the span of its last line, and how many lines it has had in that span.
     paces: Vec<(u64, u32)>,
 }
 
-/// A line to be.
+/// A line of the event log.
 enum Entry {
     Did(Did),
     Fault(String),
@@ -32,12 +32,12 @@ enum Entry {
 }
 
 impl Diary {
-    /// Nothing yet, of a cell whose run began at this instant of the clock that all processes of one machine share.
+    /// An empty event log of a run that began at this instant of the clock that all processes of one machine share.
     pub fn new(cell: &Cell, began: u64) -> Self {
         Self { began, waiting: BTreeMap::new(), told: 0, paces: vec![(0, 0); cell.tasks.len()] }
     }
 
-    /// The run begins only now.
+    /// Sets the beginning of the run.
     pub fn begin(&mut self, at: u64) {
         self.began = at;
     }
@@ -47,30 +47,30 @@ impl Diary {
         self.began
     }
 
-    /// A line.
+    /// Adds an event of a script.
     pub fn add(&mut self, did: Did) {
         self.waiting.insert((did.at, self.told), Entry::Did(did));
         self.told += 1;
     }
 
-    /// A fault, in words.
+    /// Adds a line about a fault.
     pub fn fault(&mut self, at: u64, words: String) {
         self.waiting.insert((at, self.told), Entry::Fault(words));
         self.told += 1;
     }
 
-    /// A check that does not hold, in words.
+    /// Adds a line about a check that does not hold.
     pub fn broken(&mut self, at: u64, words: String) {
         self.waiting.insert((at, self.told), Entry::Broken(words));
         self.told += 1;
     }
 
-    /// Whether nothing waits.
+    /// Whether no line is pending.
     pub fn is_empty(&self) -> bool {
         self.waiting.is_empty()
     }
 
-    /// Shows what is settled at `now`.
+    /// Shows all lines that are older than `SETTLED` at `now`.
     ///
     /// # Errors
     /// [`Failure::Output`].
@@ -78,7 +78,7 @@ impl Diary {
         let later = self.waiting.split_off(&(now.saturating_sub(SETTLED), 0));
         let settled = std::mem::replace(&mut self.waiting, later);
         for ((at, _), entry) in &settled {
-            // Faults and broken checks are few, and never left out for a slow reader.
+            // Lines about faults and broken checks are few, and never dropped for a slow reader.
             let did = match entry {
                 Entry::Did(did) => did,
                 Entry::Fault(words) => {
@@ -98,7 +98,7 @@ impl Diary {
         Ok(())
     }
 
-    /// Shows the rest.
+    /// Shows all pending lines.
     ///
     /// # Errors
     /// [`Failure::Output`].
@@ -106,7 +106,7 @@ impl Diary {
         self.show(table, u64::MAX, out)
     }
 
-    /// Whether this line is shown: then, how many were left out before it.
+    /// If this line is shown, how many were left out before it; `None` if it is left out.
     fn pace(&mut self, did: &Did) -> Option<u32> {
         let span = did.at.saturating_sub(self.began) / SPAN;
         let pace = self.paces.get_mut(did.task.index())?;

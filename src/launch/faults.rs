@@ -1,4 +1,4 @@
-//! Faults asked for on the command line: `--loss 10%`, `--kill hoist@2s`, `--cut nl--nr@1s+40ms`.
+//! Parses the faults of the command line, and schedules them: `--loss 10%`, `--kill hoist@2s`, `--cut nl--nr@1s+40ms`.
 
 use crate::names::did_you_mean;
 use crate::time::TimeError;
@@ -7,11 +7,11 @@ use std::fmt;
 use std::str::FromStr;
 use std::time::Duration;
 
-/// A share of something, from 0 to 1; written `10%` or `0.1`.
+/// A fraction from 0 to 1, written `10%` or `0.1`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rate(pub f64);
 
-/// A node, or a task for its node, that is killed after a while.
+/// Kills a node, named by itself or by a task on it, at a certain time.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Kill {
     /// The name of the node or the task.
@@ -20,7 +20,7 @@ pub struct Kill {
     pub at: Duration,
 }
 
-/// A killed node that is started again, after so long, in its next life.
+/// Restarts a killed node at a certain time, in its next incarnation.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Restart(pub Kill);
 
@@ -32,7 +32,7 @@ impl FromStr for Restart {
     }
 }
 
-/// A link that carries nothing for a while.
+/// Cuts a link for a while: it carries nothing.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Cut {
     /// The names of the two nodes, or of tasks on them.
@@ -68,7 +68,7 @@ impl FromStr for ActionCommand {
 /// What is wrong with a fault as written.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FaultError {
-    /// Not a share.
+    /// Not a fraction.
     #[error("write a share from 0% to 100%: 10% or 0.1")]
     Rate,
     /// A number of packets, as `imrs verify` takes.
@@ -85,7 +85,7 @@ pub enum FaultError {
     /// Not `A--B@TIME+TIME`.
     #[error("write which link, when and for how long: nl--nr@1s+40ms")]
     Cut,
-    /// The time is none.
+    /// The time cannot be read.
     #[error("`{text}`: {error}")]
     Time {
         /// What was written.
@@ -104,10 +104,10 @@ pub enum FaultError {
     /// No link joins the two nodes.
     #[error("no link joins `{0}` and `{1}`")]
     NoLink(String, String),
-    /// A node is to be started again that runs.
+    /// The node to be restarted is not killed before.
     #[error("`{0}` is not killed before it is started again: add --kill {1}@TIME")]
     NotKilled(String, String),
-    /// The fault is of nodes that this run does not start.
+    /// The fault concerns nodes that this run does not start.
     #[error("`{0}` is not run here: --node runs one node only")]
     NotHere(String),
     /// The fault comes after the end of the run.
@@ -176,20 +176,20 @@ fn time(text: &str) -> Result<Duration, FaultError> {
     crate::time::parse(text).map_err(|error| FaultError::Time { text: text.into(), error })
 }
 
-/// A fault of the schedule, at its time.
+/// A scheduled fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fault {
     /// The node's process is killed.
     Kill(NodeId),
     /// The node is started again.
     Restart(NodeId),
-    /// The link between two nodes carries nothing from here on.
+    /// The link between two nodes is cut.
     Cut(NodeId, NodeId),
-    /// The link works again.
+    /// The link is repaired.
     Heal(NodeId, NodeId),
-    /// The node stands still.
+    /// The node is suspended.
     Pause(NodeId),
-    /// The node goes on.
+    /// The node is resumed.
     Resume(NodeId),
 }
 
@@ -204,7 +204,7 @@ pub struct Wanted<'a> {
     pub cut: &'a [Cut],
 }
 
-/// All faults of a run, in the order of their times, counted from the start.
+/// All faults of a run, by time since the start.
 ///
 /// # Errors
 /// A name that the cell does not have, two nodes without a link, a restart of a node that runs, or a time past the end
@@ -218,7 +218,7 @@ pub fn schedule(
     let in_time = |at: Duration, fault: &dyn fmt::Display| {
         if at < length { Ok(()) } else { Err(FaultError::TooLate(fault.to_string())) }
     };
-    // A name that is unknown is wrong whatever the time: it is told first.
+    // Names are resolved before times are checked: an unknown name is reported first.
     for kill in wanted.kill {
         let at = node(cell, &kill.name)?;
         in_time(kill.at, kill)?;
@@ -251,7 +251,7 @@ pub fn schedule(
     Ok(faults)
 }
 
-/// The node of this name, or the one that the task of this name runs on.
+/// The node of this name, or the node of the task of this name.
 pub fn node(cell: &Cell, name: &str) -> Result<NodeId, FaultError> {
     let as_node = cell.nodes.iter().position(|n| n.name == name).map(NodeId::from_index);
     let as_task = || cell.tasks.iter().find(|t| t.name == name).map(|t| t.node);
@@ -275,7 +275,7 @@ mod tests {
         for text in ["", "%", "x", "-1%", "101%", "2.0", "NaN", "inf"] {
             assert_eq!(text.parse::<Rate>(), Err(FaultError::Rate), "{text}");
         }
-        // `imrs verify` takes numbers of packets: whoever means one here would lose everything.
+        // `imrs verify` takes a number of packets. Read as a share, 1 would lose everything.
         assert_eq!("1".parse::<Rate>(), Err(FaultError::Packets(1)));
         assert_eq!(Rate(0.07).to_string(), "7%");
         assert_eq!(Rate(0.125).to_string(), "12.5%");

@@ -1,7 +1,8 @@
-//! Which incarnation of a node this is, where it runs by itself (D49, D145).
+//! Counts the incarnations of a node that runs on its own (D49, D145).
 //!
-//! A node binds its socket, locks its state, asks its neighbours, counts, syncs, and only then sends packets. So a start
-//! that fails consumes no incarnation, and a node whose state was lost takes one that its neighbours do not hold for old.
+//! The node binds its socket, locks its state, asks its neighbours, counts, and syncs the count to disk; only then does it send
+//! packets. So a failed start consumes no incarnation. A node that lost its state takes an incarnation that its neighbours do
+//! not consider old.
 
 use super::error::PlaceError;
 use super::place;
@@ -21,15 +22,15 @@ use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How long a node waits for what its neighbours remember of it.
+/// How long a node waits for its neighbours to say which incarnation of it they remember.
 const ASK_WITHIN: Duration = Duration::from_secs(1);
-/// How long a node waits for its lock: whoever only asks whether the node runs holds it for a moment.
+/// How long a node waits for its lock. A process that only asks whether the node runs holds the lock for a moment.
 const LOCK_WITHIN: Duration = Duration::from_millis(50);
-/// How often it tries.
+/// Interval between attempts to lock.
 const LOCK_EVERY: Duration = Duration::from_millis(5);
 
-/// What is remembered of a node from one start to the next: `$XDG_STATE_HOME/imrs/<cell>/<node>.life`. Locked while it is
-/// here, by `<node>.lock` beside it, which names the process.
+/// The stored incarnation of a node: `$XDG_STATE_HOME/imrs/<cell>/<node>.life`. Locked as long as this exists, by the file
+/// `<node>.lock` beside it, which holds the process id.
 #[derive(Debug)]
 pub struct State {
     folder: PathBuf,
@@ -37,23 +38,23 @@ pub struct State {
     _lock: File,
 }
 
-/// The incarnation that a node begins.
+/// The incarnation with which a node starts.
 #[derive(Debug)]
 pub struct Counted {
-    /// The node is locked while this is here.
+    /// Keeps the node locked until it is dropped.
     pub state: State,
-    /// Which one it is.
+    /// The incarnation.
     pub incarnation: Incarnation,
-    /// Whether an earlier one may have taken requests.
+    /// Whether an earlier incarnation may have taken requests.
     pub restarted: bool,
 }
 
-/// The socket of a node that runs by itself, with the addresses of its neighbours and the incarnation that the node begins.
-/// It is counted once the node has the socket, and not before (D145). Complains where neighbours remember later incarnations
-/// than this machine does, or none of them answers.
+/// Binds the socket of a node that runs on its own, sets the addresses of its neighbours, and counts its next incarnation. The
+/// count comes after the socket, so that a start without a socket consumes none (D145). Complains if neighbours remember a
+/// later incarnation than this machine, or if no neighbour answers.
 ///
 /// # Errors
-/// [`UdpError`]: the address cannot be had. [`PlaceError`]: the node runs already, cannot remember its incarnations, or a
+/// [`UdpError`]: the address cannot be bound. [`PlaceError`]: the node runs already, its incarnation cannot be stored, or a
 /// neighbour has no address.
 pub fn bind<E>(loaded: &Loaded, node: NodeId, address: SocketAddr) -> Result<(UdpLink, Counted), E>
 where
@@ -66,13 +67,13 @@ where
     let options = UdpOptions { statements, ..UdpOptions::new(Incarnation(0), false) };
     let link = UdpLink::bind(NodeTable::new(Arc::clone(&loaded.table), node), address, options);
     if let Err(UdpError::Bind { .. }) = link {
-        // Whoever has the address may be this very node.
+        // The address may be taken by this very node in another process.
         State::refuse_running(&cell.name, name)?;
     }
     let link = link?;
     for (i, peer) in cell.nodes.iter().enumerate() {
         if let Some(&address) = neighbours.get(&peer.name) {
-            // All of these are neighbours.
+            // All of these are neighbours, so this cannot fail.
             let _ = link.set_address(NodeId::from_index(i), Some(address));
         }
     }
@@ -105,10 +106,10 @@ fn count(link: &UdpLink, cell: &str, node: &str) -> Result<Counted, PlaceError> 
     Ok(Counted { state, incarnation, restarted })
 }
 
-/// The incarnation after the one before and after all that neighbours remember, and whether theirs were ahead.
+/// The incarnation after the stored one and after all that neighbours remember, and whether theirs were ahead.
 fn next(before: Option<Incarnation>, remembered: &[Incarnation]) -> (Incarnation, bool) {
     let after = |Incarnation(number): Incarnation| Incarnation(number.wrapping_add(1));
-    // A node that has lost its state has no count of its own: a neighbour that does not answer may hold zero for old.
+    // A node without stored state has no count of its own. A neighbour that does not answer may consider incarnation 0 old.
     let counted = before.map(after);
     let next = remembered.iter().fold(counted, |next, &other| {
         next.filter(|&next| supersedes(next, other)).or_else(|| Some(after(other)))
@@ -117,18 +118,18 @@ fn next(before: Option<Incarnation>, remembered: &[Incarnation]) -> (Incarnation
 }
 
 impl State {
-    /// Locks what is remembered of a node.
+    /// Locks the stored incarnation of a node.
     ///
     /// # Errors
-    /// [`PlaceError`]: another process has it, or there is no place to remember in.
+    /// [`PlaceError`]: another process holds the lock, or there is no folder for the state.
     fn lock(cell: &str, node: &str) -> Result<Self, PlaceError> {
         Self::lock_in(Self::folder(cell)?, node)
     }
 
-    /// Refuses a node that another process has locked, and changes nothing.
+    /// Fails if another process has locked the node. Changes nothing.
     ///
     /// # Errors
-    /// [`PlaceError`]: another process has it, or there is no place to remember in.
+    /// [`PlaceError`]: another process holds the lock, or there is no folder for the state.
     fn refuse_running(cell: &str, node: &str) -> Result<(), PlaceError> {
         Self::refuse_running_in(&Self::folder(cell)?, node)
     }
@@ -144,11 +145,11 @@ impl State {
         let failed = |source| PlaceError::Life { path: path.clone(), source };
         let mut lock = match File::open(&path) {
             Ok(lock) => lock,
-            // It never ran.
+            // Without a lock file the node has never run.
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
             Err(error) => return Err(failed(error)),
         };
-        // A shared lock: of several that ask, none holds up another one.
+        // The lock is shared, so that several processes that ask do not block each other.
         match flock(&lock, FlockOperation::NonBlockingLockShared) {
             Ok(()) => Ok(()),
             Err(Errno::WOULDBLOCK) => Err(runs(&mut lock, node).map_err(failed)?),
@@ -198,7 +199,7 @@ impl State {
         }
     }
 
-    /// Whole or not at all, and on the disk when this returns.
+    /// Stores an incarnation atomically; it is on disk when this returns.
     fn write(&self, Incarnation(number): Incarnation) -> Result<(), PlaceError> {
         let new = self.path.with_extension("life.new");
         let written = File::create(&new).and_then(|mut file| {
@@ -215,7 +216,7 @@ impl State {
     }
 }
 
-/// That the node runs already, in the process that the file of its lock names.
+/// The error that the node runs already, in the process that its lock file names.
 fn runs(lock: &mut File, node: &str) -> io::Result<PlaceError> {
     let mut process = String::new();
     lock.read_to_string(&mut process)?;
@@ -252,7 +253,7 @@ mod tests {
         let refused = lock("n/1").unwrap_err().to_string();
         assert!(refused.contains(&format!("process {}", std::process::id())), "{refused}");
         drop((state, lock("other").unwrap()));
-        // A program that another test of this process is starting has all files of it until it executes.
+        // A child process that another test starts holds this process's open files until it executes its program.
         let end = Instant::now() + Duration::from_secs(100);
         while let Err(error) = asked("n/1") {
             assert!(Instant::now() < end, "{error}");

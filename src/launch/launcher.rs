@@ -1,4 +1,4 @@
-//! Runs a cell: one process per node, faults on time, and a summary at the end.
+//! The launcher: runs a cell with one process per node, injects faults on time, and sums up.
 
 mod follow;
 
@@ -33,15 +33,15 @@ use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-/// How long the nodes have to get ready.
+/// Time limit for all nodes to become ready.
 const READY_WITHIN: Duration = Duration::from_secs(20);
-/// How long they have to stop.
+/// Time limit for the nodes to stop.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
-/// How long after its last word a process has to end; and how long nodes have after a second Ctrl-C.
+/// How long a process may take to end after its last message; also how long nodes have after a second Ctrl-C.
 const EXIT_WITHIN: Duration = Duration::from_secs(1);
-/// How long the summary waits for a reader that does not read.
+/// How long the summary waits for a slow reader of standard output.
 const READ_WITHIN: Duration = Duration::from_secs(5);
-/// So many words of the nodes wait for the launcher. Nodes whose words do not fit keep theirs, and count what they drop.
+/// Capacity of the queue from the nodes to the launcher. When it is full, nodes keep their own messages and count the dropped.
 const WORDS: usize = 8_192;
 
 /// The first line of `--format json`: what runs where.
@@ -53,48 +53,48 @@ struct Started<'a> {
 
 pub(super) struct Launcher<'a> {
     pub(super) run: &'a Run<'a>,
-    /// Whether the nodes are in real time: asked for, and not refused.
+    /// Whether the nodes run under the real-time scheduler: asked for, and not refused by the kernel.
     real_time: bool,
     pub(super) cell: &'a Cell,
     pub(super) setups: Vec<(NodeId, Setup)>,
     pub(super) diary: Diary,
-    /// Scripts that ended by themselves.
+    /// Tasks whose scripts have ended by themselves.
     pub(super) ended: Vec<TaskId>,
     pub(super) children: Children,
     pub(super) messages: Receiver<Message>,
     pub(super) gatherer: Gatherer,
     pub(super) judge: Judge<'a>,
-    /// What is heard of commands, where there are any.
+    /// The pipe with notices about commands of actions, if there are any.
     pub(super) noticed: Option<Noticed>,
-    /// What nodes said before all had started.
+    /// Messages that nodes sent before all nodes had started.
     pub(super) early: Vec<Message>,
     /// Nodes whose pipe has ended.
     pub(super) gone: Vec<NodeId>,
     /// The addresses of the nodes.
     pub(super) book: BTreeMap<String, SocketAddr>,
-    /// Where they serve monitors over TCP.
+    /// The TCP addresses at which nodes serve monitors.
     pub(super) observed: BTreeMap<String, SocketAddr>,
-    /// Faults to come, by their time since the start.
+    /// Faults that are still to be injected, by their time since the start.
     pub(super) faults: Vec<(Duration, Fault)>,
-    /// Faults that came, on the common clock.
+    /// Faults that were injected, with microseconds of the shared clock.
     pub(super) came: Vec<(u64, Fault)>,
-    /// The fault that waits for the cell to come to a certain point, and how often it has been there.
+    /// The fault that a demo injects at a certain action, and how often that action has begun so far.
     pub(super) moment: Option<(&'static Moment, usize)>,
-    /// What the scripts did, where a story is told.
+    /// What the scripts did, kept only for a demo's explanation.
     pub(super) deeds: Vec<Did>,
     pub(super) started: Instant,
     pub(super) trouble: Vec<Trouble>,
-    /// What was said of neighbours that do not talk.
+    /// Refusals between neighbours that have been shown already.
     pub(super) refused: BTreeSet<String>,
-    /// It was said that only servers are left.
+    /// Whether the notice that only servers are left has been shown.
     pub(super) idle_told: bool,
     pub(super) stopping: bool,
     pub(super) interrupts: Interrupts,
-    /// When the nodes must be ready, once somebody wants the run to end.
+    /// The earlier deadline for readiness, set by the first Ctrl-C.
     ready_by: Option<Instant>,
 }
 
-/// A length that no run reaches.
+/// The length of a run without a declared end.
 const WITHOUT_END: Duration = Duration::from_secs(u32::MAX as u64);
 
 /// Runs a cell.
@@ -180,7 +180,7 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     launcher.wait_for_all(|word| matches!(word, Word::Started).then_some(()))?;
 
     launcher.started = Instant::now();
-    // Whatever ends the run early, its nodes stop in order and its summary is shown.
+    // Even if following the run fails, its nodes are stopped in order and its summary is shown.
     let followed = launcher.announce(seed, &bound, out).and_then(|()| launcher.follow(length, out));
     let seconds = launcher.started.elapsed().as_secs_f64();
     let (summary, trouble) = launcher.finish(seconds, seed);
@@ -202,7 +202,7 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     Ok(if verdict == Exit::Well && !is_written { Exit::Usage } else { verdict })
 }
 
-/// Says what of the answer was not taken. Whether it could be written: a reader that does not read, or has gone, is no error.
+/// Complains about lines of the answer that nobody read. False if writing failed; a slow or vanished reader is no error.
 fn told(untaken: &Untaken) -> bool {
     let lines = count(untaken.lines, "line");
     match untaken {
@@ -218,19 +218,19 @@ fn told(untaken: &Untaken) -> bool {
     false
 }
 
-/// The notice for programs.
+/// The notice about dropped lines, for `--format json`.
 fn json_notice(lines: u64, why: &str) -> String {
     serde_json::json!({ "version": 1, "not_shown": lines, "why": why }).to_string()
 }
 
-/// Whether a task that runs here can come to its end.
+/// Whether any task that runs here can reach the end of its script.
 fn finishes(run: &Run<'_>) -> bool {
     let tasks = run.loaded.table.cell().tasks.iter().enumerate();
     let here = tasks.filter(|(_, task)| run.only.is_none_or(|only| task.node == only));
     here.map(|(at, _)| TaskId::from_index(at)).any(|task| run.loaded.can_finish(task))
 }
 
-/// Whether the faults are of this node.
+/// Checks that all faults concern this node.
 fn here(cell: &Cell, only: NodeId, faults: &[(Duration, Fault)]) -> Result<(), FaultError> {
     for (_, fault) in faults {
         match *fault {
@@ -260,15 +260,15 @@ const fn resumed(fault: Fault) -> Option<NodeId> {
     }
 }
 
-/// Something that no run should have, besides what is in its summary.
+/// A problem that makes the run a finding, beyond those in its summary.
 pub(super) struct Trouble {
-    /// Whether it is this program's fault; otherwise somebody interfered.
+    /// Whether this program is at fault; if not, the cause lies outside.
     pub(super) at_fault: bool,
     pub(super) what: String,
 }
 
-/// Broken promises are a finding, and so is a node that somebody else ended. What faults do to a run is not. Without a
-/// finding, evidence that is missing is told: a run that ends with 0 was judged as a whole.
+/// Broken promises are a finding, and so is a node that something else killed. The effects of injected faults are not.
+/// Without a finding, missing evidence makes the run incomplete: exit code 0 means that everything was judged.
 fn verdict(summary: &Summary, trouble: &[Trouble]) -> Exit {
     let false_release = summary.rendezvous.iter().any(|r| r.false_releases.is_some_and(|n| n > 0));
     let broken = summary.outcome.as_ref().is_some_and(|outcome| outcome.held == Some(false))
@@ -285,7 +285,7 @@ fn verdict(summary: &Summary, trouble: &[Trouble]) -> Exit {
 }
 
 impl Launcher<'_> {
-    /// Waits until every node has said what `wanted` picks out. Returns that by node.
+    /// Waits until every node has sent a message that `wanted` accepts. Returns the accepted values by node.
     fn wait_for_all<T>(
         &mut self,
         wanted: impl Fn(Word) -> Option<T>,
@@ -293,7 +293,7 @@ impl Launcher<'_> {
         let deadline = Instant::now() + READY_WITHIN;
         let mut heard: BTreeMap<NodeId, T> = BTreeMap::new();
         while heard.len() < self.children.len() {
-            // Nodes that are nearly ready end in order.
+            // After Ctrl-C, nodes that are nearly ready still get the time to stop in order.
             if self.interrupts.count() > 0 {
                 self.ready_by.get_or_insert_with(|| Instant::now() + EXIT_WITHIN);
             }
@@ -320,7 +320,7 @@ impl Launcher<'_> {
                     let refused = ended(Exit::Usage) || ended(Exit::System);
                     return Err(LaunchError::NotReady { name: self.name(node), refused });
                 }
-                // It is counted: this is to wake up.
+                // Only a wake-up: `interrupts` has counted the signal.
                 Ok(Message::Interrupted) => {}
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
                     let late = self.children.nodes().find(|node| !heard.contains_key(node));
@@ -339,7 +339,7 @@ impl Launcher<'_> {
         self.children.name(node).to_owned()
     }
 
-    /// Every node hears where the others serve monitors over TCP, so that one address finds all.
+    /// Tells every node the TCP addresses of all, so that a monitor finds all nodes through one of them.
     pub(super) fn tell_observed(&mut self) {
         if !self.observed.is_empty() {
             self.children.order_all(&Order::Observed(self.observed.clone()));
@@ -377,13 +377,13 @@ impl Launcher<'_> {
         }
     }
 
-    /// Stops the nodes, hears the rest of what they say, and sums up.
+    /// Stops the nodes, takes their remaining messages, and sums up.
     fn finish(mut self, seconds: f64, seed: u64) -> (Summary, Vec<Trouble>) {
         let end = now_us();
         self.gatherer.ended(end);
         self.judge.over(end);
         self.stopping = true;
-        // Who stands still hears nothing.
+        // A process that is stopped by SIGSTOP cannot read the order.
         for node in std::mem::take(&mut self.faults).into_iter().filter_map(|(_, fault)| resumed(fault)) {
             self.children.stand_still(node, false);
         }
@@ -396,7 +396,7 @@ impl Launcher<'_> {
                 break;
             }
             match self.messages.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
-                // Nothing that is heard now starts anything.
+                // No message at this point starts anything, so errors do not matter.
                 Ok(message) => drop(self.take(message)),
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => break,
             }
@@ -472,7 +472,7 @@ mod tests {
         gatherer.figures(NodeId(0), Figures::default());
         gatherer.figures(NodeId(1), Figures { unrecorded: unrecorded.clone(), ..Figures::default() });
         assert_eq!(gatherer.summary(1.0, 7, 0.0, &[]).incomplete, unrecorded);
-        // A finding comes first.
+        // A finding outranks missing evidence.
         let trouble = Trouble { at_fault: false, what: "a task failed".into() };
         assert_eq!(verdict(&summary, &[trouble]), Exit::Finding);
     }

@@ -1,4 +1,4 @@
-//! What the launcher and the nodes say to each other: one JSON document per line, over the pipes between them.
+//! The messages between the launcher and its nodes: one JSON document per line, over pipes.
 
 use super::deed::Did;
 use crate::cells::Source;
@@ -12,58 +12,58 @@ use std::io::{self, BufRead, Write};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-/// The first line to a node: who it is.
+/// The first line to a node: its identity and how it runs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Setup {
     /// The cell.
     pub cell: Source,
     /// The name of the node.
     pub node: String,
-    /// Which incarnation of the node this is.
+    /// The incarnation that starts.
     pub incarnation: u8,
-    /// Whether an earlier one may have taken requests (D49).
+    /// Whether an earlier incarnation may have taken requests (D49).
     pub restarted: bool,
-    /// Whether the node counts its incarnations itself: it is the only one that this launcher runs.
+    /// Whether the node counts its incarnations itself, because it is the only one that this launcher runs.
     pub counts: bool,
-    /// Where its socket is; any free port of the loopback where nothing is said.
+    /// The address of its socket; none: any free port of the loopback.
     pub bind: Option<SocketAddr>,
-    /// Where it serves monitors over TCP.
+    /// The TCP address at which it serves monitors.
     pub observe: Option<SocketAddr>,
-    /// What monitors must show it there.
+    /// The token that monitors must present there.
     pub observe_token: Option<Token>,
     /// Whether it runs under the real-time scheduler.
     pub rt: bool,
-    /// Seeds the injected loss and the lengths of the tasks' work.
+    /// The seed of the injected losses and of the durations of simulated actions.
     pub seed: u64,
-    /// The share of its datagrams that the node loses on purpose.
+    /// The share of outgoing datagrams that the node drops on purpose.
     pub loss: f64,
-    /// The file for what goes into the node's communication tasks.
+    /// The file in which the inputs of the node's communication tasks are recorded.
     pub record: Option<PathBuf>,
-    /// Whether that file replaces one of its name.
+    /// Whether that file may replace an existing one.
     pub force: bool,
-    /// By action, the command to execute for it.
+    /// The command to execute for each action.
     pub actions: BTreeMap<String, Vec<String>>,
-    /// The pipe in which the launcher is told of commands; where there are any.
+    /// The pipe for notices to the launcher about commands, if there are any.
     pub notices: Option<PathBuf>,
-    /// What simulated actions give as time goes on.
+    /// How results of simulated actions change with time.
     pub courses: Vec<Course>,
 }
 
-/// Every later line to a node. The end of the pipe is the end of the launcher, and of the node.
+/// Every later line to a node. When the pipe ends, the launcher has exited, and the node stops.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Order {
-    /// The address book: by the name of the node. With the first one the node starts; a later one says what is new.
+    /// The addresses of nodes by name. The first book starts the node; a later one holds changed addresses.
     Book(BTreeMap<String, SocketAddr>),
-    /// Where the nodes serve monitors over TCP: by the name of the node.
+    /// The TCP addresses at which nodes serve monitors, by node name.
     Observed(BTreeMap<String, SocketAddr>),
-    /// From now on, sends nothing to this node.
+    /// Stop sending to this node.
     Cut(String),
-    /// Sends to it again.
+    /// Send to this node again.
     Heal(String),
-    /// Stop, and say how it went.
+    /// Stop in order, and report the final counters.
     Stop,
-    /// Be gone, as after a power cut: for a node that shares its process with others.
+    /// Stop as after a power cut. Only for a node that shares its process with others.
     Die,
 }
 
@@ -71,69 +71,69 @@ pub enum Order {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Word {
-    /// The node has its way to the others.
+    /// The node has bound its link.
     Bound {
-        /// Its socket, if it has a process of its own.
+        /// The address of its socket, if it has one.
         address: Option<SocketAddr>,
-        /// Where it serves monitors over TCP.
+        /// The TCP address at which it serves monitors.
         observe: Option<SocketAddr>,
     },
-    /// The scripts of these tasks begin only after so many microseconds: the node was restarted.
+    /// The node was restarted: the scripts of these tasks are held back for so many microseconds.
     HeldBack(Vec<(TaskId, u64)>),
     /// The node's tasks run.
     Started,
     /// Something happened at a waitfor.
     Event(Event),
-    /// The node's figures since its start.
+    /// The node's counters since its start.
     Figures(Box<Figures>),
-    /// A script did something worth a line.
+    /// A script did something that the event log shows.
     Did(Did),
     /// A script ended by itself.
     TaskEnded {
         /// Its task.
         task: TaskId,
-        /// How, in words.
+        /// How it ended, for people.
         how: String,
-        /// What to think of it.
+        /// How that counts for the verdict.
         sort: EndSort,
     },
-    /// What checks ask of a task has changed.
+    /// Values of a task that checks read have changed.
     Stands(Change),
-    /// Everything that was before this instant has been told, in microseconds of the clock that all processes share.
+    /// Everything before this instant has been reported. Microseconds of the clock that all processes share.
     Told(u64),
-    /// The node could not keep everything that its scripts did from this instant on, because the launcher did not read.
+    /// Events of the scripts since this instant are missing, because the launcher did not read.
     Untold {
         /// In microseconds of the clock that all processes share.
         since: u64,
     },
-    /// Everything has been said.
+    /// The last message: everything has been reported.
     Done,
 }
 
-/// What to think of the end of a script.
+/// How the end of a script counts for the verdict.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EndSort {
-    /// It came to its end, or lost its lease.
+    /// It finished, or lost its lease.
     Well,
-    /// It gave up, as its text says.
+    /// It aborted.
     Aborted,
-    /// It did what must not be.
+    /// An assertion failed, or a statement could not be executed.
     Failed,
 }
 
 /// Something that happened at a waitfor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Event {
-    /// When, on the monotonic clock that all processes of one machine share, in microseconds.
+    /// When, in microseconds of the boot-time clock that all processes of one machine share.
     pub at: u64,
-    /// To which task.
+    /// The task.
     pub task: TaskId,
-    /// On which port.
+    /// The port of the waitfor.
     pub port: PortId,
-    /// In which round.
+    /// The round.
     pub round: Round,
-    /// What.
+    /// What happened.
     pub what: What,
 }
 
@@ -143,59 +143,59 @@ pub struct Event {
 pub enum What {
     /// The task's arrival in this round was announced.
     Announced,
-    /// The task runs on.
+    /// All have arrived: the task runs on.
     Released,
-    /// The task's time_out ended first.
+    /// The task's time_out ended before all had arrived.
     GaveUp {
-        /// How long it waited, in microseconds.
+        /// Time waited, in microseconds.
         waited: u64,
         /// Bit `i`: party `i` of the port (owner first) had not arrived.
         missing: u64,
     },
 }
 
-/// What a node has counted since its start.
+/// Counters of a node since its start.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
-    /// By task and port.
+    /// Counters of each port of each task.
     pub ports: Vec<(TaskId, PortId, PortCounters)>,
     /// How the class-2 messages of its tasks ended.
     pub outcomes: Outcomes,
-    /// What its machines dropped, by reason.
+    /// Packets and messages that its state machines dropped, by reason.
     pub discards: BTreeMap<String, u64>,
-    /// What its link dropped, by reason.
+    /// Packets that its link dropped, by reason.
     pub link_discards: BTreeMap<String, u64>,
-    /// What its link counted besides.
+    /// Other counters of its link.
     pub link: BTreeMap<String, u64>,
-    /// Packets that left by its transit buffer: its own and those that it relayed.
+    /// Packets that left through its transit buffer: its own, and those that it relayed.
     pub forwarded: u64,
     /// Packets that its link lost on purpose.
     pub lost_on_purpose: u64,
-    /// Packets that its link held back because of a cut.
+    /// Packets that its link dropped because of a cut.
     pub cut_off: u64,
-    /// The neighbours that it cannot talk to at the end.
+    /// The neighbours that it refuses, because their cells differ.
     pub refusals: Vec<RefusalFigures>,
-    /// What happened and could not be told: it came too fast, or the launcher did not read.
+    /// Number of events that were not reported: they came too fast, or the launcher did not read.
     pub untold: u64,
-    /// What its recording misses, in words.
+    /// What its recording lacks, for people.
     pub unrecorded: Vec<String>,
 }
 
-/// A neighbour that a node cannot talk to, because their cells differ. Digests in hexadecimal digits.
+/// A neighbour whose cell differs, so that the two nodes do not communicate. Digests are hexadecimal.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RefusalFigures {
     /// The neighbour.
     pub neighbour: String,
     /// `other_cell` or `other_statements`.
     pub reason: String,
-    /// The digest that differs, of this node.
+    /// This node's digest, which differs.
     pub ours: String,
-    /// The same of the neighbour.
+    /// The neighbour's digest.
     pub theirs: String,
 }
 
 impl RefusalFigures {
-    /// What a person should know.
+    /// The message for people.
     pub fn words(&self, node: &str) -> String {
         let Self { neighbour, reason, ours, theirs } = self;
         let what = if reason == "other_cell" { "declarations" } else { "statements" };
@@ -210,13 +210,13 @@ impl RefusalFigures {
 pub struct Outcomes {
     /// Answered.
     pub replies: u64,
-    /// Refused for space.
+    /// Refused, because there was no space.
     pub refused: u64,
     /// Timed out before any copy left.
     pub timed_out_unsent: u64,
-    /// Timed out; they may have run.
+    /// Timed out after a copy left: they may have run.
     pub timed_out_unknown: u64,
-    /// The peer restarted meanwhile; they may have run.
+    /// The peer restarted before the answer: they may have run.
     pub peer_restarted: u64,
 }
 
@@ -231,7 +231,7 @@ impl std::ops::AddAssign for Outcomes {
 }
 
 impl Figures {
-    /// Adds those of another incarnation of the node.
+    /// Adds the counters of another incarnation of the node.
     pub fn add(&mut self, other: &Self) {
         self.ports.extend_from_slice(&other.ports);
         self.outcomes += other.outcomes;
@@ -254,10 +254,10 @@ impl Figures {
     }
 }
 
-/// Writes a line.
+/// Writes a value as one line.
 ///
 /// # Errors
-/// The pipe's: most likely the other side has gone.
+/// The pipe failed: most likely the other process has exited.
 pub fn say(pipe: &mut impl Write, line: &impl Serialize) -> io::Result<()> {
     let mut text = serde_json::to_vec(line)?;
     text.push(b'\n');
@@ -265,10 +265,10 @@ pub fn say(pipe: &mut impl Write, line: &impl Serialize) -> io::Result<()> {
     pipe.flush()
 }
 
-/// Reads a line; `None` at the end of the pipe. A last line without an end, of a process that was killed, is the end.
+/// Reads one line; `None` at the end of the pipe. An unfinished last line comes from a killed process, and counts as the end.
 ///
 /// # Errors
-/// The pipe's, or a line that is not one of these.
+/// The pipe failed, or the line does not parse.
 pub fn hear<T: for<'de> Deserialize<'de>>(pipe: &mut impl BufRead) -> io::Result<Option<T>> {
     let mut text = String::new();
     pipe.read_line(&mut text)?;

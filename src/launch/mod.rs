@@ -1,8 +1,8 @@
-//! Running a cell: one process per node over loopback UDP, or all nodes in one process.
+//! Runs a cell: one process per node over loopback UDP, or all nodes in one process.
 //!
-//! The launcher starts this program again for every node, collects the addresses of their sockets over pipes, hands the
-//! address book round, injects the faults on time and sums up what the nodes tell. It is no part of the cell: no message
-//! between nodes passes it.
+//! The launcher starts this executable again for every node and collects the addresses of their sockets over pipes. It then
+//! distributes the address book, injects the faults on time, and sums up what the nodes report. It is not part of the cell:
+//! no message between nodes passes through it.
 
 mod children;
 mod clock;

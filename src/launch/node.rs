@@ -1,4 +1,4 @@
-//! One node of a run: does what its launcher says, in a process or a thread of its own.
+//! Runs one node of a cell under the orders of its launcher, in a process or a thread of its own.
 
 use super::deed::{Deed, Did, Lease};
 use super::error::PlaceError;
@@ -33,30 +33,30 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How often the node tells what its machines observed.
+/// How often the node reports events to the launcher.
 const TELL_EVERY: Duration = Duration::from_millis(20);
-/// How often it tells its figures: what a killed node did last is known this well.
+/// How often the node reports its counters. The counters of a killed node are at most this old.
 const COUNT_EVERY: Duration = Duration::from_millis(200);
-/// How many observations of each machine are read at once: all that are kept.
+/// How many observations of each machine are read at once: all that it keeps.
 const ROOM: usize = usize::MAX;
-/// How often a neighbour that does not answer is greeted again: with each telling of the figures, for two seconds.
+/// How often a neighbour that does not answer is greeted again: with each report of the counters, for two seconds.
 const GREETINGS: u32 = 10;
-/// How long the tasks have to end.
+/// How long the tasks have to end when the node stops.
 const PATIENCE: Duration = Duration::from_secs(2);
 
-/// Why a node could not do its part.
+/// Why a node failed.
 #[derive(Debug, thiserror::Error)]
 pub enum NodeError {
     /// The pipes to the launcher failed.
     #[error("node: the launcher's pipe failed: {0}")]
     Pipe(#[from] io::Error),
-    /// The launcher said something that makes no sense.
+    /// The setup from the launcher does not fit its cell.
     #[error("node: the launcher asked for {0}")]
     Setup(String),
-    /// The node has no socket.
+    /// The UDP socket of the node cannot be opened.
     #[error("node: {0}")]
     Link(#[from] UdpError),
-    /// The node cannot run by itself.
+    /// The node cannot run on its own.
     #[error("node: {0}")]
     Place(#[from] PlaceError),
     /// The node did not start.
@@ -65,7 +65,7 @@ pub enum NodeError {
     /// The node cannot record.
     #[error("node: cannot record: {0}")]
     Record(#[from] WriteError),
-    /// The node cannot be watched where that was asked for.
+    /// Monitors cannot be served at the requested address.
     #[error("node: {0}")]
     Observe(#[from] ObserverError),
 }
@@ -74,7 +74,7 @@ impl NodeError {
     /// The exit code it leads to.
     pub const fn exit(&self) -> Exit {
         match self {
-            // What was asked for cannot be had on this machine.
+            // This machine cannot provide what the command line asked for.
             Self::Link(_) | Self::Place(_) | Self::Record(_) | Self::Observe(_) => Exit::Usage,
             Self::Pipe(_) | Self::Setup(_) | Self::Start(_) => Exit::Internal,
         }
@@ -82,50 +82,50 @@ impl NodeError {
 }
 
 type FaultyWay = FaultyLink<Way>;
-/// What the launcher hears.
+/// The pipe to the launcher.
 type Words = Box<dyn Write + Send>;
 
 struct Process {
     table: NodeTable,
     link: Arc<FaultyWay>,
-    /// Locked while the node runs, where it runs by itself.
+    /// The lock on the node's stored incarnation, if the node runs on its own.
     _state: Option<State>,
-    /// How often neighbours that were not heard are greeted again.
+    /// How many more times silent neighbours are greeted.
     greetings: u32,
-    /// Here until it is stopped.
+    /// None once it has been stopped.
     runtime: Option<Runtime>,
     node: Arc<imrs_runtime::Node>,
-    /// Monitors are served while these are here. A node runs without the first, too.
+    /// Monitors are served until these two are dropped. A node also runs without the first one, at the Unix socket.
     _observer: Option<Observer>,
     over_tcp: Option<Observer>,
-    /// Where the other nodes serve monitors over TCP.
+    /// The TCP addresses at which the other nodes serve monitors.
     observed_at: AddressBook,
     observations: Observations,
     recording: Option<NodeRecording>,
-    /// What the scripts do.
+    /// Collects the events of the scripts.
     narrator: Arc<Narrator>,
     untold: u64,
-    /// What its recording misses, once that has ended.
+    /// What the recording lacks, known once it has ended.
     unrecorded: Option<String>,
-    /// Whether it was told where the others are: its scripts begin then, unless they are held back.
+    /// Whether the address book has come. The scripts then begin, unless they are held back.
     has_book: bool,
-    /// When the next script begins that is held back.
+    /// When the next held-back script begins.
     begins: Option<Instant>,
     out: Teller,
 }
 
-/// Runs the node that standard input describes until it is told to stop, or until the launcher has gone.
+/// Runs the node that standard input describes until the launcher orders a stop, or exits.
 ///
 /// # Errors
 /// [`NodeError`].
 pub fn run_process() -> Result<(), NodeError> {
-    // A launcher that is killed cannot tell its nodes. Without the call, the end of the pipe tells them.
+    // A killed launcher cannot stop its nodes, so the kernel kills them. If this call fails, the end of the pipe stops them.
     let _ = set_parent_process_death_signal(Some(Signal::KILL));
     run(BufReader::new(io::stdin()), Box::new(io::stdout()), None)
 }
 
-/// Runs the node that `input` describes until it is told to stop, or until the launcher has gone. Within a process of
-/// several nodes, a network joins them.
+/// Runs the node that `input` describes until the launcher orders a stop, or exits. If several nodes share this process,
+/// `network` joins them.
 ///
 /// # Errors
 /// [`NodeError`].
@@ -153,13 +153,13 @@ pub fn run(
     }
 }
 
-/// How a node leaves.
+/// How a node ends its run.
 enum Leave {
     InOrder,
     AtOnce,
 }
 
-/// Reads the launcher's orders until it has gone.
+/// Reads the launcher's orders until the pipe ends.
 fn listen(mut input: impl BufRead, orders: &Sender<Order>) {
     while let Ok(Some(order)) = hear(&mut input) {
         if orders.send(order).is_err() {
@@ -175,10 +175,10 @@ impl Process {
         let id = cell.cell().nodes.iter().position(|n| n.name == setup.node).map(NodeId::from_index);
         let id = id.ok_or_else(|| NodeError::Setup(format!("the node `{}`", setup.node)))?;
         let table = NodeTable::new(Arc::clone(&cell), id);
-        // Before any other thread of the node: they are started in its likeness.
+        // Set before any other thread of the node starts: threads inherit the scheduling.
         let real_time = if setup.rt { rt::begin(id.index()) } else { RealTime::NotAsked };
         if network.is_none() {
-            // The reader of standard error may stand still. Where nodes share a process the launcher saw to it.
+            // A slow reader of standard error must not block the node. For nodes in its own process the launcher has done this.
             rt::behind(|| complain_aside(ProgressBar::hidden()))?;
         }
 
@@ -193,7 +193,7 @@ impl Process {
             }
         };
         let life = Incarnation(setup.incarnation);
-        // Of all links of the cell, no two lose the same datagrams.
+        // Each node seeds its losses differently, so that no two links lose the same datagrams.
         let link = Arc::new(FaultyLink::new(way, setup.seed.wrapping_add(u64::from(id.0))));
         link.set_loss(setup.loss);
 
@@ -214,7 +214,7 @@ impl Process {
             builder = builder.script(name, Arc::clone(&script.program));
         }
         let recording = match &setup.record {
-            // Who writes comes after who works, too.
+            // The recorder's thread runs below the tasks, like the observer's.
             Some(path) => Some(rt::behind(|| NodeRecording::start(path, setup, &loaded, &table))?),
             None => None,
         };
@@ -259,7 +259,7 @@ impl Process {
         })
     }
 
-    /// Does what the launcher orders, and tells it what happens.
+    /// Carries out the launcher's orders, and reports events and counters.
     fn serve(&mut self, orders: &Receiver<Order>) -> Result<Leave, NodeError> {
         let mut counted = Instant::now();
         let mut tell_at = Instant::now() + TELL_EVERY;
@@ -279,8 +279,8 @@ impl Process {
                 Err(RecvTimeoutError::Timeout) if tell_at > Instant::now() => {}
                 Err(RecvTimeoutError::Timeout) => {
                     tell_at = Instant::now() + TELL_EVERY;
-                    // A launcher that stands still keeps the node from nothing: what is not told yet is kept, and counted
-                    // where it does not fit.
+                    // A stopped launcher must not block the node. While its queue is full, events stay in bounded buffers,
+                    // which count what they drop.
                     if !self.out.has_room() {
                         continue;
                     }
@@ -298,7 +298,7 @@ impl Process {
     fn begin(&mut self, book: &BTreeMap<String, SocketAddr>) -> Result<(), NodeError> {
         for (name, &address) in book {
             if let Some(node) = self.node_named(name).filter(|&node| node != self.table.node) {
-                // A node without a link to this one needs no address here.
+                // A node without a link to this one needs no address here, so that error is ignored.
                 let _ = self.link.inner().udp().map(|udp| udp.set_address(node, Some(address)));
             }
         }
@@ -315,7 +315,7 @@ impl Process {
         Ok(self.out.say(Word::Started)?)
     }
 
-    /// Greets the neighbours that were not heard yet: so both sides learn early whether they can talk.
+    /// Greets the neighbours that have not been heard yet, so that both sides learn early whether they can communicate.
     fn greet(&mut self) {
         if self.greetings > 0 {
             self.greetings -= 1;
@@ -323,7 +323,7 @@ impl Process {
         }
     }
 
-    /// Passes on to monitors where the other nodes are.
+    /// Stores the TCP addresses of the other nodes' observers, for monitors.
     fn observed(&self, places: &BTreeMap<String, SocketAddr>) {
         for (name, &address) in places {
             if let Some(node) = self.node_named(name).filter(|&node| node != self.table.node) {
@@ -342,7 +342,7 @@ impl Process {
         self.table.cell().nodes.iter().position(|n| n.name == name).map(NodeId::from_index)
     }
 
-    /// As after a power cut: nothing that the node still does leaves it.
+    /// Stops as after a power cut: all links are cut first, so that nothing more leaves the node.
     fn die(mut self) {
         for neighbour in self.table.neighbours(self.table.node) {
             self.link.set_cut(neighbour, true);
@@ -350,13 +350,13 @@ impl Process {
         drop(self.runtime.take().map(|runtime| runtime.stop(PATIENCE)));
     }
 
-    /// Stops the tasks, and tells the rest.
+    /// Stops the tasks, reports all remaining events, and ends the recording.
     fn end(mut self) -> Result<(), NodeError> {
-        // What scripts came to was told when they ended.
+        // The ends of scripts have been reported already, so the returned ends are not needed.
         drop(self.runtime.take().map(|runtime| runtime.stop(PATIENCE)));
         self.tell()?;
         self.count()?;
-        // The launcher has the figures already, should the disk take longer than it waits.
+        // The counters above reach the launcher even if the disk takes longer than the launcher waits.
         self.unrecorded = self.recording.take().and_then(|recording| recording.stop(PATIENCE));
         if self.unrecorded.is_some() {
             self.count()?;
@@ -367,12 +367,12 @@ impl Process {
 
     fn tell(&mut self) -> Result<(), NodeError> {
         let until = self.narrator.is_asked().then(|| self.node.told_until());
-        // Taken before the observations, and told after them: no release is told whose announcement is not.
+        // Script events are taken before the observations and sent after them: an announcement always precedes its release.
         let (narrated, lost) = self.narrator.take();
         let mut observed = Vec::new();
         let missed = self.observations.drain(ROOM, &mut observed);
         self.untold += missed;
-        // First: whoever judges the words must know that others are missing.
+        // The counters go first: the receiver must know that events are missing before it judges the others.
         if missed > 0 || lost.is_some() {
             self.count()?;
         }
@@ -391,7 +391,7 @@ impl Process {
         until.map_or(Ok(()), |until| Ok(self.out.say(Word::Told(until))?))
     }
 
-    /// The neighbours that it cannot talk to.
+    /// The neighbours that this node refuses, because their cells differ.
     fn refusals(&self) -> Vec<RefusalFigures> {
         let Some(link) = self.link.inner().udp() else { return Vec::new() };
         let one = |refusal: Refusal| {
@@ -440,7 +440,7 @@ impl Process {
     }
 }
 
-/// The socket of a node. One that runs by itself counts its incarnation.
+/// Binds the socket of a node. A node that runs on its own also counts its incarnation.
 fn socket(
     setup: &mut Setup,
     loaded: &Loaded,
@@ -458,7 +458,7 @@ fn socket(
     Ok((link, Some(counted.state)))
 }
 
-/// Who carries out the actions of the scripts.
+/// The executor of the scripts' actions: commands where they are given, simulation otherwise.
 fn actions(setup: &Setup, loaded: &Loaded) -> Result<Arc<dyn Actions>, NodeError> {
     let results = loaded.results();
     let reals = results.iter().filter(|result| matches!(result.give, Give::Real(..)));
@@ -473,12 +473,12 @@ fn actions(setup: &Setup, loaded: &Loaded) -> Result<Arc<dyn Actions>, NodeError
     Ok(Arc::new(commands.tell(|action, error| complain(format_args!("action `{action}`: {error}")))))
 }
 
-/// The counters that counted anything.
+/// The counters that are not zero, by name.
 fn named(counts: &[Count]) -> BTreeMap<String, u64> {
     counts.iter().filter(|c| c.count > 0).map(|c| (c.name.clone(), c.count)).collect()
 }
 
-/// The announcement of a round, if that is what was observed.
+/// Converts an observed announcement of a round; none for any other event.
 fn announcement(event: &TimedEvent) -> Option<Event> {
     let task = event.task?;
     let announced = matches!(event.what.event, Observed::Reached | Observed::Rejoined);
@@ -492,7 +492,7 @@ fn announcement(event: &TimedEvent) -> Option<Event> {
     })
 }
 
-/// What became of a lease, if that is what was observed.
+/// Converts an observed change of a lease; none for any other event.
 fn lease(event: &TimedEvent) -> Option<Did> {
     let lease = match event.what.event {
         Observed::Granted => Lease::Granted,

@@ -1,5 +1,5 @@
-//! What the launcher hears of the commands of its nodes: from the nodes before a command begins, from its guard when all of it has ended. It
-//! comes through a named pipe, so that it comes even if the node is dead (D142).
+//! Notices about the commands of actions: a node writes one before a command begins, and its guard when all of it has ended.
+//! They come through a named pipe, and so arrive even if the node is dead (D142).
 
 use imrs_runtime::guard::Notice;
 use rustix::fs::{CWD, FileType, Mode, OFlags, mknodat, open};
@@ -8,36 +8,36 @@ use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
-/// The launcher's end of the pipe.
+/// The launcher's end of the named pipe.
 pub struct Noticed {
     path: PathBuf,
     pipe: File,
-    /// What was read of a line whose end is still to come.
+    /// The beginning of a line that has not been read to its end.
     begun: Vec<u8>,
     _dir: TempDir,
 }
 
 impl Noticed {
-    /// Makes the pipe, in a folder that only this user can open.
+    /// Creates the pipe, in a folder that only this user can open.
     ///
     /// # Errors
-    /// There is no folder for temporary files, or it takes no pipe.
+    /// There is no folder for temporary files, or a pipe cannot be created in it.
     pub fn new() -> io::Result<Self> {
         let dir = tempfile::Builder::new().prefix("imrs").tempdir()?;
         let path = dir.path().join("commands");
         mknodat(CWD, &path, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0)?;
-        // Open for writing, too: so it is never at its end.
+        // Opened for writing, too, so that reading never meets the end of the file.
         let flags = OFlags::RDWR | OFlags::NONBLOCK | OFlags::CLOEXEC;
         let pipe = File::from(open(&path, flags, Mode::empty())?);
         Ok(Self { path, pipe, begun: Vec::new(), _dir: dir })
     }
 
-    /// Where nodes and guards write.
+    /// The path at which nodes and guards write.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// All notices that are there. Whatever a process wrote before it was killed is among them.
+    /// Reads all pending notices. What a process wrote before it was killed is among them.
     pub fn drain(&mut self) -> Vec<Notice> {
         let mut bytes = [0; 1 << 14];
         while let Ok(read @ 1..) = self.pipe.read(&mut bytes) {

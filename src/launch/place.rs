@@ -1,4 +1,4 @@
-//! Where a node is when it runs by itself: its address, and those of its neighbours.
+//! Resolves the address of a node that runs on its own, and those of its neighbours.
 
 use super::error::PlaceError;
 use crate::cells::Loaded;

@@ -1,4 +1,4 @@
-//! Writes down what goes into the communication tasks of a node (D62).
+//! Records the inputs of a node's communication tasks (D62).
 
 use super::lines::Setup;
 use crate::cells::Loaded;
@@ -21,11 +21,11 @@ pub struct NodeRecording {
 }
 
 impl NodeRecording {
-    /// Begins a recording in a new file, which only its owner can read. Called once the node is bound and locked: only then
-    /// may it replace the recording of an earlier run, where that was asked for (D151).
+    /// Begins a recording in a new file that only its owner can read. Called once the node is bound and locked: only then may
+    /// it replace the recording of an earlier run, if `--force` allows that (D151).
     ///
     /// # Errors
-    /// The file cannot be made or written.
+    /// The file cannot be created or written.
     pub fn start(path: &Path, setup: &Setup, loaded: &Loaded, table: &NodeTable) -> Result<Self, WriteError> {
         let made = files::free(path, setup.force).and_then(|()| files::create(path));
         let file = made.map_err(io::Error::from)?;
@@ -41,12 +41,12 @@ impl NodeRecording {
         Ok(Self { recorder: FileRecorder::start(file, table, &about, failed)?, path })
     }
 
-    /// Who is told of every input.
+    /// The recorder that receives every input.
     pub fn recorder(&self) -> Arc<dyn Recorder> {
         Arc::clone(&self.recorder) as Arc<dyn Recorder>
     }
 
-    /// How it goes, for monitors.
+    /// The status of the recording, for monitors.
     pub fn watch(&self, path: &Path) -> RecordingWatch {
         let (recorder, path) = (Arc::clone(&self.recorder), path.display().to_string());
         Arc::new(move || {
@@ -55,12 +55,12 @@ impl NodeRecording {
         })
     }
 
-    /// What the recording misses so far; `None`: nothing.
+    /// What the recording lacks so far; `None`: nothing.
     pub fn missing(&self) -> Option<String> {
         self.recorder.status().and_then(|status| self.words(&status))
     }
 
-    /// Ends the recording and says what it misses; `None`: nothing.
+    /// Ends the recording, and returns what it lacks; `None`: nothing.
     pub fn stop(self, patience: Duration) -> Option<String> {
         let status = self.recorder.stop(patience)?;
         self.words(&status)

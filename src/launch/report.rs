@@ -1,4 +1,4 @@
-//! The summary of a run, as a person reads it.
+//! Prints the start and the summary of a run, for people.
 
 use super::faults::Restart;
 use super::run::Run;
@@ -11,22 +11,22 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 
-/// A node that runs.
+/// A running node.
 #[derive(Clone, Debug, Serialize)]
 pub struct StartedNode<'a> {
     /// Its name.
     pub name: &'a str,
     /// Its tasks.
     pub tasks: Vec<&'a str>,
-    /// Its process.
+    /// The id of its process.
     pub pid: u32,
     /// Its socket, if it has one.
     pub address: Option<SocketAddr>,
-    /// Where it serves monitors over TCP.
+    /// The TCP address at which it serves monitors.
     pub observe: Option<SocketAddr>,
 }
 
-/// Says what runs, and how to watch it.
+/// Prints what runs, and how to watch it.
 ///
 /// # Errors
 /// [`Failure::Output`].
@@ -102,7 +102,7 @@ fn faults(args: &LaunchArgs, seed: u64) -> Vec<String> {
     faults
 }
 
-/// Says what came of the run.
+/// Prints the summary of a run.
 ///
 /// # Errors
 /// [`Failure::Output`].
@@ -111,7 +111,7 @@ pub fn summary(summary: &Summary, table: &CellTable, run: &Run<'_>, out: &mut Ou
     for rendezvous in &summary.rendezvous {
         meetings(rendezvous, out)?;
     }
-    // Of a cell whose tasks tell each other nothing there is nothing to tell.
+    // A cell without ports has no figures of messages.
     if !summary.ports.is_empty() {
         commands(summary, out)?;
         ports(summary, out)?;
@@ -146,7 +146,7 @@ pub fn summary(summary: &Summary, table: &CellTable, run: &Run<'_>, out: &mut Ou
     }
 }
 
-/// A sentence or two, in lines that fit a narrow terminal.
+/// Wraps a sentence or two for a narrow terminal.
 fn wrapped(words: &str, out: &mut Output) -> Result<(), Failure> {
     let mut line = String::from(" ");
     for word in words.split(' ') {
@@ -232,7 +232,7 @@ fn ports(summary: &Summary, out: &mut Output) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Whether others reach each other through this node.
+/// Whether this node relays: two of its neighbours have no link to each other.
 fn relays(table: &CellTable, name: &str) -> bool {
     let Some(node) = table.cell().nodes.iter().position(|node| node.name == name) else { return false };
     let neighbours: Vec<_> = table.neighbours(imrs_protocol::NodeId::from_index(node)).collect();

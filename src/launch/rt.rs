@@ -1,5 +1,5 @@
-//! The real-time scheduler of the kernel, where it was asked for (`--rt`): SCHED_FIFO, memory that stays, one core for each
-//! node. What the kernel refuses is said once by the launcher and shown by every node; the nodes run without it.
+//! Sets up the kernel's real-time scheduling (`--rt`): SCHED_FIFO, locked memory, and one core per node. If the kernel refuses
+//! any of these, the launcher says so once, every node shows it to monitors, and the nodes run without it.
 
 use imrs_wire::obs::RealTime;
 use rustix::io::Errno;
@@ -12,34 +12,34 @@ use thread_priority::{
     RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
 };
 
-/// The cores that the process had before it took one.
+/// The cores that the process was allowed to use before it was pinned to one.
 static CORES: OnceLock<CpuSet> = OnceLock::new();
 
-/// Of a hundred: above all ordinary threads, below what the kernel itself runs in real time.
+/// Priority of the tasks on a scale of 100: above all ordinary threads, below the kernel's own real-time threads.
 const PRIORITY: u8 = 20;
-/// The least of a thread under SCHED_FIFO.
+/// The lowest priority under SCHED_FIFO.
 const LAST: u8 = 1;
 
-/// Why there is no real time.
+/// Why real-time scheduling is refused.
 #[derive(Debug, thiserror::Error)]
 pub enum RtError {
-    /// The memory may not be locked.
+    /// Memory may not be locked.
     #[error(
         "--rt: the kernel does not let this user lock memory ({0}): raise `memlock` to unlimited in /etc/security/limits.conf, or give the program the right with `setcap cap_ipc_lock,cap_sys_nice+ep`"
     )]
     Memory(Errno),
-    /// The scheduler may not be chosen.
+    /// SCHED_FIFO may not be chosen.
     #[error(
         "--rt: the kernel does not let this user choose SCHED_FIFO ({0}): set `rtprio` to 50 in /etc/security/limits.conf, or give the program the right with `setcap cap_ipc_lock,cap_sys_nice+ep`"
     )]
     Scheduler(String),
-    /// The core may not be chosen.
+    /// A core may not be chosen.
     #[error("--rt: the kernel does not let this user choose a core ({0})")]
     Core(Errno),
 }
 
-/// From here on this thread, and every thread that it starts, runs under SCHED_FIFO on one core; the memory of the process
-/// stays in its place. Nodes take the cores that the process may use in turns, by their `place` in the cell.
+/// Puts this thread, and every thread that it starts from now on, under SCHED_FIFO on one core, and locks the memory of the
+/// process. Nodes take the allowed cores in turn, by their `place` in the cell.
 pub fn begin(place: usize) -> RealTime {
     let refused = [lock().is_err(), choose(PRIORITY).is_err(), pin(place).is_err()];
     match refused {
@@ -48,15 +48,15 @@ pub fn begin(place: usize) -> RealTime {
     }
 }
 
-/// Starts `what` in the likeness of a thread that comes after all tasks and before ordinary programs, on any core that the
-/// process may use. Who looks must never come before who works; and no ordinary program may hold it up while it holds the
-/// lock of a communication task, which a task would wait for. A task of another node on the same core still may.
+/// Runs `what` on a thread with the lowest real-time priority, on any allowed core; threads that it starts inherit both.
+/// Observers must never preempt tasks. Yet ordinary programs must not preempt an observer that holds the lock of a
+/// communication task: a task would wait for that lock. A task of another node on the same core still may.
 pub fn behind<T: Send>(what: impl FnOnce() -> T + Send) -> T {
-    // Nobody asked for `--rt`: all threads are ordinary ones.
+    // Without `--rt` all threads are ordinary ones.
     let Some(cores) = CORES.get() else { return what() };
     thread::scope(|scope| {
         let likeness = scope.spawn(|| {
-            // Without the right to it the tasks are ordinary threads, too, and this stays one.
+            // If the kernel refuses this, the tasks run as ordinary threads, and so does this one.
             let _ = choose(LAST);
             let _ = sched_setaffinity(None, cores);
             what()
@@ -65,19 +65,19 @@ pub fn behind<T: Send>(what: impl FnOnce() -> T + Send) -> T {
     })
 }
 
-/// The cores that the process had before it took one; none where it never took one.
+/// The cores that the process was allowed to use before it was pinned; empty if it was not.
 pub fn cores() -> Vec<usize> {
     let cores = CORES.get().into_iter();
     cores.flat_map(|cores| (0..CpuSet::MAX_CPU).filter(|&core| cores.is_set(core))).collect()
 }
 
-/// What [`begin`] would be refused, without doing it.
+/// What the kernel would refuse to [`begin`], without a lasting effect.
 pub fn refused() -> Vec<RtError> {
     let memory = lock();
-    // On a thread that ends right away.
+    // On a thread of its own, because the settings of a thread end with it.
     let tried = thread::spawn(|| [choose(PRIORITY), pin(0)]).join();
     let all = tried.unwrap_or_else(|_| [Err(RtError::Scheduler("no thread".into())), Ok(())]);
-    // Nothing was locked where that was refused.
+    // If locking was refused, there is nothing to unlock.
     let _ = munlockall();
     std::iter::once(memory).chain(all).filter_map(Result::err).collect()
 }

@@ -1,4 +1,4 @@
-//! What is run.
+//! The description of a run: which cell, which nodes, how long, and with what.
 
 use super::story::Tale;
 use crate::args::LaunchArgs;
@@ -8,22 +8,22 @@ use imrs_runtime::script::Course;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-/// What is run, and how.
+/// A cell that is run, and how.
 pub struct Run<'a> {
-    /// Where the cell comes from.
+    /// The text of the cell.
     pub source: Source,
     /// The cell.
     pub loaded: &'a Loaded,
-    /// How it is run.
+    /// The options of the command line.
     pub args: &'a LaunchArgs,
-    /// How long; without end where there is none.
+    /// How long it runs; none: without end.
     pub length: Option<Duration>,
-    /// By action, the command to execute for it.
+    /// The command to execute for each action.
     pub actions: BTreeMap<String, Vec<String>>,
-    /// What simulated actions give as time goes on.
+    /// How results of simulated actions change with time.
     pub courses: Vec<Course>,
-    /// The only node that is run here, in place of all.
+    /// The only node that runs here; none: all nodes.
     pub only: Option<NodeId>,
-    /// What a demo adds.
+    /// The additions of a demo.
     pub tale: Option<Tale>,
 }

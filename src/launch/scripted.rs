@@ -1,4 +1,4 @@
-//! What the scripts of a node do, told to the launcher without ever waiting for it.
+//! Collects the events of a node's scripts for the launcher, and never waits for the launcher.
 
 use super::deed::{Deed, Did, Unanswered};
 use super::lines::{EndSort, Event, Outcomes, What, Word};
@@ -12,20 +12,20 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// So many words are kept until they can be told.
+/// Most messages that are kept until they can be sent.
 const KEPT: usize = 65_536;
 
-/// Hears what the scripts do, and tells what a person wants to know.
+/// Watches the scripts, and queues the events that the launcher shows or judges.
 pub struct Narrator {
     loaded: Arc<Loaded>,
     told: mpsc::Sender<Word>,
-    /// Taken out by the node's own thread alone.
+    /// The receiving end of `told`, used only by the node's own thread.
     kept: Mutex<Receiver<Word>>,
-    /// How many are kept.
+    /// How many messages are queued.
     waiting: AtomicUsize,
-    /// How many words were lost.
+    /// How many messages were dropped.
     lost: AtomicU64,
-    /// When the first word after the last [`Self::take`] was lost; `u64::MAX` where none was.
+    /// When the first message after the last [`Self::take`] was dropped; `u64::MAX` if none was.
     lost_since: AtomicU64,
     state: Mutex<State>,
 }
@@ -36,30 +36,30 @@ struct State {
     sight: Sight,
 }
 
-/// How far a script is.
+/// The progress of one script.
 #[derive(Clone, Debug, Default)]
 struct Progress {
     statement: Option<Address>,
-    /// By port, when and in which statement it last asked something there: handlers may run meanwhile.
+    /// By port, the time and the statement of its last request there: a handler may run before the end.
     asked: BTreeMap<PortId, (u64, Option<Address>)>,
-    /// Its last message: on which port, by which statement.
+    /// Its last message: the port, and the statement that sent it.
     sends: Option<(PortId, Option<Address>)>,
-    /// By thread, the action that runs there.
+    /// The action that runs on each activation.
     acts: Vec<Acts>,
 }
 
-/// An action under way.
+/// A running action.
 #[derive(Clone, Copy, Debug)]
 struct Acts {
     level: u8,
     action: u16,
     statement: Option<Address>,
-    /// It takes no time: a look, or an order to something else. Too many to tell.
+    /// Whether it takes no time: it reads something, or gives an order. These are too frequent to report.
     at_once: bool,
 }
 
 impl Narrator {
-    /// Tells about the scripts of this cell.
+    /// Watches the scripts of this cell.
     pub fn new(loaded: Arc<Loaded>) -> Self {
         let (told, kept) = mpsc::channel();
         let tasks = vec![Progress::default(); loaded.scripts.len()];
@@ -76,7 +76,7 @@ impl Narrator {
         }
     }
 
-    /// Takes out what happened since the last time, and since when some of it was lost.
+    /// Takes the messages since the last call, and since when some were dropped.
     pub fn take(&self) -> (Vec<Word>, Option<u64>) {
         let lost = self.lost_since.swap(u64::MAX, Ordering::AcqRel);
         let words: Vec<Word> = self.kept.lock().unwrap_or_else(PoisonError::into_inner).try_iter().collect();
@@ -84,22 +84,22 @@ impl Narrator {
         (words, Some(lost).filter(|&lost| lost < u64::MAX))
     }
 
-    /// How many words were lost so far, because the launcher did not read.
+    /// How many messages were dropped so far, because the launcher did not read.
     pub fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }
 
-    /// How the class-2 messages of the scripts ended so far.
+    /// The outcomes of the scripts' class-2 messages so far.
     pub fn outcomes(&self) -> Outcomes {
         self.state.lock().unwrap_or_else(PoisonError::into_inner).outcomes
     }
 
-    /// Whether checks of the cell ask what tasks do.
+    /// Whether any check of the cell reads values of tasks.
     pub fn is_asked(&self) -> bool {
         !self.state.lock().unwrap_or_else(PoisonError::into_inner).sight.is_blind()
     }
 
-    /// Tells what happened at an instant. Only the ends of tasks are kept in any case: there is one of each.
+    /// Queues a message about this instant. Only the ends of tasks are never dropped: there is one per task.
     fn tell(&self, at: u64, word: Word) {
         let is_end = matches!(&word, Word::TaskEnded { .. } | Word::Did(Did { what: Deed::Ended(_), .. }));
         if self.waiting.load(Ordering::Acquire) >= KEPT && !is_end {
@@ -108,7 +108,7 @@ impl Narrator {
             return;
         }
         self.waiting.fetch_add(1, Ordering::AcqRel);
-        // Its other end is here, too.
+        // This struct also holds the receiver, so sending cannot fail.
         let _ = self.told.send(word);
     }
 
@@ -174,7 +174,7 @@ impl Narrator {
             }
             End::Fault { fault, at } => (format!("failed: {fault}"), EndSort::Failed, Some(at)),
         };
-        // Why a task aborted may end with its line already.
+        // The reason of an abort may already name its line.
         let how = match at_line(place).filter(|line| sort != EndSort::Well && !words.ends_with(line)) {
             Some(line) => format!("{words} ({line})"),
             None => words.clone(),
@@ -199,7 +199,7 @@ impl Watch for Narrator {
             }
             Note::Asked(Request::Send { port, .. }) => {
                 progress.sends = Some((*port, progress.statement));
-                // Queries are beats and looks: too many to tell.
+                // Queries are heartbeats and polls: too frequent to report.
                 let usage = self.loaded.table.port(*port).and_then(|port| port.party(task)).map(|p| p.usage);
                 if usage == Some(Usage::Send) {
                     self.did(task, at, progress.statement, Deed::Sends(*port));

@@ -1,36 +1,36 @@
-//! What came of the rounds of a waitfor that are no longer kept one by one.
+//! The summed outcomes of old rounds of a waitfor, which are no longer kept one by one.
 
 use super::rounds::Rounds;
 use super::spread::Spreading;
 use std::collections::BTreeMap;
 
-/// So many gaps between settled rounds are remembered.
+/// Most gaps between settled rounds that are remembered.
 const GAPS: usize = 1_024;
-/// So many rounds with false releases are kept apart.
+/// Most rounds with false releases that are kept one by one.
 const DOUBTFUL: usize = 4_096;
 
-/// What came of older rounds. Sets of members are bits by position.
+/// The outcomes of old rounds. Sets of members are bit masks by position.
 #[derive(Clone, Debug, Default)]
 pub struct Settled {
-    /// Without the spread, and without the false releases of the `doubtful` rounds.
+    /// Their sums, without the start skew, and without the false releases of the `doubtful` rounds.
     pub sum: Rounds,
     pub skews: Spreading,
-    /// Which: by the first of several without a gap, the last.
+    /// The settled rounds, as ranges without gaps: first round to last round.
     pub spans: BTreeMap<i64, i64>,
-    /// The last one that released somebody.
+    /// The last settled round that released somebody.
     pub released: Option<i64>,
-    /// Rounds that released somebody before another member had announced it, as far as was told: who had not, and who was
-    /// released. It may come out later that some of that member's announcements were not told.
+    /// Rounds with false releases as far as is known: the members that had not announced the round, and the released ones.
+    /// Reports may still show that announcements of an absent member are missing.
     doubtful: BTreeMap<i64, (u64, u64)>,
 }
 
 impl Settled {
-    /// Whether this round is one of them.
+    /// Whether this round is settled.
     pub fn has(&self, round: i64) -> bool {
         self.spans.range(..=round).next_back().is_some_and(|(_, &last)| round <= last)
     }
 
-    /// This round is one, too.
+    /// Marks this round as settled.
     pub fn add(&mut self, round: i64) {
         let (mut first, mut last) = (round, round);
         if let Some((&before, &end)) = self.spans.range(..round).next_back()
@@ -42,7 +42,7 @@ impl Settled {
             last = end;
         }
         self.spans.insert(first, last);
-        // Nobody speaks of rounds that are so old.
+        // No event names rounds that old, so the oldest gap is closed.
         if self.spans.len() > GAPS
             && let Some((first, _)) = self.spans.pop_first()
             && let Some((_, last)) = self.spans.pop_first()
@@ -51,7 +51,7 @@ impl Settled {
         }
     }
 
-    /// In this settled round some were released without an announcement of the `absent`.
+    /// Notes that this settled round released members although the `absent` ones had not announced it.
     pub fn doubt(&mut self, round: i64, absent: u64, released: u64) {
         if falsely(absent, released) == 0 {
             return;
@@ -64,21 +64,21 @@ impl Settled {
         }
     }
 
-    /// This member's announcement of a settled round was told late.
+    /// Notes a late report: this member had announced a settled round.
     pub fn announced(&mut self, round: i64, member: u64) {
         if let Some((absent, _)) = self.doubtful.get_mut(&round) {
             *absent &= !member;
         }
     }
 
-    /// False releases, where some announcements of the `untold` members are missing.
+    /// The number of false releases, if some announcements of the `untold` members were not reported.
     pub fn false_releases(&self, untold: u64) -> u64 {
         let kept = self.doubtful.values().map(|(absent, released)| falsely(absent & !untold, *released));
         self.sum.false_releases + kept.sum::<u64>()
     }
 }
 
-/// How many of the released members were released before another one had arrived.
+/// How many of the released members were released before another member had arrived.
 pub fn falsely(absent: u64, released: u64) -> u64 {
     match absent.count_ones() {
         0 => 0,

@@ -1,4 +1,4 @@
-//! What each node of a run is told at its start.
+//! Builds the setup that each node of a run gets at its start.
 
 use super::error::LaunchError;
 use super::lines::Setup;
@@ -34,7 +34,7 @@ pub fn setups(
             // Its neighbours may have heard of an earlier incarnation of it (D49).
             counts: run.only.is_some(),
             bind: None,
-            // One after the other, where there are several.
+            // Several nodes take successive ports.
             observe: run.args.observe.map(|first| observed_at(first, all.len())),
             observe_token: token.cloned(),
             rt: run.args.rt,
@@ -54,14 +54,14 @@ pub fn setups(
     Ok(all)
 }
 
-/// The address of the node that comes after so many others; port 0 is any free one for each.
+/// The observer address of the node with the index `after`. Port 0 means any free port for each.
 pub fn observed_at(first: SocketAddr, after: usize) -> SocketAddr {
     let port = first.port();
     let after = u16::try_from(after).unwrap_or(u16::MAX);
     SocketAddr::new(first.ip(), if port == 0 { 0 } else { port.saturating_add(after) })
 }
 
-/// Each node writes a file of its own: `run.imrs` becomes `run.nl.imrs`.
+/// The recording file of one node: `run.imrs` becomes `run.nl.imrs`.
 pub fn record_file(file: &Path, node: &str) -> PathBuf {
     let extension = file.extension().map_or_else(|| "imrs".into(), |e| e.to_string_lossy());
     file.with_extension(format!("{node}.{extension}"))

@@ -1,4 +1,4 @@
-//! Ctrl-C and the like: they end the run in order, with its summary.
+//! Ctrl-C, SIGTERM and SIGHUP: they end the run in order, with its summary.
 
 use super::children::Message;
 use super::error::LaunchError;
@@ -9,12 +9,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::SyncSender;
 use std::thread;
 
-/// How many signals have asked for the end so far.
+/// Counts the signals that asked for the end of the run.
 #[derive(Clone, Default)]
 pub struct Interrupts(Arc<AtomicU64>);
 
 impl Interrupts {
-    /// Watches for them. Each is counted, and wakes whoever waits for messages.
+    /// Starts a thread that counts each signal, and wakes the receiver of messages.
     ///
     /// # Errors
     /// The operating system refuses a handler or a thread.
@@ -25,7 +25,7 @@ impl Interrupts {
         let watch = move || {
             for _ in signals.forever() {
                 counted.0.fetch_add(1, Ordering::Relaxed);
-                // Where messages wait already, nobody has to be woken; where nobody waits for messages, the count tells.
+                // If the queue is full, its receiver is awake. If nothing receives, the count is enough.
                 let _ = messages.try_send(Message::Interrupted);
             }
         };
@@ -33,7 +33,7 @@ impl Interrupts {
         Ok(own)
     }
 
-    /// How many so far.
+    /// The number of signals so far.
     pub fn count(&self) -> u64 {
         self.0.load(Ordering::Relaxed)
     }

@@ -1,30 +1,30 @@
-//! How many values are spread, in bounded memory.
+//! Percentiles of any number of values, in bounded memory.
 
 use serde::Serialize;
 
-/// So many values are kept as they are.
+/// Up to so many values are kept exactly.
 const KEPT: usize = 4_096;
-/// Beyond that, values that differ by less than one part in so many are counted as one: it must be a power of two.
+/// Beyond that, values are counted in buckets with a relative width of at most 1 / `PARTS`. A power of two.
 const PARTS: u64 = 128;
 
-/// How values are spread.
+/// The median, the 99th percentile and the maximum of some values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Spread {
-    /// Half are no larger.
+    /// Half of the values are no larger.
     pub p50: u64,
-    /// 99 of 100 are no larger.
+    /// 99 of 100 values are no larger.
     pub p99: u64,
-    /// None is larger.
+    /// The largest value.
     pub max: u64,
 }
 
-/// Collects values. Up to 4,096 of them the spread is exact. Of more, `p50` and `p99` are at most one part in 128 too large,
-/// and `max` is exact.
+/// Collects values. Up to 4,096 values the result is exact. Beyond, `p50` and `p99` are at most one part in 128 too large, and
+/// `max` is exact.
 #[derive(Clone, Debug, Default)]
 pub struct Spreading {
-    /// The values, as long as they are few.
+    /// The values, as long as there are at most `KEPT`.
     kept: Vec<u64>,
-    /// By bucket, how many; empty as long as they are few.
+    /// The number of values in each bucket; empty up to `KEPT` values.
     counts: Vec<u64>,
     max: u64,
 }
@@ -51,12 +51,12 @@ impl Spreading {
         self.counts[at] += 1;
     }
 
-    /// The spread; `None` of no values.
+    /// The percentiles; `None` without values.
     pub fn spread(&self) -> Option<Spread> {
         let mut kept = self.kept.clone();
         kept.sort_unstable();
         let all = kept.len() as u64 + self.counts.iter().sum::<u64>();
-        // The nearest rank: the least value that so many per cent of all are not above.
+        // Nearest rank: the least value that at least `percent` of all values do not exceed.
         let rank = |percent: u64| {
             let rank = (all * percent).div_ceil(100).max(1);
             let mut below = 0;
@@ -70,7 +70,7 @@ impl Spreading {
         (all > 0).then(|| Spread { p50: rank(50), p99: rank(99), max: self.max })
     }
 
-    /// How many numbers it keeps.
+    /// How many numbers are held.
     #[cfg(test)]
     pub fn size(&self) -> usize {
         self.kept.len() + self.counts.len()

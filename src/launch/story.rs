@@ -1,4 +1,4 @@
-//! What a demo tells: a fault that comes when the cell is at a certain point, and what came of it, in words.
+//! The interface of a demo to a run: a fault that is injected at a certain action, and an explanation of the outcome.
 
 use super::deed::{Deed, Did};
 use super::faults::Fault;
@@ -11,55 +11,55 @@ use std::time::Duration;
 /// What a demo adds to a run.
 #[derive(Clone, Copy, Debug)]
 pub struct Tale {
-    /// What a person should know before.
+    /// The text that is printed before the run.
     pub introduction: &'static str,
     /// The fault that is injected, if any.
     pub moment: Option<&'static Moment>,
-    /// Says what happened, and whether it was what is promised.
+    /// Explains what happened, and says whether the promise was kept.
     pub explain: fn(&Story<'_>) -> Outcome,
 }
 
-/// A fault that waits for the cell to come to a certain point.
+/// A fault that is injected when a task has begun an action for the given time.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment {
-    /// It comes so long after
+    /// The delay from that beginning to the fault.
     pub after: Duration,
-    /// this task
+    /// The task.
     pub task: &'static str,
-    /// has begun this action
+    /// Its action.
     pub action: &'static str,
-    /// for this time, from 1.
+    /// Which beginning of the action, counted from 1.
     pub time: usize,
-    /// What happens.
+    /// The fault.
     pub fault: Planned,
-    /// All this in words.
+    /// The text for people.
     pub words: &'static str,
 }
 
-/// A fault by the names of the cell.
+/// A fault, with the names of the cell.
 #[derive(Clone, Copy, Debug)]
 pub enum Planned {
-    /// The link between two nodes carries nothing for so long.
+    /// The link between two nodes is cut for so long.
     Cut([&'static str; 2], Duration),
     /// The node is killed.
     Kill(&'static str),
-    /// The node stands still for so long (SIGSTOP); one that shares its process with others is cut off from them in place of that.
+    /// The node is suspended (SIGSTOP) for so long. A node that shares its process with others is cut off from them instead.
     Pause(&'static str, Duration),
 }
 
-/// A run, to be explained.
+/// A finished run, for its explanation.
 pub struct Story<'a> {
     /// The cell.
     pub loaded: &'a Loaded,
-    /// When its tasks began, on the clock that all processes of one machine share, in microseconds.
+    /// When the tasks began, in microseconds of the clock that all processes of one machine share.
     pub began: u64,
-    /// When they were stopped.
+    /// When the tasks were stopped, on that clock.
     pub ended: u64,
-    /// What the scripts did, by time.
+    /// The events of the scripts, by time.
     pub deeds: Vec<Did>,
-    /// The faults, by time.
+    /// The injected faults, by time.
     pub faults: Vec<(u64, Fault)>,
-    /// The figures.
+    /// The summary of the run.
     pub summary: &'a Summary,
 }
 
@@ -80,18 +80,18 @@ impl Story<'_> {
         self.loaded.table.cell().nodes.get(node.index()).map_or("?", |node| &node.name)
     }
 
-    /// What a task did, by time.
+    /// The events of a task, by time.
     pub fn of(&self, task: TaskId) -> impl DoubleEndedIterator<Item = &Did> {
         self.deeds.iter().filter(move |did| did.task == task)
     }
 
-    /// An instant, counted from the beginning: `1.234 s`.
+    /// An instant, counted from the beginning of the run: `1.234 s`.
     pub fn at(&self, at: u64) -> String {
         let ms = at.saturating_sub(self.began) / 1_000;
         format!("{}.{:03} s", ms / 1_000, ms % 1_000)
     }
 
-    /// When the node of a task was killed, if it was, and was not started again.
+    /// When the node of a task was last killed; none if it was not, or was restarted since.
     pub fn died(&self, task: TaskId) -> Option<u64> {
         let node = self.loaded.table.location(task)?;
         let of_it = self
@@ -102,7 +102,7 @@ impl Story<'_> {
         matches!(of_it.1, Fault::Kill(_)).then_some(of_it.0)
     }
 
-    /// When the node of a task was killed, each time.
+    /// Every time at which the node of a task was killed.
     pub fn deaths(&self, task: TaskId) -> Vec<u64> {
         let node = self.loaded.table.location(task);
         let kill = |(at, fault): &(u64, Fault)| match fault {
@@ -117,7 +117,7 @@ impl Story<'_> {
         self.faults.iter().filter_map(kill).collect()
     }
 
-    /// When a node first stood still, and when it went on.
+    /// The first suspended node, from when, and until when.
     pub fn pause(&self) -> Option<(NodeId, u64, u64)> {
         let (at, node) = self.faults.iter().find_map(|(at, fault)| match fault {
             Fault::Pause(node) => Some((*at, *node)),
@@ -127,12 +127,12 @@ impl Story<'_> {
         Some((node, at, on.map_or(self.ended, |(on, _)| *on)))
     }
 
-    /// The text of the line of a deed.
+    /// The text of the line to which an event belongs.
     pub fn text(&self, did: &Did) -> &str {
         did.line.map_or("", |line| self.loaded.text_of(line))
     }
 
-    /// When a task did this, each time.
+    /// The times of a task's events that satisfy a predicate.
     pub fn when(&self, task: TaskId, is: impl Fn(&Deed) -> bool) -> Vec<u64> {
         self.of(task).filter(|did| is(&did.what)).map(|did| did.at).collect()
     }

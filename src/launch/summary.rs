@@ -1,4 +1,4 @@
-//! What a run comes to: gathered from the nodes while it lasts, summed up at its end.
+//! The summary of a run: gathered from the nodes' reports while it lasts, and summed up at its end.
 
 use super::lines::{Event, Figures, Outcomes, RefusalFigures, What};
 use super::rounds::Rounds;
@@ -13,35 +13,35 @@ use std::sync::Arc;
 /// The summary of a run: the contract of `--format json`.
 #[derive(Clone, Debug, Serialize)]
 pub struct Summary {
-    /// The version of this form.
+    /// The version of this JSON format.
     pub version: u32,
     /// The cell.
     pub cell: String,
-    /// How long its tasks ran.
+    /// How long the tasks ran.
     pub seconds: f64,
-    /// Seeded the faults and the lengths of the tasks' work.
+    /// The seed of the injected losses and of the durations of simulated actions.
     pub seed: u64,
-    /// The share of datagrams lost on purpose.
+    /// The share of datagrams that were dropped on purpose.
     pub loss: f64,
-    /// By port, over all its ends.
+    /// The ports, each summed over all its ends.
     pub ports: Vec<PortSummary>,
-    /// By waitfor.
+    /// The waitfors.
     pub rendezvous: Vec<RendezvousSummary>,
     /// How the class-2 messages of the tasks ended.
     pub commands: Outcomes,
-    /// Who gave up first after each kill, and when.
+    /// For each kill, the first time_out of each task that waited for the killed node.
     pub after_kill: Vec<AfterKill>,
-    /// How scripts ended that did so by themselves.
+    /// The scripts that ended by themselves.
     pub tasks: Vec<TaskSummary>,
-    /// By node.
+    /// The nodes that ran here.
     pub nodes: Vec<NodeSummary>,
-    /// What came of the checks of the cell.
+    /// The verdicts on the checks of the cell.
     pub checks: Settlement,
-    /// Which evidence is missing, a line each: without findings such a run is no proof that all was well.
+    /// Missing evidence, one line each. Without findings, such a run proves nothing about what is missing.
     pub incomplete: Vec<String>,
-    /// Whether the nodes ran in real time: asked for with `--rt`, and not refused.
+    /// Whether the nodes ran under the real-time scheduler: asked for with `--rt`, and not refused.
     pub rt: bool,
-    /// What came of a demo.
+    /// The outcome of a demo.
     pub outcome: Option<Outcome>,
 }
 
@@ -54,7 +54,7 @@ pub struct TaskSummary {
     pub end: String,
 }
 
-/// One port, over all its ends.
+/// One port, summed over all its ends.
 #[derive(Clone, Debug, Serialize)]
 pub struct PortSummary {
     /// Its name.
@@ -67,13 +67,13 @@ pub struct PortSummary {
     pub resent: u64,
     /// Messages delivered at the receiving ends; of a waitfor, releases.
     pub delivered: u64,
-    /// Messages whose life ended in a buffer or on the way.
+    /// Messages whose TTL ended in a buffer or on a link.
     pub expired: u64,
-    /// Messages refused for space.
+    /// Messages refused, because there was no space.
     pub refused: u64,
     /// Requests that ended by time_out.
     pub timed_out: u64,
-    /// Copies of messages seen before.
+    /// Received copies of messages that had come before.
     pub duplicates: u64,
 }
 
@@ -82,10 +82,10 @@ pub struct PortSummary {
 pub struct RendezvousSummary {
     /// The name of its port.
     pub port: String,
-    /// What came of its rounds.
+    /// The outcomes of its rounds.
     #[serde(flatten)]
     pub rounds: Rounds,
-    /// Of a part of the nodes nobody knows who had arrived at the others: `None` then.
+    /// Releases before all had arrived. `None` if only some nodes ran here, because arrivals elsewhere are not known.
     pub false_releases: Option<u64>,
 }
 
@@ -96,11 +96,11 @@ pub struct AfterKill {
     pub killed: String,
     /// The task that waited for a task there.
     pub task: String,
-    /// How long it had waited, in microseconds: its time_out and the lateness of this machine.
+    /// How long it had waited, in microseconds: its time_out plus the lateness of this machine.
     pub waited_us: u64,
     /// The time_out, in microseconds.
     pub time_out_us: u64,
-    /// How long after the kill that was, in microseconds.
+    /// The time from the kill to the give-up, in microseconds.
     pub after_kill_us: u64,
 }
 
@@ -111,41 +111,41 @@ pub struct NodeSummary {
     pub name: String,
     /// How its process ended: `clean`, `killed` by the launcher, or what went wrong.
     pub exit: String,
-    /// How many lives it had: one, and one for each restart.
+    /// The number of its incarnations in this run: 1 plus one per restart.
     pub lives: usize,
-    /// Packets that left it over links: its own, and those that it relayed for others.
+    /// Packets that it sent over links: its own, and those that it relayed.
     pub forwarded: u64,
-    /// What its machines dropped, by reason.
+    /// Packets and messages that its state machines dropped, by reason.
     pub discards: BTreeMap<String, u64>,
-    /// What its link dropped, by reason.
+    /// Packets that its link dropped, by reason.
     pub link_discards: BTreeMap<String, u64>,
-    /// What its link counted besides.
+    /// Other counters of its link.
     pub link: BTreeMap<String, u64>,
-    /// The neighbours that it could not talk to at the end, because their cells differ.
+    /// The neighbours that it refused at the end, because their cells differ.
     pub refusals: Vec<RefusalFigures>,
-    /// Packets that its link lost on purpose.
+    /// Packets that its link dropped on purpose.
     pub lost_on_purpose: u64,
-    /// Packets that a cut held back.
+    /// Packets that its link dropped because of a cut.
     pub cut_off: u64,
 }
 
-/// Gathers what the nodes say.
+/// Gathers the reports of the nodes.
 pub struct Gatherer {
     table: Arc<CellTable>,
     tallies: BTreeMap<PortId, Tally>,
-    /// By node and life.
+    /// The counters of each node, by incarnation.
     figures: Vec<Vec<Figures>>,
-    /// The nodes that are heard: all, or the one that is run here.
+    /// The nodes that report here: all, or the only one that runs here.
     here: Vec<NodeId>,
     kills: Vec<(NodeId, u64)>,
     after_kill: Vec<AfterKill>,
     ended: Vec<TaskSummary>,
-    /// When the run ended. What happens while the nodes stop is no part of it.
+    /// When the run ended. Events while the nodes stop are not part of it.
     end: u64,
 }
 
 impl Gatherer {
-    /// Nothing yet, of a run of these nodes.
+    /// A run of these nodes, without any reports.
     pub fn new(table: Arc<CellTable>, here: Vec<NodeId>) -> Self {
         let waitfors = table.ports().iter().filter(|port| port.decl.usage == Usage::Waitfor);
         let heard = |task: &TaskId| table.location(*task).is_some_and(|node| here.contains(&node));
@@ -165,7 +165,7 @@ impl Gatherer {
         }
     }
 
-    /// Something happened at a waitfor.
+    /// Takes an event of a waitfor.
     pub fn event(&mut self, event: &Event) {
         if event.at > self.end {
             return;
@@ -178,7 +178,7 @@ impl Gatherer {
         }
     }
 
-    /// A node's figures since its start: they replace the ones before.
+    /// Takes a node's counters since its start. They replace its earlier ones.
     pub fn figures(&mut self, node: NodeId, figures: Figures) {
         if figures.untold > 0 {
             self.for_tasks_on(node, Tally::untold);
@@ -188,36 +188,36 @@ impl Gatherer {
         }
     }
 
-    /// A killed node was started again, at this instant of the clock that all processes of one machine share.
+    /// Notes the restart of a killed node, at this instant of the clock that all processes of one machine share.
     pub fn revived(&mut self, node: NodeId, at: u64) {
         self.figures[node.index()].push(Figures::default());
         self.for_tasks_on(node, |tally, task| tally.revived(task, at));
     }
 
-    /// A node was killed, at this instant of the clock that all processes of one machine share.
+    /// Notes the kill of a node, at this instant of the clock that all processes of one machine share.
     pub fn killed(&mut self, node: NodeId, at: u64) {
         self.kills.push((node, at));
         self.for_tasks_on(node, |tally, task| tally.died(task, at));
     }
 
-    /// A script ended by itself.
+    /// Notes that a script ended by itself.
     pub fn script_ended(&mut self, task: TaskId, end: String) {
         let name = self.table.cell().tasks[task.index()].name.clone();
         self.ended.push(TaskSummary { name, end });
     }
 
-    /// The run ends at this instant of the clock that all processes of one machine share. Said before the nodes are
-    /// stopped: a task that is stopped leaves its waitfor, and others go on to another round, which is no fault.
+    /// Ends the run, at this instant of the clock that all processes of one machine share. Called before the nodes are stopped:
+    /// a stopped task leaves its waitfor, and the others move on to another round, which is not a fault.
     pub fn ended(&mut self, at: u64) {
         self.end = at;
     }
 
-    /// How many rounds have released everybody so far; none of a cell in which nobody meets.
+    /// How many rounds have released all members so far; `None` in a cell without waitfors.
     pub fn released(&self) -> Option<u64> {
         (!self.tallies.is_empty()).then(|| self.tallies.values().map(Tally::released).sum())
     }
 
-    /// The summary. `exits` tells how the process of each node ended that ran here.
+    /// The summary. `exits` says how the process of each node that ran here ended.
     pub fn summary(&self, seconds: f64, seed: u64, loss: f64, exits: &[(NodeId, String)]) -> Summary {
         let all = self.here.len() == self.table.cell().nodes.len();
         let rendezvous = self.tallies.iter().map(|(&port, tally)| {
@@ -263,7 +263,7 @@ impl Gatherer {
         }
     }
 
-    /// The nodes that could not tell everything, a line each.
+    /// The nodes that did not report all events, one line each.
     fn untold(&self) -> impl Iterator<Item = String> {
         self.figures.iter().zip(&self.table.cell().nodes).filter_map(|(lives, node)| {
             let untold: u64 = lives.iter().map(|figures| figures.untold).sum();
@@ -272,7 +272,7 @@ impl Gatherer {
         })
     }
 
-    /// What recordings miss, a line each.
+    /// What recordings lack, one line each.
     fn unrecorded(&self) -> impl Iterator<Item = String> {
         self.figures.iter().flatten().flat_map(|figures| figures.unrecorded.iter().cloned())
     }
@@ -283,7 +283,7 @@ impl Gatherer {
         }
     }
 
-    /// Keeps a give-up if it is the task's first since a kill, and the task waited for one there.
+    /// Keeps a give-up if it is the task's first since a kill, and a task on the killed node was missing.
     fn note_give_up(&mut self, event: &Event, waited: u64, missing: u64) {
         let Some(port) = self.table.port(event.port) else { return };
         let task = self.table.cell().tasks[event.task.index()].name.clone();
@@ -311,7 +311,7 @@ impl Gatherer {
         for &(task, port, mut counters) in figures.iter().flat_map(|f| &f.ports) {
             let usage = self.table.port(port).and_then(|p| p.party(task)).map(|p| p.usage);
             if matches!(usage, Some(Usage::Send | Usage::Query)) {
-                // What is delivered at the sending end are the answers.
+                // At the sending end, deliveries are answers.
                 counters.delivered = 0;
             }
             if let Some(sum) = sums.get_mut(port.index()) {
@@ -353,12 +353,12 @@ fn add(sum: &mut PortCounters, more: &PortCounters) {
     sum.duplicates += more.duplicates;
 }
 
-/// What came of a demo.
+/// The outcome of a demo.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Outcome {
-    /// Whether what is promised came; `None` where it was not put to the test.
+    /// Whether the demo's promise was kept; `None` if it was not put to the test.
     pub held: Option<bool>,
-    /// What happened, sentence by sentence.
+    /// What happened, in sentences.
     pub words: Vec<String>,
 }
 
@@ -400,7 +400,7 @@ mod tests {
         gatherer.figures(NodeId(0), figures(1));
         gatherer.figures(NodeId(0), figures(5));
         gatherer.figures(NodeId(1), figures(2));
-        // The next life counts from the beginning.
+        // The next incarnation counts from zero.
         gatherer.killed(NodeId(1), 7);
         gatherer.revived(NodeId(1), 9);
         gatherer.figures(NodeId(1), figures(3));

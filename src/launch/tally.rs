@@ -1,4 +1,4 @@
-//! The arithmetic of a run: what came of every round of a waitfor, from what its members said of it.
+//! Counts the outcomes of the rounds of a waitfor, from the events that its members reported.
 
 use super::lines::{Event, What};
 use super::rounds::Rounds;
@@ -7,17 +7,17 @@ use super::spread::Spreading;
 use imrs_protocol::{Round, TaskId};
 use std::collections::BTreeMap;
 
-/// So many rounds are kept as they are: what a member may still say of an older one is not waited for.
+/// Most rounds that are kept one by one. Older rounds are settled without waiting for further events.
 const OPEN: usize = 4_096;
-/// The rounds of one waitfor. The newest are kept, older ones are settled: counted, and forgotten.
+/// The rounds of one waitfor. The newest are kept one by one; older ones are settled: added to the sums and dropped.
 #[derive(Clone, Debug)]
 pub struct Tally {
     members: Vec<Member>,
-    /// Not settled yet.
+    /// The rounds that are not settled yet, by number.
     rounds: BTreeMap<i64, Meeting>,
-    /// How many of these there are at most.
+    /// Most rounds that are kept unsettled.
     open: usize,
-    /// The first round of all that was spoken of.
+    /// The lowest round that any event named.
     first: Option<i64>,
     settled: Settled,
 }
@@ -25,48 +25,48 @@ pub struct Tally {
 #[derive(Clone, Debug)]
 struct Member {
     task: TaskId,
-    /// The round last spoken of, counted on across the wrap of [`Round`].
+    /// The round of its last event, extended across the wrap of [`Round`].
     last: i64,
-    /// The last round announced.
+    /// The last round that it announced.
     announced: i64,
-    /// Its node's last death: what happened just before was not told.
+    /// The last kill of its node. Events from just before it were not reported.
     died: Option<Death>,
-    /// Some of its announcements were not told.
+    /// Whether some of its announcements were not reported.
     untold: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Death {
     at: u64,
-    /// The last round announced before.
+    /// The last round that the member had announced by then.
     announced: i64,
-    /// Of the settled rounds that began before, the last one that released somebody.
+    /// The last settled round that began before the kill and released somebody.
     released: Option<i64>,
-    /// When its node was started again.
+    /// When its node was restarted.
     revived: Option<u64>,
 }
 
-/// What is known of one round. Sets of members are bits by position.
+/// What is known of one round. Sets of members are bit masks by position.
 #[derive(Clone, Copy, Debug)]
 struct Meeting {
     announced: u64,
     released: u64,
     gave_up: u64,
-    /// When it was first spoken of.
+    /// The time of its earliest event.
     begun: u64,
     first_start: u64,
     last_start: u64,
 }
 
 impl Tally {
-    /// Nothing yet, of a waitfor of these tasks (at most 64).
+    /// A waitfor of these tasks (at most 64), without any events.
     pub fn new(members: impl IntoIterator<Item = TaskId>) -> Self {
         let member = |task| Member { task, last: 0, announced: i64::MIN, died: None, untold: false };
         let members = members.into_iter().map(member).collect();
         Self { members, rounds: BTreeMap::new(), open: OPEN, first: None, settled: Settled::default() }
     }
 
-    /// Takes in what a member said. Each member's own words come in their order.
+    /// Takes an event of a member. Events of each member come in order.
     pub fn take(&mut self, event: &Event) {
         let Some(place) = self.place(event.task) else { return };
         let member = &mut self.members[place];
@@ -105,7 +105,7 @@ impl Tally {
         }
     }
 
-    /// Settles the oldest round that nobody waits in.
+    /// Settles the oldest round in which no live member waits.
     fn settle(&mut self) {
         let oldest = self.rounds.iter().find(|(round, meeting)| !self.is_awaited(**round, meeting));
         let Some((&round, &meeting)) = oldest else { return };
@@ -125,7 +125,7 @@ impl Tally {
         self.settled = settled;
     }
 
-    /// Whether a member that lives still waits in this round: each does in one at most.
+    /// Whether a live member still waits in this round. Each member waits in at most one.
     fn is_awaited(&self, round: i64, meeting: &Meeting) -> bool {
         let ended = meeting.released | meeting.gave_up;
         self.members.iter().enumerate().any(|(place, member)| {
@@ -147,7 +147,7 @@ impl Tally {
         }
     }
 
-    /// The member's node was started again. It counts its rounds from the beginning, and goes on in those of the others.
+    /// The member's node was restarted. The member counts its rounds from the beginning, then joins those of the others.
     pub fn revived(&mut self, task: TaskId, at: u64) {
         if let Some(place) = self.place(task)
             && let Some(death) = &mut self.members[place].died
@@ -156,20 +156,20 @@ impl Tally {
         }
     }
 
-    /// Some of the member's announcements are missing.
+    /// Some of the member's announcements were not reported.
     pub fn untold(&mut self, task: TaskId) {
         if let Some(place) = self.place(task) {
             self.members[place].untold = true;
         }
     }
 
-    /// How many rounds have released everybody so far.
+    /// The number of rounds that have released all members so far.
     pub fn released(&self) -> u64 {
         let all = self.all();
         self.settled.sum.released + self.rounds.values().filter(|m| m.released == all).count() as u64
     }
 
-    /// What came of all rounds.
+    /// The outcomes of all rounds.
     pub fn rounds(&self) -> Rounds {
         let (mut sum, mut skews) = (self.settled.sum, self.settled.skews.clone());
         sum.false_releases = self.settled.false_releases(self.members(|member| member.untold));
@@ -182,7 +182,7 @@ impl Tally {
         sum
     }
 
-    /// Counts what came of a round, without its false releases.
+    /// Adds the outcome of a round to the sums, without its false releases.
     fn count(&self, round: i64, meeting: &Meeting, sum: &mut Rounds, skews: &mut Spreading) {
         match self.end(round, meeting) {
             Some(End::Released) => {
@@ -205,14 +205,14 @@ impl Tally {
         u64::MAX >> (64 - self.members.len().clamp(1, 64))
     }
 
-    /// The members of whom this is so.
+    /// The set of members that satisfy a predicate.
     fn members(&self, is_so: impl Fn(&Member) -> bool) -> u64 {
         let bit = |(place, member): (usize, &Member)| u64::from(is_so(member)) << place;
         self.members.iter().enumerate().map(bit).fold(0, |set, bit| set | bit)
     }
 
-    /// The members whose nodes were killed after the round began, or before, but perhaps with an announcement of this
-    /// round among their last words: it lives on at the others as long as the killed member would have waited.
+    /// The members that may have announced this round unreported: their nodes were killed after it began. Or they were killed
+    /// before, but its announcement may have been their last message, which the others keep for the rest of its TTL.
     fn killed(&self, round: i64, meeting: &Meeting) -> u64 {
         self.members(|member| {
             let Some(death) = member.died else { return false };
@@ -220,33 +220,33 @@ impl Tally {
         })
     }
 
-    /// The last round that a member can have announced before it died: the one after the last that it said so of, or that
-    /// began while it lived and released somebody.
+    /// The last round that a member can have announced before it was killed. It is the successor of the last round that it
+    /// announced, or that began before the kill and released somebody.
     fn last_words(&self, death: &Death) -> i64 {
         let spoken = |(round, meeting): (&i64, &Meeting)| {
             (meeting.begun <= death.at && meeting.released != 0).then_some(*round)
         };
         let heard = self.rounds.iter().filter_map(spoken).max().max(death.released);
         let said = Some(death.announced).filter(|&round| round != i64::MIN);
-        // Killed before anything was told: the first round of all.
+        // Nothing was reported before the kill: it is the first round of all.
         let before = self.first.map_or(0, |first| first - 1);
         heard.max(said).unwrap_or(before) + 1
     }
 
-    /// The members of whom it is not known how the round ended for them: they were killed before they could say, or some of
-    /// their words are missing.
+    /// The members for which the end of this round is unknown: they were killed before they reported it, or some of their
+    /// events are missing.
     fn silenced(&self, round: i64, meeting: &Meeting) -> u64 {
         let missing = self.members(|member| member.untold);
         (missing | self.killed(round, meeting)) & !(meeting.released | meeting.gave_up)
     }
 
-    /// The members that had not arrived, as far as is known.
+    /// The members that are known not to have arrived.
     fn absent(&self, round: i64, meeting: &Meeting) -> u64 {
         let unheard = self.members(|member| member.untold) | self.killed(round, meeting);
         self.all() & !meeting.announced & !unheard
     }
 
-    /// What came of a round; `None` where those who announced it went on to another one together.
+    /// The outcome of a round. `None` if the members that announced it moved on to another round together.
     fn end(&self, round: i64, meeting: &Meeting) -> Option<End> {
         let (all, silenced) = (self.all(), self.silenced(round, meeting));
         let missing = all & !meeting.released;
@@ -276,7 +276,7 @@ impl Tally {
         self.members.iter().enumerate().any(|(place, m)| of & 1 << place != 0 && m.announced > round)
     }
 
-    /// Whether one of these members was dead before the round began.
+    /// Whether a node of one of these members was down when the round began.
     fn buried(&self, meeting: &Meeting, of: u64) -> bool {
         let dead = |m: &Member| {
             m.died.is_some_and(|death| {
@@ -297,7 +297,7 @@ enum End {
 }
 
 impl Member {
-    /// Counts a round on from the last one, across the wrap: the nearer way round.
+    /// Extends a round number across the wrap: it takes the value nearest to the last one.
     fn count_on(&mut self, round: Round) -> i64 {
         let last = Round(self.last.rem_euclid(1 << 16) as u16);
         let (ahead, behind) = (round.steps_from(last), last.steps_from(round));
@@ -352,7 +352,7 @@ mod tests {
         let mut events = all_announce(5, 1);
         events.extend([(10, 0, 1, What::Released), (11, 1, 1, What::Released), (205, 2, 1, GAVE_UP)]);
         assert_eq!(tally(&events).rounds(), Rounds { rounds: 1, divergent: 1, ..Rounds::default() });
-        // It went on to a fresher round instead.
+        // The third member moved on to a fresher round instead.
         events.pop();
         events.push((50, 2, 2, What::Announced));
         let rounds = tally(&events).rounds();
@@ -371,18 +371,18 @@ mod tests {
         let mut unheard = tally(&events);
         unheard.untold(TaskId(2));
         assert_eq!(unheard.rounds().false_releases, 0);
-        // Nor of one whose release was told, but not its announcement before it was killed.
+        // Nor if its release was reported, but not its announcement, before its node was killed.
         let mut half = tally(&events);
         half.take(&Event { at: 9, task: TaskId(2), port: PortId(0), round: Round(1), what: What::Released });
         half.died(TaskId(2), 12);
         assert_eq!((half.rounds().false_releases, half.rounds().released), (0, 1));
-        // Nor is anything known of a node that was killed meanwhile, or before it told anything at all.
+        // The outcome is unknown if the node was killed during the round, or before it reported anything.
         for at in [7, 4] {
             let mut killed = tally(&events);
             killed.died(TaskId(2), at);
             assert_eq!(killed.rounds(), Rounds { rounds: 1, unknown: 1, ..Rounds::default() });
         }
-        // But nobody who was killed before a round can have announced the next.
+        // A member that was killed before a round began cannot have announced the next one.
         let mut later = events.to_vec();
         later.extend(events.map(|(at, task, _, what)| (at + 10, task, 2, what)));
         let mut killed = tally(&later);
@@ -396,7 +396,7 @@ mod tests {
         let both = |at, round, what| [(at, 0, round, what), (at, 1, round, what)];
         let mut events = all_announce(5, 1);
         events.extend((0..3).map(|task| (6, task, 1, What::Released)));
-        // Killed at 10; the others wait in vain in round 2 and meet it again in round 3.
+        // The node is killed at 10. The others wait in vain in round 2, and meet the member again in round 3.
         events.extend(both(20, 2, What::Announced).into_iter().chain(both(220, 2, GAVE_UP)));
         let mut tally = tally(&events);
         tally.died(TaskId(2), 10);
@@ -404,13 +404,13 @@ mod tests {
         let mut say = |at, task, round, what| {
             tally.take(&Event { at, task: TaskId(task), port: PortId(0), round: Round(round), what });
         };
-        // Its own count begins anew.
+        // The restarted member counts from the beginning.
         say(231, 2, 1, What::Announced);
         for task in 0..3 {
             say(240, task, 3, What::Announced);
             say(241, task, 3, What::Released);
         }
-        // Round 4 without it is false again.
+        // After its restart, a release of round 4 without it is false again.
         for task in 0..2 {
             say(250, task, 4, What::Announced);
             say(251, task, 4, What::Released);
@@ -436,7 +436,7 @@ mod tests {
 
     #[test]
     fn the_last_announcement_of_a_killed_node_may_be_untold() {
-        // It was the first at round 2, was killed, and its arrival released the others, who came later.
+        // It was the first to reach round 2 and was killed. Its arrival released the others, who came later.
         let both = |at, round, what| [(at, 0, round, what), (at, 1, round, what)];
         let mut events = vec![(5, 2, 1, What::Announced), (6, 2, 1, What::Released)];
         events.extend(both(5, 1, What::Announced).into_iter().chain(both(6, 1, What::Released)));
@@ -449,16 +449,16 @@ mod tests {
 
     #[test]
     fn rounds_that_nobody_waited_out_are_no_rounds() {
-        // Both went on to the round that others wait in.
+        // Member 0 moved on to a round that others wait in.
         let events = [(5, 0, 1, What::Announced), (9, 0, 2, What::Announced), (205, 0, 2, GAVE_UP)];
         assert_eq!(tally(&events).rounds(), Rounds { rounds: 1, timed_out: 1, ..Rounds::default() });
-        // The end of the run.
+        // The run ended before the others reported their releases.
         let mut events = all_announce(5, 1);
         events.push((9, 1, 1, What::Released));
         assert_eq!(tally(&events).rounds(), Rounds { unfinished: 1, ..Rounds::default() });
     }
 
-    /// Feeds rounds of three: most release all, some time out, in some one member is missed or its node dead.
+    /// Feeds rounds of three members. Most release all; in some the third member is absent, in some the second one gives up.
     fn feed(tally: &mut Tally, from: u64, to: u64) {
         for step in from..to {
             let at = step * 1_000;
@@ -485,7 +485,7 @@ mod tests {
         assert_eq!((folded.released(), folded.rounds.len()), (plain.released(), 16));
         let rounds = plain.rounds();
         assert!(rounds.released > 300 && rounds.timed_out > 50 && rounds.divergent > 30, "{rounds:?}");
-        // A death is judged by what its node last said, settled or not.
+        // `last_words` is the same whether or not the rounds are settled.
         for tally in [&mut plain, &mut folded] {
             tally.died(TaskId(2), 500_500);
         }
@@ -493,7 +493,7 @@ mod tests {
             folded.last_words(&folded.members[2].died.unwrap()),
             plain.last_words(&plain.members[2].died.unwrap())
         );
-        // Late words of a settled round change nothing.
+        // A late event of a settled round changes nothing.
         let late = Event { at: 900_000, task: TaskId(0), port: PortId(0), round: Round(7), what: GAVE_UP };
         let before = folded.rounds();
         folded.take(&late);

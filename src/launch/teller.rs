@@ -1,4 +1,4 @@
-//! Tells the launcher what a node has to say, in a thread of its own: a launcher that stands still keeps the node from nothing.
+//! Sends a node's messages to the launcher on a thread of its own, so that a stopped launcher never blocks the node.
 
 use super::lines::{Word, say};
 use std::collections::VecDeque;
@@ -6,10 +6,10 @@ use std::io::{self, Write};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 
-/// With so many words that wait for the launcher, a node stops telling what it can also tell later.
+/// Queue length from which a node defers messages that can also be sent later.
 const WAITING: usize = 16_384;
 
-/// Words on their way to the launcher, in order.
+/// An unbounded queue of messages to the launcher, and the thread that writes them in order.
 pub struct Teller {
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
@@ -24,15 +24,15 @@ struct Shared {
 #[derive(Default)]
 struct Words {
     waiting: VecDeque<Word>,
-    /// How many of them the thread has taken out.
+    /// How many messages the thread has taken out, and has not written yet.
     in_hand: usize,
     ended: bool,
-    /// Why the pipe failed: most likely the launcher has gone.
+    /// Why the pipe failed: most likely the launcher has exited.
     failed: Option<io::Error>,
 }
 
 impl Teller {
-    /// Begins to tell.
+    /// Starts the thread.
     ///
     /// # Errors
     /// The operating system refuses a thread.
@@ -43,7 +43,7 @@ impl Teller {
         Ok(Self { shared, thread: Some(thread) })
     }
 
-    /// Adds a word, without waiting.
+    /// Queues a message without waiting.
     ///
     /// # Errors
     /// The pipe failed.
@@ -57,13 +57,13 @@ impl Teller {
         Ok(())
     }
 
-    /// Whether the launcher hears what is said: otherwise only what cannot wait should be added.
+    /// Whether the queue has room. If not, only messages that cannot wait should be added.
     pub fn has_room(&self) -> bool {
         let words = self.shared.lock();
         words.waiting.len() + words.in_hand < WAITING
     }
 
-    /// Waits until the launcher has heard everything.
+    /// Waits until all messages have been written to the pipe.
     ///
     /// # Errors
     /// The pipe failed.
@@ -123,7 +123,7 @@ mod tests {
     fn a_launcher_that_stands_still_keeps_nobody_waiting_and_hears_everything_later() {
         let (words, pipe) = io::pipe().expect("a pipe");
         let teller = Teller::start(Box::new(pipe)).expect("a thread");
-        // More than the pipe holds: whoever wrote them itself would wait here for ever.
+        // More than the pipe holds: writing to it directly would block here for ever.
         let mut told = 0;
         while teller.has_room() {
             teller.say(Word::Told(told)).expect("nobody has gone");

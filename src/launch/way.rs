@@ -1,4 +1,4 @@
-//! A node's way to its neighbours: a socket of its own, or a network within this process.
+//! A node's link to its neighbours: its own UDP socket, or a network within this process.
 
 use imrs_protocol::{NodeId, Packet};
 use imrs_runtime::link::in_process::InProcess;
@@ -8,9 +8,9 @@ use std::time::Instant;
 
 /// A link of either kind.
 pub enum Way {
-    /// Over UDP.
+    /// A UDP socket.
     Udp(Box<UdpLink>),
-    /// Within this process.
+    /// A network within this process.
     InProcess(InProcess),
 }
 

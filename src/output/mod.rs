@@ -1,4 +1,4 @@
-//! What goes to standard output: plain where nobody looks, coloured for a person, quiet once the reader has gone.
+//! Standard output and standard error: coloured for people, plain otherwise, and quiet once the reader has exited.
 
 mod color;
 mod printer;
@@ -20,33 +20,33 @@ use std::io::{self, IsTerminal, Stdout, Write};
 use std::sync::OnceLock;
 use std::time::Duration;
 
-/// Good, with a word that says so.
+/// The style of good news; the text says so as well.
 pub const GOOD: Style = AnsiColor::Green.on_default().bold();
-/// Bad, with a word that says so.
+/// The style of bad news; the text says so as well.
 pub const BAD: Style = AnsiColor::Red.on_default().bold();
-/// Worth a look.
+/// The style of notes and warnings.
 pub const NOTE: Style = AnsiColor::Yellow.on_default();
-/// Headings.
+/// The style of headings.
 pub const HEAD: Style = Style::new().bold();
-/// Less important.
+/// The style of less important text.
 pub const FAINT: Style = Style::new().dimmed();
 
 /// Standard output.
 pub struct Output {
     way: Way,
-    /// What was asked for.
+    /// When colour is used, as requested.
     pub color: Color,
 }
 
-/// How lines get to their reader.
+/// How lines are written.
 enum Way {
-    /// The caller writes, and waits for the reader.
+    /// The caller writes, and may block on the reader.
     Direct {
         stream: Box<AutoStream<Stdout>>,
-        /// The reader has gone: there is nobody to tell.
+        /// Whether the reader has closed the pipe.
         closed: bool,
     },
-    /// A thread writes. Escapes are left out of what is `plain`.
+    /// A thread writes. If `plain`, escapes are removed.
     Aside { printer: Printer, plain: bool },
 }
 
@@ -57,14 +57,14 @@ impl Output {
         Self { way: Way::Direct { stream, closed: false }, color }
     }
 
-    /// From now on nobody waits for whoever reads standard output or standard error: threads of their own write there. Lines
-    /// that are told in [passing](Self::passing) are dropped where the reader is too slow, and counted by `notice`.
+    /// From now on separate threads write to standard output and standard error, so that a slow reader blocks no caller. Lines
+    /// written in [passing](Self::passing) are dropped if the reader is too slow, and counted by `notice`.
     ///
     /// # Errors
     /// [`Failure::Launch`]: the operating system refuses a thread.
     pub fn step_aside(&mut self, notice: Notice, progress: ProgressBar) -> Result<(), Failure> {
         let hidden = ProgressBar::hidden();
-        // Where lines and progress may meet on one terminal, one thread draws both.
+        // If lines and progress bar share one terminal, one thread draws both.
         let shown = io::stdout().is_terminal();
         let (with_lines, with_errors) = if shown { (progress, hidden) } else { (hidden, progress) };
         complain_aside(with_errors).map_err(LaunchError::Start)?;
@@ -74,7 +74,7 @@ impl Output {
         Ok(())
     }
 
-    /// Writes a line. A reader that has gone (`imrs verify | head`) is no error.
+    /// Writes a line. A closed pipe (`imrs verify | head`) is no error.
     ///
     /// # Errors
     /// [`Failure::Output`].
@@ -83,7 +83,7 @@ impl Output {
         self.write(&harmless(&line), true)
     }
 
-    /// Writes a line that may be left out where the reader is too slow.
+    /// Writes a line that may be dropped if the reader is too slow.
     ///
     /// # Errors
     /// [`Failure::Output`].
@@ -92,13 +92,13 @@ impl Output {
         self.write(&harmless(&line), false)
     }
 
-    /// Writes a text as it is, to its last byte: the answer is a file. On a terminal it is shown, as any other text.
+    /// Writes the bytes of a text unchanged, because the answer is a file. On a terminal its escapes are made harmless.
     ///
     /// # Errors
     /// [`Failure::Output`].
     pub fn file(&mut self, text: &str) -> Result<(), Failure> {
         let text = if io::stdout().is_terminal() { harmless(text) } else { Cow::Borrowed(text) };
-        // The stream would take escapes out where it shows no colours.
+        // `AutoStream` would remove escapes if colours are off, so it is bypassed.
         let mut stream = io::stdout().lock();
         let written = stream.write_all(text.as_bytes()).and_then(|()| stream.flush());
         self.note(written)
@@ -130,7 +130,7 @@ impl Output {
         }
     }
 
-    /// Changes the progress line, or takes it away.
+    /// Sets the progress line, or removes it.
     pub fn progress(&self, text: Option<&str>) {
         for printer in self.printer().into_iter().chain(ERRORS.get()) {
             match text {
@@ -140,8 +140,8 @@ impl Output {
         }
     }
 
-    /// Waits until the reader has taken everything, at most so long, and no longer than until `interrupted`. Returns what is
-    /// left.
+    /// Waits until everything is written, at most for `within`, and only until `interrupted`. Returns the lines that are not
+    /// written.
     pub fn settle(&self, within: Duration, interrupted: impl Fn() -> bool) -> Untaken {
         self.printer().map(|printer| printer.settle(within, interrupted)).unwrap_or_default()
     }
@@ -153,7 +153,7 @@ impl Output {
         }
     }
 
-    /// Writes a text that ends its lines itself.
+    /// Writes a text that has its own line breaks.
     ///
     /// # Errors
     /// [`Failure::Output`].
@@ -175,8 +175,8 @@ impl Output {
     }
 }
 
-/// A text from a cell, a recording or a peer as a terminal may have it: what it could act on is written out, but for line
-/// breaks and the styles of this program. Texts that are to stay one line are made so where they come in
+/// Escapes a text from a cell, a recording or a peer for a terminal. Line breaks and the styles of this program stay; any other
+/// character that a terminal acts on is written out. Texts that must stay on one line are treated where they come in
 /// ([`text::one_line`]).
 pub fn harmless(text: &str) -> Cow<'_, str> {
     if !text.contains(acts) {
@@ -200,35 +200,35 @@ pub fn harmless(text: &str) -> Cow<'_, str> {
     Cow::Owned(out)
 }
 
-/// Parameters of styles that hide nothing: their end, bold, faint, underlined, and colours of letters.
+/// Parameters of styles that cannot hide text: reset, bold, faint, underlined, and colours of letters.
 const HARMLESS: [&str; 17] =
     ["", "0", "1", "2", "4", "31", "32", "33", "34", "35", "36", "91", "92", "93", "94", "95", "96"];
 
-/// The length of a style at the beginning of a text, unless it could hide something.
+/// The length of the style sequence at the beginning of a text; none if it could hide text.
 fn style_at(text: &str) -> Option<usize> {
     let parameters = text.strip_prefix("\x1b[")?;
     let (parameters, _) = parameters.split_once('m')?;
     parameters.split(';').all(|one| HARMLESS.contains(&one)).then_some(parameters.len() + 3)
 }
 
-/// Writes to standard error, where nobody may wait for its reader.
+/// The thread that writes to standard error, once [`complain_aside`] has started it.
 static ERRORS: OnceLock<Printer> = OnceLock::new();
 
-/// How long complaints wait for the reader of standard error when the process ends.
+/// How long the end of the process waits for the reader of standard error.
 const COMPLAINED_WITHIN: Duration = Duration::from_secs(1);
 
-/// From now on no [complaint](complain) waits for whoever reads standard error.
+/// From now on no [complaint](complain) waits for the reader of standard error.
 ///
 /// # Errors
 /// The operating system refuses a thread.
 pub fn complain_aside(progress: ProgressBar) -> io::Result<()> {
     let printer = Printer::start(io::stderr(), notice, progress)?;
-    // The first one stays: a process says so once.
+    // A process starts at most one of these; the first one stays.
     let _ = ERRORS.set(printer);
     Ok(())
 }
 
-/// Says what is wrong on standard error. Where that has gone too, there is nobody to tell.
+/// Prints an error message on standard error. A failure to write it is ignored.
 pub fn complain(what: impl Display) {
     let what = what.to_string();
     let line = format!("imrs: {}\n", harmless(&what));
@@ -238,18 +238,18 @@ pub fn complain(what: impl Display) {
     }
 }
 
-/// Waits, for a second at most, until complaints are read: the process ends.
+/// Waits, for at most a second, until all complaints are written. Called when the process ends.
 pub fn settle_complaints() {
     ERRORS.get().map(|printer| printer.settle(COMPLAINED_WITHIN, || false));
 }
 
-/// Diagnostics on standard error, where standard output has another answer.
+/// Prints diagnostics on standard error, for verbs whose standard output is another answer.
 pub fn complain_in_full(color: Color, text: &str) {
     let mut stream = AutoStream::new(io::stderr(), color.into());
     let _ = stream.write_all(harmless(text).as_bytes());
 }
 
-/// Text in a style. Padding and alignment count the text alone.
+/// Text in a style. Padding and alignment do not count the escapes.
 pub struct Styled<T>(pub Style, pub T);
 
 impl<T: Display> Display for Styled<T> {
@@ -260,7 +260,7 @@ impl<T: Display> Display for Styled<T> {
     }
 }
 
-/// A whole number with its thousands apart: `1,234,567`.
+/// A whole number with separated thousands: `1,234,567`.
 pub fn grouped(number: u64) -> String {
     let digits = number.to_string();
     let mut out = String::with_capacity(digits.len() + digits.len() / 3);
@@ -273,7 +273,7 @@ pub fn grouped(number: u64) -> String {
     out
 }
 
-/// A length of time in microseconds, as a person says it: `370 us`, `4.2 ms`, `1.50 s`.
+/// A duration in microseconds as text: `370 us`, `4.2 ms`, `1.50 s`.
 pub fn span(us: u64) -> String {
     match us {
         0..1_000 => format!("{us} us"),
@@ -310,7 +310,7 @@ mod tests {
             shown("\x1b]0;title\x07 \u{9b}2J \u{202e}txt\r"),
             "\\u{1b}]0;title\\u{7} \\u{9b}2J \\u{202e}txt\\r"
         );
-        // Styles of this program stay, concealed letters and what is no style do not.
+        // Styles of this program stay. Concealed text and other sequences do not.
         let styled = Styled(GOOD, "well").to_string();
         assert_eq!(shown(&styled), styled);
         assert_eq!(shown("\x1b[8mhidden\x1b[2J"), "\\u{1b}[8mhidden\\u{1b}[2J");

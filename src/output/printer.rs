@@ -1,5 +1,4 @@
-//! Lines for a reader that may be slow, or that does not read at all: a thread of its own writes them, so that nobody else
-//! waits for it.
+//! Writes lines on a thread of its own, so that a slow or stopped reader blocks nobody else.
 
 use super::count;
 use indicatif::ProgressBar;
@@ -12,14 +11,14 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// So many lines wait for the reader at most,
+/// Most lines that wait for the reader.
 const LINES: usize = 4_096;
-/// of so many bytes together. Later ones are counted, and dropped.
+/// Most bytes that wait for the reader. Later lines are dropped and counted.
 const BYTES: usize = 1 << 20;
-/// How often a waiting caller looks whether it was interrupted.
+/// Interval at which a waiting caller checks for an interruption.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 
-/// Says how many lines are missing, and why.
+/// Formats how many lines are missing, and why.
 pub type Notice = fn(u64, &str) -> String;
 
 /// The notice for people.
@@ -29,14 +28,14 @@ pub fn notice(lines: u64, why: &str) -> String {
 
 /// A bounded queue of lines, and the thread that writes them.
 ///
-/// [`push`](Self::push) never waits. Where the queue is full the line is dropped, and a notice takes its place as soon as the
-/// reader reads again. A failed write loses its line alone: the next one is tried again. Once the reader has gone (EPIPE),
-/// nothing is kept.
+/// [`push`](Self::push) never waits. If the queue is full, the line is dropped, and a notice takes its place as soon as the
+/// reader reads again. A failed write loses only its own line: the next line is tried again. Once the reader has closed the
+/// pipe (EPIPE), everything is dropped.
 pub struct Printer(Arc<Shared>);
 
 struct Shared {
     queue: Mutex<Queue>,
-    /// Something was added, or written.
+    /// Signalled when something was added, or written.
     changed: Condvar,
     notice: Notice,
 }
@@ -45,21 +44,21 @@ struct Shared {
 struct Queue {
     items: VecDeque<Item>,
     bytes: usize,
-    /// What the thread is writing.
+    /// The lines that the thread is writing.
     in_hand: InHand,
-    /// Lines that were not shown, and no notice said so yet.
+    /// Lines that were not shown, and that no notice has counted yet.
     missing: u64,
-    /// How many of these must be kept: their write failed.
+    /// How many of them were marked as kept: their write failed.
     missing_kept: u64,
-    /// Lines that must be kept, whose write failed, and whose place a notice took.
+    /// Kept lines whose write failed, and that a notice has counted.
     lost: u64,
     /// Why the last write failed.
     failed: Option<String>,
-    /// Why the last of the `lost` ones failed.
+    /// Why the write of the last `lost` line failed.
     lost_because: Option<String>,
-    /// The reader has gone.
+    /// Whether the reader has closed the pipe.
     gone: bool,
-    /// The newest text of the progress line, until it is drawn.
+    /// The newest text of the progress line, if it is not drawn yet.
     progress: Option<String>,
     closed: bool,
 }
@@ -67,11 +66,11 @@ struct Queue {
 /// Lines that are being written.
 #[derive(Clone, Copy, Default)]
 struct InHand {
-    /// How many, those in the notice before included.
+    /// The number of lines, including those that the preceding notice counts.
     lines: u64,
-    /// How many of those in the notice must be kept.
+    /// How many of the counted lines were marked as kept.
     failed_before: u64,
-    /// Whether the line after the notice must be kept.
+    /// Whether the line after the notice is marked as kept.
     is_kept: bool,
 }
 
@@ -81,28 +80,28 @@ enum Item {
         kept: bool,
     },
     Dropped(u64),
-    /// The progress line goes away.
+    /// Remove the progress line.
     Clear,
 }
 
-/// What the thread does next.
+/// The next step of the thread.
 enum Work {
     Write(String),
     Progress(String),
     Clear,
 }
 
-/// What the reader did not take.
+/// The lines that were not written.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Untaken {
     /// How many lines.
     pub lines: u64,
-    /// Why they could not be written; `None`: the reader did not read.
+    /// Why writing failed; `None`: the reader did not read in time.
     pub failed: Option<String>,
 }
 
 impl Printer {
-    /// Begins to write to a stream. The progress line is drawn by the same thread, so that it does not run into the lines.
+    /// Starts the thread that writes to `stream`. It also draws the progress line, so that the two do not mix.
     ///
     /// # Errors
     /// The operating system refuses a thread.
@@ -122,7 +121,7 @@ impl Printer {
         Ok(Self(shared))
     }
 
-    /// Adds a text that ends its lines itself. One that must be `kept` is never dropped: there are few of these.
+    /// Adds a text that has its own line breaks. A text marked as `kept` is never dropped: there are few of these.
     pub fn push(&self, text: String, kept: bool) {
         let mut queue = self.0.lock();
         if queue.gone {
@@ -140,13 +139,13 @@ impl Printer {
         self.0.changed.notify_all();
     }
 
-    /// Changes the progress line.
+    /// Sets the progress line.
     pub fn progress(&self, text: String) {
         self.0.lock().progress = Some(text);
         self.0.changed.notify_all();
     }
 
-    /// Takes the progress line away.
+    /// Removes the progress line.
     pub fn clear(&self) {
         let mut queue = self.0.lock();
         queue.progress = None;
@@ -154,7 +153,7 @@ impl Printer {
         self.0.changed.notify_all();
     }
 
-    /// Waits until everything is written, at most so long, and no longer than until `interrupted`. Returns what is not.
+    /// Waits until everything is written, at most for `within`, and only until `interrupted`. Returns what is not written.
     pub fn settle(&self, within: Duration, interrupted: impl Fn() -> bool) -> Untaken {
         let end = Instant::now() + within;
         let mut queue = self.0.lock();
@@ -263,7 +262,8 @@ impl Queue {
         Some(Work::Write(text))
     }
 
-    /// The notice of what is missing. After a failed write a part of a line may stand there.
+    /// The notice about missing lines. After a failed write it starts on a new line, because a part of a line may have been
+    /// written.
     fn told(&self, notice: Notice) -> String {
         match &self.failed {
             Some(why) => format!("\n{}\n", notice(self.missing, why)),
@@ -272,14 +272,14 @@ impl Queue {
     }
 }
 
-/// Writes everything, however long the reader takes.
+/// Writes all bytes, and waits for the reader as long as it takes.
 fn write(stream: &impl AsFd, mut bytes: &[u8]) -> Result<(), Errno> {
     while !bytes.is_empty() {
         match rustix::io::write(stream, bytes) {
             Ok(0) => return Err(Errno::IO),
             Ok(written) => bytes = &bytes[written..],
             Err(Errno::INTR) => {}
-            // Somebody else who has the same terminal or pipe open made it non-blocking.
+            // Another process that shares the terminal or pipe has made it non-blocking.
             Err(Errno::AGAIN) => {
                 let wait = poll(&mut [PollFd::new(stream, PollFlags::OUT)], None);
                 wait.map(drop).or_else(|error| if error == Errno::INTR { Ok(()) } else { Err(error) })?;
@@ -319,7 +319,7 @@ mod tests {
             reader.read_line(&mut line).expect("a line");
             lines.push(line.trim_end().to_owned());
         }
-        // Every line is either there, in order, or in the notice that takes its place.
+        // Every line is either there, in order, or counted in the notice that takes its place.
         let mut number = 0;
         for line in &lines[..lines.len() - 1] {
             let second = line.split(' ').nth(1).expect("a number").replace(',', "");

@@ -1,4 +1,4 @@
-//! Which assumptions of a check a run did not keep.
+//! Finds the assumptions of the checks that a run did not keep.
 
 use super::surroundings::{Surroundings, Way};
 use crate::cells::Loaded;
@@ -21,26 +21,26 @@ pub enum Kind {
     Delay,
     /// Clocks that run at different rates.
     Drift,
-    /// Tasks that act more than a tick after it is time.
+    /// Tasks that act more than a tick after their deadline.
     Late,
     /// Actions that fail.
     Fail,
-    /// Nodes that end.
+    /// Nodes that crash.
     Crash,
-    /// Faults that each may happen, but not in one run.
+    /// Faults that are declared one by one, but not for the same run.
     Together,
 }
 
-/// A promise of the cell about its surroundings that the run did not keep.
+/// An assumption of the cell about links, clocks, nodes or actions that the run did not keep.
 #[derive(Debug, Serialize)]
 pub struct Breach {
     /// What it is about.
     pub kind: Kind,
-    /// What happened, and what the cell says of that.
+    /// What happened, and what the cell declares.
     pub what: String,
     /// How often.
     pub times: u64,
-    /// Seconds since the first task began; the end of the run where it is known of the whole only.
+    /// When it first happened, in seconds since the first task began; 0 for clocks.
     pub first: f64,
 }
 
@@ -60,34 +60,34 @@ impl fmt::Display for Breach {
     }
 }
 
-/// What is assumed, and what the run was like.
+/// The assumptions of the cell, and the start of the run.
 pub struct Assumed<'a> {
     /// The cell.
     pub loaded: &'a Loaded,
-    /// What it declares to go wrong: each is looked at by itself.
+    /// The fault hypotheses that it declares. Each stands alone.
     pub faults: &'a [CellFaults],
-    /// Microseconds of a tick.
+    /// The length of a tick in microseconds.
     pub tick: u64,
     /// When the run started.
     pub start: u64,
 }
 
-/// What of one kind a run had.
+/// The faults of one kind in a run.
 struct Had {
     kind: Kind,
-    /// How it is called: `packet that never arrived`.
+    /// What happened, of one: `packet never arrived`.
     one: &'static str,
     many: &'static str,
-    /// How the cell would say so.
+    /// The word of the cell language for this kind.
     word: &'static str,
     times: u64,
     first: u64,
-    /// How many a declaration allows.
+    /// How many a hypothesis allows.
     allows: fn(&CellFaults) -> u8,
 }
 
 impl Assumed<'_> {
-    /// All assumptions that were not kept; `late` are tasks that acted late.
+    /// All assumptions that the run did not keep; `late` are the tasks that acted late.
     pub fn breaches(&self, around: &Surroundings, late: &[Late]) -> Vec<Breach> {
         let mut all = self.counted(around);
         all.extend(self.crashes(around));
@@ -105,7 +105,7 @@ impl Assumed<'_> {
         at.saturating_sub(self.start) as f64 / 1e6
     }
 
-    /// Faults that the cell declares a number of.
+    /// The breaches of faults that a cell declares by their number.
     fn counted(&self, around: &Surroundings) -> Vec<Breach> {
         let all = |of: fn(&Way) -> &Vec<u64>| {
             let times: Vec<u64> = around.ways.values().flat_map(of).copied().collect();
@@ -155,7 +155,7 @@ impl Assumed<'_> {
         Some(Breach { kind: had.kind, what, times: had.times, first: self.since(had.first) })
     }
 
-    /// Nodes whose recordings have no end, more often than they are declared to crash.
+    /// The breaches by nodes whose recordings have no end although no hypothesis lets them crash.
     fn crashes(&self, around: &Surroundings) -> Vec<Breach> {
         let declared = |node: &NodeId| self.faults.iter().any(|faults| faults.crash.contains(node));
         let ended = around.ended.iter().filter(|(node, _)| !declared(node));
@@ -169,7 +169,7 @@ impl Assumed<'_> {
         ended.map(breach).collect()
     }
 
-    /// Packets that took longer than the bound of their way.
+    /// The breach by packets that took longer than the bound of their route.
     fn slow(&self, (from, to): (NodeId, NodeId), way: &Way) -> Option<Breach> {
         let (first, _) = way.slow.first()?;
         let most = way.slow.iter().map(|(_, took)| *took).max()?;
@@ -178,7 +178,7 @@ impl Assumed<'_> {
         Some(Breach { kind: Kind::Delay, what, times: way.slow.len() as u64, first: self.since(*first) })
     }
 
-    /// Clocks that ran apart by more ticks than declared.
+    /// The breaches by clocks that drifted apart by more ticks than declared.
     fn drifts(&self, around: &Surroundings) -> Vec<Breach> {
         let allowed = self.faults.iter().map(|faults| u64::from(faults.drift)).max().unwrap_or(0);
         let too_far = around.drift.iter().filter(|(.., apart)| apart / self.tick > allowed);
@@ -193,9 +193,9 @@ impl Assumed<'_> {
         too_far.map(breach).collect()
     }
 
-    /// Tasks that acted late, by task and line.
+    /// The breaches by tasks that acted late, by task and line.
     fn late(&self, late: &[Late]) -> Vec<Breach> {
-        // How late at most, how often, and when first.
+        // For each place: the greatest lateness, the count, and the first time.
         let mut places: BTreeMap<(TaskId, Option<usize>), (u64, u64, u64)> = BTreeMap::new();
         for one in late {
             let line = self.loaded.line(one.task, one.address);

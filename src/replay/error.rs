@@ -1,4 +1,4 @@
-//! Why a recording is not run again.
+//! Errors that keep a recording from being replayed.
 
 use imrs_runtime::record;
 use imrs_wire::files::FileError;
@@ -15,7 +15,7 @@ pub enum ReplayError {
         /// Why.
         source: FileError,
     },
-    /// The file is not a recording, or is damaged.
+    /// The file is not a recording, or it is damaged.
     #[error("{path}: {source}")]
     Read {
         /// The file.
@@ -23,7 +23,7 @@ pub enum ReplayError {
         /// Where and why.
         source: record::ReplayError,
     },
-    /// No cell was given, and the recording is of none that this program has.
+    /// No cell was given, and no built-in demo has the recording's cell.
     #[error(
         "{path} is of cell `{cell}` (digest {digest:08x}), which is not that of a demo as it is built in: name its file with --cell"
     )]
@@ -45,13 +45,13 @@ pub enum ReplayError {
         path: PathBuf,
         /// The name of the cell.
         cell: String,
-        /// The file of the cell, or of what is built in.
+        /// The given cell file, or the name of the built-in demos.
         given: String,
-        /// What differs first: its declarations, or only the statements of the node.
+        /// What differs: the declarations, or only the statements of the node.
         what: &'static str,
-        /// The digest of that in the recording.
+        /// Its digest in the recording.
         recorded: u32,
-        /// The digest of that in the file.
+        /// Its digest in the file.
         now: u32,
     },
     /// The recording is of a cell other than the given one.
@@ -69,15 +69,15 @@ pub enum ReplayError {
         other: String,
         /// The digest in the recording.
         recorded: u32,
-        /// The digest of what is in the file.
+        /// The digest of the given cell.
         now: u32,
     },
-    /// The recording is of what a monitor saw.
+    /// The recording holds what a monitor saw, not inputs.
     #[error(
         "{0} shows nodes as a monitor saw them, and has no inputs to run again: look at it with `imrs monitor --replay {0}`"
     )]
     Observations(PathBuf),
-    /// The recording is of a node that its cell does not have.
+    /// The recording names a node that its cell does not have.
     #[error("{0} holds no inputs of a node of its cell")]
     NoInputs(PathBuf),
 }

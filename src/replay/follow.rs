@@ -1,6 +1,6 @@
-//! Recordings that are still written, run again as they grow: what the monitor says of running nodes.
+//! Replays recordings while they are still being written, so that the monitor can judge running nodes.
 //!
-//! Between two looks the machines stay where they are and the reader where it stopped, so a look costs what is new.
+//! The state machines and the reader keep their state between two looks, so a look costs only what is new.
 
 use super::{Opened, divergence, open};
 use crate::cells::Loaded;
@@ -17,17 +17,17 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-/// How long one look at one recording may take; what is left then comes with the next one.
+/// Time limit of one look at one recording; the next look continues.
 const SLICE: Duration = Duration::from_millis(250);
-/// The records between two looks at the clock.
+/// The number of records between two readings of the clock.
 const CHUNK: usize = 4_096;
 
 /// The cells whose recordings can be judged.
 pub struct Cells {
     known: Vec<Loaded>,
-    /// By cell, and by node.
+    /// For each cell, the tables of its nodes.
     tables: Vec<Vec<NodeTable>>,
-    /// The file of the only one, where one was named.
+    /// The file of the only cell, if the user named it.
     given: Option<String>,
 }
 
@@ -41,7 +41,7 @@ impl Cells {
         Self { tables: known.iter().map(tables).collect(), known, given }
     }
 
-    /// The file of the only one, where one was named.
+    /// The file of the only cell, if the user named it.
     pub fn given(&self) -> Option<&str> {
         self.given.as_deref()
     }
@@ -62,7 +62,7 @@ impl Cells {
     }
 }
 
-/// Recordings that are followed.
+/// The recordings that are being followed.
 pub struct Following<'a> {
     cells: &'a Cells,
     files: BTreeMap<PathBuf, Followed<'a>>,
@@ -80,13 +80,13 @@ impl Sitting for Following<'_> {
 }
 
 struct Followed<'a> {
-    /// Which file it is, whatever its name.
+    /// Device and inode of the file.
     identity: (u64, u64),
     header: Header,
     cell: &'a Cell,
     /// The name of its node.
     node: String,
-    /// What is run again; or why nothing can be, from here on.
+    /// The replay, or why it cannot go on.
     runs: Result<(RecordingReader<File>, Replays<'a>), String>,
 }
 
@@ -95,7 +95,7 @@ fn identity(file: &Metadata) -> (u64, u64) {
 }
 
 impl<'a> Followed<'a> {
-    /// `None` where it is of no known cell, or not to be read.
+    /// `None` if the file cannot be read, or its cell is not known.
     fn open(path: &Path, present: &Metadata, cells: &'a Cells) -> Option<Self> {
         let header = RecordingReader::new(files::open(path).ok()?).ok()?.header().clone();
         let cell = cells.known.iter().find(|cell| cell.table.digest() == header.digest)?.table.cell();
@@ -104,7 +104,7 @@ impl<'a> Followed<'a> {
         Some(Self { identity: identity(present), header, cell, node, runs })
     }
 
-    /// Whether this is still that file: another may have taken its name, or it may have begun anew.
+    /// Whether this is still the same file: another one may have taken its name, or it may have been truncated.
     fn is_of(&self, present: &Metadata) -> bool {
         let read = self.runs.as_ref().map_or(0, |(reader, _)| reader.offset());
         identity(present) == self.identity && present.len() >= read
@@ -134,7 +134,7 @@ impl<'a> Followed<'a> {
     }
 }
 
-/// `read`: of a recording that is not read to its end, how much of it is, in percent.
+/// `read`: how much of the recording has been replayed, in percent; `None` if all.
 fn said_of(replays: &Replays<'_>, cell: &Cell, read: Option<u64>) -> Conformance {
     let steps = replays.iter().map(|replay| replay.judged() as u64).sum();
     let missing: u64 = replays.iter().map(|replay| replay.lost() + replay.unjudged() as u64).sum();

@@ -24,18 +24,18 @@ use imrs_wire::recording::{Ending, Header};
 use std::path::Path;
 use std::sync::Arc;
 
-/// What was recorded of a run.
+/// The recordings of a run, replayed.
 struct Recorded {
-    /// For each task, what happened.
+    /// The events of each task.
     tasks: Vec<Vec<Happening>>,
     whole: Vec<bool>,
     /// When the first task began.
     start: u64,
-    /// What checks ask of the tasks, by their nodes.
+    /// Changes of the values that checks read.
     changes: Vec<Change>,
 }
 
-/// Follows a run.
+/// Follows a run through the model, and prints the result.
 ///
 /// # Errors
 /// [`Failure`].
@@ -84,7 +84,7 @@ fn tell(told: &Told, path: &Path, args: &ReplayArgs, out: &mut Output) -> Result
     Ok(told.verdict())
 }
 
-/// The cell as `imrs verify` explores it.
+/// The plan with which `imrs verify` would explore the cell.
 fn plan(path: &Path, args: &ReplayArgs) -> Result<CellPlan, Failure> {
     let compiled = compile(&cell_file::read(path)?);
     let tick_us = compiled.hir.as_ref().map_or(1, |hir| Unit::Ticks.usec(hir));
@@ -105,13 +105,13 @@ fn plan(path: &Path, args: &ReplayArgs) -> Result<CellPlan, Failure> {
     Ok(plan)
 }
 
-/// Why a run is not followed.
+/// Why a run cannot be followed.
 enum Unfollowed {
-    /// The recording of a task is not even what its own machine does.
+    /// The recording of a task differs from what its own state machine does.
     Differs { task: TaskId, how: String },
     /// Inputs are missing.
     Gap(String),
-    /// A node began anew, which no model of a run does.
+    /// A node was restarted. The model does not follow a node beyond its end.
     Restarted(String),
 }
 
@@ -196,25 +196,25 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Unfollowe
     Ok(Ok(Recorded { tasks, whole, start, changes }))
 }
 
-/// The recording of a node from one of its starts to its end.
+/// The recording of one incarnation of a node.
 #[derive(Clone)]
 struct Life<'a> {
     path: &'a Path,
     incarnation: Incarnation,
-    /// Whether there was one before.
+    /// Whether the node ran before.
     restarted: bool,
-    /// None where nothing was recorded.
+    /// When it was made; none if it is empty.
     span: Option<Span<'a>>,
 }
 
 impl Life<'_> {
-    /// When it begins: after all others where nothing of it was recorded.
+    /// When it begins; an empty one sorts last.
     fn begins(&self) -> u64 {
         self.span.as_ref().map_or(u64::MAX, |span| span.first)
     }
 }
 
-/// The nodes with several recordings, if all recordings can be of one run.
+/// The nodes with several recordings. An error if the recordings cannot be of one run.
 fn lives_of_one_run(lives: &mut [Vec<Life<'_>>]) -> Result<Vec<NodeId>, Failure> {
     let mut restarted = Vec::new();
     for (node, lives) in lives.iter_mut().enumerate() {
@@ -235,14 +235,14 @@ fn lives_of_one_run(lives: &mut [Vec<Life<'_>>]) -> Result<Vec<NodeId>, Failure>
             restarted.push(NodeId::from_index(node));
         }
     }
-    // While the only node of a cell is down, nothing is recorded.
+    // In a cell with one node nothing is recorded while the node is down, so the gap proves nothing.
     if lives.len() > 1 {
         of_one_run(lives.iter().flatten().filter_map(|life| life.span.clone()).collect())?;
     }
     Ok(restarted)
 }
 
-/// The nodes of which the first recording is not given: others took packets of theirs before it begins.
+/// The nodes whose first recording is missing: other nodes received packets from them before their given recordings begin.
 fn spoke_before(lives: &[Vec<Life<'_>>], tasks: &[Vec<Happening>], table: &CellTable) -> Vec<NodeId> {
     let mut nodes = Vec::new();
     for (node, lives) in lives.iter().enumerate() {
@@ -267,11 +267,10 @@ struct Span<'a> {
     last: u64,
 }
 
-/// So many microseconds may lie between the ends of what one node did and the beginning of what another did: the nodes
-/// of a run begin together.
+/// The nodes of a run begin together, so recordings with a longer gap between them, in microseconds, are of two runs.
 const APART: u64 = 100_000;
 
-/// No recording may begin after all that began before it had ended.
+/// Fails if a recording begins after all earlier ones have ended.
 fn of_one_run(mut spans: Vec<Span<'_>>) -> Result<(), Failure> {
     spans.sort_by_key(|span| span.first);
     let Some((first, others)) = spans.split_first() else { return Ok(()) };
@@ -299,15 +298,15 @@ fn of_two_runs(one: Option<&Span<'_>>, two: Option<&Span<'_>>, paths: (&Path, &P
     Failure::Usage(format!("these are of two runs: {one}, {two} of the machine's clock"))
 }
 
-/// What came of the checks, as the run itself judged them: up to where its nodes stopped.
+/// The verdicts on the checks, up to where the nodes stopped, as the run itself judged them.
 fn judge(loaded: &Loaded, recorded: &Recorded) -> Settlement {
     let nodes: Vec<NodeId> = (0..recorded.whole.len()).map(NodeId::from_index).collect();
     let (mut judge, mut over) = (Judge::new(loaded, &nodes), recorded.start);
     recorded.changes.iter().for_each(|change| judge.change(change.clone()));
     for node in nodes {
-        // From when it stopped nothing is known of a node; of one that was killed, from its last record. No recording shows when a node
-        // was killed, and it may have acted after its last record. So it is never taken for dead here, and a check that needs it for
-        // more than 1 s is unknown, though the launcher, which knew of the kill, judged it (D142).
+        // A node is unknown from its stop, or from its last record if it was killed. No recording shows when a node was killed,
+        // and it may have acted after its last record. So it is never taken for dead here. A check that needs it for more than
+        // 1 s is unknown, although the launcher, which knew of the kill, judged it (D142).
         let tasks = loaded.table.tasks_on(node).map(|task| &recorded.tasks[task.index()]);
         let all: Vec<&Happening> = tasks.flatten().collect();
         let stop = all.iter().find(|happening| happening.what == Happened::Stopped);
@@ -324,7 +323,8 @@ fn judge(loaded: &Loaded, recorded: &Recorded) -> Settlement {
     judge.settlement(recorded.start)
 }
 
-/// A node that stops takes back what its tasks wait in, which no model does: the run ends before anybody hears of that.
+/// Ends the run before any node receives packets by which a stopping node withdraws its tasks from their waits: the model has
+/// none.
 fn end_where_nodes_stop(tasks: &mut [Vec<Happening>]) {
     let mut taken_back = Vec::new();
     for task in tasks.iter() {

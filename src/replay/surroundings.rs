@@ -1,53 +1,53 @@
-//! What links and clocks did in a run, as its recordings show it: the assumptions of a check are about these.
+//! Derives what links and clocks did in a run from its recordings, to be compared with the assumptions of the checks.
 //!
-//! Packets are told apart by all but what time and relays change. Of those that are alike each arrival belongs to the last
-//! one that was sent before it.
+//! Packets are equal if they differ only in what time and relays change. An arrival of one of several equal packets is matched
+//! with the last one that was sent before it.
 
 use imrs_model::cell::{Happened, Happening};
 use imrs_protocol::{CellTable, NodeId, Packet, Ticks};
 use std::collections::{BTreeMap, HashMap};
 
-/// Microseconds in which what is under way at the end of a run may still be: later than this it was lost.
+/// A packet sent within so many microseconds before the end of a run may still be in flight; one sent earlier was lost.
 const SETTLES: u64 = 500_000;
 
-/// What happened on the way from one node to another.
+/// What happened to the packets from one node to another.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Way {
-    /// Microseconds of the run's clock at which packets were sent that never arrived.
+    /// When packets were sent that never arrived, in microseconds of the run's clock.
     pub lost: Vec<u64>,
-    /// At which packets arrived once more.
+    /// When packets arrived again.
     pub copies: Vec<u64>,
-    /// At which packets arrived that had taken longer than the bound, and how long.
+    /// When packets arrived that had taken longer than the bound, and how long they took.
     pub slow: Vec<(u64, u64)>,
-    /// Microseconds that a packet may take.
+    /// The longest time that a packet may take, in microseconds.
     pub bound: u64,
-    /// The least time by the clocks of the two nodes that a packet took: less than nothing where they differ.
+    /// The least time that a packet took, by the two nodes' clocks. Negative if the receiver's clock is behind.
     least: Option<i64>,
 }
 
-/// What links and clocks did.
+/// What links and clocks did in a run.
 #[derive(Debug)]
 pub struct Surroundings {
-    /// By the nodes that packets went from and to.
+    /// What happened to packets, by sending and receiving node.
     pub ways: BTreeMap<(NodeId, NodeId), Way>,
-    /// Pairs of nodes whose clocks ran apart, and by how many microseconds at least.
+    /// Pairs of nodes whose clocks ran at different rates, and a lower bound of the difference in microseconds.
     pub drift: Vec<(NodeId, NodeId, u64)>,
-    /// At which microseconds actions failed.
+    /// When actions failed, in microseconds.
     pub failed: Vec<u64>,
-    /// Nodes whose recordings have no end, and the last microsecond known of each.
+    /// Nodes whose recordings have no end, and the time of the last record of each.
     pub ended: Vec<(NodeId, u64)>,
 }
 
-/// All packets that are alike.
+/// A set of equal packets.
 #[derive(Default)]
 struct Alike {
-    /// When, and whether they may be expected to arrive.
+    /// When each was sent, and whether it should arrive.
     sent: Vec<(u64, bool)>,
     came: Vec<u64>,
 }
 
 impl Surroundings {
-    /// Of what each task did, by task; `whole` says of each node whether its recording has its end.
+    /// From the events of each task; `whole` says for each node whether its recording has its end.
     pub fn of(tasks: &[Vec<Happening>], whole: &[bool], table: &CellTable) -> Self {
         let known = |node: usize| {
             let here = table.tasks_on(NodeId::from_index(node)).filter_map(|task| tasks.get(task.index()));
@@ -62,7 +62,7 @@ impl Surroundings {
             alike.judge(way, whole[from.index()]);
         }
         for ((_, to), way) in &mut ways {
-            // A node that was killed hears nothing more; the last things before the end may be under way.
+            // A killed node receives nothing more, and packets sent just before the end may still be in flight.
             let settled = if whole[to.index()] { SETTLES } else { SETTLES.max(way.bound) };
             let over = ends[to.index()].saturating_sub(settled);
             way.lost.retain(|sent| *sent < over);
@@ -75,12 +75,12 @@ impl Surroundings {
     }
 }
 
-/// Without what relays and time change.
+/// The packet without the fields that time and relays change.
 pub fn named(packet: &Packet) -> Packet {
     Packet { remaining: Ticks::ZERO, hops: 0, ..*packet }
 }
 
-/// The packets between nodes. What a node takes back when it stops is none.
+/// The packets between nodes, without those by which a stopping node withdraws its tasks from their waits.
 fn packets(tasks: &[Vec<Happening>], table: &CellTable) -> Vec<((NodeId, NodeId), Alike)> {
     let mut all: HashMap<Packet, Alike> = HashMap::new();
     for task in tasks {
@@ -90,7 +90,7 @@ fn packets(tasks: &[Vec<Happening>], table: &CellTable) -> Vec<((NodeId, NodeId)
                 Happened::Sent(packet) => {
                     let ends = [packet.source, packet.destination].map(|task| table.location(task));
                     let bound = ends[0].zip(ends[1]).and_then(|(from, to)| table.path_bound(from, to));
-                    // What cannot arrive in time is not sent (D83).
+                    // A packet that cannot arrive in time never leaves the node (D83).
                     let arrives = bound.is_some_and(|bound| bound < packet.remaining);
                     all.entry(named(packet)).or_default().sent.push((*at, arrives));
                 }
@@ -107,16 +107,16 @@ fn packets(tasks: &[Vec<Happening>], table: &CellTable) -> Vec<((NodeId, NodeId)
 }
 
 impl Alike {
-    /// Adds these packets to what is known of their way.
+    /// Matches arrivals with sent packets, and adds the result to `way`.
     fn judge(mut self, way: &mut Way, sender_is_whole: bool) {
         self.sent.sort_unstable();
         self.came.sort_unstable();
         let all = self.sent.len();
         for came in self.came {
             let before = self.sent.partition_point(|(sent, _)| *sent <= came);
-            // One clock may be behind the other: then a packet arrives before it was sent.
+            // If the receiver's clock is behind, a packet seems to arrive before it was sent.
             let Some(at) = before.checked_sub(1).or_else(|| (!self.sent.is_empty()).then_some(0)) else {
-                // What was not recorded of a killed node is no copy.
+                // A killed node may have sent it without recording that, so it is not a copy.
                 if all > 0 && sender_is_whole {
                     way.copies.push(came);
                 }
@@ -133,9 +133,9 @@ impl Alike {
     }
 }
 
-/// By how much the clocks of two nodes ran apart, at least. A packet takes some time, so the difference of two clocks lies
-/// between what packets of the one direction took by them and what those of the other did; where that cannot be one and
-/// the same difference all the time, the clocks ran at different rates.
+/// A lower bound of how far the clocks of two nodes drifted apart. Every packet takes some time, so packets of the two
+/// directions bound the difference of the clocks from both sides. If no single difference fits all packets, the clocks ran at
+/// different rates.
 fn drift(ways: &BTreeMap<(NodeId, NodeId), Way>) -> Vec<(NodeId, NodeId, u64)> {
     let pairs = ways.iter().filter(|((from, to), _)| from < to);
     let apart = pairs.filter_map(|((from, to), there)| {

@@ -1,4 +1,4 @@
-//! What following a run came to, for people and for programs.
+//! The result of `imrs replay --model`, for people and for programs.
 
 use super::assumptions::Breach;
 use crate::cells::Loaded;
@@ -10,15 +10,15 @@ use imrs_model::cell::{Followed, Steps, Unexplained};
 use imrs_protocol::TaskId;
 use serde::Serialize;
 
-/// How many seconds the steps of a run are looked for where `imrs verify` looks.
+/// Seconds of random walks that look for the steps of a run in the state space of `imrs verify`.
 pub const WALKS: f64 = 5.0;
 
-/// Seconds.
+/// The seconds from `start` to `at`.
 fn since(start: u64, at: u64) -> f64 {
     at.saturating_sub(start) as f64 / 1e6
 }
 
-/// Why nobody knows whether a run is a path.
+/// Why it is unknown whether a run is a path of the model.
 const UNSURE: &str = "nodes acted late, or two things happened within one tick, and with times rounded otherwise the model may do what was not found";
 
 /// The answer.
@@ -26,12 +26,12 @@ const UNSURE: &str = "nodes acted late, or two things happened within one tick, 
 pub struct Told {
     version: u32,
     cell: String,
-    /// Whether the model can do what the run did.
+    /// Whether the run is a path of the model.
     path: bool,
-    /// Whether the links and nodes kept what the cell declares of them.
+    /// Whether the run kept the cell's assumptions about links, nodes, clocks and actions.
     within_assumptions: bool,
     complete: bool,
-    /// What is missing, where nothing can be said.
+    /// Why the result is unknown, if it is.
     unknown: Option<String>,
     ended_by: Option<String>,
     seconds: f64,
@@ -43,15 +43,16 @@ pub struct Told {
     late_at_most: u64,
     early_at_most: u64,
     other_values: u64,
-    /// Moves of killed nodes after the end of their recordings.
+    /// Moves that killed nodes must have made after the end of their recordings.
     guessed: u64,
-    /// Times that were not rounded down to their tick.
+    /// Times that were not rounded down to their own tick, but up or further down.
     rounded: u64,
-    /// Kinds of step of its scripts, and the lines of those that were not met where `imrs verify` looks.
+    /// The number of kinds of step of its scripts, and the lines of those that the walks in the state space of `imrs verify`
+    /// did not meet.
     kinds: usize,
     kinds_not_met: Vec<String>,
     breaches: Vec<Breach>,
-    /// Those of the cell, judged by this run.
+    /// The verdicts on the cell's checks in this run.
     checks: Settlement,
     unexplained: Option<Where>,
 }
@@ -75,7 +76,7 @@ pub struct Where {
 }
 
 impl Told {
-    /// Of a run that was followed: with when it started, and the assumptions that it did not keep.
+    /// The result of a run that was followed, with its start and the assumptions that it did not keep.
     pub fn new(
         loaded: &Loaded,
         followed: &Followed,
@@ -132,7 +133,7 @@ impl Told {
         }
     }
 
-    /// Of a task whose recording is not even what its own machine does.
+    /// The result if the recording of a task differs from what its own state machine does.
     pub fn of_task(loaded: &Loaded, task: TaskId, how: String) -> Self {
         let cell = loaded.table.cell();
         let declared = &cell.tasks[task.index()];
@@ -146,13 +147,13 @@ impl Told {
         Self { version: 1, cell: cell.name.clone(), complete: true, unexplained: Some(at), ..Self::default() }
     }
 
-    /// Of a run of which something is missing.
+    /// The result if a part of the run is missing.
     pub fn of_gap(loaded: &Loaded, missing: String) -> Self {
         Self { version: 1, cell: loaded.table.cell().name.clone(), unknown: Some(missing), ..Self::default() }
     }
 
-    /// What the exit code depends on: whether a check did not hold, whether something is unexplained, and whether all was
-    /// looked at: there was time for it, and no evidence is missing.
+    /// The exit code. It depends on broken checks, on unexplained steps, and on whether everything was judged: the time
+    /// sufficed, and no evidence is missing.
     pub fn verdict(&self) -> Exit {
         match (&self.unexplained, self.complete) {
             _ if self.checks.is_broken() => Exit::Finding,
@@ -164,7 +165,7 @@ impl Told {
         }
     }
 
-    /// Writes it for people.
+    /// Prints the result for people.
     ///
     /// # Errors
     /// The output cannot be written.
@@ -218,7 +219,7 @@ impl Told {
         self.checks.show(out)
     }
 
-    /// What of the run `imrs verify` explores, too, and what not.
+    /// Prints in which ways the run went beyond what `imrs verify` explores.
     fn compare(&self, out: &mut Output) -> Result<(), Failure> {
         let late = count(self.late_at_most, "tick");
         let late = (self.late_at_most > 0).then(|| format!(", nodes that act up to {late} late"));

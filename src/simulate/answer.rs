@@ -1,4 +1,4 @@
-//! What random runs found, as programs read it.
+//! The result of random runs, for programs.
 
 use super::tell::PROVES_NOTHING;
 use super::{Report, What};
@@ -6,7 +6,7 @@ use crate::verify;
 use imrs_model::cell::{Ended, Found};
 use serde::Serialize;
 
-/// The answer for programs. It has no times of this machine: the same seeds give the same bytes.
+/// The JSON answer. It contains no times of this machine: the same seeds give the same bytes.
 #[derive(Serialize)]
 pub(super) struct Answer<'a> {
     version: u32,
@@ -19,20 +19,20 @@ pub(super) struct Answer<'a> {
     runs: u64,
     with_faults: u64,
     steps: u64,
-    /// The most steps of a run.
+    /// The limit of steps per run.
     most_steps: u32,
     simulated_us: u64,
     ended: Ends,
-    /// Whether all runs are complete that the command asked for.
+    /// Whether all requested runs were made.
     complete: bool,
     findings: Vec<One<'a>>,
     /// Statements that no run reached.
     not_reached: Vec<verify::Place<'a>>,
     /// Faults of the file that happened in no run.
     idle: Vec<String>,
-    /// Times of the cell that are no multiples of its tick: a finding may come of the rounding.
+    /// Times of the cell that are not multiples of its tick: the rounding may cause a finding.
     rounded: Vec<verify::Rounded<'a>>,
-    /// What the answer says nothing about.
+    /// What the answer does not cover.
     not_looked_for: [&'static str; 1],
     /// The chart of a single run without findings.
     chart: Option<&'a str>,
@@ -68,12 +68,12 @@ struct Before {
     faults: usize,
     choices: usize,
     steps: usize,
-    /// Whether shrinking came to its end.
+    /// Whether shrinking was complete.
     whole: bool,
 }
 
 impl Report<'_> {
-    /// The answer for programs.
+    /// The JSON answer.
     pub fn answer(&self) -> Answer<'_> {
         let (all, subject) = (self.all, self.subject);
         let by = |ended: Ended| all.ended[ended as usize];

@@ -1,4 +1,4 @@
-//! A schedule as a text file: its faults, and its choices if `--save` wrote it.
+//! Reads and writes schedules as TOML files: the faults, and also the choices if `--save` wrote the file.
 
 use crate::failure::Failure;
 use crate::names::did_you_mean;
@@ -10,9 +10,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
-/// The version of the file format. In version 1 a node's choices did not count the inputs that wait in it (D170).
+/// The version of the file format. In version 1, a node's choices did not range over its waiting inputs (D170).
 const VERSION: u32 = 2;
-/// A longer file is no plan.
+/// Most bytes of a file.
 const LONGEST: u64 = 16 << 20;
 
 /// A file.
@@ -28,7 +28,7 @@ struct File {
     digest: Option<String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     fault: Vec<Line>,
-    /// None: each seed chooses.
+    /// The choices of the schedule; none: each seed draws them.
     #[serde(skip_serializing_if = "Option::is_none")]
     choices: Option<Choices>,
 }
@@ -64,10 +64,10 @@ struct Line {
     restart_after: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     lasts: Option<String>,
-    /// Of a pause: `waits`, where an action that the node has just begun begins only after it.
+    /// For a pause: `waits` if an action that the node has just begun starts only after it.
     #[serde(skip_serializing_if = "Option::is_none")]
     action: Option<String>,
-    /// Of a clock: `twice` or `missed`.
+    /// For a clock: `twice` or `missed`.
     #[serde(skip_serializing_if = "Option::is_none")]
     tick: Option<String>,
 }
@@ -86,7 +86,7 @@ struct Choices {
 /// The faults of a file, and its choices if it has any.
 pub(super) type Plan = (Vec<Fault>, Option<Tape>);
 
-/// The names of a cell, and how long its tick is.
+/// The names of a cell, and the length of its tick.
 pub(super) struct Names<'a> {
     pub table: &'a CellTable,
     pub tick_us: u64,
@@ -288,7 +288,7 @@ impl Names<'_> {
         line
     }
 
-    /// A number of ticks as a person writes it: `120ms`.
+    /// A number of ticks as text: `120ms`.
     pub fn time(&self, ticks: u64) -> String {
         humantime::format_duration(Duration::from_micros(ticks.saturating_mul(self.tick_us))).to_string()
     }
@@ -334,7 +334,7 @@ impl Names<'_> {
         self.between(ends).map(|_| ends)
     }
 
-    /// A link in both: `a -- b`.
+    /// A link in both directions: `a -- b`.
     fn cut(&self, text: &str) -> Result<usize, String> {
         let (from, to) =
             text.split_once("--").ok_or_else(|| format!("`{text}` is no link: write `a -- b`"))?;

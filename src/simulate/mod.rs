@@ -1,4 +1,4 @@
-//! `imrs simulate CELL`: random runs of a cell on the machine itself, with the faults that it declares.
+//! `imrs simulate CELL`: runs a cell at random on the protocol's state machine, with the faults that it declares.
 
 mod answer;
 mod file;
@@ -34,7 +34,7 @@ enum What {
     Schedule(Schedule),
 }
 
-/// The question and its result, to be shown.
+/// The request and its result, to be shown.
 struct Report<'a> {
     subject: &'a Subject,
     names: &'a Names<'a>,
@@ -43,7 +43,7 @@ struct Report<'a> {
     /// Why the cell was not run.
     refused: Option<&'a Refused>,
     all: &'a Simulated,
-    /// Whether the finding that was asked for was saved.
+    /// Whether the selected finding was saved.
     saved: bool,
     /// The chart of a single run without findings.
     chart: Option<String>,
@@ -101,7 +101,7 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
         What::Schedule(schedule) => Some(simulator.chart_of(schedule)),
         What::Seeds { .. } => None,
     };
-    // What was found is shown even if it cannot be saved.
+    // The findings are shown even if saving fails.
     let kept = keep(args, &subject, &names, &all);
     let saved = matches!(kept, Ok(true));
     let report = Report {
@@ -116,7 +116,7 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
     };
     report.show(format, out)?;
     if text {
-        // On standard error, because the answer has no times of this machine.
+        // On standard error, because the answer is independent of this machine's speed.
         let speed = grouped((all.steps as f64 / seconds.max(1e-9)) as u64);
         let line = format!("{} in {seconds:.2} s, {speed} steps a second", count(all.runs, "run"));
         let _ = writeln!(io::stderr(), "{line}");
@@ -157,8 +157,8 @@ fn what(args: &SimulateArgs, names: &Names<'_>) -> Result<What, Failure> {
 /// A flag that Ctrl-C sets. A second Ctrl-C ends the process.
 fn stop_at_ctrl_c() -> Arc<AtomicBool> {
     let (stop, once) = (Arc::default(), Arc::default());
-    // In this order, which is also that in which a signal finds them: one that comes between two of these lines sets the flag, too.
-    // Where nothing can be registered, Ctrl-C ends the process at once.
+    // A signal runs these actions in the order of registration, so one that arrives between two of these lines sets the flag,
+    // too. If none can be registered, Ctrl-C ends the process at once.
     let _ = signal_hook::flag::register(SIGINT, Arc::clone(&stop));
     let _ = signal_hook::flag::register_conditional_default(SIGINT, Arc::clone(&once));
     let _ = signal_hook::flag::register(SIGINT, once);
@@ -171,12 +171,12 @@ fn progress(seeds: u64, text: bool) -> ProgressBar {
     let line = ProgressBar::with_draw_target(Some(seeds), target);
     match ProgressStyle::with_template("{wide_bar} {pos} of {len} runs, {msg}") {
         Ok(style) => line.with_style(style),
-        // The default style of the bar shows less.
+        // The default style is a fallback that shows less.
         Err(_) => line,
     }
 }
 
-/// Saves the finding that was asked for. False: there is none to save, or no file.
+/// Saves the selected finding. False if there is none, or no file was named.
 fn keep(args: &SimulateArgs, subject: &Subject, names: &Names<'_>, all: &Simulated) -> Result<bool, Failure> {
     let found = all.found.get(usize::from(args.finding) - 1);
     let missed = || format!("--finding {}: there are {}", args.finding, all.found.len());
@@ -208,7 +208,7 @@ fn command(subject: &Subject, args: &SimulateArgs) -> String {
 }
 
 impl Report<'_> {
-    /// Says that nothing was saved, where nothing was found.
+    /// The message that nothing was saved, if nothing was found.
     fn unsaved(&self) -> Option<String> {
         let path = self.args.save.as_ref().filter(|_| self.all.found.is_empty())?;
         let why = if self.refused.is_some() { "the cell was not simulated" } else { "nothing was found" };
@@ -219,7 +219,7 @@ impl Report<'_> {
         self.saved && usize::from(self.args.finding) == number + 1
     }
 
-    /// The command that shows this finding again, with its whole chart.
+    /// The command that reproduces this finding with its whole chart.
     fn again(&self, number: usize, found: &Found) -> String {
         let mut command = command(self.subject, self.args);
         let saved = self.args.save.as_ref().filter(|_| self.is_saved(number));

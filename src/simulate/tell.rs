@@ -1,4 +1,4 @@
-//! What random runs found, as a person reads it.
+//! Prints the result of random runs, for people.
 
 use super::{Report, What};
 use crate::args::Format;
@@ -7,7 +7,7 @@ use crate::output::{BAD, FAINT, HEAD, NOTE, Output, Styled, complain, count, gro
 use crate::verify::chart;
 use imrs_model::cell::{Ended, Fault, Found};
 
-/// What runs without findings do not prove.
+/// The caveat of runs without findings.
 pub(super) const PROVES_NOTHING: &str = "random runs prove nothing about others";
 
 impl Report<'_> {
@@ -95,7 +95,7 @@ impl Report<'_> {
         }
     }
 
-    /// A fault in the cell's words.
+    /// A fault in words, with the names of the cell.
     pub(super) fn words(&self, fault: &Fault) -> String {
         fault.words(&self.subject.table, &|ticks| self.names.time(ticks))
     }

@@ -1,4 +1,4 @@
-//! What the check of a cell found, as programs read it.
+//! The result of checking a cell, for programs.
 
 use super::limits::not_looked_for;
 use super::subject::Subject;
@@ -10,41 +10,41 @@ use imrs_protocol::script::Address;
 use imrs_protocol::{CellTable, TaskId};
 use serde::Serialize;
 
-/// The answer for programs.
+/// The JSON answer.
 #[derive(Serialize)]
 pub(super) struct Answer<'a> {
     version: u32,
     cell: &'a str,
     file: &'a str,
     complete: bool,
-    /// Why nothing was looked at; null where something was.
+    /// Why the cell was not checked; null if it was.
     not_checked: Option<NotChecked<'a>>,
     looked_at: LookedAt,
-    /// What the verdict says nothing about.
+    /// What the verdict does not cover.
     not_looked_for: Vec<&'static str>,
     /// The checks of the file.
     claims: Vec<Settled<'a>>,
     findings: Vec<Told<'a>>,
-    /// What may well be meant: tasks that go on for ever without coming further.
+    /// Possibly intended: tasks that go on for ever without progress.
     warnings: Vec<Told<'a>>,
-    /// Statements that these faults never called for.
+    /// Statements that are never reached with these faults.
     not_exercised: Vec<Place<'a>>,
-    /// The values with which messages from tasks outside the cell were tried: in fields that are no reals, and in reals.
+    /// The values with which messages of extern tasks were tried: in integer fields, and in `real` fields.
     outside: &'a [i64],
     outside_real: &'a [f32],
-    /// Those that are too many to be tried.
+    /// Values that were not tried, because there are too many.
     outside_left_out: &'a [i64],
     outside_real_left_out: &'a [f32],
-    /// Statements never reached with these values: other ones may lead there.
+    /// Statements that are never reached with these values: others may lead there.
     not_tried: Vec<Place<'a>>,
-    /// Statements not reached before a search ended or a finding: it says nothing about them.
+    /// Statements not reached before a search ended or a finding came: nothing is known about them.
     not_seen: Vec<Place<'a>>,
-    /// Times of the cell that are no multiples of its tick, and were rounded: what is found may come of that.
+    /// Times of the cell that are not multiples of its tick: the rounding may cause a finding.
     rounded: Vec<Rounded<'a>>,
     phases: Vec<Searched<'a>>,
 }
 
-/// Where a statement begins.
+/// The place of a statement.
 #[derive(Serialize)]
 pub struct Place<'a> {
     task: &'a str,
@@ -52,7 +52,7 @@ pub struct Place<'a> {
     column: usize,
 }
 
-/// Why nothing was looked at.
+/// Why a cell was not checked.
 #[derive(Serialize)]
 pub struct NotChecked<'a> {
     why: &'a str,
@@ -61,11 +61,11 @@ pub struct NotChecked<'a> {
     column: Option<usize>,
 }
 
-/// Which times are looked at.
+/// The times at which events are tried.
 #[derive(Serialize)]
 struct LookedAt {
     tick_us: u64,
-    /// Of the times between the ends of an action's, every so many are looked at.
+    /// The interval at which an action may end between its least and its most time.
     model_tick_us: Option<u64>,
 }
 
@@ -75,7 +75,7 @@ struct Settled<'a> {
     expect: &'static str,
     outcome: &'static str,
     as_expected: bool,
-    /// What it reads that never changed: `r2.active = false`.
+    /// Values it reads that never changed: `r2.active = false`.
     never_changed: Vec<&'a str>,
 }
 
@@ -90,9 +90,9 @@ pub struct Told<'a> {
     line: usize,
     column: usize,
     cause: &'a str,
-    /// What is usually to be done.
+    /// The usual remedy.
     help: &'static str,
-    /// What the other tasks that it concerns do.
+    /// The states of other tasks that it concerns.
     meanwhile: Vec<Meanwhile<'a>>,
     at_ticks: u64,
     chart: &'a str,
@@ -128,18 +128,18 @@ struct Searched<'a> {
     parts: u32,
     states: u64,
     transitions: u64,
-    /// Choices: the most on a shortest way to a state, and up to how many everything was looked at.
+    /// In choices: the length of the longest shortest path to a state, and the depth up to which everything was explored.
     depth: u64,
     whole_depth: u64,
     complete: bool,
-    /// Whether what follows some finding was not looked at.
+    /// Whether states beyond a finding were not explored.
     pruned: bool,
     /// Which budget ended it.
     ended_by: Option<&'a str>,
     seconds: f64,
 }
 
-/// What may go wrong in a search: counts, the nodes that crash, the ends of the links that are cut.
+/// The fault bounds of a search: counts, the nodes that crash, the ends of the links that are cut.
 #[derive(Serialize)]
 struct Bounds<'a> {
     loss: u8,
@@ -152,7 +152,7 @@ struct Bounds<'a> {
     pause: Vec<Pausing<'a>>,
 }
 
-/// A pause: the node, or null for any one, and how long it may last.
+/// A pause: the node, or null for any node, and its longest duration.
 #[derive(Serialize)]
 struct Pausing<'a> {
     node: Option<&'a str>,
@@ -169,7 +169,7 @@ impl Subject {
     ) -> Answer<'a> {
         let settled = |check: usize| {
             let fails = verdicts.findings.iter().any(|f| f.kind == Kind::Check && f.check == Some(check));
-            // What lies behind a finding that ends its way was not looked at.
+            // States beyond a finding that ends its path were not explored.
             let whole = verdicts.is_complete() && !verdicts.phases.iter().any(|phase| phase.pruned);
             let outcome = match (fails, whole) {
                 (true, _) => "fails",
@@ -216,14 +216,14 @@ impl Subject {
         self.rounded().map(|(line, column, what)| Rounded { line, column, what }).collect()
     }
 
-    /// Why nothing was looked at.
+    /// Why the cell was not checked.
     pub fn not_checked<'a>(&'a self, refused: &'a Refused) -> NotChecked<'a> {
         let place = self.place(refused.task, refused.at);
         let (line, column) = (place.map(|place| place.0), place.map(|place| place.1));
         NotChecked { why: &refused.why, task: self.task(refused.task), line, column }
     }
 
-    /// Where these statements begin.
+    /// The places of these statements.
     pub fn places(&self, which: &[(TaskId, Address)]) -> Vec<Place<'_>> {
         let place = |&(task, at): &(TaskId, Address)| {
             let (line, column, _) = self.place(task, at)?;
@@ -232,7 +232,7 @@ impl Subject {
         which.iter().filter_map(place).collect()
     }
 
-    /// A finding for programs.
+    /// The JSON of a finding.
     pub fn told<'a>(&'a self, finding: &'a Finding, saved: bool) -> Told<'a> {
         let (line, column, _) = self.place_of(finding);
         let meanwhile = |other: &'a Concerned| {

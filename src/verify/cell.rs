@@ -1,4 +1,4 @@
-//! `imrs verify CELL`: the cell's own scripts and communication tasks under the checker, with the faults that it declares.
+//! `imrs verify CELL`: checks the cell's own scripts and communication tasks, with the faults that the cell declares.
 
 use super::save::save;
 use super::subject::Subject;
@@ -27,7 +27,7 @@ pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Fai
         kept::check(file, args.faults.force)?;
     }
     let verdicts = check_cell(&plan);
-    // What was found is shown even if it cannot be saved.
+    // The findings are shown even if saving fails.
     let kept = keep(&subject, &plan, &verdicts, &args.faults);
     let saved = kept.as_ref().map_or(None, |saved| *saved);
     match format {
@@ -50,7 +50,7 @@ pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Fai
     })
 }
 
-/// Draws and saves the finding that was asked for. Returns its number if it was saved.
+/// Draws and saves the selected finding. Returns its number if it was saved.
 fn keep(
     subject: &Subject,
     plan: &Arc<CellPlan>,
@@ -63,7 +63,7 @@ fn keep(
         None => all.iter().position(|finding| !finding.moves.is_empty()).unwrap_or(0),
     };
     let Some(finding) = all.get(at) else {
-        // Without findings there is nothing to keep, and that is well.
+        // Without findings there is nothing to save, which is no error.
         let missed = args.finding.filter(|_| !all.is_empty());
         let missed = missed.map(|number| format!("--finding {number}: there are {}", all.len()));
         return missed.map_or(Ok(None), |missed| Err(Failure::Usage(missed)));

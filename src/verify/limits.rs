@@ -1,25 +1,25 @@
-//! What a verdict says nothing about, and what it was tried with.
+//! The limits of a verdict: what it does not cover, and with which values it was tried.
 
 use crate::failure::Failure;
 use crate::output::{FAINT, Output, Styled};
 use imrs_model::cell::{CellPlan, Tried};
 
-/// What no verdict on a cell says anything about.
+/// Not covered in any cell.
 const STANDSTILLS: &str = "livelock: a task that polls for ever while other tasks make progress, or one that only asks again and again whether something came";
 
-/// What no verdict on a cell with tasks outside says anything about.
+/// Not covered in cells with extern tasks.
 const TIMES_OUTSIDE: &str =
     "extern tasks that use a port otherwise than once in each period of their rate, or in each tick";
 
-/// What no verdict on a cell says anything about whose actions give results that go elsewhere than into comparisons.
+/// Not covered in cells that use results of actions otherwise than in comparisons.
 const OTHER_RESULTS: &str =
     "other results of actions than the ends of their ranges and what is compared with";
 
-/// What no verdict on a cell says anything about whose actions give numbers.
+/// Not covered in cells whose actions give numbers.
 const UNFIT: &str =
     "results of actions that are outside their range, or do not fit the variable that takes them";
 
-/// What the verdict on this cell says nothing about.
+/// What the verdict on this cell does not cover.
 pub(super) fn not_looked_for(plan: &CellPlan) -> Vec<&'static str> {
     let outside = plan.has_extern().then_some(TIMES_OUTSIDE);
     let results = plan.has_open_results().then_some(OTHER_RESULTS);
@@ -27,7 +27,7 @@ pub(super) fn not_looked_for(plan: &CellPlan) -> Vec<&'static str> {
     std::iter::once(STANDSTILLS).chain(outside).chain(results).chain(unfit).collect()
 }
 
-/// With which values the messages of extern tasks were tried.
+/// Prints the values with which the messages of extern tasks were tried.
 ///
 /// # Errors
 /// [`Failure::Output`].

@@ -1,4 +1,4 @@
-//! `imrs verify`: asks the model checker for its verdicts and shows them.
+//! `imrs verify`: runs the model checker and shows its verdicts.
 
 mod answer;
 mod cell;
@@ -25,10 +25,10 @@ use std::num::NonZero;
 use std::thread;
 use std::time::Instant;
 
-/// The memory that a claim may take unless told otherwise.
+/// Memory limit of a check without `--memory`, in bytes.
 const DEFAULT_MEMORY: u64 = 4 << 30;
 
-/// Checks a cell, or without one the protocol's claims.
+/// Checks a cell if one was named, else the protocol's claims.
 ///
 /// # Errors
 /// [`Failure`].
@@ -70,7 +70,7 @@ pub fn run(args: &VerifyArgs, out: &mut Output) -> Result<Exit, Failure> {
     Ok(verdict(&report))
 }
 
-/// Serves a claim's world until the process is ended.
+/// Serves the state space of a claim over HTTP until the process is ended.
 fn explore(claim: &str, address: SocketAddr, args: &VerifyArgs, out: &mut Output) -> Result<Exit, Failure> {
     let refused = |error: ExplorerError| Failure::Usage(format!("{claim}: {error}"));
     let explorer = Explorer::of_claim(claim).map_err(refused)?;

@@ -1,4 +1,4 @@
-//! What a person sees while claims are checked: one line for each that is being checked now, on standard error.
+//! The progress display while claims are checked: one line on standard error for each running check.
 
 use crate::args::Format;
 use crate::output::grouped;
@@ -7,13 +7,13 @@ use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-/// Lines on standard error where it is a terminal; nothing where it is not.
+/// Progress lines, if standard error is a terminal.
 pub struct Lines {
     all: MultiProgress,
     running: Mutex<Vec<Line>>,
 }
 
-/// A claim under one rule that is being checked.
+/// The line of a claim that is being checked under one rule.
 struct Line {
     name: String,
     title: String,
@@ -30,9 +30,9 @@ impl Lines {
         Self { all: MultiProgress::with_draw_target(target), running: Mutex::default() }
     }
 
-    /// Takes all lines away.
+    /// Removes all lines.
     pub fn clear(&self) {
-        // A terminal that cannot be cleared keeps its lines.
+        // If the terminal cannot be cleared, the lines stay.
         let _ = self.all.clear();
     }
 
@@ -54,7 +54,7 @@ impl Progress for Lines {
     }
 
     fn states(&self, name: &str, states: u64) {
-        // Of several rules of a claim, the one that began last.
+        // If several rules of a claim are being checked, the newest line.
         if let Some(line) = self.running().iter().rev().find(|line| line.name == name) {
             line.bar.set_message(format!("{}: {} states", line.title, grouped(states)));
         }

@@ -1,4 +1,4 @@
-//! The verdicts, as a person reads them.
+//! Prints the verdicts on the protocol's claims, for people.
 
 use crate::failure::Failure;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped};
@@ -6,14 +6,14 @@ use imrs_model::{Outcome, Report, Verdict};
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-/// The claim whose figures make a table of their own.
+/// The claim whose figures are shown as a table of their own.
 const UNDER_LOSS: &str = "rendezvous-under-loss";
-/// How many lines from the beginning of a counterexample are shown unless its claim was asked for.
+/// How many first lines of a counterexample are shown unless its claim was requested.
 const CHART_HEAD: usize = 6;
-/// How many from its end, where it says what is wrong.
+/// How many last lines are shown: they say what is wrong.
 const CHART_TAIL: usize = 3;
 
-/// Shows a report. `in_full` shows counterexamples from beginning to end.
+/// Prints a report. `in_full`: counterexamples are printed whole.
 ///
 /// # Errors
 /// [`Failure::Output`].
@@ -79,7 +79,7 @@ fn bounds(v: &Verdict) -> String {
     parts.join(" ")
 }
 
-/// How wide a verdict is.
+/// The width of the verdict column.
 const VERDICT: usize = 20;
 
 /// The verdict against its expectation.
@@ -105,7 +105,7 @@ fn widest<'a>(names: impl Iterator<Item = &'a String>, head: &str) -> usize {
     names.map(String::len).chain([head.len()]).max().unwrap_or(0)
 }
 
-/// The least number of lost packets that strands a member: by rule of confirmation and number of members.
+/// Prints the least number of lost packets that strands a member, by rule of confirmation and number of members.
 fn rules_under_loss(report: &Report, out: &mut Output) -> Result<(), Failure> {
     let of: Vec<&Verdict> = report.claims.iter().filter(|v| v.name == UNDER_LOSS).collect();
     let sizes: BTreeSet<u32> = of.iter().map(|v| v.parties).collect();
@@ -162,11 +162,11 @@ fn margins(report: &Report, out: &mut Output) -> Result<(), Failure> {
     if any { out.line("") } else { Ok(()) }
 }
 
-/// The shortest schedule that breaks each failing variant.
+/// Prints the shortest counterexample of each failing variant.
 fn counterexamples(report: &Report, in_full: bool, out: &mut Output) -> Result<(), Failure> {
     for v in &report.claims {
         let Some(counterexample) = &v.counterexample else { continue };
-        // The table of rules says it all, unless it was asked for.
+        // The table of rules says the same, so it is shown only if it was requested.
         if v.name == UNDER_LOSS && !in_full && v.as_expected {
             continue;
         }

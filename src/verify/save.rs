@@ -1,4 +1,4 @@
-//! A finding as a recording: what a monitor attached to every node would have seen, with the words for each step.
+//! Saves the counterexample of a finding as a recording: what monitors of all nodes would have seen, with a text for each step.
 
 use super::subject::Subject;
 use crate::failure::Failure;
@@ -16,10 +16,10 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 const BUILD: &str = concat!("imrs ", env!("CARGO_PKG_VERSION"));
 
-/// Saves the way to a finding. False where it has none, as a statement that is never reached.
+/// Saves the counterexample of a finding. False if it has none: an unreachable statement has no path.
 ///
 /// # Errors
-/// Where the file cannot be written.
+/// The file cannot be written.
 pub(super) fn save(
     path: &Path,
     subject: &Subject,
@@ -58,15 +58,15 @@ impl Subject {
         }
     }
 
-    /// A step in words.
+    /// A step as text.
     fn step(&self, number: usize, scene: &Scene) -> Step {
         let words = |happening: &Shows| match happening {
             Shows::Said(words) => Some(words.clone()),
-            // Where a task has no text there is nothing to show: it is any use of its ports.
+            // An extern task has no statements, so there is nothing to show.
             Shows::Began(task, at) => {
                 let (line, _, text) = self.place(*task, *at)?;
                 let name = self.task(*task);
-                // A task that only answers has its name for a text.
+                // The text of a task that only answers is its name.
                 Some(if text == name {
                     format!("{name} begins (line {line})")
                 } else {
@@ -88,11 +88,11 @@ impl Subject {
     }
 }
 
-/// The recording in the making.
+/// Writes the recording.
 struct Film<'a, W> {
     writer: RecordingWriter<W>,
     subject: &'a Subject,
-    /// For each node the life that the recording is attached to.
+    /// For each node, the incarnation to which the recording is attached.
     attached: Vec<Option<imrs_protocol::Incarnation>>,
     at: u64,
 }

@@ -1,4 +1,4 @@
-//! A cell that is checked: what it was compiled from, and the plan of its check.
+//! A cell that is checked, with its source text, and the plan of its check.
 
 use super::DEFAULT_MEMORY;
 use crate::args::{self, CellFaultArgs, Format, VerifyVerb};
@@ -19,24 +19,24 @@ use imrs_protocol::{CellTable, NodeId, TaskId, Ticks};
 use std::path::Path;
 use std::sync::Arc;
 
-/// A cell, what it was compiled from and to.
+/// A compiled cell, with its source text.
 pub struct Subject {
     pub file: String,
     pub source: Source,
     pub lowered: Lowered,
-    /// Where the heads of the tasks stand.
+    /// The places of the tasks' heads.
     tasks: Vec<Span>,
-    /// Where the work couples stand, as the table has them.
+    /// The places of the work couples, in the order of the table.
     couples: Vec<Span>,
     pub table: Arc<CellTable>,
-    /// Microseconds in a tick of the model.
+    /// The length of a tick in microseconds.
     pub tick_us: u64,
-    /// Every how many microseconds between the ends of an action's times are looked at, where the cell says so.
+    /// The interval in microseconds at which an action may end between its least and its most time, if the cell declares one.
     pub model_tick_us: Option<u64>,
 }
 
 impl Subject {
-    /// Compiles a cell file. The inner error: it was turned down, and the reasons are told.
+    /// Compiles a cell file. The inner error: the compiler rejected it, and the diagnostics have been printed.
     ///
     /// # Errors
     /// [`Failure`].
@@ -71,7 +71,7 @@ impl Subject {
         Ok(Ok(Self { file, source, lowered, tasks, couples, table, tick_us, model_tick_us }))
     }
 
-    /// The cell with the faults that it declares.
+    /// The plan with the faults that the cell declares.
     pub fn declared(&self, jobs: Option<u16>) -> CellPlan {
         let tasks = self.lowered.tasks.iter().map(conduct).collect();
         let mut plan = CellPlan::new(Arc::clone(&self.table), tasks);
@@ -85,10 +85,10 @@ impl Subject {
         plan
     }
 
-    /// With the faults, the budget and the times that were asked for.
+    /// The plan with the requested faults, budget and times added.
     ///
     /// # Errors
-    /// Where they name what the cell does not have.
+    /// The faults name nodes or tasks that the cell does not have.
     pub fn plan(&self, args: &VerifyVerb) -> Result<CellPlan, Failure> {
         let mut plan = self.declared(args.verify.jobs);
         self.add(&args.faults, &mut plan.faults)?;
@@ -103,7 +103,7 @@ impl Subject {
         Ok(plan)
     }
 
-    /// The lines and the formats that charts show.
+    /// The lines and the message formats that charts show.
     fn legend(&self) -> Legend {
         let line = |span: &Span| u32::try_from(self.source.position(span.start).0).unwrap_or(u32::MAX);
         let of_task = |behaviour: &Behaviour| match behaviour {
@@ -118,7 +118,7 @@ impl Subject {
         Legend { lines, handlers, formats }
     }
 
-    /// Adds the faults asked for to each declared hypothesis.
+    /// Adds the requested faults to each declared hypothesis.
     fn add(&self, more: &CellFaultArgs, all: &mut Vec<CellFaults>) -> Result<(), Failure> {
         let crash = more.crash.iter().map(|name| self.node(name)).collect::<Result<Vec<_>, _>>()?;
         if all.is_empty() {
@@ -136,7 +136,7 @@ impl Subject {
         Ok(())
     }
 
-    /// The times that were rounded to the tick: line, column, and what was made of them.
+    /// The times that were rounded to the tick: line, column, and the result.
     pub fn rounded(&self) -> impl Iterator<Item = (usize, usize, &str)> {
         self.lowered.notes.iter().map(|note| {
             let (line, column) = self.source.position(note.primary.span.start);
@@ -144,7 +144,7 @@ impl Subject {
         })
     }
 
-    /// The node of this name, or that of the task of this name.
+    /// The node of this name, or the node of the task of this name.
     fn node(&self, name: &str) -> Result<NodeId, Failure> {
         let cell = self.table.cell();
         let node = cell.nodes.iter().position(|node| node.name == name).map(NodeId::from_index);
@@ -181,12 +181,12 @@ impl Subject {
         };
         let of_couple =
             || finding.couple.and_then(|couple| self.couples.get(couple)).copied().map(first_line);
-        // A task outside the cell has no statements.
+        // An extern task has no statements.
         let of_head = || finding.task.and_then(|task| self.tasks.get(task.index())).copied().map(first_line);
         of_task.or_else(of_check).or_else(of_couple).or_else(of_head).unwrap_or_else(|| self.head())
     }
 
-    /// The declaration of the cell: what is wrong with nothing in particular is wrong with it.
+    /// The declaration of the cell: the place of a finding that has no other.
     fn head(&self) -> (usize, usize, &str) {
         let mut lines = (1..).zip(self.source.text().lines());
         let head = lines.find(|(_, text)| text.trim_start().starts_with("cell "));
@@ -221,7 +221,7 @@ fn check(check: &Check) -> CellCheck {
     CellCheck { name: check.name.clone(), holds }
 }
 
-/// A declared hypothesis, for the checker, in ticks of so many microseconds.
+/// Converts a declared fault hypothesis for the checker, in ticks of `tick_us` microseconds.
 pub fn faults(declared: &Faults, table: &CellTable, tick_us: u64) -> CellFaults {
     let pause = |pause: &hir::Pause| {
         // A pause that ends between two ticks ends at the later one.

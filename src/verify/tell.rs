@@ -1,4 +1,4 @@
-//! What the check of a cell found, as a person reads it.
+//! Prints the result of checking a cell, for people.
 
 use super::limits::{not_looked_for, values_tried};
 use super::subject::Subject;
@@ -12,14 +12,14 @@ use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
 use std::fmt::Write as _;
 
-/// How many lines of a chart are shown of every finding but the first.
+/// How many last lines of a chart are shown, for every finding but the first.
 const CHART_TAIL: usize = 8;
-/// So many statements are shown with their text.
+/// Up to so many statements are shown with their text.
 const FEW: usize = 6;
 /// The most columns of a statement's text.
 const EXCERPT: usize = 48;
 
-/// What there is to tell.
+/// The result of checking a cell, with its context.
 pub(super) struct Telling<'a> {
     pub subject: &'a Subject,
     pub plan: &'a CellPlan,
@@ -31,7 +31,7 @@ pub(super) struct Telling<'a> {
     pub failed: bool,
 }
 
-/// Says of each file that was named, and was not written though nothing failed, that it was not.
+/// A message for each named file that was not written although nothing failed.
 pub(super) fn unkept(args: &CellFaultArgs, verdicts: &Verdicts, saved: Option<usize>) -> Vec<String> {
     let none = verdicts.findings.is_empty();
     let why = match (none, &verdicts.refused) {
@@ -108,7 +108,7 @@ impl Telling<'_> {
         self.last_line(out)
     }
 
-    /// Which times are looked at: what a verdict is about.
+    /// The times at which events were tried: the scope of a verdict.
     fn times(&self) -> String {
         let msec = |usec: u64| match (usec / 1000, usec % 1000) {
             (whole, 0) => format!("{whole} msec"),
@@ -133,7 +133,7 @@ impl Telling<'_> {
         format!("{}; tick {tick}{model}", words.join("; "))
     }
 
-    /// The command that shows a finding step by step. None where there is no way to it.
+    /// The command that shows a finding step by step. None if the finding has no counterexample.
     fn step_by_step(&self, number: usize, finding: &Finding) -> Option<String> {
         if finding.moves.is_empty() {
             return None;
@@ -203,8 +203,8 @@ impl Telling<'_> {
 }
 
 impl Subject {
-    /// Tells a finding: what, where, what the others do, how it comes about, what is usually to be done. Of its chart only
-    /// the end is shown where something else shows all of it.
+    /// Prints a finding: what, where, the other tasks, the counterexample, and the usual remedy. `all`: what shows the whole
+    /// chart; if given, only its end is printed.
     ///
     /// # Errors
     /// [`Failure::Output`].
@@ -227,7 +227,7 @@ impl Subject {
         out.line(format!("  help: {}", help(finding.kind)))
     }
 
-    /// Shows the times that are no multiples of the tick. `found`: whether there are findings, which may come of the rounding.
+    /// Prints the times that are not multiples of the tick. `found`: whether there are findings, which rounding may cause.
     ///
     /// # Errors
     /// [`Failure::Output`].
@@ -247,7 +247,7 @@ impl Subject {
         Ok(())
     }
 
-    /// The other tasks of a finding: `b (line 39), c (line 50), which have the same statements`.
+    /// The tasks with the same finding: `b (line 39), c (line 50), which have the same statements`.
     fn also(&self, finding: &Finding) -> String {
         let place = |&task: &TaskId| {
             let line = finding.address.and_then(|at| self.place(task, at)).map(|place| place.0);
@@ -259,7 +259,7 @@ impl Subject {
         format!("{}, which {have} the same statements", tasks.join(", "))
     }
 
-    /// What a task does when a finding is found: `camera, line 22: run look`.
+    /// The state of another task at the finding: `camera is at line 22: run look`.
     fn meanwhile(&self, other: &Concerned) -> String {
         let name = self.task(other.task);
         let place = other.at.and_then(|at| self.place(other.task, at));
@@ -273,7 +273,7 @@ impl Subject {
         format!("{name} is at line {line}: {}", short(text))
     }
 
-    /// Statements and their lines, by task: `armL line 12, 14; hoist line 31`, with their text where they are few.
+    /// Prints statements and their lines, by task: `armL line 12, 14; hoist line 31`; a few with their text.
     pub fn statements(
         &self,
         what: &str,
@@ -306,7 +306,7 @@ impl Subject {
     }
 }
 
-/// A word of a command, as a shell takes it.
+/// A word of a command, quoted for a shell.
 pub fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,@%".contains(c);
     if !word.is_empty() && word.chars().all(plain) {
@@ -315,7 +315,7 @@ pub fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', r"'\''"))
 }
 
-/// What is usually to be done.
+/// The usual remedy of a kind of finding.
 pub(super) const fn help(kind: Kind) -> &'static str {
     match kind {
         Kind::Deadlock => {
@@ -354,7 +354,7 @@ fn short(text: &str) -> String {
     format!("{}...", kept.trim_end())
 }
 
-/// Draws a chart, only its end where something else shows all of it.
+/// Prints a chart. `all`: what shows the whole chart; if given, only the end is printed.
 ///
 /// # Errors
 /// [`Failure::Output`].
@@ -373,7 +373,7 @@ pub fn chart(chart: &str, all: Option<&String>, out: &mut Output) -> Result<(), 
     Ok(())
 }
 
-/// What may go wrong in a phase, declared and asked for together.
+/// The faults and times of a phase: those declared and those requested.
 pub(super) fn bounds(plan: &CellPlan, phase: &Coverage) -> String {
     let faults = match phase.phase {
         Phase::FaultFree => "Without faults".into(),

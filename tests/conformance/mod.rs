@@ -1,6 +1,6 @@
-//! Running nodes against the model (M16): what a node records of its inputs is run again while it goes on, and whatever a
-//! runtime could do wrong shows on the screen. Each fault is made in a true recording, as a runtime with that fault would
-//! have written it; a node that is none tells the command of it.
+//! Running nodes against the verified machine (M16). A node's recording is replayed while the node runs, and every deviation of
+//! the runtime shows in the monitor. Each fault is put into a true recording, as a runtime with that fault would have written
+//! it, and a stub node announces the recording.
 
 mod mutants;
 
@@ -17,12 +17,12 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// So long nothing more may be judged, however busy the machine is: who judges comes after all others (nice 19).
+/// Time limit without progress of the judging, which runs below all others (nice 19).
 const LONG: Duration = Duration::from_secs(600);
-/// What is to be kept up with.
+/// The goal in inputs per second.
 const GOAL: f64 = 200_000.0;
 
-/// Requests and answers, delays, time_outs, a rendezvous, rejections with their back-off, and actions.
+/// A cell with requests and answers, delays, time_outs, a rendezvous, rejections with their penalty, and actions.
 const CELL: &str = "\
 cell judged;
 tick 1 msec;
@@ -61,7 +61,7 @@ begin
 end arm;
 ";
 
-/// As many asks as it can, for so many times 40: what one task asks the other of its node answers. Then both end.
+/// A cell in which one task sends 40 queries in each of `ROUNDS` rounds to another one of its node. Then both end.
 const CHAT: &str = "\
 cell judged;
 tick 1 msec;
@@ -91,7 +91,7 @@ begin
 end b;
 ";
 
-/// A run of the cell, as its two nodes recorded it.
+/// A run of the cell, with the recordings of its two nodes.
 struct Bench {
     dir: TempDir,
     cell: PathBuf,
@@ -105,7 +105,7 @@ impl Bench {
         fs::write(&cell, CELL).expect("the cell is written");
         let (cell_text, record) = (cell.to_str().expect("UTF-8"), record.to_str().expect("UTF-8"));
         let args = ["run", cell_text, "--in-process", "--seed", "3", "--record", record];
-        // Each of the two tells of it.
+        // Each of the two tasks prints this line.
         let said = run_until(dir.path(), &args, times(2 * rounds, "all arrived at `meet`"));
         assert_eq!(said.code, Some(0), "{said:?}");
         Self { dir, cell }
@@ -115,7 +115,7 @@ impl Bench {
         Tape::read(&self.dir.path().join(format!("run.{node}.imrs")))
     }
 
-    /// A monitor that is told of a recording at `path`.
+    /// A monitor of a stub node that announces a recording at `path`.
     fn watch(&self, tape: &Tape, node: &str, path: &Path) -> Watched {
         let dir = runtime_dir();
         let id = tape.header.node.expect("a node");
@@ -137,22 +137,22 @@ impl Bench {
     }
 }
 
-/// A monitor, and what it watches.
+/// A monitor, and the stub that it watches.
 struct Watched {
     monitor: Program,
-    /// Ended after the monitor.
+    /// Dropped after the monitor.
     _seen: Option<(Stub, TempDir)>,
 }
 
 impl Watched {
-    /// Of the nodes in this folder.
+    /// Monitors the nodes in this folder.
     fn over(folder: &Path, cell: &Path, seen: Option<(Stub, TempDir)>) -> Self {
         let judge = cell.to_str().expect("UTF-8");
         let args = ["monitor", "--watch", "50ms", "--format", "json", "--judge", judge];
         Self { monitor: Program::start(imrs(folder, &args)), _seen: seen }
     }
 
-    /// What is said next of the node: the verdict, how many steps, and the words of `model-violation`.
+    /// The next sample of the node: the verdict, the number of judged steps, and the text of `model-violation`.
     fn said(&mut self) -> (String, u64, Option<String>) {
         let report = self.monitor.json();
         let node = &report["nodes"][0];
@@ -163,7 +163,7 @@ impl Watched {
         (verdict, node["conforming_steps"].as_u64().unwrap_or(0), words)
     }
 
-    /// Waits until the verdict is `verdict` after so many steps or more, as long as more and more is judged.
+    /// Waits until the verdict is `verdict` after at least so many steps, as long as the judging makes progress.
     fn until(&mut self, verdict: &str, steps: u64) -> (u64, Option<String>) {
         let (mut most, mut end) = (0, Instant::now() + LONG);
         loop {
@@ -211,7 +211,8 @@ fn every_fault_of_a_runtime_is_seen_and_a_true_recording_conforms() {
     println!("{} of {} mutants flagged", MUTANTS.len(), MUTANTS.len());
 }
 
-/// A recording is followed as it grows, a fault in what is new is seen, and a file that takes its place begins anew.
+/// A recording is followed as it grows, a fault in a replacing file is seen, and a file that takes its name is read from the
+/// beginning.
 #[test]
 fn a_recording_is_followed_as_it_grows_and_begins_anew_when_it_is_replaced() {
     let bench = Bench::run(6);
@@ -222,11 +223,11 @@ fn a_recording_is_followed_as_it_grows_and_begins_anew_when_it_is_replaced() {
     let path = bench.dir.path().join("grows.imrs");
     first.write(&path);
     let mut watched = bench.watch(&tape, "na", &path);
-    // What is there is judged piece by piece.
+    // The first half is judged.
     let (steps, _) = watched.until("conforms", inputs(&first.records));
     assert_eq!(steps, inputs(&first.records));
 
-    // Byte for byte what the node would have appended.
+    // The second half is appended, byte for byte as by the node.
     let all = bench.dir.path().join("all.imrs");
     tape.write(&all);
     let (bytes, before) = (fs::read(&all).expect("a file"), fs::read(&path).expect("a file"));
@@ -236,7 +237,7 @@ fn a_recording_is_followed_as_it_grows_and_begins_anew_when_it_is_replaced() {
     let (steps, _) = watched.until("conforms", whole);
     assert_eq!(steps, whole);
 
-    // Another one in its place, with a fault; and the true one again.
+    // The file is replaced by one with a fault, then by the true one.
     let mut wrong = tape;
     (MUTANTS[0].make)(&mut wrong.records).expect("a fault");
     let other = bench.dir.path().join("other.imrs");
@@ -248,8 +249,8 @@ fn a_recording_is_followed_as_it_grows_and_begins_anew_when_it_is_replaced() {
     assert_eq!(steps, whole);
 }
 
-/// A node that works as fast as it can, and a monitor that follows it: how far behind it is when the node stops, and how many
-/// inputs a second are run again by one that comes later.
+/// A monitor follows a node that works as fast as it can. Measures how far behind it is when the node stops, and how many
+/// inputs a second a later monitor replays.
 #[test]
 fn it_keeps_up_with_a_busy_node() {
     let dir = runtime_dir();
@@ -272,7 +273,7 @@ fn it_keeps_up_with_a_busy_node() {
     let bench = Bench { dir, cell };
     let tape = bench.tape("na");
     let all = inputs(&tape.records);
-    // Where its disk could not keep up the node says so; what is there is run again all the same, up to the gap.
+    // If the disk was too slow the recording has gaps, and is judged up to the first one.
     let whole = !tape.records.iter().any(|record| matches!(record, Record::Gap { .. }));
     if !whole {
         println!("its disk could not keep up with the node: nothing is measured");
@@ -284,7 +285,7 @@ fn it_keeps_up_with_a_busy_node() {
     let first = later.until("conforms", 1).0;
     let since = Instant::now();
     later.until("conforms", all);
-    // Where one look took in all of it: it takes no longer than this.
+    // If one look read everything, it took no longer than this.
     let (seconds, more) = match all - first {
         0 => (0.25, all),
         more => (since.elapsed().as_secs_f64().max(1e-3), more),

@@ -1,19 +1,19 @@
-//! Faults of a runtime, each as it would stand in a recording.
+//! Faults of a runtime, each as it would appear in a recording.
 //!
-//! Next to every input stands the digest of what the machine had put out after it. Where a runtime does something else than
-//! the machine that was verified, the two do not fit any more.
+//! Each input is recorded with the digest of the machine's outputs up to then. If a runtime deviates from the verified machine,
+//! the inputs and the digests no longer match.
 #![allow(clippy::ptr_arg, reason = "all of them have one type, and some take records away")]
 
 use imrs_protocol::{Contents, Incarnation, Input, Kind, Packet, Ticks};
 use imrs_wire::recording::{Record, ScriptStep};
 
-/// A fault.
+/// A fault of a runtime.
 pub struct Mutant {
-    /// What goes wrong.
+    /// Its description.
     pub name: &'static str,
-    /// In which node.
+    /// The node whose recording it changes.
     pub node: &'static str,
-    /// Makes it, and says where; none where there is no such thing in the recording.
+    /// Applies the fault, and returns the record; none if the recording has no suitable place.
     pub make: fn(&mut Vec<Record>) -> Option<usize>,
 }
 
@@ -42,7 +42,7 @@ pub const MUTANTS: &[Mutant] = &[
     Mutant { name: "an input at the end is written down nowhere", node: "na", make: lost_at_the_end },
 ];
 
-/// The digest after the input at `at`, and before it.
+/// The digest after the input at `at`, and the digest before it.
 fn digests(records: &[Record], at: usize) -> Option<(u64, u64)> {
     let Record::Input { outputs, .. } = records.get(at)? else { return None };
     let before = records[..at].iter().rev().find_map(|record| match record {
@@ -52,12 +52,12 @@ fn digests(records: &[Record], at: usize) -> Option<(u64, u64)> {
     Some((*outputs, before))
 }
 
-/// With this input something was put out.
+/// Whether the machine had outputs for this input.
 fn tells(records: &[Record], at: usize) -> bool {
     digests(records, at).is_some_and(|(after, before)| after != before)
 }
 
-/// Inputs like this with which something was put out; one in the middle stands for them.
+/// Of all fitting inputs with outputs, the one in the middle.
 fn place(records: &[Record], fits: impl Fn(&Input) -> bool) -> Option<usize> {
     places(records, |records, at| {
         matches!(&records[at], Record::Input { input, .. } if fits(input)) && tells(records, at)
@@ -126,7 +126,7 @@ fn early_time_out(records: &mut Vec<Record>) -> Option<usize> {
     let at = places(records, long)?;
     change(records, at, |elapsed, input, _| {
         *elapsed = Ticks(elapsed.0 / 2);
-        // The machine reckons by itself; that the Timer says so does not make it so.
+        // The machine checks its deadlines itself, and does not rely on the Timer's word.
         *input = Input::Time;
     })
 }
@@ -160,7 +160,7 @@ fn doubled(records: &mut Vec<Record>) -> Option<usize> {
         *elapsed = Ticks::ZERO;
     }
     records.insert(at + 1, again);
-    // A runtime that does so counts it, too, and puts out what the machine would not.
+    // A runtime with this fault counts the copy, too, and has outputs that the machine does not have.
     let before = digests(records, at)?.1;
     change(records, at + 1, |_, _, outputs| *outputs ^= before)?;
     count_one_more(records);

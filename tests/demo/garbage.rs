@@ -1,4 +1,4 @@
-//! Datagrams of strangers, sent to a node of the beam lift while that goes on.
+//! Sends foreign and damaged datagrams to a node of a running beam lift.
 
 use super::{check, ended, node};
 use crate::support::live::{Live, Seen, named, released};
@@ -9,10 +9,10 @@ use imrs_wire::recording::RecordingReader;
 use std::fs::File;
 use std::net::UdpSocket;
 
-/// So many datagrams find room in a queue of the kernel's.
+/// Number of datagrams that fit into the kernel's receive queue.
 const AT_ONCE: u64 = 64;
 
-/// Sends datagrams to a node no faster than it takes them.
+/// A sender that is no neighbour, and sends no faster than the node discards.
 struct Stranger {
     socket: UdpSocket,
     seen: Seen,
@@ -34,7 +34,7 @@ impl Stranger {
         }
     }
 
-    /// Waits until the node has turned away what was sent, but for what is lost on purpose.
+    /// Waits until the node has discarded what was sent, except for what it loses on purpose.
     fn wait(&mut self) {
         let sent = self.sent;
         self.seen.until("garbage is counted", |seen| {
@@ -78,7 +78,7 @@ fn garbage_is_counted_by_reason_and_does_no_harm() {
     let mut datagram = Datagram::default();
     datagram.push(&[0; PACKET_BYTES]);
     stranger.send(datagram.seal(&envelope, digests(digest ^ 1)));
-    // Nobody has these statements.
+    // No node has these statements.
     stranger.send(datagram.seal(&envelope, digests(digest)));
     let whole = datagram.seal(&envelope, digests(digest)).to_vec();
     (0..whole.len()).for_each(|length| stranger.send(&whole[..length]));

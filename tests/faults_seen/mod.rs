@@ -1,5 +1,5 @@
-//! The fault matrix of the monitor (M15): each fault, made in nodes that run, raises its lint and nothing unrelated; nodes
-//! without a fault raise none. The cells are slow, so that a busy machine is no fault of theirs.
+//! The fault matrix of the monitor (M15): each fault, injected into running nodes, raises its finding and nothing unrelated.
+//! Nodes without a fault raise none. The cells are slow, so that a busy machine causes no finding.
 
 mod scene;
 mod starved;
@@ -16,7 +16,7 @@ use std::net::UdpSocket;
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-/// Three tasks that meet, ask and tell each other, with so much time for everything that none of it runs out.
+/// Three tasks that meet, and exchange queries and statuses. All time_outs are far longer than needed.
 const WATCHED: &str = "\
 cell watched;
 tick 50 msec;
@@ -59,7 +59,7 @@ begin
 end c;
 ";
 
-/// One more task on the node of `b`, which tells and waits for nobody.
+/// One more task on the node of `b`. It sends statuses and waits for nothing.
 const LIGHT: &str = "\
 task d on nb
   port light(n: int16)  usage = send  user_list = {c}  time_out = 4 sec  class = 1  bounded_buffer[8];
@@ -69,7 +69,7 @@ begin
 end d;
 ";
 
-/// A cell of two nodes, with these tasks.
+/// A cell with two nodes and these tasks.
 macro_rules! two_nodes {
     ($tasks:literal) => {
         concat!("cell two;\ntick 50 msec;\nnode na;  node nb;\nlink na -- nb delay 50 msec;\n", $tasks)
@@ -78,7 +78,7 @@ macro_rules! two_nodes {
 
 #[test]
 fn a_healthy_run_raises_nothing() {
-    // Half an hour in `.ci/long`.
+    // `.ci/long` runs this for half an hour.
     Scene::start(WATCHED, &[]).is_calm_for(Duration::from_secs(bound("IMRS_HEALTHY", 10)));
 }
 
@@ -102,10 +102,10 @@ fn a_node_that_comes_back_is_no_fault_any_more() {
     });
     let mut scene =
         Scene::of(&[(&text, &["--node", "nb"]), (&text, &["--node", "nc"]), (&text, &["--node", "na"])]);
-    // The first ones may speak before the last one is there.
+    // The first nodes may send before the last one has started.
     scene.is_over("it is a fault that others come later", BTreeSet::is_empty);
     let since = scene.kill("nb");
-    // It stays dead until it was seen.
+    // The node stays down until the monitor has shown that.
     scene.raises(since, "node-dead", &["rendezvous-lost-member", "time-outs", "link-discards"]);
     scene.start_node(&text, "nb");
     scene.is_over("it is a fault", BTreeSet::is_empty);
@@ -114,7 +114,7 @@ fn a_node_that_comes_back_is_no_fault_any_more() {
 
 #[test]
 fn a_restarted_node_says_how_long_it_is_held_back() {
-    // So long that it is seen on any machine.
+    // Held back so long that a monitor sees it on any machine.
     let text = WATCHED.replace("time_out = 20 sec", "time_out = 2000 sec") + LIGHT;
     let (take, took) = ("  use_port news(n: int16)  usage = receive;", "on receive news(n) do skip; end;");
     let text = text
@@ -130,7 +130,7 @@ fn a_restarted_node_says_how_long_it_is_held_back() {
     let again = nodes.iter().find(|node| node["name"] == "nb" && node["up"] == true).expect("its next life");
     let left = named(&again["tasks"], "b")["held_back_us"].as_u64().expect("held back");
     assert_eq!(again["held_back_us"], left, "{report}");
-    // The other task of the node waits for nothing.
+    // The other task of the node is not held back.
     assert!(named(&again["tasks"], "d")["held_back_us"].is_null(), "{report}");
     let works = |report: &Value| {
         let again =
@@ -211,7 +211,7 @@ end q;
     );
     let mut scene = Scene::waiting(text);
     let since = scene.go();
-    // Whose command was sent first is more urgent: where it comes second it takes the other's place.
+    // The command that was sent first is more urgent. If it arrives second, it evicts the other one.
     scene.raises(since, "refused", &["command-evicted"]);
 }
 
@@ -236,7 +236,7 @@ end b;
     );
     let mut scene = Scene::waiting(text);
     let sent = scene.go();
-    // A tenth of its life is left.
+    // A tenth of its TTL remains.
     let since = sent + Duration::from_millis(5400);
     scene.raises_before(since, "deadline-risk", "expired", "nb");
     scene.is_over("it is at risk", |codes| !codes.contains("deadline-risk"));
@@ -261,7 +261,7 @@ end b;
 "
     );
     let mut scene = Scene::start(text, &[]);
-    // A quarter of its patience is left.
+    // A quarter of its time_out remains.
     let since = scene.started + Duration::from_secs(9);
     scene.raises_before(since, "rendezvous-stuck", "time-outs", "na");
 }
@@ -326,7 +326,7 @@ end arm;
 "
     );
     let mut scene = Scene::start(text, &[]);
-    // Three rejections, and its penalty between them.
+    // Three rejections, with the penalty between them.
     let since = scene.started + Duration::from_millis(2600);
     scene.raises(since, "starving", &[]);
 }
@@ -335,7 +335,7 @@ end arm;
 fn questions_over_a_cut_link_time_out() {
     let text = WATCHED.replace("user_list = {b}  time_out = 20 sec", "user_list = {b}  time_out = 2 sec");
     let mut scene = Scene::start(&text, &["--cut", "na--nb@2s+60s"]);
-    // a waits for the answer, b for a at the meeting: a circle, as long as the link is cut.
+    // While the link is cut, `a` waits for the answer of `b`, and `b` waits for `a` at the rendezvous: a cycle.
     scene.raises(scene.started + Duration::from_secs(4), "time-outs", &["wait-cycle"]);
 }
 
@@ -361,12 +361,12 @@ fn more_datagrams_than_the_kernel_keeps_are_told() {
     signal(pid, Signal::STOP);
     let stranger = UdpSocket::bind("127.0.0.1:0").expect("a socket");
     for _ in 0..20_000 {
-        // The kernel has no more room: that is what it is about.
+        // An error means that the kernel's queue is full, as intended.
         let _ = stranger.send_to(&[7; 1400], address);
     }
     signal(pid, Signal::CONT);
     let since = Instant::now();
-    // The kernel says how many it dropped with the next one that finds room.
+    // The kernel reports its drop count with the next datagram that finds room.
     let (over, is_over) = mpsc::channel::<()>();
     let more = std::thread::spawn(move || {
         while is_over.recv_timeout(Duration::from_millis(50)) == Err(RecvTimeoutError::Timeout) {
@@ -402,7 +402,7 @@ end b;
     };
     let mut scene = Scene::of(&[(&text(4), &["--node", "na"]), (&text(5), &["--node", "nb"])]);
     let since = scene.started;
-    // The first sends before there is a second.
+    // The first node sends before the second one has started.
     scene.raises(since, "digest-mismatch", &["link-discards"]);
 }
 
@@ -469,7 +469,7 @@ end b;
     let mut scene = Scene::start(text, &[]);
     let monitor = scene.monitor.pid();
     signal(monitor, Signal::STOP);
-    // More than fits anywhere between the two.
+    // More events than all buffers between node and monitor hold.
     let mut other = Seen::by_monitor(scene.dir());
     let sent = |seen: &Value| figure(seen, "a", "news", "sent");
     let before = sent(&other.until("it is seen", |seen| sent(seen) > 0));
@@ -477,7 +477,7 @@ end b;
     drop(other);
     signal(monitor, Signal::CONT);
     let since = Instant::now();
-    // It cannot say how old the last word of the node is before it has read on.
+    // The monitor knows the age of the node's last report only once it has caught up.
     scene.raises(
         since,
         "events-lost",

@@ -1,4 +1,4 @@
-//! A cell that runs, and a monitor that watches it.
+//! A running cell, and a monitor that watches it.
 
 use super::starved::Starved;
 use crate::support::live::{Live, Node};
@@ -12,16 +12,16 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// What is promised of a machine that is quiet; asserted where `IMRS_QUIET=1` says that this one is.
+/// The promised delay on a quiet machine; asserted if `IMRS_QUIET=1` says that this machine is quiet.
 const GOAL: Duration = Duration::from_secs(2);
-/// No fault takes longer to be seen, however busy the machine is.
+/// Time limit for any finding, however busy the machine is.
 pub const LONG: Duration = PATIENCE;
-/// How often the monitor prints.
+/// The monitor's sampling interval.
 const EVERY: &str = "100ms";
-/// How long after its lint nothing unrelated may follow.
+/// How long after the expected finding no unrelated one may follow.
 const AFTER: Duration = Duration::from_secs(1);
 
-/// One sample: when it came, and the codes of what was found.
+/// One sample: when it came, and the codes of its findings.
 pub struct Sample {
     at: Instant,
     pub codes: BTreeSet<String>,
@@ -29,17 +29,17 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// Nothing is found but these.
+    /// Asserts that nothing but these codes is found.
     fn is_only(&self, expected: &[&str], why: &str) {
         let unrelated = self.codes.iter().find(|code| !expected.contains(&code.as_str()));
         assert!(unrelated.is_none(), "{unrelated:?} {why}: {}", self.line);
     }
 }
 
-/// A cell that runs, and a monitor that watches it.
+/// A running cell, and a monitor that watches it.
 pub struct Scene {
     pub monitor: Program,
-    /// Ended after the monitor.
+    /// Dropped after the monitor.
     cells: Vec<Live>,
     starved: Starved,
     /// When the nodes of the last cell had started.
@@ -52,7 +52,7 @@ impl Scene {
         Self::of(&[(text, args)])
     }
 
-    /// A cell whose action `go` ends when [`go`](Self::go) says so: then the monitor sees what comes after it.
+    /// Starts a cell whose action `go` ends on a call of [`go`](Self::go), so that the monitor sees what follows.
     pub fn waiting(text: &str) -> Self {
         let dir = runtime_dir();
         let wait = dir.path().join("wait");
@@ -62,13 +62,13 @@ impl Scene {
         Self::within(dir, &[(text, &["--action", &action])])
     }
 
-    /// Lets the action `go` end. Returns when.
+    /// Lets the action `go` end. Returns the time of that.
     pub fn go(&self) -> Instant {
         std::fs::write(self.dir.path().join("gone"), "").expect("a file");
         Instant::now()
     }
 
-    /// Cells that run in one folder.
+    /// Starts several cells in one folder.
     pub fn of(cells: &[(&str, &[&str])]) -> Self {
         Self::within(runtime_dir(), cells)
     }
@@ -85,7 +85,7 @@ impl Scene {
         Self::seen(dir, cells, started, all)
     }
 
-    /// The node of that name, which runs by itself, is killed. Returns when.
+    /// Kills the node of this name, which has a launcher of its own. Returns the time of that.
     pub fn kill(&mut self, name: &str) -> Instant {
         let at = self.place(name);
         signal(self.node(name).pid, Signal::KILL);
@@ -95,7 +95,7 @@ impl Scene {
         killed
     }
 
-    /// A node runs by itself from now on, in its next life if it did before.
+    /// Starts a node with a launcher of its own; a node that ran before gets its next incarnation.
     pub fn start_node(&mut self, text: &str, name: &str) {
         let file = self.dir.path().join("again.cell");
         std::fs::write(&file, text).expect("the cell is written");
@@ -108,7 +108,7 @@ impl Scene {
         self.cells.iter().position(has).expect("a node of the cell")
     }
 
-    /// A node in this folder that is none.
+    /// Watches a stub node in this folder.
     pub fn watching(dir: TempDir, stub: &Stub) -> Self {
         let mut scene = Self::seen(dir, Vec::new(), Instant::now(), 1);
         scene.starved.stub = Some(stub.beat.clone());
@@ -142,7 +142,7 @@ impl Scene {
         self.monitor.json()
     }
 
-    /// What is found, but for the silence of nodes that this machine keeps from speaking.
+    /// The next sample, without findings about silent nodes that this machine keeps from reporting.
     pub fn sample(&mut self) -> Sample {
         let (at, report) = self.monitor.json_at();
         self.starved.look(at, &report);
@@ -153,7 +153,7 @@ impl Scene {
         Sample { at, codes, line: report["findings"].to_string() }
     }
 
-    /// Nothing is found for so long.
+    /// Asserts that nothing is found for so long.
     pub fn is_calm_for(&mut self, length: Duration) {
         let end = Instant::now() + length;
         loop {
@@ -165,7 +165,7 @@ impl Scene {
         }
     }
 
-    /// Waits until nothing is found of these any more: until `none` of the codes is left.
+    /// Waits until `none` accepts the codes of a sample.
     pub fn is_over(&mut self, what: &str, none: impl Fn(&BTreeSet<String>) -> bool) {
         let end = Instant::now() + LONG;
         while !none(&self.sample().codes) {
@@ -173,7 +173,8 @@ impl Scene {
         }
     }
 
-    /// What happened at `since` raises `lint`, and until then and a little longer nothing but that and its `consequences`.
+    /// Asserts that the fault at `since` raises `lint`, and that until shortly afterwards nothing but `lint` and its
+    /// `consequences` is found.
     pub fn raises(&mut self, since: Instant, lint: &str, consequences: &[&str]) {
         let mut seen = None;
         let expected = [&[lint], consequences].concat();
@@ -194,8 +195,8 @@ impl Scene {
         is_soon(lint, since, seen.expect("seen"));
     }
 
-    /// What happens at `since` and is soon over raises `lint` before `end`, unless the machine keeps the node from speaking
-    /// meanwhile.
+    /// Asserts that the short condition at `since` raises `lint` before `end` is raised, unless the machine keeps the node from
+    /// reporting meanwhile.
     pub fn raises_before(&mut self, since: Instant, lint: &str, end: &str, node: &str) {
         let give_up = since + LONG;
         loop {

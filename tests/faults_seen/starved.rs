@@ -1,5 +1,5 @@
-//! Whether this machine keeps a node from telling monitors anything: the thread that serves them comes after all others
-//! (nice 19), and on a machine that is busy enough it gets no processor for a second and more.
+//! Detects nodes that this machine keeps from reporting to monitors. The observer thread runs at nice 19, and on a busy machine
+//! it may get no processor for a second or more.
 
 use crate::support::stub::Beat;
 use serde_json::Value;
@@ -7,21 +7,21 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// What the kernel calls that thread.
+/// The name of that thread.
 const NAME: &str = "imrs observer";
-/// How far back is looked.
+/// How far back `lately` looks.
 const LATELY: Duration = Duration::from_secs(3);
-/// Who has waited so long of that for a processor was kept from speaking.
+/// A thread that waited so long for a processor within `LATELY` could not report.
 const LONG: Duration = Duration::from_millis(250);
 
-/// What keeps nodes from speaking.
+/// The waiting times of the nodes' observer threads.
 #[derive(Default)]
 pub struct Starved {
-    /// By node: its thread, and how long that had waited for a processor, at several instants.
+    /// For each node, its observer thread.
     threads: BTreeMap<String, Thread>,
-    /// Of a node that is none.
+    /// The timing of a stub node.
     pub stub: Option<Beat>,
-    /// When the last sample came, and when one came late: then all of the machine stood still.
+    /// When the last sample came, and when one last came late. A late sample means that the whole machine stalled.
     sampled: Option<Instant>,
     stood_still: Option<Instant>,
 }
@@ -33,7 +33,7 @@ struct Thread {
 }
 
 impl Starved {
-    /// Takes down how long the nodes of a sample have waited, and when it came.
+    /// Records how long the nodes of a sample have waited, and when the sample came.
     pub fn look(&mut self, at: Instant, sample: &Value) {
         if self.sampled.replace(at).is_some_and(|before| at > before + 2 * LONG) {
             self.stood_still = Some(at);
@@ -47,7 +47,7 @@ impl Starved {
             }
             let now = Instant::now();
             if thread.waited.is_empty() {
-                // It may have waited before it was seen for the first time.
+                // The thread may have waited before its first sample.
                 thread.waited.push_back((now, Duration::ZERO));
             }
             thread.waited.extend(waited(&thread.folder).map(|waited| (now, waited)));
@@ -57,7 +57,7 @@ impl Starved {
         }
     }
 
-    /// Whether this node waits for a processor, or has waited long of late.
+    /// Whether this node's observer waits for a processor, or has waited long of late.
     pub fn now(&self, node: &Value) -> bool {
         let is_late = self.stub.as_ref().is_some_and(|beat| beat.was_late(LATELY));
         let waits = |name| self.lately(name) || self.threads.get(name).is_some_and(Thread::waits);
@@ -65,7 +65,7 @@ impl Starved {
         is_late || stood_still || node.as_str().is_some_and(waits)
     }
 
-    /// Whether it has waited long of late.
+    /// Whether this node's observer has waited long of late.
     pub fn lately(&self, node: &str) -> bool {
         let waited =
             self.threads.get(node).and_then(|thread| Some((thread.waited.front()?, thread.waited.back()?)));
@@ -74,14 +74,14 @@ impl Starved {
 }
 
 impl Thread {
-    /// Ready to run, and perhaps running.
+    /// Whether the thread is ready to run, or running.
     fn waits(&self) -> bool {
         let stat = std::fs::read_to_string(self.folder.join("stat")).unwrap_or_default();
         stat.rsplit_once(") ").is_some_and(|(_, rest)| rest.starts_with('R'))
     }
 }
 
-/// The folder of the thread of that name.
+/// The `/proc` folder of the observer thread.
 fn named(process: &Path) -> Option<PathBuf> {
     let threads = std::fs::read_dir(process).ok()?.flatten().map(|entry| entry.path());
     let mut threads = threads.filter(|thread| {
@@ -90,7 +90,7 @@ fn named(process: &Path) -> Option<PathBuf> {
     threads.next()
 }
 
-/// How long a thread has been ready to run without running: the second number, in nanoseconds.
+/// The total time for which a thread was ready but not running: the second number in `schedstat`, in nanoseconds.
 fn waited(thread: &Path) -> Option<Duration> {
     let text = std::fs::read_to_string(thread.join("schedstat")).ok()?;
     text.split_whitespace().nth(1)?.parse().ok().map(Duration::from_nanos)

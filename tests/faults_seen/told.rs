@@ -1,4 +1,4 @@
-//! Faults that no run of this command can be made to have: a node that is none tells of them.
+//! Faults that no run of this command can produce: a stub node reports them.
 
 use super::scene::Scene;
 use crate::support::runtime_dir;
@@ -33,7 +33,7 @@ fn port(port: PortId, usage: Usage, class: Class, capacity: u16) -> PortView {
     PortView { port, usage, class, len: 0, capacity, min_slack: None, queue: Vec::new(), counters }
 }
 
-/// Both run, and nothing waits.
+/// A state in which both tasks run, and nothing waits.
 fn healthy() -> Snapshot {
     let task = |task: TaskId| {
         let (usage, capacity) = if task == LEFT { (Usage::Send, 0) } else { (Usage::Receive, 8) };
@@ -61,7 +61,7 @@ fn healthy() -> Snapshot {
     }
 }
 
-/// The node tells of this after a second of health: it raises `lint` and nothing else.
+/// Reports this fault after a second of health. It must raise `lint` and nothing else.
 fn raises(lint: &str, fault: impl FnOnce(&mut Tells, u64)) {
     let dir = runtime_dir();
     let identity = NodeIdentity {
@@ -121,7 +121,7 @@ fn who_can_only_be_confirmed_is_within_the_margin() {
                 (member.arrived, member.remaining) = (true, remaining);
             }
         }
-        // The other one is on its way to release: it still has to be told that this one has arrived.
+        // The left member is about to be released, but the right one must still learn of its arrival.
         let meeting = &mut tells.snapshot.tasks[LEFT.index()].view.meetings[0];
         meeting.state = MeetingState::WithinMargin;
         meeting.members[RIGHT.index()].arrived = false;
@@ -140,7 +140,7 @@ fn datagrams_that_cannot_be_used_are_told() {
     });
 }
 
-/// One that was late is none; as many as make a rule are.
+/// A single late timer raises nothing; many late timers do.
 #[test]
 fn timers_that_are_late_as_a_rule_are_told() {
     let of = |count, late, tells: &mut Tells| {

@@ -1,4 +1,4 @@
-//! The crates as packages: what their manifests say, and the examples of those whose documentation has none.
+//! The crates as packages: the entries of their manifests, and the README examples that no crate documentation contains.
 
 use super::{CRATES, ROOT, read};
 use imrs_model::{Options, Silent, verify};

@@ -1,10 +1,10 @@
-//! What the README shows as printed, against what the command prints.
+//! Compares the output that the README quotes with the present output of the command.
 
 use super::{blocks, read};
 use crate::support::program::one_after_the_other;
 use crate::support::{is_well, run, run_until, runtime_dir};
 
-/// The block of the README that has this line.
+/// The text block of the README that contains these words.
 fn printed(words: &str) -> Vec<String> {
     let readme = read("README.md");
     let blocks = blocks(&readme);
@@ -20,7 +20,7 @@ fn printed(words: &str) -> Vec<String> {
 
 #[test]
 fn the_printed_verdicts_are_those_of_today() {
-    // All but the time that it took.
+    // A line without its last two words: the time and its unit.
     let plain = |line: &str| {
         let words: Vec<&str> = line.split_whitespace().collect();
         words[..words.len().saturating_sub(2)].join(" ")
@@ -33,7 +33,7 @@ fn the_printed_verdicts_are_those_of_today() {
     }
 }
 
-/// A line without its numbers, but for those of the cell's lines, and with one unit of time.
+/// A line without its numbers, except line numbers of the cell, and with one unit of time.
 fn shape(line: &str) -> String {
     let mut words: Vec<String> = Vec::new();
     for word in line.split_whitespace() {
@@ -48,7 +48,7 @@ fn shape(line: &str) -> String {
     words.join(" ")
 }
 
-/// The line of the cell that a printed line names.
+/// The line number of the cell in a printed line.
 fn line_of(text: &str) -> Option<usize> {
     let (_, digits) = text.split_once("line ")?;
     digits.split(|c: char| !c.is_ascii_digit()).next()?.parse().ok()
@@ -63,7 +63,7 @@ fn the_lines_of_the_printed_run_are_those_of_its_cell() {
         let Some(at) = line_of(line) else { continue };
         let (_, what) = line.split_once(&format!("line {at}")).expect("its number");
         if what.starts_with(')') {
-            // A sentence: the arm stopped in a line that was printed.
+            // A sentence of the summary: the block also has the event of this arm's stop.
             let arm = line.split_whitespace().next().expect("an arm");
             let stop = format!("{arm} line {at} begins stop_now");
             assert!(block.iter().any(|line| shape(line).ends_with(&stop)), "nothing says `{stop}`");
@@ -76,7 +76,7 @@ fn the_lines_of_the_printed_run_are_those_of_its_cell() {
     assert!(checked >= 5, "only {checked} lines were found");
 }
 
-/// The events of a printed run: at which second, of whom, and what.
+/// The events of a printed run: the second, the task, and the text.
 fn events(out: &str) -> Vec<(f64, &str, &str)> {
     let lines = out.lines().filter_map(|line| {
         let (seconds, rest) = line.trim_start().split_once(" s ")?;
@@ -86,8 +86,8 @@ fn events(out: &str) -> Vec<(f64, &str, &str)> {
     lines.collect()
 }
 
-/// Whether the cut came while both arms moved, each stopped by what it did not hear, and they lifted again. On a busy machine an
-/// arm may have stopped before, or have slept through the cut: such a run says nothing of what the arms do in one.
+/// Whether the cut came while both arms moved, each then stopped by itself, and both lifted again. On a busy machine an arm may
+/// have stopped before, or missed the cut: such a run is not compared.
 fn is_evidence(out: &str) -> bool {
     let (cell, events) = (read("examples/beam_lift.cell"), events(out));
     let Some(cut) = events.iter().find(|(_, task, _)| *task == "fault:").map(|(at, ..)| *at) else {
@@ -115,7 +115,7 @@ fn the_printed_run_is_a_run_of_today() {
     let gone_on = &["nothing passes", "reach each other again", "ends start_lift", "ends start_lift"];
     let dir = runtime_dir();
     let said = run_until(dir.path(), &["demo", "beam-lift", "--seed", "3"], one_after_the_other(gone_on));
-    // So late that the second lift never began: it says that, too, and a task may have given up.
+    // On a very late machine the second lift never began. The output says so, and a task may have given up.
     let never_came = said.out.contains("The fault never came");
     let gave_up = |line: &str| line.starts_with("imrs: task ") && line.contains(" aborted");
     let complaints: Vec<&str> = said.err.lines().filter(|line| !(never_came && gave_up(line))).collect();

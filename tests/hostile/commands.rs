@@ -1,6 +1,5 @@
-//! Command lines as a script may write them by mistake, or somebody on purpose: numbers and times near the end of their range,
-//! empty and broken words, flags without values and twice, files that are none. Whatever it is, the command ends, says what
-//! is wrong, and does not panic.
+//! Hostile command lines, written by mistake or on purpose: numbers and times near the end of their range, empty and broken
+//! words, flags without values or twice, special files. Every command must end, say what is wrong, and not panic.
 
 use super::{DOCUMENTED, ended, fault_of};
 use crate::support::{imrs, runtime_dir};
@@ -13,7 +12,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
-/// A cell whose checks and runs take no time.
+/// A cell that is checked and run quickly.
 const CELL: &str =
     "cell c; tick 1 msec; node n; node m; link n -- m delay 1 msec; task t on n begin skip; end t;";
 
@@ -29,9 +28,9 @@ fn with(line: &[&str], last: impl Into<OsString>) -> Line {
     line
 }
 
-/// What stands where a file should.
+/// Special files and names to be used as arguments.
 struct Files {
-    /// A cell that is one.
+    /// A valid cell file.
     cell: String,
     special: Vec<OsString>,
     _socket: UnixListener,
@@ -57,7 +56,7 @@ impl Files {
     }
 }
 
-/// Every kind of file where each verb takes one.
+/// Every kind of special file in every place where a verb takes a file.
 fn special_files(files: &Files) -> Vec<Line> {
     let cell = files.cell.as_str();
     let places: [&[&str]; 20] = [
@@ -83,12 +82,12 @@ fn special_files(files: &Files) -> Vec<Line> {
         &["monitor", "--for", "50ms", "--record"],
     ];
     let all = places.iter().flat_map(|place| files.special.iter().map(|file| with(place, file)));
-    // What is to be written into a folder that is none.
+    // Output files in a folder that does not exist.
     let lost = places[15..18].iter().map(|place| with(place, "/no/such/folder/file"));
     all.chain(lost).collect()
 }
 
-/// Words that are no numbers, times or sizes, or barely.
+/// Words that are barely valid, or invalid, as numbers, times or sizes.
 const VALUES: [&str; 22] = [
     "",
     " ",
@@ -114,7 +113,7 @@ const VALUES: [&str; 22] = [
     "\u{1b}[31m\u{9b}\u{202e}",
 ];
 
-/// Every flag with a value. Where a value may be good, the verb ends by itself.
+/// Every flag with these values. If a value may be valid, the verb ends by itself.
 fn values(files: &Files) -> Vec<Line> {
     let cell = files.cell.as_str();
     let run = ["run", cell, "--for", "50ms"];
@@ -151,7 +150,7 @@ fn values(files: &Files) -> Vec<Line> {
     flags.iter().flat_map(of).collect()
 }
 
-/// What goes wrong with any verb.
+/// Mistakes that any verb must reject.
 fn verbs(files: &Files) -> Vec<Line> {
     let cell = files.cell.as_str();
     let verbs: [&[&str]; 13] = [
@@ -211,7 +210,7 @@ fn verbs(files: &Files) -> Vec<Line> {
     all
 }
 
-/// Tries all lines, in as many threads as there are cores; what is wrong with each.
+/// Runs all lines, in one thread per core. Returns the faults.
 fn tried(folder: &Path, lines: &[Line]) -> Vec<String> {
     let (next, faults) = (AtomicUsize::new(0), Mutex::new(Vec::new()));
     thread::scope(|scope| {
@@ -246,17 +245,17 @@ fn hostile_command_lines_end_with_a_documented_code_and_a_reason() {
     let faults = tried(folder.path(), &lines);
     println!("{} command lines", lines.len());
     assert!(faults.is_empty(), "{} of {}:\n{}", faults.len(), lines.len(), faults.join("\n"));
-    // A command that fails removes what it began to write, but never a device: as root it could.
+    // A failing command removes its partial output, but never a device, even as root.
     assert!(["/dev/zero", "/dev/full"].iter().all(|device| Path::new(device).exists()));
 }
 
-/// The command line behind a shell that takes something away from it.
+/// The command line in a shell with a resource limit.
 fn limited(folder: &Path, limit: &str, args: &[&str]) -> std::process::Command {
     let mut command = std::process::Command::new("bash");
     let line = format!("ulimit {limit}; exec \"$0\" \"$@\"");
     command.args(["-c", &line, env!("CARGO_BIN_EXE_imrs")]).args(args);
     command.env("XDG_RUNTIME_DIR", folder).env("XDG_STATE_HOME", folder.join("state"));
-    // A backtrace takes the memory that is left, and where it finds none the process ends in the middle of it.
+    // A backtrace needs memory, and without it the process ends in the middle of the backtrace.
     command.env("RUST_BACKTRACE", "0");
     command
 }
@@ -276,7 +275,7 @@ fn without_descriptors_or_memory_the_command_ends_in_order() {
     ];
     let (mut codes, mut faults) = (std::collections::BTreeMap::new(), Vec::new());
     for limit in ["-n 3", "-n 4", "-n 6", "-n 9", "-n 14", "-v 34000", "-v 40000", "-v 60000"] {
-        // Where there is no room even for the program itself it does not begin.
+        // With this limit even the program itself does not start.
         if ended(limited(folder.path(), limit, &["--version"])).code != Some(0) {
             continue;
         }

@@ -1,4 +1,4 @@
-//! Texts that act on a terminal, in a cell, in a recording and in what a monitor saw: no verb lets them through.
+//! Texts that act on a terminal, in a cell, in a recording and in a monitor's recording: no verb prints them raw.
 
 use super::{ended, fault_of};
 use crate::support::tape::Tape;
@@ -9,10 +9,10 @@ use imrs_wire::text::acts;
 use serde_json::Value;
 use std::path::Path;
 
-/// Ends a line, sets a title, clears the screen, and turns the direction of writing.
+/// Ends a line, sets a title, clears the screen, and reverses the direction of writing.
 const HOSTILE: &str = "x\u{1b}]0;t\u{7}\u{1b}[2J\u{9b}2J\u{202e}y\u{7f}\u{85}\u{2028}";
 
-/// A cell that aborts with such a text and stands at such an address.
+/// A cell with such texts in an abort, an address and an invalid statement.
 fn cell() -> String {
     format!(
         "cell c; tick 1 msec; node n at \"{HOSTILE}\" port 7001; node m; link n -- m delay 1 msec;
@@ -21,12 +21,12 @@ fn cell() -> String {
     )
 }
 
-/// The same without what is no statement.
+/// The same cell without the invalid statement.
 fn sound() -> String {
     cell().replace(&format!("x := \"{HOSTILE}\";"), "")
 }
 
-/// No line of an answer is one that a hostile text made, and nothing in it acts on a terminal.
+/// Asserts that no line of an answer is forged by a hostile text, and that nothing in it acts on a terminal.
 fn is_plain(what: &[&str], text: &str) {
     let found = text.chars().find(|&c| acts(c) && c != '\n' && c != '\t');
     assert_eq!(found, None, "{what:?} lets it through: {text:?}");
@@ -113,7 +113,7 @@ fn texts_of_the_recording_of_a_node_reach_no_terminal() {
     all_plain(folder.path(), &lines);
 }
 
-/// Puts a hostile text wherever a text stands.
+/// Replaces every string of a JSON value with a hostile text.
 fn poison(value: &mut Value, text: &str) {
     match value {
         Value::String(old) => *old = text.to_owned(),
@@ -123,7 +123,7 @@ fn poison(value: &mut Value, text: &str) {
     }
 }
 
-/// What was shown, with hostile texts in it.
+/// A frame with hostile texts in it.
 fn poisoned(shown: Shown, text: &str) -> Shown {
     match shown {
         Shown::Attached { version, mut hello } => {
@@ -179,7 +179,7 @@ fn texts_that_a_monitor_recorded_reach_no_terminal() {
         vec!["monitor", "--assert", "up>=3", "--replay", &hostile],
         vec!["replay", &hostile],
     ];
-    // Not MCAP: its reader is no terminal.
+    // MCAP is not read on a terminal.
     lines.extend(
         ["jsonl", "svg", "asciicast"].map(|form| vec!["export", &hostile, "--to", form, "--out", "-"]),
     );

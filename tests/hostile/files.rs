@@ -1,4 +1,4 @@
-//! What is secret stays so, and what was recorded is not lost by the way.
+//! Secret files stay secret, and existing files are not overwritten by accident.
 
 use crate::support::{example, run_in, runtime_dir};
 use std::fs::Permissions;

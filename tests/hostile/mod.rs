@@ -1,5 +1,4 @@
-//! Files and command lines that somebody made to do harm: nothing panics, hangs or reads without end, and what is wrong is
-//! said.
+//! Malicious files and command lines: no command panics, hangs or reads without end, and each says what is wrong.
 
 mod commands;
 mod escapes;
@@ -12,10 +11,10 @@ use std::process::{Command, Stdio};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// The exit codes that `imrs --help` names, but for those of a fault of the program and of a system that has run out of something.
+/// The exit codes that `imrs --help` names, without those for a fault of the program and for an exhausted system.
 const DOCUMENTED: [i32; 6] = [0, 1, 2, 3, 4, 5];
 
-/// Runs a command to its end, which comes: one that hangs is killed, and that is a failure. What it says may be no text.
+/// Runs a command to its end. A command that hangs is killed, and the test fails. The output need not be text.
 fn ended(mut command: Command) -> Said {
     let shown = format!("{command:?}");
     let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts");
@@ -41,7 +40,7 @@ fn ended(mut command: Command) -> Said {
     Said { out: out.join().expect("read"), err: err.join().expect("read"), code }
 }
 
-/// Why what a command said is not how a command ends, whatever it was given.
+/// Why the end of a command is a defect, whatever its input; none if it is not.
 fn fault_of(said: &Said) -> Option<String> {
     let Some(code) = said.code else { return Some("a signal ended it".into()) };
     let text = format!("{}\n{}", said.out, said.err);

@@ -1,5 +1,5 @@
-//! Recordings whose checksums are right and whose contents are not: tags, lengths, ids, times and states that no program
-//! wrote. Each is refused with an error or judged; nothing panics. `IMRS_HOSTILE_RECORDINGS` says how many.
+//! Recordings with correct checksums and hostile contents: tags, lengths, ids, times and states that no program wrote. Each is
+//! refused with an error or judged, without a panic. `IMRS_HOSTILE_RECORDINGS` sets their number.
 
 use super::{ended, fault_of};
 use crate::support::tape::Tape;
@@ -13,11 +13,11 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread;
 
-/// What cells and monitors recorded.
+/// Real recordings of nodes and monitors.
 struct Originals {
     cell: String,
     nodes: Vec<(PathBuf, Tape)>,
-    /// Of monitors, and of the checker.
+    /// Recordings of monitors and of the checker.
     seen: Vec<Tape>,
     table: Arc<CellTable>,
 }
@@ -41,7 +41,7 @@ impl Originals {
         let found = run_in(folder, &["verify", &faulty, "--save", &at("found.imrs")]);
         assert_eq!(found.code, Some(1), "{found:?}");
         let mut seen = vec![Tape::read(Path::new(&at("found.imrs")))];
-        // It may have come when the nodes had gone.
+        // The monitor may have started after the nodes had ended.
         if monitor.code == Some(0) {
             seen.push(Tape::read(Path::new(&at("seen.imrs"))));
         }
@@ -55,13 +55,13 @@ impl Originals {
     }
 }
 
-/// A checksum as recordings have it.
+/// The checksum that recordings use.
 fn checksum(bytes: &[u8]) -> u32 {
     static CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_MEF);
     CRC.checksum(bytes)
 }
 
-/// A recording of these contents, whatever they are, with right lengths and checksums.
+/// A recording of any contents, with correct lengths and checksums.
 fn sealed(contents: &[Vec<u8>]) -> Vec<u8> {
     let mut bytes = [&MAGIC[..], &VERSION.to_le_bytes(), &[0, 0]].concat();
     for contents in contents {
@@ -74,7 +74,7 @@ fn sealed(contents: &[Vec<u8>]) -> Vec<u8> {
     bytes
 }
 
-/// Numbers at which something ends.
+/// Numbers at the end of some range.
 const EXTREME: [u64; 14] =
     [0, 1, 12, 13, 15, 16, 255, 256, 65_535, (1 << 24) - 1, 1 << 24, u32::MAX as u64, 1 << 63, u64::MAX];
 
@@ -82,7 +82,7 @@ fn extreme(random: &mut fastrand::Rng) -> u64 {
     EXTREME[random.usize(..EXTREME.len())]
 }
 
-/// Changes bytes as postcard writes them: a bit, a byte, a number of any length, some missing, some twice.
+/// Damages postcard bytes: flips a bit, replaces a byte or a number, removes or repeats some.
 fn spoil(bytes: &mut Vec<u8>, random: &mut fastrand::Rng) {
     for _ in 0..random.usize(1..4) {
         let at = random.usize(..bytes.len().max(1));
@@ -114,7 +114,7 @@ impl Outbox for Nowhere {
     fn disarm(&mut self, _: TimeId) {}
 }
 
-/// The recording of a node, spoilt.
+/// A damaged recording of a node.
 fn spoilt_inputs(of: &Originals, node: usize, random: &mut fastrand::Rng) -> Vec<u8> {
     let Tape { header, records } = &of.nodes[node].1;
     let mut records = records.clone();
@@ -144,7 +144,7 @@ fn spoilt_inputs(of: &Originals, node: usize, random: &mut fastrand::Rng) -> Vec
     sealed(&contents)
 }
 
-/// After a gap comes a state that no machine wrote.
+/// Inserts a gap, followed by a state that no machine wrote.
 fn spoil_state(
     of: &Originals,
     node: usize,
@@ -171,7 +171,7 @@ fn spoil_state(
     records.splice(at..at, [gap, Record::Keyframe { task, state, outputs: digest }]);
 }
 
-/// Packets say that they have more bytes than they have, or have some behind their end.
+/// Makes packets claim more bytes than they have, or gives them bytes after their end.
 fn spoil_lengths(contents: &mut [Vec<u8>], records: &[Record], random: &mut fastrand::Rng) {
     for (record, bytes) in records.iter().zip(&mut contents[1..]) {
         let Record::Input { input: Input::Packet(_), outputs, .. } = record else { continue };
@@ -227,7 +227,7 @@ fn spoil_ids(records: &mut [Record], random: &mut fastrand::Rng) {
     }
 }
 
-/// What a monitor saw, spoilt.
+/// A damaged recording of a monitor.
 fn spoilt_frames(of: &Tape, random: &mut fastrand::Rng) -> Vec<u8> {
     let Tape { header, mut records } = of.clone();
     let (many, inner) = (random.usize(1..6), random.u8(..4));
@@ -245,7 +245,7 @@ fn spoilt_frames(of: &Tape, random: &mut fastrand::Rng) -> Vec<u8> {
     sealed(&contents)
 }
 
-/// The commands that look at the spoilt recording of a node: its replay, and the judgement of the whole run.
+/// The commands that read a damaged recording of a node: its replay, and the judgement of the whole run.
 fn judged(of: &Originals, node: usize, spoilt: &str) -> Vec<Vec<String>> {
     let own = |args: &[&str]| args.iter().map(|&arg| arg.to_owned()).collect::<Vec<String>>();
     let mut files: Vec<&str> = of.nodes.iter().map(|(path, _)| path.to_str().expect("UTF-8")).collect();
@@ -254,7 +254,7 @@ fn judged(of: &Originals, node: usize, spoilt: &str) -> Vec<Vec<String>> {
     vec![own(&["replay", spoilt, "--cell", &of.cell]), own(&[&["replay"], &files[..], &model[..]].concat())]
 }
 
-/// The commands that show what a monitor saw, one of them for each number.
+/// The commands that show a monitor's recording. `number` selects their options.
 fn shown(number: u64, spoilt: &str) -> Vec<Vec<String>> {
     let own = |args: &[&str]| args.iter().map(|&arg| arg.to_owned()).collect::<Vec<String>>();
     let form = ["jsonl", "svg", "asciicast", "mcap"][usize::try_from(number % 4).expect("small")];

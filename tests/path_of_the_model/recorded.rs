@@ -1,4 +1,4 @@
-//! A recorded run, and what the model says of it.
+//! A recorded run, and its comparison with the model.
 
 use super::{BEAM, WELD};
 use crate::support::{Said, example, excused, run_in, run_until, runtime_dir, tape, wait_until};
@@ -11,18 +11,18 @@ pub struct Recorded {
     pub folder: tempfile::TempDir,
     pub cell: String,
     pub nodes: &'static [&'static str],
-    /// What it said.
+    /// Its output.
     pub said: String,
 }
 
 impl Recorded {
-    /// A run of an example until its lines are enough.
+    /// Runs an example until `is_enough` accepts a line.
     pub fn of(name: &str, args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Self {
         let nodes = if name == BEAM { &["nl", "nr", "nh"] } else { &["n1", "n2", "nt"] };
         Self::with(runtime_dir(), example(name), nodes, args, is_enough)
     }
 
-    /// A run of a cell of one node.
+    /// Runs a cell of one node.
     pub fn of_text(text: &str, is_enough: impl FnMut(&str) -> bool) -> Self {
         let folder = runtime_dir();
         let cell = folder.path().join("own.cell");
@@ -40,12 +40,12 @@ impl Recorded {
         let file = folder.path().join("run.imrs");
         let file = file.to_str().expect("UTF-8");
         let said = run_until(folder.path(), &[&["run", &cell, "--record", file], args].concat(), is_enough);
-        // Where a fault was asked for, a task may have aborted: that is a finding of the run.
+        // With injected faults a task may abort, which is a finding of the run.
         assert!(matches!(said.code, Some(0 | 1 | 5)), "{said:?}");
         Self { folder, cell, nodes, said: said.out }
     }
 
-    /// A run in which this node is killed and started again. It is over when the second start has recorded something.
+    /// A run in which this node is killed and restarted. It ends when the second incarnation has recorded something.
     pub fn restarted(
         folder: tempfile::TempDir,
         cell: String,
@@ -66,7 +66,7 @@ impl Recorded {
         })
     }
 
-    /// The same of the weld cell and its relay.
+    /// The same for the weld cell and its relay.
     pub fn restarted_weld(how: &[&str]) -> Self {
         Self::restarted(runtime_dir(), example(WELD), &["n1", "n2", "nt"], "nt", how)
     }
@@ -85,7 +85,7 @@ impl Recorded {
         run_in(self.folder.path(), &[&["replay"], &files[..], &how[..]].concat())
     }
 
-    /// Writes the recording of a node again, changed.
+    /// Writes an altered copy of a node's recording. Returns the recordings of all nodes, with the copy in its place.
     pub fn change(&self, node: &str, change: impl FnOnce(&mut Vec<Record>)) -> Vec<PathBuf> {
         let changed = self.folder.path().join(format!("changed.{node}.imrs"));
         tape::change(&self.file(node), &changed, change);
@@ -115,8 +115,8 @@ pub fn code_of_checks(told: &Value) -> i32 {
     }
 }
 
-/// What is told of the path of a whole run; none if this machine was so late that nobody knows. The times of a late node
-/// that are ordered within a tick may be rounded in more ways than the replay tries, or than it has time for (D97).
+/// The answer about the path of a whole run. None if this machine was so late that the result is unknown: the times of a late
+/// node that are ordered within a tick may be rounded in more ways than the replay tries, or has time for (D97).
 pub fn path_of(run: &Recorded) -> Option<Value> {
     let said = run.follow(&run.files());
     let told = said.last_json();
@@ -133,7 +133,7 @@ pub fn path_of(run: &Recorded) -> Option<Value> {
     Some(is_path(&said))
 }
 
-/// The first thing that no path explains: node, task, why.
+/// The first event that no path explains: node, task, reason.
 pub fn no_path(said: &Said) -> [String; 3] {
     assert_eq!(said.code, Some(1), "{said:?}");
     let told = said.last_json();

@@ -1,4 +1,4 @@
-//! M2: what is pressed is seen at once, and what happened soon after, however much a node tells.
+//! M2: keys take effect at once, and events appear soon after they happen, however many events a node reports.
 
 use super::terminal::{Terminal, tmux_is_here};
 use crate::support::stub::{Stub, Tells};
@@ -13,14 +13,14 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// So many every so often: 50,000 a second.
+/// Events per `EVERY`: 50,000 a second.
 const EACH: u32 = 500;
 const EVERY: Duration = Duration::from_millis(10);
-/// What is promised of a machine that is quiet; asserted where `IMRS_QUIET=1` says that this one is.
+/// The promised delay on a quiet machine; asserted if `IMRS_QUIET=1` says that this machine is quiet.
 const GOAL: Duration = Duration::from_millis(50);
-/// So many events may wait for a monitor that reads too slowly.
+/// Most events that wait for a monitor that reads too slowly.
 const MOST_WAITING: usize = 20_000;
-/// How many events are told before the first key and after the last.
+/// How many events are reported before the first key and after the last.
 const FLOOD: u32 = 10_000;
 
 fn node() -> (NodeIdentity, Table, Tells) {
@@ -75,7 +75,7 @@ fn keys_are_seen_at_once_while_a_node_tells_fifty_thousand_events_a_second() {
                 }
                 let now = stub.mono_us();
                 stub.change(|tells| {
-                    // A node that is not read for long keeps no more, either: all of it is one frame.
+                    // A real node keeps no more either if it is not read for long: all of it is one frame.
                     if tells.events.len() < MOST_WAITING {
                         let first = number.fetch_add(EACH, Ordering::Relaxed);
                         tells.events.extend((first..first + EACH).map(|n| sent(now, n)));
@@ -90,14 +90,14 @@ fn keys_are_seen_at_once_while_a_node_tells_fifty_thousand_events_a_second() {
         let least = number.load(Ordering::Relaxed) + events;
         wait_until("more events are told", || number.load(Ordering::Relaxed) >= least);
     };
-    // Each key is seen while more and more is told: nothing ends the flood before.
+    // Each key must take effect during the flood, which does not end before.
     more(FLOOD);
     let flooded = pressed(&terminal);
     terminal.press(&["4"], "[4 Time]");
     more(FLOOD);
     ends.store(true, Ordering::Relaxed);
     let lasted = flood.join().expect("the flood");
-    // The last one of them is on the screen that follows.
+    // The next screen must show the very last event.
     let told = Instant::now();
     let last = 9_000_000;
     let now = stub.mono_us();
@@ -118,15 +118,15 @@ fn keys_are_seen_at_once_while_a_node_tells_fifty_thousand_events_a_second() {
     terminal.leave();
 }
 
-/// What is promised of a machine that is quiet, in percent of a core; asserted where `IMRS_QUIET=1` says that this one is.
+/// The promised load on a quiet machine, in percent of a core; asserted if `IMRS_QUIET=1` says that this machine is quiet.
 const IDLE_GOAL: f64 = 3.0;
-/// The same on any machine: what a frame costs depends on it. A loop that never sleeps takes several times as much.
+/// The limit on any machine, because the cost of a frame depends on it. A loop without sleep takes several times as much.
 const IDLE_MOST: f64 = 25.0;
-/// No two frames come sooner after each other.
+/// The least time between two frames.
 const FRAME: Duration = Duration::from_millis(33);
 
-/// M7: a screen that nothing happens on takes next to nothing of the processor. On any machine it draws no more than thirty frames a
-/// second: a node that tells its state draws one.
+/// M7: an idle screen takes next to no processor time. On any machine it draws at most thirty frames a second: one for each
+/// state that a node reports.
 #[test]
 fn an_idle_screen_costs_next_to_nothing() {
     if !tmux_is_here() {
@@ -139,7 +139,7 @@ fn an_idle_screen_costs_next_to_nothing() {
     terminal.type_monitor("", "");
     terminal.wait_for("the overview", |screen| screen.contains("armL"));
     let pid = terminal.monitor_pid();
-    // The clock is read first and last, so that it never shows less time than the frames had.
+    // The clock is read first and last, so that it never shows less time than the frames took.
     let (begins, before, drawn) = (Instant::now(), worked(pid), writes(pid));
     thread::sleep(Duration::from_secs(3));
     let (worked, drawn) = (worked(pid) - before, writes(pid) - drawn);
@@ -150,20 +150,20 @@ fn an_idle_screen_costs_next_to_nothing() {
     );
     let goal = if is_quiet() { IDLE_GOAL } else { IDLE_MOST };
     assert!(part <= goal, "{part} % of a core");
-    // Each frame is one write. As many again, at most, give the node credit, ask for its clock and wake a thread.
+    // Each frame is one write. Credit for the node, clock requests and wake-ups of threads take at most as many again.
     let most = 2 * (1 + took.as_millis() / FRAME.as_millis());
     assert!(u128::from(drawn) <= most, "{drawn} writes in {took:?}");
     terminal.leave();
 }
 
-/// How often a process has written something so far.
+/// The number of write syscalls of a process so far.
 fn writes(pid: u32) -> u64 {
     let counts = std::fs::read_to_string(format!("/proc/{pid}/io")).expect("the process");
     let count = counts.lines().find_map(|line| line.strip_prefix("syscw: ")).expect("counted");
     count.parse().expect("a number")
 }
 
-/// The processor time that a process has had: a hundredth of a second is the least that the kernel tells.
+/// The processor time of a process; the kernel counts it in hundredths of a second.
 fn worked(pid: u32) -> Duration {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).expect("the process");
     let (_, fields) = stat.rsplit_once(')').expect("its name");
@@ -171,9 +171,9 @@ fn worked(pid: u32) -> Duration {
     Duration::from_millis(10 * times.sum::<u64>())
 }
 
-/// How long it takes until a key is seen, sorted.
+/// The delays from a key to its effect on the screen, sorted.
 fn pressed(terminal: &Terminal) -> Vec<Duration> {
-    // Where times are asserted, as many as a hundredth can be told from.
+    // If times are asserted, enough samples for a 99th percentile.
     let mut times: Vec<Duration> = (0..if is_quiet() { 100 } else { 30 })
         .map(|turn| {
             let (key, title) = if turn % 2 == 0 { ("5", "[5 Timers]") } else { ("6", "[6 Events]") };

@@ -1,4 +1,4 @@
-//! What the keys do, in one run of the monitor each.
+//! Tests of the monitor's keys, each in a run of its own.
 
 use super::terminal::{Terminal, tmux_is_here, watched};
 use crate::support::live::Live;
@@ -52,7 +52,7 @@ fn a_filter_a_mark_a_pause_and_a_theme_are_seen() {
     terminal.keys(&["Space"]);
     terminal.wait_for("the present", |s| s.contains("LIVE") && !s.contains("PAUSED"));
 
-    // The fourth theme is the one without colours, and after the last comes the first.
+    // The fourth theme has no colours, and the first theme follows the last.
     assert!(terminal.has_colour());
     terminal.keys(&["t", "t", "t"]);
     terminal.wait_for("no colours", |_| !terminal.has_colour());
@@ -124,7 +124,7 @@ fn a_screen_is_written_as_text_and_a_recording_exported() {
         let said = run_in(demo.dir(), &["export", recorded, "--to", form, "--out", &out]);
         assert_eq!(said.code, Some(0), "{said:?}");
         let bytes = std::fs::read(&out).expect("the export");
-        // How much is in it is by chance; who is in it is not, as every node's events were waited for.
+        // The amount of content varies. The tasks in it do not, because the test waited for events of every node.
         let text = String::from_utf8_lossy(&bytes);
         assert!(bytes.starts_with(begin) && text.contains("armL"), "{form}: {text}");
     }

@@ -1,4 +1,4 @@
-//! The monitor in a real terminal: tmux is the terminal, its screen is what a person sees.
+//! Tests of the monitor in a real terminal, which tmux provides: its screen is what a person sees.
 
 mod flood;
 mod keys;
@@ -71,7 +71,7 @@ fn signals_a_resize_to_nothing_and_a_stop_leave_the_terminal_as_it_was() {
     terminal.keys(&["fg", "Enter"]);
     terminal
         .wait_for("the overview again", |screen| screen.contains("armL") && terminal.on_alternate_screen());
-    // What the terminal does on Ctrl-C when nobody asked for raw keys is a signal; here it is a key.
+    // In raw mode Ctrl-C is a key, not a signal.
     terminal.keys(&["C-c"]);
     terminal.assert_restored();
 }
@@ -79,7 +79,7 @@ fn signals_a_resize_to_nothing_and_a_stop_leave_the_terminal_as_it_was() {
 #[test]
 fn a_key_that_comes_together_with_a_resize_is_taken() {
     let Some((_demo, terminal)) = watched("") else { return };
-    // The monitor looks late at its terminal, when both are there.
+    // On a busy machine the monitor reads its terminal late, when both the resize and the key are there.
     let busy = Busy::new(6);
     for round in 0..40 {
         let (width, key, shows) = [("100", "3", "[3 Rdv]"), ("120", "1", "[1 Over]")][round % 2];
@@ -91,7 +91,7 @@ fn a_key_that_comes_together_with_a_resize_is_taken() {
     terminal.assert_restored();
 }
 
-/// Threads that compute without a pause, until they are dropped.
+/// Threads that keep cores busy until this is dropped.
 struct Busy(Arc<AtomicBool>);
 
 impl Busy {
@@ -124,7 +124,7 @@ fn without_colour_the_selection_is_still_seen() {
 #[test]
 fn a_node_that_appears_later_is_found() {
     let Some((demo, terminal)) = watched("") else { return };
-    // A second run of the same cell in the same folder: nodes of its own, with other processes.
+    // A second run of the same cell in the same folder has nodes with other processes.
     let record = demo.dir().join("again.imrs");
     let again = Live::steady_in(demo.dir(), &["--record", record.to_str().expect("UTF-8")]);
     let of_hoist = |screen: &str, states: &[&str]| {
@@ -159,7 +159,7 @@ fn what_the_screen_records_is_replayed_in_the_terminal() {
     terminal.wait_for("a recording", |screen| {
         screen.contains(" REC ") && screen.contains("3/3 nodes") && screen.contains("hoist")
     });
-    // Long enough to have an end that is not its beginning.
+    // Long enough that its end differs from its beginning.
     wait_until("a second is recorded", || recorded_length(&file) >= Duration::from_secs(1));
     terminal.keys(&["r"]);
     terminal.wait_for("the end of the recording", |screen| !screen.contains(" REC "));
@@ -167,7 +167,7 @@ fn what_the_screen_records_is_replayed_in_the_terminal() {
     terminal.assert_restored();
     terminal.keys(&["clear", "Enter"]);
     terminal.type_monitor("", &format!("--replay {shown}"));
-    // Where it stands, and how long it is.
+    // The position in the replay, and its length.
     let position = |screen: &str| {
         let (_, rest) = screen.split_once("REPLAY ")?;
         let mut words = rest.split_whitespace();
@@ -187,7 +187,7 @@ fn what_the_screen_records_is_replayed_in_the_terminal() {
     look_until(demo.dir(), &[&recording[..], &["--for", "1s"]].concat(), "a node is seen", |said| {
         said.code == Some(0) && said.out.contains("monitor --replay")
     });
-    // Without an end of its own it lasts until it is told to end: here, until the hoist has said how it is.
+    // Without `--for` the monitor records until it is interrupted: here, once the recording shows the hoist's node.
     std::fs::remove_file(&headless).expect("a recording");
     let recorder = Program::start(imrs(demo.dir(), &recording));
     wait_until("the hoist is up in it", || run(&["monitor", "--replay", name]).out.contains("node nh: up"));
@@ -198,7 +198,7 @@ fn what_the_screen_records_is_replayed_in_the_terminal() {
     assert!(replayed.out.contains("node nh: "), "{replayed:?}");
 }
 
-/// The time between the first and the last frame that stand in a recording which may still grow.
+/// The time between the first and the last frame in a recording that may still grow.
 fn recorded_length(file: &Path) -> Duration {
     let all = frames(file);
     let at = |frame: Option<&(u16, u64, _)>| frame.map_or(0, |(_, at, _)| *at);

@@ -1,4 +1,4 @@
-//! Nodes that are slow, stopped, dead or none, and terminals that can do little.
+//! The monitor with nodes that are slow, stopped or dead, with foreign servers, and on limited terminals.
 
 use super::terminal::{Terminal, tmux_is_here, watched};
 use crate::support::live::Live;
@@ -10,7 +10,7 @@ use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-/// A socket where a monitor looks for nodes, served by `each` in threads that end with the test's process.
+/// A socket where a monitor looks for nodes. Threads serve it by `each`, and end with the test's process.
 fn listen(dir: &Path, node: &str, each: fn(UnixStream)) -> String {
     let folder = imrs_wire::obs::place::prepare_in(&dir.join("imrs"), "beam_lift", node, std::process::id());
     let path = folder.expect("a place for the socket");
@@ -21,13 +21,13 @@ fn listen(dir: &Path, node: &str, each: fn(UnixStream)) -> String {
     path.display().to_string()
 }
 
-/// Something that speaks another protocol.
+/// A server that speaks another protocol.
 fn garbage(mut stream: UnixStream) {
     let _ = stream.write_all(&[0x5a; 4096]);
     let _ = stream.read(&mut [0; 64]);
 }
 
-/// A frame that never ends, a byte at a time.
+/// Sends a frame that never ends, one byte at a time.
 fn drip(mut stream: UnixStream) {
     let _ = stream.write_all(&[0xff, 0xff, 0, 0]);
     while stream.write_all(&[0]).is_ok() {
@@ -35,18 +35,18 @@ fn drip(mut stream: UnixStream) {
     }
 }
 
-/// A frame longer than any.
+/// Sends a frame that is longer than allowed.
 fn endless(mut stream: UnixStream) {
     let _ = stream.write_all(&[0xff; 4]);
     while stream.write_all(&[0xff; 65536]).is_ok() {}
 }
 
-/// Something that listens and says nothing.
+/// A server that sends nothing.
 fn mute(mut stream: UnixStream) {
     let _ = stream.read_to_end(&mut Vec::new());
 }
 
-/// What a strange server is called, and what it does with a monitor.
+/// The name of a foreign server, and how it serves a monitor.
 type Stranger = (&'static str, fn(UnixStream));
 
 const STRANGERS: [Stranger; 4] = [("garbage", garbage), ("drip", drip), ("endless", endless), ("mute", mute)];
@@ -92,7 +92,7 @@ fn a_restarted_node_has_a_new_life() {
     if !tmux_is_here() {
         return;
     }
-    // The restarted node is held back for as long as a command lives. Meanwhile both arms wait.
+    // The restarted node is held back for the longest TTL of a command. Meanwhile both arms wait.
     let demo = Live::steady_with(&["--kill", "nh@2s", "--restart", "nh@4s"]);
     let terminal = Terminal::open(demo.dir());
     terminal.start_monitor("");
@@ -102,7 +102,7 @@ fn a_restarted_node_has_a_new_life() {
     let lives_again = |screen: &str| {
         screen.lines().any(|line| line.contains("nh (pid") && !line.contains(&before) && is_up(line))
     };
-    // A monitor that comes later sees nobody die.
+    // A monitor that starts later does not see the node die.
     let in_time = terminal.screen().contains(&before);
     if !in_time {
         excused("the monitor came after the death");
@@ -140,7 +140,7 @@ fn nothing_there_gives_the_terminal_back_and_says_what_to_do() {
     terminal.assert_restored();
 }
 
-/// M17: who sees it for the first time can say whom everybody waits for; and nothing is left behind.
+/// M17: a first-time user can say which robot all others wait for. Nothing is left behind afterwards.
 #[test]
 fn the_demonstration_names_who_is_awaited_and_leaves_nothing_behind() {
     if !tmux_is_here() {

@@ -1,4 +1,4 @@
-//! A terminal that a test can type into and look at.
+//! A terminal that a test can type into and read.
 
 use crate::support::live::Live;
 use crate::support::{PATIENCE, is_here, signal};
@@ -9,13 +9,13 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Whether there is a tmux. Without one these tests say so; where everything is required they fail.
+/// Whether tmux is installed. Without it these tests print that they were skipped; if everything is required they fail.
 pub fn tmux_is_here() -> bool {
     let here = Command::new("tmux").arg("-V").output().is_ok_and(|output| output.status.success());
     is_here((!here).then_some("tmux"), "the monitor was NOT tested in a terminal")
 }
 
-/// A demo, and a monitor of it in a terminal; none without tmux.
+/// Starts the steady cell, and a monitor of it in a terminal; none without tmux.
 pub fn watched(environment: &str) -> Option<(Live, Terminal)> {
     tmux_is_here().then(|| {
         let demo = Live::steady();
@@ -59,7 +59,7 @@ impl Terminal {
         self.tmux(&["capture-pane", "-p"])
     }
 
-    /// Whether anything on the screen has a colour.
+    /// Whether anything on the screen is coloured.
     pub fn has_colour(&self) -> bool {
         let styled = self.tmux(&["capture-pane", "-p", "-e"]);
         ["\u{1b}[31m", "\u{1b}[32m", "\u{1b}[33m", "[38;"].iter().any(|colour| styled.contains(colour))
@@ -69,7 +69,7 @@ impl Terminal {
         self.tmux(&[&["send-keys"], keys].concat());
     }
 
-    /// Runs the monitor; when it has ended, the shell says with which code.
+    /// Starts the monitor. After its end the shell prints its exit code.
     pub fn start_monitor(&self, environment: &str) {
         self.type_monitor(environment, "");
         let tasks = ["armL", "armR", "hoist"];
@@ -101,8 +101,8 @@ impl Terminal {
         self.tmux(&["display-message", "-p", "#{alternate_on}"]).trim() == "1"
     }
 
-    /// The terminal is the shell's again, and what is typed is seen and carried out, even if the monitor still has
-    /// processes to end.
+    /// Asserts that the shell has the terminal again: typed text is echoed and executed, even if the monitor still has
+    /// processes to stop.
     pub fn assert_restored(&self) {
         self.wait_for("the shell after the monitor", |_| !self.on_alternate_screen());
         assert_eq!(
@@ -117,7 +117,7 @@ impl Terminal {
         assert!(screen.split("ended: ").skip(1).any(code), "it has not ended:\n{screen}");
     }
 
-    /// Leaves the monitor that runs, and empties the screen for the next.
+    /// Quits the monitor, and clears the screen for the next one.
     pub fn leave(&self) {
         self.keys(&["q"]);
         self.assert_restored();
@@ -125,7 +125,7 @@ impl Terminal {
         self.wait_for("an empty screen", |screen| !screen.contains("ended: "));
     }
 
-    /// Stops the process of the monitor, as `kill` does.
+    /// Ends the monitor's process by a signal.
     pub fn end_by(&self, by: Signal) {
         signal(self.monitor_pid(), by);
         self.assert_restored();
@@ -133,13 +133,13 @@ impl Terminal {
         self.wait_for("an empty screen", |screen| !screen.contains("ended: "));
     }
 
-    /// Presses keys until the screen shows this.
+    /// Presses keys, and waits until the screen shows this.
     pub fn press(&self, keys: &[&str], shows: &str) -> String {
         self.keys(keys);
         self.wait_for(shows, |screen| screen.contains(shows))
     }
 
-    /// The process of the monitor: the only child of the shell.
+    /// The process id of the monitor, which is the only child of the shell.
     pub fn monitor_pid(&self) -> u32 {
         let shell = self.tmux(&["display-message", "-p", "#{pane_pid}"]);
         let children = std::fs::read_to_string(format!("/proc/{0}/task/{0}/children", shell.trim()));

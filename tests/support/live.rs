@@ -1,4 +1,4 @@
-//! Nodes that run, and what a monitor sees of them.
+//! Running nodes, and a monitor's view of them.
 
 use super::program::Program;
 use super::{PATIENCE, example, imrs, is_alive, replays, runtime_dir};
@@ -8,22 +8,22 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 use tempfile::TempDir;
 
-/// A node, as the launcher tells of it.
+/// A node, as the launcher describes it.
 #[derive(Clone, Debug)]
 pub struct Node {
     pub name: String,
     pub pid: u32,
     pub address: Option<SocketAddr>,
-    /// Where it serves monitors over TCP.
+    /// The TCP address at which it serves monitors.
     pub observe: Option<SocketAddr>,
 }
 
-/// Nodes that run.
+/// The nodes of a running cell.
 pub struct Live {
     dir: PathBuf,
-    /// Ended before its folder is removed.
+    /// Dropped before its folder is removed.
     program: Program,
-    /// Where it records, and of which cell file that is: what was recorded is run again when the nodes have ended.
+    /// The file of the recordings, and the cell file if one was given: the recordings are replayed when the nodes have ended.
     record: Option<(PathBuf, Option<String>)>,
     pub nodes: Vec<Node>,
     _own: Option<TempDir>,
@@ -50,7 +50,8 @@ impl Live {
         Self { dir: dir.to_owned(), program, record, nodes, _own: None }
     }
 
-    /// Starts `imrs demo beam-lift` with these arguments in a folder of its own. It records, if only to be run again.
+    /// Starts `imrs demo beam-lift` with these arguments in a folder of its own. It always records, so that the run is
+    /// replayed.
     pub fn demo(args: &[&str]) -> Self {
         let dir = runtime_dir();
         let record = dir.path().join("own.imrs");
@@ -66,15 +67,15 @@ impl Live {
         Self::steady_with(&[])
     }
 
-    /// Does the same with these arguments.
+    /// Like [`Self::steady`], with these arguments.
     pub fn steady_with(args: &[&str]) -> Self {
         let dir = runtime_dir();
         let live = Self::steady_in(dir.path(), args);
         Self { _own: Some(dir), ..live }
     }
 
-    /// Starts the cell of the demo with these arguments in this runtime folder, so that it runs on: nobody gives up,
-    /// however long a busy machine or a dead node makes the others wait at the rendezvous. It records.
+    /// Starts the demo's cell with these arguments in this runtime folder. Its tasks never give up, however long a busy machine
+    /// or a dead node makes them wait at the rendezvous. It records.
     pub fn steady_in(dir: &Path, args: &[&str]) -> Self {
         let (file, record) = (dir.join("beam_lift.cell"), dir.join("own.imrs"));
         let cell = std::fs::read_to_string(example("beam_lift.cell")).expect("an example");
@@ -113,7 +114,8 @@ impl Live {
         self.node(node).address.expect("a node with a socket")
     }
 
-    /// Waits until a monitor sees this, or the run has ended by itself. For the last sample; none where nothing was seen.
+    /// Waits until a monitor's sample satisfies `is_so`, or the run ends by itself. Returns the last sample; null if there was
+    /// none.
     pub fn until(&self, what: &str, mut is_so: impl FnMut(&Value) -> bool) -> Value {
         let (end, mut seen, mut last) = (Instant::now() + PATIENCE, Seen::by_monitor(&self.dir), Value::Null);
         loop {
@@ -121,7 +123,7 @@ impl Live {
             match seen.next() {
                 Some(sample) if is_so(&sample) => return sample,
                 Some(sample) => last = sample,
-                // A monitor ends if no node runs any more, which is some time before the launcher ends.
+                // A monitor ends once no node runs any more, some time before the launcher ends.
                 None => {}
             }
             if is_over {
@@ -131,12 +133,12 @@ impl Live {
         }
     }
 
-    /// As Ctrl-C does: the run ends in order.
+    /// Ends the run in order, as Ctrl-C does.
     pub fn interrupt(&self) {
         self.program.interrupt();
     }
 
-    /// Waits for the end. Returns the summary, the exit code, and what it complained of.
+    /// Waits for the end. Returns the summary, the exit code, and the complaints.
     pub fn finish(self) -> (Value, Option<i32>, String) {
         let said = self.program.finish();
         if let Some((file, cell)) = &self.record
@@ -148,14 +150,14 @@ impl Live {
     }
 }
 
-/// What a monitor sees, sample by sample.
+/// The samples of a monitor.
 pub struct Seen {
     dir: PathBuf,
     monitor: Program,
 }
 
 impl Seen {
-    /// Of the nodes in this folder.
+    /// Monitors the nodes in this folder.
     pub fn by_monitor(dir: &Path) -> Self {
         Self { dir: dir.to_owned(), monitor: Self::monitor(dir) }
     }
@@ -164,8 +166,8 @@ impl Seen {
         Program::start(imrs(dir, &["monitor", "--watch", "50ms", "--format", "json"]))
     }
 
-    /// The next sample. A monitor gives up after some seconds without a node: on a busy machine a node may take longer to
-    /// show itself, so the next monitor looks.
+    /// The next sample. A monitor gives up after some seconds without a node. On a busy machine a node may appear later, so
+    /// another monitor is started.
     pub fn sample(&mut self) -> Value {
         let end = Instant::now() + PATIENCE;
         loop {
@@ -176,7 +178,7 @@ impl Seen {
         }
     }
 
-    /// The next sample; none if this monitor has ended. Then another one begins to look.
+    /// The next sample; none if this monitor has ended. Then another one is started.
     fn next(&mut self) -> Option<Value> {
         let sample = self.monitor.next_json();
         if sample.is_none() {
@@ -185,7 +187,7 @@ impl Seen {
         sample
     }
 
-    /// The first sample that is so.
+    /// The first sample that satisfies `is_so`.
     pub fn until(&mut self, what: &str, mut is_so: impl FnMut(&Value) -> bool) -> Value {
         let end = Instant::now() + PATIENCE;
         loop {
@@ -198,24 +200,24 @@ impl Seen {
     }
 }
 
-/// The first of these that has this name; null where there is none.
+/// The first entry with this name; null if there is none.
 pub fn named<'a>(all: &'a Value, name: &str) -> &'a Value {
     let mut all = all.as_array().into_iter().flatten();
     all.find(|one| one["name"] == name).unwrap_or(&Value::Null)
 }
 
-/// A task in a sample; null where it is not seen.
+/// A task in a sample; null if it is not there.
 pub fn task<'a>(sample: &'a Value, name: &str) -> &'a Value {
     let nodes = sample["nodes"].as_array().into_iter().flatten();
     nodes.map(|node| named(&node["tasks"], name)).find(|task| !task.is_null()).unwrap_or(&Value::Null)
 }
 
-/// A figure of a port of a task in a sample; 0 where it is not seen.
+/// A counter of a task's port in a sample; 0 if it is not there.
 pub fn figure(sample: &Value, at: &str, port: &str, name: &str) -> u64 {
     named(&task(sample, at)["ports"], port)[name].as_u64().unwrap_or(0)
 }
 
-/// The last round of its waitfor that released this task in a sample; 0 where none did.
+/// The last round of its waitfor that released this task, in a sample; 0 if none did.
 pub fn released(sample: &Value, at: &str) -> u64 {
     task(sample, at)["waitfor"][0]["released"].as_u64().unwrap_or(0)
 }

@@ -1,4 +1,4 @@
-//! What the end-to-end tests share: the command, bounded, in a runtime folder of its own.
+//! Helpers of the end-to-end tests: run the command with a time limit, in a runtime folder of its own.
 
 pub mod claims;
 pub mod live;
@@ -17,10 +17,10 @@ use std::thread;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// No command takes this long, however busy the machine is.
+/// Time limit of every wait: no command takes this long, however busy the machine is.
 pub const PATIENCE: Duration = Duration::from_secs(600);
 
-/// Whether nothing is missing that a test needs. Otherwise it says what was not done, or fails where everything is required.
+/// Whether nothing is missing that a test needs. Otherwise prints what was skipped, or fails if `IMRS_REQUIRE_ALL=1`.
 pub fn is_here(missing: Option<&str>, not_done: &str) -> bool {
     let Some(missing) = missing else { return true };
     let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
@@ -29,30 +29,30 @@ pub fn is_here(missing: Option<&str>, not_done: &str) -> bool {
     false
 }
 
-/// Whether the machine is said to be quiet: then times are asserted, too.
+/// Whether `IMRS_QUIET=1` says that the machine is quiet. Times are then asserted, too.
 pub fn is_quiet() -> bool {
     std::env::var_os("IMRS_QUIET").is_some_and(|value| value == "1")
 }
 
-/// What a test does not ask for because this machine was late. It is said, and it is a failure of a machine that is said to
-/// be quiet: so a fault that looks like lateness does not pass for ever.
+/// Skips an assertion because this machine was late, and prints why. Fails on a quiet machine, so that a defect that looks like
+/// lateness does not pass for ever.
 pub fn excused(why: &str) {
     assert!(!is_quiet(), "{why}, on a quiet machine");
     println!("this machine was late: {why}");
 }
 
-/// How often something is tried that a late machine may spoil.
+/// Number of attempts at what a late machine may spoil.
 pub const TIMES: usize = 5;
 
-/// Tries something that a late machine may spoil, a few times. If it is spoilt each time, the test is excused for this reason.
+/// Tries something that a late machine may spoil, up to `TIMES` times. If every attempt is spoilt, the test is excused.
 pub fn tried(why: &str, is_done: impl FnMut() -> bool) {
     if !std::iter::repeat_with(is_done).take(TIMES).any(|done| done) {
         excused(why);
     }
 }
 
-/// Tries something that a process that stands still may spoil, a few times. Only chance may spoil it: it fails if it is
-/// spoilt each time.
+/// Tries something that a suspended process may spoil, up to `TIMES` times. That happens by chance only, so the test fails if
+/// every attempt is spoilt.
 pub fn tried_again(why: &str, mut is_done: impl FnMut() -> bool) {
     for _ in 0..TIMES {
         if is_done() {
@@ -63,29 +63,28 @@ pub fn tried_again(why: &str, mut is_done: impl FnMut() -> bool) {
     panic!("each time {why}");
 }
 
-/// Tries something with a fault that comes soon after the start. If the machine is late for that, the next fault comes
-/// later.
+/// Tries something with a fault soon after the start. If the machine is too slow for that, the next attempt has a later fault.
 pub fn sooner_or_later(why: &str, is_done: impl FnMut(Duration) -> bool) {
     let mut faults = [3, 20, 100].map(Duration::from_secs).into_iter();
     assert!(faults.any(is_done), "{why}, though the fault came 100 s after the start");
 }
 
-/// Whether bounds are asked for that take minutes and not seconds.
+/// Whether `IMRS_WHOLE=1` asks for bounds that take minutes instead of seconds.
 pub fn is_whole() -> bool {
     std::env::var_os("IMRS_WHOLE").is_some_and(|value| value == "1")
 }
 
-/// A number that an environment variable may change, for long runs.
+/// A number that an environment variable may override, for long runs.
 pub fn bound(variable: &str, usual: u64) -> u64 {
     std::env::var(variable).map_or(usual, |text| text.parse().unwrap_or_else(|e| panic!("{variable}: {e}")))
 }
 
-/// The file of an example.
+/// The path of an example.
 pub fn example(name: &str) -> String {
     format!("{}/examples/{name}", env!("CARGO_MANIFEST_DIR"))
 }
 
-/// What cargo knows of this workspace.
+/// The metadata of this workspace, from cargo.
 pub fn metadata() -> Value {
     let output = Command::new(env!("CARGO"))
         .args(["metadata", "--format-version", "1", "--no-deps", "--offline"])
@@ -96,18 +95,18 @@ pub fn metadata() -> Value {
     serde_json::from_slice(&output.stdout).expect("JSON")
 }
 
-/// UDP ports of an address on the loopback that nobody else uses: the address is this process's, the ports are this call's,
-/// and lie below those that the kernel hands out.
+/// A loopback address with UDP ports that nothing else uses. The address is unique to this process, and the ports to this call.
+/// They lie below the kernel's ephemeral ports.
 pub fn own_address<const N: usize>() -> (Ipv4Addr, [u16; N]) {
     static USED: AtomicU16 = AtomicU16::new(0);
     let [_, a, b, c] = std::process::id().to_be_bytes();
     let first = 20_000 + USED.fetch_add(u16::try_from(N).expect("a few"), Ordering::Relaxed);
-    // 127.0.x.y is where everybody else is.
+    // Other programs use 127.0.x.y.
     let ports = std::array::from_fn(|i| first + u16::try_from(i).expect("a few"));
     (Ipv4Addr::new(127, 64 | a, b, c), ports)
 }
 
-/// Tries all cases at once, each in a thread: they wait more than they work.
+/// Tests all cases at once, each in a thread: they wait more than they work.
 pub fn side_by_side<T: Send>(cases: impl IntoIterator<Item = T>, test: impl Fn(T) + Sync) {
     let test = &test;
     thread::scope(|scope| {
@@ -117,9 +116,9 @@ pub fn side_by_side<T: Send>(cases: impl IntoIterator<Item = T>, test: impl Fn(T
     });
 }
 
-/// A folder that only this test's nodes and monitors use.
+/// A runtime folder for the nodes and monitors of one test.
 pub fn runtime_dir() -> TempDir {
-    // Unix sockets have short names: not under the build folder.
+    // Not in the build folder, because paths of Unix sockets must be short.
     tempfile::Builder::new().prefix("imrs-test").tempdir().expect("a folder for temporary files")
 }
 
@@ -132,7 +131,7 @@ pub fn imrs(dir: &Path, args: &[&str]) -> Command {
     command
 }
 
-/// What a command said, and how it ended.
+/// The output and the exit code of a command.
 #[derive(Debug)]
 pub struct Said {
     pub out: String,
@@ -140,8 +139,8 @@ pub struct Said {
     pub code: Option<i32>,
 }
 
-/// Whether a run ended well, or all that was wrong are checks that did not hold, or evidence that is missing: this machine may
-/// have been later than the cell declares, or the fault more than it does.
+/// Whether a run ended well, or its only complaints are broken checks or missing evidence. This machine may have been later, or
+/// the fault larger, than the cell declares.
 pub fn is_well(code: Option<i32>, errors: &str) -> bool {
     let starts = |words: &str| errors.lines().any(|line| line.starts_with(words));
     let (checks, incomplete) = ("imrs: check ", "imrs: incomplete: ");
@@ -155,7 +154,7 @@ pub fn is_well(code: Option<i32>, errors: &str) -> bool {
 }
 
 impl Said {
-    /// Whether it ended well, but for checks ([`is_well`]).
+    /// Whether it ended well, apart from checks ([`is_well`]).
     pub fn is_well(&self) -> bool {
         is_well(self.code, &self.err)
     }
@@ -173,13 +172,13 @@ pub fn run(args: &[&str]) -> Said {
     run_in(dir.path(), args)
 }
 
-/// Runs a command to its end, in this runtime folder. What it recorded of nodes replays.
+/// Runs a command to its end, in this runtime folder. Recordings of nodes that it made must replay.
 pub fn run_in(dir: &Path, args: &[&str]) -> Said {
     recorded(dir, args, finish(imrs(dir, args)))
 }
 
-/// Runs a command that looks once, again and again, until what it says is so. On a busy machine a node may be silent for longer than
-/// one look waits.
+/// Repeats a command that looks at nodes once, until its output satisfies `is_so`. On a busy machine a node may be silent for
+/// longer than one look waits.
 pub fn look_until(dir: &Path, args: &[&str], what: &str, is_so: impl Fn(&Said) -> bool) -> Said {
     let mut said = run_in(dir, args);
     wait_until(what, || {
@@ -192,7 +191,7 @@ pub fn look_until(dir: &Path, args: &[&str], what: &str, is_so: impl Fn(&Said) -
     said
 }
 
-/// Runs a cell until its lines are enough, or until it ends by itself. What it recorded of nodes replays.
+/// Runs a cell until `is_enough` accepts a line, or until it ends by itself. Recordings of nodes that it made must replay.
 pub fn run_until(dir: &Path, args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
     let mut program = Program::start(imrs(dir, args));
     program.read_until(is_enough);
@@ -200,8 +199,8 @@ pub fn run_until(dir: &Path, args: &[&str], is_enough: impl FnMut(&str) -> bool)
     recorded(dir, args, program.finish())
 }
 
-/// Whether the recordings of a run say that this machine was later than the cell declares: then it may end otherwise than
-/// it should.
+/// Whether the recordings of a run show that this machine was later than the cell declares. The run may then fail without a
+/// defect.
 pub fn was_late(dir: &Path, cell: &str, file: &Path, nodes: &[&str]) -> bool {
     let files: Vec<_> = nodes.iter().map(|node| file.with_extension(format!("{node}.imrs"))).collect();
     let files: Vec<&str> = files.iter().map(|file| file.to_str().expect("UTF-8")).collect();
@@ -225,8 +224,8 @@ fn recorded(dir: &Path, args: &[&str], said: Said) -> Said {
     said
 }
 
-/// What the nodes of a run recorded beside `file` is bit-equal when it is run again, and every state that it comes to is
-/// sound. Of a killed node as far as its recording goes.
+/// Asserts that the recordings beside `file` replay bit by bit, and that every state on the way is sound. The recording of a
+/// killed node is judged as far as it goes.
 pub fn replays(dir: &Path, file: &Path, cell: Option<&str>) {
     let stem = file.file_stem().expect("a name").to_str().expect("UTF-8");
     let beside = file.parent().expect("a folder").read_dir().expect("the folder of the recordings");
@@ -244,12 +243,12 @@ pub fn replays(dir: &Path, file: &Path, cell: Option<&str>) {
     let said = finish(imrs(dir, &[&["replay"], &files[..], &cell[..], &["--format", "json"]].concat()));
     let answers = said.out.lines().map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
     let answers: Vec<Value> = answers.collect();
-    // Of a killed node the recording has no end.
+    // The recording of a killed node has no end.
     let incomplete = answers.iter().any(|answer| answer["complete"] == false);
     assert_eq!(said.code, Some(if incomplete { 5 } else { 0 }), "{said:?}");
     let tasks: Vec<Value> =
         answers.iter().flat_map(|answer| answer["tasks"].as_array().expect("tasks").clone()).collect();
-    // A disk that could not keep up is no fault of the machine: what is missing was told.
+    // A slow disk may have lost inputs, which the recording reports: that is no fault of the state machine.
     let judged = |task: &&Value| task["verdict"] == "same" || number(&task["lost"]) > 0;
     assert!(!tasks.is_empty() && tasks.iter().filter(judged).count() == tasks.len(), "{tasks:?}");
 }
@@ -266,18 +265,18 @@ pub fn finish(command: Command) -> Said {
 /// Sends a signal to a process that this test started.
 pub fn signal(pid: u32, signal: Signal) {
     if let Some(pid) = i32::try_from(pid).ok().and_then(Pid::from_raw) {
-        // A process that is gone cannot be told anything.
+        // The process may have exited already.
         let _ = kill_process(pid, signal);
     }
 }
 
-/// Whether a process is there and not a zombie.
+/// Whether a process exists and is no zombie.
 pub fn is_alive(pid: u32) -> bool {
     let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).unwrap_or_default();
     stat.rsplit_once(')').is_some_and(|(_, rest)| !rest.trim_start().starts_with('Z'))
 }
 
-/// Waits until something is so.
+/// Waits until `is_so` is true.
 pub fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
     let end = Instant::now() + PATIENCE;
     while !is_so() {

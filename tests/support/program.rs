@@ -1,4 +1,4 @@
-//! A running command whose lines are read as they come.
+//! A running command, whose output lines are read as they come.
 
 use super::{PATIENCE, Said, signal};
 use rustix::process::Signal;
@@ -9,11 +9,11 @@ use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::thread::{self, JoinHandle};
 use std::time::Instant;
 
-/// A running command. It is killed when this is dropped.
+/// A running command. Dropping this kills it.
 pub struct Program {
     child: Child,
     lines: Receiver<(Instant, String)>,
-    /// What was read of its lines.
+    /// The lines that have been read.
     out: String,
     errors: Option<JoinHandle<String>>,
 }
@@ -42,7 +42,7 @@ impl Program {
         self.child.id()
     }
 
-    /// The next line, and when it came; none where the command has ended.
+    /// The next line, and when it came; none if the command has ended.
     fn next(&mut self) -> Option<(Instant, String)> {
         match self.lines.recv_timeout(PATIENCE) {
             Ok((at, line)) => {
@@ -52,7 +52,7 @@ impl Program {
             }
             Err(RecvTimeoutError::Disconnected) => None,
             Err(RecvTimeoutError::Timeout) => {
-                // Its complaints can be read to their end only when it has ended.
+                // Standard error can be read to its end only after the command has ended.
                 let _ = self.child.kill();
                 let errors = self.errors();
                 panic!("it said nothing more after {:?}: {errors:?}", self.out);
@@ -74,7 +74,7 @@ impl Program {
         self.json_at().1
     }
 
-    /// The next line, as JSON; none where the command has ended.
+    /// The next line, as JSON; none if the command has ended.
     pub fn next_json(&mut self) -> Option<Value> {
         self.next().map(|(_, line)| parsed(&line))
     }
@@ -85,7 +85,7 @@ impl Program {
         (at, parsed(&line))
     }
 
-    /// Reads lines until there are enough of them, or the command ends.
+    /// Reads lines until `is_enough` accepts one, or the command ends.
     pub fn read_until(&mut self, mut is_enough: impl FnMut(&str) -> bool) {
         let end = Instant::now() + PATIENCE;
         while let Some((_, line)) = self.next() {
@@ -96,12 +96,12 @@ impl Program {
         }
     }
 
-    /// As Ctrl-C does: a run ends in order, with its summary.
+    /// Sends SIGINT, as Ctrl-C does: a run ends in order, with its summary.
     pub fn interrupt(&self) {
         signal(self.pid(), Signal::INT);
     }
 
-    /// Waits for the end. Returns all that it has said.
+    /// Waits for the end. Returns the whole output.
     pub fn finish(mut self) -> Said {
         self.read_until(|_| false);
         let code = self.child.wait().expect("it ends").code();
@@ -120,7 +120,7 @@ impl Drop for Program {
     }
 }
 
-/// Whether lines with these words have come, one after the other.
+/// Whether lines with these words have come, in this order.
 pub fn one_after_the_other(words: &'static [&'static str]) -> impl FnMut(&str) -> bool {
     let mut left = words;
     move |line| {

@@ -1,4 +1,4 @@
-//! A node that is none: it tells monitors what a test wants them to hear.
+//! A stub node: it reports to monitors what a test wants them to see.
 
 use imrs_wire::obs::{
     Events, FrameReader, FrameWriter, Handshake, Hello, MAX_REQUEST, NodeIdentity, Role, SCHEMA, ServerFrame,
@@ -10,27 +10,27 @@ use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Between two states that it tells; every tenth time it tells how its process does.
+/// The interval between two states. Every `VITALS`-th time the stub also reports the vitals of its process.
 const PERIOD: Duration = Duration::from_millis(50);
 const VITALS: u32 = 10;
 
-/// What it tells.
+/// What the stub reports.
 #[derive(Debug, Default)]
 pub struct Tells {
-    /// The state, but for the clock.
+    /// The state, without the clock.
     pub snapshot: Snapshot,
-    /// What has happened and was not told yet.
+    /// Events that are not reported yet.
     pub events: Vec<TimedEvent>,
-    /// How its process does, but for the clock.
+    /// The vitals of its process, without the clock.
     pub vitals: Vitals,
 }
 
-/// When something was done last, and when it was last done late.
+/// When a periodic activity last happened, and when it was last late.
 #[derive(Clone, Debug)]
 pub struct Beat(Arc<Mutex<(Instant, Option<Instant>)>>);
 
 impl Beat {
-    /// Late is what comes so long after the last time.
+    /// An activity is late if its predecessor was longer ago than this.
     const LATE: Duration = Duration::from_millis(500);
 
     fn start() -> Self {
@@ -45,23 +45,23 @@ impl Beat {
         beat.0 = now;
     }
 
-    /// Whether it is late, or was within this time.
+    /// Whether the activity is late, or was within this time.
     pub fn was_late(&self, within: Duration) -> bool {
         let (last, late) = *self.0.lock().expect("no panic before");
         last.elapsed() > Self::LATE || late.is_some_and(|late| late.elapsed() < within)
     }
 }
 
-/// Listens until the test's process ends.
+/// A stub node, which listens until the test's process ends.
 pub struct Stub {
     tells: Arc<Mutex<Tells>>,
     since: Instant,
-    /// Whether it tells in time, which a busy machine may keep it from.
+    /// The timing of its reports, which a busy machine may delay.
     pub beat: Beat,
 }
 
 impl Stub {
-    /// Where monitors look in this runtime folder.
+    /// Starts a stub where monitors look for nodes, in this runtime folder.
     pub fn start(dir: &Path, identity: NodeIdentity, table: Table, tells: Tells) -> Self {
         let base = dir.join("imrs");
         let path = place::prepare_in(&base, &identity.cell, &identity.node, std::process::id());
@@ -72,19 +72,19 @@ impl Stub {
             for stream in listener.incoming().flatten() {
                 let (identity, table, tells) = (identity.clone(), table.clone(), Arc::clone(&tells));
                 let beat = beat.clone();
-                // A monitor that leaves ends it.
+                // The thread ends when its monitor disconnects.
                 thread::spawn(move || serve(stream, identity, table, &tells, (since, &beat)));
             }
         });
         stub
     }
 
-    /// From here on it tells something else.
+    /// Changes what the stub reports from now on.
     pub fn change(&self, change: impl FnOnce(&mut Tells)) {
         change(&mut self.tells.lock().expect("no panic before"));
     }
 
-    /// Its clock.
+    /// The stub's clock.
     pub fn mono_us(&self) -> u64 {
         mono_us(self.since)
     }
@@ -110,7 +110,7 @@ fn serve(
     writer.push_bytes(&Handshake::Hello(hello).encode(VERSION)).ok()?;
     writer.push(&ServerFrame::Table(table)).ok()?;
     writer.flush().ok()?;
-    // What the monitor asks for makes no difference.
+    // The monitor's requests are read and ignored.
     thread::spawn(move || while reader.read_frame().is_ok() {});
     for round in 0.. {
         let mono_us = mono_us(since);

@@ -1,4 +1,4 @@
-//! The recording of a node, in memory; and what a monitor recorded.
+//! Recordings of nodes and of monitors, in memory.
 
 use imrs_wire::obs::ServerFrame;
 use imrs_wire::recording::{Header, Record, RecordingReader, RecordingWriter, Shown};
@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-/// The recording of a node.
+/// A recording in memory.
 #[derive(Clone)]
 pub struct Tape {
     pub header: Header,
@@ -29,14 +29,14 @@ impl Tape {
     }
 }
 
-/// Whether a recording, which may still grow, has when a script did something.
+/// Whether a recording, which may still grow, has a record of a script.
 pub fn has_begun(path: &Path) -> bool {
     let reader = File::open(path).ok().and_then(|file| RecordingReader::new(BufReader::new(file)).ok());
     let mut records = reader.into_iter().flatten().map_while(Result::ok);
     records.any(|record| matches!(record, Record::Script { .. }))
 }
 
-/// What nodes said in the recording of a monitor, which may still grow: the source, the time in microseconds, and the frame.
+/// The frames of nodes in a monitor's recording, which may still grow: the source, the time in microseconds, and the frame.
 pub fn frames(path: &Path) -> Vec<(u16, u64, ServerFrame)> {
     let reader = File::open(path).ok().and_then(|file| RecordingReader::new(BufReader::new(file)).ok());
     let records = reader.into_iter().flatten().map_while(Result::ok);
@@ -50,7 +50,7 @@ pub fn frames(path: &Path) -> Vec<(u16, u64, ServerFrame)> {
     records.filter_map(said).collect()
 }
 
-/// Writes the recording `from` as `to`, changed.
+/// Copies the recording `from` to `to`, with a change.
 pub fn change(from: &Path, to: &Path, change: impl FnOnce(&mut Vec<Record>)) {
     let mut tape = Tape::read(from);
     change(&mut tape.records);

@@ -1,4 +1,4 @@
-//! Reads a `cell` block: what Figures 1 and 2 declare, a line each.
+//! Reads a `cell` block: the declarations of Figures 1 and 2, one per line.
 //!
 //! ```text
 //! node left, right
@@ -11,7 +11,7 @@ use super::tokens::Tokens;
 use imrs_protocol::rules::{Aging, Confirmation, Eviction, LeaseRule, Memory};
 use imrs_protocol::*;
 
-/// A cell and how large the transit buffers of its nodes are.
+/// A cell, and the size of its nodes' transit buffers.
 #[derive(Clone, Debug)]
 pub struct Declared {
     pub cell: Cell,
@@ -25,7 +25,7 @@ impl Default for Declared {
 }
 
 impl Declared {
-    /// Takes one line.
+    /// Reads one line.
     pub fn line(&mut self, line: &str) -> Result<(), String> {
         let mut t = Tokens::new(line)?;
         if t.is_over() {
@@ -53,7 +53,7 @@ impl Declared {
         t.end()
     }
 
-    /// The table of the cell, or what is wrong with it.
+    /// The table of the cell, or its faults.
     pub fn table(&self) -> Result<CellTable, Vec<String>> {
         CellTable::new(self.cell.clone()).map_err(|faults| faults.iter().map(ToString::to_string).collect())
     }
@@ -169,7 +169,7 @@ impl Declared {
         Ok(())
     }
 
-    /// `couple P -> S via alive, lease 20, takeover 40, every 5`, with `<->` where the roles are exchanged.
+    /// `couple P -> S via alive, lease 20, takeover 40, every 5`; with `<->` the two tasks can exchange their roles.
     fn couple(&mut self, t: &mut Tokens) -> Result<(), String> {
         let primary = t.named("task", |name| task(&self.cell, name))?;
         let mutual = t.eat("<->");
@@ -199,7 +199,7 @@ impl Declared {
         Ok(())
     }
 
-    /// A variant of the rules, to show what the default is for.
+    /// A variant of the protocol's rules, which shows why the default is needed.
     fn rule(&mut self, t: &mut Tokens) -> Result<(), String> {
         let rules = &mut self.cell.rules;
         let (rule, choice) = (t.word()?, t.word()?);
@@ -228,7 +228,7 @@ impl Declared {
     }
 }
 
-/// Any word but a mark can be a name.
+/// Any word that starts with a letter can be a name.
 fn new_name(word: &str) -> Option<String> {
     word.starts_with(|c: char| c.is_ascii_alphabetic()).then(|| word.into())
 }

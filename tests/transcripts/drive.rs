@@ -1,6 +1,5 @@
-//! Carries a transcript out: the nodes of a cell in virtual time. A packet takes its link's bound, unless a line says
-//! otherwise, and is charged what it took, but no less than the bound (D20). In each tick time passes first, then
-//! packets arrive.
+//! Executes a transcript: runs the nodes of a cell in virtual time. A packet takes its link's bound unless a line says
+//! otherwise, and is charged its real delay, but at least the bound (D20). In each tick time passes first, then packets arrive.
 
 use super::cells::Declared;
 use super::look::{answer, look, whole};
@@ -9,14 +8,14 @@ use super::words::Names;
 use imrs_protocol::*;
 use std::sync::Arc;
 
-/// Something seen, and when.
+/// An event, and its time.
 #[derive(Clone, Debug)]
 pub struct Seen {
     pub at: u64,
     pub text: String,
 }
 
-/// A packet on a link.
+/// A packet in flight.
 #[derive(Clone, Copy, Debug)]
 struct Flight {
     left: u64,
@@ -29,19 +28,19 @@ struct Flight {
 
 enum Life {
     Up,
-    /// The process stands still since then.
+    /// The process has been suspended since this tick.
     Stopped(u64),
     Down,
 }
 
-/// A class-2 message that a task was given.
+/// A class-2 message that a task has received.
 struct Got {
     task: TaskId,
     from: ReplyTo,
     answered: bool,
 }
 
-/// Everything between the nodes.
+/// The links between the nodes, and what was seen.
 struct Between {
     table: Arc<CellTable>,
     now: u64,
@@ -71,7 +70,7 @@ impl Between {
         self.seen.push(Seen { at: self.now, text });
     }
 
-    /// What happens to a packet that leaves `node`: the first line that still applies decides.
+    /// The fault that hits a packet leaving `node`, if any: the first line that still applies decides.
     fn fate(&mut self, node: NodeId, packet: &Packet) -> Option<What> {
         let applies = |f: &&mut Fault| {
             f.count > 0
@@ -123,7 +122,7 @@ impl NodeOutbox for Wires<'_> {
     }
 
     fn signal(&mut self, task: TaskId, signal: Signal) {
-        // The words follow when the whole message can be read.
+        // The text is filled in later, when the whole message can be read.
         self.between.signals.push((task, signal, self.between.seen.len()));
         self.between.see(String::new());
     }
@@ -162,7 +161,7 @@ impl Drive {
         self.between.now
     }
 
-    /// Carries out one line and says what was seen.
+    /// Executes one step. Returns its events.
     pub fn step(&mut self, step: &Step) -> Result<Vec<Seen>, String> {
         match step {
             Step::After(ticks) => {
@@ -200,7 +199,7 @@ impl Drive {
         self.input_after(Ticks::ZERO, node, input)
     }
 
-    /// So much time passes for a node.
+    /// Lets time pass for a node.
     fn pass(&mut self, node: NodeId, ticks: Ticks) -> Result<(), String> {
         self.input_after(ticks, node, NodeInput::Time)
     }
@@ -219,7 +218,7 @@ impl Drive {
         Ok(())
     }
 
-    /// Puts a signal into words, and keeps what can be answered.
+    /// Writes the text of a signal, and remembers a message that can be answered.
     fn tell(&mut self, node: NodeId, task: TaskId, signal: &Signal, place: usize) {
         let names = Names(&self.between.table);
         let Some(at) = self.nodes[node.index()].task(task) else { return };
@@ -258,7 +257,7 @@ impl Drive {
         Ok(())
     }
 
-    /// The node's next life; the others hear of it at once, or not.
+    /// Starts the node's next incarnation. The other nodes notice at once, or not at all if `unnoticed`.
     fn restart(&mut self, node: NodeId, unnoticed: bool) -> Result<(), String> {
         let (life, count) = &mut self.lives[node.index()];
         (*life, *count) = (Life::Up, *count + 1);
@@ -273,7 +272,7 @@ impl Drive {
         Ok(())
     }
 
-    /// A process that stood still learns of all the time at once, then reads what its sockets hold.
+    /// Resumes a suspended process: all the missed time passes at once, then its sockets are read.
     fn go_on(&mut self, node: NodeId) -> Result<(), String> {
         let Life::Stopped(since) = self.lives[node.index()].0 else {
             return Err("it does not stand still".into());
@@ -305,12 +304,12 @@ impl Drive {
         }
     }
 
-    /// Whether the line carried out was told of a fault.
+    /// Whether a request of this step was answered with a fault.
     fn has_faults(&self) -> bool {
         self.between.seen.iter().any(|seen| seen.text.contains("<- fault"))
     }
 
-    /// All, one, or some of the tasks at the other end of a port.
+    /// The target of a send: all, one, or some of the tasks at the other end of the port.
     fn target(&self, port: PortId, to: &[TaskId]) -> Result<Target, String> {
         let port = self.between.table.port(port).ok_or("no such port")?;
         Ok(match *to {
@@ -324,7 +323,7 @@ impl Drive {
         })
     }
 
-    /// The message that a reply is for: the last one that is not answered yet, else the last one.
+    /// The message that a reply answers: the latest unanswered one, else the latest one.
     fn place_of(
         &self,
         receiver: TaskId,
@@ -342,7 +341,7 @@ impl Drive {
         open.map(|(place, _)| place).ok_or_else(|| "there is no such message to answer".into())
     }
 
-    /// Stages all fragments but the first, which it returns; nothing where one of them is at fault.
+    /// Stages all fragments except the first, which it returns; none if a fragment was refused with a fault.
     fn parts(&mut self, task: TaskId, port: PortId, contents: &[u8]) -> Result<Option<Contents>, String> {
         let mut parts =
             contents.chunks(CONTENTS_BYTES).map(|part| Contents::new(part).expect("short enough"));
@@ -364,7 +363,7 @@ impl Drive {
         }
         let before = self.between.seen.len();
         self.input(node, NodeInput::Request(task, request))?;
-        // That a request was carried out goes without saying, where nothing else can be told.
+        // For these requests `accepted` is omitted, because no other answer is possible without a fault.
         let quiet = matches!(
             request,
             Request::Part { .. }

@@ -1,10 +1,10 @@
-//! What can be looked at while a transcript is carried out.
+//! Reads the state that a step of a transcript shows.
 
 use super::steps::Look;
 use super::words::{Names, text};
 use imrs_protocol::*;
 
-/// What a look shows, in words.
+/// The text that a look shows.
 pub fn look(look: Look, nodes: &[Node], table: &CellTable) -> Result<String, String> {
     let names = Names(table);
     let of = |task: TaskId| {
@@ -28,7 +28,7 @@ pub fn look(look: Look, nodes: &[Node], table: &CellTable) -> Result<String, Str
     })
 }
 
-/// All of a message or an answer that was handed over.
+/// The whole message that a signal delivered.
 pub fn whole(task: &CommTask, signal: &Signal) -> Vec<u8> {
     match signal {
         Signal::Message(d) | Signal::Interrupt(Call::Message(d)) => {
@@ -39,7 +39,7 @@ pub fn whole(task: &CommTask, signal: &Signal) -> Vec<u8> {
     }
 }
 
-/// What `of` answered to the last request of the port.
+/// The answer of `of` to the last request on the port.
 pub fn answer(task: &CommTask, port: PortId, of: TaskId) -> Option<Vec<u8>> {
     let parts = (0..16).map_while(|i| task.answer_fragment(port, of, i));
     let said: Vec<&Contents> = parts.collect();

@@ -1,31 +1,31 @@
-//! A page of executable rules: prose, `cell` blocks, which hold until the next one, `wrong` blocks, which end with the
-//! faults of the cell they declare, and `transcript` blocks, each of which begins with all nodes fresh. Below each line
-//! of a transcript stands what was seen.
+//! Runs a page of executable rules. A page has prose and three kinds of blocks. A `cell` block holds until the next one. A
+//! `wrong` block is a cell followed by its faults. A `transcript` block starts with fresh nodes; below each of its steps stands
+//! what was seen.
 
 use super::cells::Declared;
 use super::drive::{Drive, Seen};
 use super::steps;
 use std::fmt::Write;
 
-/// What one page came to.
+/// The result of one page.
 #[derive(Default)]
 pub struct Report {
-    /// The page with what was really seen.
+    /// The page with the events that were really seen.
     pub blessed: String,
     pub faults: Vec<String>,
     /// How many transcripts and wrong cells it has.
     pub shown: usize,
 }
 
-/// One line that makes something happen, and what stands below it.
+/// One step of a transcript, and the lines below it.
 struct Entry<'a> {
     number: usize,
     line: &'a str,
-    /// The lines up to the next entry: what should be seen, and between them remarks and empty lines.
+    /// The lines up to the next step: expected events, remarks and empty lines.
     below: Vec<(usize, &'a str)>,
 }
 
-/// Runs a page. `name` stands in its faults.
+/// Runs a page. `name` appears in its faults.
 pub fn run(name: &str, page: &str) -> Report {
     let mut report = Report::default();
     let mut declared = Declared::default();
@@ -63,7 +63,7 @@ fn cell(name: &str, block: &[(usize, &str)], report: &mut Report) -> Declared {
     declared
 }
 
-/// A cell that must be turned down, with these words.
+/// Checks a cell that must be rejected with exactly these words.
 fn wrong(name: &str, block: &[(usize, &str)], report: &mut Report) {
     report.shown += 1;
     let (expected, lines): (Vec<_>, Vec<_>) = block.iter().partition(|(_, line)| is_seen(line));
@@ -129,19 +129,19 @@ fn carry_out(
     compare(&format!("{name}:{}: after `{}`", entry.number, plain(entry.line)), &expected, &found, report);
     let indent = entry.line.len() - entry.line.trim_start().len() + 4;
     for text in &found {
-        // A line that still holds keeps its remark.
+        // A line that is still correct keeps its remark.
         let kept = entry.below.iter().find(|(_, line)| plain(line) == *text);
         report.line(&kept.map_or_else(|| format!("{:indent$}{text}", ""), |(_, line)| (*line).into()));
     }
     Ok(())
 }
 
-/// What was seen while a line was carried out; `+3` where that was three ticks after its beginning and not at its end.
+/// An event of a step as text; `+3` if it came three ticks after the step began, and not at its end.
 fn words(seen: &Seen, begin: u64, end: u64) -> String {
     if seen.at == end { seen.text.clone() } else { format!("+{} {}", seen.at - begin, seen.text) }
 }
 
-/// Whether a line says what is seen.
+/// Whether a line of a transcript is an event.
 fn is_seen(line: &str) -> bool {
     let mut words = line.split_whitespace().skip_while(|word| word.starts_with('+'));
     let first = words.next().unwrap_or("");
@@ -149,7 +149,7 @@ fn is_seen(line: &str) -> bool {
     first == "|" || ["<-", "drops", "holds", "rejects", "=>"].contains(&second)
 }
 
-/// A line without its remark and its spaces too many.
+/// A line without its remark and superfluous spaces.
 fn plain(line: &str) -> String {
     let mut in_text = false;
     let mut plain = String::new();

@@ -1,38 +1,37 @@
-//! Reads the lines of a `transcript` block that make something happen. What is then seen stands below each of them and
-//! is compared as text.
+//! Reads the steps of a `transcript` block. The expected events below each step are compared as text.
 
 use super::cells::{node, port, task};
 use super::tokens::Tokens;
 use imrs_protocol::*;
 
-/// One line.
+/// One step.
 #[derive(Clone, Debug)]
 pub enum Step {
     /// Lets so many ticks pass.
     After(u64),
-    /// Whether packets that leave a node are shown from here on.
+    /// Whether packets that leave a node are shown from now on.
     Show(bool),
-    /// What happens to packets that will leave a node.
+    /// A fault for packets that leave a node later.
     Next(Fault),
-    /// From here on nothing happens to the packets from one task to another.
+    /// Removes the faults of packets from one task to another.
     Mend(TaskId, TaskId),
     Crash(NodeId),
     Restart {
         node: NodeId,
         unnoticed: bool,
     },
-    /// The process of a node stands still, and goes on.
+    /// Suspends the process of a node, and resumes it.
     Stop(NodeId),
     Continue(NodeId),
-    /// The link from one node to another takes nothing, and takes packets again.
+    /// Whether the link from one node to another is busy and accepts no packets.
     Busy(NodeId, NodeId, bool),
     /// Shows something.
     Look(Look),
-    /// A task asks for something.
+    /// A task makes a request.
     Ask(TaskId, Ask),
 }
 
-/// What can be looked at.
+/// What a transcript can show.
 #[derive(Clone, Copy, Debug)]
 pub enum Look {
     Queue(PortId, TaskId),
@@ -42,7 +41,7 @@ pub enum Look {
     Answer(PortId, TaskId, TaskId),
 }
 
-/// What a task asks for. Long contents are cut into fragments, answers are addressed, when it is carried out.
+/// A request of a task. Fragments and the address of an answer are determined when the step is executed.
 #[derive(Clone, Debug)]
 pub enum Ask {
     Plain(Request),
@@ -50,15 +49,15 @@ pub enum Ask {
     Reply { through: Option<PortId>, to: Option<TaskId>, of: Option<TaskId>, contents: Vec<u8> },
 }
 
-/// What happens to the next packets of a kind on their way.
+/// A fault that hits the next packets of a kind.
 #[derive(Clone, Debug)]
 pub struct Fault {
-    /// How many of them; `u32::MAX` for all.
+    /// How many packets it hits; `u32::MAX` for all.
     pub count: u32,
     pub kind: Option<Kind>,
     pub source: TaskId,
     pub destination: TaskId,
-    /// Only where they leave this node.
+    /// If set, only packets that leave this node.
     pub at: Option<NodeId>,
     pub what: What,
 }
@@ -66,13 +65,13 @@ pub struct Fault {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum What {
     Lost,
-    /// A second copy comes so many ticks after the first.
+    /// A second copy arrives so many ticks after the first.
     Twice(u64),
-    /// The link takes so long for it.
+    /// The packet takes so many ticks.
     Takes(u64),
 }
 
-/// Reads one line.
+/// Reads one step.
 pub fn read(line: &str, cell: &Cell) -> Result<Step, String> {
     let mut tokens = Tokens::new(line)?;
     let t = &mut tokens;
@@ -213,7 +212,7 @@ fn send(t: &mut Tokens, cell: &Cell) -> Result<Ask, String> {
     Ok(Ask::Send { port: id, to, contents, time_out: length(t)? })
 }
 
-/// `reply [PORT] [to A] [for B] "..."`: through a `reply` port, `for B` names who received the message.
+/// `reply [PORT] [to A] [for B] "..."`: with a `reply` port, `for B` names the task that received the message.
 fn reply(t: &mut Tokens, cell: &Cell) -> Result<Ask, String> {
     let through = t.maybe(|name| port(cell, name));
     let to = if t.eat("to") { Some(t.named("task", |name| task(cell, name))?) } else { None };

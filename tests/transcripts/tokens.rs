@@ -1,4 +1,4 @@
-//! The words of a line.
+//! Splits a line of a page into words.
 
 /// A word, a quoted text, or one of `:` `,`.
 #[derive(Clone, Debug, PartialEq)]
@@ -7,14 +7,14 @@ enum Token {
     Text(Vec<u8>),
 }
 
-/// The words of one line, taken from left to right.
+/// The tokens of one line, consumed from left to right.
 pub struct Tokens {
     tokens: Vec<Token>,
     at: usize,
 }
 
 impl Tokens {
-    /// The words of `line`; what follows a `#` is a remark.
+    /// Splits `line`; the rest after a `#` is a remark.
     pub fn new(line: &str) -> Result<Self, String> {
         let mut tokens = Vec::new();
         let mut rest = line.trim_start();
@@ -46,14 +46,14 @@ impl Tokens {
         self.at == self.tokens.len()
     }
 
-    /// Takes the next word if it is `wanted`.
+    /// Consumes the next word if it is `wanted`.
     pub fn eat(&mut self, wanted: &str) -> bool {
         let found = matches!(self.tokens.get(self.at), Some(Token::Word(word)) if word == wanted);
         self.at += usize::from(found);
         found
     }
 
-    /// The next word must be `wanted`.
+    /// Consumes the next word, which must be `wanted`.
     pub fn must(&mut self, wanted: &str) -> Result<(), String> {
         if self.eat(wanted) { Ok(()) } else { Err(format!("expected `{wanted}`, found {}", self.found())) }
     }
@@ -79,14 +79,14 @@ impl Tokens {
         Some(number)
     }
 
-    /// A quoted text; the empty one where there is none.
+    /// Consumes a quoted text; empty if there is none.
     pub fn text(&mut self) -> Vec<u8> {
         let Some(Token::Text(text)) = self.tokens.get(self.at) else { return Vec::new() };
         self.at += 1;
         text.clone()
     }
 
-    /// Looks the next word up; takes it only when it is found.
+    /// Looks the next word up, and consumes it only if it is found.
     pub fn maybe<T>(&mut self, look_up: impl FnOnce(&str) -> Option<T>) -> Option<T> {
         let Some(Token::Word(word)) = self.tokens.get(self.at) else { return None };
         let found = look_up(word)?;
@@ -109,7 +109,7 @@ impl Tokens {
                 return Ok(found);
             }
             let Some(next) = self.maybe(&look_up) else {
-                // The comma began something else.
+                // The comma belongs to what follows the list.
                 self.at = before;
                 return Ok(found);
             };
@@ -117,12 +117,12 @@ impl Tokens {
         }
     }
 
-    /// Nothing may be left.
+    /// Fails if tokens are left.
     pub fn end(&self) -> Result<(), String> {
         if self.is_over() { Ok(()) } else { Err(format!("{} is one word too many", self.found())) }
     }
 
-    /// The next word, for a message.
+    /// The next word, quoted for a message.
     pub fn found(&self) -> String {
         match self.tokens.get(self.at) {
             Some(Token::Word(word)) => format!("`{word}`"),
@@ -132,7 +132,7 @@ impl Tokens {
     }
 }
 
-/// A text up to its closing quote, and what follows. `\"`, `\\` and `\x00` stand for what they say.
+/// A text up to its closing quote, and the rest of the line. `\"`, `\\` and `\x00` are escapes.
 fn quoted(line: &str) -> Result<(Vec<u8>, &str), String> {
     let mut text = Vec::new();
     let mut rest = line;

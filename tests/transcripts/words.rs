@@ -1,13 +1,13 @@
-//! What is seen, in words.
+//! The texts of events and of looks at the state.
 
 use imrs_protocol::*;
 
-/// Contents as they are written in a transcript.
+/// Contents as a transcript writes them.
 pub fn text(bytes: &[u8]) -> String {
     format!("\"{}\"", bytes.escape_ascii().to_string().replace("\\'", "'"))
 }
 
-/// The names of a cell's things.
+/// Writes texts with the names of a cell.
 pub struct Names<'a>(pub &'a CellTable);
 
 impl Names<'_> {
@@ -39,7 +39,7 @@ impl Names<'_> {
         format!("{word} {from} to {to} on {port} {what}{part}, {} left{again}", p.remaining)
     }
 
-    /// A signal to a task. `whole` is all of a message that it hands over; `answer` reads what a task answered.
+    /// A signal to a task. `whole` is the whole message that it delivers; `answer` reads the answer of a task.
     pub fn signal(
         &self,
         signal: &Signal,
@@ -82,7 +82,7 @@ impl Names<'_> {
         }
     }
 
-    /// The marks of a set of answers.
+    /// The outcomes of the members of a set.
     fn answers(
         &self,
         port: PortId,
@@ -105,7 +105,7 @@ impl Names<'_> {
         format!("answers: {}", said.collect::<Vec<_>>().join(", "))
     }
 
-    /// The tasks that bits stand for, owner first.
+    /// The tasks of a bit mask, owner first.
     fn parties(&self, port: PortId, bits: u64) -> String {
         let Some(port) = self.0.port(port) else { return "nobody".into() };
         let named = port.parties.iter().enumerate().filter(|(i, _)| bits >> i & 1 == 1);
@@ -113,7 +113,7 @@ impl Names<'_> {
         if names.is_empty() { "nobody".into() } else { names.join(" and ") }
     }
 
-    /// What a monitor would show of an observation, if it belongs into a transcript.
+    /// The text of an observation, if transcripts show this kind.
     pub fn observation(&self, node: NodeId, at: Option<TaskId>, o: &Observation) -> Option<String> {
         let who = at.map_or_else(|| self.node(node), |task| self.task(task));
         match o.event {
@@ -128,7 +128,7 @@ impl Names<'_> {
         }
     }
 
-    /// What a task is doing.
+    /// The state of a task.
     pub fn state(&self, state: &TaskState) -> String {
         match *state {
             TaskState::Running => "runs".into(),

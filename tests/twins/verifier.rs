@@ -1,5 +1,5 @@
-//! Verifiers of the Promela models, each built once. SPIN and the C compiler take much longer than most verifiers run, so
-//! what they build stays in cargo's target folder, as other build products do. A verifier runs each time it is asked.
+//! Builds verifiers of the Promela models, each once. SPIN and the C compiler take much longer than most verifiers run, so
+//! their products stay in cargo's target folder, like other build products. A verifier runs on each call.
 
 use super::spin;
 use std::fs;
@@ -9,16 +9,16 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::sync::LazyLock;
 
-/// Where the verifiers stay from one run of the tests to the next.
+/// The folder that keeps the verifiers between test runs.
 const BUILT: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/twins");
 
-/// The compiler's flags. Most verifiers explore so little that optimising them would take longer than it saves.
+/// The default compiler flags. Most verifiers explore so little that optimising them takes longer than it saves.
 const QUICKLY_BUILT: &[&str] = &["-O0"];
 
 /// The flags for a verifier that explores a million states.
 pub const OPTIMISED: &[&str] = &["-O2"];
 
-/// SPIN, the C compiler and how they are started. A verifier of other tools is built again.
+/// The versions of SPIN and the C compiler, and how they are called. If any changes, verifiers are built again.
 static TOOLS: LazyLock<String> = LazyLock::new(|| {
     let version = |program: &str, flag: &str| {
         let output = Command::new(program).arg(flag).output().expect("it was found to be here");
@@ -30,7 +30,7 @@ static TOOLS: LazyLock<String> = LazyLock::new(|| {
     [&compiler, &compilers, &spins, starts].join("\n")
 });
 
-/// A Promela model with some definitions, and how its verifier is compiled.
+/// A Promela model with definitions, and how its verifier is compiled.
 pub struct Twin<'a> {
     model: &'a str,
     definitions: &'a [&'a str],
@@ -48,13 +48,13 @@ impl<'a> Twin<'a> {
         Self { flags, ..self }
     }
 
-    /// What its verifier says. It explores the whole model at each call.
+    /// The verdict of its verifier, which explores the whole model on each call.
     pub fn verdict(&self) -> spin::Verdict {
         let folder = tempfile::tempdir().expect("a folder for temporary files");
         spin::Verifier::at(self.verifier()).run_in(folder.path(), &["-w20"])
     }
 
-    /// The file of its verifier, which is built where it is not there yet.
+    /// The path of its verifier, which is built if it does not exist.
     fn verifier(&self) -> PathBuf {
         let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("specs/promela").join(self.model);
         let text = fs::read_to_string(&model).unwrap_or_else(|e| panic!("{}: {e}", model.display()));
@@ -73,7 +73,7 @@ impl<'a> Twin<'a> {
         let new = tempfile::tempdir_in(BUILT).expect("a folder beside the verifiers");
         let definitions: Vec<String> = self.definitions.iter().map(|&definition| definition.into()).collect();
         let pan = spin::build(new.path(), model, &definitions, self.flags);
-        // The folder takes its name when it is whole: a test that is stopped half-way leaves nothing that another would run.
+        // The folder gets its name only when it is complete, so an aborted test leaves nothing that another would run.
         let whole = new.path().join("whole");
         fs::create_dir(&whole).expect("a folder");
         fs::rename(pan.path(), whole.join("pan")).expect("the verifier is moved");
@@ -87,7 +87,7 @@ impl<'a> Twin<'a> {
     }
 }
 
-/// Whether a folder holds the verifier that is made of this.
+/// Whether a folder holds a verifier that was built from this.
 fn is_built(folder: &Path, made_of: &str) -> bool {
     fs::read_to_string(folder.join("made_of")).is_ok_and(|text| text == made_of)
 }

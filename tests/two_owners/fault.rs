@@ -1,4 +1,4 @@
-//! What happens to the node that acts, to the guard of its command, and to the command.
+//! The faults of a trial: what happens to the acting node, to the guard of its command, and to the command.
 
 use super::freezer::Freezer;
 use crate::support::{is_alive, signal};
@@ -7,19 +7,19 @@ use rustix::process::Signal;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fate {
     Spared,
-    /// It stands still for a while.
+    /// It is stopped for a while.
     Held,
     Killed,
 }
 
-/// How processes are held.
+/// How processes are stopped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Means {
     Signal,
     Freezer,
 }
 
-/// A fault of the node that acts.
+/// A fault of the acting node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Fault {
     pub name: &'static str,
@@ -33,11 +33,11 @@ const fn fault(name: &'static str, [node, guard, tool]: [Fate; 3], means: Means)
     Fault { name, node, guard, tool, means }
 }
 
-/// The node stands still, as the first defect of this kind was found.
+/// Only the node is stopped, as in the first defect of this kind.
 pub const NODE_STOPPED: Fault =
     fault("node stopped", [Fate::Held, Fate::Spared, Fate::Spared], Means::Signal);
 
-/// All faults. A guard that is held cannot kill its command.
+/// All faults. A stopped guard cannot kill its command.
 pub const FAULTS: [Fault; 11] = {
     use Fate::{Held, Killed, Spared};
     use Means::{Freezer, Signal};
@@ -52,13 +52,13 @@ pub const FAULTS: [Fault; 11] = {
         fault("node killed, command stopped", [Killed, Spared, Held], Signal),
         fault("node killed, guard and command frozen", [Killed, Held, Held], Freezer),
         fault("guard stopped", [Spared, Held, Spared], Signal),
-        // The kernel ends it: a stopped process group without a parent in its session gets SIGHUP.
+        // The kernel ends the stopped guard: a stopped process group without a parent in its session gets SIGHUP.
         fault("node killed, guard stopped", [Killed, Held, Spared], Signal),
     ]
 };
 
 impl Fault {
-    /// Whether the command goes on while nobody can kill it, though its task has to lose the lease.
+    /// Whether the command goes on without anything to kill it, although its task must lose the lease.
     pub fn lets_the_command_go_on(&self) -> bool {
         let ends_the_guard = self.node == Fate::Killed && self.means == Means::Signal;
         (self.guard, self.tool) == (Fate::Held, Fate::Spared) && self.node != Fate::Spared && !ends_the_guard
@@ -68,11 +68,11 @@ impl Fault {
         [self.node, self.guard, self.tool].contains(&Fate::Held)
     }
 
-    /// Does it to this node.
+    /// Applies the fault to this node.
     pub fn strike(&self, node: u32) -> Struck {
         let mut struck = Struck { held: Vec::new(), frozen: None, guards: Vec::new() };
         let holds_more = [self.guard, self.tool].contains(&Fate::Held);
-        // A node that goes on might end its command, and start the next one, while they are looked for.
+        // The node is stopped first: otherwise it could end its command and start the next one during the search.
         if self.node != Fate::Spared && self.means == Means::Signal && holds_more {
             signal(node, Signal::STOP);
         }
@@ -92,16 +92,16 @@ impl Fault {
     }
 }
 
-/// What is held goes on when this is dropped.
+/// The stopped processes. Dropping this resumes them.
 pub struct Struck {
     held: Vec<u32>,
     frozen: Option<Freezer>,
-    /// The guard that was held while it had a command.
+    /// The guards that were stopped while they had a command.
     guards: Vec<u32>,
 }
 
 impl Struck {
-    /// Whether a guard with a command stands still up to now.
+    /// Whether a guard with a command is still stopped.
     pub fn holds_a_guard(&self) -> bool {
         self.guards.iter().any(|&guard| is_alive(guard))
     }
@@ -129,7 +129,7 @@ impl Drop for Struck {
     }
 }
 
-/// The processes that this one started: of a node the guards, of a guard the command.
+/// The child processes: the guards of a node, the command of a guard.
 fn children(pid: u32) -> Vec<u32> {
     let all = std::fs::read_dir("/proc").expect("/proc").flatten();
     let all = all.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());

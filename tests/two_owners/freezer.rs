@@ -1,4 +1,4 @@
-//! The kernel's freezer: processes that stand still without having been told.
+//! The kernel's freezer: stops processes without a signal.
 
 use std::fs;
 use std::io;
@@ -9,13 +9,13 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// A control group of the first or of the second version.
+/// How control groups of version 1 or 2 freeze processes.
 struct Version {
     root: &'static str,
     file: &'static str,
     frozen: &'static str,
     thawed: &'static str,
-    /// Where the kernel says that all of it stands still, and what it says then.
+    /// The file and the text by which the kernel says that the whole group is frozen.
     says: (&'static str, &'static str),
 }
 
@@ -36,15 +36,15 @@ const VERSIONS: [Version; 2] = [
     },
 ];
 
-/// How long a process that is just ending may keep its group.
+/// How long an ending process may keep its group.
 const EMPTY_WITHIN: Duration = Duration::from_secs(1);
 
-/// Processes that are frozen. They go on when this is dropped, and at the latest when this program ends: no signal ends a process that is
-/// frozen, so it would be there until the machine starts again.
+/// Frozen processes. They resume when this is dropped, or at the latest when this program ends. No signal ends a frozen
+/// process, so it would otherwise stay until the machine reboots.
 pub struct Freezer {
     group: PathBuf,
     version: &'static Version,
-    /// A shell that thaws them when its input ends.
+    /// A shell that thaws the group when its input ends.
     keeper: Child,
 }
 
@@ -53,16 +53,16 @@ impl Version {
         let mut shell = Command::new("sh");
         shell.args(["-c", "cat > /dev/null; { echo \"$1\" > \"$0\"; } 2> /dev/null"]);
         shell.arg(group.join(self.file)).arg(self.thawed);
-        // What interrupts this program must not end it.
+        // In its own process group, a Ctrl-C for this program does not end it.
         shell.stdin(Stdio::piped()).process_group(0).spawn()
     }
 }
 
 impl Freezer {
-    /// Freezes these processes, and returns when they stand still.
+    /// Freezes these processes, and returns once they are frozen.
     ///
     /// # Errors
-    /// The kernel lets this program freeze nothing.
+    /// The kernel does not let this program freeze processes.
     pub fn of(pids: impl Iterator<Item = u32>) -> io::Result<Self> {
         static MADE: AtomicU32 = AtomicU32::new(0);
         let there = |version: &&Version| {
@@ -77,7 +77,7 @@ impl Freezer {
         let keeper = version.keeper(&group)?;
         let freezer = Self { group, version, keeper };
         for pid in pids {
-            // One that has ended meanwhile needs no freezing.
+            // A process that has ended meanwhile needs no freezing.
             match fs::write(freezer.group.join("cgroup.procs"), pid.to_string()) {
                 Err(error) if error.raw_os_error() != Some(3) => return Err(error),
                 _ => {}
@@ -95,7 +95,7 @@ impl Freezer {
         Ok(freezer)
     }
 
-    /// Lets them go on.
+    /// Resumes the processes.
     pub fn thaw(self) {}
 }
 
@@ -108,7 +108,7 @@ impl Drop for Freezer {
         }
         drop(self.keeper.stdin.take());
         let _ = self.keeper.wait();
-        // A process that is just ending keeps it for a moment; an empty group harms nobody.
+        // An ending process keeps the group for a moment. An empty group that stays does no harm.
         let end = Instant::now() + EMPTY_WITHIN;
         while fs::remove_dir(&self.group).is_err() && Instant::now() < end {
             thread::sleep(Duration::from_millis(1));

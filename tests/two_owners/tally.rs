@@ -1,4 +1,4 @@
-//! What many trials came to: kept in a file, so that an interrupted series goes on, counted, and told.
+//! Collects and counts the results of many trials. A file keeps them, so that an interrupted series can go on.
 
 use super::tool::{Bound, resolution};
 use super::trial::Trial;
@@ -13,11 +13,11 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// With the trials of an earlier run that was interrupted, if a file has any. Each new one is added to it.
+    /// Starts with the trials that a file has from an interrupted run, if one is given. Each new trial is appended to the file.
     pub fn open(file: Option<PathBuf>) -> Self {
         let Some(path) = file else { return Self { done: Mutex::default() } };
         let text = std::fs::read_to_string(&path).unwrap_or_default();
-        // The last line may have been cut short.
+        // The last line may be truncated.
         let done = text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect();
         let file = OpenOptions::new().create(true).append(true).open(path).expect("a file for the trials");
         Self { done: Mutex::new((done, Some(file))) }
@@ -31,7 +31,7 @@ impl Tally {
     pub fn add(&self, trial: Trial) {
         let mut done = self.done.lock().unwrap_or_else(PoisonError::into_inner);
         if let Some(file) = &mut done.1 {
-            // A line that was cut short ends here.
+            // The leading line break ends a truncated line.
             let line = serde_json::to_string(&trial).expect("JSON");
             file.write_all(format!("\n{line}\n").as_bytes()).expect("the trial is kept");
         }
@@ -64,7 +64,7 @@ impl Trials {
         self.0.iter().map(|trial| trial.two_owners).max().unwrap_or(0)
     }
 
-    /// What is counted, in words.
+    /// The counts as text.
     pub fn counts(&self) -> String {
         format!(
             "{} trials, two owners for {} us at most; the standby acted in {}, the owner was in the middle of an action in {}, \
@@ -79,12 +79,12 @@ impl Trials {
         )
     }
 
-    /// How long something stood still, in each trial in which something did.
+    /// For how long processes were stopped, in each trial that stopped any.
     fn held(&self) -> impl Iterator<Item = u64> {
         self.0.iter().map(|trial| trial.held).filter(|&held| held > 0)
     }
 
-    /// How long the take-over took, in words.
+    /// The durations of the take-overs as text.
     pub fn take_over(&self) -> String {
         let at_once = self.0.iter().filter(|trial| !trial.waited);
         let mut times: Vec<u64> = at_once.filter_map(|trial| trial.took_over).collect();
@@ -99,7 +99,7 @@ impl Trials {
         )
     }
 
-    /// How long commands went on whose guard stood still, in words.
+    /// How long commands went on beside a stopped guard, as text.
     pub fn went_on(&self) -> String {
         let longest = |bound| {
             let of = self.0.iter().filter(|trial| trial.bound == bound);
@@ -111,7 +111,7 @@ impl Trials {
         )
     }
 
-    /// Comparisons in words.
+    /// The results of comparisons as text.
     pub fn compared(&self) -> String {
         let seen = self.count(|trial| trial.two_owners > 0);
         let guarded = self.count(|trial| !trial.guard_held);
@@ -127,7 +127,7 @@ fn millis(micros: Option<u64>) -> u64 {
     micros.unwrap_or(0) / 1_000
 }
 
-/// The line that `.ci/long` keeps.
+/// Prints the line that `.ci/long` keeps.
 pub fn tell(trials: &Trials, comparisons: &Trials) {
     println!(
         "total: {}; {}; {}; {}; the log counts in steps of {} us of CLOCK_BOOTTIME",

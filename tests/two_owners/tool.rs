@@ -1,4 +1,4 @@
-//! The tool that both tasks move: the command of their actions, and the log that says who acted when.
+//! The tool that both tasks use: the command of their actions, and the log that shows who acted when.
 
 #[path = "../../examples/actuator.rs"]
 #[expect(dead_code, reason = "the start of the example as a program of its own")]
@@ -12,23 +12,23 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 use std::{env, thread};
 
-/// The log of a tool, in its folder.
+/// The log of a tool, in the tool's folder.
 const LOG: &str = "tool.log";
-/// Between two steps: as the example has it.
+/// The time between two steps, as in the example.
 const STEP: Duration = Duration::from_millis(1);
 
-/// What keeps the command of one task from acting beside that of the other.
+/// What stops the command of one task from acting beside that of the other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum Bound {
-    /// The gate and the deadline, as the example has them.
+    /// The gate and the deadline, as in the example.
     Both,
-    /// The gate alone: the deadline is passed over.
+    /// The gate alone; the deadline is ignored.
     Gate,
     /// Neither, for comparison: only the guard ends the command.
     Neither,
 }
 
-/// The command of an action: it moves the tool of a folder for so long.
+/// The command of an action: it acts on the tool in this folder for so long.
 pub fn command(name: &str, folder: &Path, bound: Bound, length: Duration) -> String {
     let (program, folder) = (env::current_exe().expect("this program"), folder.display());
     let (program, length) = (program.display(), length.as_millis());
@@ -36,7 +36,7 @@ pub fn command(name: &str, folder: &Path, bound: Bound, length: Duration) -> Str
     format!("{name}={program} --exact {test} --nocapture tool={folder} bound={bound:?} millis={length}")
 }
 
-/// No test of its own: the command that a node of a trial starts for an action.
+/// Run by a node of a trial, as the command of an action.
 #[test]
 fn moves_the_tool() {
     let said = |name: &str| env::args().find_map(|argument| argument.strip_prefix(name).map(str::to_owned));
@@ -45,7 +45,7 @@ fn moves_the_tool() {
     let length = Duration::from_millis(millis);
     let Orders { epoch, deadline } = Orders::from_env().expect("numbers");
     let epoch = epoch.expect("the tasks are a couple");
-    // Refused in the middle of it, it fails: so does the action.
+    // If the gate refuses it in the middle, the command fails, and so does the action.
     match said("bound=").as_deref() {
         Some("Both") => {
             let renewed = deadline.clone();
@@ -57,7 +57,7 @@ fn moves_the_tool() {
     }
 }
 
-/// Acts for so long, whoever else does. Its log is that of the example.
+/// Acts for so long, even if another task does. Its log is that of the example.
 fn act_unbound(tool: &Path, epoch: u8, length: Duration) {
     let mut log = OpenOptions::new().create(true).append(true).open(tool.join(LOG)).expect("the log");
     let mut line = |what: &str| {
@@ -72,7 +72,7 @@ fn act_unbound(tool: &Path, epoch: u8, length: Duration) {
     line("end");
 }
 
-/// One line of the log. An instant is read in the step that it is of, in microseconds of `CLOCK_BOOTTIME`.
+/// One line of the log. The instant is read within the step that the line describes, in microseconds of `CLOCK_BOOTTIME`.
 #[derive(Clone, Debug)]
 pub struct Line {
     pub at: u64,
@@ -80,10 +80,10 @@ pub struct Line {
     pub acts: bool,
 }
 
-/// The log of the tool in this folder, in the order in which it was written.
+/// The log of the tool in this folder, in the order of writing.
 pub fn log_of(tool: &Path) -> Vec<Line> {
     let text = std::fs::read_to_string(tool.join(LOG)).unwrap_or_default();
-    // A line that crosses a page of the file may be seen while it is half written.
+    // A reader may see half of a line that crosses a page of the file.
     let text = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
     let line = |line: &str| {
         let mut words = line.split(' ');
@@ -94,9 +94,9 @@ pub fn log_of(tool: &Path) -> Vec<Line> {
     text.lines().map(line).collect()
 }
 
-/// For how long steps of an older epoch came after the first one of a newer, in microseconds: by the instants, and by the order of the
-/// log, where an older step behind a newer one counts as a microsecond at least. The two are looked at because a process may be stopped
-/// between its look at the clock and its line.
+/// For how long steps of an older epoch came after the first step of a newer one, in microseconds. Judged by the instants, and
+/// by the order of the log, in which an older step behind a newer one counts as at least a microsecond. Both are needed,
+/// because a process may be stopped between reading the clock and writing its line.
 pub fn two_owners(log: &[Line]) -> u64 {
     let acts = || log.iter().filter(|line| line.acts);
     let mut of: BTreeMap<u8, (u64, u64)> = BTreeMap::new();
@@ -131,7 +131,7 @@ fn the_log_of_two_owners_is_told_from_that_of_one() {
     assert_eq!(two_owners(&late), 1, "written after a newer one, at an earlier instant");
 }
 
-/// The smallest step of the log's clock that can be seen, in microseconds.
+/// The smallest observable step of the log's clock, in microseconds.
 pub fn resolution() -> u64 {
     let steps = (0..1_000).map(|_| {
         let first = now();

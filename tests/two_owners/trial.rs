@@ -1,4 +1,4 @@
-//! One trial: a cell whose two tasks share a tool runs, the node that acts is struck, and the log of the tool is read.
+//! One trial: runs a cell whose two tasks share a tool, strikes the acting node, and reads the log of the tool.
 
 use super::fault::{FAULTS, Fate, Fault};
 use super::tool::{Bound, command, log_of, two_owners};
@@ -9,7 +9,7 @@ use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Two welders that share a tool. The lease is long, so that a busy machine seldom ends it before the fault.
+/// Two welders that share a tool. The lease is long, so that a busy machine rarely ends it before the fault.
 const CELL: &str = "\
 cell two_owners;
 tick 1 msec;
@@ -31,33 +31,33 @@ couple work r1 -> r2 lease 700 msec takeover 1000 msec every 30 msec via alive;
 check one_active: never r1.active and r2.active;
 ";
 pub const TAKEOVER: Duration = Duration::from_secs(1);
-/// How long one action takes as a rule: longer than a take-over, so that the command of a dead node would act on.
+/// The usual duration of an action: longer than a take-over, so that the command of a dead node would go on acting.
 const WELD: Duration = Duration::from_millis(2500);
-/// So short that a fault often comes between two actions, or while one begins.
+/// An action so short that a fault often hits between two actions, or the start of one.
 const TACK: Duration = Duration::from_millis(40);
-/// So long that nothing but a guard ends it.
+/// An action so long that only a guard ends it.
 const ENDLESS: Duration = Duration::from_secs(50);
-/// How much longer than planned a command is held, so that the standby acts meanwhile. A command that stands still in the middle of a step
-/// keeps it waiting (D150).
+/// How much longer than planned a command stays stopped, so that the standby acts meanwhile. A command stopped in the middle of
+/// a step keeps the standby waiting (D150).
 const HELD_ON: Duration = Duration::from_secs(3);
-/// How many steps of both at a time a comparison waits for.
+/// How many steps of the standby a comparison waits for.
 const STEPS: usize = 20;
-/// How long the cell goes on after a node is there again.
+/// How long the cell runs on after the fault.
 const AFTERWARDS: Duration = Duration::from_millis(500);
 
-/// What is tried.
+/// The plan of a trial.
 #[derive(Clone, Copy, Debug)]
 pub struct Plan {
     pub number: u64,
     pub fault: Fault,
-    /// How long processes are held, at least.
+    /// The least time for which processes are stopped.
     pub length: Duration,
     pub bound: Bound,
     action: Duration,
 }
 
 impl Plan {
-    /// The trial of this number. Many have long ones, too: up to half a minute.
+    /// The trial with this number. A long series also has stops of up to half a minute.
     pub fn of(number: u64, are_many: bool) -> Self {
         let (kind, round) = (number % FAULTS.len() as u64, number / FAULTS.len() as u64);
         let mut draws = fastrand::Rng::with_seed(number);
@@ -75,43 +75,43 @@ impl Plan {
         }
     }
 
-    /// A comparison: this fault where nothing binds the command but its guard.
+    /// A comparison: this fault, with only the guard to bound the command.
     pub fn comparison(number: u64, fault: Fault) -> Self {
         Self { number, fault, length: TAKEOVER, bound: Bound::Neither, action: ENDLESS }
     }
 
-    /// A node that stands still for longer than a take-over.
+    /// A node that is stopped for longer than a take-over.
     pub fn stopped(number: u64) -> Self {
         let (fault, length) = (super::fault::NODE_STOPPED, 3 * TAKEOVER / 2);
         Self { number, fault, length, bound: Bound::Both, action: WELD }
     }
 }
 
-/// What came of a trial. Times in microseconds.
+/// The result of a trial. Times are in microseconds.
 #[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
 pub struct Trial {
     pub number: u64,
     pub fault: String,
     pub bound: Bound,
-    /// How long steps of an older epoch came after the first one of a newer.
+    /// For how long steps of an older epoch came after the first step of a newer one.
     pub two_owners: u64,
-    /// The owner was in the middle of an action.
+    /// Whether the owner was in the middle of an action.
     pub mid_action: bool,
-    /// The guard of a running command stood still.
+    /// Whether the guard of a running command was stopped.
     pub guard_held: bool,
-    /// For how long something stood still; 0 where nothing did.
+    /// For how long processes were stopped; 0 if none were.
     pub held: u64,
-    /// From the fault until the standby acted.
+    /// The time from the fault to the standby's first step.
     pub took_over: Option<u64>,
-    /// The standby acted only after a command went on that was held.
+    /// Whether the standby acted only after a stopped command had been resumed.
     pub waited: bool,
-    /// From the fault until the last step of the owner's command while nobody could kill it.
+    /// The time from the fault to the last step of the owner's command while nothing could kill it.
     pub went_on: Option<u64>,
-    /// What the summary says of the check that only one task is active.
+    /// The verdict of the summary on the check that at most one task is active.
     pub check: String,
 }
 
-/// The log of a trial's tool, in view of the fault.
+/// The log of a trial's tool, relative to the fault.
 struct View<'a> {
     tool: &'a Path,
     /// The epoch that acted last before the fault.
@@ -121,7 +121,7 @@ struct View<'a> {
 }
 
 impl View<'_> {
-    /// The steps after the fault, of the owner's epoch or of newer ones.
+    /// The times of steps after the fault: those of the owner's epoch, or of newer ones.
     fn after(&self, of_owner: bool) -> Vec<u64> {
         let log = log_of(self.tool).into_iter().filter(|line| line.acts && line.at > self.at);
         let log =
@@ -134,21 +134,21 @@ impl View<'_> {
     }
 }
 
-/// Carries a trial out.
+/// Runs a trial.
 pub fn trial(plan: &Plan) -> Trial {
     let dir = runtime_dir();
     let live = start(dir.path(), plan);
     let acts = |least: usize| log_of(dir.path()).iter().filter(|line| line.acts).count() >= least;
     wait_until("the primary acts", || acts(20));
-    // At any moment of the lease.
+    // A random delay, so that the fault can come at any moment of the lease.
     thread::sleep(Duration::from_millis(fastrand::Rng::with_seed(plan.number).u64(0..600)));
     let owner = log_of(dir.path()).last().expect("it acts").epoch;
-    // Whoever acts in place of the standby after its take-over is replaced by nobody.
+    // No task takes over from the standby, once it acts.
     let (node, is_primary) = (if owner % 2 == 1 { "n1" } else { "n2" }, owner % 2 == 1);
     let view = View { tool: dir.path(), owner, at: now() };
     let struck = plan.fault.strike(live.pid(node));
     let (struck_by, is_killed) = (now(), plan.fault.node == Fate::Killed);
-    // If nothing binds the old command, it is to act beside the new one: both may have to wait for a processor.
+    // An unbounded old command should act beside the new one: both may have to wait for a processor.
     let may_be_two = plan.bound == Bound::Neither && plan.fault.lets_the_command_go_on();
     let least = if plan.bound == Bound::Neither { STEPS } else { 1 };
     let is_seen = || !may_be_two || !struck.holds_a_guard() || two_owners(&log_of(dir.path())) > 0;
@@ -174,7 +174,7 @@ pub fn trial(plan: &Plan) -> Trial {
         took_over: view.took_over(),
         waited: plan.fault.tool == Fate::Held && view.took_over().is_some_and(|after| after > held),
         went_on: (guard_held && plan.fault.lets_the_command_go_on()).then(|| {
-            // Afterwards its task may have the lease as before.
+            // Later steps do not count, because the task may then hold the lease again.
             let last = view.after(true).into_iter().rfind(|&at| at <= view.at + held);
             last.map_or(0, |last| last.saturating_sub(struck_by))
         }),
@@ -195,7 +195,7 @@ fn start(dir: &Path, plan: &Plan) -> Live {
     Live::start(dir, &run)
 }
 
-/// Holds what the fault holds: as long as planned, and if that is longer than a take-over takes, until this is so.
+/// Waits while processes are stopped: as long as planned, and if that is longer than a take-over, until `acts` is true.
 fn hold(plan: &Plan, acts: impl Fn() -> bool) {
     let Plan { fault, length, .. } = plan;
     if fault.holds() {

@@ -1,4 +1,4 @@
-//! What a run comes to by the times of what was told.
+//! Tests of the judge: verdicts by the times of reported changes.
 
 use super::*;
 use crate::cells::{Source, load};
@@ -69,13 +69,13 @@ fn what_should_come_may_be_a_tick_late_and_the_end_of_the_run_is_no_end_of_waiti
 #[test]
 fn after_its_last_words_nothing_is_known_of_a_killed_node_until_it_is_dead() {
     let loaded = loaded();
-    // b stops being there at 300 at the latest; that it was so at 350 came too late to be all.
+    // The node of b had reported everything before 300. Its change at 350 is dropped: others since 300 may be missing.
     let mut judge = judge(&loaded, &[(100, 1, 1), (350, 1, 1), (310, 0, 1)]);
     judge.told(NodeId(0), 10_000);
     judge.told(NodeId(1), 300);
     judge.killed(NodeId(1), 400);
     judge.gone(NodeId(1));
-    // Dead it has the variables of a new incarnation: from then on b.y does not come any more.
+    // A dead task has its initial variables, so b.y stays false from then on.
     assert_eq!(broken(&mut judge), [(1, 400 + 5_000 + 1_000 + READING)]);
 }
 
@@ -87,7 +87,7 @@ fn ended(task: &str, at: u64) -> Notice {
     Notice::Ended { key: task.to_owned(), at }
 }
 
-/// What came of `apart` after node `m`, with `b`, was killed at 400 while a command of `b` ran, and `a.x` was true from 600 on.
+/// The verdict on `apart` if node `m`, with `b`, is killed at 400 while a command of `b` runs, and `a.x` is true from 600 on.
 fn after_a_kill(notices: &[Notice]) -> serde_json::Value {
     let loaded = loaded();
     let mut judge = judge(&loaded, &[(100, 1, 1), (600, 0, 1)]);
@@ -105,7 +105,7 @@ fn after_a_kill(notices: &[Notice]) -> serde_json::Value {
 fn a_killed_node_is_not_dead_before_the_end_of_its_command_is_confirmed() {
     let told = after_a_kill(&[began("b", 200), ended("b", 450)]);
     assert_eq!((&told["outcome"], &told["unvouched"]), (&"held".into(), &serde_json::Value::Null), "{told}");
-    // Only the time counts in which the check depends on it: from when `a.x` is true.
+    // Only the time counts in which the check depends on `b`: from when `a.x` is true.
     for (last, seconds) in [(Some(ended("b", 900)), 0.0003), (None, 0.0044)] {
         let notices: Vec<Notice> = [began("b", 200)].into_iter().chain(last).collect();
         let told = after_a_kill(&notices);
@@ -113,12 +113,12 @@ fn a_killed_node_is_not_dead_before_the_end_of_its_command_is_confirmed() {
         assert_eq!(told["unvouched"]["seconds"], seconds, "{told}");
         assert_eq!(told["unvouched"]["why"], "the command of `b` was not confirmed to have ended");
     }
-    // One that the node told of just before its death, and one that ended in time.
+    // A command of which the node told just before its death, and a command that ended in time.
     assert_eq!(after_a_kill(&[began("b", 410)])["outcome"], "unknown");
     assert_eq!(after_a_kill(&[began("b", 200), ended("b", 350)])["outcome"], "held");
 }
 
-/// The check at this position after a run.
+/// The verdict on the check at this position after a run.
 fn settled(judge: &mut Judge<'_>, check: usize) -> serde_json::Value {
     judge.settle();
     serde_json::to_value(judge.settlement(0)).expect("JSON")[check].clone()
@@ -150,7 +150,7 @@ fn a_check_that_asks_where_a_dead_task_had_arrived_is_unknown_and_its_other_valu
         let value = |ask: &Ask| if matches!(ask, Ask::Arrived(_)) { -1 } else { flag };
         Change { at, task: TaskId::from_index(task), values: asks(&loaded)[task].iter().map(value).collect() }
     };
-    // As long as `a.x` is false `met` holds wherever b is.
+    // While `a.x` is false, `met` holds wherever b is.
     for (x_at, outcome) in [(600, "unknown"), (6_000, "held")] {
         let mut judge = Judge::new(&loaded, &[NodeId(0), NodeId(1)]);
         for change in [change(1, 0, 0), change(1, 1, 0), change(200, 1, 1), change(x_at, 0, 1)] {
@@ -163,7 +163,7 @@ fn a_check_that_asks_where_a_dead_task_had_arrived_is_unknown_and_its_other_valu
         judge.over(5_000);
         let met = settled(&mut judge, 0);
         assert_eq!(met["outcome"], outcome, "{met}");
-        // A dead task has the variables of a new incarnation.
+        // A dead task has its initial variables.
         assert_eq!(settled(&mut judge, 1)["outcome"], "held");
         if outcome == "unknown" {
             let why = "node `m` was dead, and a value depended on it";
@@ -189,7 +189,7 @@ fn a_node_that_could_not_tell_everything_answers_for_its_commands_and_is_known_f
 #[test]
 fn dropped_changes_leave_a_check_unknown_and_what_happened_to_nodes_and_commands_is_kept() {
     let loaded = loaded();
-    // Node `n` tells nothing, so that all changes of `b` wait.
+    // Node `n` reports nothing, so that all changes of `b` wait.
     let mut judge = judge(&loaded, &[]);
     judge.notice(began("b", 20));
     judge.notice(Notice::Lost { key: "b".into(), at: 50 });

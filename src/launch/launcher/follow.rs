@@ -1,4 +1,4 @@
-//! Following a run: what the nodes say, and the faults on their time.
+//! The launcher's event loop during a run: it takes the messages of the nodes and injects the faults on time.
 
 use super::{Launcher, Trouble};
 use crate::args::Format;
@@ -20,16 +20,16 @@ use std::sync::Arc;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
 
-/// How often lines about what scripts do are looked through.
+/// Interval at which the event log of the scripts is flushed to the output.
 const SHOW_EVERY: Duration = Duration::from_millis(50);
-/// How often the progress line changes.
+/// Interval at which the progress line is redrawn.
 const PROGRESS_EVERY: Duration = Duration::from_millis(250);
-/// Of a longer story the rest is left out.
+/// Most events that are kept for a demo's explanation; later ones are left out.
 const LONGEST_STORY: usize = 100_000;
 
 impl Launcher<'_> {
-    /// Follows the run until its end, carrying out the faults on time. What scripts did is shown to the last line, however
-    /// the run ends.
+    /// Follows the run until its end and injects the faults on time. Shows every pending line of the event log, however the
+    /// run ends.
     pub(in crate::launch) fn follow(&mut self, length: Duration, out: &mut Output) -> Result<(), Failure> {
         let followed = self.follow_until_the_end(length, out);
         out.progress(None);
@@ -82,8 +82,8 @@ impl Launcher<'_> {
         Ok(())
     }
 
-    /// Whether nothing can happen any more: every task here is a script that has ended, or its node is gone for good; or only
-    /// servers are left, where that is to be the end.
+    /// Whether nothing can happen any more: every script has ended, or its node is gone for good. With `--until-idle` also
+    /// when only servers are left.
     fn is_over(&self) -> bool {
         if self.restarts() {
             return false;
@@ -94,7 +94,7 @@ impl Launcher<'_> {
             || self.run.args.until_idle && self.servers_left().is_some()
     }
 
-    /// Whether a killed node is still to be started again.
+    /// Whether a restart of a killed node is still scheduled.
     fn restarts(&self) -> bool {
         self.faults.iter().any(|(_, fault)| matches!(fault, Fault::Restart(_)))
     }
@@ -103,21 +103,21 @@ impl Launcher<'_> {
         self.children.nodes().flat_map(|node| self.table().tasks_on(node))
     }
 
-    /// The tasks that go on: neither has their script ended nor is their node gone.
+    /// The tasks that still run: their scripts have not ended, and their nodes are not gone.
     fn left(&self) -> impl Iterator<Item = TaskId> {
         let is_gone =
             |task: TaskId| self.table().location(task).is_some_and(|node| self.gone.contains(&node));
         self.tasks().filter(move |task| !self.ended.contains(task) && !is_gone(*task))
     }
 
-    /// The tasks that go on, if others came to their end and these serve for ever.
+    /// The tasks that still run, if all of them serve for ever and some other task has ended.
     fn servers_left(&self) -> Option<Vec<TaskId>> {
         let finishes = |task: TaskId| self.run.loaded.can_finish(task);
         let is_idle = !self.restarts() && self.tasks().any(finishes) && !self.left().any(finishes);
         Some(self.left().collect()).filter(|left: &Vec<TaskId>| is_idle && !left.is_empty())
     }
 
-    /// Says once that the run has no end of its own.
+    /// Shows once that only servers are left, if the run has no declared end.
     fn tell_idle(&mut self) {
         let told = self.idle_told || self.run.length.is_some() || self.run.args.format == Format::Json;
         let Some(left) = (!told).then(|| self.servers_left()).flatten() else { return };
@@ -186,7 +186,7 @@ impl Launcher<'_> {
         }
     }
 
-    /// Starts the next incarnation of a killed node. The others hear where it is when it has a socket.
+    /// Starts the next incarnation of a killed node. The other nodes learn its address once it has bound its socket.
     fn restart(&mut self, node: NodeId) -> Result<(), LaunchError> {
         let Some((_, setup)) = self.setups.iter_mut().find(|(of, _)| *of == node) else { return Ok(()) };
         setup.incarnation = setup.incarnation.wrapping_add(1);
@@ -230,7 +230,7 @@ impl Launcher<'_> {
                 self.task_ended(task, how, sort);
                 self.tell_idle();
             }
-            // It was started again: all hear where it is, and it hears where all are.
+            // The node was restarted: all nodes get its address, and it gets all of theirs.
             Message::Said(node, Word::Bound { address: Some(address), observe }) => {
                 self.book.insert(self.name(node), address);
                 let book = Order::Book(self.book.clone());
@@ -240,7 +240,7 @@ impl Launcher<'_> {
             }
             Message::Said(_, Word::Bound { address: None, .. } | Word::Started | Word::Done) => {}
             Message::Gone(node, life) => {
-                // Not killed by this launcher: somebody else did, or it is at fault. Its last words are missing.
+                // The launcher did not kill it: something else did, or it failed. Its last messages are missing.
                 if !self.stopping && self.children.lives(node, life) {
                     let at = now_us();
                     self.gatherer.killed(node, at);
@@ -248,7 +248,7 @@ impl Launcher<'_> {
                 }
                 if self.children.life(node) == life {
                     self.gone.push(node);
-                    // First: what the node told of its commands before it was killed.
+                    // First the judge gets the notices that the node wrote about its commands before it died.
                     self.hear_of_commands();
                     self.judge.gone(node);
                     if !self.stopping {
@@ -256,13 +256,13 @@ impl Launcher<'_> {
                     }
                 }
             }
-            // It is counted: this is to wake up.
+            // Only a wake-up: `interrupts` has counted the signal.
             Message::Interrupted => {}
         }
         Ok(())
     }
 
-    /// Passes on to the judge what nodes and guards told of commands.
+    /// Passes the notices of nodes and guards about commands on to the judge.
     pub(in crate::launch) fn hear_of_commands(&mut self) {
         let notices = self.noticed.as_mut().map(Noticed::drain).unwrap_or_default();
         notices.into_iter().for_each(|notice| self.judge.notice(notice));
@@ -292,7 +292,7 @@ impl Launcher<'_> {
         Ok(())
     }
 
-    /// The cell has come to the point that a fault waited for, at this instant of the common clock.
+    /// Schedules the fault of a demo: its action began at `at`, in microseconds of the shared clock.
     fn plan(&mut self, moment: &Moment, at: u64) -> Result<(), LaunchError> {
         let passed = Duration::from_micros(now_us().saturating_sub(at));
         let due = self.started.elapsed() + moment.after.saturating_sub(passed);
@@ -313,7 +313,7 @@ impl Launcher<'_> {
         Ok(())
     }
 
-    /// A restarted node begins its scripts later.
+    /// Shows how long each script of a restarted node is held back.
     fn held_back(&mut self, node: NodeId, held: &[(TaskId, u64)]) {
         if self.run.args.format != Format::Text {
             return;
@@ -340,7 +340,7 @@ impl Launcher<'_> {
 
     fn task_ended(&mut self, task: TaskId, how: String, sort: EndSort) {
         self.ended.push(task);
-        // Whether it may give up after a fault is for the story to say.
+        // After an injected fault, a task that aborts is judged by the demo's explanation, not here.
         let expected = sort == EndSort::Aborted && self.run.tale.is_some() && self.is_disturbed();
         if sort != EndSort::Well && !expected {
             let what = format!("task `{}` {how}", self.cell.tasks[task.index()].name);
@@ -354,7 +354,7 @@ impl Launcher<'_> {
     }
 }
 
-/// A line on standard error while the run lasts, if a person may be looking.
+/// The progress line on standard error; hidden in JSON runs.
 pub(in crate::launch) fn progress_line(format: Format) -> ProgressBar {
     let target = match format {
         Format::Text => ProgressDrawTarget::stderr(),
