@@ -101,6 +101,7 @@ codes! {
     TELLS_NOBODY "W317" "a beat that tells nobody";
     TIGHT_DEADLINE "W318" "a deadline that late ticks and slow actions can miss";
     HIDES "W319" "a handler's variable hides the task's";
+    STANDBY_ENDS "W320" "the standby comes to its end";
 }
 
 /// The page of a code; case is ignored.

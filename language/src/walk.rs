@@ -64,47 +64,48 @@ pub(crate) fn any(task: &Task, mut is: impl FnMut(&Statement) -> bool) -> bool {
 
 /// Calls `see` with each statement that no condition guards: it runs whenever the thread gets so far. Loops are passed once.
 pub(crate) fn certain<'h>(statements: &'h [Statement], see: &mut dyn FnMut(&'h Statement)) {
-    let _ = certain_until(statements, see);
-}
-
-/// Where a thread certainly goes behind some statements.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Goes {
-    /// To the next one.
-    On,
-    /// Out of the loop around them.
-    OutOfLoop,
-    /// Nowhere: it has ended, or stays in a loop.
-    Nowhere,
-}
-
-fn certain_until<'h>(statements: &'h [Statement], see: &mut dyn FnMut(&'h Statement)) -> Goes {
     for statement in statements {
         see(statement);
-        let goes = match &statement.kind {
-            StatementKind::Abort(_) => Goes::Nowhere,
-            StatementKind::Exit => Goes::OutOfLoop,
-            StatementKind::Atomic(body) => certain_until(body, see),
-            StatementKind::Loop(body) => certain_loop(body, see),
-            StatementKind::While(condition, body) if is_true(condition) => certain_loop(body, see),
-            _ => Goes::On,
-        };
-        if goes != Goes::On {
-            return goes;
+        match &statement.kind {
+            StatementKind::Atomic(body) | StatementKind::Loop(body) => certain(body, see),
+            StatementKind::While(condition, body) if is_true(condition) => certain(body, see),
+            _ => {}
+        }
+        if !goes_on(statement) {
+            return;
         }
     }
-    Goes::On
 }
 
-/// A loop that only an `exit` leaves.
-fn certain_loop<'h>(body: &'h [Statement], see: &mut dyn FnMut(&'h Statement)) -> Goes {
-    match certain_until(body, see) {
-        Goes::OutOfLoop => Goes::On,
-        Goes::Nowhere => Goes::Nowhere,
-        Goes::On => {
-            let mut has_exit = false;
-            each(body, &mut |statement| has_exit |= matches!(statement.kind, StatementKind::Exit));
-            if has_exit { Goes::On } else { Goes::Nowhere }
+/// Whether control flow may continue behind this statement.
+pub(crate) fn goes_on(statement: &Statement) -> bool {
+    let by_branch = statement.branches.iter().any(|branch| all_go_on(&branch.body));
+    by_branch
+        || match &statement.kind {
+            StatementKind::Abort(_) | StatementKind::Exit => false,
+            StatementKind::Atomic(body) => all_go_on(body),
+            StatementKind::Loop(body) => has_exit(body),
+            StatementKind::While(condition, body) => !is_true(condition) || has_exit(body),
+            StatementKind::If { arms, otherwise } => {
+                arms.iter().any(|(_, body)| all_go_on(body)) || all_go_on(otherwise)
+            }
+            _ => true,
         }
-    }
+}
+
+/// Whether control flow may continue behind these statements.
+pub(crate) fn all_go_on(statements: &[Statement]) -> bool {
+    statements.iter().all(goes_on)
+}
+
+/// Whether the body has an `exit` that leaves this loop. Those of inner loops do not.
+fn has_exit(body: &[Statement]) -> bool {
+    body.iter().any(|statement| {
+        let own = match &statement.kind {
+            StatementKind::Exit => true,
+            StatementKind::Loop(_) | StatementKind::While(..) => false,
+            _ => inner(statement).into_iter().any(has_exit),
+        };
+        own || statement.branches.iter().any(|branch| has_exit(&branch.body))
+    })
 }

@@ -9,12 +9,14 @@ use crate::options::Endpoint;
 use crate::record::{Tape, free_name};
 use crate::signals::{self, Call, Listener};
 use crate::source::live::{Live, Which};
-use crate::source::{Arrival, Feed, Sink, Source, SourceId};
+use crate::source::{Sink, Source};
 use crate::terminal::{self, Borrowed};
 use crate::view::{text, view};
 use crossterm::event::{self, Event};
 use ratatui::buffer::Buffer;
 use signal_hook::consts::SIGINT;
+use std::fs::File;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -68,9 +70,10 @@ pub fn show(
         judge,
         Sink::new(clock, move |arrival| judged.send(Input::Msg(Msg::Feed(arrival))).is_ok()),
     );
+    let hears = court.clone();
     source.start(Sink::new(clock, move |arrival| {
         taped.take(&arrival);
-        court.hear(&arrival.feed);
+        hears.hear(&arrival.feed);
         for_feeds.send(Input::Msg(Msg::Feed(arrival))).is_ok()
     }))?;
     let keys = Some(Keys::start(sender.clone())?);
@@ -85,6 +88,7 @@ pub fn show(
         sender,
         keys,
         more: Vec::new(),
+        court,
         gaps: 0,
     };
     let ended = screen.run(&mut terminal);
@@ -113,6 +117,8 @@ struct Loop<'a> {
     keys: Option<Keys>,
     /// The sources that the user added.
     more: Vec<Live>,
+    /// Judges the recordings that nodes announce.
+    court: Court,
     /// The store's count of gaps at the last check.
     gaps: u64,
 }
@@ -218,7 +224,7 @@ impl Loop<'_> {
         }
     }
 
-    /// Starts or ends a recording. An error is shown with the attach errors.
+    /// Starts or ends a recording. An error is shown on the bottom line.
     fn toggle_recording(&mut self) {
         if self.tape.stop().is_some() {
             self.app.recording = None;
@@ -228,11 +234,7 @@ impl Loop<'_> {
         let shown = shown_line(&path.display().to_string());
         match self.tape.start(&path, self.clock.now()) {
             Ok(()) => self.app.recording = Some(shown),
-            Err(error) => {
-                let at = self.clock.now();
-                let feed = Feed::Failed { why: format!("cannot record: {error}") };
-                self.app.update(Msg::Feed(Arrival { at, source: SourceId(u32::MAX), feed }), at);
-            }
+            Err(error) => self.tell(format!("cannot record: {error}")),
         }
     }
 }
@@ -250,7 +252,7 @@ impl Loop<'_> {
         let written = terminal.area().and_then(|area| {
             let mut buffer = Buffer::empty(area);
             view(self.app, self.clock.now(), area, &mut buffer);
-            std::fs::write(&path, text(&buffer))
+            File::create_new(&path)?.write_all(text(&buffer).as_bytes())
         });
         match written {
             Ok(()) => format!("this screen is in {}", shown_line(&path.display().to_string())),
@@ -263,13 +265,14 @@ impl Loop<'_> {
         // Reserve numbers for the nodes found through it.
         let number = u32::try_from(self.more.len()).unwrap_or(u32::MAX);
         let first = MORE.saturating_add(number.saturating_mul(EACH));
-        let (taped, sender) = (Arc::clone(self.tape), self.sender.clone());
+        let (taped, court, sender) = (Arc::clone(self.tape), self.court.clone(), self.sender.clone());
         let mut source = Live::new(Which::Named(vec![endpoint]))
             .numbered_from(first)
             .with_token(self.app.token.clone())
             .with_wishes(self.tape.wishes());
         source.start(Sink::new(self.clock, move |arrival| {
             taped.take(&arrival);
+            court.hear(&arrival.feed);
             sender.send(Input::Msg(Msg::Feed(arrival))).is_ok()
         }))?;
         self.more.push(source);

@@ -542,7 +542,7 @@ impl fmt::Display for CellError {
             Self::DeadlineTooShort { port, time_out, least } => {
                 write!(
                     f,
-                    "port `{port}`: time_out {time_out} must exceed {least} ticks (the way there and back)"
+                    "port `{port}`: time_out {time_out} must exceed {least} ticks (the links that it passes)"
                 )
             }
         }

@@ -97,7 +97,7 @@ fn a_time_out_that_the_way_uses_up_is_told_with_the_least_that_does() {
     let command = port("p", Usage::Send).command();
     assert_eq!(
         apart(20, command.clone()),
-        ["port `p`: time_out 20 must exceed 40 ticks (the way there and back)"]
+        ["port `p`: time_out 20 must exceed 40 ticks (the links that it passes)"]
     );
     let meeting = port("p", Usage::Waitfor).resend(Ticks(6), 0);
     let told = apart(20, meeting).join("; ");

@@ -1,9 +1,9 @@
 //! Checks what each process class requires (D24).
 
 use super::{is_draft, messages, task};
-use crate::codes::{ACTS_EARLY, LOOSE, SERIAL, TELLS_NOBODY, TIGHT};
+use crate::codes::{ACTS_EARLY, LOOSE, SERIAL, STANDBY_ENDS, TELLS_NOBODY, TIGHT};
 use crate::diagnostic::Diagnostic;
-use crate::hir::{Couple, CoupleKind, Hir, Port, StatementKind};
+use crate::hir::{Couple, CoupleKind, Hir, Port, Statement, StatementKind};
 use crate::span::Span;
 use crate::walk;
 use imrs_protocol::{Class, PortId, TaskId, Usage};
@@ -16,6 +16,7 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
             CoupleKind::Loose { tasks, over } => loose(hir, couple, tasks, *over, found),
             CoupleKind::Work { primary, standby, mutual, .. } => {
                 waits(hir, couple, *standby, found);
+                ends(hir, couple, [*primary, *standby], found);
                 if !mutual {
                     beats(hir, couple, [*primary, *standby], found);
                 }
@@ -157,6 +158,23 @@ fn waits(hir: &Hir, couple: &Couple, standby: TaskId, found: &mut Vec<Diagnostic
             );
         }
     });
+}
+
+/// Checks that a standby does not come to its end before it takes over: nobody grants the lease after that.
+fn ends(hir: &Hir, couple: &Couple, [primary, standby]: [TaskId; 2], found: &mut Vec<Diagnostic>) {
+    let (primary, standby) = (task(hir, primary), task(hir, standby));
+    let is_order = |statement: &&Statement| matches!(statement.kind, StatementKind::Order(_));
+    let serves = standby.body.iter().all(|one| is_order(&one)) && !standby.handlers.is_empty();
+    if standby.is_extern || is_draft(standby) || serves || !walk::all_go_on(&standby.body) {
+        return;
+    }
+    let message = format!("`{}` comes to its end: then `{}` loses its lease", standby.name, primary.name);
+    found.push(
+        Diagnostic::warning(STANDBY_ENDS, standby.span, message)
+            .label("its body ends without an endless `loop`")
+            .also(couple.span, "its couple")
+            .help("let it wait in a loop: `loop delay 1 sec; end;`"),
+    );
 }
 
 /// Whether tasks use the port in statements. Heartbeats are exchanged by the communication tasks.

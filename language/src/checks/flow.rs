@@ -3,7 +3,7 @@
 use crate::codes::UNREACHABLE;
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Hir, Statement, StatementKind};
-use crate::walk::{self, is_true};
+use crate::walk::{self, goes_on};
 
 pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
     for task in &hir.tasks {
@@ -38,36 +38,4 @@ fn unreachable(statements: &[Statement], found: &mut Vec<Diagnostic>) {
 /// The first four bytes of a statement: the diagnostic points only at its beginning.
 fn head(statement: &Statement) -> crate::Span {
     crate::Span { start: statement.span.start, end: statement.span.end.min(statement.span.start + 4) }
-}
-
-/// Whether control flow may continue behind this statement.
-fn goes_on(statement: &Statement) -> bool {
-    let by_branch = statement.branches.iter().any(|branch| all_go_on(&branch.body));
-    by_branch
-        || match &statement.kind {
-            StatementKind::Abort(_) | StatementKind::Exit => false,
-            StatementKind::Atomic(body) => all_go_on(body),
-            StatementKind::Loop(body) => has_exit(body),
-            StatementKind::While(condition, body) => !is_true(condition) || has_exit(body),
-            StatementKind::If { arms, otherwise } => {
-                arms.iter().any(|(_, body)| all_go_on(body)) || all_go_on(otherwise)
-            }
-            _ => true,
-        }
-}
-
-fn all_go_on(statements: &[Statement]) -> bool {
-    statements.iter().all(goes_on)
-}
-
-/// Whether the body has an `exit` that leaves this loop. Those of inner loops do not.
-fn has_exit(body: &[Statement]) -> bool {
-    body.iter().any(|statement| {
-        let own = match &statement.kind {
-            StatementKind::Exit => true,
-            StatementKind::Loop(_) | StatementKind::While(..) => false,
-            _ => walk::inner(statement).into_iter().any(has_exit),
-        };
-        own || statement.branches.iter().any(|branch| has_exit(&branch.body))
-    })
 }

@@ -96,6 +96,14 @@ fn rings_of_meetings_and_of_calls() {
     let uses = "use_port m() usage = waitfor; use_port n() usage = waitfor; begin";
     check(&pair(&a, &format!("{uses} loop {} {} end;", wait("m"), wait("n"))), &[]);
     check(&pair(&a, &format!("{uses} loop {} {} end;", wait("n"), wait("m"))), &["E203 `waitfor m()`"]);
+    // Nothing is certain behind an `abort`, nor behind a loop that nothing leaves; behind an `exit` it is.
+    let b = format!("{uses} loop {} {} end;", wait("n"), wait("m"));
+    let head = format!("{} {} begin", port("m"), port("n"));
+    let (m, n) = (wait("m"), wait("n"));
+    let never = ["W309 `waitfor n()`", "W314 `waitfor n()`"];
+    check(&pair(&format!("{head} {m} abort \"off\"; {n}"), &b), &never);
+    check(&pair(&format!("{head} loop {m} end; {n}"), &b), &never);
+    check(&pair(&format!("{head} loop {m} exit; end; {n}"), &b), &["E203 `waitfor m()`"]);
     // Tasks that ask each other in turns are no ring.
     let a = "port p() usage = query user_list = {b} time_out = 50 msec; use_port q() usage = response; begin loop query p() on time_out do skip; end; receive q(); response(); end;";
     let b = "use_port p() usage = response; port q() usage = query user_list = {a} time_out = 50 msec; begin";

@@ -135,7 +135,7 @@ fn talk(endpoint: &Endpoint, with: &Talk<'_>, reader: impl Read, writer: impl Wr
             Ok(frame) => frame,
             // The node should not have sent a frame of a later minor version, but it can be skipped.
             Err(DecodeError::UnknownKind(_)) => continue,
-            Err(error) => return End::Lost(format!("it sent {error}")),
+            Err(error) => return ended(&attached, &format!("it sent {error}")),
         };
         if let Some(attached) = attached.take()
             && !with.sink.deliver(with.id, attached)

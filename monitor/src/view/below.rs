@@ -89,7 +89,7 @@ fn model(app: &App, cell: &Name) -> Vec<(String, Ink)> {
     let store = app.store();
     let (mut steps, mut unknown, mut violated) = (0_u64, 0, None);
     let mut lives = 0;
-    for life in store.lives_of(cell) {
+    for life in store.present(cell) {
         let told = conformance(store, life.id);
         lives += 1;
         steps = steps.saturating_add(told.steps);

@@ -108,7 +108,7 @@ fn signs(theme: &Theme) -> Vec<Line> {
         line(two(signs.arrow, signs.back), "waits for; on the timeline: from, to", Ink::Plain),
         line(two(signs.way, signs.guessed), "a message's way: within a node, between nodes", Ink::Plain),
         line(two(signs.lane, signs.met), "a task; a rendezvous", Ink::Plain),
-        line(signs.penalty.to_owned(), "rejected by rank, and ranked later", Ink::Plain),
+        line(signs.penalty.to_owned(), "rejected by rank; offered again, ranked higher", Ink::Plain),
         line("==".to_owned(), "events were lost here", Ink::Warn),
     ]
 }
