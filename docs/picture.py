@@ -261,4 +261,5 @@ def main():
         cell.leave()
 
 
-main()
+if __name__ == "__main__":
+    main()
