@@ -168,7 +168,7 @@ pub const BINDINGS: &[Binding] = &[
         &[Screen::Port, Screen::Events, Screen::Timeline],
         &[code(KeyCode::Enter)],
         Action::Enter,
-        "the life of this message",
+        "the history of this message",
     ),
     on(&[Screen::Overview], &[code(KeyCode::Enter)], Action::Enter, "open: node, task, port, meeting"),
     everywhere(&[code(KeyCode::Esc)], Action::Back, "back; clear the filter"),

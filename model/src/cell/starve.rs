@@ -78,7 +78,7 @@ fn starved(
         let bypasses = (bypasses + 1) * wait.capacity.max(1);
         let (times, most, how) = match (wait.rejected > refusals, wait.passed > bypasses) {
             (true, _) => (wait.rejected, refusals, "rejected"),
-            (false, true) => (wait.passed, bypasses, "passed over"),
+            (false, true) => (wait.passed, bypasses, "bypassed"),
             (false, false) => return None,
         };
         Some((peer, times, most, how))

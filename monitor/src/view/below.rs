@@ -27,7 +27,7 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
         waits.push((format!("{after} {text}"), ink));
     }
     if waits.is_empty() {
-        waits.push((" nobody waits for one who alone could end it".to_owned(), Ink::Dim));
+        waits.push((" no single blocker".to_owned(), Ink::Dim));
     }
     let waits: Vec<_> = waits.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
     pen.line(0, &waits);

@@ -19,7 +19,7 @@ const COLUMNS: [Column; 8] = [
     Column::right("CHARGED", 8),
     Column::right("CLOCKS", 8),
     Column::left("SINCE", 12),
-    Column::left("LEFT OF LIFE", 0),
+    Column::left("TIME LEFT", 0),
 ];
 
 pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {

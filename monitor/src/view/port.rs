@@ -83,7 +83,7 @@ fn shares(life: &Life, served: Option<&Service>, pen: &mut Pen<'_>) {
 fn bypassed(life: &Life, task: TaskId, port: imrs_protocol::PortId, pen: &mut Pen<'_>) {
     let Some(told) = life.watched(task, port).filter(|told| told.what.queue.bypass_limit > 0) else { return };
     let queue = &told.what.queue;
-    let text = format!("passed over {} of at most {} ", queue.bypassed, queue.bypass_limit);
+    let text = format!("bypassed {}/{} ", queue.bypassed, queue.bypass_limit);
     let x = pen.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
     if pen.area.width >= 100 {
         let near = queue.bypassed.saturating_mul(2) > queue.bypass_limit;
@@ -319,7 +319,7 @@ const fn column(which: usize, width: u16) -> Column {
         3 => Column::left("CLS", 3),
         4 => Column::right("REMAIN", 8),
         5 => Column::left(
-            "LEFT OF LIFE",
+            "TIME LEFT",
             if width < 60 {
                 0
             } else if width < 100 {

@@ -75,7 +75,7 @@ fn past(app: &App, cell: &Name, meeting: &Meeting, width: u16) -> Vec<Line> {
         (format!("  timed out {}", told.in_vain), if told.in_vain > 0 { Ink::Warn } else { Ink::Plain }),
     ];
     let divided = if told.divergent > 0 { Ink::Bad } else { Ink::Plain };
-    line.push((format!("  some without others {}", told.divergent), divided));
+    line.push((format!("  split rounds {}", told.divergent), divided));
     let mut more = vec![(
         format!("gather p50 {} p99 {}", time(told.gather_p50_us), time(told.gather_p99_us)),
         Ink::Plain,
