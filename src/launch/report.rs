@@ -90,7 +90,7 @@ fn faults(args: &LaunchArgs, seed: u64) -> Vec<String> {
     }
     for Restart(again) in &args.restart {
         let at = humantime::format_duration(again.at);
-        faults.push(format!("the node of `{}` is started again after {at}, in its next life", again.name));
+        faults.push(format!("the node of `{}` is started again after {at}, in its next incarnation", again.name));
     }
     for cut in &args.cut {
         let (at, length) = (humantime::format_duration(cut.at), humantime::format_duration(cut.length));
@@ -243,7 +243,7 @@ fn relays(table: &CellTable, name: &str) -> bool {
 fn node_line(node: &NodeSummary, relays: bool) -> String {
     let mut parts = vec![node.exit.clone()];
     if node.lives > 1 {
-        parts.push(format!("{} lives", node.lives));
+        parts.push(format!("{} incarnations", node.lives));
     }
     if relays && node.forwarded > 0 {
         parts.push(format!("{} sent or passed on", count(node.forwarded, "packet")));
