@@ -378,7 +378,9 @@ fn a_primary_whose_standby_has_ended_is_told() {
         let verdicts = Text::new(&text).check();
         assert!(verdicts.is_complete(), "{text}");
         let all = verdicts.findings.iter().chain(&verdicts.warnings);
-        all.filter(|found| found.kind != Kind::Unreached).map(|found| (found.kind, found.cause.clone())).collect::<Vec<_>>()
+        all.filter(|found| found.kind != Kind::Unreached)
+            .map(|found| (found.kind, found.cause.clone()))
+            .collect::<Vec<_>>()
     };
     assert_eq!(told("loop delay 50 msec; end;"), []);
     let waits = (Kind::WaitsForEver, "a waits at its lease for ever: b has ended".to_owned());

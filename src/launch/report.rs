@@ -90,7 +90,10 @@ fn faults(args: &LaunchArgs, seed: u64) -> Vec<String> {
     }
     for Restart(again) in &args.restart {
         let at = humantime::format_duration(again.at);
-        faults.push(format!("the node of `{}` is started again after {at}, in its next incarnation", again.name));
+        faults.push(format!(
+            "the node of `{}` is started again after {at}, in its next incarnation",
+            again.name
+        ));
     }
     for cut in &args.cut {
         let (at, length) = (humantime::format_duration(cut.at), humantime::format_duration(cut.length));
