@@ -67,7 +67,7 @@ def animated(frames, title):
         passed += length
     width, height = COLUMNS * CELL_W + 24, ROWS * CELL_H + 24
     defs = "".join(f'<g id="l{at}">{text}</g>' for text, at in lines.items())
-    style = f".f{{visibility:hidden;animation:{total:.2f}s step-end infinite}}" + "".join(rules)
+    style = f".f{{visibility:hidden;animation:{total:.2f}s step-end infinite}}.f:first-of-type{{visibility:visible}}" + "".join(rules)
     return "\n".join([
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{width:.0f}" height="{height:.0f}" viewBox="0 0 {width:.0f} {height:.0f}" '
         f'role="img" aria-label="{html.escape(title)}">',

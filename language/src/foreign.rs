@@ -17,12 +17,15 @@ pub(crate) fn unknown_statement(name: &str, shown: &str, span: Span, follows: Op
             let sign = if sign == Kind::Plus { '+' } else { '-' };
             found.help(format!("write `{shown} := {shown} {sign} 1;`"))
         }
-        _ => match statement(name) {
-            Some(help) => found.help(help),
-            None if follows == Some(Kind::ParenOpen) => {
-                found.help(format!("an action is carried out by `run {shown}`"))
+        _ => match (statement(name), follows == Some(Kind::ParenOpen)) {
+            (Some(help), false) => found.help(help),
+            (Some(help), true) => {
+                found.help(help).help(format!("or, if it is an action of yours: `run {shown}`"))
             }
-            None => found.help("a statement begins with a word like `send`, or is `variable := value`"),
+            (None, true) => found.help(format!("an action is carried out by `run {shown}`")),
+            (None, false) => {
+                found.help("a statement begins with a word like `send`, or is `variable := value`")
+            }
         },
     }
 }
@@ -117,7 +120,7 @@ const STATEMENTS: &[Row] = &[
 
 const DECLARATIONS: &[Row] = &[
     (
-        &["const", "constant", "#define", "static", "pers", "persistent"],
+        &["const", "constant", "static", "pers", "persistent"],
         "there are no constants: write the value, or a variable that the body sets first",
     ),
     (
@@ -154,7 +157,7 @@ const TYPES: &[Row] = &[
             "int", "sint", "dint", "lint", "num", "number", "int64", "i64", "long", "short", "i8", "i16",
             "i32",
         ],
-        "whole numbers are `int8`, `int16` and `int32`",
+        "whole numbers are `int8`, `int16` and `int32`, others `real`",
     ),
     (
         &["uint", "usint", "udint", "ulint", "byte", "uint8", "uint16", "u8", "u16", "natural"],

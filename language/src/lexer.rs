@@ -275,7 +275,7 @@ fn token(kind: Kind, text: &str, span: Span, report: &mut Report) -> Kind {
             });
             Kind::Text
         }
-        Kind::Foreign if text.len() == 2 && text.ends_with('=') && !["==", "!="].contains(&text) => {
+        Kind::Foreign if text.len() == 2 && text.ends_with('=') && !["==", "!=", "/="].contains(&text) => {
             let sign = &text[..1];
             report.push(|| {
                 Diagnostic::error(OPERATOR, span, format!("`{text}` is no assignment here"))
@@ -286,6 +286,8 @@ fn token(kind: Kind, text: &str, span: Span, report: &mut Report) -> Kind {
         Kind::Foreign => {
             let (ours, kind) = match text {
                 "==" => ("=", Kind::Equal),
+                // In Ada "not equal", elsewhere an assignment.
+                "/=" => ("<>", Kind::NotEqual),
                 "!=" => ("<>", Kind::NotEqual),
                 "&&" => ("and", Kind::Word(Word::And)),
                 "||" => ("or", Kind::Word(Word::Or)),

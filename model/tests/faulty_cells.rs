@@ -22,7 +22,7 @@ use std::sync::{Arc, LazyLock};
 const FEWEST: usize = 25;
 
 /// Every kind of finding except `Kind::Machine`: no known cell makes the machine itself fail.
-const KINDS: [Kind; 15] = [
+const KINDS: [Kind; 16] = [
     Kind::Deadlock,
     Kind::TimeOut,
     Kind::Starves,
@@ -38,6 +38,7 @@ const KINDS: [Kind; 15] = [
     Kind::Vacuous,
     Kind::Standstill,
     Kind::WaitsForEver,
+    Kind::LeaseLost,
 ];
 
 /// What a file says if the checker cannot search its cell.
@@ -172,6 +173,7 @@ fn every_finding_has_a_place_and_those_whom_it_concerns_have_theirs() {
                 Kind::Refused
                 | Kind::Ends
                 | Kind::Aborts
+                | Kind::LeaseLost
                 | Kind::Assertion
                 | Kind::ScriptFault
                 | Kind::Unreached

@@ -4,7 +4,7 @@
 use crate::source::{Feed, Sink, SourceId};
 use crate::store::conformance::Conformance;
 use imrs_wire::obs::ServerFrame;
-use std::collections::VecDeque;
+use std::collections::BTreeSet;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -14,7 +14,7 @@ use std::time::Duration;
 
 /// The pause between two passes over the recordings, unless a pass did not reach the end of one.
 const PAUSE: Duration = Duration::from_millis(500);
-/// The most recordings that are judged: the latest announced.
+/// The most recordings that are judged.
 const RECORDINGS: usize = 64;
 
 /// The result for one recording.
@@ -48,7 +48,7 @@ pub trait Sitting {
 /// The conformance worker: judges, in its own thread, the recordings that nodes announce.
 #[derive(Clone)]
 pub(crate) struct Court {
-    told: Arc<Mutex<VecDeque<PathBuf>>>,
+    told: Arc<Mutex<BTreeSet<PathBuf>>>,
     /// Dropped with the last clone, which ends the thread.
     _open: Option<SyncSender<()>>,
 }
@@ -56,7 +56,7 @@ pub(crate) struct Court {
 impl Court {
     /// Starts the worker, which delivers its results to `sink`. Without a judge it does nothing.
     pub fn open(judge: Option<Arc<dyn Judge>>, sink: Sink) -> Self {
-        let told = Arc::new(Mutex::new(VecDeque::new()));
+        let told = Arc::new(Mutex::new(BTreeSet::new()));
         let open = judge.and_then(|judge| {
             let (open, ended) = sync_channel(0);
             let recordings = Arc::clone(&told);
@@ -73,18 +73,14 @@ impl Court {
         let ServerFrame::Vitals(vitals) = &**frame else { return };
         if let Some(facts) = &vitals.recording {
             let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
-            let path = PathBuf::from(&facts.path);
-            if !told.contains(&path) {
-                if told.len() == RECORDINGS {
-                    told.pop_front();
-                }
-                told.push_back(path);
+            if told.len() < RECORDINGS {
+                told.insert(PathBuf::from(&facts.path));
             }
         }
     }
 }
 
-fn sit(judge: &dyn Judge, told: &Mutex<VecDeque<PathBuf>>, sink: &Sink, ended: &Receiver<()>) {
+fn sit(judge: &dyn Judge, told: &Mutex<BTreeSet<PathBuf>>, sink: &Sink, ended: &Receiver<()>) {
     let mut sitting = judge.sit();
     let mut pause = PAUSE;
     while ended.recv_timeout(pause) == Err(RecvTimeoutError::Timeout) {

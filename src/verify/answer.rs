@@ -1,8 +1,8 @@
 //! The result of checking a cell, for programs.
 
+use super::advice::help;
 use super::limits::not_looked_for;
 use super::subject::Subject;
-use super::tell::help;
 use imrs_model::cell::{
     CellFaults, CellPlan, Concerned, Coverage, Finding, Kind, Pause, Phase, Refused, Times, Verdicts,
 };

@@ -1,5 +1,6 @@
 //! `imrs verify`: runs the model checker and shows its verdicts.
 
+mod advice;
 mod answer;
 mod cell;
 mod limits;

@@ -1,5 +1,6 @@
 //! Prints the result of checking a cell, for people.
 
+use super::advice::help;
 use super::limits::{not_looked_for, values_tried};
 use super::subject::Subject;
 use crate::args::{self, CellFaultArgs, VerifyVerb};
@@ -313,36 +314,6 @@ pub fn quoted(word: &str) -> String {
         return word.to_owned();
     }
     format!("'{}'", word.replace('\'', r"'\''"))
-}
-
-/// The usual remedy of a kind of finding.
-pub(super) const fn help(kind: Kind) -> &'static str {
-    match kind {
-        Kind::Deadlock => {
-            "let one of them give up (`within .. on time_out do ..`), or do first what the others wait for"
-        }
-        Kind::TimeOut => "let the other side answer sooner, or give the message a longer time_out",
-        Kind::Starves => "let it age (`penalty = T` without `paper`), or rank it before what goes first",
-        Kind::Stranded => "let the others come in time, or give the waitfor a longer time_out",
-        Kind::Refused => {
-            "make the buffer larger (`bounded_buffer[n]`), or let the receiver take its messages sooner"
-        }
-        Kind::Ends => "say what then: `on time_out do .. end`, `on refused do .. end`, `on failed do .. end`",
-        Kind::Aborts => "nothing had gone wrong: look at what leads there, or do something else than abort",
-        Kind::Assertion => "correct what leads to these values, or what is asserted",
-        Kind::ScriptFault => "take a wider type, or keep the values in range",
-        Kind::Check => "correct what the tasks above do there, or the check",
-        Kind::TwoOwners => "give the couple a longer takeover or a shorter lease",
-        Kind::Unreached => "remove it, or correct the condition that keeps it from being reached",
-        Kind::Vacuous => "correct the left side of the check, or what should make it true",
-        Kind::Standstill => {
-            "let one of them give up what it has, or give up for good; where others may well wait for ever, nothing is to be done"
-        }
-        Kind::WaitsForEver => {
-            "let it wait for a time (`receive .. within T on time_out do ..`), or say on every way what it waits for; where it has nothing left to do then, nothing is to be done"
-        }
-        Kind::Machine => "this is a fault of imrs, not of the cell: please report it with the file",
-    }
 }
 
 /// The beginning of a long text.

@@ -23,6 +23,7 @@ pub(super) fn context(course: &Course, shown: &Shown, begun: &[Option<Address>])
         | Kind::Refused
         | Kind::Ends
         | Kind::Aborts
+        | Kind::LeaseLost
         | Kind::TwoOwners
         | Kind::Unreached
         | Kind::Vacuous

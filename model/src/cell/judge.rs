@@ -188,9 +188,7 @@ fn end(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
     let fault_free = phase != Phase::Faults;
     let (kind, address, cause) = match turn.end? {
         // A fence is for faults: without one, who should renew the lease has ended, or is too slow.
-        End::Fenced if fault_free => {
-            (Kind::Ends, turn.at, format!("{name} ends: it lost its lease though nothing went wrong"))
-        }
+        End::Fenced if fault_free => (Kind::LeaseLost, turn.at, format!("{name} lost its lease")),
         End::Finished | End::Fenced => return None,
         End::Assertion(at) => (Kind::Assertion, at, format!("{name}: an assertion does not hold")),
         End::Fault { fault, at } => (Kind::ScriptFault, at, format!("{name}: {fault}")),

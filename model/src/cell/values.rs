@@ -33,12 +33,24 @@ impl Tried {
                 let Some(Term::Push(value)) = *term else { continue };
                 match operator(&terms[at + 1..]) {
                     Some(Term::Real(operator)) => {
-                        let Some(value) = u32::try_from(value).ok().map(f32::from_bits) else { continue };
+                        let Some(value) = as_real(value) else { continue };
                         real.add(value, is_by_order(operator), [value.next_down(), value.next_up()]);
+                        if is_by_order(operator) {
+                            // Something whole may be compared with it.
+                            whole.near.extend([value.floor(), value.ceil()].map(nearest));
+                        }
                     }
                     Some(Term::Int(operator)) => {
                         let near = [value.saturating_sub(1), value.saturating_add(1)];
                         whole.add(value, is_by_order(operator), near);
+                        if is_by_order(operator) {
+                            // It may be compared with the whole part of a real.
+                            real.near.extend([near[0], value, near[1]].map(nearest_real));
+                        }
+                    }
+                    // Nothing says its type: so large a number is rather a real, by its bits.
+                    _ if (LEAST_BITS..=i64::from(u32::MAX)).contains(&value) => {
+                        real.all.extend(as_real(value));
                     }
                     _ => whole.all.push(value),
                 }
@@ -120,6 +132,24 @@ fn expressions(plan: &CellPlan) -> impl Iterator<Item = Vec<Option<Term>>> {
         Holds::Leads { when, then, .. } => vec![when, then],
     });
     bodies.chain(checks.map(|terms| terms.iter().copied().map(Some).collect()))
+}
+
+/// The bits of the least real that is not subnormal.
+const LEAST_BITS: i64 = 1 << 23;
+
+/// The finite real with these bits.
+fn as_real(bits: i64) -> Option<f32> {
+    u32::try_from(bits).ok().map(f32::from_bits).filter(|value| value.is_finite())
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "a whole number, or one beyond all types")]
+const fn nearest(value: f32) -> i64 {
+    value as i64
+}
+
+#[expect(clippy::cast_precision_loss, reason = "the nearest real is meant")]
+const fn nearest_real(value: i64) -> f32 {
+    value as f32
 }
 
 /// The operator that takes a constant: it follows at once, or after one other operand.

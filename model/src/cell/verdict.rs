@@ -25,6 +25,8 @@ pub enum Kind {
     Ends,
     /// A task reaches an `abort` without a fault.
     Aborts,
+    /// A primary loses its lease although nothing went wrong.
+    LeaseLost,
     /// An `assert` does not hold.
     Assertion,
     /// A script ends in a fault.
@@ -63,6 +65,7 @@ impl Kind {
             Self::Refused => "refused without a fault",
             Self::Ends => "ends the task",
             Self::Aborts => "aborts without a fault",
+            Self::LeaseLost => "lease lost without a fault",
             Self::Assertion => "assertion",
             Self::ScriptFault => "fault of the script",
             Self::Check => "check",

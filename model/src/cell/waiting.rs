@@ -4,7 +4,7 @@ use super::course::Course;
 use super::judge::{Shown, name, program, statement};
 use super::missed::next;
 use super::verdict::Kind;
-use imrs_protocol::script::{Activity, Address, Op, Program};
+use imrs_protocol::script::{Activity, Address, Op, Program, Term};
 use imrs_protocol::{CellTable, Instant, Packet, PortId, TaskId, Usage};
 
 /// Tasks that wait for each other, or else one that is left waiting. `goes_on`: other moves are still possible.
@@ -164,7 +164,7 @@ fn left(course: &Course, mut closed: Vec<bool>) -> Option<Shown> {
             && course.activity(task) == Some(Activity::Waits)
             && !course.plan.outside.contains(&task)
             && program(course, task).is_some_and(|program| !is_served_at(program, at))
-            && !senders(course, task).iter().any(|&helper| has_taken_over(course, helper))
+            && !is_relieved(course, task)
     };
     let left: Vec<usize> = (0..closed.len()).filter(is_left).collect();
     let &task = left.first()?;
@@ -184,6 +184,15 @@ fn left(course: &Course, mut closed: Vec<bool>) -> Option<Shown> {
     Some(Shown { task, address, others, last: false, ..Shown::whole(Kind::WaitsForEver, &cause) })
 }
 
+/// Whether a task waits for its lease while its standby has taken over and ended.
+fn is_relieved(course: &Course, task: usize) -> bool {
+    let op = program(course, task).and_then(|program| program.code.get(usize::from(position(course, task))));
+    matches!(op, Some(Op::Lease))
+        && senders(course, task).into_iter().any(|standby| {
+            matches!(course.activity(standby), Some(Activity::Ended(_))) && has_taken_over(course, standby)
+        })
+}
+
 /// Whether a task that has ended must have taken over first: its body has no end.
 fn has_taken_over(course: &Course, task: usize) -> bool {
     let Some(program) = program(course, task).filter(|program| program.takeover.is_some()) else {
@@ -200,21 +209,34 @@ fn has_taken_over(course: &Course, task: usize) -> bool {
     true
 }
 
-/// Whether the `receive` at this address is the first wait of an endless loop.
+/// Whether the `receive` at this address is a first wait of an endless loop.
 fn is_served_at(program: &Program, at: usize) -> bool {
     let code = &program.code;
-    let backward = (0..code.len()).filter_map(|from| match code[from] {
+    let loops = (0..code.len()).filter_map(|from| match code[from] {
         Op::Jump(to) if usize::from(to) <= from => Some((usize::from(to), from)),
         _ => None,
     });
-    let first = |(head, end): (usize, usize)| {
-        let body = code.get(head..=end)?;
-        // A branch out of the loop before its first wait makes it a `while` loop, which may end.
-        let leaves = |op: &Op| matches!(*op, Op::Unless(to) if usize::from(to) > end);
-        let found = body.iter().position(|op| waits(op) || leaves(op))?;
-        (!leaves(&body[found])).then_some(head + found)
-    };
-    matches!(code.get(at), Some(Op::Get { .. })) && backward.filter_map(first).any(|found| found == at)
+    matches!(code.get(at), Some(Op::Get { .. }))
+        && loops.filter_map(|(head, end)| first_waits(code, head, end)).any(|first| first.contains(&at))
+}
+
+/// The waits that a round of a loop may begin with. `None` if the loop may be left before them: a `while`.
+fn first_waits(code: &[Op], head: usize, end: usize) -> Option<Vec<usize>> {
+    let (mut open, mut seen, mut first) = (vec![head], vec![false; code.len()], Vec::new());
+    while let Some(at) = open.pop() {
+        if !(head..=end).contains(&at) {
+            return None;
+        }
+        let is_always = at > head && code[at - 1] == Op::Term(Term::Push(1));
+        match code[at] {
+            _ if std::mem::replace(&mut seen[at], true) => {}
+            op if waits(&op) => first.push(at),
+            // `while true`.
+            Op::Unless(_) if is_always => open.push(at + 1),
+            op => open.extend(next(&op, at)),
+        }
+    }
+    Some(first)
 }
 
 /// Whether an operation waits for something.

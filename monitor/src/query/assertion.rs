@@ -113,7 +113,13 @@ impl Amount {
             }
             Self::Up => number(up()),
             Self::Nodes => number(declared()),
-            Self::Missing => number(declared().saturating_sub(up())),
+            Self::Missing => {
+                let present = cells.iter().flat_map(|(cell, _)| store.present(cell));
+                number(
+                    declared()
+                        .saturating_sub(present.filter(|life| life.presence(now) == Presence::Up).count()),
+                )
+            }
             Self::Findings | Self::Critical => {
                 let least = if *self == Self::Critical { Level::Bad } else { Level::Warn };
                 number(cells.iter().flat_map(|(_, all)| all).filter(|f| f.level >= least).count())

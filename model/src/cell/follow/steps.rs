@@ -2,7 +2,7 @@
 //! of [`Times::Between`], and with the declared faults at the plan's times.
 
 use super::run::{Happened, Run, Turn};
-use crate::cell::course::Course;
+use crate::cell::course::{CellMove, Course};
 use crate::cell::outside::with_programs;
 use crate::cell::plan::{CellFaults, CellPlan, Times};
 use crate::cell::search::timed;
@@ -83,9 +83,11 @@ fn walk(plan: &Arc<CellPlan>, faults: &CellFaults, draw: &mut Draw, missing: &mu
         }
         moves.clear();
         course.moves(&mut moves);
+        // To lose another packet of an open cut is no new fault.
+        let is_fault = |step: &CellMove| step.is_fault() && !matches!(step, CellMove::Vanish(_));
         // Faults are rare, or they would all happen at the beginning.
-        if draw.below(64) > 0 && moves.iter().any(|step| !step.is_fault()) {
-            moves.retain(|step| !step.is_fault());
+        if draw.below(64) > 0 && moves.iter().any(|step| !is_fault(step)) {
+            moves.retain(|step| !is_fault(step));
         }
         let Some(&step) = moves.get(draw.below(moves.len())) else { return };
         if !course.survives(step) || course.floor.violation.is_some() || missing.is_empty() {
