@@ -91,6 +91,21 @@ class Style:
         return (paper or PAPER, ink) if self.reverse else (ink, paper)
 
 
+def pieces(line, style):
+    """The pieces of a line that have one look: where each begins, how wide it is, its text, its colours and the rest of its look."""
+    column = 0
+    for part in re.split(r"(\x1b\[[0-9;]*m)", line):
+        escape = re.fullmatch(r"\x1b\[([0-9;]*)m", part)
+        if escape:
+            style.apply(escape.group(1))
+        elif part:
+            extra = ' font-weight="bold"' if style.bold else ""
+            extra += ' opacity="0.6"' if style.dim else ""
+            extra += ' text-decoration="underline"' if style.underline else ""
+            yield 12 + column * CELL_W, len(part) * CELL_W, part, *style.colours(), extra
+            column += len(part)
+
+
 def svg(screen, title):
     """A screen with its escapes as a picture."""
     lines = screen.rstrip("\n").split("\n")
@@ -105,24 +120,12 @@ def svg(screen, title):
            'xml:space="preserve">']
     style = Style()
     for row, line in enumerate(lines):
-        column = 0
-        for part in re.split(r"(\x1b\[[0-9;]*m)", line):
-            escape = re.fullmatch(r"\x1b\[([0-9;]*)m", part)
-            if escape:
-                style.apply(escape.group(1))
-                continue
-            if not part:
-                continue
-            ink, paper = style.colours()
-            x, y = 12 + column * CELL_W, 12 + row * CELL_H
+        y = 12 + row * CELL_H
+        for x, width, part, ink, paper, extra in pieces(line, style):
             if paper:
-                out.append(f'<rect x="{x:.1f}" y="{y:.1f}" width="{len(part) * CELL_W:.1f}" height="{CELL_H}" fill="{paper}"/>')
+                out.append(f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{CELL_H}" fill="{paper}"/>')
             if part.strip():
-                extra = ' font-weight="bold"' if style.bold else ""
-                extra += ' opacity="0.6"' if style.dim else ""
-                extra += ' text-decoration="underline"' if style.underline else ""
-                out.append(f'<text x="{x:.1f}" y="{y + 13.5:.1f}" textLength="{len(part) * CELL_W:.1f}" fill="{ink}"{extra}>{html.escape(part)}</text>')
-            column += len(part)
+                out.append(f'<text x="{x:.1f}" y="{y + 13.5:.1f}" textLength="{width:.1f}" fill="{ink}"{extra}>{html.escape(part)}</text>')
     return "\n".join(out + ["</g>", "</svg>", ""])
 
 

@@ -9,14 +9,13 @@ import html
 import os
 import re
 import shutil
-import subprocess
 import sys
 import tempfile
 import time
 from pathlib import Path
 
 import picture
-from picture import CELL_H, CELL_W, INK, PAPER, Screen, Style
+from picture import CELL_H, CELL_W, INK, PAPER, Screen, Style, pieces
 
 HERE = Path(__file__).resolve().parent
 IMRS = Path(sys.argv[1] if len(sys.argv) > 1 else HERE.parent / "target/debug/imrs").resolve()
@@ -27,24 +26,13 @@ LEAST, MOST = 0.06, 5.0
 
 def spans(line, style):
     """A line of a screen as SVG, at the height 0."""
-    out, column = [], 0
-    for part in re.split(r"(\x1b\[[0-9;]*m)", line):
-        escape = re.fullmatch(r"\x1b\[([0-9;]*)m", part)
-        if escape:
-            style.apply(escape.group(1))
-            continue
-        if not part:
-            continue
-        ink, paper = style.colours()
-        x, width = 12 + column * CELL_W, len(part) * CELL_W
+    out = []
+    for x, width, part, ink, paper, extra in pieces(line, style):
         if paper:
             out.append(f'<rect x="{x:.1f}" width="{width:.1f}" height="{CELL_H}" fill="{paper}"/>')
         if part.strip():
-            extra = ' font-weight="bold"' if style.bold else ""
-            extra += ' opacity="0.6"' if style.dim else ""
             fill = "" if ink == INK else f' fill="{ink}"'
             out.append(f'<text x="{x:.1f}" y="13.5" textLength="{width:.1f}"{fill}{extra}>{html.escape(part)}</text>')
-        column += len(part)
     return "".join(out)
 
 
@@ -146,8 +134,11 @@ def main():
         film.until(r"can never arrive")
         film.look(4)
     finally:
+        # The nodes of the cell end with it, and would otherwise outlive the terminal.
+        for keys in (["C-c"], ["kill %1", "Enter"]):
+            screen.tmux("send-keys", *keys)
+            time.sleep(1)
         screen.tmux("kill-server")
-        subprocess.run(["pkill", "-f", str(folder)], check=False)
         shutil.rmtree(folder, ignore_errors=True)
     film.frames.append((film.last[0], MOST))
     (HERE / "story.svg").write_text(animated(film.frames, "A cell is checked, mended, checked again and run; a node dies, and the monitor names it"))

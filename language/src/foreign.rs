@@ -58,6 +58,8 @@ fn find(rows: &[Row], word: &str) -> Option<&'static str> {
     rows.iter().find(|(words, _)| words.contains(&lower.as_str())).map(|(_, help)| *help)
 }
 
+const NO_ARRAYS: &str = "there are no arrays: write a variable for each, or a record";
+
 const STATEMENTS: &[Row] = &[
     (&["for", "foreach", "repeat", "until"], "loops are written `loop ... end;` and `while ... do ... end;`"),
     (&["case", "switch", "match", "test"], "choices are written `if ... then ... elsif ... else ... end;`"),
@@ -140,7 +142,7 @@ const DECLARATIONS: &[Row] = &[
         &["enum", "enumeration"],
         "there are no enumerations: write numbers, and say in a comment what they mean",
     ),
-    (&["array", "list", "vector"], "there are no arrays: write a variable for each, or a record"),
+    (&["array", "list", "vector"], NO_ARRAYS),
     (
         &["topic", "publisher", "subscriber", "service", "channel", "chan"],
         "messages go through ports: `port p(x: int16) usage = send user_list = {arm} time_out = 50 msec;` in a task",
@@ -170,10 +172,7 @@ const TYPES: &[Row] = &[
         &["string", "str", "text", "char", "wstring", "strvar"],
         "messages carry no texts: send a number, and say in a comment what it means",
     ),
-    (
-        &["array", "list", "vector", "seq", "tuple", "dict"],
-        "there are no arrays: write a variable for each, or a record",
-    ),
+    (&["array", "list", "vector", "seq", "tuple", "dict"], NO_ARRAYS),
     (
         &["pose", "robtarget", "jointtarget", "e6pos", "frame", "point"],
         "declare it: `type Pose is record x: int16; y: int16; end;`",

@@ -136,6 +136,15 @@ impl Kind {
         }
     }
 
+    /// Whether it may be a name: words that are not reserved are names, too.
+    pub(crate) const fn may_be_name(self) -> bool {
+        match self {
+            Self::Name => true,
+            Self::Word(word) => !word.is_reserved(),
+            _ => false,
+        }
+    }
+
     /// Whether [`describe`](Self::describe) returns the token's own text.
     pub(crate) const fn is_literal(self) -> bool {
         !matches!(
@@ -275,7 +284,7 @@ fn token(kind: Kind, text: &str, span: Span, report: &mut Report) -> Kind {
             });
             Kind::Text
         }
-        Kind::Foreign if text.len() == 2 && text.ends_with('=') && !["==", "!=", "/="].contains(&text) => {
+        Kind::Foreign if matches!(text, "+=" | "-=" | "*=") => {
             let sign = &text[..1];
             report.push(|| {
                 Diagnostic::error(OPERATOR, span, format!("`{text}` is no assignment here"))

@@ -50,6 +50,17 @@ pub(crate) fn threads(task: &Task) -> impl Iterator<Item = &[Statement]> {
     [&task.body[..]].into_iter().chain(task.takeover.as_deref()).chain(handlers)
 }
 
+/// The `order`s at the beginning of a task's body, and the statements behind them.
+pub(crate) fn orders_and_rest(task: &Task) -> (&[Statement], &[Statement]) {
+    let is_order = |statement: &&Statement| matches!(statement.kind, StatementKind::Order(_));
+    task.body.split_at(task.body.iter().take_while(is_order).count())
+}
+
+/// Whether a task is there for its handlers alone: it waits for ever, in a plain `receive`.
+pub(crate) fn only_serves(task: &Task) -> bool {
+    orders_and_rest(task).1.is_empty() && !task.handlers.is_empty()
+}
+
 /// Calls `see` with each statement of a task.
 pub(crate) fn of_task<'h>(task: &'h Task, see: &mut dyn FnMut(&'h Statement)) {
     threads(task).for_each(|thread| each(thread, see));

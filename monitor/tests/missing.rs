@@ -1,23 +1,12 @@
 //! Tests of declared nodes of which the monitor knows little or nothing.
 
-use crate::common::{LIFT, NODES, Stage, identity, ms, snapshot, table};
-use imrs_monitor::name::Name;
+use crate::common::{LIFT, NODES, Stage, beam, codes, identity, ms, snapshot, table};
 use imrs_monitor::query::Assertion;
 use imrs_monitor::source::{Arrival, Feed, SourceId};
-use imrs_monitor::store::health::findings;
 use imrs_monitor::store::meeting::{Standing, meeting};
 use imrs_monitor::store::{Store, unseen};
 use imrs_monitor::theme::Theme;
 use imrs_wire::obs::ServerFrame;
-use std::time::Duration;
-
-fn beam() -> Name {
-    Name::new("beam-lift")
-}
-
-fn codes(store: &Store, now: Duration) -> Vec<&'static str> {
-    findings(store, &beam(), now).iter().map(|f| f.code).collect()
-}
 
 #[test]
 fn of_a_quiet_cell_only_the_node_that_nobody_saw_is_told() {

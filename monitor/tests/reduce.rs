@@ -1,10 +1,9 @@
 //! Tests of the reducers of store and app, without a terminal.
 
-use crate::common::{BEAT, HALT, LIFT, Stage, events, identity, ms, observed, snapshot, table};
+use crate::common::{BEAT, HALT, LIFT, Stage, beam, codes, events, identity, ms, observed, snapshot, table};
 use crossterm::event::KeyCode;
 use imrs_monitor::app::{Effect, Screen};
 use imrs_monitor::clock::Clock;
-use imrs_monitor::name::Name;
 use imrs_monitor::report;
 use imrs_monitor::source::{Feed, Memory, Sink, Source, SourceId};
 use imrs_monitor::store::health::findings;
@@ -21,14 +20,6 @@ use proptest::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
-
-fn beam() -> Name {
-    Name::new("beam-lift")
-}
-
-fn codes(store: &Store, now: Duration) -> Vec<&'static str> {
-    findings(store, &beam(), now).iter().map(|f| f.code).collect()
-}
 
 #[test]
 fn remaining_times_count_down_from_the_sample_and_its_age() {

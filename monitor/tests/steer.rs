@@ -1,11 +1,10 @@
 //! Tests of user actions: screens that follow messages, commands, marks and the mouse.
 
-use crate::common::{BEAT, HALT, LIFT, Stage, at, left, ms, snapshot, traffic};
+use crate::common::{BEAT, HALT, LIFT, Stage, at, beam, left, ms, snapshot, traffic};
 use crossterm::event::{KeyCode, KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
 use imrs_monitor::Endpoint;
 use imrs_monitor::app::lanes::Slice;
 use imrs_monitor::app::{Effect, Msg, Screen};
-use imrs_monitor::name::Name;
 use imrs_monitor::rows::Sort;
 use imrs_monitor::store::message::{MessageKey, Passed, life_of};
 use imrs_monitor::store::timeline::{Timeline, timeline};
@@ -16,10 +15,6 @@ use proptest::prelude::*;
 use std::time::Duration;
 
 const NOW: Duration = ms(1_100);
-
-fn beam() -> Name {
-    Name::new("beam-lift")
-}
 
 /// Whether every mark comes after its cause and after earlier marks of its task.
 fn is_causal(timeline: &Timeline) -> bool {

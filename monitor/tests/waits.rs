@@ -1,16 +1,11 @@
 //! Tests of the wait-for graph over every kind of wait.
 
-use crate::common::{BEAT, HALT, LIFT, Stage, events, ms, observed, snapshot};
-use imrs_monitor::name::Name;
+use crate::common::{BEAT, HALT, LIFT, Stage, beam, events, ms, observed, snapshot};
 use imrs_monitor::store::waits::{awaited, cycles, waits};
 use imrs_monitor::theme::Theme;
 use imrs_protocol::{Event, MeetingState, TaskId, TaskState, Ticks};
 use imrs_wire::obs::{ServerFrame, Snapshot};
 use std::time::Duration;
-
-fn beam() -> Name {
-    Name::new("beam-lift")
-}
 
 /// The right arm has not reached the lift, and has this state instead.
 fn right(state: TaskState) -> Snapshot {

@@ -3,7 +3,7 @@
 use super::{is_draft, messages, task};
 use crate::codes::{ACTS_EARLY, LOOSE, SERIAL, STANDBY_ENDS, TELLS_NOBODY, TIGHT};
 use crate::diagnostic::Diagnostic;
-use crate::hir::{Couple, CoupleKind, Hir, Port, Statement, StatementKind};
+use crate::hir::{Couple, CoupleKind, Hir, Port, StatementKind};
 use crate::span::Span;
 use crate::walk;
 use imrs_protocol::{Class, PortId, TaskId, Usage};
@@ -163,9 +163,8 @@ fn waits(hir: &Hir, couple: &Couple, standby: TaskId, found: &mut Vec<Diagnostic
 /// Checks that a standby does not come to its end before it takes over: nobody grants the lease after that.
 fn ends(hir: &Hir, couple: &Couple, [primary, standby]: [TaskId; 2], found: &mut Vec<Diagnostic>) {
     let (primary, standby) = (task(hir, primary), task(hir, standby));
-    let is_order = |statement: &&Statement| matches!(statement.kind, StatementKind::Order(_));
-    let serves = standby.body.iter().all(|one| is_order(&one)) && !standby.handlers.is_empty();
-    if standby.is_extern || is_draft(standby) || serves || !walk::all_go_on(&standby.body) {
+    if standby.is_extern || is_draft(standby) || walk::only_serves(standby) || !walk::all_go_on(&standby.body)
+    {
         return;
     }
     let message = format!("`{}` comes to its end: then `{}` loses its lease", standby.name, primary.name);

@@ -7,7 +7,8 @@ use super::silence::{self, Silence};
 use super::units::Clock;
 use crate::codes::{MALFORMED, TOO_MANY};
 use crate::diagnostic::Diagnostic;
-use crate::hir::{Capture, Captured, CoupleKind, Handler, Hir, Statement, StatementKind, Task, Trigger};
+use crate::hir::{Capture, Captured, CoupleKind, Handler, Hir, Statement, Task, Trigger};
+use crate::walk;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::{self, Address, Label, Op, ProgramError, Slot};
 use std::sync::Arc;
@@ -57,9 +58,7 @@ pub(super) fn script(hir: &Hir, id: TaskId, clock: &mut Clock) -> Result<Script,
 impl<'h> Writer<'h, '_> {
     fn body(&mut self) {
         // An `order` at the beginning counts from the start on, also while the task waits for its lease.
-        let is_order = |statement: &&Statement| matches!(statement.kind, StatementKind::Order(_));
-        let orders = self.task.body.iter().take_while(is_order).count();
-        let (orders, rest) = self.task.body.split_at(orders);
+        let (orders, rest) = walk::orders_and_rest(self.task);
         self.statements(orders);
         self.emit.at = self.task.span;
         if self.is_primary() {
@@ -70,7 +69,7 @@ impl<'h> Writer<'h, '_> {
         self.silences = silences;
         self.statements(rest);
         self.emit.at = self.task.span;
-        if rest.is_empty() && !self.task.handlers.is_empty() {
+        if walk::only_serves(self.task) {
             self.serve();
         }
         self.emit.op(Op::End);

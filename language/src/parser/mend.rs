@@ -41,15 +41,10 @@ pub(super) fn mend(tokens: &mut [Token], source: &Source, report: &mut Report) {
             (_, Word::Task) => Region::Head,
             (_, Word::Begin) => Region::Body,
             (Region::Record, Word::End) => Region::Top,
-            (_, Word::End) if is_name(follows) => Region::Top,
+            (_, Word::End) if follows.is_some_and(Kind::may_be_name) => Region::Top,
             _ => region,
         };
     }
-}
-
-/// Whether a token may be a name: words that are not reserved are names, too.
-fn is_name(kind: Option<Kind>) -> bool {
-    matches!(kind, Some(Kind::Name)) || matches!(kind, Some(Kind::Word(word)) if !word.is_reserved())
 }
 
 fn begins_line(tokens: &[Token], index: usize, region: Region, source: &Source) -> bool {

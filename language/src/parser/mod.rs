@@ -188,11 +188,7 @@ impl<'t> Driver<'t> {
 
     /// Whether the token may be a name.
     fn is_name(&self, index: usize) -> bool {
-        match self.kind(index) {
-            Some(Kind::Name) => true,
-            Some(Kind::Word(word)) => !word.is_reserved(),
-            _ => false,
-        }
+        self.kind(index).is_some_and(Kind::may_be_name)
     }
 
     /// Whether a token is the first of its line.

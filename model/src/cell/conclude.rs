@@ -49,13 +49,11 @@ pub(super) fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open)
         }
     }
     verdicts.still = still(plan, &done);
+    let place = |found: &Finding| (found.task, found.address);
     for done in done {
         verdicts.phases.push(done.coverage);
         // A warning for the same task and statement is not repeated for later phases.
-        let is_known = |new: &Finding| {
-            let mut known = verdicts.warnings.iter();
-            known.any(|known| (known.task, known.address) == (new.task, new.address))
-        };
+        let is_known = |new: &Finding| verdicts.warnings.iter().any(|known| place(known) == place(new));
         let new: Vec<Finding> = done.warnings.into_iter().filter(|new| !is_known(new)).collect();
         verdicts.warnings.extend(new);
         for finding in done.findings {
@@ -65,7 +63,6 @@ pub(super) fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open)
         }
     }
     // An endless wait at the place of a deadlock is already part of the deadlock.
-    let place = |found: &Finding| (found.task, found.address);
     let deadlocks: Vec<_> = verdicts.of(Kind::Deadlock).map(place).collect();
     verdicts.warnings.retain(|warning| !deadlocks.contains(&place(warning)));
     verdicts.findings.sort_by_key(|finding| (finding.kind, finding.phase, finding.task, finding.address));

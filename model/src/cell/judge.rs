@@ -209,6 +209,10 @@ fn end(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
     Some(Shown { task, address: at, others, last: fault_free, ..Shown::whole(kind, &cause) })
 }
 
+pub(super) fn position(course: &Course, task: usize) -> Address {
+    course.floor.bodies[task].actor.as_ref().map_or(0, |actor| actor.script.position())
+}
+
 pub(super) fn name(table: &CellTable, task: usize) -> &str {
     table.cell().tasks.get(task).map_or("?", |task| &task.name)
 }

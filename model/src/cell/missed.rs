@@ -24,12 +24,13 @@ impl Missed {
         let statements: Vec<_> = all.iter().filter(|&&at| !reached(at)).map(|&at| (at, !plain[at])).collect();
         let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
         let counts = (count(all.len() - statements.len()), count(all.len()));
-        let mut missed = Self { counts, statements, ..Self::default() };
-        for &(at, _) in missed.statements.iter().filter(|(_, needs_fault)| *needs_fault) {
-            missed.leads_on |=
-                behind(program, at, &plain).iter().any(|&at| plain[at] || is_heard(&program.code[at]));
-        }
-        missed
+        // What may follow those that need a fault, on each path up to the first operation that needs none.
+        let need_fault = statements.iter().filter(|(_, needs_fault)| *needs_fault).map(|&(at, _)| at);
+        let code = &program.code;
+        let behind =
+            reached_from(code, need_fault, |at| if plain[at] { [None; 2] } else { next(&code[at], at) });
+        let leads_on = (0..code.len()).any(|at| behind[at] && (plain[at] || is_heard(&code[at])));
+        Self { counts, statements, leads_on }
     }
 }
 
@@ -47,46 +48,41 @@ fn is_heard(op: &Op) -> bool {
     )
 }
 
-/// The operations that may follow one that needs a fault, on each path up to the first one that needs none.
-fn behind(program: &Program, from: usize, plain: &[bool]) -> Vec<usize> {
-    let (mut open, mut found) = (vec![from], Vec::new());
-    while let Some(at) = open.pop() {
-        if at >= program.code.len() || found.contains(&at) {
-            continue;
-        }
-        found.push(at);
-        if !plain[at] {
-            open.extend(next(&program.code[at], at));
-        }
-    }
-    found
-}
-
 /// For each operation, whether it is reached although nothing ends badly, and no timer, fence or take-over interrupts the task.
 fn needs_no_fault(program: &Program) -> Vec<bool> {
     let messages = program.handlers.iter().filter(|handler| matches!(handler.trigger, Trigger::Message(_)));
-    let mut open: Vec<usize> = messages.map(|handler| usize::from(handler.entry)).collect();
-    open.push(0);
-    let mut reached = vec![false; program.code.len()];
+    let entries = messages.map(|handler| usize::from(handler.entry)).chain([0]);
+    reached_from(&program.code, entries, |at| match program.code[at] {
+        // A branch that takes only bad outcomes needs a fault. All others do not: a message may come or not.
+        Op::On { outcomes, .. } if outcomes.0 & !Outcomes::BAD.0 == 0 => [None, Some(at + 1)],
+        op => next(&op, at),
+    })
+}
+
+/// For each operation, whether control flow reaches it from one of these. `goes` says which operations may follow one.
+pub(super) fn reached_from(
+    code: &[Op],
+    entries: impl IntoIterator<Item = usize>,
+    goes: impl Fn(usize) -> [Option<usize>; 2],
+) -> Vec<bool> {
+    let mut open: Vec<usize> = entries.into_iter().collect();
+    let mut reached = vec![false; code.len()];
     while let Some(at) = open.pop() {
-        let Some(flag) = reached.get_mut(at).filter(|flag| !**flag) else { continue };
-        *flag = true;
-        match program.code[at] {
-            // A branch that takes only bad outcomes needs a fault. All others do not: a message may come or not.
-            Op::On { outcomes, .. } if outcomes.0 & !Outcomes::BAD.0 == 0 => open.push(at + 1),
-            op => open.extend(next(&op, at)),
+        if let Some(flag) = reached.get_mut(at).filter(|flag| !**flag) {
+            *flag = true;
+            open.extend(goes(at).into_iter().flatten());
         }
     }
     reached
 }
 
 /// The operations that may follow an operation.
-pub(super) fn next(op: &Op, at: usize) -> impl Iterator<Item = usize> {
+pub(super) fn next(op: &Op, at: usize) -> [Option<usize>; 2] {
     let (there, after) = match *op {
         Op::Jump(to) => (Some(to), false),
         Op::Unless(to) | Op::On { to, .. } => (Some(to), true),
         Op::Abort(_) | Op::End | Op::HandlerEnd => (None, false),
         _ => (None, true),
     };
-    there.map(usize::from).into_iter().chain(after.then_some(at + 1))
+    [there.map(usize::from), after.then_some(at + 1)]
 }

@@ -13,10 +13,10 @@ pub(super) fn with_programs(plan: &Arc<CellPlan>) -> Arc<CellPlan> {
     if !plan.has_extern() {
         return Arc::clone(plan);
     }
-    let mut whole = (**plan).clone();
+    let (mut whole, values) = ((**plan).clone(), tried(plan));
     for (task, conduct) in whole.tasks.iter_mut().enumerate() {
         if let Conduct::Extern(rate) = *conduct {
-            let program = Arc::new(any_use(plan, TaskId::from_index(task), rate));
+            let program = Arc::new(any_use(plan, TaskId::from_index(task), rate, &values));
             whole.outside.push(task);
             *conduct = Conduct::Program { program, values: Vec::new(), open: false };
         }
@@ -28,7 +28,7 @@ pub(super) fn with_programs(plan: &Arc<CellPlan>) -> Arc<CellPlan> {
 ///
 /// A task of a work couple does so with and without its lease. After a take-over it starts over. When it loses its lease, it
 /// gives up its present use and does nothing until the lease comes back.
-fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>) -> Program {
+fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>, values: &Tried) -> Program {
     let table = &plan.table;
     let pause = Ticks(rate.map_or(1, |rate| rate.per.0.div_ceil(u64::from(rate.count).max(1))).max(1));
     let mut program = Program {
@@ -37,7 +37,6 @@ fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>) -> Program {
         ..Program::default()
     };
     let mut uses: Vec<Vec<Op>> = Vec::new();
-    let values = tried(plan).unwrap_or_else(|| Tried::of(plan, false));
     let couples: Vec<_> = table
         .cell()
         .couples
@@ -94,8 +93,8 @@ fn forget(code: &mut Vec<Op>) {
     code.extend([Op::Term(Term::Push(0)), Op::Store(Slot::Task(0))]);
 }
 
-/// The values for messages of tasks outside the cell; `None` if these messages have no fields that a program reads.
-pub(super) fn tried(plan: &CellPlan) -> Option<Tried> {
+/// The values for messages of tasks outside the cell; empty if these messages have no fields that a program reads.
+pub(super) fn tried(plan: &CellPlan) -> Tried {
     let outside = |task: &usize| matches!(plan.tasks[*task], Conduct::Extern(_));
     let ports =
         (0..plan.tasks.len()).filter(outside).flat_map(|task| plan.table.ports_of(TaskId::from_index(task)));
@@ -103,7 +102,7 @@ pub(super) fn tried(plan: &CellPlan) -> Option<Tried> {
         .flat_map(|&port| [message(plan, port), answer(plan, port)])
         .flat_map(|format| format.fields)
         .collect();
-    (!fields.is_empty()).then(|| Tried::of(plan, fields.contains(&Type::Real)))
+    if fields.is_empty() { Tried::default() } else { Tried::of(plan, fields.contains(&Type::Real)) }
 }
 
 /// The possible receivers of a message: all peers of the port, or each of them alone.

@@ -1,8 +1,7 @@
 //! Finds the line of the cell's text that each step of a path belongs to, and the values that its messages carry.
 
 use super::course::Course;
-use super::judge::program;
-use super::waiting::position;
+use super::judge::{position, program};
 use crate::floor::Effect;
 use crate::floor::script::ScriptTurn;
 use imrs_protocol::script::{Address, End, Op, Program, Trigger};

@@ -70,7 +70,7 @@ pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &Cell
 /// Checks a cell: first without faults, then within each hypothesis of faults. The first search finds what goes wrong by itself.
 #[must_use]
 pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
-    let outside = tried(plan).unwrap_or_default();
+    let outside = tried(plan);
     let is_open = plan.has_extern() || plan.has_open_results();
     let plan = &with_programs(plan);
     if let Some(refused) = refused(plan) {

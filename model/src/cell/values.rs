@@ -34,18 +34,20 @@ impl Tried {
                 match operator(&terms[at + 1..]) {
                     Some(Term::Real(operator)) => {
                         let Some(value) = as_real(value) else { continue };
-                        real.add(value, is_by_order(operator), [value.next_down(), value.next_up()]);
+                        real.all.push(value);
                         if is_by_order(operator) {
+                            real.near.extend([value.next_down(), value.next_up()]);
                             // Something whole may be compared with it.
                             whole.near.extend([value.floor(), value.ceil()].map(nearest));
                         }
                     }
                     Some(Term::Int(operator)) => {
-                        let near = [value.saturating_sub(1), value.saturating_add(1)];
-                        whole.add(value, is_by_order(operator), near);
+                        whole.all.push(value);
                         if is_by_order(operator) {
+                            let (less, more) = (value.saturating_sub(1), value.saturating_add(1));
+                            whole.near.extend([less, more]);
                             // It may be compared with the whole part of a real.
-                            real.near.extend([near[0], value, near[1]].map(nearest_real));
+                            real.near.extend([less, value, more].map(nearest_real));
                         }
                     }
                     // Nothing says its type: so large a number is rather a real, by its bits.
@@ -71,9 +73,9 @@ impl Tried {
         self.whole.is_empty()
     }
 
-    /// The number of different messages.
+    /// The number of different messages: one if they say nothing.
     pub(super) fn len(&self) -> usize {
-        self.whole.len().max(self.real.len())
+        self.whole.len().max(self.real.len()).max(1)
     }
 
     /// The value of a field in the message of this number: the nearest value that its type has.
@@ -97,13 +99,6 @@ struct Candidates<T> {
 }
 
 impl<T: PartialEq + Copy> Candidates<T> {
-    fn add(&mut self, value: T, is_by_order: bool, near: [T; 2]) {
-        self.all.push(value);
-        if is_by_order {
-            self.near.extend(near);
-        }
-    }
-
     /// The values to try, constants first, both sorted by `order`; then those beyond the limit.
     fn cut<K: Ord>(self, order: impl Fn(&T) -> K) -> (Vec<T>, Vec<T>) {
         let mut kept: Vec<T> = Vec::new();

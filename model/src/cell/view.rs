@@ -1,10 +1,9 @@
 //! Describes in words what a task does at a point of a path.
 
 use super::course::Course;
-use super::judge::{name, statement};
+use super::judge::{name, position, statement};
 use super::plan::Conduct;
 use super::verdict::TaskView;
-use super::waiting::position;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Activity;
 

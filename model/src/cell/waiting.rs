@@ -1,15 +1,19 @@
 //! Detects tasks that wait for ever: for each other (deadlock), or for a task that sends nothing any more.
 
 use super::course::Course;
-use super::judge::{Shown, name, program, statement};
-use super::missed::next;
+use super::judge::{Shown, name, position, program, statement};
+use super::missed::{next, reached_from};
 use super::verdict::Kind;
-use imrs_protocol::script::{Activity, Address, Op, Program, Term};
+use imrs_protocol::script::{Activity, Op, Program, Term};
 use imrs_protocol::{CellTable, Instant, Packet, PortId, TaskId, Usage};
 
 /// Tasks that wait for each other, or else one that is left waiting. `goes_on`: other moves are still possible.
 pub(super) fn for_ever(course: &Course, goes_on: bool) -> Option<Shown> {
     let closed = closed(course, goes_on);
+    // Of most states nobody is left.
+    if !closed.contains(&true) {
+        return None;
+    }
     ring(course, closed.clone(), goes_on).or_else(|| left(course, closed))
 }
 
@@ -55,10 +59,8 @@ fn ring(course: &Course, mut alive: Vec<bool>, goes_on: bool) -> Option<Shown> {
     let ring: Vec<String> = (0..n)
         .filter(|&task| alive[task])
         .map(|task| {
-            let at = position(course, task);
-            let what = program(course, task).map_or_else(String::new, |p| statement(table, p, at));
             let whom: Vec<&str> = helpers[task].iter().map(|&helper| name(table, helper)).collect();
-            format!("{} waits at {what} for {}", name(table, task), whom.join(" or "))
+            format!("{} for {}", waits_at(course, task), whom.join(" or "))
         })
         .collect();
     Some(Shown {
@@ -72,10 +74,8 @@ fn ring(course: &Course, mut alive: Vec<bool>, goes_on: bool) -> Option<Shown> {
 
 /// Whether a task is at a `receive` without a time_out, and no deadline or lease of its communication task ends the wait.
 fn waits_for_good(course: &Course, task: usize) -> bool {
-    let at = usize::from(position(course, task));
-    let op = program(course, task).and_then(|program| program.code.get(at));
     let station = &course.floor.stations[course.floor.station_of(task)];
-    matches!(op, Some(Op::Get { time_out: None, .. }))
+    matches!(operation(course, task), Some(Op::Get { time_out: None, .. }))
         && course.is_up(task)
         && course.activity(task) == Some(Activity::Waits)
         && station
@@ -116,26 +116,20 @@ fn heard_by(course: &Course, task: usize) -> impl Iterator<Item = usize> {
     ports.flat_map(move |port| port.peers(id)).map(TaskId::index)
 }
 
-pub(super) fn position(course: &Course, task: usize) -> Address {
-    course.floor.bodies[task].actor.as_ref().map_or(0, |actor| actor.script.position())
-}
-
 /// The tasks that could send what this task waits for, in a GET or for its lease.
 fn senders(course: &Course, task: usize) -> Vec<usize> {
     let table = &course.plan.table;
     let at = TaskId::from_index(task);
-    let Some(program) = program(course, task) else { return Vec::new() };
-    let (ports, from): (Vec<PortId>, Option<TaskId>) =
-        match program.code.get(usize::from(position(course, task))) {
-            Some(Op::Get { port: Some(port), source, .. }) => (vec![*port], *source),
-            Some(Op::Get { port: None, source, .. }) => (receives(table, at), *source),
-            // The standby's heartbeats grant the lease.
-            Some(Op::Lease) => {
-                let couples = table.cell().couples.iter();
-                (couples.filter(|couple| couple.primary == at).map(|couple| couple.via).collect(), None)
-            }
-            _ => return Vec::new(),
-        };
+    let (ports, from): (Vec<PortId>, Option<TaskId>) = match operation(course, task) {
+        Some(Op::Get { port: Some(port), source, .. }) => (vec![*port], *source),
+        Some(Op::Get { port: None, source, .. }) => (receives(table, at), *source),
+        // The standby's heartbeats grant the lease.
+        Some(Op::Lease) => {
+            let couples = table.cell().couples.iter();
+            (couples.filter(|couple| couple.primary == at).map(|couple| couple.via).collect(), None)
+        }
+        _ => return Vec::new(),
+    };
     let peers = ports.iter().filter_map(|&port| table.port(port)).flat_map(|port| port.peers(at));
     let peers = peers.filter(|peer| from.is_none_or(|from| from == *peer));
     let mut peers: Vec<usize> = peers.map(TaskId::index).collect();
@@ -174,9 +168,8 @@ fn left(course: &Course, mut closed: Vec<bool>) -> Option<Shown> {
         let ended = matches!(course.activity(helper), Some(Activity::Ended(_)));
         format!("{} {}", name(table, helper), if ended { "has ended" } else { "sends nothing any more" })
     };
-    let what = program(course, task).map_or_else(String::new, |program| statement(table, program, at));
     let why: Vec<String> = helpers.iter().map(state).collect();
-    let cause = format!("{} waits at {what} for ever: {}", name(table, task), why.join(", "));
+    let cause = format!("{} for ever: {}", waits_at(course, task), why.join(", "));
     let mut others: Vec<usize> = left[1..].iter().chain(&helpers).copied().collect();
     others.sort_unstable();
     others.dedup();
@@ -186,8 +179,7 @@ fn left(course: &Course, mut closed: Vec<bool>) -> Option<Shown> {
 
 /// Whether a task waits for its lease while its standby has taken over and ended.
 fn is_relieved(course: &Course, task: usize) -> bool {
-    let op = program(course, task).and_then(|program| program.code.get(usize::from(position(course, task))));
-    matches!(op, Some(Op::Lease))
+    matches!(operation(course, task), Some(Op::Lease))
         && senders(course, task).into_iter().any(|standby| {
             matches!(course.activity(standby), Some(Activity::Ended(_))) && has_taken_over(course, standby)
         })
@@ -195,48 +187,32 @@ fn is_relieved(course: &Course, task: usize) -> bool {
 
 /// Whether a task that has ended must have taken over first: its body has no end.
 fn has_taken_over(course: &Course, task: usize) -> bool {
-    let Some(program) = program(course, task).filter(|program| program.takeover.is_some()) else {
-        return false;
-    };
-    let (mut open, mut seen) = (vec![0], vec![false; program.code.len()]);
-    while let Some(at) = open.pop() {
-        match program.code.get(at) {
-            Some(Op::End | Op::Abort(_)) => return false,
-            Some(op) if !std::mem::replace(&mut seen[at], true) => open.extend(next(op, at)),
-            _ => {}
-        }
-    }
-    true
+    program(course, task).is_some_and(|Program { code, takeover, .. }| {
+        let body = reached_from(code, [0], |at| next(&code[at], at));
+        let has_end = (0..code.len()).any(|at| body[at] && matches!(code[at], Op::End | Op::Abort(_)));
+        takeover.is_some() && !has_end
+    })
 }
 
 /// Whether the `receive` at this address is a first wait of an endless loop.
 fn is_served_at(program: &Program, at: usize) -> bool {
     let code = &program.code;
-    let loops = (0..code.len()).filter_map(|from| match code[from] {
-        Op::Jump(to) if usize::from(to) <= from => Some((usize::from(to), from)),
-        _ => None,
-    });
-    matches!(code.get(at), Some(Op::Get { .. }))
-        && loops.filter_map(|(head, end)| first_waits(code, head, end)).any(|first| first.contains(&at))
-}
-
-/// The waits that a round of a loop may begin with. `None` if the loop may be left before them: a `while`.
-fn first_waits(code: &[Op], head: usize, end: usize) -> Option<Vec<usize>> {
-    let (mut open, mut seen, mut first) = (vec![head], vec![false; code.len()], Vec::new());
-    while let Some(at) = open.pop() {
-        if !(head..=end).contains(&at) {
-            return None;
-        }
-        let is_always = at > head && code[at - 1] == Op::Term(Term::Push(1));
-        match code[at] {
-            _ if std::mem::replace(&mut seen[at], true) => {}
-            op if waits(&op) => first.push(at),
+    // A round up to its first waits. If it leaves the loop before them, that is a `while`, which may end.
+    let is_first_wait = |head: usize, end: usize| {
+        let is_inside = |at: usize| (head..=end).contains(&at);
+        let round = reached_from(code, [head], |at| match code[at] {
+            op if waits(&op) || !is_inside(at) => [None; 2],
             // `while true`.
-            Op::Unless(_) if is_always => open.push(at + 1),
-            op => open.extend(next(&op, at)),
-        }
-    }
-    Some(first)
+            Op::Unless(_) if at > head && code[at - 1] == Op::Term(Term::Push(1)) => [None, Some(at + 1)],
+            op => next(&op, at),
+        });
+        round[at] && (0..code.len()).all(|at| is_inside(at) || !round[at])
+    };
+    matches!(code.get(at), Some(Op::Get { .. }))
+        && (0..code.len()).any(|end| match code[end] {
+            Op::Jump(head) if usize::from(head) <= end => is_first_wait(head.into(), end),
+            _ => false,
+        })
 }
 
 /// Whether an operation waits for something.
@@ -245,4 +221,17 @@ const fn waits(op: &Op) -> bool {
         op,
         Op::Send { .. } | Op::Get { .. } | Op::Arrive { .. } | Op::Delay(_) | Op::Run { .. } | Op::Lease
     )
+}
+
+/// The operation that a task's own thread stands at.
+fn operation(course: &Course, task: usize) -> Option<&Op> {
+    program(course, task)?.code.get(usize::from(position(course, task)))
+}
+
+/// `arm waits at receive `part``.
+fn waits_at(course: &Course, task: usize) -> String {
+    let table = &course.plan.table;
+    let what = program(course, task)
+        .map_or_else(String::new, |program| statement(table, program, position(course, task)));
+    format!("{} waits at {what}", name(table, task))
 }

@@ -8,7 +8,7 @@ use crate::clock::{Moment, Span};
 use crate::name::Name;
 use crate::store::health::{Finding, findings};
 use crate::store::journal::Level;
-use crate::store::{Presence, Store};
+use crate::store::{Life, Presence, Store};
 use std::cell::RefCell;
 
 /// A condition on a whole cell: `expired==0 and min_slack>5ms`, `count(class=2 and fill>80%) == 0 and up>=3`.
@@ -100,7 +100,6 @@ impl Amount {
         #[expect(clippy::cast_precision_loss, reason = "a count for comparing")]
         let number = |count: usize| Value::Number(count as f64);
         let lives = || cells.iter().flat_map(|(cell, _)| store.lives_of(cell));
-        let up = || lives().filter(|life| life.presence(now) == Presence::Up).count();
         let known = |cell: &Name| store.names(cell).map_or(0, |names| names.nodes.len());
         let declared = || cells.iter().map(|(cell, _)| known(cell)).sum::<usize>();
         match self {
@@ -111,14 +110,11 @@ impl Amount {
                 each_port(store, cells, now, &mut |row| count += usize::from(filter.takes(row)));
                 number(count)
             }
-            Self::Up => number(up()),
+            Self::Up => number(count_up(lives(), now)),
             Self::Nodes => number(declared()),
             Self::Missing => {
                 let present = cells.iter().flat_map(|(cell, _)| store.present(cell));
-                number(
-                    declared()
-                        .saturating_sub(present.filter(|life| life.presence(now) == Presence::Up).count()),
-                )
+                number(declared().saturating_sub(count_up(present, now)))
             }
             Self::Findings | Self::Critical => {
                 let least = if *self == Self::Critical { Level::Bad } else { Level::Warn };
@@ -128,6 +124,11 @@ impl Amount {
             Self::Lost => Value::Number(lives().map(|life| life.lost).sum::<u64>() as f64),
         }
     }
+}
+
+/// How many of these nodes are up.
+fn count_up<'a>(lives: impl Iterator<Item = &'a Life>, now: Moment) -> usize {
+    lives.filter(|life| life.presence(now) == Presence::Up).count()
 }
 
 /// A field, aggregated over all ports that have it. With none, the minimum is positive infinity, and the maximum

@@ -2,7 +2,7 @@
 //! and who waits for whom.
 
 use super::health::held_back_words;
-use super::{Left, Life, Names, Presence, Store, unseen};
+use super::{Left, Life, Names, Presence, Store, is_killed};
 use crate::clock::Moment;
 use crate::name::Name;
 use imrs_protocol::{MeetingState, MeetingView, PortId, Round, TaskId, TaskState};
@@ -217,9 +217,8 @@ fn hear_of_the_silent(members: &mut [Member]) {
 
 /// The description of a task whose node never reported.
 fn of_unseen(store: &Store, cell: &Name, names: &Names, task: TaskId) -> String {
-    let is_killed = |home| unseen(store, cell).iter().any(|one| one.is_killed && one.node == home);
-    let text =
-        if names.home(task).is_some_and(is_killed) { "its node died, never seen" } else { "never seen" };
+    let died = names.home(task).is_some_and(|home| is_killed(store, cell, &names.node(home)));
+    let text = if died { "its node died, never seen" } else { "never seen" };
     text.to_owned()
 }
 

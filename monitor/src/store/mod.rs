@@ -18,7 +18,7 @@ pub mod waits;
 
 pub use life::{ClockOffset, Condition, Left, Life, LifeId, Presence, SILENT, Sample, Told, Watched};
 pub use names::{Names, PortInfo, TaskInfo};
-pub use unseen::{Unseen, unseen};
+pub use unseen::{Unseen, is_killed, unseen};
 
 use crate::clock::Moment;
 use crate::name::Name;

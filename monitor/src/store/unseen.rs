@@ -20,9 +20,16 @@ pub struct Unseen {
 #[must_use]
 pub fn unseen(store: &Store, cell: &Name) -> Vec<Unseen> {
     let Some(names) = store.names(cell) else { return Vec::new() };
-    let folder = place::file_name(cell.raw());
-    let is_killed = |name: &Name| store.killed.contains(&(folder.clone(), place::file_name(name.raw())));
     let nodes = names.nodes.iter().enumerate().map(|(i, name)| (NodeId::from_index(i), name));
     let unseen = nodes.filter(|(id, _)| store.latest(cell, *id).is_none());
-    unseen.map(|(node, name)| Unseen { node, name: name.clone(), is_killed: is_killed(name) }).collect()
+    unseen
+        .map(|(node, name)| Unseen { node, name: name.clone(), is_killed: is_killed(store, cell, name) })
+        .collect()
+}
+
+/// Whether the socket of a node of this name was left behind.
+#[must_use]
+pub fn is_killed(store: &Store, cell: &Name, node: &Name) -> bool {
+    let is = |name: &Name, file: &String| place::file_name(name.raw()) == *file;
+    store.killed.iter().any(|(folder, file)| is(cell, folder) && is(node, file))
 }

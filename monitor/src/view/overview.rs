@@ -8,7 +8,7 @@ use crate::rows::{Row, Sort};
 use crate::store::health::{Finding, Place, held_back_words};
 use crate::store::journal::Level;
 use crate::store::meeting::state;
-use crate::store::{Left, Life, LifeId, Presence, unseen};
+use crate::store::{Left, Life, LifeId, Presence, is_killed};
 use crate::theme::Ink;
 use imrs_protocol::{PortCounters, PortView, TaskId, Usage};
 use imrs_wire::obs::{Liveness, RealTime, TaskSnapshot};
@@ -168,10 +168,11 @@ fn cells(app: &App, row: &Row, findings: &[Finding], width: u16, now: Moment) ->
     let mut cells: Cells = std::array::from_fn(|_| (String::new(), Ink::Plain));
     match row.place.node {
         Err(id) => {
-            let all = app.cell().map(|cell| unseen(app.store(), &cell)).unwrap_or_default();
-            let one = all.into_iter().find(|one| one.node == id);
-            let (name, killed) =
-                one.map_or_else(Default::default, |one| (one.name.to_string(), one.is_killed));
+            let cell = app.cell();
+            let names = cell.as_ref().and_then(|cell| Some((cell, app.store().names(cell)?)));
+            let name = names.map(|(cell, names)| (cell, names.node(id)));
+            let killed = name.as_ref().is_some_and(|(cell, name)| is_killed(app.store(), cell, name));
+            let name = name.map_or_else(String::new, |(_, name)| name.to_string());
             let sign = if killed { app.theme.glyphs.dead } else { "?" };
             cells[0] = (format!("{sign} {name}"), Ink::Dim);
             cells[1] = (if killed { "DEAD" } else { "not seen here" }.to_owned(), Ink::Dim);

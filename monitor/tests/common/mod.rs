@@ -4,8 +4,11 @@ use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 pub mod server;
 
 use imrs_monitor::app::{App, Effect, Msg};
+use imrs_monitor::name::Name;
 use imrs_monitor::replay::Film;
 use imrs_monitor::source::{Arrival, Feed, SourceId};
+use imrs_monitor::store::Store;
+use imrs_monitor::store::health::findings;
 use imrs_monitor::theme::Theme;
 use imrs_protocol::*;
 use imrs_wire::obs::{
@@ -16,6 +19,16 @@ use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 use std::path::Path;
 use std::time::{Duration, Instant};
+
+/// The name of the sample cell.
+pub fn beam() -> Name {
+    Name::new("beam-lift")
+}
+
+/// The codes of what is wrong in the sample cell.
+pub fn codes(store: &Store, now: Duration) -> Vec<&'static str> {
+    findings(store, &beam(), now).iter().map(|f| f.code).collect()
+}
 
 pub const LIFT: PortId = PortId(0);
 pub const BEAT: PortId = PortId(1);

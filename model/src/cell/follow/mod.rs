@@ -245,7 +245,7 @@ impl Follower {
     /// The operation of the run's next script step of a task; without one, the operation at which the task is in the model.
     fn address(&self, task: usize) -> Address {
         let next = self.groups[task].get(self.next[task]).and_then(|group| group.turns.first());
-        next.map_or_else(|| super::waiting::position(&self.course, task), |turn| turn.at)
+        next.map_or_else(|| super::judge::position(&self.course, task), |turn| turn.at)
     }
 
     fn follow(&mut self, task: usize) -> Result<(), No> {
