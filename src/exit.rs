@@ -45,9 +45,13 @@ pub(crate) const EXHAUSTED: [i32; 4] = [
     Errno::AGAIN.raw_os_error(),
 ];
 
-/// Whether a panic message says so: libraries may panic on such an error.
+/// Whether a panic message says so, in either of the forms of an [`io::Error`]: libraries may panic on such an error, as the
+/// standard library does when a new thread gets no memory for its signal stack.
 pub fn says_exhausted(panic: &str) -> bool {
-    EXHAUSTED.iter().any(|code| panic.contains(&format!("Os {{ code: {code},")))
+    let says = |code| {
+        [format!("Os {{ code: {code},"), format!("(os error {code})")].map(|form| panic.contains(&form))
+    };
+    EXHAUSTED.iter().any(|code| says(code).contains(&true))
 }
 
 /// The exit code if the compiler rejects a cell. A cell beyond the compiler's limits is bad input, like a file that is too

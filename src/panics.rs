@@ -132,7 +132,8 @@ mod tests {
             program.env("IMRS_PANICS_OF", says).output().expect("it runs").status.code()
         };
         let spawn = "failed to spawn thread: Os { code: 11, kind: WouldBlock, message: \"try again\" }";
-        assert_eq!((code(spawn), code("a fault")), (Some(71), None));
+        let stack = "failed to allocate an alternative stack: Cannot allocate memory (os error 12)";
+        assert_eq!([spawn, stack, "a fault"].map(code), [Some(71), Some(71), None]);
     }
 
     #[test]

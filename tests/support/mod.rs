@@ -262,12 +262,22 @@ pub fn finish(command: Command) -> Said {
     Program::start(command).finish()
 }
 
-/// Sends a signal to a process that this test started.
+/// Sends a signal to a process that this test started. After [`Signal::STOP`] it waits until the process stands still: the kernel
+/// stops one thread after the other, and until then the last of them may still act on what this test does next.
 pub fn signal(pid: u32, signal: Signal) {
-    if let Some(pid) = i32::try_from(pid).ok().and_then(Pid::from_raw) {
+    if let Some(target) = i32::try_from(pid).ok().and_then(Pid::from_raw) {
         // The process may have exited already.
-        let _ = kill_process(pid, signal);
+        let _ = kill_process(target, signal);
     }
+    if signal == Signal::STOP {
+        wait_until("the process stands still", || !is_alive(pid) || threads_stand_still(pid));
+    }
+}
+
+fn threads_stand_still(pid: u32) -> bool {
+    let threads = std::fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
+    let mut states = threads.filter_map(|thread| std::fs::read_to_string(thread.path().join("stat")).ok());
+    states.all(|stat| stat.rsplit_once(')').is_some_and(|(_, rest)| rest.trim_start().starts_with('T')))
 }
 
 /// Whether a process exists and is no zombie.
