@@ -9,7 +9,7 @@ use crate::output::Output;
 use crate::token;
 use crate::{cell_file, demo, replay};
 use imrs_monitor::config::{Config, EXAMPLE};
-use imrs_monitor::judge::{Judge, Sitting};
+use imrs_monitor::judge::{FollowSession, Judge};
 use imrs_monitor::query::Filter;
 use imrs_monitor::theme::Theme;
 use imrs_monitor::{Options, Verdict};
@@ -123,7 +123,7 @@ impl fmt::Debug for Validator {
 }
 
 impl Judge for Validator {
-    fn sit(&self) -> Box<dyn Sitting + '_> {
+    fn sit(&self) -> Box<dyn FollowSession + '_> {
         // Only this thread, which judges: if it is far behind, it must not take a core from the nodes.
         let _ = setpriority_process(None, LEAST_PRIORITY);
         Box::new(self.0.follow())

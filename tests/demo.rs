@@ -337,7 +337,7 @@ fn a_killed_node_lives_again_and_the_others_hear_of_it() {
 }
 
 #[test]
-fn who_dies_and_lives_again_is_not_said_to_have_gone_on_meanwhile() {
+fn a_node_that_died_and_started_again_is_not_said_to_have_gone_on_meanwhile() {
     let cases = [
         ("failover-weld", ["--kill", "n1@1s", "--restart", "r1@3s", "--for", "5s"]),
         ("beam-lift", ["--kill", "nr@1500ms", "--restart", "nr@3s", "--for", "7s"]),

@@ -4,7 +4,7 @@ use crate::support::{bound, is_quiet};
 use imrs_monitor::Watch;
 use imrs_monitor::clock::Clock;
 use imrs_monitor::source::live::Which;
-use imrs_monitor::store::{Condition, Life};
+use imrs_monitor::store::{Condition, NodeIncarnation};
 use imrs_protocol::{Cell, CellTable, NodeId, PortDecl, Ticks, Usage};
 use imrs_runtime::Runtime;
 use imrs_runtime::observer::Observer;
@@ -88,9 +88,9 @@ impl Drop for Node {
     }
 }
 
-fn until(watch: &mut Watch, what: &str, done: impl Fn(&[Life]) -> bool) -> Duration {
+fn until(watch: &mut Watch, what: &str, done: impl Fn(&[NodeIncarnation]) -> bool) -> Duration {
     let start = Instant::now();
-    while !done(watch.store().lives()) {
+    while !done(watch.store().incarnations()) {
         assert!(start.elapsed() < LONG, "{what}: never");
         watch.watch(Duration::from_millis(2));
     }
@@ -108,16 +108,20 @@ fn a_killed_node_is_shown_dead_and_shown_again_when_it_is_back() {
         let node = Node::start(&folder);
         let start = Instant::now();
         let mut watch = Watch::start(Which::Under(temp.path().to_owned()), Clock::start()).unwrap();
-        until(&mut watch, "attached", |lives| lives.iter().any(|life| life.last.is_some()));
+        until(&mut watch, "attached", |incarnations| {
+            incarnations.iter().any(|incarnation| incarnation.last.is_some())
+        });
         took[0].push(start.elapsed());
-        let shown = |life: &Life| life.condition == Condition::Attached && life.last.is_some();
-        assert_eq!(watch.store().lives().iter().filter(|life| shown(life)).count(), 1);
+        let shown = |incarnation: &NodeIncarnation| {
+            incarnation.condition == Condition::Attached && incarnation.last.is_some()
+        };
+        assert_eq!(watch.store().incarnations().iter().filter(|incarnation| shown(incarnation)).count(), 1);
         node.kill();
-        took[1].push(until(&mut watch, "dead", |lives| {
-            lives.iter().all(|life| matches!(life.condition, Condition::Dead { .. }))
+        took[1].push(until(&mut watch, "dead", |incarnations| {
+            incarnations.iter().all(|incarnation| matches!(incarnation.condition, Condition::Dead { .. }))
         }));
         let again = Node::start(&folder);
-        took[2].push(until(&mut watch, "back", |lives| lives.iter().any(shown)));
+        took[2].push(until(&mut watch, "back", |incarnations| incarnations.iter().any(shown)));
         again.kill();
     }
     for (took, (what, goal)) in took.iter_mut().zip(GOALS) {

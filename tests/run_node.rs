@@ -22,7 +22,7 @@ fn placed(bench: &Bench, host: Option<&str>) -> String {
 }
 
 #[test]
-fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_next_lives() {
+fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_next_incarnations() {
     // A restarted node is held back as long as messages of its earlier incarnation may be in flight.
     let bench = Bench::that_waits(8);
     let cell = placed(&bench, None);
@@ -30,14 +30,14 @@ fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_
         let args = ["run", &cell, "--node", node, "--for", "10m", "--format", "json"];
         Program::start(imrs(bench.0.path(), &args))
     };
-    for life in 0..2 {
+    for incarnation in 0..2 {
         let (b, a) = (start("nb"), start("na"));
         let a = a.finish();
         // The other node's task waits in vain from now on, so it is interrupted.
         b.interrupt();
         let b = b.finish();
         let summary = a.last_json();
-        assert_eq!(a.code, Some(0), "life {life}: {a:?} {b:?}");
+        assert_eq!(a.code, Some(0), "life {incarnation}: {a:?} {b:?}");
         assert_eq!(summary["tasks"][0]["end"], "finished", "{summary}");
         assert_eq!(number(&port(&summary, "ask")["sent"]), 5, "{summary}");
         // One node does not know the arrivals at the other one.
@@ -46,7 +46,7 @@ fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_
         assert_eq!(summary["nodes"].as_array().map(Vec::len), Some(1), "{summary}");
         let remembered =
             std::fs::read_to_string(bench.0.path().join("state/imrs/relayed/na.life")).expect("its life");
-        assert_eq!(remembered.trim(), life.to_string());
+        assert_eq!(remembered.trim(), incarnation.to_string());
     }
 }
 
@@ -83,7 +83,7 @@ fn failed_starts_count_nothing_and_the_real_one_is_heard() {
     // A restarted node is held back as long as messages of its earlier incarnation may be in flight.
     let bench = Bench::that_waits(8);
     let cell = placed(&bench, None);
-    let life = bench.0.path().join("state/imrs/relayed/na.life");
+    let incarnation = bench.0.path().join("state/imrs/relayed/na.life");
     let args = |node: &'static str| {
         [
             "run".to_owned(),
@@ -118,11 +118,11 @@ fn failed_starts_count_nothing_and_the_real_one_is_heard() {
         assert!(said.err.contains("cannot bind UDP address"), "{said:?}");
     }
     drop(taken);
-    assert_eq!(std::fs::read_to_string(&life).expect("its life").trim(), "0");
+    assert_eq!(std::fs::read_to_string(&incarnation).expect("its life").trim(), "0");
     // Both nodes restart from their own stored incarnations.
     let (a, b) = meet();
     assert_eq!(a.code, Some(0), "{a:?} {b:?}");
-    assert_eq!(std::fs::read_to_string(&life).expect("its life").trim(), "1");
+    assert_eq!(std::fs::read_to_string(&incarnation).expect("its life").trim(), "1");
 }
 
 #[test]
@@ -133,16 +133,16 @@ fn a_node_that_has_lost_its_state_takes_a_later_incarnation_than_its_neighbour_r
         let args = ["run", &cell, "--node", node, "--for", "10m", "--format", "json"];
         Program::start(imrs(bench.0.path(), &args))
     };
-    let life = bench.0.path().join("state/imrs/relayed/na.life");
+    let incarnation = bench.0.path().join("state/imrs/relayed/na.life");
     let (b, a) = (start("nb"), start("na"));
     let a = a.finish();
     assert_eq!(a.code, Some(0), "{a:?}");
-    assert_eq!(std::fs::read_to_string(&life).expect("its state").trim(), "0");
-    std::fs::remove_file(&life).expect("its state is lost");
+    assert_eq!(std::fs::read_to_string(&incarnation).expect("its state").trim(), "0");
+    std::fs::remove_file(&incarnation).expect("its state is lost");
     // nb still waits for na, and remembers its incarnation.
     let mut again = start("na");
     let _started = again.json();
-    assert_eq!(std::fs::read_to_string(&life).expect("its state").trim(), "1");
+    assert_eq!(std::fs::read_to_string(&incarnation).expect("its state").trim(), "1");
     again.interrupt();
     let again = again.finish();
     assert!(again.err.contains("a neighbour remembers a later incarnation"), "{again:?}");

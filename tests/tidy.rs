@@ -117,6 +117,67 @@ fn nothing_is_left_out_or_left_for_later() {
     }
 }
 
+/// Private words that `specs/glossary.md` replaces by a standard term. No name of the code may contain one.
+const RETIRED: [&str; 29] = [
+    "beat", "beats", "court", "crossing", "deed", "deeds", "desk", "desks", "diary", "doorbell", "fate",
+    "fates", "ghost", "ghosts", "habit", "habits", "life", "looker", "mail", "mails", "nudge", "seat",
+    "sight", "sights", "sitting", "station", "stations", "tale", "teller",
+];
+
+/// The words of a name: `FirstLife`, `first_life` and `FIRST_LIFE` have the word `life`.
+fn words_of(name: &str) -> Vec<String> {
+    let mut words = vec![String::new()];
+    let mut before = '_';
+    for letter in name.chars() {
+        if letter == '_' || (letter.is_uppercase() && before.is_lowercase()) {
+            words.push(String::new());
+        }
+        if letter != '_' {
+            words.last_mut().expect("one").extend(letter.to_lowercase());
+        }
+        before = letter;
+    }
+    words
+}
+
+/// The names in a line of code, without those in texts and comments.
+fn names_in(line: &str) -> Vec<&str> {
+    let code = line.split("//").next().unwrap_or_default();
+    let outside = code.split('"').step_by(2);
+    let names = outside.flat_map(|code| code.split(|c: char| !c.is_alphanumeric() && c != '_'));
+    names.filter(|name| name.starts_with(|c: char| c.is_alphabetic() || c == '_')).collect()
+}
+
+#[test]
+fn no_name_of_the_code_has_a_retired_word() {
+    let mut found = Vec::new();
+    for (path, text) in sources() {
+        let path = path.strip_prefix(ROOT).expect("a file of the workspace").to_path_buf();
+        // Tests and examples name ports of cells, such as `beat`.
+        if path
+            .components()
+            .any(|part| ["tests", "examples"].contains(&part.as_os_str().to_str().expect("UTF-8")))
+        {
+            continue;
+        }
+        for (number, line) in text.lines().enumerate() {
+            let retired = names_in(line)
+                .into_iter()
+                .filter(|name| words_of(name).iter().any(|word| RETIRED.contains(&word.as_str())));
+            found.extend(retired.map(|name| format!("{}:{}: {name}", path.display(), number + 1)));
+        }
+    }
+    assert!(found.is_empty(), "{} names, see specs/glossary.md: {found:#?}", found.len());
+}
+
+#[test]
+fn words_of_names_are_told_apart() {
+    for name in ["FirstLife", "first_life", "FIRST_LIFE"] {
+        assert_eq!(words_of(name), ["first", "life"]);
+    }
+    assert_eq!(names_in("let a_desk = \"seat\"; // ghost"), ["let", "a_desk"]);
+}
+
 #[test]
 fn words_promise_no_more_than_is_so() {
     let unwanted = [concat!("safety", "-rated"), concat!("fail", "-safe"), concat!("SI", "L-")];

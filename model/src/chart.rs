@@ -5,7 +5,7 @@ mod draw;
 pub use draw::{Folding, chart};
 
 use crate::explore::Exploration;
-use crate::network::Flight;
+use crate::network::InFlight;
 use crate::scenario::Scenario;
 use crate::state::Packed;
 use crate::world::{Action, Shown, World};
@@ -50,7 +50,8 @@ pub enum Note {
         /// The packet in words.
         label: String,
         /// What became of the packet; empty if it simply arrived.
-        fate: String,
+        #[serde(rename = "fate")]
+        outcome: String,
         /// The line of the cell's source text that sent it, from 1.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         line: Option<u32>,
@@ -94,9 +95,9 @@ impl Note {
         let name = |lane: usize| names.get(lane).map_or("?", String::as_str);
         match self {
             Self::Event { lane, text, .. } => format!("{} {text}", name(*lane)),
-            Self::Packet { from, to, label, fate, .. } => {
-                let fate = if fate.is_empty() { "arrives" } else { fate_words(fate) };
-                format!("{label} from {} to {} {fate}", name(*from), name(*to))
+            Self::Packet { from, to, label, outcome, .. } => {
+                let outcome = if outcome.is_empty() { "arrives" } else { outcome_words(outcome) };
+                format!("{label} from {} to {} {outcome}", name(*from), name(*to))
             }
             Self::Remark { text, .. } => text.clone(),
         }
@@ -104,8 +105,8 @@ impl Note {
 }
 
 /// Words for what became of a packet.
-fn fate_words(fate: &str) -> &str {
-    match fate {
+fn outcome_words(outcome: &str) -> &str {
+    match outcome {
         "LOST" => "is LOST",
         "CUT OFF" => "is CUT OFF: its link is interrupted",
         "TWICE" => "arrives, and a copy of it comes later",
@@ -124,46 +125,46 @@ pub fn draw(scenario: &Arc<Scenario>, exploration: &Exploration) -> Option<Count
 }
 
 /// Draws a path. `None` where its states do not follow from each other.
-pub(crate) fn walk(scenario: &Arc<Scenario>, states: &[Packed]) -> Option<Pen> {
-    let mut pen = pen(scenario);
+pub(crate) fn walk(scenario: &Arc<Scenario>, states: &[Packed]) -> Option<ChartRecorder> {
+    let mut recorder = recorder(scenario);
     let mut world = World::new(scenario);
     world.keep_log = true;
     let mut tick = 0;
     for target in states.iter().skip(1) {
         let (action, next) = concrete_step(&world, target)?;
-        let flight = flight_of(&world, action);
+        let carried = carried_by(&world, action);
         world = next;
         tick += u32::from(matches!(action, Action::Tick | Action::Late(_)));
-        pen.step(tick, action, flight.as_ref(), &world);
+        recorder.step(tick, action, carried.as_ref(), &world);
     }
-    Some(pen)
+    Some(recorder)
 }
 
-fn pen(scenario: &Scenario) -> Pen {
+fn recorder(scenario: &Scenario) -> ChartRecorder {
     let name = |i| scenario.name(TaskId::from_index(i)).to_string();
-    Pen::new((0..scenario.tasks()).map(name).collect())
+    ChartRecorder::new((0..scenario.tasks()).map(name).collect())
 }
 
 /// The packet that an action is about.
-fn flight_of(world: &World, action: Action) -> Option<Flight> {
+fn carried_by(world: &World, action: Action) -> Option<InFlight> {
     match action {
         Action::Deliver(i) | Action::Overcharge(i, _) | Action::Lose(i) | Action::Duplicate(i) => {
-            world.flights.get(usize::from(i)).copied()
+            world.in_flight.get(usize::from(i)).copied()
         }
         _ => None,
     }
 }
 
 /// Draws one step from a packed state. Members stand where the packed state has them.
-pub(crate) fn one_step(scenario: &Arc<Scenario>, state: &Packed, action: Action) -> Pen {
-    let (mut pen, mut world) = (pen(scenario), World::new(scenario));
+pub(crate) fn one_step(scenario: &Arc<Scenario>, state: &Packed, action: Action) -> ChartRecorder {
+    let (mut recorder, mut world) = (recorder(scenario), World::new(scenario));
     world.load(state, None);
     world.keep_log = true;
     world.log.clear();
-    let flight = flight_of(&world, action);
+    let carried = carried_by(&world, action);
     world.apply(action);
-    pen.step(0, action, flight.as_ref(), &world);
-    pen
+    recorder.step(0, action, carried.as_ref(), &world);
+    recorder
 }
 
 /// The step of `world` whose canonical result is `target`. States on a path have their members sorted, but a chart
@@ -185,7 +186,7 @@ fn concrete_step(world: &World, target: &Packed) -> Option<(Action, World)> {
 }
 
 /// Records what happens as notes, with a lane for each name.
-pub(crate) struct Pen {
+pub(crate) struct ChartRecorder {
     names: Vec<String>,
     /// Names of the ports, by port; empty if notes name no ports.
     ports: Vec<String>,
@@ -195,7 +196,7 @@ pub(crate) struct Pen {
     pub notes: Vec<Note>,
 }
 
-impl Pen {
+impl ChartRecorder {
     pub const fn new(names: Vec<String>) -> Self {
         Self { names, ports: Vec::new(), timers: Vec::new(), notes: Vec::new() }
     }
@@ -224,14 +225,14 @@ impl Pen {
     }
 
     /// Adds a packet between two lanes.
-    pub fn arrow(&mut self, tick: u32, (from, to): (usize, usize), packet: &Packet, fate: &str) {
+    pub fn arrow(&mut self, tick: u32, (from, to): (usize, usize), packet: &Packet, outcome: &str) {
         let label = label(packet, &self.ports);
-        self.notes.push(Note::Packet { tick, from, to, label, fate: fate.into(), line: None });
+        self.notes.push(Note::Packet { tick, from, to, label, outcome: outcome.into(), line: None });
     }
 
-    fn step(&mut self, tick: u32, action: Action, flight: Option<&Flight>, world: &World) {
+    fn step(&mut self, tick: u32, action: Action, carried: Option<&InFlight>, world: &World) {
         let charged;
-        let fate = match action {
+        let outcome = match action {
             Action::Deliver(_) => Some(""),
             Action::Overcharge(_, extra) => {
                 charged = format!("CHARGED +{extra}");
@@ -241,8 +242,8 @@ impl Pen {
             Action::Duplicate(_) => Some("TWICE"),
             _ => None,
         };
-        if let (Some(fate), Some(Flight { packet, .. })) = (fate, flight) {
-            self.arrow(tick, (packet.source.index(), packet.destination.index()), packet, fate);
+        if let (Some(outcome), Some(InFlight { packet, .. })) = (outcome, carried) {
+            self.arrow(tick, (packet.source.index(), packet.destination.index()), packet, outcome);
         }
         match action {
             Action::Late(i) => self.event(tick, usize::from(i), "LATE TIMER"),
@@ -260,7 +261,7 @@ impl Pen {
     pub fn shown(&mut self, tick: u32, lane: usize, shown: &Shown) {
         let text = match shown {
             Shown::Seen(seen) => self.told(seen),
-            Shown::Told(signal) => {
+            Shown::Signalled(signal) => {
                 said(signal, &self.ports, self.timers.get(lane).map_or(&[], Vec::as_slice))
             }
         };

@@ -1,10 +1,10 @@
 //! The claims: sentences of the paper or of a decision, with the state spaces that settle them. A claim holds under
 //! the default rules, and fails, with its shortest counterexample, under each named variant.
 
+mod cell_states;
 mod commands;
 mod couples;
 mod exchange;
-mod floors;
 mod larger;
 mod margins;
 mod meeting;
@@ -13,10 +13,10 @@ mod pinned;
 mod service;
 mod timing;
 
+use crate::cell_state::plan::CellScenario;
+use crate::cell_state::{draw_cell_state, explore_cell_state};
 use crate::chart::{Counterexample, draw};
 use crate::explore::{Exploration, Limits, explore};
-use crate::floor::plan::FloorPlan;
-use crate::floor::{draw_floor, explore_floor};
 use crate::report::{Bounds, Found, Outcome, Report, Verdict, collision_probability};
 use crate::scenario::Scenario;
 use crate::side_by_side::side_by_side;
@@ -120,7 +120,7 @@ impl Counts {
 #[derive(Clone, Debug)]
 pub(crate) enum Explored {
     World(Arc<Scenario>),
-    Floor(Arc<FloorPlan>),
+    CellState(Arc<CellScenario>),
 }
 
 /// The first state space that the rows of a claim explore.
@@ -166,12 +166,12 @@ impl Work<'_> {
         self.progress.states(self.name, self.counts.states);
     }
 
-    /// Explores a floor: the outcome, and the counterexample if there is one.
-    pub fn judge_floor(&mut self, plan: &Arc<FloorPlan>) -> (Outcome, Option<Counterexample>) {
-        self.first.get_or_insert_with(|| Explored::Floor(Arc::clone(plan)));
-        let found = explore_floor(plan, self.limits);
+    /// Explores a cell: the outcome, and the counterexample if there is one.
+    pub fn judge_cell_state(&mut self, plan: &Arc<CellScenario>) -> (Outcome, Option<Counterexample>) {
+        self.first.get_or_insert_with(|| Explored::CellState(Arc::clone(plan)));
+        let found = explore_cell_state(plan, self.limits);
         self.count(&found);
-        (outcome(&found), unless_it_panics(|| draw_floor(plan, &found)))
+        (outcome(&found), unless_it_panics(|| draw_cell_state(plan, &found)))
     }
 
     /// Distinct states explored so far.
@@ -213,7 +213,7 @@ pub(crate) fn outcome<A>(found: &Exploration<A>) -> Outcome {
 fn all() -> Vec<Claim> {
     let mut claims = meetings::claims();
     claims.extend(commands::claims());
-    claims.extend(floors::claims());
+    claims.extend(cell_states::claims());
     claims.extend(service::claims());
     claims.extend(couples::claims());
     claims.extend(timing::claims());

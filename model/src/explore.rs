@@ -223,7 +223,7 @@ fn touched(scenario: &Scenario, action: Action) -> Touch {
     let local = scenario.is_meeting()
         && !scenario.reductions.ignores
         && !scenario.reductions.turns
-        && !scenario.lives()
+        && !scenario.incarnations()
         && !matches!(scenario.watch, Watch::Stranded | Watch::Waits)
         && scenario.timing.late == 0;
     match action {
@@ -335,7 +335,7 @@ mod tests {
         let start = model.init_states().remove(0);
         let expected = model.next_state(&start, Action::Act(0));
         // Without its nodes the world indexes past the end, as a fault of the machine would.
-        model.0.scratch.lock().expect("nobody panicked with it").places.clear();
+        model.0.scratch.lock().expect("nobody panicked with it").nodes.clear();
         let broken = model.next_state(&start, Action::Act(0)).expect("a state in any case");
         assert_eq!(broken.violation(), Some(crate::Violation::Panic));
         assert!(broken.is_final());

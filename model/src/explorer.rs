@@ -1,10 +1,10 @@
 //! Serves the state space of a claim in stateright's Explorer, with each path as a sequence chart.
 
 use crate::cell::svg;
-use crate::chart::{self, Pen};
+use crate::cell_state::{self, CellState};
+use crate::chart::{self, ChartRecorder};
 use crate::claims::Explored;
 use crate::explore::{Ground, Grounded, Limits};
-use crate::floor::{self, Floor};
 use crate::state::Packed;
 use crate::world::World;
 use stateright::{Model, Path, Property};
@@ -73,21 +73,21 @@ impl Explorer {
         match self.0 {
             Explored::World(scenario) => {
                 let pad = World::new(&scenario);
-                let way = Arc::clone(&scenario);
+                let path_chart = Arc::clone(&scenario);
                 let drawn = Drawn {
                     grounded: Grounded::new(pad, limits, None),
-                    way: Box::new(move |states| chart::walk(&way, states)),
+                    path_chart: Box::new(move |states| chart::walk(&path_chart, states)),
                     step: Box::new(move |state, action| chart::one_step(&scenario, state, action)),
                 };
                 drop(drawn.checker().serve(address));
             }
-            Explored::Floor(plan) => {
-                let pad = Floor::new(&plan);
-                let way = Arc::clone(&plan);
+            Explored::CellState(plan) => {
+                let pad = CellState::new(&plan);
+                let path_chart = Arc::clone(&plan);
                 let drawn = Drawn {
                     grounded: Grounded::new(pad, limits, None),
-                    way: Box::new(move |states| floor::chart::walk(&way, states)),
-                    step: Box::new(move |state, step| floor::chart::one_step(&plan, state, step)),
+                    path_chart: Box::new(move |states| cell_state::chart::walk(&path_chart, states)),
+                    step: Box::new(move |state, step| cell_state::chart::one_step(&plan, state, step)),
                 };
                 drop(drawn.checker().serve(address));
             }
@@ -97,14 +97,14 @@ impl Explorer {
 }
 
 /// Draws the path through these states.
-type Way = Box<dyn Fn(&[Packed]) -> Option<Pen> + Send + Sync>;
+type PathChart = Box<dyn Fn(&[Packed]) -> Option<ChartRecorder> + Send + Sync>;
 /// Draws one step from a state.
-type OneStep<A> = Box<dyn Fn(&Packed, A) -> Pen + Send + Sync>;
+type OneStep<A> = Box<dyn Fn(&Packed, A) -> ChartRecorder + Send + Sync>;
 
 /// A state space as a stateright model that draws its paths and steps.
 struct Drawn<G: Ground> {
     grounded: Grounded<G>,
-    way: Way,
+    path_chart: PathChart,
     step: OneStep<G::Action>,
 }
 
@@ -132,8 +132,10 @@ impl<G: Ground + 'static> Model for Drawn<G> {
     fn format_step(&self, state: &Packed, action: G::Action) -> Option<String> {
         let wrong = self.next_state(state, action)?.violation();
         // A step that panics has no notes; the violation below says that it panicked.
-        let pen = catch_unwind(AssertUnwindSafe(|| (self.step)(state, action))).ok();
-        let words = pen.iter().flat_map(|pen| pen.notes.iter().map(|note| note.words(pen.names())));
+        let recorder = catch_unwind(AssertUnwindSafe(|| (self.step)(state, action))).ok();
+        let words = recorder
+            .iter()
+            .flat_map(|recorder| recorder.notes.iter().map(|note| note.words(recorder.names())));
         let words = words.chain(wrong.map(|wrong| format!("=> {}", wrong.text())));
         Some(words.collect::<Vec<_>>().join("\n"))
     }
@@ -142,7 +144,7 @@ impl<G: Ground + 'static> Model for Drawn<G> {
         let cause = path.last_state().violation().map_or("", |violation| violation.text());
         let states = path.into_states();
         // Replaying a path to a panic of the machine panics again.
-        let pen = catch_unwind(AssertUnwindSafe(|| (self.way)(&states))).ok()??;
-        Some(svg(pen.names(), &pen.notes, cause))
+        let recorder = catch_unwind(AssertUnwindSafe(|| (self.path_chart)(&states))).ok()??;
+        Some(svg(recorder.names(), &recorder.notes, cause))
     }
 }

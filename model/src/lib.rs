@@ -6,16 +6,16 @@
 #![forbid(unsafe_code)]
 
 pub mod cell;
+pub mod cell_state;
 mod chart;
 mod claims;
 mod explore;
 mod explorer;
-pub mod floor;
-mod ghost;
 mod network;
 mod report;
 mod scenario;
 mod side_by_side;
+mod spec_state;
 mod state;
 mod symmetry;
 mod world;

@@ -8,18 +8,18 @@ use imrs_protocol::{
 
 /// A packet in flight.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
-pub(crate) struct Flight {
+pub(crate) struct InFlight {
     pub packet: Packet,
     /// Ticks since it was sent.
     pub age: u8,
     /// The incarnation of the node that sent it, as its envelope says.
-    pub life: Incarnation,
+    pub incarnation: Incarnation,
     /// Whether it was sent since the last tick, after its receiver's turn (see `world::turns`).
     pub fresh: bool,
 }
 
 /// Most bytes of a packed packet.
-pub(crate) const FLIGHT_BYTES: usize = 32;
+pub(crate) const IN_FLIGHT_BYTES: usize = 32;
 
 /// The greatest age that half a byte holds beside the mark of a fresh packet, whose age is 0.
 const OLDEST: u8 = 14;
@@ -30,12 +30,12 @@ const COMPACT_FRESH: u8 = 3;
 /// A packed packet.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Packed {
-    bytes: [u8; FLIGHT_BYTES],
+    bytes: [u8; IN_FLIGHT_BYTES],
     len: u8,
 }
 
 impl Packed {
-    const EMPTY: Self = Self { bytes: [0; FLIGHT_BYTES], len: 0 };
+    const EMPTY: Self = Self { bytes: [0; IN_FLIGHT_BYTES], len: 0 };
 
     fn push(&mut self, byte: u8) -> Result<(), Overflow> {
         *self.bytes.get_mut(usize::from(self.len)).ok_or(Overflow)? = byte;
@@ -53,7 +53,7 @@ impl Packed {
 pub(crate) struct Codec {
     /// Whether kind, ends and age fit one byte: one waitfor of at most four tasks, link delays of at most two ticks.
     compact: bool,
-    lives: bool,
+    incarnations: bool,
     /// The TTL of a CONFIRM or an ABORT. It is constant, so it is not packed.
     patience: Ticks,
 }
@@ -62,17 +62,17 @@ impl Codec {
     pub fn new(scenario: &Scenario) -> Self {
         let compact = scenario.is_meeting() && scenario.tasks() <= 4 && scenario.delay.unwrap_or(0) <= 2;
         let patience = scenario.cell.ports().first().map_or(Ticks::FAR, |port| port.decl.time_out);
-        Self { compact, lives: scenario.lives(), patience }
+        Self { compact, incarnations: scenario.incarnations(), patience }
     }
 
     /// Packs a packet in flight, its ends renamed by `rename`.
     pub fn encode(
         self,
-        flight: &Flight,
+        carried: &InFlight,
         frame: &Frame<'_>,
         rename: impl Fn(TaskId) -> u8,
     ) -> Result<Packed, Overflow> {
-        let Flight { packet, age, life, fresh } = flight;
+        let InFlight { packet, age, incarnation, fresh } = carried;
         if *age > OLDEST {
             return Err(Overflow);
         }
@@ -88,8 +88,8 @@ impl Codec {
             out.push((source << 4) | destination)?;
             out.push(u8::try_from(packet.port.0).map_err(|_| Overflow)?)?;
         }
-        if self.lives {
-            out.push((packet.id.incarnation.0 << 4) | life.0)?;
+        if self.incarnations {
+            out.push((packet.id.incarnation.0 << 4) | incarnation.0)?;
         }
         if meeting {
             return self.encode_meeting(packet, frame, out);
@@ -123,7 +123,7 @@ impl Codec {
     }
 
     /// Unpacks a packet in flight. Returns it and the number of bytes read.
-    pub fn decode(self, bytes: &[u8]) -> (Flight, usize) {
+    pub fn decode(self, bytes: &[u8]) -> (InFlight, usize) {
         let mut at = 0;
         let mut byte = || {
             let byte = bytes.get(at).copied().unwrap_or(0);
@@ -144,17 +144,17 @@ impl Codec {
             let ends = byte();
             (source, destination, port) = (ends >> 4, ends & 15, byte());
         }
-        let (mut id_life, mut life) = (Incarnation(0), Incarnation(0));
-        if self.lives {
-            let lives = byte();
-            (id_life, life) = (Incarnation(lives >> 4), Incarnation(lives & 15));
+        let (mut id_incarnation, mut incarnation) = (Incarnation(0), Incarnation(0));
+        if self.incarnations {
+            let incarnations = byte();
+            (id_incarnation, incarnation) = (Incarnation(incarnations >> 4), Incarnation(incarnations & 15));
         }
         let mut packet = Packet {
             kind,
             destination: TaskId(u16::from(destination)),
             source: TaskId(u16::from(source)),
             port: PortId(u16::from(port)),
-            id: MessageId { incarnation: id_life, sequence: Seq24::default() },
+            id: MessageId { incarnation: id_incarnation, sequence: Seq24::default() },
             remaining: self.patience,
             ..Packet::BLANK
         };
@@ -182,7 +182,7 @@ impl Codec {
             }
             packet.contents = Contents::new(&contents[..len]).unwrap_or_default();
         }
-        (Flight { packet, age: if fresh { 0 } else { age }, life, fresh }, at)
+        (InFlight { packet, age: if fresh { 0 } else { age }, incarnation, fresh }, at)
     }
 }
 

@@ -159,10 +159,10 @@ impl Scenario {
 
     /// Whether nodes can have more than one incarnation.
     #[must_use]
-    pub const fn lives(&self) -> bool {
+    pub const fn incarnations(&self) -> bool {
         self.budget.crash > 0
     }
 
     /// The first incarnation of every node.
-    pub const FIRST_LIFE: Incarnation = Incarnation(0);
+    pub const FIRST_INCARNATION: Incarnation = Incarnation(0);
 }

@@ -94,7 +94,7 @@ violations! {
     BothActive 41 "both tasks of a couple act at a time",
     OldEpoch 43 "a task acts in an epoch that somebody acted in before",
     OldOrder 44 "an order was executed though one of a newer epoch had come",
-    LivesLonger 45 "a message that waits has more time left than its sender waits for it",
+    TtlExtended 45 "a message that waits has more time left than its sender waits for it",
     NotExpired 46 "a message still waits though its sender's time_out is over",
     RanAnyway 47 "a command ran though its sender was told that it did not",
     HandedOverTwice 48 "a message was taken in or handed over twice",

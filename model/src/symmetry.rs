@@ -2,7 +2,7 @@
 //! the canonical form. It is computed inside `next_state`, so that every search uses it (stateright's breadth-first
 //! search ignores stateright's own `symmetry`).
 
-use crate::network::{Codec, Flight, Packed};
+use crate::network::{Codec, InFlight, Packed};
 use crate::state::HEADER;
 use imrs_protocol::{Frame, Overflow, TaskId};
 
@@ -12,9 +12,9 @@ const MANY: usize = 4;
 /// The parts that a packed state is put together from.
 pub(crate) struct Parts<'a> {
     pub header: [u8; HEADER],
-    pub ghosts: &'a [Vec<u8>],
+    pub specs: &'a [Vec<u8>],
     pub blocks: &'a [Vec<u8>],
-    pub flights: &'a [Flight],
+    pub packets: &'a [InFlight],
     pub frame: Frame<'a>,
     pub codec: Codec,
 }
@@ -24,9 +24,9 @@ impl Parts<'_> {
     pub fn in_order(&self) -> Result<Vec<u8>, Overflow> {
         let mut bytes = Vec::with_capacity(96);
         bytes.extend(self.header);
-        self.ghosts.iter().for_each(|ghost| bytes.extend(ghost));
+        self.specs.iter().for_each(|spec_state| bytes.extend(spec_state));
         self.blocks.iter().for_each(|block| bytes.extend(block));
-        self.put_flights(|task| u8::try_from(task.0).unwrap_or(u8::MAX), &mut bytes)?;
+        self.put_in_flight(|task| u8::try_from(task.0).unwrap_or(u8::MAX), &mut bytes)?;
         Ok(bytes)
     }
 
@@ -38,7 +38,7 @@ impl Parts<'_> {
         let views = if n < MANY { Vec::new() } else { self.views()? };
         let signature = |i: usize| {
             let block = self.block(i);
-            (self.ghosts[i].as_slice(), block.node, block.task, views.get(i).map(Vec::as_slice))
+            (self.specs[i].as_slice(), block.node, block.task, views.get(i).map(Vec::as_slice))
         };
         order.sort_by(|&a, &b| signature(a).cmp(&signature(b)));
         let mut best = (self.renamed(&order)?, order.clone());
@@ -59,10 +59,10 @@ impl Parts<'_> {
         let n = self.blocks.len();
         let entries: Vec<_> = (0..n).map(|i| self.entries(&self.block(i))).collect();
         let knows = |i: usize, of: usize| entries[i].get(of).copied().unwrap_or_default();
-        let mut flights = Vec::with_capacity(self.flights.len());
-        for flight in self.flights {
-            let (from, to) = (flight.packet.source.index(), flight.packet.destination.index());
-            flights.push((self.codec.encode(flight, &self.frame, |_| 0)?, from, to));
+        let mut packets = Vec::with_capacity(self.packets.len());
+        for carried in self.packets {
+            let (from, to) = (carried.packet.source.index(), carried.packet.destination.index());
+            packets.push((self.codec.encode(carried, &self.frame, |_| 0)?, from, to));
         }
         let view = |i: usize| {
             let mut own: Vec<_> = (0..n).map(|of| knows(i, of)).collect();
@@ -70,7 +70,7 @@ impl Parts<'_> {
             own.sort_unstable();
             others.sort_unstable();
             let mut view: Vec<u8> = own.into_iter().chain(others).flatten().copied().collect();
-            let near = flights.iter().filter(|&&(_, from, to)| from == i || to == i);
+            let near = packets.iter().filter(|&&(_, from, to)| from == i || to == i);
             let mut near: Vec<_> = near.map(|(packed, from, _)| (packed, *from == i)).collect();
             near.sort_unstable();
             for (packed, sent) in near {
@@ -86,7 +86,7 @@ impl Parts<'_> {
     pub fn renamed(&self, order: &[usize]) -> Result<Vec<u8>, Overflow> {
         let mut bytes = Vec::with_capacity(96);
         bytes.extend(self.header);
-        order.iter().for_each(|&i| bytes.extend(&self.ghosts[i]));
+        order.iter().for_each(|&i| bytes.extend(&self.specs[i]));
         for &i in order {
             let block = self.block(i);
             bytes.push(block.len);
@@ -99,17 +99,17 @@ impl Parts<'_> {
             order.iter().for_each(|&of| bytes.extend(entries.get(of).copied().unwrap_or_default()));
         }
         let position = |task: TaskId| order.iter().position(|&i| i == task.index()).unwrap_or(0);
-        self.put_flights(|task| u8::try_from(position(task)).unwrap_or(u8::MAX), &mut bytes)?;
+        self.put_in_flight(|task| u8::try_from(position(task)).unwrap_or(u8::MAX), &mut bytes)?;
         Ok(bytes)
     }
 
-    fn put_flights(&self, rename: impl Fn(TaskId) -> u8, bytes: &mut Vec<u8>) -> Result<(), Overflow> {
-        let mut packed: Vec<Packed> = Vec::with_capacity(self.flights.len());
-        for flight in self.flights {
-            packed.push(self.codec.encode(flight, &self.frame, &rename)?);
+    fn put_in_flight(&self, rename: impl Fn(TaskId) -> u8, bytes: &mut Vec<u8>) -> Result<(), Overflow> {
+        let mut packed: Vec<Packed> = Vec::with_capacity(self.packets.len());
+        for carried in self.packets {
+            packed.push(self.codec.encode(carried, &self.frame, &rename)?);
         }
         packed.sort_unstable();
-        packed.iter().for_each(|flight| bytes.extend(flight.as_bytes()));
+        packed.iter().for_each(|carried| bytes.extend(carried.as_bytes()));
         Ok(())
     }
 }
@@ -130,15 +130,15 @@ struct Block<'a> {
 impl Parts<'_> {
     fn block(&self, i: usize) -> Block<'_> {
         let block = self.blocks[i].as_slice();
-        let lives = self.frame.lives;
+        let incarnations = self.frame.incarnations;
         // See `store_place`: length, least round; if nodes can restart: up, own incarnation, known incarnations.
-        let known = if lives { 4 } else { 2 };
-        let start = if lives { known + self.blocks.len() } else { known };
+        let known = if incarnations { 4 } else { 2 };
+        let start = if incarnations { known + self.blocks.len() } else { known };
         // See `CommTask::walk`: the ranks of the order, the wait (one byte for a task that only meets), three more
         // bytes if nodes can restart, then the meeting's flags, round and the fields that the flags announce.
         let mut at = start;
         at += 1 + 2 * usize::from(block.get(at).copied().unwrap_or(0) & 0x0f);
-        at += if lives { 4 } else { 1 };
+        at += if incarnations { 4 } else { 1 };
         let flags = block.get(at).copied().unwrap_or(0);
         at += 2;
         at += usize::from(flags & 1 != 0) + usize::from(flags & 2 != 0) + usize::from(flags & 4 != 0);
@@ -160,7 +160,7 @@ impl Parts<'_> {
         let mut bytes = block.members;
         while let Some(&flags) = bytes.first() {
             let len = 1 + if flags & 1 != 0 { 2 } else { 0 } + usize::from(flags & 2 != 0);
-            let (entry, rest) = bytes.split_at((len + usize::from(self.frame.lives)).min(bytes.len()));
+            let (entry, rest) = bytes.split_at((len + usize::from(self.frame.incarnations)).min(bytes.len()));
             entries.push(entry);
             bytes = rest;
         }

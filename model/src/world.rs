@@ -4,9 +4,9 @@
 //! [`World::store`] packs the result. Packed numbers are relative: remaining times, rounds counted from the least one
 //! in use, sequences counted back from the next one (D51).
 
-use crate::ghost::{Ghost, Judge, question};
-use crate::network::{Codec, FLIGHT_BYTES, Flight};
+use crate::network::{Codec, IN_FLIGHT_BYTES, InFlight};
 use crate::scenario::{Behaviour, Scenario, Watch};
+use crate::spec_state::{Judge, SpecState, question};
 use crate::state::Violation;
 
 use imrs_protocol::{
@@ -51,11 +51,11 @@ pub enum Action {
 
 /// The state of a node. Every node runs one task, with the same index.
 #[derive(Clone, Debug)]
-pub(crate) struct Place {
+pub(crate) struct NodeState {
     pub node: Node,
     pub table: NodeTable,
     pub up: bool,
-    pub life: Incarnation,
+    pub incarnation: Incarnation,
     /// The incarnation in which this node knows each other node.
     pub known: Vec<Incarnation>,
 }
@@ -64,9 +64,9 @@ pub(crate) struct Place {
 #[derive(Clone, Debug)]
 pub(crate) struct World {
     pub scenario: Arc<Scenario>,
-    pub places: Vec<Place>,
-    pub flights: Vec<Flight>,
-    pub ghosts: Vec<Ghost>,
+    pub nodes: Vec<NodeState>,
+    pub in_flight: Vec<InFlight>,
+    pub spec_states: Vec<SpecState>,
     pub violation: Option<Violation>,
     pub loss: u8,
     pub dup: u8,
@@ -106,7 +106,7 @@ pub(crate) enum Shown {
     /// An event that its communication task reported.
     Seen(Observation),
     /// A signal to the task.
-    Told(Signal),
+    Signalled(Signal),
 }
 
 /// What one step of a node sent and showed.
@@ -135,14 +135,20 @@ impl World {
         let n = scenario.tasks();
         let place = |i: usize| {
             let table = scenario.table(NodeId::from_index(i));
-            let mut node = Node::new(table.clone(), Scenario::FIRST_LIFE, false, TRANSIT);
+            let mut node = Node::new(table.clone(), Scenario::FIRST_INCARNATION, false, TRANSIT);
             node.parts_mut().tasks[0].set_ahead(&table, Ticks(scenario.clocks[i]));
-            Place { node, table, up: true, life: Scenario::FIRST_LIFE, known: vec![Scenario::FIRST_LIFE; n] }
+            NodeState {
+                node,
+                table,
+                up: true,
+                incarnation: Scenario::FIRST_INCARNATION,
+                known: vec![Scenario::FIRST_INCARNATION; n],
+            }
         };
         Self {
-            places: (0..n).map(place).collect(),
-            flights: Vec::new(),
-            ghosts: scenario.behaviours.iter().map(|&b| Ghost::new(b)).collect(),
+            nodes: (0..n).map(place).collect(),
+            in_flight: Vec::new(),
+            spec_states: scenario.behaviours.iter().map(|&b| SpecState::new(b)).collect(),
             violation: None,
             loss: scenario.budget.loss,
             dup: scenario.budget.dup,
@@ -167,7 +173,7 @@ impl World {
     }
 
     fn n(&self) -> usize {
-        self.places.len()
+        self.nodes.len()
     }
 
     /// Lists the enabled transitions. Their order decides which of several shortest counterexamples is found.
@@ -187,22 +193,22 @@ impl World {
         for i in 0..self.n() {
             self.task_actions(i, actions);
         }
-        for (i, flight) in self.flights.iter().enumerate() {
+        for (i, carried) in self.in_flight.iter().enumerate() {
             let i = small(i);
             // Delivering either of two equal packets gives the same state.
-            if i > 0 && self.flights[usize::from(i) - 1] == *flight {
+            if i > 0 && self.in_flight[usize::from(i) - 1] == *carried {
                 continue;
             }
             self.arrivals(i, actions);
             // Nobody can notice a loss before the packet's last tick, unless the faults end first.
             let may_heal = matches!(self.scenario.watch, Watch::MeetAgain { .. });
-            let last = may_heal || self.scenario.delay.is_none_or(|delay| flight.age == delay);
+            let last = may_heal || self.scenario.delay.is_none_or(|delay| carried.age == delay);
             if self.loss > 0 && !self.healed && (last || !self.scenario.reductions.lose_last) {
                 actions.push(Action::Lose(i));
             }
         }
         self.crashes(actions);
-        let oldest = self.flights.iter().map(|f| f.age).max();
+        let oldest = self.in_flight.iter().map(|f| f.age).max();
         let arrived = self.scenario.delay.is_some_and(|delay| oldest.is_none_or(|age| age < delay));
         if arrived && !self.is_urgent() {
             self.ticks(actions);
@@ -225,7 +231,7 @@ impl World {
     fn ticks(&self, actions: &mut Vec<Action>) {
         actions.push(Action::Tick);
         if self.late > 0 && !self.healed {
-            let punctual = (0..self.n()).filter(|&i| self.places[i].up && !self.owed[i]);
+            let punctual = (0..self.n()).filter(|&i| self.nodes[i].up && !self.owed[i]);
             actions.extend(punctual.map(|i| Action::Late(small(i))));
         }
     }
@@ -233,7 +239,7 @@ impl World {
     /// Lists crashes, restarts and the end of faults.
     fn crashes(&self, actions: &mut Vec<Action>) {
         if self.crash > 0 {
-            for (i, place) in self.places.iter().enumerate() {
+            for (i, place) in self.nodes.iter().enumerate() {
                 let may =
                     matches!(self.scenario.behaviours[i], Behaviour::Receiver | Behaviour::Member { .. });
                 if place.up && may {
@@ -241,7 +247,7 @@ impl World {
                 }
             }
         }
-        for (i, place) in self.places.iter().enumerate() {
+        for (i, place) in self.nodes.iter().enumerate() {
             if !place.up {
                 actions.push(Action::Restart(small(i)));
             }
@@ -261,21 +267,21 @@ impl World {
     }
 
     fn task_actions(&self, i: usize, actions: &mut Vec<Action>) {
-        if !self.places[i].up {
+        if !self.nodes[i].up {
             return;
         }
-        let ghost = &self.ghosts[i];
+        let spec_state = &self.spec_states[i];
         let running = self.task(i).is_idle();
         match self.scenario.behaviours[i] {
             Behaviour::Member { .. } | Behaviour::Sender { .. } => {
                 if running
-                    && (ghost.left > 0
+                    && (spec_state.left > 0
                         || (self.healed && matches!(self.scenario.behaviours[i], Behaviour::Member { .. })))
                 {
                     actions.push(Action::Act(small(i)));
                 }
             }
-            Behaviour::Receiver if ghost.serving.is_some() => actions.push(Action::Answer(small(i))),
+            Behaviour::Receiver if spec_state.serving.is_some() => actions.push(Action::Answer(small(i))),
             Behaviour::Receiver => {
                 if running {
                     actions.push(Action::Act(small(i)));
@@ -285,13 +291,13 @@ impl World {
     }
 
     fn task(&self, i: usize) -> &imrs_protocol::CommTask {
-        &self.places[i].node.parts().tasks[0]
+        &self.nodes[i].node.parts().tasks[0]
     }
 
     /// Whether all tasks are idle with nothing left to do, and no packet is in flight.
     pub fn is_finished(&self) -> bool {
-        let rests = |i: usize| self.task(i).is_idle() && self.ghosts[i].left == 0;
-        self.flights.is_empty() && (0..self.n()).all(rests)
+        let rests = |i: usize| self.task(i).is_idle() && self.spec_states[i].left == 0;
+        self.in_flight.is_empty() && (0..self.n()).all(rests)
     }
 
     /// Makes a transition. If it violates the watched property, that becomes the state's violation.
@@ -307,47 +313,47 @@ impl World {
                 self.tick(Some(usize::from(i)))
             }
             Action::Deliver(i) => {
-                let flight = self.flights.remove(usize::from(i));
-                self.deliver(flight, 0)
+                let carried = self.in_flight.remove(usize::from(i));
+                self.deliver(carried, 0)
             }
             Action::Overcharge(i, extra) => {
-                let flight = self.flights.remove(usize::from(i));
-                self.deliver(flight, extra)
+                let carried = self.in_flight.remove(usize::from(i));
+                self.deliver(carried, extra)
             }
             Action::Lose(i) => {
-                self.flights.remove(usize::from(i));
+                self.in_flight.remove(usize::from(i));
                 self.loss -= 1;
                 Ok(())
             }
             Action::Duplicate(i) => {
                 self.dup -= 1;
-                let flight = self.flights[usize::from(i)];
-                self.deliver(flight, 0)
+                let carried = self.in_flight[usize::from(i)];
+                self.deliver(carried, 0)
             }
             Action::Act(i) => self.act(usize::from(i)),
             Action::Answer(i) => self.answer(usize::from(i)),
             Action::Crash(i) => {
-                let place = &mut self.places[usize::from(i)];
+                let place = &mut self.nodes[usize::from(i)];
                 place.up = false;
                 self.owed[usize::from(i)] = false;
-                let ghost = &mut self.ghosts[usize::from(i)];
-                (ghost.serving, ghost.open) = (None, None);
+                let spec_state = &mut self.spec_states[usize::from(i)];
+                (spec_state.serving, spec_state.open) = (None, None);
                 self.crash -= 1;
                 Ok(())
             }
             Action::Restart(i) => {
-                let place = &mut self.places[usize::from(i)];
-                place.life = Incarnation(place.life.0 + 1);
+                let place = &mut self.nodes[usize::from(i)];
+                place.incarnation = Incarnation(place.incarnation.0 + 1);
                 place.up = true;
-                place.node = Node::new(place.table.clone(), place.life, true, TRANSIT);
+                place.node = Node::new(place.table.clone(), place.incarnation, true, TRANSIT);
                 place.node.parts_mut().tasks[0].walk(&place.table, &mut FromBase(self.rounds[0]));
-                self.ghosts[usize::from(i)].missed = self.left_by_others(usize::from(i));
+                self.spec_states[usize::from(i)].missed = self.left_by_others(usize::from(i));
                 Ok(())
             }
             Action::Heal => {
                 self.healed = true;
-                for ghost in &mut self.ghosts {
-                    ghost.since_heal = 0;
+                for spec_state in &mut self.spec_states {
+                    spec_state.since_heal = 0;
                 }
                 Ok(())
             }
@@ -363,50 +369,50 @@ impl World {
         let others = (0..self.n()).filter(|&other| other != i);
         others.fold(0, |mask, other| {
             let here = match self.task(other).state() {
-                TaskState::Waiting { round, .. } if self.places[other].up => {
+                TaskState::Waiting { round, .. } if self.nodes[other].up => {
                     1_u32.checked_shl(u32::from(round.steps_from(self.rounds[0])))
                 }
                 _ => None,
             };
-            mask | (self.ghosts[other].announced & !here.unwrap_or(0))
+            mask | (self.spec_states[other].announced & !here.unwrap_or(0))
         })
     }
 
     /// A packet arrives. It is charged the link's bound and `extra` ticks.
-    fn deliver(&mut self, mut flight: Flight, extra: u8) -> Result<(), Violation> {
-        self.wrap_around(&mut flight);
-        let to = flight.packet.destination.index();
-        let from = NodeId::from_index(flight.packet.source.index());
-        if !self.places[to].up {
+    fn deliver(&mut self, mut carried: InFlight, extra: u8) -> Result<(), Violation> {
+        self.wrap_around(&mut carried);
+        let to = carried.packet.destination.index();
+        let from = NodeId::from_index(carried.packet.source.index());
+        if !self.nodes[to].up {
             return Ok(());
         }
         self.catch_up(to)?;
         // An envelope announces a new incarnation before any of its packets is handed on (D49).
-        let known = self.places[to].known[from.index()];
-        if self.scenario.lives() && flight.life != known {
-            if flight.life.0 < known.0 {
+        let known = self.nodes[to].known[from.index()];
+        if self.scenario.incarnations() && carried.incarnation != known {
+            if carried.incarnation.0 < known.0 {
                 return Ok(());
             }
-            self.places[to].known[from.index()] = flight.life;
+            self.nodes[to].known[from.index()] = carried.incarnation;
             self.step(to, Ticks::ZERO, NodeInput::PeerRestarted(from))?;
         }
         let charge = Ticks(u64::from(self.scenario.delay.unwrap_or(0)) + u64::from(extra));
-        self.step(to, Ticks::ZERO, NodeInput::Packet { from, packet: flight.packet, charge })
+        self.step(to, Ticks::ZERO, NodeInput::Packet { from, packet: carried.packet, charge })
     }
 
     fn act(&mut self, i: usize) -> Result<(), Violation> {
         self.catch_up(i)?;
         let request = match self.scenario.behaviours[i] {
             Behaviour::Member { port, .. } => {
-                self.ghosts[i].use_one();
-                self.ghosts[i].open = Some(0);
+                self.spec_states[i].use_one();
+                self.spec_states[i].open = Some(0);
                 Request::Arrive { port, arguments: [0; 8], time_out: None }
             }
             Behaviour::Sender { port, .. } => {
-                self.ghosts[i].use_one();
-                self.ghosts[i].executed <<= 1;
-                self.ghosts[i].open = Some(0);
-                let contents = question(self.ghosts[i].left);
+                self.spec_states[i].use_one();
+                self.spec_states[i].executed <<= 1;
+                self.spec_states[i].open = Some(0);
+                let contents = question(self.spec_states[i].left);
                 Request::Send { port, to: Target::All, contents, time_out: None }
             }
             Behaviour::Receiver => Request::Get { port: None, source: None, time_out: None },
@@ -416,9 +422,9 @@ impl World {
 
     fn answer(&mut self, i: usize) -> Result<(), Violation> {
         self.catch_up(i)?;
-        let Some(to) = self.ghosts[i].serving.take() else { return Ok(()) };
+        let Some(to) = self.spec_states[i].serving.take() else { return Ok(()) };
         // The answer repeats the question, so that a mix-up shows. The question is derived from the sends left.
-        let asked = self.ghosts[to.source.index()].left;
+        let asked = self.spec_states[to.source.index()].left;
         let back = self.next_sequence(to.source.index()).steps_from(to.id.sequence).saturating_sub(1);
         let contents = question(asked.saturating_add(u8::try_from(back).unwrap_or(u8::MAX)));
         self.step(i, Ticks::ZERO, NodeInput::Request(TaskId::from_index(i), Request::Reply { to, contents }))
@@ -431,63 +437,63 @@ impl World {
     /// Steps one node after `elapsed` ticks and judges the effects.
     fn step(&mut self, i: usize, elapsed: Ticks, input: NodeInput) -> Result<(), Violation> {
         let task = TaskId::from_index(i);
-        self.ghosts[i].waits_in = match self.task(i).state() {
+        self.spec_states[i].waits_in = match self.task(i).state() {
             TaskState::Waiting { round, .. } => Some(round),
             _ => None,
         };
         let takes_turns = self.takes_turns();
         let mut effects = std::mem::take(&mut self.effects);
-        let Place { node, life, .. } = &mut self.places[i];
+        let NodeState { node, incarnation, .. } = &mut self.nodes[i];
         node.step(node.now() + elapsed, input, &mut effects);
         for packet in effects.sent.drain(..) {
             if self.scenario.watch == Watch::Stale
                 && packet.kind == Kind::Send
                 && packet.class == Class::Status
             {
-                let life = self.scenario.cell.port(packet.port).map_or(0, |p| p.decl.time_out.0);
-                self.ghosts[i].statuses.push((packet.id.sequence, u8::try_from(life).unwrap_or(u8::MAX)));
+                let ttl = self.scenario.cell.port(packet.port).map_or(0, |p| p.decl.time_out.0);
+                self.spec_states[i].statuses.push((packet.id.sequence, u8::try_from(ttl).unwrap_or(u8::MAX)));
             }
             let fresh = takes_turns && !self.open[packet.destination.index()];
-            self.flights.push(Flight { packet, age: 0, life: *life, fresh });
+            self.in_flight.push(InFlight { packet, age: 0, incarnation: *incarnation, fresh });
         }
         if self.keep_log {
             self.log.extend(effects.seen.iter().map(|&seen| (task, Shown::Seen(seen))));
-            self.log.extend(effects.signals.iter().map(|&signal| (task, Shown::Told(signal))));
+            self.log.extend(effects.signals.iter().map(|&signal| (task, Shown::Signalled(signal))));
         }
         let result = self.judge(task, &effects);
         effects.signals.clear();
         effects.seen.clear();
         self.effects = effects;
-        imrs_protocol::invariants::check(self.task(i), &self.places[i].table)
+        imrs_protocol::invariants::check(self.task(i), &self.nodes[i].table)
             .map_err(|_| Violation::Invariant)?;
         result
     }
 
     fn judge(&mut self, at: TaskId, effects: &Effects) -> Result<(), Violation> {
-        let mut ghosts = std::mem::take(&mut self.ghosts);
+        let mut spec_states = std::mem::take(&mut self.spec_states);
         let base = self.rounds.first().copied().unwrap_or_default();
         let mut judge = Judge {
             scenario: &self.scenario,
-            ghosts: &mut ghosts,
+            spec_states: &mut spec_states,
             healed: self.healed,
             base,
             done: self.done,
         };
         let awaits = |task: TaskId| -> Option<(TaskId, MessageId)> {
-            if self.places[task.index()].up { self.task(task.index()).awaits() } else { None }
+            if self.nodes[task.index()].up { self.task(task.index()).awaits() } else { None }
         };
         let seen = effects.seen.iter().try_for_each(|seen| judge.observed(at, seen));
         let late = effects.signals.iter().any(|s| matches!(s, Signal::Outcome(o) if timed_out(o)));
         let answer_on_the_way =
-            |flight: &Flight| flight.packet.kind == Kind::Reply && flight.packet.destination == at;
-        let current = self.flights.iter().any(|f| answer_on_the_way(f) && f.packet.id == self.last_id(at));
+            |carried: &InFlight| carried.packet.kind == Kind::Reply && carried.packet.destination == at;
+        let current = self.in_flight.iter().any(|f| answer_on_the_way(f) && f.packet.id == self.last_id(at));
         // The node drops an answer whose remaining time is less than the link delay (D83).
         let kept = effects.seen.iter().any(|seen| {
             seen.event == Event::Discarded(Reason::ExpiredInTransit)
                 && awaits(seen.peer).is_some_and(|(_, id)| id.sequence.get() == seen.number)
         });
         if (kept || (late && current)) && self.scenario.watch == Watch::Resolves {
-            self.ghosts = ghosts;
+            self.spec_states = spec_states;
             return Err(Violation::LateAnswer);
         }
         let signalled = seen
@@ -495,22 +501,22 @@ impl World {
             .and_then(|()| judge.judge_round());
         let done = judge.done;
         self.done = done;
-        self.ghosts = ghosts;
+        self.spec_states = spec_states;
         signalled
     }
 
     /// The id of the message that a task sent last.
     fn last_id(&self, task: TaskId) -> MessageId {
         let sequence = self.next_sequence(task.index()).plus(Seq24::MODULUS - 1);
-        MessageId { incarnation: self.places[task.index()].life, sequence }
+        MessageId { incarnation: self.nodes[task.index()].incarnation, sequence }
     }
 
     /// Judges [`Watch::Stranded`], which only a state without packets in flight can violate.
     fn judge_quiet(&self) -> Result<(), Violation> {
-        if self.scenario.watch != Watch::Stranded || !self.flights.is_empty() {
+        if self.scenario.watch != Watch::Stranded || !self.in_flight.is_empty() {
             return Ok(());
         }
-        let all_reached = self.ghosts.iter().all(|g| g.announced != 0);
+        let all_reached = self.spec_states.iter().all(|g| g.announced != 0);
         let somebody_waits = (0..self.n()).any(|i| !self.task(i).is_idle());
         if all_reached && somebody_waits { Err(Violation::Stranded) } else { Ok(()) }
     }
@@ -524,4 +530,4 @@ fn small(i: usize) -> u8 {
     u8::try_from(i).unwrap_or(u8::MAX)
 }
 
-const _: () = assert!(FLIGHT_BYTES < 256);
+const _: () = assert!(IN_FLIGHT_BYTES < 256);

@@ -3,13 +3,13 @@
 mod agreement;
 mod cell_examples;
 mod cell_findings;
+mod cell_state;
+mod cell_state_packed;
 mod cells;
 mod checks;
 mod claims;
 mod couples;
 mod faulty_cells;
-mod floor;
-mod floor_packed;
 mod guard;
 mod outside;
 mod parts;

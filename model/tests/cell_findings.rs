@@ -515,7 +515,7 @@ fn a_chart_says_the_line_and_the_values_of_each_step() {
 
 /// A couple's heartbeats have a layout of the machine's own: no values of the cell are read from them.
 #[test]
-fn what_beats_carry_is_not_taken_for_values() {
+fn what_heartbeats_carry_is_not_taken_for_values() {
     let text = std::fs::read_to_string("../examples/weld_cell.cell").expect("the example");
     let plan = Text::new(&text).plan;
     let beats = plan.table.cell().ports.iter().position(|port| port.name == "alive").expect("its beats");

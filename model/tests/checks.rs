@@ -1,19 +1,19 @@
 //! The predicates that a cell's checks may ask for (D45).
 
-use imrs_model::floor::Move;
-use imrs_model::floor::explore_floor;
-use imrs_model::floor::plan::{FloorPlan, TaskPlan};
+use imrs_model::cell_state::Move;
+use imrs_model::cell_state::explore_cell_state;
+use imrs_model::cell_state::plan::{CellScenario, TaskPlan};
 use imrs_model::{Exploration, Limits, Violation};
 use imrs_protocol::script::{Binary, Outcomes, Predicate, ProgramBuilder, Term, Type};
 use imrs_protocol::{Cell, CellTable, PortDecl, PortId, Target, TaskId, Ticks, Usage};
 use std::sync::Arc;
 
-fn explored(plan: &Arc<FloorPlan>) -> Exploration<Move> {
-    explore_floor(plan, Limits { states: 200_000, memory: 1 << 30 })
+fn explored(plan: &Arc<CellScenario>) -> Exploration<Move> {
+    explore_cell_state(plan, Limits { states: 200_000, memory: 1 << 30 })
 }
 
 /// `a` enters the shared place after each meeting, if `honest` only when released; `b` comes to `meetings` of them.
-fn entering(meetings: u8, honest: bool) -> Arc<FloorPlan> {
+fn entering(meetings: u8, honest: bool) -> Arc<CellScenario> {
     let mut cell = Cell::new("entering", Ticks(1));
     let nodes = ["left", "right"].map(|name| cell.node(name));
     cell.link(nodes[0], nodes[1], Ticks(1));
@@ -38,7 +38,7 @@ fn entering(meetings: u8, honest: bool) -> Arc<FloorPlan> {
     second.end();
     let scripted = |b: ProgramBuilder| TaskPlan::scripted(Arc::new(b.finish().expect("a sound program")));
     let tasks = vec![scripted(first), scripted(second)];
-    let mut plan = FloorPlan::new(Arc::new(CellTable::new(cell).expect("a sound declaration")), tasks);
+    let mut plan = CellScenario::new(Arc::new(CellTable::new(cell).expect("a sound declaration")), tasks);
     let early = Term::Is(Predicate::Arrived { port, task: b });
     plan.checks =
         vec![vec![Term::Of { task: a, variable: 0 }, early, Term::Not, Term::Int(Binary::And), Term::Not]];
@@ -64,7 +64,7 @@ fn asking(
     deaf: bool,
     predicate: impl Fn(TaskId, PortId) -> Predicate,
     holds: bool,
-) -> Arc<FloorPlan> {
+) -> Arc<CellScenario> {
     let mut cell = Cell::new("asking", Ticks(1));
     let nodes = ["left", "right"].map(|name| cell.node(name));
     cell.link(nodes[0], nodes[1], Ticks(1));
@@ -81,7 +81,7 @@ fn asking(
     }
     let scripted = |b: ProgramBuilder| TaskPlan::scripted(Arc::new(b.finish().expect("a sound program")));
     let tasks = vec![scripted(first), scripted(second)];
-    let mut plan = FloorPlan::new(Arc::new(CellTable::new(cell).expect("a sound declaration")), tasks);
+    let mut plan = CellScenario::new(Arc::new(CellTable::new(cell).expect("a sound declaration")), tasks);
     plan.faults.loss = loss;
     // never done and not (predicate = holds)
     let is = Term::Is(predicate(a, port));

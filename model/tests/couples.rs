@@ -1,8 +1,8 @@
 //! The lease of a couple under the checker: how tight the least lease that a declaration admits is (D78).
 
-use imrs_model::floor::explore_floor;
-use imrs_model::floor::plan::{Faults, FloorWatch, Goal};
-use imrs_model::floor::worlds::Couple;
+use imrs_model::cell_state::explore_cell_state;
+use imrs_model::cell_state::plan::{CellProperty, Faults, Goal};
+use imrs_model::cell_state::worlds::Couple;
 use imrs_model::{Limits, Violation};
 use imrs_protocol::margin::least_lease;
 use imrs_protocol::rules::LeaseRule;
@@ -11,7 +11,7 @@ use imrs_protocol::{CellError, Ticks};
 fn couple(delay: u64, every: u64, drift: u8) -> Couple {
     let lease = least_lease(Ticks(delay), Ticks(every), Ticks(1)).0;
     let faults = Faults { drift, ..Faults::default() };
-    let watch = FloorWatch::Reach(Goal::Fenced);
+    let watch = CellProperty::Reach(Goal::Fenced);
     Couple {
         delay,
         lease,
@@ -27,7 +27,7 @@ fn couple(delay: u64, every: u64, drift: u8) -> Couple {
 
 fn is_ever_fenced(couple: &Couple) -> bool {
     let plan = couple.plan().expect("a checked cell");
-    let found = explore_floor(&plan, Limits::default());
+    let found = explore_cell_state(&plan, Limits::default());
     assert!(
         found.complete && found.violation.is_none_or(|v| v == Violation::Reached),
         "{:?}",

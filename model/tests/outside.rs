@@ -146,7 +146,7 @@ fn reals_of_a_task_outside_come_on_both_sides_of_what_they_are_compared_with() {
 /// Heartbeats are the machine's own: an extern task does not use their port. It takes over as any other task does,
 /// and goes on when it has the lease again.
 #[test]
-fn a_task_outside_takes_over_and_leaves_the_beats_alone() {
+fn a_task_outside_takes_over_and_leaves_the_heartbeats_alone() {
     let text = "cell out;\ntick 1 msec;\nnode na; node nb; node nc;\n\
         link na -- nb delay 1 msec; link na -- nc delay 1 msec; link nb -- nc delay 1 msec;\n\
         task first on na extern rate = 1/40 msec\n\

@@ -19,7 +19,7 @@ pub use crate::screen::Screen;
 use crate::source::{Arrival, Wanted};
 use crate::store::health::Place;
 use crate::store::message::MessageKey;
-use crate::store::{Condition, LifeId, Store};
+use crate::store::{Condition, IncarnationId, Store};
 use crate::theme::Theme;
 use crossterm::event::{KeyEvent, KeyEventKind, MouseEvent};
 use imrs_protocol::{MessageId, PortId, TaskId};
@@ -72,7 +72,7 @@ pub enum Effect {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PortEnd {
     /// The incarnation of the node.
-    pub life: LifeId,
+    pub incarnation: IncarnationId,
     /// The task.
     pub task: TaskId,
     /// The port.
@@ -213,13 +213,17 @@ impl App {
     #[must_use]
     pub fn want(&self) -> Wanted {
         let end = if self.screen == Screen::Port { self.port(&self.queues()) } else { None };
-        let watched = end.and_then(|end| Some((self.live.life(end.life)?, end)));
-        let ports =
-            |life: &crate::store::Life| life.tasks().iter().map(|task| task.view.ports.len()).sum::<usize>();
-        let many = self.live.lives().iter().map(ports).sum::<usize>() > MANY;
+        let watched = end.and_then(|end| Some((self.live.incarnation(end.incarnation)?, end)));
+        let ports = |incarnation: &crate::store::NodeIncarnation| {
+            incarnation.tasks().iter().map(|task| task.view.ports.len()).sum::<usize>()
+        };
+        let many = self.live.incarnations().iter().map(ports).sum::<usize>() > MANY;
         Wanted {
-            watched: watched.iter().map(|(life, end)| (life.node_id, end.task, end.port)).collect(),
-            cell: watched.map(|(life, _)| life.names.cell.raw().to_owned()),
+            watched: watched
+                .iter()
+                .map(|(incarnation, end)| (incarnation.node_id, end.task, end.port))
+                .collect(),
+            cell: watched.map(|(incarnation, _)| incarnation.names.cell.raw().to_owned()),
             queue_limit: if many { 0 } else { Wanted::default().queue_limit },
             ..Wanted::default()
         }
@@ -276,10 +280,10 @@ impl App {
         if let Some(player) = &self.replay {
             return player.is_playing().then_some(Duration::from_millis(50));
         }
-        if self.frozen.is_some() || self.live.lives().is_empty() {
+        if self.frozen.is_some() || self.live.incarnations().is_empty() {
             return None;
         }
-        let attached = self.live.lives().iter().any(|l| l.condition == Condition::Attached);
+        let attached = self.live.incarnations().iter().any(|l| l.condition == Condition::Attached);
         Some(Duration::from_millis(if attached && !self.reduced_motion { 100 } else { 1000 }))
     }
 
@@ -319,5 +323,5 @@ impl App {
 }
 
 fn port_end(place: Place) -> Option<PortEnd> {
-    Some(PortEnd { life: place.node.ok()?, task: place.task?, port: place.port? })
+    Some(PortEnd { incarnation: place.node.ok()?, task: place.task?, port: place.port? })
 }

@@ -7,7 +7,7 @@
 use crate::clock::Moment;
 use crate::replay::{Film, Reel, is_odd};
 use crate::source::{Arrival, Feed, SourceId};
-use crate::store::{Life, Store};
+use crate::store::{NodeIncarnation, Store};
 use imrs_wire::obs::{Delta, Hello, NodeIdentity, Role, SCHEMA, ServerFrame, VERSION};
 use imrs_wire::recording::Shown;
 use std::collections::VecDeque;
@@ -21,7 +21,7 @@ pub const BUDGET: usize = 46 << 20;
 /// The length of a segment.
 const REEL: Duration = Duration::from_secs(30);
 /// How many incarnations of nodes are remembered, ended ones included.
-const LIVES: usize = 256;
+const INCARNATIONS: usize = 256;
 
 /// The recent arrivals.
 #[derive(Clone, Debug, Default)]
@@ -131,7 +131,7 @@ impl History {
                 lost: None,
             }),
         }
-        if self.known.len() > LIVES
+        if self.known.len() > INCARNATIONS
             && let Some(gone) = self.known.iter().position(|known| known.lost.is_some())
         {
             self.known.remove(gone);
@@ -190,11 +190,11 @@ impl History {
 /// The last state of a node, as a whole delta.
 fn state_of(known: &Known, store: &Store) -> Option<Delta> {
     let id = &known.identity;
-    let same = |life: &&Life| {
-        life.names.cell.raw() == id.cell
-            && life.node.raw() == id.node
-            && (life.incarnation, life.pid) == (id.incarnation.0, known.pid)
+    let same = |incarnation: &&NodeIncarnation| {
+        incarnation.names.cell.raw() == id.cell
+            && incarnation.node.raw() == id.node
+            && (incarnation.number, incarnation.pid) == (id.incarnation.0, known.pid)
     };
-    let life = store.lives().iter().find(same)?;
-    Some(Delta::whole(&life.last.as_ref()?.snapshot))
+    let incarnation = store.incarnations().iter().find(same)?;
+    Some(Delta::whole(&incarnation.last.as_ref()?.snapshot))
 }

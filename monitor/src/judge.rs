@@ -35,11 +35,11 @@ pub struct Judgement {
 /// A validator: replays recordings and compares them with the state machine.
 pub trait Judge: Send + Sync + fmt::Debug {
     /// Starts a session, which keeps the state between two passes over the recordings.
-    fn sit(&self) -> Box<dyn Sitting + '_>;
+    fn sit(&self) -> Box<dyn FollowSession + '_>;
 }
 
 /// A session that follows recordings while they grow.
-pub trait Sitting {
+pub trait FollowSession {
     /// Judges a recording, continuing after the last call. Returns `None` if the recording does not name its node. A
     /// call takes less than a second; the next one continues.
     fn look(&mut self, recording: &Path) -> Option<Judgement>;
@@ -47,13 +47,13 @@ pub trait Sitting {
 
 /// The conformance worker: judges, in its own thread, the recordings that nodes announce.
 #[derive(Clone)]
-pub(crate) struct Court {
+pub(crate) struct ConformanceWorker {
     told: Arc<Mutex<BTreeSet<PathBuf>>>,
     /// Dropped with the last clone, which ends the thread.
     _open: Option<SyncSender<()>>,
 }
 
-impl Court {
+impl ConformanceWorker {
     /// Starts the worker, which delivers its results to `sink`. Without a judge it does nothing.
     pub fn open(judge: Option<Arc<dyn Judge>>, sink: Sink) -> Self {
         let told = Arc::new(Mutex::new(BTreeSet::new()));
@@ -81,13 +81,13 @@ impl Court {
 }
 
 fn sit(judge: &dyn Judge, told: &Mutex<BTreeSet<PathBuf>>, sink: &Sink, ended: &Receiver<()>) {
-    let mut sitting = judge.sit();
+    let mut session = judge.sit();
     let mut pause = PAUSE;
     while ended.recv_timeout(pause) == Err(RecvTimeoutError::Timeout) {
         pause = PAUSE;
         let recordings = told.lock().unwrap_or_else(PoisonError::into_inner).clone();
         for recording in recordings {
-            let Some(judgement) = sitting.look(&recording) else { continue };
+            let Some(judgement) = session.look(&recording) else { continue };
             let Judgement { cell, node, incarnation, said, behind } = judgement;
             if behind {
                 pause = Duration::ZERO;

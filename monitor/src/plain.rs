@@ -2,7 +2,7 @@
 
 use crate::clock::Clock;
 use crate::error::MonitorError;
-use crate::judge::{Court, Judge};
+use crate::judge::{ConformanceWorker, Judge};
 use crate::name::shown_line;
 use crate::options::{Format, Options, Verdict};
 use crate::query::Assertion;
@@ -72,10 +72,11 @@ impl Watch {
     ) -> Result<Self, MonitorError> {
         let (sender, arrivals) = sync_channel(64);
         let (taped, judged) = (Arc::clone(tape), sender.clone());
-        let court = Court::open(judge, Sink::new(clock, move |arrival| judged.send(arrival).is_ok()));
+        let worker =
+            ConformanceWorker::open(judge, Sink::new(clock, move |arrival| judged.send(arrival).is_ok()));
         source.start(Sink::new(clock, move |arrival| {
             taped.take(&arrival);
-            court.hear(&arrival.feed);
+            worker.hear(&arrival.feed);
             sender.send(arrival).is_ok()
         }))?;
         Ok(Self { clock, store: Store::of_running_nodes(), arrivals, settled: BTreeSet::new(), source })
@@ -101,7 +102,7 @@ impl Watch {
                 Err(_) => break,
             }
         }
-        !self.store.lives().is_empty()
+        !self.store.incarnations().is_empty()
     }
 
     /// The collected state.

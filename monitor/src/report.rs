@@ -7,9 +7,9 @@ use crate::replay::tell::Position;
 use crate::replay::{Player, tell};
 use crate::store::conformance::{Verdict, conformance};
 use crate::store::health::{Finding, findings, held_back_words};
-use crate::store::journal::Level;
+use crate::store::journal::Severity;
 use crate::store::meeting::{Meeting, Standing, meetings, state};
-use crate::store::{Life, Store, Unseen, unseen};
+use crate::store::{NodeIncarnation, Store, Unseen, unseen};
 use imrs_protocol::{Class, MeetingState, MeetingView, PortView, TaskState, Usage};
 use imrs_wire::obs::{Count, Liveness, RealTime, TaskSnapshot};
 use imrs_wire::text;
@@ -145,7 +145,7 @@ pub fn cells(store: &Store, only: Option<&str>) -> Vec<Name> {
 /// Whether any finding in the selected cells is critical.
 #[must_use]
 pub fn is_critical(store: &Store, only: Option<&str>, now: Moment) -> bool {
-    cells(store, only).iter().any(|cell| findings(store, cell, now).iter().any(|f| f.level == Level::Bad))
+    cells(store, only).iter().any(|cell| findings(store, cell, now).iter().any(|f| f.level == Severity::Bad))
 }
 
 /// The selected cells as one line of JSON, without the newline.
@@ -178,27 +178,27 @@ fn whole(store: &Store, only: Option<&str>, now: Moment, replay: Option<Position
     let mut report = Report { version: VERSION, nodes: Vec::new(), findings: Vec::new(), troubles, replay };
     let unseen: Vec<_> = cells.iter().map(|cell| unseen(store, cell)).collect();
     for (cell, unseen) in cells.iter().zip(&unseen) {
-        report.nodes.extend(store.lives_of(cell).map(|life| node(store, life, now)));
+        report.nodes.extend(store.incarnations_of(cell).map(|incarnation| node(store, incarnation, now)));
         report.nodes.extend(unseen.iter().map(|one| not_seen(cell, &one.name, one.is_killed)));
         report.findings.extend(findings(store, cell, now).iter().map(|f| found(store, cell, f)));
     }
     text::json(&serde_json::to_string(&report).expect("a report is plain data")).into_owned()
 }
 
-fn node<'a>(store: &Store, life: &'a Life, now: Moment) -> Node<'a> {
-    let judged = conformance(store, life.id);
+fn node<'a>(store: &Store, incarnation: &'a NodeIncarnation, now: Moment) -> Node<'a> {
+    let judged = conformance(store, incarnation.id);
     use crate::store::Presence::{Dead, Silent, Stopped, Up};
-    let presence = life.presence(now);
-    let snapshot = life.last.as_ref().map(|s| &*s.snapshot);
+    let presence = incarnation.presence(now);
+    let snapshot = incarnation.last.as_ref().map(|s| &*s.snapshot);
     let transit = snapshot.map_or_else(Transit::default, |s| Transit {
         len: s.transit.len,
         capacity: s.transit.capacity,
-        min_slack_us: s.transit.min_slack.map(|t| life.left(t, s.transit_age_us, now).us),
+        min_slack_us: s.transit.min_slack.map(|t| incarnation.left(t, s.transit_age_us, now).us),
         forwarded: s.transit.forwarded,
     });
     Node {
-        cell: life.names.cell.raw(),
-        name: life.node.raw(),
+        cell: incarnation.names.cell.raw(),
+        name: incarnation.node.raw(),
         up: matches!(presence, Up | Silent(_)),
         state: match presence {
             Up => "up",
@@ -206,24 +206,24 @@ fn node<'a>(store: &Store, life: &'a Life, now: Moment) -> Node<'a> {
             Stopped(_) => "stopped",
             Dead(_) => "dead",
         },
-        incarnation: Some(life.incarnation),
-        pid: Some(life.pid),
-        build: Some(life.build.raw()),
+        incarnation: Some(incarnation.number),
+        pid: Some(incarnation.pid),
+        build: Some(incarnation.build.raw()),
         uptime_us: snapshot.map(|s| s.uptime_us),
         insecure: snapshot.map(|s| s.insecure),
-        held_back_us: life.longest_held_back(now),
+        held_back_us: incarnation.longest_held_back(now),
         real_time: snapshot.and_then(|s| real_time(s.real_time)),
         transit,
         discards: snapshot.map_or(&[][..], |s| &s.discards).iter().map(reason).collect(),
         link_discards: snapshot.map_or(&[][..], |s| &s.link_discards).iter().map(reason).collect(),
-        lost_events: life.lost,
+        lost_events: incarnation.lost,
         conformance: match judged.verdict {
             Verdict::Unknown { .. } => "unknown",
             Verdict::Conforms => "conforms",
             Verdict::Violates { .. } => "violates",
         },
         conforming_steps: judged.steps,
-        tasks: life.tasks().iter().map(|t| task(life, t, now)).collect(),
+        tasks: incarnation.tasks().iter().map(|t| task(incarnation, t, now)).collect(),
     }
 }
 
@@ -263,7 +263,7 @@ fn not_seen<'a>(cell: &'a Name, name: &'a Name, killed: bool) -> Node<'a> {
     }
 }
 
-fn task<'a>(life: &'a Life, task: &'a TaskSnapshot, now: Moment) -> Task<'a> {
+fn task<'a>(incarnation: &'a NodeIncarnation, task: &'a TaskSnapshot, now: Moment) -> Task<'a> {
     let state = match (task.liveness, task.view.state) {
         (Liveness::Crashed, _) => "crashed",
         (Liveness::Ended, _) => "ended",
@@ -274,31 +274,31 @@ fn task<'a>(life: &'a Life, task: &'a TaskSnapshot, now: Moment) -> Task<'a> {
         (Liveness::Alive, TaskState::Delaying) => "delay",
     };
     Task {
-        name: raw_task(life, task.view.task),
+        name: raw_task(incarnation, task.view.task),
         state,
-        held_back_us: life.task_held_back(task.view.task, now),
-        ports: task.view.ports.iter().map(|p| port(life, task, p, now)).collect(),
-        waitfor: task.view.meetings.iter().map(|m| waitfor(life, task, m, now)).collect(),
+        held_back_us: incarnation.task_held_back(task.view.task, now),
+        ports: task.view.ports.iter().map(|p| port(incarnation, task, p, now)).collect(),
+        waitfor: task.view.meetings.iter().map(|m| waitfor(incarnation, task, m, now)).collect(),
     }
 }
 
-fn raw_task(life: &Life, id: imrs_protocol::TaskId) -> &str {
-    life.names.tasks.get(id.index()).map_or("?", |t| t.name.raw())
+fn raw_task(incarnation: &NodeIncarnation, id: imrs_protocol::TaskId) -> &str {
+    incarnation.names.tasks.get(id.index()).map_or("?", |t| t.name.raw())
 }
 
-fn raw_port(life: &Life, id: imrs_protocol::PortId) -> &str {
-    life.names.port(id).map_or("?", |p| p.name.raw())
+fn raw_port(incarnation: &NodeIncarnation, id: imrs_protocol::PortId) -> &str {
+    incarnation.names.port(id).map_or("?", |p| p.name.raw())
 }
 
-fn port<'a>(life: &'a Life, task: &TaskSnapshot, view: &PortView, now: Moment) -> Port<'a> {
+fn port<'a>(incarnation: &'a NodeIncarnation, task: &TaskSnapshot, view: &PortView, now: Moment) -> Port<'a> {
     let c = &view.counters;
     Port {
-        name: raw_port(life, view.port),
+        name: raw_port(incarnation, view.port),
         usage: view.usage.word(),
         class: if view.class == Class::Command { 2 } else { 1 },
         len: view.len,
         capacity: view.capacity,
-        min_slack_us: view.min_slack.map(|s| life.left(s, task.age_us, now).us),
+        min_slack_us: view.min_slack.map(|s| incarnation.left(s, task.age_us, now).us),
         sent: c.sent,
         resent: c.resent,
         enqueued: c.enqueued,
@@ -314,14 +314,19 @@ fn port<'a>(life: &'a Life, task: &TaskSnapshot, view: &PortView, now: Moment) -
     }
 }
 
-fn waitfor<'a>(life: &'a Life, task: &TaskSnapshot, view: &MeetingView, now: Moment) -> Waitfor<'a> {
+fn waitfor<'a>(
+    incarnation: &'a NodeIncarnation,
+    task: &TaskSnapshot,
+    view: &MeetingView,
+    now: Moment,
+) -> Waitfor<'a> {
     let member = |m: &imrs_protocol::MemberView| Member {
-        task: raw_task(life, m.task),
+        task: raw_task(incarnation, m.task),
         arrived: m.arrived,
         confirmed: m.confirmed,
     };
     Waitfor {
-        port: raw_port(life, view.port),
+        port: raw_port(incarnation, view.port),
         round: view.round.0,
         state: match view.state {
             MeetingState::Away => "away",
@@ -330,24 +335,24 @@ fn waitfor<'a>(life: &'a Life, task: &TaskSnapshot, view: &MeetingView, now: Mom
         },
         released: view.released.0,
         members: view.members.iter().map(member).collect(),
-        remaining_us: view.remaining.map(|r| life.left(r, task.age_us, now).us),
+        remaining_us: view.remaining.map(|r| incarnation.left(r, task.age_us, now).us),
     }
 }
 
 fn found(store: &Store, cell: &Name, finding: &Finding) -> Found {
-    let life = finding.place.node.ok().and_then(|id| store.life(id));
+    let incarnation = finding.place.node.ok().and_then(|id| store.incarnation(id));
     let names = store.names(cell);
     let unseen = finding.place.node.err().and_then(|id| names.map(|n| n.node(id).raw().to_owned()));
     Found {
         level: match finding.level {
-            Level::Bad => "critical",
-            Level::Warn => "warning",
-            Level::Note | Level::Trace => "note",
+            Severity::Bad => "critical",
+            Severity::Warn => "warning",
+            Severity::Note | Severity::Trace => "note",
         },
         code: finding.code,
-        node: life.map(|l| l.node.raw().to_owned()).or(unseen),
-        task: life.zip(finding.place.task).map(|(l, t)| raw_task(l, t).to_owned()),
-        port: life.zip(finding.place.port).map(|(l, p)| raw_port(l, p).to_owned()),
+        node: incarnation.map(|l| l.node.raw().to_owned()).or(unseen),
+        task: incarnation.zip(finding.place.task).map(|(l, t)| raw_task(l, t).to_owned()),
+        port: incarnation.zip(finding.place.port).map(|(l, p)| raw_port(l, p).to_owned()),
         text: finding.text.to_string(),
     }
 }
@@ -367,8 +372,8 @@ struct One<'a> {
 }
 
 /// One node at a moment, in the format of [`json`].
-pub(crate) fn node_value(store: &Store, life: &Life, now: Moment) -> serde_json::Value {
-    serde_json::to_value(node(store, life, now)).unwrap_or_default()
+pub(crate) fn node_value(store: &Store, incarnation: &NodeIncarnation, now: Moment) -> serde_json::Value {
+    serde_json::to_value(node(store, incarnation, now)).unwrap_or_default()
 }
 
 /// The results of assertions, as one line of JSON without the newline.
@@ -410,8 +415,8 @@ pub fn text(store: &Store, only: Option<&str>, now: Moment) -> String {
     let mut out = String::new();
     for cell in cells(store, only) {
         let _ = writeln!(out, "cell {cell}");
-        for life in store.lives_of(&cell) {
-            text_node(life, now, &mut out);
+        for incarnation in store.incarnations_of(&cell) {
+            text_node(incarnation, now, &mut out);
         }
         for Unseen { name, is_killed, .. } in unseen(store, &cell) {
             let _ = writeln!(out, "  node {name}: {}", if is_killed { "DEAD" } else { "not seen here" });
@@ -423,7 +428,7 @@ pub fn text(store: &Store, only: Option<&str>, now: Moment) -> String {
             let place = found(store, &cell, &finding);
             let place: Vec<_> = [place.node, place.task, place.port].into_iter().flatten().collect();
             let place = crate::name::shown(&place.join("."));
-            let level = if finding.level == Level::Bad { "CRITICAL" } else { "warning" };
+            let level = if finding.level == Severity::Bad { "CRITICAL" } else { "warning" };
             let text = shown_line(finding.text.as_ref());
             let _ = writeln!(out, "  {level} {place}: {text} [{}]", finding.code);
         }
@@ -434,38 +439,44 @@ pub fn text(store: &Store, only: Option<&str>, now: Moment) -> String {
     out
 }
 
-fn text_node(life: &Life, now: Moment, out: &mut String) {
-    let uptime = life.last.as_ref().map_or(0, |s| s.snapshot.uptime_us);
-    let presence = life.presence(now);
-    let pid = if life.pid == 0 { String::new() } else { format!(", pid {}", life.pid) };
-    let _ = write!(out, "  node {}: {presence}{pid}, incarnation {}", life.node, life.incarnation);
+fn text_node(incarnation: &NodeIncarnation, now: Moment, out: &mut String) {
+    let uptime = incarnation.last.as_ref().map_or(0, |s| s.snapshot.uptime_us);
+    let presence = incarnation.presence(now);
+    let pid = if incarnation.pid == 0 { String::new() } else { format!(", pid {}", incarnation.pid) };
+    let _ = write!(out, "  node {}: {presence}{pid}, incarnation {}", incarnation.node, incarnation.number);
     let _ = write!(out, ", ran {}", Span::micros(uptime));
-    let real_time = life.last.as_ref().and_then(|s| real_time(s.snapshot.real_time));
+    let real_time = incarnation.last.as_ref().and_then(|s| real_time(s.snapshot.real_time));
     let _ = writeln!(out, "{}", real_time.map_or_else(String::new, |how| format!(", real time {how}")));
-    for task in life.tasks() {
+    for task in incarnation.tasks() {
         let does = match task.liveness {
             Liveness::Crashed => "CRASHED".to_owned(),
             Liveness::Ended => "ended".to_owned(),
-            Liveness::Alive => match life.task_held_back(task.view.task, now) {
+            Liveness::Alive => match incarnation.task_held_back(task.view.task, now) {
                 Some(us) => held_back_words(us),
-                None => state(life, &task.view.state),
+                None => state(incarnation, &task.view.state),
             },
         };
-        let _ = writeln!(out, "    task {}: {does}", life.names.task(task.view.task));
+        let _ = writeln!(out, "    task {}: {does}", incarnation.names.task(task.view.task));
         for port in &task.view.ports {
-            text_port(life, task, port, now, out);
+            text_port(incarnation, task, port, now, out);
         }
     }
 }
 
-fn text_port(life: &Life, task: &TaskSnapshot, port: &PortView, now: Moment, out: &mut String) {
+fn text_port(
+    incarnation: &NodeIncarnation,
+    task: &TaskSnapshot,
+    port: &PortView,
+    now: Moment,
+    out: &mut String,
+) {
     let c = &port.counters;
-    let name = life.names.port_name(port.port);
+    let name = incarnation.names.port_name(port.port);
     let _ = write!(out, "      port {name}: {}", port.usage);
     if port.usage != Usage::Waitfor && port.capacity > 0 {
         let _ = write!(out, ", {} of {} waiting", port.len, port.capacity);
     }
-    if let Some(left) = port.min_slack.map(|s| life.left(s, task.age_us, now)) {
+    if let Some(left) = port.min_slack.map(|s| incarnation.left(s, task.age_us, now)) {
         let _ = write!(out, ", most urgent {left}");
     }
     let counters = [

@@ -4,8 +4,8 @@ use crate::clock::Moment;
 use crate::name::Name;
 use crate::query::{Field, Filter, NodeRow, PortRow, Row as Fields, Value};
 use crate::store::health::{Finding, Place};
-use crate::store::journal::Level;
-use crate::store::{Life, Store, Unseen, unseen};
+use crate::store::journal::Severity;
+use crate::store::{NodeIncarnation, Store, Unseen, unseen};
 use imrs_protocol::PortView;
 use imrs_wire::obs::TaskSnapshot;
 use std::collections::BTreeSet;
@@ -80,8 +80,8 @@ pub fn rows(store: &Store, cell: &Name, shape: &Shape, findings: &[Finding], now
     let filter = Filter::lenient(&shape.filter);
     let maker = Maker { store, shape, filter: filter.as_ref(), findings, now };
     let mut nodes: Vec<(Key, Vec<Row>)> = Vec::new();
-    for life in store.lives_of(cell) {
-        nodes.extend(maker.node(life, store.is_present(life)));
+    for incarnation in store.incarnations_of(cell) {
+        nodes.extend(maker.node(incarnation, store.is_present(incarnation)));
     }
     for one in unseen(store, cell) {
         if maker.filter.is_none_or(|filter| filter.takes(&one)) {
@@ -115,8 +115,8 @@ struct Maker<'a> {
 
 impl Maker<'_> {
     /// Whether the filter selects a node or task itself.
-    fn wants(&self, life: &Life, task: Option<&TaskSnapshot>) -> bool {
-        let row = NodeRow { life, task, findings: self.findings };
+    fn wants(&self, incarnation: &NodeIncarnation, task: Option<&TaskSnapshot>) -> bool {
+        let row = NodeRow { incarnation, task, findings: self.findings };
         self.filter.is_none_or(|filter| filter.takes(&row))
     }
 
@@ -140,9 +140,9 @@ impl Maker<'_> {
             Sort::Health => {
                 let worst = self.findings.iter().filter(|f| place.holds(&f.place)).map(|f| f.level).max();
                 match worst {
-                    Some(Level::Bad) => 0,
-                    Some(Level::Warn) => 1,
-                    Some(Level::Note | Level::Trace) => 2,
+                    Some(Severity::Bad) => 0,
+                    Some(Severity::Warn) => 1,
+                    Some(Severity::Note | Severity::Trace) => 2,
                     None => 3,
                 }
             }
@@ -160,16 +160,17 @@ impl Maker<'_> {
     }
 
     /// The rows of a node. Those of an earlier incarnation are hidden by default, because users look for the latest one.
-    fn node(&self, life: &Life, latest: bool) -> Option<(Key, Vec<Row>)> {
-        let place = Place { node: Ok(life.id), task: None, port: None };
-        let wanted = self.wants(life, None);
+    fn node(&self, incarnation: &NodeIncarnation, latest: bool) -> Option<(Key, Vec<Row>)> {
+        let place = Place { node: Ok(incarnation.id), task: None, port: None };
+        let wanted = self.wants(incarnation, None);
         let all = wanted && self.wants_within();
-        let tasks: Vec<_> = life.tasks().iter().filter_map(|t| self.task(life, t, place, all)).collect();
+        let tasks: Vec<_> =
+            incarnation.tasks().iter().filter_map(|t| self.task(incarnation, t, place, all)).collect();
         if !wanted && tasks.is_empty() {
             return None;
         }
-        let slack = life.tasks().iter().map(|t| self.slack(life, t)).min().unwrap_or(u64::MAX);
-        let queued = life.tasks().iter().flat_map(|t| &t.view.ports).map(|p| u64::from(p.len)).sum();
+        let slack = incarnation.tasks().iter().map(|t| self.slack(incarnation, t)).min().unwrap_or(u64::MAX);
+        let queued = incarnation.tasks().iter().flat_map(|t| &t.view.ports).map(|p| u64::from(p.len)).sum();
         let row = self.row(place, 0, !tasks.is_empty(), latest);
         let mut rows = vec![row];
         if row.open {
@@ -178,17 +179,23 @@ impl Maker<'_> {
         Some((self.key(&place, slack, queued), rows))
     }
 
-    fn task(&self, life: &Life, task: &TaskSnapshot, node: Place, all: bool) -> Option<(Key, Vec<Row>)> {
+    fn task(
+        &self,
+        incarnation: &NodeIncarnation,
+        task: &TaskSnapshot,
+        node: Place,
+        all: bool,
+    ) -> Option<(Key, Vec<Row>)> {
         let place = Place { task: Some(task.view.task), ..node };
-        let wanted = all || self.wants(life, Some(task));
+        let wanted = all || self.wants(incarnation, Some(task));
         let within = wanted && self.wants_within();
         let port = |p: &PortView| {
             let place = Place { port: Some(p.port), ..place };
             let by_slack = p.min_slack.filter(|_| self.shape.sort == Sort::Slack);
-            let slack = by_slack.map_or(u64::MAX, |s| life.left(s, task.age_us, self.now).us);
+            let slack = by_slack.map_or(u64::MAX, |s| incarnation.left(s, task.age_us, self.now).us);
             let takes = |filter: &Filter| {
                 let (store, findings, now) = (self.store, self.findings, self.now);
-                filter.takes(&PortRow { store, life, task, port: p, findings, now })
+                filter.takes(&PortRow { store, incarnation, task, port: p, findings, now })
             };
             let wanted = within || self.filter.is_none_or(takes);
             wanted.then(|| (self.key(&place, slack, p.len.into()), self.row(place, 2, false, true)))
@@ -209,15 +216,15 @@ impl Maker<'_> {
             }
             rows.extend(ports.into_iter().map(|(_, row)| row));
         }
-        Some((self.key(&place, self.slack(life, task), queued), rows))
+        Some((self.key(&place, self.slack(incarnation, task), queued), rows))
     }
 
     /// The shortest slack at a task, if rows are sorted by slack.
-    fn slack(&self, life: &Life, task: &TaskSnapshot) -> u64 {
+    fn slack(&self, incarnation: &NodeIncarnation, task: &TaskSnapshot) -> u64 {
         if self.shape.sort != Sort::Slack {
             return u64::MAX;
         }
         let slacks = task.view.ports.iter().filter_map(|p| p.min_slack);
-        slacks.min().map_or(u64::MAX, |s| life.left(s, task.age_us, self.now).us)
+        slacks.min().map_or(u64::MAX, |s| incarnation.left(s, task.age_us, self.now).us)
     }
 }

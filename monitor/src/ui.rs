@@ -3,7 +3,7 @@
 use crate::app::{App, Effect, Msg};
 use crate::clock::{Clock, Moment};
 use crate::error::MonitorError;
-use crate::judge::{Court, Judge};
+use crate::judge::{ConformanceWorker, Judge};
 use crate::name::shown_line;
 use crate::options::Endpoint;
 use crate::record::{Tape, free_name};
@@ -66,11 +66,11 @@ pub fn show(
     let listener = Listener::start(move |call| for_signals.try_send(Input::Call(call)).is_ok())?;
     let (for_feeds, taped) = (sender.clone(), Arc::clone(tape));
     let judged = sender.clone();
-    let court = Court::open(
+    let worker = ConformanceWorker::open(
         judge,
         Sink::new(clock, move |arrival| judged.send(Input::Msg(Msg::Feed(arrival))).is_ok()),
     );
-    let hears = court.clone();
+    let hears = worker.clone();
     source.start(Sink::new(clock, move |arrival| {
         taped.take(&arrival);
         hears.hear(&arrival.feed);
@@ -88,7 +88,7 @@ pub fn show(
         sender,
         keys,
         more: Vec::new(),
-        court,
+        worker,
         gaps: 0,
     };
     let ended = screen.run(&mut terminal);
@@ -118,7 +118,7 @@ struct Loop<'a> {
     /// The sources that the user added.
     more: Vec<Live>,
     /// Judges the recordings that nodes announce.
-    court: Court,
+    worker: ConformanceWorker,
     /// The store's count of gaps at the last check.
     gaps: u64,
 }
@@ -265,14 +265,14 @@ impl Loop<'_> {
         // Reserve numbers for the nodes found through it.
         let number = u32::try_from(self.more.len()).unwrap_or(u32::MAX);
         let first = MORE.saturating_add(number.saturating_mul(EACH));
-        let (taped, court, sender) = (Arc::clone(self.tape), self.court.clone(), self.sender.clone());
+        let (taped, worker, sender) = (Arc::clone(self.tape), self.worker.clone(), self.sender.clone());
         let mut source = Live::new(Which::Named(vec![endpoint]))
             .numbered_from(first)
             .with_token(self.app.token.clone())
             .with_wishes(self.tape.wishes());
         source.start(Sink::new(self.clock, move |arrival| {
             taped.take(&arrival);
-            court.hear(&arrival.feed);
+            worker.hear(&arrival.feed);
             sender.send(Input::Msg(Msg::Feed(arrival))).is_ok()
         }))?;
         self.more.push(source);

@@ -61,19 +61,19 @@ fn what_changed_is_shown_as_if_it_had_come_whole() {
         old.apply(arrival(period(n), ServerFrame::Snapshot(state(0, n))));
         new.apply(arrival(period(n), change(0, n - 1, n)));
         assert_eq!(
-            new.lives()[0].last.as_ref().unwrap().snapshot,
-            old.lives()[0].last.as_ref().unwrap().snapshot
+            new.incarnations()[0].last.as_ref().unwrap().snapshot,
+            old.incarnations()[0].last.as_ref().unwrap().snapshot
         );
     }
     assert_eq!(new.gaps(), 0);
-    let rate = |store: &Store| store.lives()[0].rate(state(0, 0).tasks[0].view.task, LIFT);
+    let rate = |store: &Store| store.incarnations()[0].rate(state(0, 0).tasks[0].view.task, LIFT);
     assert!(rate(&new).is_some_and(|rate| (2.0..5.0).contains(&rate)), "{:?}", rate(&new));
     // A delta of another snapshot is not applied, and is counted.
     new.apply(arrival(period(60), change(0, 70, 71)));
     assert_eq!(new.gaps(), 1);
-    assert_eq!(new.lives()[0].last.as_ref().unwrap().at, period(59));
+    assert_eq!(new.incarnations()[0].last.as_ref().unwrap().at, period(59));
     new.apply(arrival(period(61), whole(0, 61)));
-    assert_eq!(*new.lives()[0].last.as_ref().unwrap().snapshot, state(0, 61));
+    assert_eq!(*new.incarnations()[0].last.as_ref().unwrap().snapshot, state(0, 61));
 }
 
 #[test]
@@ -84,13 +84,13 @@ fn queues_the_process_and_the_clock_are_kept_by_node() {
     store.apply(arrival(ms(2_000), ServerFrame::Vitals(vitals.clone())));
     store.apply(arrival(ms(2_000), ServerFrame::Detail(Detail::default())));
     store.apply(arrival(ms(2_010), ServerFrame::Pong(Pong { echo_us: 2_004_000, mono_us: 50_007_000 })));
-    let life = &store.lives()[0];
-    assert_eq!(life.vitals.as_ref().unwrap().what, vitals);
-    let clock = life.clock.unwrap();
+    let incarnation = &store.incarnations()[0];
+    assert_eq!(incarnation.vitals.as_ref().unwrap().what, vitals);
+    let clock = incarnation.clock.unwrap();
     assert_eq!((clock.us, clock.error_us), (48_000_000, 3_000));
     // A pong with an impossible echo is ignored.
     store.apply(arrival(ms(2_020), ServerFrame::Pong(Pong { echo_us: u64::MAX, mono_us: 1 })));
-    assert_eq!(store.lives()[0].clock, Some(clock));
+    assert_eq!(store.incarnations()[0].clock, Some(clock));
 }
 
 #[test]
@@ -113,11 +113,11 @@ fn a_recording_that_begins_in_the_middle_begins_with_all_that_is() {
     let recorded = tape.stop().unwrap();
     assert_eq!(recorded.status.lost, 0);
     let mut player = Player::new(Arc::new(whole_film(&path)), 1.0);
-    assert!(player.store().lives()[0].last.is_none());
+    assert!(player.store().incarnations()[0].last.is_none());
     player.go_to_end();
     assert_eq!(player.store().gaps(), 0);
     let [replayed, seen] =
-        [player.store(), &live].map(|store| store.lives()[0].last.clone().unwrap().snapshot);
+        [player.store(), &live].map(|store| store.incarnations()[0].last.clone().unwrap().snapshot);
     assert_eq!(replayed, seen);
 }
 
@@ -136,8 +136,11 @@ fn while_paused_one_goes_back_in_the_present_run() {
         }
     });
     let shown = |stage: &Stage| {
-        let life = &stage.app.store().lives()[0];
-        (life.id, (life.last.as_ref().unwrap().snapshot.mono_us - snapshot(0).mono_us) / 100_000)
+        let incarnation = &stage.app.store().incarnations()[0];
+        (
+            incarnation.id,
+            (incarnation.last.as_ref().unwrap().snapshot.mono_us - snapshot(0).mono_us) / 100_000,
+        )
     };
     let (id, _) = shown(&stage);
     let now = period(699);
@@ -180,7 +183,7 @@ fn the_history_is_as_long_as_it_says() {
     assert!(history.weight() < 2 << 20, "{} bytes", history.weight());
     // The history begins with the state of all nodes.
     let player = Player::new(Arc::new(film), 1.0);
-    let first = player.store().lives()[0].last.clone().unwrap().snapshot;
+    let first = player.store().incarnations()[0].last.clone().unwrap().snapshot;
     assert_eq!(first.tasks[0].view.ports.len(), snapshot(0).tasks[0].view.ports.len());
     assert!(report::json(player.store(), None, player.moment()).contains("beam-lift"));
     assert_eq!(first.timers.first().map(|timer| timer.remaining), None::<Ticks>);

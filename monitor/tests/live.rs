@@ -91,7 +91,7 @@ fn loss_with(each: impl Fn(&mut Peer) + Send + Clone + 'static) -> String {
     let (mut watch, _) = watch(&base);
     let dead = |w: &Watch| w.store().journal().lines(false, "dead").last().map(|e| e.detail());
     until(&mut watch, "a death", |w| dead(w).is_some());
-    assert!(!watch.store().lives()[0].tasks().is_empty(), "the last state is kept");
+    assert!(!watch.store().incarnations()[0].tasks().is_empty(), "the last state is kept");
     dead(&watch).unwrap()
 }
 
@@ -101,16 +101,18 @@ fn a_cell_is_found_and_shown_and_new_nodes_join() {
     listen(&base, NODES[0], |mut peer| peer.serve(0));
     let (mut watch, clock) = watch(&base);
     settled(&mut watch);
-    assert_eq!(watch.store().lives().len(), 1);
+    assert_eq!(watch.store().incarnations().len(), 1);
     serve(&base, 1..3);
-    until(&mut watch, "three nodes", |w| w.store().lives().iter().filter(|l| l.last.is_some()).count() == 3);
+    until(&mut watch, "three nodes", |w| {
+        w.store().incarnations().iter().filter(|l| l.last.is_some()).count() == 3
+    });
     // On a busy machine a node may have been silent for a second, but all continue.
     until(&mut watch, "all of them up, and nothing critical", |w| {
         let now = clock.now();
-        w.store().lives().iter().all(|l| l.presence(now) == Presence::Up)
+        w.store().incarnations().iter().all(|l| l.presence(now) == Presence::Up)
             && !report::is_critical(w.store(), None, now)
     });
-    assert_eq!(watch.store().lives().len(), 3);
+    assert_eq!(watch.store().incarnations().len(), 3);
 }
 
 #[test]
@@ -138,8 +140,8 @@ fn a_node_gets_credit_back_and_is_heard_again_and_again() {
 #[test]
 fn a_dead_node_is_shown_dead_and_comes_back_after_a_restart() {
     let (_temp, base) = base();
-    let lives = Arc::new(AtomicU32::new(0));
-    let count = lives.clone();
+    let incarnations = Arc::new(AtomicU32::new(0));
+    let count = incarnations.clone();
     listen(&base, "nl", move |mut peer| {
         // A connection that ends before the handshake does not count as an incarnation.
         let Ok(credit) = peer.greet(0) else { return };
@@ -152,9 +154,9 @@ fn a_dead_node_is_shown_dead_and_comes_back_after_a_restart() {
     let (mut watch, clock) = watch(&base);
     // It may be back before the check, but the journal has its death.
     until(&mut watch, "death", |w| !w.store().journal().lines(false, "dead").is_empty());
-    until(&mut watch, "return", |w| w.store().lives()[0].presence(clock.now()) == Presence::Up);
+    until(&mut watch, "return", |w| w.store().incarnations()[0].presence(clock.now()) == Presence::Up);
     // The monitor shows it from its first frame on; the server counts it after the handshake.
-    until(&mut watch, "its second life", |_| lives.load(Ordering::Relaxed) == 2);
+    until(&mut watch, "its second life", |_| incarnations.load(Ordering::Relaxed) == 2);
 }
 
 #[test]
@@ -208,7 +210,7 @@ fn a_frame_of_a_later_minor_version_is_passed_over() {
         thread::sleep(LIMIT);
     });
     let (mut watch, _) = watch(&base);
-    let uptime = |w: &Watch| w.store().lives().first()?.last.as_ref().map(|s| s.snapshot.uptime_us);
+    let uptime = |w: &Watch| w.store().incarnations().first()?.last.as_ref().map(|s| s.snapshot.uptime_us);
     until(&mut watch, "the frame after it", |w| uptime(w) == Some(4242));
 }
 
@@ -226,7 +228,9 @@ fn a_byte_at_a_time_is_slow_and_nothing_worse() {
         thread::sleep(LIMIT);
     });
     let (mut watch, _) = watch(&base);
-    until(&mut watch, "a slow snapshot", |w| w.store().lives().first().is_some_and(|l| l.last.is_some()));
+    until(&mut watch, "a slow snapshot", |w| {
+        w.store().incarnations().first().is_some_and(|l| l.last.is_some())
+    });
 }
 
 #[test]
@@ -236,7 +240,9 @@ fn a_socket_that_a_killed_node_left_is_removed_and_remembered() {
     let stale = place::prepare_in(&base, "beam-lift", "nh", 4_194_305).unwrap();
     drop(UnixListener::bind(&stale).unwrap());
     let (mut watch, clock) = watch(&base);
-    until(&mut watch, "the node that is there", |w| w.store().lives().iter().any(|l| l.last.is_some()));
+    until(&mut watch, "the node that is there", |w| {
+        w.store().incarnations().iter().any(|l| l.last.is_some())
+    });
     until(&mut watch, "removal", |_| !stale.exists());
     until(&mut watch, "a finding", |w| report::is_critical(w.store(), None, clock.now()));
     let text = report::text(watch.store(), None, clock.now());
@@ -274,7 +280,9 @@ fn a_node_of_version_1_0_is_asked_in_its_own_words() {
     let (mut watch, _) = watch(&base);
     until(&mut watch, "30 snapshots", |_| sent.load(Ordering::Relaxed) == 30);
     // The sent frames may not have reached the store yet.
-    until(&mut watch, "its tasks", |w| w.store().lives().first().is_some_and(|l| !l.tasks().is_empty()));
+    until(&mut watch, "its tasks", |w| {
+        w.store().incarnations().first().is_some_and(|l| !l.tasks().is_empty())
+    });
 }
 
 #[test]
@@ -292,7 +300,7 @@ fn a_change_that_does_not_follow_is_answered_by_asking_for_all() {
     });
     let (mut watch, _) = watch(&base);
     until(&mut watch, "the later state", |w| {
-        w.store().lives().iter().any(|l| l.last.as_ref().is_some_and(|s| s.snapshot.uptime_us == 1))
+        w.store().incarnations().iter().any(|l| l.last.as_ref().is_some_and(|s| s.snapshot.uptime_us == 1))
     });
     assert_eq!(watch.store().gaps(), 0, "what does not follow is not passed on");
 }
@@ -327,7 +335,7 @@ fn one_address_leads_to_the_whole_cell() {
     let named = Which::Named(vec![Endpoint::Unix(first)]);
     let mut watch = Watch::start(named, Clock::start()).unwrap();
     settled(&mut watch);
-    let shown = |w: &Watch| w.store().lives().iter().filter(|l| l.last.is_some()).count();
+    let shown = |w: &Watch| w.store().incarnations().iter().filter(|l| l.last.is_some()).count();
     until(&mut watch, "two nodes", |w| shown(w) == 2);
     assert_eq!(shown(&watch), 2);
 }

@@ -16,13 +16,17 @@ fn taken(store: &Store, text: &str) -> Vec<String> {
     let filter = Filter::parse(text).unwrap().unwrap();
     let found = findings(store, &Name::new("beam-lift"), NOW);
     let mut taken = Vec::new();
-    for life in store.lives() {
-        for task in life.tasks() {
+    for incarnation in store.incarnations() {
+        for task in incarnation.tasks() {
             for port in &task.view.ports {
-                let row = PortRow { store, life, task, port, findings: &found, now: NOW };
+                let row = PortRow { store, incarnation, task, port, findings: &found, now: NOW };
                 if filter.takes(&row) {
-                    let task = life.names.task(task.view.task);
-                    taken.push(format!("{}.{task}.{}", life.node, life.names.port_name(port.port)));
+                    let task = incarnation.names.task(task.view.task);
+                    taken.push(format!(
+                        "{}.{task}.{}",
+                        incarnation.node,
+                        incarnation.names.port_name(port.port)
+                    ));
                 }
             }
         }

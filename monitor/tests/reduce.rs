@@ -7,7 +7,7 @@ use imrs_monitor::clock::Clock;
 use imrs_monitor::report;
 use imrs_monitor::source::{Feed, Memory, Sink, Source, SourceId};
 use imrs_monitor::store::health::findings;
-use imrs_monitor::store::journal::Level;
+use imrs_monitor::store::journal::Severity;
 use imrs_monitor::store::meeting::{Standing, meeting};
 use imrs_monitor::store::{Presence, Store};
 use imrs_monitor::theme::Theme;
@@ -28,8 +28,8 @@ fn remaining_times_count_down_from_the_sample_and_its_age() {
     let mut later = snapshot(1);
     later.tasks[0].age_us = 2_000;
     stage.frame(ms(1_100), 1, ServerFrame::Snapshot(later));
-    let life = &stage.app.store().lives()[0];
-    let left = |now| life.left(Ticks(7_000), 2_000, now);
+    let incarnation = &stage.app.store().incarnations()[0];
+    let left = |now| incarnation.left(Ticks(7_000), 2_000, now);
     assert_eq!((left(ms(1_100)).us, left(ms(1_103)).us, left(ms(1_200)).us), (5_000, 2_000, 0));
     assert!(!left(ms(1_300)).estimated && left(ms(1_301)).estimated);
     assert_eq!(left(ms(1_301)).to_string(), "~0us");
@@ -39,11 +39,11 @@ fn remaining_times_count_down_from_the_sample_and_its_age() {
 fn a_dead_node_keeps_its_last_state_and_its_time_stands_still() {
     let mut stage = Stage::cell(Theme::ASCII);
     stage.lose(ms(1_050), 1);
-    let life = stage.app.store().lives().iter().find(|l| l.node.raw() == "nr").unwrap();
-    assert_eq!(life.presence(ms(7_050)), Presence::Dead(ms(6_000)));
-    assert_eq!(life.presence(ms(7_050)).to_string(), "DEAD 6s ago");
-    assert_eq!(life.port(TaskId(1), BEAT).unwrap().queue.len(), 3);
-    assert_eq!(life.left(Ticks(180_000), 0, ms(9_000)).us, 130_000);
+    let incarnation = stage.app.store().incarnations().iter().find(|l| l.node.raw() == "nr").unwrap();
+    assert_eq!(incarnation.presence(ms(7_050)), Presence::Dead(ms(6_000)));
+    assert_eq!(incarnation.presence(ms(7_050)).to_string(), "DEAD 6s ago");
+    assert_eq!(incarnation.port(TaskId(1), BEAT).unwrap().queue.len(), 3);
+    assert_eq!(incarnation.left(Ticks(180_000), 0, ms(9_000)).us, 130_000);
     assert!(codes(stage.app.store(), ms(2_000)).contains(&"node-dead"));
 }
 
@@ -52,8 +52,8 @@ fn a_goodbye_is_no_death() {
     let mut stage = Stage::cell(Theme::ASCII);
     stage.frame(ms(1_050), 0, ServerFrame::Bye(Bye { reason: Goodbye::Stopping }));
     stage.lose(ms(1_051), 0);
-    let life = stage.app.store().lives()[0].clone();
-    assert_eq!(life.presence(ms(2_050)), Presence::Stopped(ms(1_000)));
+    let incarnation = stage.app.store().incarnations()[0].clone();
+    assert_eq!(incarnation.presence(ms(2_050)), Presence::Stopped(ms(1_000)));
     let kinds: Vec<_> = stage.app.store().journal().lines(false, "").iter().map(|e| e.kind()).collect();
     assert_eq!(kinds, ["attached", "attached", "attached", "stopped"]);
 }
@@ -61,31 +61,32 @@ fn a_goodbye_is_no_death() {
 #[test]
 fn a_node_that_hangs_is_not_shown_as_up() {
     let stage = Stage::cell(Theme::ASCII);
-    let life = &stage.app.store().lives()[0];
-    assert_eq!(life.presence(ms(2_000)), Presence::Up);
-    assert_eq!(life.presence(ms(4_001)), Presence::Silent(ms(3_001)));
+    let incarnation = &stage.app.store().incarnations()[0];
+    assert_eq!(incarnation.presence(ms(2_000)), Presence::Up);
+    assert_eq!(incarnation.presence(ms(4_001)), Presence::Silent(ms(3_001)));
     assert!(codes(stage.app.store(), ms(4_001)).contains(&"node-silent"));
 }
 
 #[test]
-fn a_new_life_is_a_new_row_and_its_counters_are_not_glued_on() {
+fn a_new_incarnation_is_a_new_row_and_its_counters_are_not_glued_on() {
     let mut stage = Stage::cell(Theme::ASCII);
     stage.lose(ms(1_100), 0);
     stage.attach(ms(2_000), 0, 2);
-    let lives: Vec<_> = stage.app.store().lives().iter().filter(|l| l.node.raw() == "nl").collect();
-    assert_eq!(lives.iter().map(|l| l.incarnation).collect::<Vec<_>>(), [1, 2]);
-    assert!(lives[0].presence(ms(2_000)).is_gone() && !lives[1].presence(ms(2_000)).is_gone());
-    assert_eq!(lives[1].rate(TaskId(0), BEAT), None, "a rate needs two samples of one life");
+    let incarnations: Vec<_> =
+        stage.app.store().incarnations().iter().filter(|l| l.node.raw() == "nl").collect();
+    assert_eq!(incarnations.iter().map(|l| l.number).collect::<Vec<_>>(), [1, 2]);
+    assert!(incarnations[0].presence(ms(2_000)).is_gone() && !incarnations[1].presence(ms(2_000)).is_gone());
+    assert_eq!(incarnations[1].rate(TaskId(0), BEAT), None, "a rate needs two samples of one life");
     assert!(!codes(stage.app.store(), ms(2_000)).contains(&"node-dead"), "the present life is what counts");
     for incarnation in 3..9 {
         stage.lose(ms(2_100), 0);
         stage.attach(ms(2_200), 0, incarnation);
     }
-    assert!(stage.app.store().lives().iter().filter(|l| l.node.raw() == "nl").count() <= 4);
+    assert!(stage.app.store().incarnations().iter().filter(|l| l.node.raw() == "nl").count() <= 4);
 }
 
 #[test]
-fn the_last_state_of_an_earlier_life_is_hidden_until_asked_for() {
+fn the_last_state_of_an_earlier_incarnation_is_hidden_until_asked_for() {
     let mut stage = Stage::new(Theme::ASCII);
     stage.attach(ms(1_000), 0, 1);
     let count = |stage: &Stage| stage.app.rows(&[], ms(1_100)).len();
@@ -101,12 +102,12 @@ fn the_last_state_of_an_earlier_life_is_hidden_until_asked_for() {
 }
 
 #[test]
-fn a_lost_connection_to_a_living_node_resumes_the_same_life() {
+fn a_lost_connection_to_a_living_node_resumes_the_same_incarnation() {
     let mut stage = Stage::cell(Theme::ASCII);
     stage.lose(ms(1_100), 0);
     stage.attach(ms(1_500), 0, 1);
-    assert_eq!(stage.app.store().lives().len(), 3);
-    assert_eq!(stage.app.store().lives()[0].presence(ms(1_500)), Presence::Up);
+    assert_eq!(stage.app.store().incarnations().len(), 3);
+    assert_eq!(stage.app.store().incarnations()[0].presence(ms(1_500)), Presence::Up);
 }
 
 #[test]
@@ -129,7 +130,7 @@ fn the_matrix_says_who_waits_for_whom_and_names_a_dead_member() {
     let in_vain: Vec<_> = found.iter().filter(|f| f.code == "rendezvous-lost-member").collect();
     assert_eq!(in_vain.len(), 2, "both arms wait in vain");
     assert_eq!(&*in_vain[0].text, "lost hoist@nh: waits in vain");
-    assert_eq!(in_vain[0].level, Level::Bad);
+    assert_eq!(in_vain[0].level, Severity::Bad);
 }
 
 #[test]
@@ -163,7 +164,7 @@ fn losses_crashes_and_link_drops_are_noticed() {
     assert_eq!(lines[0], ("crashed", "the task panicked".to_owned(), 1));
     assert_eq!(lines[1], ("discard", "checksum\\x1b".to_owned(), 5));
     assert_eq!((lines[2].0, lines[2].2), ("lost", 9));
-    assert_eq!(stage.app.store().lives()[0].lost, 9);
+    assert_eq!(stage.app.store().incarnations()[0].lost, 9);
     let codes = codes(stage.app.store(), ms(1_100));
     for code in ["task-crashed", "link-discards", "time-outs"] {
         assert!(codes.contains(&code), "{code} in {codes:?}");
@@ -191,7 +192,7 @@ proptest! {
         let remaining = Ticks(left_us.saturating_add(age_us) / tick_us);
         stage.frame(at(way_us), 1, ServerFrame::Snapshot(told));
         let now = at(way_us + passed_us);
-        let shown = stage.app.store().lives()[0].left(remaining, age_us, now).us;
+        let shown = stage.app.store().incarnations()[0].left(remaining, age_us, now).us;
         let truth = left_us.saturating_sub(way_us + passed_us);
         prop_assert!(shown.abs_diff(truth) <= tick_us + way_us, "{} for {}", shown, truth);
     }
@@ -246,7 +247,7 @@ fn what_a_node_sends_is_not_trusted() {
         assert!(!text.contains(|c: char| c.is_control() && c != '\n' || c == '\u{202e}'), "{text}");
     }
     stage.frame(ms(1), 77, ServerFrame::Snapshot(snapshot(0)));
-    assert_eq!(stage.app.store().lives().len(), 1, "a source that never attached says nothing");
+    assert_eq!(stage.app.store().incarnations().len(), 1, "a source that never attached says nothing");
 }
 
 #[test]
@@ -259,7 +260,7 @@ fn pausing_is_the_screens_alone() {
     assert_eq!(stage.frame(ms(1_100), 1, ServerFrame::Snapshot(snapshot(1))), Effect::Nothing);
     assert_eq!(stage.text(ms(9_000), 80, 24), paused, "nothing moves");
     assert_eq!(stage.app.redraw_after(), None);
-    assert!(stage.app.live().lives()[0].presence(ms(1_100)).is_gone(), "what came in was not lost");
+    assert!(stage.app.live().incarnations()[0].presence(ms(1_100)).is_gone(), "what came in was not lost");
     stage.key(ms(9_000), KeyCode::Char(' '));
     assert!(stage.text(ms(9_000), 80, 24).contains("DEAD 7s ago"));
 }
@@ -297,10 +298,10 @@ fn rows_are_filtered_with_their_parents_and_sorted_within_them() {
     assert_eq!(count(&stage), 14);
     stage.keys(ms(1_000), "s");
     let first = stage.app.rows(&[], ms(1_000))[0].place.node.unwrap();
-    assert_eq!(stage.app.store().life(first).unwrap().node.raw(), "nr", "least slack first");
+    assert_eq!(stage.app.store().incarnation(first).unwrap().node.raw(), "nr", "least slack first");
     stage.keys(ms(1_000), "i");
     let last = stage.app.rows(&[], ms(1_000)).last().unwrap().place.node.unwrap();
-    assert_eq!(stage.app.store().life(last).unwrap().node.raw(), "nr");
+    assert_eq!(stage.app.store().incarnation(last).unwrap().node.raw(), "nr");
 }
 
 #[test]
@@ -388,7 +389,7 @@ fn a_source_of_memories_feeds_like_any_other_and_stops_when_nobody_listens() {
     feeds().start(Sink::new(Clock::start(), move |arrival| send.send(arrival).is_ok())).unwrap();
     let mut store = Store::default();
     arrivals.iter().for_each(|arrival| store.apply(arrival));
-    assert!(store.lives()[0].last.is_some());
+    assert!(store.incarnations()[0].last.is_some());
 
     let taken = Arc::new(AtomicU32::new(0));
     let count = taken.clone();

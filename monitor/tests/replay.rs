@@ -304,7 +304,7 @@ fn recordings_of_version_1_0_are_playable() {
     ];
     let mut player = Player::new(Arc::new(Film::read(written(&records).as_slice()).unwrap()), 1.0);
     player.go_to_end();
-    assert_eq!(*player.store().lives()[0].last.as_ref().unwrap().snapshot, snapshot(0));
+    assert_eq!(*player.store().incarnations()[0].last.as_ref().unwrap().snapshot, snapshot(0));
 }
 
 #[test]
@@ -316,7 +316,7 @@ fn lost_frames_are_counted() {
     writer.append(&Record::Gap { stream: imrs_wire::recording::Stream::Frames(0), lost: 7 }).unwrap();
     let film = Film::read(writer.finish().unwrap().as_slice()).unwrap();
     let player = Player::new(Arc::new(film), 1.0);
-    assert_eq!(player.store().lives()[0].lost, 7);
+    assert_eq!(player.store().incarnations()[0].lost, 7);
 }
 
 #[test]

@@ -6,7 +6,7 @@ use imrs_monitor::Endpoint;
 use imrs_monitor::app::lanes::Slice;
 use imrs_monitor::app::{Effect, Msg, Screen};
 use imrs_monitor::rows::Sort;
-use imrs_monitor::store::message::{MessageKey, Passed, life_of};
+use imrs_monitor::store::message::{MessageKey, Passed, incarnation_of};
 use imrs_monitor::store::timeline::{Timeline, timeline};
 use imrs_monitor::theme::Theme;
 use imrs_protocol::{Event, TaskId};
@@ -19,7 +19,10 @@ const NOW: Duration = ms(1_100);
 /// Whether every mark comes after its cause and after earlier marks of its task.
 fn is_causal(timeline: &Timeline) -> bool {
     timeline.marks.iter().enumerate().all(|(at, mark)| {
-        let earlier = timeline.marks[..at].iter().rev().find(|m| (m.life, m.task) == (mark.life, mark.task));
+        let earlier = timeline.marks[..at]
+            .iter()
+            .rev()
+            .find(|m| (m.incarnation, m.task) == (mark.incarnation, mark.task));
         mark.cause.is_none_or(|cause| cause < at)
             && earlier.is_none_or(|earlier| earlier.seen.mono_us <= mark.seen.mono_us)
             && timeline.marks[..at].iter().all(|before| before.order <= mark.order)
@@ -30,7 +33,7 @@ fn is_causal(timeline: &Timeline) -> bool {
 fn a_message_is_followed_from_its_birth_to_the_answer() {
     let stage = Stage::busy(Theme::ASCII);
     let key = MessageKey { source: TaskId(0), port: BEAT, number: 8_810 };
-    let stages = life_of(stage.app.store(), &beam(), key);
+    let stages = incarnation_of(stage.app.store(), &beam(), key);
     let told: Vec<_> = stages
         .iter()
         .map(|s| (s.mark.seen.what.event, s.left_us / 1_000, s.charged_us.map(|us| us / 1_000), s.passed))
@@ -76,7 +79,7 @@ fn what_passed_between_two_nodes_is_told_by_the_clocks_of_both() {
         stage.frame(ms(1_060), node, ServerFrame::Events(Events { lost: 0, events: vec![event] }));
     }
     let key = MessageKey { source: TaskId(0), port: BEAT, number: 9_000 };
-    let passed: Vec<_> = life_of(stage.app.store(), &beam(), key).iter().map(|s| s.passed).collect();
+    let passed: Vec<_> = incarnation_of(stage.app.store(), &beam(), key).iter().map(|s| s.passed).collect();
     let took = |us, estimated| Some(Passed { us, estimated });
     assert_eq!(passed, [None, took(14_000, true), took(1_000, false), took(400, true)]);
 }
@@ -163,7 +166,7 @@ fn lost_observations_leave_a_gap_before_what_came_after_them() {
 }
 
 #[test]
-fn enter_opens_the_life_of_the_message_in_the_row_and_escape_goes_back() {
+fn enter_opens_the_history_of_the_message_in_the_row_and_escape_goes_back() {
     let mut stage = Stage::busy(Theme::ASCII);
     stage.keys(NOW, "2l");
     stage.keys(NOW, "j\n");
@@ -213,7 +216,7 @@ fn commands_go_where_they_say_and_unknown_ones_name_those_there_are() {
     command(&mut stage, "node nh");
     let rows = stage.app.rows(&[], NOW);
     let place = rows[stage.app.selected(&rows)].place;
-    assert_eq!(stage.app.store().life(place.node.unwrap()).unwrap().node.raw(), "nh");
+    assert_eq!(stage.app.store().incarnation(place.node.unwrap()).unwrap().node.raw(), "nh");
     assert_eq!(stage.app.screen, Screen::Overview);
     command(&mut stage, "theme mono");
     assert_eq!(stage.app.theme, Theme::MONO);

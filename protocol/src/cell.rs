@@ -227,7 +227,7 @@ impl PortDecl {
     }
 
     /// Whether a penalty extends the deadline of the message: the literal rule (Appendix, `save`; D4).
-    pub(crate) fn lengthens_lives(&self) -> bool {
+    pub(crate) fn lengthens_ttls(&self) -> bool {
         self.penalty.is_some_and(|penalty| penalty.literal)
     }
 
@@ -420,7 +420,7 @@ pub enum CellError {
         least: Ticks,
     },
     /// A couple's heartbeats need a port that joins only its two tasks: the standby queries, the primary responds.
-    NotForBeats(String),
+    NotForHeartbeats(String),
     /// A task is in two couples.
     CoupledTwice(String),
     /// A port guarded by a lease has a sender outside the couple, or is a `waitfor`.
@@ -516,7 +516,7 @@ impl fmt::Display for CellError {
                 f,
                 "waitfor `{port}`: time_out {time_out} must exceed {least} ticks (safety margin and way), or nobody is ever released"
             ),
-            Self::NotForBeats(port) => write!(
+            Self::NotForHeartbeats(port) => write!(
                 f,
                 "port `{port}` cannot carry beats: it must join the two tasks of the couple alone, the standby with usage query, the primary with usage response"
             ),

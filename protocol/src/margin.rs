@@ -24,14 +24,14 @@ pub fn takeover_margin(
     if both == Ticks::FAR { Ticks::FAR } else { drift + residence + tick }
 }
 
-/// The shortest lease that never ends while no packet is lost: heartbeats every `every`, link delays up to `way` (D78).
+/// The shortest lease that never ends while no packet is lost: heartbeats every `every`, link delays up to `delay` (D78).
 ///
 /// The lease must last while one answer is the newest echoed one. The heartbeat that echoes it leaves a round trip and at most a
-/// period later. The one that echoes the next answer leaves a period after that and takes `way`. `tick`: the end is noticed late.
+/// period later. The one that echoes the next answer leaves a period after that and takes `delay`. `tick`: the end is noticed late.
 #[must_use]
-pub fn least_lease(way: Ticks, every: Ticks, tick: Ticks) -> Ticks {
-    let beats = (way + way).0 / every.0.max(1);
-    Ticks(every.0.saturating_mul(beats.saturating_add(2))) + way + tick
+pub fn least_lease(delay: Ticks, every: Ticks, tick: Ticks) -> Ticks {
+    let heartbeats = (delay + delay).0 / every.0.max(1);
+    Ticks(every.0.saturating_mul(heartbeats.saturating_add(2))) + delay + tick
 }
 
 /// The least patience that every arrival must have left when a member releases. If each packet takes at most `delay`
@@ -71,7 +71,7 @@ mod tests {
 
     #[test]
     fn a_lease_lasts_two_periods_a_way_and_what_the_way_there_and_back_adds() {
-        let least = |way, every| least_lease(Ticks(way), Ticks(every), Ticks(1));
+        let least = |delay, every| least_lease(Ticks(delay), Ticks(every), Ticks(1));
         assert_eq!([(1, 2), (2, 3), (2, 2), (1, 3)].map(|(w, e)| least(w, e).0), [8, 12, 11, 8]);
         assert_eq!(least(1, 0), Ticks(2));
         assert_eq!(least(1, u64::MAX), Ticks::FAR);

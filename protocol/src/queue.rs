@@ -1,12 +1,12 @@
 //! A bounded priority queue with stable slots: the most urgent entry first (§III). A *watched* queue keeps a second order, by
 //! the instant at which an entry is due. The entry to evict (D60) is searched for only when the queue is full (D108).
 //!
-//! Each order is a heap of 8-byte words with a 2-byte position per slot ([`Words`]). So sifting never moves an entry, an entry
+//! Each order is a heap of 8-byte words with a 2-byte position per slot ([`Heap`]). So sifting never moves an entry, an entry
 //! can be removed by its slot, and each change costs O(log n).
 
-mod words;
+mod heap;
 
-pub use words::Words;
+pub use heap::Heap;
 
 use crate::ticks::Instant;
 use alloc::boxed::Box;
@@ -48,7 +48,7 @@ pub struct Queue<T: Entry> {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Order<S> {
     /// The heap by urgency. For a free slot it stores the next free slot instead: a free list.
-    urgent: Words,
+    urgent: Heap,
     free: Slot,
     /// Cache of the entry to evict; `None` after any change that may affect it.
     #[serde(skip)]
@@ -60,7 +60,7 @@ struct Order<S> {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Watch<S> {
     sides: Box<[S]>,
-    due: Words,
+    due: Heap,
 }
 
 /// A queue of capacity 0, which takes no memory.
@@ -87,7 +87,7 @@ fn instant(key: u128) -> Instant {
 impl<S: Copy + Default> Order<S> {
     /// All slots are free, and the lowest is taken first.
     fn new(capacity: u16) -> Self {
-        let mut new = Self { urgent: Words::new(capacity), free: NONE, last: None, watch: None };
+        let mut new = Self { urgent: Heap::new(capacity), free: NONE, last: None, watch: None };
         new.free_all();
         new
     }
@@ -194,7 +194,7 @@ impl<T: Entry> Queue<T> {
             Box::new(order)
         });
         let sides: Box<[T::Side]> = vec![T::Side::default(); entries.len()].into();
-        let mut due_first = Words::new(narrow(entries.len()));
+        let mut due_first = Heap::new(narrow(entries.len()));
         for slot in order.urgent.iter() {
             let key = |slot| due(entries, &sides, slot);
             due_first.push(slot, key(slot).0, key);

@@ -31,7 +31,7 @@ pub enum TimeStamp {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Memory {
     /// For the TTL and the link delay: until no copy can arrive any more.
-    LifeAndLink,
+    TtlAndLink,
     /// Until the message is answered.
     UntilAnswered,
     /// Not at all.
@@ -131,7 +131,7 @@ impl Rules {
         refuse_late_replies: true,
         reserve_way_back: true,
         time_stamp: TimeStamp::Remaining,
-        memory: Memory::LifeAndLink,
+        memory: Memory::TtlAndLink,
         quarantine: true,
         aging: Aging::Bounded,
         obey_order: true,

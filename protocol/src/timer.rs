@@ -217,7 +217,7 @@ mod tests {
     }
 
     fn encoded(timer: &mut Timer) -> Result<Vec<u8>, Overflow> {
-        Encode::bytes(&Frame { rounds: &[], sequences: &[], lives: false }, |w| timer.walk(w))
+        Encode::bytes(&Frame { rounds: &[], sequences: &[], incarnations: false }, |w| timer.walk(w))
     }
 
     proptest! {

@@ -181,12 +181,12 @@ impl Transit {
     fn waits(&mut self, table: &NodeTable, packet: Packet, next: NodeId) -> Waiting {
         let expires = self.now + packet.remaining;
         let to = table.location(packet.destination);
-        let way = to.and_then(|to| table.path_bound(table.node, to)).unwrap_or(Ticks::ZERO);
+        let delay = to.and_then(|to| table.path_bound(table.node, to)).unwrap_or(Ticks::ZERO);
         // Variants: links charge nothing, or a late reply is still accepted.
         let answers = matches!(packet.kind, Kind::Reply | Kind::Response);
         let late = (answers && !table.rules().refuse_late_replies)
             || table.rules().time_stamp == TimeStamp::Absolute;
-        let leave_by = if late || expires == Instant::NEVER { expires } else { expires - way };
+        let leave_by = if late || expires == Instant::NEVER { expires } else { expires - delay };
         let arrival = self.arrivals;
         self.arrivals += 1;
         Waiting { packet, expires, leave_by, arrival, next }

@@ -45,8 +45,8 @@ impl Room {
         self.y.hear(packet).words()
     }
 
-    fn hear_urgent(&mut self, port: PortId, byte: u8, life: u64) -> Vec<String> {
-        let packet = self.x.ask(send_for(port, Y, byte, life)).packets[0];
+    fn hear_urgent(&mut self, port: PortId, byte: u8, ttl: u64) -> Vec<String> {
+        let packet = self.x.ask(send_for(port, Y, byte, ttl)).packets[0];
         self.y.hear(packet).words()
     }
 
@@ -142,7 +142,7 @@ fn a_cap_does_not_lift_a_message_over_a_handler_of_the_first_rank() {
 }
 
 #[test]
-fn without_aging_a_message_is_rejected_as_long_as_it_lives() {
+fn without_aging_a_message_is_rejected_until_it_expires() {
     for aging in [Aging::Off, Aging::Unbounded] {
         let mut room = Room::new(|cell| cell.rules.aging = aging);
         for request in [handle(LOW), order(&[Ranked::Own, Ranked::Port(LOW)]), Request::Work] {
@@ -156,7 +156,7 @@ fn without_aging_a_message_is_rejected_as_long_as_it_lives() {
 }
 
 #[test]
-fn the_literal_penalty_lengthens_the_life() {
+fn the_literal_penalty_lengthens_the_remaining_time() {
     let mut room =
         Room::new(|cell| cell.ports[0].penalty = Some(Penalty { length: Ticks(4), literal: true }));
     for request in [handle(LOW), order(&[Ranked::Own, Ranked::Port(LOW)]), Request::Work] {

@@ -9,7 +9,7 @@ const HOIST: TaskId = TaskId(1);
 const N0: NodeId = NodeId(0);
 const N1: NodeId = NodeId(1);
 const MOVE: PortId = PortId(0);
-const BEAT: PortId = PortId(1);
+const HEARTBEAT: PortId = PortId(1);
 const LIFT: PortId = PortId(2);
 const ASK: PortId = PortId(3);
 const CHECK: PortId = PortId(4);
@@ -136,7 +136,7 @@ fn interrupt(pair: &mut Pair, contents: Contents) {
 /// Every kind of message path once.
 fn exercise(pair: &mut Pair, contents: Contents) {
     let command = Request::Send { port: MOVE, to: Target::One(HOIST), contents, time_out: None };
-    let status = Request::Send { port: BEAT, to: Target::All, contents, time_out: None };
+    let status = Request::Send { port: HEARTBEAT, to: Target::All, contents, time_out: None };
     let get = Request::Get { port: None, source: None, time_out: Some(Ticks(20)) };
     let arrive = Request::Arrive { port: LIFT, arguments: [1; 8], time_out: None };
 
@@ -208,7 +208,7 @@ fn loading_a_state_in_place_allocates_nothing() {
     let table = pair.nodes[0].parts().table.clone();
     let task = &mut pair.nodes[0].parts_mut().tasks[0];
     let home = ([Frame::ROUND; 5], [Seq24::new(0); 3]);
-    let frame = Frame { rounds: &home.0, sequences: &home.1, lives: false };
+    let frame = Frame { rounds: &home.0, sequences: &home.1, incarnations: false };
     // Relative to distant ids the state does not fit: that is an error, and no value saturates.
     assert_eq!(Encode::bytes(&frame, |w| task.walk(&table, w)), Err(Overflow));
     let before = allocations();

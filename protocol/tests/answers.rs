@@ -84,7 +84,7 @@ fn packed(solo: &Solo) -> Solo {
     let mut task = solo.task.clone();
     task.bury();
     let sequences = [Seq24::new(100); 3];
-    let frame = Frame { rounds: &[Round(0); 3], sequences: &sequences, lives: true };
+    let frame = Frame { rounds: &[Round(0); 3], sequences: &sequences, incarnations: true };
     let bytes = Encode::bytes(&frame, |w| task.walk(&solo.table, w)).expect("it fits");
     assert_eq!(Decode::read(&bytes, true, |r| task.walk(&solo.table, r)), bytes.len());
     Solo { table: solo.table.clone(), task }

@@ -79,7 +79,7 @@ fn a_packed_state_knows_what_expired_unheard() {
     y.pass(2);
     y.task.bury();
     let sequences = [Frame::SEQUENCE; 2];
-    let frame = Frame { rounds: &[Round(0)], sequences: &sequences, lives: false };
+    let frame = Frame { rounds: &[Round(0)], sequences: &sequences, incarnations: false };
     let id = MessageId { sequence: Frame::SEQUENCE.plus(Seq24::MODULUS - 1), ..first.id };
     let mut task = CommTask::new(&y.table, Y, Incarnation(0), false);
     let mut other = Solo { table: y.table.clone(), task: task.clone() };

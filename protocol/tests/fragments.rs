@@ -217,7 +217,7 @@ fn long_status_waits_in_the_buffer_with_all_its_fragments() {
 fn a_restarted_task_turns_a_long_command_away_once() {
     let table = table();
     let packets = staged(&mut Solo::new(&table, X), TEACH, &[1, 2, 3]).packets;
-    let mut y = Solo::life(&table, Y, 1, true);
+    let mut y = Solo::incarnation(&table, Y, 1, true);
     let words: Vec<_> = packets.iter().flat_map(|p| y.hear(*p).words()).collect();
     assert_eq!(words, ["RESTARTED T1>T0 #0 for 20"]);
 }

@@ -82,7 +82,7 @@ fn heal(net: &mut Net) {
 }
 
 #[test]
-fn the_primary_acts_once_a_beat_has_echoed_its_answer_and_the_lease_is_renewed() {
+fn the_primary_acts_once_a_heartbeat_has_echoed_its_answer_and_the_lease_is_renewed() {
     let mut net = Net::new(cell(false));
     net.ask(P, Request::Lease);
     assert_eq!(changes(&mut net, 100), [(0, [false, false]), (5, [true, false])]);
@@ -308,7 +308,7 @@ fn said(seen: &support::Effects) -> Vec<[u8; 2]> {
 }
 
 /// A heartbeat of the standby. It echoes the answer to the heartbeat `back` before, of the primary's incarnation `whose`.
-fn beat(sequence: u32, back: u8, epoch: u8, whose: u8) -> Packet {
+fn heartbeat(sequence: u32, back: u8, epoch: u8, whose: u8) -> Packet {
     let contents = Contents::new(&[back, 0, epoch, whose]).expect("short");
     let id = MessageId { sequence: Seq24::new(sequence), ..MessageId::default() };
     let nothing = Solo::new(&table(false), ARM).nothing();
@@ -317,12 +317,12 @@ fn beat(sequence: u32, back: u8, epoch: u8, whose: u8) -> Packet {
 }
 
 #[test]
-fn an_echo_of_what_an_earlier_life_answered_gives_no_lease() {
+fn an_echo_of_what_an_earlier_incarnation_answered_gives_no_lease() {
     for (whose, acts) in [(0, true), (1, false)] {
         let mut primary = Solo::new(&table(false), P);
-        primary.hear(beat(1, 0, 0, 0));
+        primary.hear(heartbeat(1, 0, 0, 0));
         primary.pass(1);
-        primary.hear(beat(2, 1, 3, whose));
+        primary.hear(heartbeat(2, 1, 3, whose));
         assert_eq!(primary.task.is_active(), acts, "an echo of life {whose}");
     }
 }
@@ -330,13 +330,13 @@ fn an_echo_of_what_an_earlier_life_answered_gives_no_lease() {
 #[test]
 fn the_epoch_is_said_before_anybody_acts_in_it_and_a_proposal_is_kept_until_a_newer_one_is_heard_of() {
     let mut primary = Solo::new(&table(true), P);
-    assert_eq!(said(&primary.hear(beat(1, 0, 0, 0))), [[0, 3]]);
-    assert_eq!(said(&primary.hear(beat(2, 0, 3, 0))), [[0, 3]], "heard of, and not begun");
+    assert_eq!(said(&primary.hear(heartbeat(1, 0, 0, 0))), [[0, 3]]);
+    assert_eq!(said(&primary.hear(heartbeat(2, 0, 3, 0))), [[0, 3]], "heard of, and not begun");
     assert!(!primary.task.is_active());
     // The standby took over in epoch 4 meanwhile, so the echo of an answer with epoch 3 has no effect.
-    assert_eq!(said(&primary.hear(beat(3, 1, 4, 0))), [[0, 5]]);
+    assert_eq!(said(&primary.hear(heartbeat(3, 1, 4, 0))), [[0, 5]]);
     assert!(!primary.task.is_active());
-    assert_eq!(said(&primary.hear(beat(4, 1, 5, 0))), [[1, 5]]);
+    assert_eq!(said(&primary.hear(heartbeat(4, 1, 5, 0))), [[1, 5]]);
     assert!(primary.task.is_active());
 }
 
@@ -344,7 +344,7 @@ fn the_epoch_is_said_before_anybody_acts_in_it_and_a_proposal_is_kept_until_a_ne
 fn guess(sequence: u32, epoch: u8) -> Packet {
     let contents = Contents::new(&[0, 0, epoch, 0, 1]).expect("short");
     let id = MessageId { incarnation: Incarnation(1), sequence: Seq24::new(sequence) };
-    Packet { id, contents, ..beat(sequence, 0, epoch, 0) }
+    Packet { id, contents, ..heartbeat(sequence, 0, epoch, 0) }
 }
 
 #[test]
@@ -352,8 +352,8 @@ fn nobody_takes_the_guess_of_a_node_that_started_again_for_news() {
     // From 130 on, epoch 2 compares as newer.
     for reached in [100, 130, 132, 200] {
         let mut primary = Solo::new(&table(true), P);
-        primary.hear(beat(1, 0, reached / 2, 0));
-        assert_eq!(said(&primary.hear(beat(2, 0, reached, 0))), [[0, reached + 1]]);
+        primary.hear(heartbeat(1, 0, reached / 2, 0));
+        assert_eq!(said(&primary.hear(heartbeat(2, 0, reached, 0))), [[0, reached + 1]]);
         assert_eq!(
             said(&primary.hear(guess(3, 2))),
             [[0, reached + 7]],
@@ -365,9 +365,9 @@ fn nobody_takes_the_guess_of_a_node_that_started_again_for_news() {
 #[test]
 fn a_node_that_started_again_takes_the_epoch_of_one_that_knows_it() {
     for reached in [0, 100, 130, 132, 200] {
-        let mut primary = Solo::life(&table(true), P, 1, true);
+        let mut primary = Solo::incarnation(&table(true), P, 1, true);
         assert_eq!(said(&primary.hear(guess(1, 2))), [[0, 7]], "two that guess: the newer, and counted up");
-        assert_eq!(said(&primary.hear(beat(2, 0, reached, 0))), [[0; 2]; 0], "of an earlier life");
+        assert_eq!(said(&primary.hear(heartbeat(2, 0, reached, 0))), [[0; 2]; 0], "of an earlier life");
         let mut knows = guess(3, reached);
         knows.contents = Contents::new(&[0, 0, reached, 0, 0]).expect("short");
         assert_eq!(said(&primary.hear(knows)), [[0, reached + 1]]);
@@ -377,7 +377,7 @@ fn a_node_that_started_again_takes_the_epoch_of_one_that_knows_it() {
 /// The epochs are equal by chance: an earlier incarnation of the primary may have acted in this one.
 #[test]
 fn what_was_proposed_from_a_guess_is_over_when_the_partner_knows_an_epoch() {
-    let mut primary = Solo::life(&table(true), P, 1, true);
+    let mut primary = Solo::incarnation(&table(true), P, 1, true);
     assert_eq!(said(&primary.hear(guess(1, 2))), [[0, 7]]);
     let mut knows = guess(2, 7);
     knows.contents = Contents::new(&[1, 0, 7, 1, 0]).expect("short");
@@ -411,7 +411,7 @@ fn a_lease_survives_packing_at_any_moment() {
             }
             let sequences: Vec<Seq24> =
                 net.nodes.iter().map(|node| node.parts().tasks[0].next_sequence()).collect();
-            let frame = Frame { rounds: &[Frame::ROUND; 2], sequences: &sequences, lives: true };
+            let frame = Frame { rounds: &[Frame::ROUND; 2], sequences: &sequences, incarnations: true };
             for node in &mut net.nodes {
                 let table = node.parts().table.clone();
                 let task = &mut node.parts_mut().tasks[0];
@@ -431,7 +431,7 @@ fn a_lease_survives_packing_at_any_moment() {
 }
 
 #[test]
-fn an_answer_that_is_of_no_use_any_more_counts_as_none_even_before_the_next_beat_drops_it() {
+fn an_answer_that_is_of_no_use_any_more_counts_as_none_even_before_the_next_heartbeat_drops_it() {
     let mut standby = Solo::new(&table(true), S);
     standby.pass(1);
     let nothing = Solo::new(&table(true), ARM).nothing();
@@ -479,7 +479,7 @@ fn a_couple_that_cannot_keep_its_promise_is_no_couple() {
         errors(|c| c.couples[0].takeover = Ticks(21)),
         [CellError::TakeoverTooSoon { couple: couple(), takeover: Ticks(21), least }]
     );
-    assert_eq!(errors(|c| c.couples[0].via = MOVE), [CellError::NotForBeats("move".into())]);
+    assert_eq!(errors(|c| c.couples[0].via = MOVE), [CellError::NotForHeartbeats("move".into())]);
     assert_eq!(errors(|c| c.couples[0].via = PortId(9)), [CellError::Dangling("couple 0".into())]);
     assert_eq!(errors(|c| c.couples[0].standby = P)[0], CellError::Dangling("couple 0".into()));
     let nobody = errors(|c| c.couples[0].standby = TaskId::from_index(c.tasks.len()));

@@ -52,28 +52,28 @@ impl Couple {
     }
 
     /// The standby sends its next heartbeat, and the primary answers. Returns the heartbeat and the primary's signals.
-    fn beat(&mut self) -> (Packet, Vec<String>) {
+    fn heartbeat(&mut self) -> (Packet, Vec<String>) {
         let due = self.s.task.next_expiry().expect("a beat is to be sent");
         self.p.pass(due.0);
-        let beat = self.s.pass(due.0).packets[0];
-        let out = self.p.hear(beat);
+        let heartbeat = self.s.pass(due.0).packets[0];
+        let out = self.p.hear(heartbeat);
         self.s.hear(out.packets[0]);
-        (beat, out.signals.iter().map(support::signal).collect())
+        (heartbeat, out.signals.iter().map(support::signal).collect())
     }
 
     /// The lease is granted at the second heartbeat, which echoes the answer to the first one. It counts from that answer.
     fn granted(mutual: bool) -> (Self, Packet) {
         let mut couple = Self::new(mutual);
         couple.p.ask(Request::Lease);
-        assert_eq!(couple.beat().1, Vec::<String>::new());
-        let (second, told) = couple.beat();
+        assert_eq!(couple.heartbeat().1, Vec::<String>::new());
+        let (second, told) = couple.heartbeat();
         assert_eq!(told, ["granted 3"]);
         (couple, second)
     }
 }
 
 #[test]
-fn an_echo_of_what_an_earlier_life_was_answered_renews_nothing() {
+fn an_echo_of_what_an_earlier_incarnation_was_answered_renews_nothing() {
     let (mut couple, second) = Couple::granted(false);
     let left = LEASE - EVERY;
     couple.p.pass(2);
@@ -89,7 +89,7 @@ fn an_echo_of_what_an_earlier_life_was_answered_renews_nothing() {
 }
 
 #[test]
-fn a_beat_of_an_earlier_life_is_not_answered_once_the_new_one_is_heard_of() {
+fn a_heartbeat_of_an_earlier_incarnation_is_not_answered_once_the_new_one_is_heard_of() {
     let (mut couple, second) = Couple::granted(false);
     let id = MessageId { incarnation: Incarnation(1), sequence: Seq24::default() };
     let first_of_new = Packet { id, contents: Contents::new(&[0; 4]).expect("short"), ..second };
@@ -133,7 +133,7 @@ fn interrupted(task: &mut Solo) {
 
 #[test]
 fn a_wait_for_the_lease_may_be_interrupted_and_ends_when_the_handler_returns() {
-    let mut s = Solo::life(&table(false), S, 1, true);
+    let mut s = Solo::incarnation(&table(false), S, 1, true);
     interrupted(&mut s);
     assert_eq!(s.ask(Request::Lease).words(), ["fault Busy"], "one wait at a time");
     s.pass(TAKEOVER);
@@ -147,8 +147,8 @@ fn a_wait_for_the_lease_may_be_interrupted_and_ends_when_the_handler_returns() {
 fn a_lease_that_was_granted_and_lost_within_a_handler_is_waited_for_again() {
     let mut couple = Couple::new(true);
     interrupted(&mut couple.p);
-    couple.beat();
-    assert_eq!(couple.beat().1, Vec::<String>::new(), "the handler goes on");
+    couple.heartbeat();
+    assert_eq!(couple.heartbeat().1, Vec::<String>::new(), "the handler goes on");
     assert!(couple.p.task.is_active());
     couple.p.pass(LEASE);
     assert!(!couple.p.task.is_active());
@@ -158,21 +158,21 @@ fn a_lease_that_was_granted_and_lost_within_a_handler_is_waited_for_again() {
 }
 
 #[test]
-fn beats_and_answers_cut_short_mean_nothing() {
+fn heartbeats_and_answers_cut_short_mean_nothing() {
     let (mut couple, second) = Couple::granted(false);
     let id = MessageId { sequence: second.id.sequence.next(), ..second.id };
     let out = couple.p.hear(Packet { id, contents: Contents::new(&[1, 0]).expect("short"), ..second });
     assert!(out.packets.is_empty() && out.signals.is_empty(), "{out:?}");
     let due = couple.s.task.next_expiry().expect("a beat is to be sent");
-    let beat = couple.s.pass(due.0).packets[0];
-    let answer = couple.p.hear(beat).packets[0];
+    let heartbeat = couple.s.pass(due.0).packets[0];
+    let answer = couple.p.hear(heartbeat).packets[0];
     let before = couple.s.task.next_expiry();
     couple.s.hear(Packet { contents: Contents::EMPTY, ..answer });
     assert_eq!(couple.s.task.next_expiry(), before);
 }
 
 #[test]
-fn what_is_no_beat_and_no_answer_is_none_of_the_couples() {
+fn what_is_no_heartbeat_and_no_answer_is_none_of_the_couples() {
     let (mut couple, second) = Couple::granted(false);
     let kinds = [Kind::Send, Kind::Reply, Kind::Arrive, Kind::Confirm, Kind::Abort, Kind::Control];
     for kind in kinds {
@@ -183,7 +183,7 @@ fn what_is_no_beat_and_no_answer_is_none_of_the_couples() {
 }
 
 #[test]
-fn word_of_a_restart_alone_ends_no_lease() {
+fn news_of_a_restart_alone_ends_no_lease() {
     let (mut couple, _) = Couple::granted(false);
     couple.p.input(Input::PeerRestarted(NS));
     assert!(couple.p.task.is_active());
@@ -192,7 +192,7 @@ fn word_of_a_restart_alone_ends_no_lease() {
 }
 
 #[test]
-fn a_lease_covers_the_beats_that_are_on_their_way() {
+fn a_lease_covers_the_heartbeats_that_are_on_their_way() {
     // An answer is back after 10 ticks, in which two more heartbeats were sent, one every 4. The last link delay takes 5.
     let with = |lease| {
         let mut cell = cell(false);
@@ -208,7 +208,7 @@ fn a_lease_covers_the_beats_that_are_on_their_way() {
 }
 
 #[test]
-fn beats_need_a_port_between_the_two_alone() {
+fn heartbeats_need_a_port_between_the_two_alone() {
     let with = |owner: TaskId, users: &[TaskId]| {
         let mut cell = cell(false);
         cell.task("third", NP);
@@ -218,7 +218,7 @@ fn beats_need_a_port_between_the_two_alone() {
     };
     let third = TaskId(2);
     assert_eq!(with(P, &[S]), Ok(()));
-    let wrong = Err(vec![CellError::NotForBeats("via".into())]);
+    let wrong = Err(vec![CellError::NotForHeartbeats("via".into())]);
     for (owner, users) in [(S, &[P][..]), (P, &[S, third]), (P, &[third]), (third, &[S]), (third, &[P, S])] {
         assert_eq!(with(owner, users), wrong, "{owner} asked by {users:?}");
     }
@@ -253,7 +253,7 @@ fn an_actuator_that_is_packed_knows_the_newest_epoch_still() {
         task.pass(wait);
         if packed {
             let sequences = [Frame::SEQUENCE.next(); 3];
-            let frame = Frame { rounds: &[Frame::ROUND; 2], sequences: &sequences, lives: true };
+            let frame = Frame { rounds: &[Frame::ROUND; 2], sequences: &sequences, incarnations: true };
             task.task.bury();
             let bytes = Encode::bytes(&frame, |w| task.task.walk(&task.table, w)).expect("it fits");
             let mut read = Solo::new(&table, arm);

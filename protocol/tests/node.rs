@@ -15,7 +15,7 @@ const N2: NodeId = NodeId(2);
 /// Commands from X and Y to Z.
 const MOVE: PortId = PortId(0);
 /// Status from X to Z.
-const BEAT: PortId = PortId(1);
+const HEARTBEAT: PortId = PortId(1);
 
 /// A chain of three nodes, two and three ticks apart: X and Y on the first, Z on the last.
 fn cell() -> Cell {
@@ -43,7 +43,7 @@ fn packet() -> Packet {
         fragment: 0,
         destination: Z,
         source: X,
-        port: BEAT,
+        port: HEARTBEAT,
         id: MessageId::default(),
         remaining: Ticks(30),
         contents: Contents::EMPTY,
@@ -78,7 +78,7 @@ fn a_relay_passes_packets_on_and_every_hop_is_charged() {
 fn residence_in_a_relay_is_charged() {
     let mut net = Net::new(cell());
     net.busy = vec![N2];
-    net.ask(X, send(BEAT, Z, 1));
+    net.ask(X, send(HEARTBEAT, Z, 1));
     net.run(12);
     net.busy.clear();
     net.pass(N1, 0);
@@ -189,7 +189,7 @@ fn all_parts_of_a_node_have_one_time() {
     let mut net = Net::new(cell());
     net.busy = vec![N1];
     // The route to Z takes 5 ticks.
-    net.ask(X, send_for(BEAT, Z, 1, 14));
+    net.ask(X, send_for(HEARTBEAT, Z, 1, 14));
     net.ask(X, Request::Delay { id: TimeId(1), length: Ticks(7) });
     net.ask(Y, get(8));
     assert_eq!(net.nodes[0].next_expiry(), Some(Ticks(7)));
@@ -214,7 +214,7 @@ fn a_late_node_still_knows_that_a_command_never_left() {
 }
 
 #[test]
-fn word_of_a_restart_reaches_every_task_of_a_node() {
+fn news_of_a_restart_reaches_every_task_of_a_node() {
     let mut net = Net::new(cell());
     net.ask(X, send(MOVE, Z, 1));
     net.ask(Y, send(MOVE, Z, 2));

@@ -11,7 +11,7 @@ const Z: TaskId = TaskId(2);
 /// Status of X and Z to Y.
 const HALT: PortId = PortId(0);
 /// Queries of X and Z to Y.
-const BEAT: PortId = PortId(1);
+const HEARTBEAT: PortId = PortId(1);
 /// Commands of Y to X.
 const MOVE: PortId = PortId(2);
 /// Y meets X.
@@ -47,7 +47,7 @@ impl Room {
     fn of(cell: Cell, named: &[Ranked]) -> Self {
         let table: Arc<CellTable> = Arc::new(CellTable::new(cell).expect("a checked cell"));
         let [x, mut y, z] = [X, Y, Z].map(|task| Solo::new(&table, task));
-        for request in [handle(HALT), handle(BEAT), order(named)] {
+        for request in [handle(HALT), handle(HEARTBEAT), order(named)] {
             assert_eq!(y.ask(request).words(), ["accepted 0"]);
         }
         Self { y, x, z }
@@ -71,14 +71,14 @@ impl Room {
     }
 }
 
-const HALT_OVER_SELF: [Ranked; 3] = [Ranked::Port(HALT), Ranked::Own, Ranked::Port(BEAT)];
+const HALT_OVER_SELF: [Ranked; 3] = [Ranked::Port(HALT), Ranked::Own, Ranked::Port(HEARTBEAT)];
 
 #[test]
 fn a_handler_runs_only_if_it_outranks_the_thread() {
     let mut room = Room::new(&HALT_OVER_SELF);
     assert!(room.ask(Request::Work).is_empty());
-    assert!(room.hear(BEAT, 1).is_empty(), "it is queued");
-    assert_eq!(room.y.counters(BEAT).rejected, 1);
+    assert!(room.hear(HEARTBEAT, 1).is_empty(), "it is queued");
+    assert_eq!(room.y.counters(HEARTBEAT).rejected, 1);
     assert_eq!(room.hear(HALT, 2), ["interrupt [2] from T0 for 40"]);
     assert_eq!(room.y.task.depth(), 1);
     assert_eq!(room.ask(Request::Done), ["fault Busy"]);
@@ -108,17 +108,17 @@ fn a_running_task_is_interrupted_between_statements_only() {
 fn in_a_plain_receive_every_handler_runs_and_the_receive_goes_on() {
     let mut room = Room::new(&HALT_OVER_SELF);
     assert!(room.ask(get(20)).is_empty());
-    assert_eq!(room.hear(BEAT, 1), ["interrupt [1] from T0 for 40"]);
+    assert_eq!(room.hear(HEARTBEAT, 1), ["interrupt [1] from T0 for 40"]);
     // A message that arrives while the handler runs waits for the receive.
     assert!(room.hear(NEWS, 5).is_empty());
     assert_eq!(room.ask(Request::Return), ["message [5] from T0 for 40"]);
     assert!(room.ask(get(20)).is_empty());
     room.y.pass(5);
-    assert_eq!(room.hear(BEAT, 2), ["interrupt [2] from T0 for 40"]);
+    assert_eq!(room.hear(HEARTBEAT, 2), ["interrupt [2] from T0 for 40"]);
     room.y.pass(16);
     assert_eq!(room.ask(Request::Return), ["nothing"], "its time ended meanwhile");
     assert!(room.ask(get(20)).is_empty());
-    assert_eq!(room.hear(BEAT, 3), ["interrupt [3] from T0 for 40"]);
+    assert_eq!(room.hear(HEARTBEAT, 3), ["interrupt [3] from T0 for 40"]);
     assert!(room.ask(Request::Return).is_empty());
     assert_eq!(room.y.task.next_expiry(), Some(Ticks(20)), "with what is left of its time");
 }
@@ -140,11 +140,11 @@ fn a_get_takes_from_a_handled_port_only_if_it_names_it() {
 
 #[test]
 fn handlers_nest_by_rank_and_a_rank_never_grows() {
-    let mut room = Room::new(&[Ranked::Port(HALT), Ranked::Port(BEAT), Ranked::Own]);
+    let mut room = Room::new(&[Ranked::Port(HALT), Ranked::Port(HEARTBEAT), Ranked::Own]);
     room.ask(Request::Work);
-    assert_eq!(room.hear(BEAT, 1), ["interrupt [1] from T0 for 40"]);
+    assert_eq!(room.hear(HEARTBEAT, 1), ["interrupt [1] from T0 for 40"]);
     assert!(room.ask(Request::Delay { id: TimeId(1), length: Ticks(9) }).is_empty());
-    assert!(room.hear_of_z(BEAT, 2).is_empty(), "alike does not outrank");
+    assert!(room.hear_of_z(HEARTBEAT, 2).is_empty(), "alike does not outrank");
     assert_eq!(room.hear(HALT, 3), ["interrupt [3] from T0 for 40"]);
     assert_eq!(room.y.task.depth(), 2);
     assert!(room.ask(Request::Delay { id: TimeId(2), length: Ticks(9) }).is_empty());
@@ -284,14 +284,14 @@ fn timers_interrupt_by_their_rank_and_wait_without_growing() {
 
 #[test]
 fn to_abandon_is_to_begin_anew() {
-    let mut room = Room::new(&[Ranked::Port(HALT), Ranked::Port(BEAT), Ranked::Own]);
+    let mut room = Room::new(&[Ranked::Port(HALT), Ranked::Port(HEARTBEAT), Ranked::Own]);
     room.ask(Request::Start { id: TimeId(5), length: Ticks(9) });
     room.ask(arrive(LIFT));
-    room.hear(BEAT, 1);
+    room.hear(HEARTBEAT, 1);
     let command = room.y.ask(send(MOVE, X, 1)).packets[0];
     room.hear(HALT, 2);
     room.ask(Request::Delay { id: TimeId(1), length: Ticks(9) });
-    assert!(room.hear_of_z(BEAT, 3).is_empty());
+    assert!(room.hear_of_z(HEARTBEAT, 3).is_empty());
     let out = room.y.ask(Request::Abandon);
     assert_eq!(out.words(), ["ABORT T1>T0 r1 next r2 for 30", "cancelled"]);
     assert_eq!(out.timers, [(TimeId(1), None), (TimeId(5), None)]);
@@ -307,7 +307,7 @@ fn to_abandon_is_to_begin_anew() {
 fn a_handler_that_waits_cannot_return_and_its_query_can_be_answered_later() {
     let mut room = Room::new(&HALT_OVER_SELF);
     room.ask(get(90));
-    let query = room.x.ask(send(BEAT, Y, 1)).packets[0];
+    let query = room.x.ask(send(HEARTBEAT, Y, 1)).packets[0];
     let asked = room.y.hear(query).delivery().expect("the query");
     room.ask(get_on(NEWS, 9));
     assert_eq!(room.ask(Request::Return), ["fault Busy"]);

@@ -157,7 +157,7 @@ fn a_query_that_finds_no_place_is_refused() {
     let mut small = cell();
     small.ports[0].bounded_buffer = 1;
     let table = Arc::new(CellTable::new(small).expect("a checked cell"));
-    let query = |task: TaskId, life| Solo::new(&table, task).ask(send_for(ASK, Y, 1, life)).packets[0];
+    let query = |task: TaskId, ttl| Solo::new(&table, task).ask(send_for(ASK, Y, 1, ttl)).packets[0];
     let mut y = Solo::new(&table, Y);
     y.hear(query(Z, 9));
     assert_eq!(y.hear(query(X, 20)).words(), ["REFUSED T1>T0 #0 for 20"]);

@@ -46,7 +46,7 @@ fn a_restarted_node_runs_no_command_while_copies_of_an_earlier_one_may_live() {
     let table = table();
     let mut x = Solo::new(&table, X);
     let command = x.ask(send(MOVE, Y, 3)).packets[0];
-    let mut y = Solo::life(&table, Y, 1, true);
+    let mut y = Solo::incarnation(&table, Y, 1, true);
     y.ask(get(90));
     y.pass(QUARANTINE - 1);
     let answer = y.hear(Packet { remaining: Ticks(9), ..command });
@@ -64,7 +64,7 @@ fn a_new_incarnation_numbers_its_messages_from_the_beginning() {
     x.ask(send(MOVE, Y, 1));
     x.pass(20);
     let second = x.ask(send(MOVE, Y, 2)).packets[0];
-    let first_of_next = Solo::life(&table, X, 1, true).ask(send(MOVE, Y, 3)).packets[0];
+    let first_of_next = Solo::incarnation(&table, X, 1, true).ask(send(MOVE, Y, 3)).packets[0];
     assert!(second.id.sequence.is_newer_than(first_of_next.id.sequence));
     let mut y = Solo::new(&table, Y);
     y.hear(second);
@@ -92,7 +92,7 @@ fn an_answered_command_is_remembered_until_no_copy_can_come() {
 fn what_a_restart_left_behind_is_stale() {
     let table = table();
     let old = Solo::new(&table, X).ask(send(MOVE, Y, 1)).packets[0];
-    let new = Solo::life(&table, X, 1, true).ask(send(MOVE, Y, 2)).packets[0];
+    let new = Solo::incarnation(&table, X, 1, true).ask(send(MOVE, Y, 2)).packets[0];
     let mut y = Solo::new(&table, Y);
     y.hear(old);
     assert_eq!(y.queue(MOVE), [(X, 18)]);
@@ -134,10 +134,10 @@ fn members_meet_again_after_one_of_them_restarted() {
 }
 
 #[test]
-fn an_arrival_that_may_be_meant_for_an_earlier_life_does_not_count() {
+fn an_arrival_that_may_be_meant_for_an_earlier_incarnation_does_not_count() {
     let table = table();
     let from_x = Solo::new(&table, X).ask(arrive(LIFT)).packets[0];
-    let mut y = Solo::life(&table, Y, 1, true);
+    let mut y = Solo::incarnation(&table, Y, 1, true);
     y.ask(arrive(LIFT));
     y.pass(QUARANTINE - 3);
     let early = y.hear(Packet { remaining: Ticks(30), ..from_x });
@@ -149,13 +149,13 @@ fn an_arrival_that_may_be_meant_for_an_earlier_life_does_not_count() {
 }
 
 #[test]
-fn a_confirm_for_an_earlier_life_releases_nobody() {
+fn a_confirm_for_an_earlier_incarnation_releases_nobody() {
     let table = table();
     let (mut x, mut old) = (Solo::new(&table, X), Solo::new(&table, Y));
     x.ask(arrive(LIFT));
     let confirm = x.hear(old.ask(arrive(LIFT)).packets[0]).packets[0];
     assert_eq!(confirm.kind, Kind::Confirm);
-    let mut new = Solo::life(&table, Y, 1, true);
+    let mut new = Solo::incarnation(&table, Y, 1, true);
     new.ask(arrive(LIFT));
     let out = new.hear(confirm);
     assert_eq!(
@@ -167,7 +167,7 @@ fn a_confirm_for_an_earlier_life_releases_nobody() {
 }
 
 #[test]
-fn the_arrival_of_an_earlier_life_is_void_once_the_new_one_is_heard_of() {
+fn the_arrival_of_an_earlier_incarnation_is_void_once_the_new_one_is_heard_of() {
     let table = table();
     let mut x = Solo::new(&table, X);
     let mut old = Solo::new(&table, Y);
@@ -175,14 +175,14 @@ fn the_arrival_of_an_earlier_life_is_void_once_the_new_one_is_heard_of() {
     x.hear(stale);
     x.input(Input::PeerRestarted(B));
     assert!(x.ask(arrive(LIFT)).signals.is_empty(), "Y has not arrived in this life");
-    let new = Solo::life(&table, Y, 1, true).ask(arrive(LIFT)).packets[0];
+    let new = Solo::incarnation(&table, Y, 1, true).ask(arrive(LIFT)).packets[0];
     x.ask(Request::Cancel);
     x.hear(new);
     assert_eq!(x.hear(stale).discards(), [Reason::StaleIncarnation]);
 }
 
 #[test]
-fn after_the_next_release_the_new_life_is_answered_as_any_other() {
+fn after_the_next_release_the_new_incarnation_is_answered_as_any_other() {
     let table = table();
     let mut x = Solo::new(&table, X);
     let mut old = Solo::new(&table, Y);
@@ -190,7 +190,7 @@ fn after_the_next_release_the_new_life_is_answered_as_any_other() {
     let released = old.ask(arrive(LIFT)).packets[0];
     x.hear(released);
     x.input(Input::PeerRestarted(B));
-    let mut new = Solo::life(&table, Y, 1, true);
+    let mut new = Solo::incarnation(&table, Y, 1, true);
     let same_number = new.ask(arrive(LIFT)).packets[0];
     assert_eq!(same_number.meeting().round, released.meeting().round);
     assert_eq!(x.hear(same_number).words(), ["ABORT T0>T1 r1 next r2 for 40"], "it was not in that meeting");
@@ -243,11 +243,11 @@ fn three() -> Arc<CellTable> {
 }
 
 #[test]
-fn what_comes_from_the_own_node_is_of_its_present_life() {
+fn what_comes_from_the_own_node_is_of_its_present_incarnation() {
     const Z: TaskId = TaskId(2);
     let table = three();
     let mut x = Solo::new(&table, X);
-    let (mut y, mut z) = (Solo::life(&table, Y, 1, true), Solo::life(&table, Z, 1, true));
+    let (mut y, mut z) = (Solo::incarnation(&table, Y, 1, true), Solo::incarnation(&table, Z, 1, true));
     y.ask(get(90));
     let theirs = x.ask(send(MOVE, Y, 3)).packets[0];
     assert_eq!(y.hear(Packet { remaining: Ticks(9), ..theirs }).words(), ["RESTARTED T1>T0 #0 for 9"]);
@@ -266,7 +266,7 @@ fn what_comes_from_the_own_node_is_of_its_present_life() {
 /// Why a script is also held back for the commands that its earlier incarnation sent: otherwise such a command may be
 /// carried out after a command of the new incarnation.
 #[test]
-fn a_task_is_held_back_until_nobody_can_carry_out_a_command_of_its_earlier_life() {
+fn a_task_is_held_back_until_nobody_can_carry_out_a_command_of_its_earlier_incarnation() {
     let mut cell = Cell::new("two arms", Ticks(1));
     let (a, b) = (cell.node("a"), cell.node("b"));
     cell.link(a, b, Ticks(2));
@@ -279,7 +279,7 @@ fn a_task_is_held_back_until_nobody_can_carry_out_a_command_of_its_earlier_life(
     let (mut y, mut z) = (Solo::new(&table, y), Solo::new(&table, z));
     y.ask(get(90));
     z.ask(get(90));
-    let new = Solo::life(&table, x, 1, true).ask(send(right, TaskId(2), 2)).packets[0];
+    let new = Solo::incarnation(&table, x, 1, true).ask(send(right, TaskId(2), 2)).packets[0];
     assert_eq!(z.hear(new).words(), ["message [2] from T0 for 7"]);
     // It waited in a relay for nearly all of its time.
     let late = Packet { remaining: Ticks(3), ..late };

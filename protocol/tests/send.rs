@@ -206,7 +206,7 @@ fn a_late_driver_sends_again_once() {
 fn copies_are_answered_as_the_first_one_was() {
     let table = table();
     let command = Solo::new(&table, X).ask(send(MOVE, Y, 3)).packets[0];
-    let copy = |life| Packet { resent: true, remaining: Ticks(life), ..command };
+    let copy = |ttl| Packet { resent: true, remaining: Ticks(ttl), ..command };
     let mut y = Solo::new(&table, Y);
 
     y.hear(copy(18));

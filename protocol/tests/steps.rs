@@ -106,7 +106,7 @@ impl Steps {
     }
 
     fn packed(&mut self, (rounds, sequences): &(Vec<Round>, Vec<Seq24>)) -> [Vec<u8>; 4] {
-        let frame = Frame { rounds, sequences, lives: true };
+        let frame = Frame { rounds, sequences, incarnations: true };
         let Parts { table, tasks, transit, timer } = self.0.parts_mut();
         let all = Encode::bytes(&frame, |w| tasks.iter_mut().for_each(|task| task.walk(table, w)));
         let transit = Encode::bytes(&frame, |w| transit.walk(table, w));
@@ -251,13 +251,13 @@ fn delays_are_with_the_timer_at_once_and_its_word_may_be_looked_at_on_its_way() 
     // An effect that is not filed yet is an error, and is not silently left out.
     node.0.begin(Instant::START, NodeInput::Request(X, delay(300)), &mut Outside::default());
     let (rounds, sequences) = node.bases();
-    let frame = Frame { rounds: &rounds, sequences: &sequences, lives: true };
+    let frame = Frame { rounds: &rounds, sequences: &sequences, incarnations: true };
     assert_eq!(Encode::bytes(&frame, |w| node.0.walk_work(w)), Err(Overflow));
 }
 
 /// A time-out is queued while its task stops the timer, or starts it again: `file` drops the time-out.
 #[test]
-fn word_of_an_earlier_start_is_thrown_away() {
+fn a_report_of_an_earlier_start_is_dropped() {
     let start = Request::Start { id: TimeId(1), length: Ticks(5) };
     for (again, expected) in [(Request::Stop { id: TimeId(1) }, 0), (start, 1)] {
         let mut node = Steps::new(4);
@@ -273,7 +273,7 @@ fn word_of_an_earlier_start_is_thrown_away() {
 }
 
 #[test]
-fn word_of_a_restart_may_be_looked_at_between_two_tasks() {
+fn news_of_a_restart_may_be_looked_at_between_two_tasks() {
     let mut node = Steps::new(4);
     node.ask(X, send(FAR, Z, 1));
     node.ask(Y, send(FAR, Z, 2));

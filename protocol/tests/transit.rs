@@ -48,7 +48,7 @@ impl RouteOutbox for Out {
     }
 }
 
-fn packet(class: Class, number: u32, to: NodeId, life: u64) -> Packet {
+fn packet(class: Class, number: u32, to: NodeId, ttl: u64) -> Packet {
     Packet {
         kind: Kind::Send,
         class,
@@ -61,18 +61,18 @@ fn packet(class: Class, number: u32, to: NodeId, life: u64) -> Packet {
         source: TaskId(0),
         port: PortId(u16::from(class == Class::Command)),
         id: MessageId { incarnation: Incarnation(0), sequence: Seq24::new(number) },
-        remaining: Ticks(life),
+        remaining: Ticks(ttl),
         contents: Contents::EMPTY,
         seal: Seal::NONE,
     }
 }
 
-fn status(number: u32, life: u64) -> Packet {
-    packet(Class::Status, number, NEAR, life)
+fn status(number: u32, ttl: u64) -> Packet {
+    packet(Class::Status, number, NEAR, ttl)
 }
 
-fn command(number: u32, life: u64) -> Packet {
-    packet(Class::Command, number, NEAR, life)
+fn command(number: u32, ttl: u64) -> Packet {
+    packet(Class::Command, number, NEAR, ttl)
 }
 
 struct Rig {
@@ -115,8 +115,8 @@ impl Rig {
 #[test]
 fn the_smallest_time_out_leaves_first_and_its_residence_is_charged() {
     let mut rig = Rig::new(8);
-    for (number, life) in [(1, 30), (2, 20), (3, 25)] {
-        rig.offer(status(number, life));
+    for (number, ttl) in [(1, 30), (2, 20), (3, 25)] {
+        rig.offer(status(number, ttl));
     }
     rig.offer(command(4, 25));
     assert_eq!(rig.transit.next_expiry(), Some(Ticks(16)), "four ticks of way");
@@ -234,8 +234,8 @@ fn each_goes_as_long_as_its_own_way_lets_it() {
     cell.port(PortDecl::new("p", tasks[0], Usage::Send, &tasks[1..], Ticks(50)));
     let table = NodeTable::new(Arc::new(CellTable::new(cell).expect("a checked cell")), a);
     let (mut transit, mut out) = (Transit::new(4), Out::default());
-    for (number, to, life) in [(1, tasks[2], 12), (2, tasks[1], 10), (3, tasks[2], 11)] {
-        let packet = Packet { destination: to, ..status(number, life) };
+    for (number, to, ttl) in [(1, tasks[2], 12), (2, tasks[1], 10), (3, tasks[2], 11)] {
+        let packet = Packet { destination: to, ..status(number, ttl) };
         transit.offer(&table, packet, &mut out);
     }
     transit.advance(&table, Instant(2), &mut out);
@@ -264,7 +264,7 @@ enum Step {
 
 fn steps() -> impl Strategy<Value = Vec<Step>> {
     let step = prop_oneof![
-        5 => (any::<bool>(), 1..40_u64).prop_map(|(command, life)| Step::Offer(command, life)),
+        5 => (any::<bool>(), 1..40_u64).prop_map(|(command, ttl)| Step::Offer(command, ttl)),
         2 => (0..12_u64).prop_map(Step::Advance),
         1 => Just(Step::Next),
     ];
@@ -283,8 +283,8 @@ proptest! {
                 rebased.transit.rebase(&rebased.table);
             }
             let (out, same) = match step {
-                Step::Offer(is_command, life) => {
-                    let p = if is_command { command(number, life) } else { status(number, life) };
+                Step::Offer(is_command, ttl) => {
+                    let p = if is_command { command(number, ttl) } else { status(number, ttl) };
                     let before = rig.transit.waiting();
                     let (out, same) = (rig.offer(p), rebased.offer(p));
                     for &(_, dropped) in &out.drops {
@@ -296,7 +296,7 @@ proptest! {
                     }
                     prop_assert!(out.drops.len() <= 1 && rig.transit.len() <= usize::from(capacity));
                     let useless = out.drops.iter().any(|&(reason, _)| reason == Reason::ExpiredInTransit);
-                    prop_assert_eq!(useless, life <= 4);
+                    prop_assert_eq!(useless, ttl <= 4);
                     prop_assert!(out.drops.is_empty() || useless || rig.transit.len() == usize::from(capacity));
                     (out, same)
                 }
@@ -361,7 +361,7 @@ fn what_waits_comes_back_from_its_packed_form() {
     rig.offer(Packet { kind: Kind::Control, source, destination, contents: said, ..command(3, 9) });
     rig.advance(4);
     let next = [Seq24::new(9); 5];
-    let frame = Frame { rounds: &[], sequences: &next, lives: false };
+    let frame = Frame { rounds: &[], sequences: &next, incarnations: false };
     let bytes = rig.packed(&frame).expect("it fits");
     let mut back = Rig::new(4);
     back.offer(status(7, 7));
@@ -372,12 +372,12 @@ fn what_waits_comes_back_from_its_packed_form() {
     };
     assert_eq!(left(&back), left(&rig));
     let shifted = [Frame::SEQUENCE; 5];
-    let frame = Frame { rounds: &[], sequences: &shifted, lives: false };
+    let frame = Frame { rounds: &[], sequences: &shifted, incarnations: false };
     assert_eq!(back.packed(&frame), Ok(bytes));
 }
 
 #[test]
-fn of_equal_urgency_the_word_of_a_refusal_leaves_before_a_message() {
+fn of_equal_urgency_a_refusal_leaves_before_a_message() {
     let mut rig = Rig::new(8);
     rig.offer(command(1, 20));
     let said = Control::RefusedOnTheWay.to_contents();
@@ -391,7 +391,7 @@ fn more_packets_than_the_packed_count_holds_are_an_overflow() {
     let mut rig = Rig::new(128);
     (0..127).for_each(|number| _ = rig.offer(command(number, 20)));
     let next = [Seq24::new(200); 5];
-    let frame = Frame { rounds: &[], sequences: &next, lives: false };
+    let frame = Frame { rounds: &[], sequences: &next, incarnations: false };
     assert!(rig.packed(&frame).is_ok());
     rig.offer(command(127, 20));
     assert!(rig.transit.is_full() && rig.packed(&frame).is_err(), "bit 7 says that words follow");
@@ -401,16 +401,16 @@ proptest! {
     /// `pass` does what `offer` and `next` do, whatever waits and whichever links are ready.
     #[test]
     fn to_pass_is_to_be_offered_and_to_leave(
-        before in prop_oneof![Just(Vec::new()), steps()], life in 0..20_u64, asks: bool, far: bool, mask in 0..4_u64,
+        before in prop_oneof![Just(Vec::new()), steps()], ttl in 0..20_u64, asks: bool, far: bool, mask in 0..4_u64,
     ) {
         let class = if asks { Class::Command } else { Class::Status };
-        let packet = packet(class, 99, if far { FAR } else { NEAR }, life);
+        let packet = packet(class, 99, if far { FAR } else { NEAR }, ttl);
         let ready = |node: NodeId| mask >> (node.0 - 1) & 1 == 1;
         let mut rig = Rig::new(4);
         for (number, step) in (0..).zip(before) {
             match step {
-                Step::Offer(true, life) => drop(rig.offer(command(number, life))),
-                Step::Offer(false, life) => drop(rig.offer(status(number, life))),
+                Step::Offer(true, ttl) => drop(rig.offer(command(number, ttl))),
+                Step::Offer(false, ttl) => drop(rig.offer(status(number, ttl))),
                 Step::Advance(ticks) => drop(rig.advance(ticks)),
                 Step::Next => drop(rig.transit.next(|_| true)),
             }

@@ -13,7 +13,7 @@ const N0: NodeId = NodeId(0);
 const N1: NodeId = NodeId(1);
 
 /// Status of X to Z.
-const BEAT: PortId = PortId(0);
+const HEARTBEAT: PortId = PortId(0);
 /// Commands of X to Z.
 const MOVE: PortId = PortId(1);
 /// X and Z meet.
@@ -40,7 +40,7 @@ fn table(change: impl FnOnce(&mut Rules)) -> Arc<CellTable> {
 fn left_after_waiting(charged: bool) -> (Option<String>, Vec<String>) {
     let mut net = Net::new(cell(|rules| rules.charge_residence = charged));
     net.busy = vec![N1];
-    net.ask(X, send(BEAT, Z, 1));
+    net.ask(X, send(HEARTBEAT, Z, 1));
     net.run(10);
     net.busy.clear();
     net.pass(N0, 0);
@@ -51,7 +51,7 @@ fn left_after_waiting(charged: bool) -> (Option<String>, Vec<String>) {
 }
 
 #[test]
-fn time_spent_in_a_buffer_is_taken_from_the_life_but_where_the_variant_forgets_it() {
+fn time_spent_in_a_buffer_is_taken_from_the_remaining_time_but_where_the_variant_forgets_it() {
     let [charged, free] = [true, false].map(left_after_waiting);
     assert_eq!(charged.0.as_deref(), Some("10 N0>N1 SEND T0>T2 #0 [1] for 20"));
     assert_eq!(charged.1, ["message [1] from T0 for 8"]);
@@ -89,7 +89,7 @@ fn an_instant_on_the_senders_clock_is_wrong_on_any_other() {
         let table = table(|rules| rules.time_stamp = stamp);
         let (mut x, mut z) = (Solo::new(&table, X), Solo::new(&table, Z));
         z.task.set_ahead(&z.table, Ticks(ahead));
-        let packet = x.ask(send(BEAT, Z, 1)).packets[0];
+        let packet = x.ask(send(HEARTBEAT, Z, 1)).packets[0];
         z.hear(packet);
         z.ask(get(0)).words()
     };
@@ -133,7 +133,7 @@ fn a_copy_runs_again_where_commands_are_forgotten_too_soon() {
         }
         runs
     };
-    assert_eq!([Memory::LifeAndLink, Memory::UntilAnswered, Memory::None].map(runs), [1, 2, 2]);
+    assert_eq!([Memory::TtlAndLink, Memory::UntilAnswered, Memory::None].map(runs), [1, 2, 2]);
 }
 
 #[test]
@@ -184,12 +184,12 @@ fn a_confirm_that_everybody_would_ignore_can_be_forgotten() {
 fn both_ends_must_agree_on_what_a_message_says() {
     let with = |format: &str| {
         let mut cell = cell(|_| ());
-        cell.ports[BEAT.index()] = cell.ports[BEAT.index()].clone().format(format);
+        cell.ports[HEARTBEAT.index()] = cell.ports[HEARTBEAT.index()].clone().format(format);
         CellTable::new(cell).expect("a checked cell")
     };
     let (ours, theirs) = (with("height: int16"), with("height: int32"));
     let hash = |table: &CellTable, port: PortId| table.port(port).map(|port| port.hash);
-    assert_ne!(hash(&ours, BEAT), hash(&theirs, BEAT));
+    assert_ne!(hash(&ours, HEARTBEAT), hash(&theirs, HEARTBEAT));
     assert_eq!(hash(&ours, MOVE), hash(&theirs, MOVE));
     assert_ne!(ours.digest(), theirs.digest());
 }

@@ -294,7 +294,7 @@ fn nobody_releases_with_the_margin_or_less_left() {
 }
 
 #[test]
-fn an_arrival_lives_as_long_as_its_sender_waits() {
+fn an_arrival_is_valid_as_long_as_its_sender_waits() {
     let table = table(2, 0);
     let mut x = Solo::new(&table, X);
     let from_y = Solo::new(&table, Y).ask(arrive(LIFT)).packets[0];

@@ -143,11 +143,14 @@ fn a_couple_that_both_may_act_in_is_told() {
     assert!(short.starts_with("couple `a -> b`: lease 1 must be at least 9 ticks"), "{short}");
     let soon = with(|c| c.couples[0].takeover = Ticks(20));
     assert!(soon.starts_with("couple `a -> b`: takeover 20 must be at least 22 ticks"), "{soon}");
-    let beats = with(|c| {
+    let heartbeats = with(|c| {
         let other = c.port(PortDecl::new("else", A, Usage::Send, &[B], Ticks(9)));
         c.couples[0].via = other;
     });
-    assert!(beats.starts_with("port `else` cannot carry beats: it must join the two tasks"), "{beats}");
+    assert!(
+        heartbeats.starts_with("port `else` cannot carry beats: it must join the two tasks"),
+        "{heartbeats}"
+    );
     let guarded = with(|c| {
         let third = c.task("c", NodeId(0));
         c.port(PortDecl::new("arm", A, Usage::Receive, &[third], Ticks(9)).guard(0));

@@ -15,7 +15,7 @@ const MANY: u8 = 50;
 
 fn two_ports() -> Arc<imrs_protocol::CellTable> {
     let mut cell = cell(&[0, 0], Ticks(0));
-    let port = |name, life| PortDecl::new(name, A, Usage::Send, &[B], life).bounded_buffer(64);
+    let port = |name, ttl| PortDecl::new(name, A, Usage::Send, &[B], ttl).bounded_buffer(64);
     cell.port(port("news", LONG_TICKS));
     cell.port(port("urgent", Ticks(30_000_000)));
     table(cell)
@@ -51,8 +51,8 @@ fn send_to_a_task_that_runs(count: u8) {
             for number in 0..=count {
                 let message = ctx.receive(None, Some(LONG))?.expect("all were sent before");
                 assert_eq!(message.contents.as_bytes(), [number]);
-                let life = if number == 0 { Ticks(30_000_000) } else { LONG_TICKS };
-                assert!(message.budget <= life - Ticks(40_000), "what it waited is taken off: {message:?}");
+                let ttl = if number == 0 { Ticks(30_000_000) } else { LONG_TICKS };
+                assert!(message.budget <= ttl - Ticks(40_000), "what it waited is taken off: {message:?}");
             }
             assert_eq!(ctx.poll(None)?, None, "what expired meanwhile is not served");
             Ok(())

@@ -58,7 +58,8 @@ fn a_node_with_nothing_pending_never_wakes() {
     let network = network(&table, Faults::default());
     let _neighbour = network.join(NodeId(1), Incarnation(1), false);
     let (begin, begun) = report::<()>();
-    let about = About { life: (Incarnation(0), false), insecure: false, build: "a test", statements: 0 };
+    let about =
+        About { incarnation: (Incarnation(0), false), insecure: false, build: "a test", statements: 0 };
     let here = NodeTable::new(table.clone(), NodeId(0));
     let recorder = FileRecorder::start(std::io::sink(), &here, &about, |error| panic!("{error}")).unwrap();
     let node = on(&network, &table, 0)

@@ -17,7 +17,7 @@ use std::collections::BTreeMap;
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
-const LIFE: Incarnation = Incarnation(1);
+const INCARNATION: Incarnation = Incarnation(1);
 
 /// Keeps every step, with the machine's state before it.
 #[derive(Default)]
@@ -138,7 +138,7 @@ fn a_machine_read_back_from_its_keyframe_behaves_bit_equal() {
     for (&task, log) in &logs {
         let node = NodeTable::new(Arc::clone(&table), NodeId(task.0));
         assert!(log.len() > 60, "{task} took only {} inputs", log.len());
-        let mut original = CommTask::new(&node, task, LIFE, false);
+        let mut original = CommTask::new(&node, task, INCARNATION, false);
         let mut copy = original.clone();
         for entry in log {
             let step = entry.recorded.expect("a whole step").step;
@@ -165,12 +165,12 @@ fn a_replay_goes_on_from_any_keyframe_and_says_unknown() {
     for (&task, log) in &logs {
         let node = NodeTable::new(Arc::clone(&table), NodeId(task.0));
         let steps = |from: usize| log[from..].iter().map(|entry| entry.recorded.expect("a whole step"));
-        let mut whole = Replay::new(&node, task, LIFE, false);
+        let mut whole = Replay::new(&node, task, INCARNATION, false);
         steps(0).for_each(|step| whole.step(step));
         assert_eq!((whole.verdict(), whole.judged(), whole.unjudged()), (Verdict::Same, log.len(), 0));
         for cut in (1..log.len()).step_by(7) {
             let entry = &log[cut];
-            let mut replay = Replay::new(&node, task, LIFE, false);
+            let mut replay = Replay::new(&node, task, INCARNATION, false);
             steps(0).take(cut / 2).for_each(|step| replay.step(step));
             replay.gap(3);
             // Recorded after the gap, so it cannot be judged.
@@ -181,7 +181,7 @@ fn a_replay_goes_on_from_any_keyframe_and_says_unknown() {
             assert_eq!(replay.judged(), cut / 2 + log.len() - cut);
 
             // A change after the keyframe is noticed.
-            let mut replay = Replay::new(&node, task, LIFE, false);
+            let mut replay = Replay::new(&node, task, INCARNATION, false);
             replay.gap(1);
             replay.keyframe(&entry.state, OutputDigest(entry.before)).unwrap();
             let mut wrong = entry.recorded.expect("a whole step");
@@ -199,12 +199,12 @@ fn keyframes_that_are_none_are_told() {
     let (table, logs) = run_recorded();
     let [a, b] = [A, B].map(|task| logs[&task][20].clone());
     let node = NodeTable::new(table, NodeId(0));
-    let mut replay = Replay::new(&node, A, LIFE, false);
+    let mut replay = Replay::new(&node, A, INCARNATION, false);
     replay.gap(1);
     let mut try_state = |state: &[u8]| replay.keyframe(state, OutputDigest(a.before));
     assert!(matches!(try_state(&a.state[..a.state.len() - 1]), Err(KeyframeError::Malformed(A, _))));
     assert_eq!(try_state(&[&a.state[..], &[0, 0]].concat()), Err(KeyframeError::Trailing(A, 2)));
-    assert_eq!(try_state(&b.state), Err(KeyframeError::Foreign(A, B, LIFE)));
+    assert_eq!(try_state(&b.state), Err(KeyframeError::Foreign(A, B, INCARNATION)));
     assert_eq!(try_state(&a.state), Ok(()));
     let contradiction = replay.keyframe(&a.state, OutputDigest(a.before ^ 1));
     assert_eq!(contradiction, Err(KeyframeError::Contradicts(A)));
@@ -251,14 +251,14 @@ fn a_node_whose_disk_was_stuck_is_recorded_on_and_its_replay_is_unknown() {
     let recorder = FileRecorder::start(
         disk.clone(),
         &here,
-        &About { life: (LIFE, false), insecure: false, build: "a test", statements: 0 },
+        &About { incarnation: (INCARNATION, false), insecure: false, build: "a test", statements: 0 },
         failed,
     )
     .unwrap();
     let (status, in_program) = (Arc::clone(&recorder), disk.clone());
     let (tell, told) = report();
     let node = one_node(&table)
-        .incarnation(LIFE, false)
+        .incarnation(INCARNATION, false)
         .recorder(Arc::clone(&recorder) as _)
         .task("a", move |ctx| {
             let ask = ctx.port("ask")?;
@@ -326,7 +326,8 @@ fn recordings_of_others_are_refused() {
     let table = table(cell);
     let here = NodeTable::new(Arc::clone(&table), NodeId(0));
     let replayed = |digest: u32, node: Option<NodeId>, records: &[Record]| {
-        let header = Header { cell: "test".into(), digest, node, incarnation: LIFE, ..Header::default() };
+        let header =
+            Header { cell: "test".into(), digest, node, incarnation: INCARNATION, ..Header::default() };
         let mut writer = RecordingWriter::new(Vec::new(), &header).unwrap();
         records.iter().for_each(|record| writer.append(record).unwrap());
         let bytes = writer.finish().unwrap();
@@ -354,7 +355,7 @@ fn a_state_of_a_machine_with_other_buffers_is_refused() {
         NodeTable::new(table(cell), NodeId(1))
     };
     let (wide, narrow) = (with_room_for(3), with_room_for(1));
-    let mut machine = CommTask::new(&wide, B, LIFE, false);
+    let mut machine = CommTask::new(&wide, B, INCARNATION, false);
     for sequence in 1..=3 {
         let packet = Packet {
             kind: imrs_protocol::Kind::Send,
@@ -367,7 +368,10 @@ fn a_state_of_a_machine_with_other_buffers_is_refused() {
             destination: B,
             source: A,
             port: imrs_protocol::PortId(0),
-            id: imrs_protocol::MessageId { incarnation: LIFE, sequence: imrs_protocol::Seq24::new(sequence) },
+            id: imrs_protocol::MessageId {
+                incarnation: INCARNATION,
+                sequence: imrs_protocol::Seq24::new(sequence),
+            },
             remaining: Ticks(1_000_000),
             contents: imrs_protocol::Contents::EMPTY,
             seal: Seal::NONE,
@@ -376,7 +380,7 @@ fn a_state_of_a_machine_with_other_buffers_is_refused() {
     }
     let state = postcard::to_allocvec(&machine).unwrap();
     let resumed = |table: &NodeTable| {
-        let mut replay = Replay::new(table, B, LIFE, false);
+        let mut replay = Replay::new(table, B, INCARNATION, false);
         replay.gap(1);
         replay.keyframe(&state, OutputDigest(5))
     };
@@ -391,7 +395,7 @@ fn a_last_record_that_does_not_fit_is_told() {
     let start = OutputDigest::START;
     let time = Step { elapsed: Ticks(1), input: Input::Time };
     let closed = |gap: u64, inputs: u64, outputs: OutputDigest| {
-        let mut replay = Replay::new(&here, A, LIFE, false);
+        let mut replay = Replay::new(&here, A, INCARNATION, false);
         replay.step(Recorded { step: time, digest: start });
         if gap > 0 {
             replay.gap(gap);

@@ -145,18 +145,18 @@ fn a_restart_while_a_command_waits_is_told_to_its_sender() {
         Ok(())
     });
     let (taken, was_taken) = report::<()>();
-    let first_life = on(&network, &table, 1).task("b", move |ctx| {
+    let first_incarnation = on(&network, &table, 1).task("b", move |ctx| {
         let alive = ctx.port("alive")?;
         assert_eq!(ctx.send(alive, b"")?, Sent::Copies(1));
         let _question = ctx.receive(None, None)?;
         taken.send(()).expect("the test listens");
         Ok(())
     });
-    let (asker, first_life) = (asker.start().unwrap(), first_life.start().unwrap());
+    let (asker, first_incarnation) = (asker.start().unwrap(), first_incarnation.start().unwrap());
     was_taken.recv_timeout(LONG).expect("the question came");
-    finish(first_life);
+    finish(first_incarnation);
     let link = network.join(NodeId(1), Incarnation(2), true);
-    let second_life = Runtime::builder(Arc::clone(&table), NodeId(1))
+    let second_incarnation = Runtime::builder(Arc::clone(&table), NodeId(1))
         .incarnation(Incarnation(2), true)
         .link(Arc::new(link))
         .task("b", |ctx| {
@@ -167,7 +167,7 @@ fn a_restart_while_a_command_waits_is_told_to_its_sender() {
         .start()
         .unwrap();
     assert!(asker.wait(LONG), "the asker was not told");
-    finish(second_life);
+    finish(second_incarnation);
     finish(asker);
 }
 
@@ -211,6 +211,6 @@ fn a_neighbour_that_restarted_before_it_was_ever_heard_of_ends_a_command_that_wa
 }
 
 #[test]
-fn a_neighbour_in_its_first_life_ends_no_command_by_being_heard_of() {
+fn a_neighbour_in_its_first_incarnation_ends_no_command_by_being_heard_of() {
     assert_eq!(first_contact(false, Ticks(500_000)), Outcome::TimedOutUnknown);
 }

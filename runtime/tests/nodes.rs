@@ -46,14 +46,15 @@ fn a_restart_before_the_first_contact_is_told_to_the_sender_over_udp() {
     cell.port(ask(LONG_TICKS));
     cell.port(PortDecl::new("alive", B, Usage::Send, &[A], LONG_TICKS));
     let table = table(cell);
-    let bind = |node, life, restarted| {
+    let bind = |node, incarnation, restarted| {
         let here = NodeTable::new(Arc::clone(&table), NodeId(node));
         let address = "127.0.0.1:0".parse().expect("an address");
-        UdpLink::bind(here, address, UdpOptions::new(Incarnation(life), restarted)).expect("a free port")
+        UdpLink::bind(here, address, UdpOptions::new(Incarnation(incarnation), restarted))
+            .expect("a free port")
     };
-    let (asker, first_life) = (bind(0, 1, false), bind(1, 1, false));
+    let (asker, first_incarnation) = (bind(0, 1, false), bind(1, 1, false));
     let asker_address = Some(asker.local_address());
-    asker.set_address(NodeId(1), Some(first_life.local_address())).expect("a neighbour");
+    asker.set_address(NodeId(1), Some(first_incarnation.local_address())).expect("a neighbour");
     let asker = Runtime::builder(Arc::clone(&table), NodeId(0))
         .incarnation(Incarnation(1), false)
         .link(Arc::new(asker))
@@ -69,12 +70,12 @@ fn a_restart_before_the_first_contact_is_told_to_the_sender_over_udp() {
         assert!(start.elapsed() < LONG, "the command did not leave");
         std::thread::sleep(Duration::from_millis(1));
     }
-    drop(first_life);
-    let second_life = bind(1, 2, true);
-    second_life.set_address(NodeId(0), asker_address).expect("a neighbour");
-    let second_life = Runtime::builder(table, NodeId(1))
+    drop(first_incarnation);
+    let second_incarnation = bind(1, 2, true);
+    second_incarnation.set_address(NodeId(0), asker_address).expect("a neighbour");
+    let second_incarnation = Runtime::builder(table, NodeId(1))
         .incarnation(Incarnation(2), true)
-        .link(Arc::new(second_life))
+        .link(Arc::new(second_incarnation))
         .task("b", |ctx| {
             let alive = ctx.port("alive")?;
             assert_eq!(ctx.send(alive, b"")?, Sent::Copies(1));
@@ -83,7 +84,7 @@ fn a_restart_before_the_first_contact_is_told_to_the_sender_over_udp() {
         .start()
         .unwrap();
     assert!(asker.wait(LONG), "the asker was not told");
-    finish(second_life);
+    finish(second_incarnation);
     finish(asker);
 }
 

@@ -70,7 +70,8 @@ fn recorder(
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(ask(LONG_TICKS));
     let here = NodeTable::new(table(cell), NodeId(0));
-    let about = About { life: (Incarnation(1), false), insecure: true, build: "a test", statements: 0 };
+    let about =
+        About { incarnation: (Incarnation(1), false), insecure: true, build: "a test", statements: 0 };
     (FileRecorder::start(disk.clone(), &here, &about, failed).expect("a recording"), here)
 }
 
@@ -99,7 +100,8 @@ fn a_recording_lasts_as_long_as_its_node() {
     cell.port(ask(LONG_TICKS));
     let table = table(cell);
     let here = NodeTable::new(Arc::clone(&table), NodeId(0));
-    let about = About { life: (Incarnation(0), false), insecure: true, build: "a test", statements: 0 };
+    let about =
+        About { incarnation: (Incarnation(0), false), insecure: true, build: "a test", statements: 0 };
     let recorder = FileRecorder::start(disk.clone(), &here, &about, no_failure).expect("a recording");
     let node = one_node(&table).recorder(recorder).task("a", |ctx| {
         let port = ctx.port("ask")?;
@@ -133,7 +135,10 @@ fn ticks() -> impl Strategy<Value = Ticks> {
 }
 
 fn id() -> impl Strategy<Value = MessageId> {
-    let of = |(life, number)| MessageId { incarnation: Incarnation(life), sequence: Seq24::new(number) };
+    let of = |(incarnation, number)| MessageId {
+        incarnation: Incarnation(incarnation),
+        sequence: Seq24::new(number),
+    };
     any::<(u8, u32)>().prop_map(of)
 }
 

@@ -82,17 +82,17 @@ fn a_recording_in_a_file_replays_bit_equal() {
     let table = table(cell);
     let here = NodeTable::new(Arc::clone(&table), NodeId(0));
     let kept = Kept::default();
-    let life = (Incarnation(4), false);
+    let incarnation = (Incarnation(4), false);
     let failed = |error: &imrs_wire::recording::WriteError| panic!("{error}");
     let recorder = FileRecorder::start(
         kept.clone(),
         &here,
-        &About { life, insecure: false, build: "a test", statements: 0 },
+        &About { incarnation, insecure: false, build: "a test", statements: 0 },
         failed,
     )
     .unwrap();
     let node = one_node(&table)
-        .incarnation(life.0, life.1)
+        .incarnation(incarnation.0, incarnation.1)
         .recorder(Arc::clone(&recorder) as _)
         .task("a", |ctx| {
             let ask = ctx.port("ask")?;
@@ -125,7 +125,7 @@ fn a_recording_in_a_file_replays_bit_equal() {
                 logs.entry(task).or_default().push(Recorded { step, digest: OutputDigest(outputs) });
             }
             Record::Header(header) => {
-                assert_eq!((header.digest, header.incarnation), (table.digest(), life.0));
+                assert_eq!((header.digest, header.incarnation), (table.digest(), incarnation.0));
             }
             Record::Script { .. } | Record::Close { .. } | Record::End => {}
             other @ (Record::Keyframe { .. } | Record::Gap { .. } | Record::Frame { .. }) => {
@@ -136,6 +136,6 @@ fn a_recording_in_a_file_replays_bit_equal() {
     assert_eq!(logs.len(), 2);
     for (task, log) in logs {
         assert!(log.len() >= 400);
-        assert_eq!(replay(&here, task, life.0, life.1, log.clone()), Ok(log.len()));
+        assert_eq!(replay(&here, task, incarnation.0, incarnation.1, log.clone()), Ok(log.len()));
     }
 }

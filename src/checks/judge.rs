@@ -1,7 +1,7 @@
 //! Judges the checks by the changes that the nodes of a run reported, in the order of their times.
 
 use super::told::{Outcome, Settled, Settlement, Unvouched};
-use super::vouch::{Doubt, Fate, Vouched};
+use super::vouch::{CommandEvent, Doubt, Vouched};
 use super::{Ask, Change, asks, of, terms};
 use crate::cells::Loaded;
 use imrs_language::lower::CheckKind;
@@ -32,7 +32,7 @@ pub struct Judge<'a> {
     /// For each task, why values of it are not known; `None` while its node reports all of them, and before its first report.
     unknown: Vec<Option<Doubt>>,
     /// The state of each check.
-    courses: Vec<Course>,
+    states: Vec<CheckState>,
     vouched: Vouched,
     /// Pending events by time, then by the order in which they came.
     changes: BTreeMap<(u64, u64), Event>,
@@ -59,12 +59,12 @@ enum Event {
     /// The node was restarted.
     Back(NodeId),
     /// An event of the command with this key.
-    Command(String, Fate),
+    Command(String, CommandEvent),
 }
 
 /// The state of one check during the judgement.
 #[derive(Default)]
-struct Course {
+struct CheckState {
     /// The first of its tasks whose node does not report here.
     elsewhere: Option<TaskId>,
     /// Whether it could be evaluated at any time so far.
@@ -86,7 +86,7 @@ struct Course {
     broken: Vec<Broken>,
 }
 
-impl Course {
+impl CheckState {
     /// For how long it is unknown whether the check held, and the main reason. The last messages of a killed node are always
     /// missing: that alone does not count.
     fn unvouched(&self) -> Option<(Doubt, u64)> {
@@ -122,14 +122,14 @@ impl<'a> Judge<'a> {
             loaded.table.location(*task).is_none_or(|node| !here.contains(&node))
                 || loaded.program(*task).is_none()
         };
-        let course = |check| {
+        let state = |check| {
             let tasks = terms(check).flat_map(|term| of(&loaded.table, *term)).map(|(task, _)| task);
-            Course { elsewhere: tasks.into_iter().find(is_elsewhere), ..Course::default() }
+            CheckState { elsewhere: tasks.into_iter().find(is_elsewhere), ..CheckState::default() }
         };
         Self {
             stand: asks.iter().map(|asks| vec![None; asks.len()]).collect(),
             unknown: vec![None; asks.len()],
-            courses: loaded.checks.iter().map(course).collect(),
+            states: loaded.checks.iter().map(state).collect(),
             vouched: Vouched::new(cell.nodes.len()),
             changes: BTreeMap::new(),
             came: 0,
@@ -220,16 +220,16 @@ impl<'a> Judge<'a> {
 
     /// Takes a notice of a node or a guard about a command.
     pub fn notice(&mut self, notice: Notice) {
-        let (key, at, fate) = match notice {
+        let (key, at, event) = match notice {
             Notice::Began { key, task, at } => {
                 let tasks = &self.loaded.table.cell().tasks;
                 let Some(task) = tasks.iter().position(|of| of.name == task) else { return };
-                (key, at, Fate::Began(TaskId::from_index(task)))
+                (key, at, CommandEvent::Began(TaskId::from_index(task)))
             }
-            Notice::Ended { key, at } => (key, at, Fate::Ended),
-            Notice::Lost { key, at } => (key, at, Fate::Lost),
+            Notice::Ended { key, at } => (key, at, CommandEvent::Ended),
+            Notice::Lost { key, at } => (key, at, CommandEvent::Lost),
         };
-        self.push(at, Event::Command(key, fate));
+        self.push(at, Event::Command(key, event));
     }
 
     /// All nodes have reported everything.
@@ -274,43 +274,42 @@ impl<'a> Judge<'a> {
 
     /// For how long it is unknown whether a check held, and why. While changes are missing, it may have been broken.
     fn unvouched(&self, check: usize) -> Option<(Doubt, u64)> {
-        let course = &self.courses[check];
-        course.unvouched().or_else(|| {
+        let state = &self.states[check];
+        state.unvouched().or_else(|| {
             let asked = terms(&self.loaded.checks[check]).flat_map(|term| of(&self.loaded.table, *term));
             let nodes = asked.filter_map(|(task, _)| self.loaded.table.location(task));
             let doubt = nodes.filter_map(|node| self.missing[node.index()]).min()?;
-            Some((doubt, course.doubted.get(&doubt).copied().unwrap_or_default()))
+            Some((doubt, state.doubted.get(&doubt).copied().unwrap_or_default()))
         })
     }
 
     /// The verdicts on all checks.
     pub fn settlement(&self, began: u64) -> Settlement {
-        let settled = |(at, course): (usize, &Course)| {
+        let settled = |(at, state): (usize, &CheckState)| {
             let unvouched = self.unvouched(at);
-            let outcome = match (course.elsewhere, course.judged) {
-                _ if course.times > 0 => Outcome::Broken,
+            let outcome = match (state.elsewhere, state.judged) {
+                _ if state.times > 0 => Outcome::Broken,
                 (Some(_), _) => Outcome::Elsewhere,
                 (None, false) => Outcome::Unknown,
                 (None, true) if unvouched.is_some() => Outcome::Unknown,
-                (None, true) if self.leads(at) && course.mattered == 0 => Outcome::Untested,
+                (None, true) if self.leads(at) && state.mattered == 0 => Outcome::Untested,
                 (None, true) => Outcome::Held,
             };
             let unvouched = unvouched.filter(|_| outcome == Outcome::Unknown);
             let unvouched = unvouched.map(|(doubt, length)| Unvouched::new(self.loaded, doubt, length));
             let name = |task: TaskId| self.loaded.table.cell().tasks[task.index()].name.clone();
-            let (mattered, elsewhere) =
-                (self.leads(at).then_some(course.mattered), course.elsewhere.map(name));
+            let (mattered, elsewhere) = (self.leads(at).then_some(state.mattered), state.elsewhere.map(name));
             Settled::new(
                 self.loaded,
                 at,
                 outcome,
-                (mattered, course.times),
-                course.broken.first(),
+                (mattered, state.times),
+                state.broken.first(),
                 (elsewhere, unvouched),
                 began,
             )
         };
-        Settlement(self.courses.iter().enumerate().map(settled).collect())
+        Settlement(self.states.iter().enumerate().map(settled).collect())
     }
 
     fn leads(&self, check: usize) -> bool {
@@ -320,15 +319,15 @@ impl<'a> Judge<'a> {
     /// Lets time pass until `until` without a change, and notes breaks that last or come due.
     fn pass(&mut self, until: u64, broken: &mut Vec<Broken>) {
         let length = until.saturating_sub(std::mem::replace(&mut self.settled, until));
-        for check in 0..self.courses.len() {
-            let course = &mut self.courses[check];
-            if let Some(doubt) = course.doubt {
-                *course.doubted.entry(doubt).or_default() += length;
+        for check in 0..self.states.len() {
+            let state = &mut self.states[check];
+            if let Some(doubt) = state.doubt {
+                *state.doubted.entry(doubt).or_default() += length;
             }
-            let course = &self.courses[check];
-            let late = course.due.filter(|&(_, late)| late < until);
-            let found = match (&course.since, late) {
-                (Some((at, values)), _) if !course.is_told && until > at + READING => {
+            let state = &self.states[check];
+            let late = state.due.filter(|&(_, late)| late < until);
+            let found = match (&state.since, late) {
+                (Some((at, values)), _) if !state.is_told && until > at + READING => {
                     Some(Broken { check, at: *at, since: None, values: values.clone() })
                 }
                 (_, Some((since, at))) => {
@@ -337,11 +336,11 @@ impl<'a> Judge<'a> {
                 (_, None) => None,
             };
             let Some(found) = found else { continue };
-            let course = &mut self.courses[check];
-            (course.due, course.is_told) = (None, true);
-            course.times += 1;
-            if course.broken.len() < TOLD {
-                course.broken.push(found.clone());
+            let state = &mut self.states[check];
+            (state.due, state.is_told) = (None, true);
+            state.times += 1;
+            if state.broken.len() < TOLD {
+                state.broken.push(found.clone());
                 broken.push(found);
             }
         }
@@ -368,8 +367,8 @@ impl<'a> Judge<'a> {
                 self.vouched.silent(node, table.tasks_on(node));
             }
             Event::Back(node) => self.vouched.back(node),
-            Event::Command(key, fate) => {
-                self.vouched.command(key, &fate, |task| table.location(task));
+            Event::Command(key, event) => {
+                self.vouched.command(key, &event, |task| table.location(task));
             }
         }
     }
@@ -390,22 +389,22 @@ impl<'a> Judge<'a> {
     fn look(&mut self, now: u64) {
         let loaded = self.loaded;
         for (at, check) in loaded.checks.iter().enumerate() {
-            if self.courses[at].elsewhere.is_some() {
+            if self.states[at].elsewhere.is_some() {
                 continue;
             }
             match &check.kind {
                 CheckKind::Always(terms) => {
                     let holds = self.is(terms);
                     let doubt = if holds.is_none() { self.doubts(terms).min() } else { None };
-                    let starts = holds == Some(false) && self.courses[at].since.is_none();
+                    let starts = holds == Some(false) && self.states[at].since.is_none();
                     let values = starts.then(|| self.values(at));
-                    let course = &mut self.courses[at];
-                    course.judged |= holds.is_some();
-                    course.doubt = doubt.filter(|_| course.judged);
+                    let state = &mut self.states[at];
+                    state.judged |= holds.is_some();
+                    state.doubt = doubt.filter(|_| state.judged);
                     if let Some(values) = values {
-                        course.since = Some((now, values));
+                        state.since = Some((now, values));
                     } else if holds != Some(false) {
-                        (course.since, course.is_told) = (None, false);
+                        (state.since, state.is_told) = (None, false);
                     }
                 }
                 CheckKind::Leads { when, then, within } => {
@@ -414,24 +413,24 @@ impl<'a> Judge<'a> {
                     let lasting = if when.and(then).is_none() { doubts().min() } else { None };
                     // A node may notice a deadline one tick late (D42).
                     let late = now.saturating_add(within.0 + loaded.table.cell().tick.0 + READING);
-                    let course = &mut self.courses[at];
-                    course.judged |= when.is_some() && then.is_some();
-                    course.mattered += u64::from(when == Some(true) && !course.matters);
-                    course.matters = when == Some(true);
+                    let state = &mut self.states[at];
+                    state.judged |= when.is_some() && then.is_some();
+                    state.mattered += u64::from(when == Some(true) && !state.matters);
+                    state.matters = when == Some(true);
                     let is_open = match (when, then) {
                         (_, Some(true)) | (Some(_), Some(false)) => false,
-                        (Some(false), None) => course.due.is_some(),
+                        (Some(false), None) => state.due.is_some(),
                         (None, _) | (Some(true), None) => true,
                     };
-                    course.doubt = lasting.filter(|_| is_open && course.judged);
+                    state.doubt = lasting.filter(|_| is_open && state.judged);
                     match (when, then) {
-                        (_, None) => course.due = None,
-                        (_, Some(true)) => (course.due, course.is_told) = (None, false),
-                        (Some(true), Some(false)) if course.due.is_none() && !course.is_told => {
-                            course.due = Some((now, late));
+                        (_, None) => state.due = None,
+                        (_, Some(true)) => (state.due, state.is_told) = (None, false),
+                        (Some(true), Some(false)) if state.due.is_none() && !state.is_told => {
+                            state.due = Some((now, late));
                         }
                         (Some(true) | None, Some(false)) => {}
-                        (Some(false), Some(false)) => course.is_told = false,
+                        (Some(false), Some(false)) => state.is_told = false,
                     }
                 }
             }

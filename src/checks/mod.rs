@@ -8,12 +8,12 @@
 //! Replaying a recording gives the same changes, so `imrs replay --model` judges as the run did.
 
 mod judge;
-mod sight;
+mod sampler;
 mod told;
 mod vouch;
 
 pub use judge::{Broken, Judge};
-pub use sight::{Change, Looker, Sight};
+pub use sampler::{Change, ReplaySampler, ValueSampler};
 pub use told::{Settled, Settlement};
 
 use crate::cells::Loaded;

@@ -17,7 +17,7 @@ pub struct Vouched {
 
 /// An event of a command.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Fate {
+pub enum CommandEvent {
     /// A node starts it for this task.
     Began(TaskId),
     /// The command, and all that it started, has ended.
@@ -55,19 +55,19 @@ impl Vouched {
     }
 
     /// Takes an event of a command; `node` gives the node of a task.
-    pub fn command(&mut self, key: String, fate: &Fate, node: impl Fn(TaskId) -> Option<NodeId>) {
-        match *fate {
-            Fate::Began(task) if node(task).is_some_and(|node| self.is_down(node)) => {
+    pub fn command(&mut self, key: String, event: &CommandEvent, node: impl Fn(TaskId) -> Option<NodeId>) {
+        match *event {
+            CommandEvent::Began(task) if node(task).is_some_and(|node| self.is_down(node)) => {
                 self.orphans.insert(key, task);
             }
-            Fate::Began(task) => {
+            CommandEvent::Began(task) => {
                 self.running.insert(key, task);
             }
-            Fate::Ended => {
+            CommandEvent::Ended => {
                 self.running.remove(&key);
                 self.orphans.remove(&key);
             }
-            Fate::Lost => {
+            CommandEvent::Lost => {
                 if let Some(task) = self.running.remove(&key) {
                     self.orphans.insert(key, task);
                 }

@@ -18,7 +18,7 @@ use crate::output::Output;
 use crate::run::chosen;
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
-use imrs_runtime::script::Course;
+use imrs_runtime::script::Ramp;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -40,7 +40,7 @@ pub struct Scene {
     /// Its fault; none if the cell itself causes the trouble.
     moment: Option<Moment>,
     /// How results of simulated actions change with time: the action, the action that starts the change, and its duration.
-    courses: &'static [(&'static str, &'static str, Duration)],
+    ramps: &'static [(&'static str, &'static str, Duration)],
     /// Explains what happened, and says whether the promise was kept.
     explain: fn(&Story<'_>) -> Outcome,
 }
@@ -69,7 +69,7 @@ question, stops by itself.",
             fault: Planned::Cut(["nl", "nr"], ms(40)),
             words: "in the middle of the second lift nothing passes between the arms for 40 ms",
         }),
-        courses: &[("read_height", "start_lift", ms(400))],
+        ramps: &[("read_height", "start_lift", ms(400))],
         explain: beam_lift::explain,
     },
     Scene {
@@ -89,7 +89,7 @@ by asking `alive` every few milliseconds. Both reach each other, and the tip dre
             fault: Planned::Kill("n1"),
             words: "in the middle of the first weld the node of r1 is killed (kill -9)",
         }),
-        courses: &[],
+        ramps: &[],
         explain: failover_weld::explain,
     },
     Scene {
@@ -109,7 +109,7 @@ time_out of 20 ms, the others wait until they hear that it is free. Who is not b
             fault: Planned::Kill("na"),
             words: "while weldA has the tool its node is killed (kill -9)",
         }),
-        courses: &[],
+        ramps: &[],
         explain: shared_tool::explain,
     },
     Scene {
@@ -129,7 +129,7 @@ a part, meets place at `give`, and lets go when place holds the part.",
             fault: Planned::Pause("nc", ms(150)),
             words: "when pick has let go of its first part and is about to look for the next one, the camera stands still for 150 ms (--in-process: is cut off)",
         }),
-        courses: &[],
+        ramps: &[],
         explain: conveyor::explain,
     },
     Scene {
@@ -142,7 +142,7 @@ The administrator of a belt tells its speed and the version of that 20 times in 
 slower and r2 faster: both look when they hear the status, and so they ask at the same time.",
         length: Duration::from_secs(4),
         moment: None,
-        courses: &[],
+        ramps: &[],
         explain: belt_administrator::explain,
     },
 ];
@@ -183,7 +183,7 @@ pub fn run(args: &DemoArgs, out: &mut Output) -> Result<Exit, Failure> {
     let own_faults =
         launch.loss.0 > 0.0 || !launch.kill.is_empty() || !launch.cut.is_empty() || launch.node.is_some();
     let moment = scene.and_then(|scene| scene.moment.as_ref()).filter(|_| !args.no_fault && !own_faults);
-    let course = |&(action, since, over): &(&str, &str, Duration)| Course {
+    let ramp = |&(action, since, over): &(&str, &str, Duration)| Ramp {
         action: action.into(),
         since: since.into(),
         over,
@@ -194,7 +194,7 @@ pub fn run(args: &DemoArgs, out: &mut Output) -> Result<Exit, Failure> {
         args: launch,
         length: Some(launch.length.unwrap_or(args.cell.length)),
         actions: BTreeMap::new(),
-        courses: args.cell.courses.iter().map(course).collect(),
+        ramps: args.cell.ramps.iter().map(ramp).collect(),
         only: chosen(&loaded, launch)?,
         tale: Some(Tale { introduction: args.cell.introduction, moment, explain: args.cell.explain }),
     };
@@ -226,7 +226,7 @@ mod tests {
             let loaded = scene.load().unwrap_or_else(|error| panic!("{}: {error}", scene.name));
             let cell = loaded.table.cell();
             let mut actions = Vec::new();
-            actions.extend(scene.courses.iter().flat_map(|(action, since, _)| [*action, *since]));
+            actions.extend(scene.ramps.iter().flat_map(|(action, since, _)| [*action, *since]));
             actions.extend(scene.moment.map(|moment| moment.action));
             for action in actions {
                 assert!(loaded.actions().any(|known| known == action), "{}: {action}", scene.name);

@@ -38,9 +38,9 @@ fn label(port: &Port) -> String {
         Class::Status => 1,
         Class::Command => 2,
     };
-    let life = port.time_out.map(|length| format!(", {}", span(length.usec))).unwrap_or_default();
+    let ttl = port.time_out.map(|length| format!(", {}", span(length.usec))).unwrap_or_default();
     let begins = if flow(port.usage).to_users { port.usage } else { port.usage.counterpart() };
-    format!("{}: {begins}, class {class}{life}", port.name)
+    format!("{}: {begins}, class {class}{ttl}", port.name)
 }
 
 /// The directions of messages between the owner of a port and each user.

@@ -4,7 +4,7 @@ use super::deed::Did;
 use crate::cells::Source;
 use crate::checks::Change;
 use imrs_protocol::{PortCounters, PortId, Round, TaskId};
-use imrs_runtime::script::Course;
+use imrs_runtime::script::Ramp;
 use imrs_wire::obs::Token;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -46,7 +46,7 @@ pub struct Setup {
     /// The pipe for notices to the launcher about commands, if there are any.
     pub notices: Option<PathBuf>,
     /// How results of simulated actions change with time.
-    pub courses: Vec<Course>,
+    pub ramps: Vec<Ramp>,
 }
 
 /// Every later line to a node. When the pipe ends, the launcher has exited, and the node stops.

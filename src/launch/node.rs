@@ -463,7 +463,7 @@ fn actions(setup: &Setup, loaded: &Loaded) -> Result<Arc<dyn Actions>, NodeError
     let results = loaded.results();
     let reals = results.iter().filter(|result| matches!(result.give, Give::Real(..)));
     let reals: Vec<String> = reals.map(|result| result.name.clone()).collect();
-    let simulated = Simulated::start(setup.seed, results, setup.courses.clone())?;
+    let simulated = Simulated::start(setup.seed, results, setup.ramps.clone())?;
     let commands = Commands::new(setup.actions.clone(), simulated).guard(GuardProgram::This);
     let mut commands = commands.cores(rt::cores()).reals(reals);
     if let Some(path) = &setup.notices {

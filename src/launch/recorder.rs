@@ -33,7 +33,7 @@ impl NodeRecording {
         let name = path.clone();
         let failed = move |error: &WriteError| complain(format_args!("{name} is no longer written: {error}"));
         let about = About {
-            life: (Incarnation(setup.incarnation), setup.restarted),
+            incarnation: (Incarnation(setup.incarnation), setup.restarted),
             insecure: true,
             build: concat!("imrs ", env!("CARGO_PKG_VERSION")),
             statements: loaded.statements(table.node),

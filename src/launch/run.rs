@@ -4,7 +4,7 @@ use super::story::Tale;
 use crate::args::LaunchArgs;
 use crate::cells::{Loaded, Source};
 use imrs_protocol::NodeId;
-use imrs_runtime::script::Course;
+use imrs_runtime::script::Ramp;
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -21,7 +21,7 @@ pub struct Run<'a> {
     /// The command to execute for each action.
     pub actions: BTreeMap<String, Vec<String>>,
     /// How results of simulated actions change with time.
-    pub courses: Vec<Course>,
+    pub ramps: Vec<Ramp>,
     /// The only node that runs here; none: all nodes.
     pub only: Option<NodeId>,
     /// The additions of a demo.

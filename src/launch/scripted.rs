@@ -3,7 +3,7 @@
 use super::deed::{Deed, Did, Unanswered};
 use super::lines::{EndSort, Event, Outcomes, What, Word};
 use crate::cells::Loaded;
-use crate::checks::Sight;
+use crate::checks::ValueSampler;
 use imrs_protocol::script::{Address, End};
 use imrs_protocol::{Outcome, PortId, Request, Signal, TaskId, Usage};
 use imrs_runtime::script::{Note, Stands, Watch};
@@ -33,7 +33,7 @@ pub struct Narrator {
 struct State {
     outcomes: Outcomes,
     tasks: Vec<Progress>,
-    sight: Sight,
+    sampler: ValueSampler,
 }
 
 /// The progress of one script.
@@ -63,8 +63,8 @@ impl Narrator {
     pub fn new(loaded: Arc<Loaded>) -> Self {
         let (told, kept) = mpsc::channel();
         let tasks = vec![Progress::default(); loaded.scripts.len()];
-        let sight = Sight::new(&loaded);
-        let state = Mutex::new(State { outcomes: Outcomes::default(), tasks, sight });
+        let sampler = ValueSampler::new(&loaded);
+        let state = Mutex::new(State { outcomes: Outcomes::default(), tasks, sampler });
         Self {
             loaded,
             told,
@@ -96,7 +96,7 @@ impl Narrator {
 
     /// Whether any check of the cell reads values of tasks.
     pub fn is_asked(&self) -> bool {
-        !self.state.lock().unwrap_or_else(PoisonError::into_inner).sight.is_blind()
+        !self.state.lock().unwrap_or_else(PoisonError::into_inner).sampler.is_blind()
     }
 
     /// Queues a message about this instant. Only the ends of tasks are never dropped: there is one per task.
@@ -188,8 +188,8 @@ impl Narrator {
 impl Watch for Narrator {
     fn note(&self, task: TaskId, at: u64, note: &Note) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        let State { outcomes, tasks, sight } = &mut *state;
-        sight.note(task, note);
+        let State { outcomes, tasks, sampler } = &mut *state;
+        sampler.note(task, note);
         let Some(progress) = tasks.get_mut(task.index()) else { return };
         match note {
             Note::Statement(statement) => progress.statement = Some(*statement),
@@ -237,7 +237,7 @@ impl Watch for Narrator {
 
     fn stands(&self, task: TaskId, at: u64, stands: &Stands<'_>) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        for change in state.sight.look(task, at, stands) {
+        for change in state.sampler.look(task, at, stands) {
             self.tell(change.at, Word::Stands(change));
         }
     }

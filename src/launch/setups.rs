@@ -44,7 +44,7 @@ pub fn setups(
             force: run.args.force,
             actions: run.actions.clone(),
             notices: notices.map(Path::to_owned),
-            courses: run.courses.clone(),
+            ramps: run.ramps.clone(),
         };
         if run.only.is_some() {
             setup.bind = Some(place::address(run.loaded, id)?);

@@ -33,13 +33,13 @@ pub const FAINT: Style = Style::new().dimmed();
 
 /// Standard output.
 pub struct Output {
-    way: Way,
+    lines: Lines,
     /// When colour is used, as requested.
     pub color: Color,
 }
 
 /// How lines are written.
-enum Way {
+enum Lines {
     /// The caller writes, and may block on the reader.
     Direct {
         stream: Box<AutoStream<Stdout>>,
@@ -54,7 +54,7 @@ impl Output {
     /// Standard output with colour as asked for.
     pub fn new(color: Color) -> Self {
         let stream = Box::new(AutoStream::new(io::stdout(), color.into()));
-        Self { way: Way::Direct { stream, closed: false }, color }
+        Self { lines: Lines::Direct { stream, closed: false }, color }
     }
 
     /// From now on separate threads write to standard output and standard error, so that a slow reader blocks no caller. Lines
@@ -68,9 +68,9 @@ impl Output {
         let shown = io::stdout().is_terminal();
         let (with_lines, with_errors) = if shown { (progress, hidden) } else { (hidden, progress) };
         complain_aside(with_errors).map_err(LaunchError::Start)?;
-        let plain = matches!(&self.way, Way::Direct { stream, .. } if stream.current_choice() == anstream::ColorChoice::Never);
+        let plain = matches!(&self.lines, Lines::Direct { stream, .. } if stream.current_choice() == anstream::ColorChoice::Never);
         let printer = Printer::start(io::stdout(), notice, with_lines).map_err(LaunchError::Start)?;
-        self.way = Way::Aside { printer, plain };
+        self.lines = Lines::Aside { printer, plain };
         Ok(())
     }
 
@@ -105,10 +105,10 @@ impl Output {
     }
 
     fn write(&mut self, line: &str, kept: bool) -> Result<(), Failure> {
-        let written = match &mut self.way {
-            Way::Direct { closed: true, .. } => return Ok(()),
-            Way::Direct { stream, .. } => writeln!(stream, "{line}").and_then(|()| stream.flush()),
-            Way::Aside { printer, plain } => {
+        let written = match &mut self.lines {
+            Lines::Direct { closed: true, .. } => return Ok(()),
+            Lines::Direct { stream, .. } => writeln!(stream, "{line}").and_then(|()| stream.flush()),
+            Lines::Aside { printer, plain } => {
                 let text = if *plain { strip_str(line).to_string() } else { line.to_owned() };
                 printer.push(text + "\n", kept);
                 Ok(())
@@ -121,7 +121,7 @@ impl Output {
         match written {
             Ok(()) => Ok(()),
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {
-                if let Way::Direct { closed, .. } = &mut self.way {
+                if let Lines::Direct { closed, .. } = &mut self.lines {
                     *closed = true;
                 }
                 Ok(())
@@ -147,9 +147,9 @@ impl Output {
     }
 
     const fn printer(&self) -> Option<&Printer> {
-        match &self.way {
-            Way::Aside { printer, .. } => Some(printer),
-            Way::Direct { .. } => None,
+        match &self.lines {
+            Lines::Aside { printer, .. } => Some(printer),
+            Lines::Direct { .. } => None,
         }
     }
 

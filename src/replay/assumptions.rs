@@ -1,6 +1,6 @@
 //! Finds the assumptions of the checks that a run did not keep.
 
-use super::surroundings::{Surroundings, Way};
+use super::surroundings::{LinkHistory, Surroundings};
 use crate::cells::Loaded;
 use crate::output::count;
 use imrs_model::cell::{CellFaults, Late};
@@ -91,7 +91,7 @@ impl Assumed<'_> {
     pub fn breaches(&self, around: &Surroundings, late: &[Late]) -> Vec<Breach> {
         let mut all = self.counted(around);
         all.extend(self.crashes(around));
-        all.extend(around.ways.iter().filter_map(|(ends, way)| self.slow(*ends, way)));
+        all.extend(around.links.iter().filter_map(|(ends, link)| self.slow(*ends, link)));
         all.extend(self.drifts(around));
         all.extend(self.late(late));
         all
@@ -107,11 +107,11 @@ impl Assumed<'_> {
 
     /// The breaches of faults that a cell declares by their number.
     fn counted(&self, around: &Surroundings) -> Vec<Breach> {
-        let all = |of: fn(&Way) -> &Vec<u64>| {
-            let times: Vec<u64> = around.ways.values().flat_map(of).copied().collect();
+        let all = |of: fn(&LinkHistory) -> &Vec<u64>| {
+            let times: Vec<u64> = around.links.values().flat_map(of).copied().collect();
             (times.len() as u64, times.iter().min().copied().unwrap_or(0))
         };
-        let (lost, copied) = (all(|way| &way.lost), all(|way| &way.copies));
+        let (lost, copied) = (all(|link| &link.lost), all(|link| &link.copies));
         let failed = (around.failed.len() as u64, around.failed.iter().min().copied().unwrap_or(0));
         let had = |kind, (one, many), word, (times, first), allows| Had {
             kind,
@@ -170,12 +170,12 @@ impl Assumed<'_> {
     }
 
     /// The breach by packets that took longer than the bound of their route.
-    fn slow(&self, (from, to): (NodeId, NodeId), way: &Way) -> Option<Breach> {
-        let (first, _) = way.slow.first()?;
-        let most = way.slow.iter().map(|(_, took)| *took).max()?;
-        let (from, to, bound) = (self.node(from), self.node(to), msec(way.bound));
+    fn slow(&self, (from, to): (NodeId, NodeId), link: &LinkHistory) -> Option<Breach> {
+        let (first, _) = link.slow.first()?;
+        let most = link.slow.iter().map(|(_, took)| *took).max()?;
+        let (from, to, bound) = (self.node(from), self.node(to), msec(link.bound));
         let what = format!("link {from}--{to} took {:.1} ms, bound {bound} ms", msec(most));
-        Some(Breach { kind: Kind::Delay, what, times: way.slow.len() as u64, first: self.since(*first) })
+        Some(Breach { kind: Kind::Delay, what, times: link.slow.len() as u64, first: self.since(*first) })
     }
 
     /// The breaches by clocks that drifted apart by more ticks than declared.

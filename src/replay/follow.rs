@@ -4,7 +4,7 @@
 
 use super::{Opened, divergence, open};
 use crate::cells::Loaded;
-use imrs_monitor::judge::{Judgement, Sitting};
+use imrs_monitor::judge::{FollowSession, Judgement};
 use imrs_monitor::store::conformance::{self, Conformance};
 use imrs_protocol::{Cell, NodeId, NodeTable};
 use imrs_runtime::record::Replays;
@@ -68,7 +68,7 @@ pub struct Following<'a> {
     files: BTreeMap<PathBuf, Followed<'a>>,
 }
 
-impl Sitting for Following<'_> {
+impl FollowSession for Following<'_> {
     fn look(&mut self, recording: &Path) -> Option<Judgement> {
         let present = std::fs::metadata(recording).ok()?;
         let same = self.files.get(recording).is_some_and(|file| file.is_of(&present));

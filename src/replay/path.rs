@@ -3,12 +3,12 @@
 use super::assumptions::Assumed;
 use super::error::ReplayError;
 use super::surroundings::{Surroundings, named};
-use super::told::{Told, WALKS};
+use super::told::{ReplayAnswer, WALKS};
 use super::{Opened, open};
 use crate::args::{Format, ReplayArgs};
 use crate::cell_file;
 use crate::cells::{self, Loaded};
-use crate::checks::{Change, Judge, Looker, Settlement};
+use crate::checks::{Change, Judge, ReplaySampler, Settlement};
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::output::Output;
@@ -48,10 +48,10 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     let mut recorded = match read(args, &loaded)? {
         Ok(recorded) => recorded,
         Err(Unfollowed::Differs { task, how }) => {
-            return tell(&Told::of_task(&loaded, task, how), path, args, out);
+            return tell(&ReplayAnswer::of_task(&loaded, task, how), path, args, out);
         }
         Err(Unfollowed::Gap(missing) | Unfollowed::Restarted(missing)) => {
-            return tell(&Told::of_gap(&loaded, missing), path, args, out);
+            return tell(&ReplayAnswer::of_gap(&loaded, missing), path, args, out);
         }
     };
     let checks = judge(&loaded, &recorded);
@@ -68,11 +68,11 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     };
     let assumed = Assumed { loaded: &loaded, faults: &plan.faults, tick, start: recorded.start };
     let breaches = assumed.breaches(&around, &followed.late);
-    let told = Told::new(&loaded, &followed, &steps, recorded.start, breaches, checks);
+    let told = ReplayAnswer::new(&loaded, &followed, &steps, recorded.start, breaches, checks);
     tell(&told, path, args, out)
 }
 
-fn tell(told: &Told, path: &Path, args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
+fn tell(told: &ReplayAnswer, path: &Path, args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     match args.format {
         Format::Json => out.json(told)?,
         Format::Text => {
@@ -121,16 +121,16 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Unfollowe
     let mut tasks = vec![None; cell.tasks.len()];
     let mut whole = vec![true; cell.nodes.len()];
     let given = args.cell.as_deref().map(cell_file::shown);
-    let looker = Arc::new(Looker::new(loaded));
-    let watch: Arc<dyn Watch> = Arc::clone(&looker) as Arc<dyn Watch>;
+    let sampler = Arc::new(ReplaySampler::new(loaded));
+    let watch: Arc<dyn Watch> = Arc::clone(&sampler) as Arc<dyn Watch>;
     let mut changes = Vec::new();
-    let mut lives: Vec<Vec<Life<'_>>> = vec![Vec::new(); cell.nodes.len()];
+    let mut incarnations: Vec<Vec<IncarnationRecording<'_>>> = vec![Vec::new(); cell.nodes.len()];
     let mut restarted: Vec<NodeId> = Vec::new();
     for path in &args.files {
         let Opened { mut reader, table, header, .. } =
             open(path, std::slice::from_ref(loaded), given.as_deref())?;
-        let of_node = &mut lives[table.node.index()];
-        if let Some(before) = of_node.iter().find(|life| life.incarnation == header.incarnation) {
+        let of_node = &mut incarnations[table.node.index()];
+        if let Some(before) = of_node.iter().find(|one| one.incarnation == header.incarnation) {
             let node = &cell.nodes[table.node.index()].name;
             let (before, path) = (before.path.display(), path.display());
             return Err(Failure::Usage(format!("node {node} is given twice: {before} and {path}")));
@@ -138,7 +138,7 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Unfollowe
         let damaged = |source| ReplayError::Read { path: path.clone(), source };
         let replays = replay_scripts(&mut reader, &table, |task| loaded.program(task), Some(&watch));
         let replays = replays.map_err(damaged)?;
-        let seen = looker.changes();
+        let seen = sampler.changes();
         whole[table.node.index()] = reader.ending() == Ending::Ended;
         let mut span: Option<Span<'_>> = None;
         for replay in replays {
@@ -173,9 +173,9 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Unfollowe
             tasks[task.index()] = Some(happened);
         }
         let Header { incarnation, restarted, .. } = header;
-        of_node.push(Life { path, incarnation, restarted, span });
+        of_node.push(IncarnationRecording { path, incarnation, restarted, span });
     }
-    restarted.extend(lives_of_one_run(&mut lives)?);
+    restarted.extend(incarnations_of_one_run(&mut incarnations)?);
     if let Some(missing) = tasks.iter().position(Option::is_none) {
         let node = &cell.nodes[cell.tasks[missing].node.index()].name;
         return Err(Failure::Usage(format!(
@@ -183,7 +183,7 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Unfollowe
         )));
     }
     let tasks: Vec<Vec<Happening>> = tasks.into_iter().flatten().collect();
-    restarted.extend(spoke_before(&lives, &tasks, &loaded.table));
+    restarted.extend(spoke_before(&incarnations, &tasks, &loaded.table));
     if let Some(node) = restarted.iter().min().and_then(|node| cell.nodes.get(node.index())) {
         let why = format!(
             "node {} was restarted in it, and the model follows a node only up to its end; `imrs replay` without --model judges \
@@ -198,7 +198,7 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Unfollowe
 
 /// The recording of one incarnation of a node.
 #[derive(Clone)]
-struct Life<'a> {
+struct IncarnationRecording<'a> {
     path: &'a Path,
     incarnation: Incarnation,
     /// Whether the node ran before.
@@ -207,7 +207,7 @@ struct Life<'a> {
     span: Option<Span<'a>>,
 }
 
-impl Life<'_> {
+impl IncarnationRecording<'_> {
     /// When it begins; an empty one sorts last.
     fn begins(&self) -> u64 {
         self.span.as_ref().map_or(u64::MAX, |span| span.first)
@@ -215,11 +215,13 @@ impl Life<'_> {
 }
 
 /// The nodes with several recordings. An error if the recordings cannot be of one run.
-fn lives_of_one_run(lives: &mut [Vec<Life<'_>>]) -> Result<Vec<NodeId>, Failure> {
+fn incarnations_of_one_run(
+    incarnations: &mut [Vec<IncarnationRecording<'_>>],
+) -> Result<Vec<NodeId>, Failure> {
     let mut restarted = Vec::new();
-    for (node, lives) in lives.iter_mut().enumerate() {
-        lives.sort_by_key(|life| (life.restarted, life.begins()));
-        for pair in lives.windows(2) {
+    for (node, incarnations) in incarnations.iter_mut().enumerate() {
+        incarnations.sort_by_key(|one| (one.restarted, one.begins()));
+        for pair in incarnations.windows(2) {
             let [before, after] = pair else { continue };
             let overlap = before.span.as_ref().zip(after.span.as_ref());
             let overlap = overlap.is_some_and(|(before, after)| after.first <= before.last);
@@ -231,23 +233,30 @@ fn lives_of_one_run(lives: &mut [Vec<Life<'_>>]) -> Result<Vec<NodeId>, Failure>
                 ));
             }
         }
-        if lives.len() > 1 {
+        if incarnations.len() > 1 {
             restarted.push(NodeId::from_index(node));
         }
     }
     // In a cell with one node nothing is recorded while the node is down, so the gap proves nothing.
-    if lives.len() > 1 {
-        of_one_run(lives.iter().flatten().filter_map(|life| life.span.clone()).collect())?;
+    if incarnations.len() > 1 {
+        of_one_run(incarnations.iter().flatten().filter_map(|one| one.span.clone()).collect())?;
     }
     Ok(restarted)
 }
 
 /// The nodes whose first recording is missing: other nodes received packets from them before their given recordings begin.
-fn spoke_before(lives: &[Vec<Life<'_>>], tasks: &[Vec<Happening>], table: &CellTable) -> Vec<NodeId> {
+fn spoke_before(
+    incarnations: &[Vec<IncarnationRecording<'_>>],
+    tasks: &[Vec<Happening>],
+    table: &CellTable,
+) -> Vec<NodeId> {
     let mut nodes = Vec::new();
-    for (node, lives) in lives.iter().enumerate() {
+    for (node, incarnations) in incarnations.iter().enumerate() {
         let node = NodeId::from_index(node);
-        let Some(first) = lives.first().filter(|life| life.restarted).map(Life::begins) else { continue };
+        let Some(first) = incarnations.first().filter(|one| one.restarted).map(IncarnationRecording::begins)
+        else {
+            continue;
+        };
         let early = |happening: &Happening| match &happening.what {
             Happened::Came(packet) => happening.at < first && table.location(packet.source) == Some(node),
             _ => false,

@@ -12,7 +12,7 @@ const SETTLES: u64 = 500_000;
 
 /// What happened to the packets from one node to another.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub struct Way {
+pub struct LinkHistory {
     /// When packets were sent that never arrived, in microseconds of the run's clock.
     pub lost: Vec<u64>,
     /// When packets arrived again.
@@ -29,7 +29,7 @@ pub struct Way {
 #[derive(Debug)]
 pub struct Surroundings {
     /// What happened to packets, by sending and receiving node.
-    pub ways: BTreeMap<(NodeId, NodeId), Way>,
+    pub links: BTreeMap<(NodeId, NodeId), LinkHistory>,
     /// Pairs of nodes whose clocks ran at different rates, and a lower bound of the difference in microseconds.
     pub drift: Vec<(NodeId, NodeId, u64)>,
     /// When actions failed, in microseconds.
@@ -55,23 +55,24 @@ impl Surroundings {
         };
         let ends: Vec<u64> = (0..whole.len()).map(known).collect();
         let failed = tasks.iter().flatten().filter(|one| matches!(one.what, Happened::Acted(_, false, _)));
-        let mut ways: BTreeMap<(NodeId, NodeId), Way> = BTreeMap::new();
+        let mut links: BTreeMap<(NodeId, NodeId), LinkHistory> = BTreeMap::new();
         for ((from, to), alike) in packets(tasks, table) {
             let bound = table.path_bound(from, to).map_or(u64::MAX, |bound| bound.0);
-            let way = ways.entry((from, to)).or_insert_with(|| Way { bound, ..Way::default() });
-            alike.judge(way, whole[from.index()]);
+            let link =
+                links.entry((from, to)).or_insert_with(|| LinkHistory { bound, ..LinkHistory::default() });
+            alike.judge(link, whole[from.index()]);
         }
-        for ((_, to), way) in &mut ways {
+        for ((_, to), link) in &mut links {
             // A killed node receives nothing more, and packets sent just before the end may still be in flight.
-            let settled = if whole[to.index()] { SETTLES } else { SETTLES.max(way.bound) };
+            let settled = if whole[to.index()] { SETTLES } else { SETTLES.max(link.bound) };
             let over = ends[to.index()].saturating_sub(settled);
-            way.lost.retain(|sent| *sent < over);
-            [&mut way.lost, &mut way.copies].into_iter().for_each(|times| times.sort_unstable());
-            way.slow.sort_unstable();
+            link.lost.retain(|sent| *sent < over);
+            [&mut link.lost, &mut link.copies].into_iter().for_each(|times| times.sort_unstable());
+            link.slow.sort_unstable();
         }
         let ended = (0..whole.len()).filter(|&node| !whole[node]);
         let ended = ended.map(|node| (NodeId::from_index(node), ends[node])).collect();
-        Self { drift: drift(&ways), ways, failed: failed.map(|one| one.at).collect(), ended }
+        Self { drift: drift(&links), links, failed: failed.map(|one| one.at).collect(), ended }
     }
 }
 
@@ -107,8 +108,8 @@ fn packets(tasks: &[Vec<Happening>], table: &CellTable) -> Vec<((NodeId, NodeId)
 }
 
 impl Alike {
-    /// Matches arrivals with sent packets, and adds the result to `way`.
-    fn judge(mut self, way: &mut Way, sender_is_whole: bool) {
+    /// Matches arrivals with sent packets, and adds the result to `link`.
+    fn judge(mut self, link: &mut LinkHistory, sender_is_whole: bool) {
         self.sent.sort_unstable();
         self.came.sort_unstable();
         let all = self.sent.len();
@@ -118,28 +119,28 @@ impl Alike {
             let Some(at) = before.checked_sub(1).or_else(|| (!self.sent.is_empty()).then_some(0)) else {
                 // A killed node may have sent it without recording that, so it is not a copy.
                 if all > 0 && sender_is_whole {
-                    way.copies.push(came);
+                    link.copies.push(came);
                 }
                 continue;
             };
             let (sent, _) = self.sent.remove(at);
             let took = came.cast_signed() - sent.cast_signed();
-            way.least = Some(way.least.map_or(took, |least| least.min(took)));
-            if took > way.bound.cast_signed() {
-                way.slow.push((came, took.unsigned_abs()));
+            link.least = Some(link.least.map_or(took, |least| least.min(took)));
+            if took > link.bound.cast_signed() {
+                link.slow.push((came, took.unsigned_abs()));
             }
         }
-        way.lost.extend(self.sent.iter().filter(|(_, arrives)| *arrives).map(|(at, _)| *at));
+        link.lost.extend(self.sent.iter().filter(|(_, arrives)| *arrives).map(|(at, _)| *at));
     }
 }
 
 /// A lower bound of how far the clocks of two nodes drifted apart. Every packet takes some time, so packets of the two
 /// directions bound the difference of the clocks from both sides. If no single difference fits all packets, the clocks ran at
 /// different rates.
-fn drift(ways: &BTreeMap<(NodeId, NodeId), Way>) -> Vec<(NodeId, NodeId, u64)> {
-    let pairs = ways.iter().filter(|((from, to), _)| from < to);
+fn drift(links: &BTreeMap<(NodeId, NodeId), LinkHistory>) -> Vec<(NodeId, NodeId, u64)> {
+    let pairs = links.iter().filter(|((from, to), _)| from < to);
     let apart = pairs.filter_map(|((from, to), there)| {
-        let there_and_back = there.least? + ways.get(&(*to, *from))?.least?;
+        let there_and_back = there.least? + links.get(&(*to, *from))?.least?;
         (there_and_back < 0).then_some((*from, *to, there_and_back.unsigned_abs()))
     });
     apart.collect()

@@ -23,7 +23,7 @@ const UNSURE: &str = "nodes acted late, or two things happened within one tick, 
 
 /// The answer.
 #[derive(Debug, Default, Serialize)]
-pub struct Told {
+pub struct ReplayAnswer {
     version: u32,
     cell: String,
     /// Whether the run is a path of the model.
@@ -75,7 +75,7 @@ pub struct Where {
     why: String,
 }
 
-impl Told {
+impl ReplayAnswer {
     /// The result of a run that was followed, with its start and the assumptions that it did not keep.
     pub fn new(
         loaded: &Loaded,

@@ -50,7 +50,7 @@ struct Ends {
 #[derive(Serialize)]
 struct One<'a> {
     #[serde(flatten)]
-    told: verify::Told<'a>,
+    told: verify::FindingAnswer<'a>,
     /// The first seed that shows it; null for the run of a file.
     seed: Option<u64>,
     /// Number of runs that show it.

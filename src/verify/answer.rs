@@ -24,9 +24,9 @@ pub(super) struct Answer<'a> {
     not_looked_for: Vec<&'static str>,
     /// The checks of the file.
     claims: Vec<Settled<'a>>,
-    findings: Vec<Told<'a>>,
+    findings: Vec<FindingAnswer<'a>>,
     /// Possibly intended: tasks that go on for ever without progress.
-    warnings: Vec<Told<'a>>,
+    warnings: Vec<FindingAnswer<'a>>,
     /// Statements that are never reached with these faults.
     not_exercised: Vec<Place<'a>>,
     /// The values with which messages of extern tasks were tried: in integer fields, and in `real` fields.
@@ -81,7 +81,7 @@ struct Settled<'a> {
 
 /// A finding.
 #[derive(Serialize)]
-pub struct Told<'a> {
+pub struct FindingAnswer<'a> {
     kind: &'static str,
     with_faults: bool,
     task: Option<&'a str>,
@@ -233,14 +233,14 @@ impl Subject {
     }
 
     /// The JSON of a finding.
-    pub fn told<'a>(&'a self, finding: &'a Finding, saved: bool) -> Told<'a> {
+    pub fn told<'a>(&'a self, finding: &'a Finding, saved: bool) -> FindingAnswer<'a> {
         let (line, column, _) = self.place_of(finding);
         let meanwhile = |other: &'a Concerned| {
             let place = other.at.and_then(|at| self.place(other.task, at));
             let (line, column) = (place.map(|place| place.0), place.map(|place| place.1));
             Meanwhile { task: self.task(other.task), line, column, does: &other.does }
         };
-        Told {
+        FindingAnswer {
             kind: finding.kind.name(),
             with_faults: finding.phase == Phase::Faults,
             task: finding.task.map(|task| self.task(task)),

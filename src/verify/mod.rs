@@ -10,7 +10,7 @@ mod save;
 mod subject;
 mod tell;
 
-pub use answer::{NotChecked, Place, Rounded, Told};
+pub use answer::{FindingAnswer, NotChecked, Place, Rounded};
 pub use subject::{Subject, conduct, faults};
 pub use tell::{chart, quoted};
 

@@ -127,14 +127,16 @@ impl<'a, W: Write> Film<'a, W> {
 
     fn node(&mut self, node: usize, scene: &Scene) -> Result<(), WriteError> {
         let frame = &scene.nodes[node];
-        if self.attached[node].is_some_and(|life| frame.snapshot.is_none() || life != frame.life) {
+        if self.attached[node]
+            .is_some_and(|incarnation| frame.snapshot.is_none() || incarnation != frame.incarnation)
+        {
             self.attached[node] = None;
             self.frame(node, &Shown::Lost { why: "it crashed".into() })?;
         }
         let Some(snapshot) = &frame.snapshot else { return Ok(()) };
         if self.attached[node].is_none() {
-            self.attached[node] = Some(frame.life);
-            self.introduce(node, frame.life)?;
+            self.attached[node] = Some(frame.incarnation);
+            self.introduce(node, frame.incarnation)?;
         }
         let mono_us = self.at;
         if !frame.observed.is_empty() {
@@ -146,14 +148,14 @@ impl<'a, W: Write> Film<'a, W> {
         self.frame(node, &Shown::Said(ServerFrame::Snapshot(snapshot)))
     }
 
-    fn introduce(&mut self, node: usize, life: imrs_protocol::Incarnation) -> Result<(), WriteError> {
+    fn introduce(&mut self, node: usize, incarnation: imrs_protocol::Incarnation) -> Result<(), WriteError> {
         let cell = self.subject.table.cell();
         let identity = NodeIdentity {
             cell: cell.name.clone(),
             digest: self.subject.table.digest(),
             node: cell.nodes[node].name.clone(),
             id: NodeId::from_index(node).0,
-            incarnation: life,
+            incarnation: incarnation,
             tick_us: self.subject.tick_us,
         };
         let role = Role::Node(identity);

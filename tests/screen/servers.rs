@@ -88,7 +88,7 @@ fn a_stopped_node_is_silent_and_never_shown_as_up() {
 }
 
 #[test]
-fn a_restarted_node_has_a_new_life() {
+fn a_restarted_node_has_a_new_incarnation() {
     if !tmux_is_here() {
         return;
     }

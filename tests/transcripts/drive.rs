@@ -26,7 +26,7 @@ struct Flight {
     bound: u64,
 }
 
-enum Life {
+enum Liveness {
     Up,
     /// The process has been suspended since this tick.
     Stopped(u64),
@@ -55,7 +55,7 @@ struct Between {
 pub struct Drive {
     between: Between,
     nodes: Vec<Node>,
-    lives: Vec<(Life, u8)>,
+    liveness: Vec<(Liveness, u8)>,
     transit: u16,
     got: Vec<Got>,
 }
@@ -143,7 +143,7 @@ impl Drive {
         let new =
             |id| Node::new(NodeTable::new(Arc::clone(&table), id), Incarnation(0), false, declared.transit);
         let nodes: Vec<Node> = ids.map(new).collect();
-        let lives = nodes.iter().map(|_| (Life::Up, 0)).collect();
+        let liveness = nodes.iter().map(|_| (Liveness::Up, 0)).collect();
         let between = Between {
             table,
             now: 0,
@@ -154,7 +154,7 @@ impl Drive {
             seen: Vec::new(),
             signals: Vec::new(),
         };
-        Ok(Self { between, nodes, lives, transit: declared.transit, got: Vec::new() })
+        Ok(Self { between, nodes, liveness, transit: declared.transit, got: Vec::new() })
     }
 
     pub fn now(&self) -> u64 {
@@ -174,9 +174,9 @@ impl Drive {
             Step::Mend(from, to) => {
                 self.between.faults.retain(|fault| (fault.source, fault.destination) != (*from, *to));
             }
-            Step::Crash(node) => self.lives[node.index()].0 = Life::Down,
+            Step::Crash(node) => self.liveness[node.index()].0 = Liveness::Down,
             Step::Restart { node, unnoticed } => self.restart(*node, *unnoticed)?,
-            Step::Stop(node) => self.lives[node.index()].0 = Life::Stopped(self.between.now),
+            Step::Stop(node) => self.liveness[node.index()].0 = Liveness::Stopped(self.between.now),
             Step::Continue(node) => self.go_on(*node)?,
             Step::Busy(from, to, busy) => {
                 self.between.busy.retain(|&link| link != (*from, *to));
@@ -234,7 +234,7 @@ impl Drive {
     fn tick(&mut self) -> Result<(), String> {
         self.between.now += 1;
         for i in 0..self.nodes.len() {
-            if matches!(self.lives[i].0, Life::Up) {
+            if matches!(self.liveness[i].0, Liveness::Up) {
                 self.pass(NodeId::from_index(i), Ticks(1))?;
             }
         }
@@ -244,14 +244,14 @@ impl Drive {
     fn arrivals(&mut self) -> Result<(), String> {
         let now = self.between.now;
         for flight in std::mem::take(&mut self.between.flying) {
-            match self.lives[flight.to.index()].0 {
-                Life::Down if flight.due <= now => {}
-                Life::Up if flight.due <= now => {
+            match self.liveness[flight.to.index()].0 {
+                Liveness::Down if flight.due <= now => {}
+                Liveness::Up if flight.due <= now => {
                     let charge = Ticks(flight.bound.max(now - flight.left));
                     let Flight { from, packet, .. } = flight;
                     self.input(flight.to, NodeInput::Packet { from, packet, charge })?;
                 }
-                Life::Up | Life::Down | Life::Stopped(_) => self.between.flying.push(flight),
+                Liveness::Up | Liveness::Down | Liveness::Stopped(_) => self.between.flying.push(flight),
             }
         }
         Ok(())
@@ -259,13 +259,13 @@ impl Drive {
 
     /// Starts the node's next incarnation. The other nodes notice at once, or not at all if `unnoticed`.
     fn restart(&mut self, node: NodeId, unnoticed: bool) -> Result<(), String> {
-        let (life, count) = &mut self.lives[node.index()];
-        (*life, *count) = (Life::Up, *count + 1);
+        let (state, count) = &mut self.liveness[node.index()];
+        (*state, *count) = (Liveness::Up, *count + 1);
         let table = NodeTable::new(Arc::clone(&self.between.table), node);
         self.got.retain(|got| table.location(got.task) != Some(node));
         self.nodes[node.index()] = Node::new(table, Incarnation(*count), true, self.transit);
         for i in (0..self.nodes.len()).filter(|&i| i != node.index() && !unnoticed) {
-            if matches!(self.lives[i].0, Life::Up) {
+            if matches!(self.liveness[i].0, Liveness::Up) {
                 self.input(NodeId::from_index(i), NodeInput::PeerRestarted(node))?;
             }
         }
@@ -274,10 +274,10 @@ impl Drive {
 
     /// Resumes a suspended process: all the missed time passes at once, then its sockets are read.
     fn go_on(&mut self, node: NodeId) -> Result<(), String> {
-        let Life::Stopped(since) = self.lives[node.index()].0 else {
+        let Liveness::Stopped(since) = self.liveness[node.index()].0 else {
             return Err("it does not stand still".into());
         };
-        self.lives[node.index()].0 = Life::Up;
+        self.liveness[node.index()].0 = Liveness::Up;
         self.pass(node, Ticks(self.between.now - since))?;
         self.arrivals()
     }
@@ -358,7 +358,7 @@ impl Drive {
 
     fn request(&mut self, task: TaskId, request: Request) -> Result<(), String> {
         let node = self.between.table.location(task).ok_or("the task runs nowhere")?;
-        if !matches!(self.lives[node.index()].0, Life::Up) {
+        if !matches!(self.liveness[node.index()].0, Liveness::Up) {
             return Err(format!("{} does not run", Names(&self.between.table).task(task)));
         }
         let before = self.between.seen.len();

@@ -173,9 +173,9 @@ impl NodeOutbox for Taken {
     }
 }
 
-fn send(node: &mut Node, port: PortId, life: u64) {
+fn send(node: &mut Node, port: PortId, ttl: u64) {
     let contents = Contents::new(&cells::FULL).expect("12 bytes fit");
-    let request = Request::Send { port, to: Target::All, contents, time_out: Some(Ticks(life)) };
+    let request = Request::Send { port, to: Target::All, contents, time_out: Some(Ticks(ttl)) };
     node.step(node.now(), NodeInput::Request(A, request), &mut Taken(None));
 }
 
@@ -184,8 +184,8 @@ fn filled(table: &Arc<CellTable>, ports: usize, each: u16) -> Node {
     let mut node = Node::new(table, Incarnation(0), false, 4);
     for message in 0..each {
         for port in 0..ports {
-            let life = 40_000_000 + (port as u64 * 7_919 + u64::from(message) * 104_729) % 10_000_000;
-            send(&mut node, PortId::from_index(port), life);
+            let ttl = 40_000_000 + (port as u64 * 7_919 + u64::from(message) * 104_729) % 10_000_000;
+            send(&mut node, PortId::from_index(port), ttl);
         }
     }
     node
@@ -199,8 +199,8 @@ fn get_over_ports(effort: Effort, table: &Arc<CellTable>, ports: usize) -> Sampl
         let mut taken = Taken(None);
         node.step(node.now(), NodeInput::Request(B, get), &mut taken);
         number += 1;
-        let life = 40_000_000 + number * 7_919 % 10_000_000;
-        send(&mut node, taken.0.expect("a message waits in every port"), life);
+        let ttl = 40_000_000 + number * 7_919 % 10_000_000;
+        send(&mut node, taken.0.expect("a message waits in every port"), ttl);
     })
 }
 

@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 /// The recorded incarnation, and whether an earlier one may have taken commands.
-const LIFE: (Incarnation, bool) = (Incarnation(1), false);
+const INCARNATION: (Incarnation, bool) = (Incarnation(1), false);
 /// How long the end of a recording may take.
 const PATIENCE: Duration = Duration::from_secs(60);
 
@@ -86,7 +86,7 @@ impl Onlooker {
 
     /// Gives the recorder to the node.
     pub fn told_by(&self, node: Builder) -> Builder {
-        let node = node.incarnation(LIFE.0, LIFE.1);
+        let node = node.incarnation(INCARNATION.0, INCARNATION.1);
         match &self.recorder {
             Some(recorder) => node.recorder(Arc::clone(recorder) as _),
             None => node,
@@ -125,7 +125,7 @@ fn drain(mut observations: Observations, stopped: &std::sync::mpsc::Receiver<()>
 
 fn recorder(sink: impl Write + Send + 'static, table: &NodeTable) -> Arc<FileRecorder> {
     let failed = |error: &_| panic!("memory takes everything: {error}");
-    let about = About { life: LIFE, insecure: true, build: "bench", statements: 0 };
+    let about = About { incarnation: INCARNATION, insecure: true, build: "bench", statements: 0 };
     FileRecorder::start(sink, table, &about, failed).expect("a recording")
 }
 
@@ -178,7 +178,7 @@ fn recorded(times: u32) -> (Arc<CellTable>, Vec<u8>) {
         Ok(())
     };
     let node = Runtime::builder(Arc::clone(&table), NodeId(0))
-        .incarnation(LIFE.0, LIFE.1)
+        .incarnation(INCARNATION.0, INCARNATION.1)
         .recorder(Arc::clone(&recorder) as _)
         .task("t0", ask)
         .task("t1", cells::answer)

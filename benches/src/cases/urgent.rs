@@ -163,10 +163,9 @@ fn serve() {
 
 fn urgent_in_ports(effort: Effort) -> Sample {
     let mut cell = cells::cell(2, 1);
-    let [work, halt] =
-        [("work", LONG_TICKS, BEHIND), ("halt", Ticks(1_000_000), 1)].map(|(name, life, n)| {
-            cell.port(PortDecl::new(name, cells::A, Usage::Send, &[cells::B], life).bounded_buffer(n))
-        });
+    let [work, halt] = [("work", LONG_TICKS, BEHIND), ("halt", Ticks(1_000_000), 1)].map(|(name, ttl, n)| {
+        cell.port(PortDecl::new(name, cells::A, Usage::Send, &[cells::B], ttl).bounded_buffer(n))
+    });
     let (tell, told) = channel();
     let times = u64::from(times(effort));
     let (begins, sent) = (Instant::now(), Arc::new(AtomicU64::new(0)));
@@ -345,8 +344,8 @@ fn stream_of_ports(effort: Effort, senders: usize, most: usize) -> Sample {
                 while n - taken[sender].load(Ordering::Acquire) >= WINDOW {
                     std::thread::yield_now();
                 }
-                let life = Duration::from_secs(30 + (n.wrapping_mul(0x9E37_79B9) & 15));
-                let _copies = ctx.send_with(port, imrs_protocol::Target::All, &cells::FULL, Some(life))?;
+                let ttl = Duration::from_secs(30 + (n.wrapping_mul(0x9E37_79B9) & 15));
+                let _copies = ctx.send_with(port, imrs_protocol::Target::All, &cells::FULL, Some(ttl))?;
             }
             Ok(())
         });

@@ -178,5 +178,5 @@ fn ends(hir: &Hir, couple: &Couple, [primary, standby]: [TaskId; 2], found: &mut
 
 /// Whether tasks use the port in statements. Heartbeats are exchanged by the communication tasks.
 pub(super) fn is_used_by_tasks(hir: &Hir, id: PortId) -> bool {
-    !messages::carries_beats(hir, id)
+    !messages::carries_heartbeats(hir, id)
 }

@@ -5,7 +5,7 @@
 //! A tick is how late a node may act, not how late it always acts (D42). What only late ticks and slow actions exceed is a
 //! warning (D99).
 
-use super::messages::{carries_beats, senders, sends_to};
+use super::messages::{carries_heartbeats, senders, sends_to};
 use super::work::{self, Work};
 use super::{LEAST_TICKS, task, tasks, time};
 use crate::codes::{DEADLINE, TIGHT_DEADLINE};
@@ -18,13 +18,13 @@ use imrs_protocol::{Class, PortId, TaskId, Ticks, Usage};
 pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
     for (at, port) in hir.ports.iter().enumerate() {
         let needs = needs(hir, PortId::from_index(at));
-        let mut lives: Vec<Duration> = needs.iter().filter_map(|need| life(port, need.from)).collect();
-        lives.sort_by_key(|life| life.span.start);
-        lives.dedup();
-        for life in lives {
+        let mut ttls: Vec<Duration> = needs.iter().filter_map(|need| ttl(port, need.from)).collect();
+        ttls.sort_by_key(|ttl| ttl.span.start);
+        ttls.dedup();
+        for ttl in ttls {
             let own: Vec<&Need> =
-                needs.iter().filter(|need| self::life(port, need.from) == Some(life)).collect();
-            found.extend(too_short(hir, port, life, &own));
+                needs.iter().filter(|need| self::ttl(port, need.from) == Some(ttl)).collect();
+            found.extend(too_short(hir, port, ttl, &own));
         }
     }
     for (from, sender) in tasks(hir) {
@@ -49,7 +49,7 @@ pub(crate) fn least(hir: &Hir, id: PortId, of: Option<Duration>) -> u64 {
         Usage::Waitfor => meeting(hir, port),
         _ => needs(hir, id)
             .iter()
-            .filter(|need| of.is_none() || life(port, need.from) == of)
+            .filter(|need| of.is_none() || ttl(port, need.from) == of)
             .map(|need| after(need.enough(hir), tick))
             .max()
             .unwrap_or_default(),
@@ -95,7 +95,7 @@ fn tick(hir: &Hir) -> u64 {
 }
 
 /// The time_out of this task's messages.
-fn life(port: &Port, from: TaskId) -> Option<Duration> {
+fn ttl(port: &Port, from: TaskId) -> Option<Duration> {
     port.user(from).and_then(|user| user.time_out).or(port.time_out)
 }
 
@@ -162,7 +162,7 @@ fn needs(hir: &Hir, id: PortId) -> Vec<Need> {
             }
             let answered = port.class == Class::Command && port.usage != Usage::Reply;
             // Communication tasks answer heartbeats themselves (D61). A task that is never asked has no work.
-            let works = answered && !carries_beats(hir, id) && sends_to(hir, id, from, to);
+            let works = answered && !carries_heartbeats(hir, id) && sends_to(hir, id, from, to);
             let work = if works { work::of(hir, to, id) } else { Work::default() };
             needs.push(Need { from, to, way: delay(hir, &links), links: links.len() as u64, answered, work });
         }
@@ -176,14 +176,14 @@ fn delay(hir: &Hir, links: &[usize]) -> u64 {
 }
 
 /// The diagnostic for a time_out, or a `within`, that these messages have.
-fn too_short(hir: &Hir, port: &Port, life: Duration, needs: &[&Need]) -> Option<Diagnostic> {
+fn too_short(hir: &Hir, port: &Port, ttl: Duration, needs: &[&Need]) -> Option<Diagnostic> {
     let enough = needs.iter().map(|need| need.enough(hir)).max()?;
     let tick = tick(hir);
     let least = after(enough, tick).max(tick.saturating_mul(LEAST_TICKS));
     let help = format!("give it {} or more", time(least));
     let worst = needs.iter().max_by_key(|need| need.certain())?;
-    let has = time(life.usec);
-    if life.usec <= worst.certain() {
+    let has = time(ttl.usec);
+    if ttl.usec <= worst.certain() {
         let needed = time(worst.certain());
         let message = format!(
             "deadline cannot be met: `{}` {} takes {needed}, it has {has}",
@@ -194,15 +194,15 @@ fn too_short(hir: &Hir, port: &Port, life: Duration, needs: &[&Need]) -> Option<
         if label.contains(" x ") || label.contains(" + ") {
             label = format!("{label} = {needed}");
         }
-        let found = Diagnostic::error(DEADLINE, life.span, message).label(label).also(port.span, "the port");
+        let found = Diagnostic::error(DEADLINE, ttl.span, message).label(label).also(port.span, "the port");
         return Some(found.help(help));
     }
     let worst = needs.iter().max_by_key(|need| need.enough(hir))?;
-    if life.usec > enough || life.usec < tick.saturating_mul(LEAST_TICKS) {
+    if ttl.usec > enough || ttl.usec < tick.saturating_mul(LEAST_TICKS) {
         return None;
     }
     let message = format!("`{}` {} may take {}, it has {has}", port.name, worst.round(hir), time(enough));
     let label = format!("should exceed {}", worst.parts(tick, worst.work.slow));
-    let found = Diagnostic::warning(TIGHT_DEADLINE, life.span, message).label(label);
+    let found = Diagnostic::warning(TIGHT_DEADLINE, ttl.span, message).label(label);
     Some(found.also(port.span, "the port").help(help))
 }

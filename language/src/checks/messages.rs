@@ -14,7 +14,7 @@ pub(super) fn check(hir: &Hir, paper: bool, found: &mut Vec<Diagnostic>) {
     for (at, port) in hir.ports.iter().enumerate() {
         let id = PortId::from_index(at);
         // A message of usage `reply` ends a query (D11): no statement receives it.
-        if !matches!(port.usage, Usage::Waitfor | Usage::Reply) && !carries_beats(hir, id) {
+        if !matches!(port.usage, Usage::Waitfor | Usage::Reply) && !carries_heartbeats(hir, id) {
             is_received(hir, id, port, found);
             has_room(hir, port, found);
             has_time(hir, id, port, found);
@@ -28,7 +28,7 @@ pub(super) fn check(hir: &Hir, paper: bool, found: &mut Vec<Diagnostic>) {
 }
 
 /// Whether the port carries heartbeats, which the communication tasks exchange (D61).
-pub(crate) fn carries_beats(hir: &Hir, id: PortId) -> bool {
+pub(crate) fn carries_heartbeats(hir: &Hir, id: PortId) -> bool {
     hir.couples.iter().any(|couple| matches!(couple.kind, CoupleKind::Work { via, .. } if via == id))
 }
 
@@ -144,20 +144,20 @@ fn has_time(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
     }
     for receiver in receivers(port) {
         let task = task(hir, receiver);
-        let lives = senders(port)
+        let ttls = senders(port)
             .filter_map(|from| port.user(from).and_then(|user| user.time_out).or(port.time_out))
-            .map(|life| life.usec);
-        let (Some(life), false) = (lives.min(), task.is_extern) else { continue };
+            .map(|ttl| ttl.usec);
+        let (Some(ttl), false) = (ttls.min(), task.is_extern) else { continue };
         let by_handler = has_handler(task, id);
         if !by_handler && !takes(task, id) {
             continue;
         }
         let longest = longest(task, by_handler);
-        let Some((what, length, place)) = longest.filter(|&(_, length, _)| length > life) else { continue };
+        let Some((what, length, place)) = longest.filter(|&(_, length, _)| length > ttl) else { continue };
         let message = format!(
             "`{}` needs its answer in {}, but {what} takes up to {}",
             port.name,
-            time(life),
+            time(ttl),
             time(length)
         );
         let (label, help) = if by_handler {
@@ -195,20 +195,20 @@ fn longest(task: &Task, in_atomic: bool) -> Option<(String, u64, crate::Span)> {
 }
 
 fn penalty(port: &Port, paper: bool, found: &mut Vec<Diagnostic>) {
-    let (Some((length, literal)), Some(life)) = (port.penalty, port.time_out) else { return };
+    let (Some((length, literal)), Some(ttl)) = (port.penalty, port.time_out) else { return };
     if literal && !paper {
         let message = format!("`penalty = paper` of `{}` lengthens the life of what is rejected", port.name);
         found.push(
             Diagnostic::warning(LITERAL_PENALTY, length.span, message)
-                .label(format!("each rejection adds {} to a life of {}", time(length.usec), time(life.usec)))
+                .label(format!("each rejection adds {} to a life of {}", time(length.usec), time(ttl.usec)))
                 .help(format!(
                     "write `penalty = {}`: what is rejected rises in rank (D4)",
                     time(length.usec)
                 )),
         );
-    } else if length.usec >= life.usec && !literal {
-        let (penalty, life) = (time(length.usec), time(life.usec));
-        let message = format!("penalty {penalty} x 1 rejection >= time_out {life} of `{}`", port.name);
+    } else if length.usec >= ttl.usec && !literal {
+        let (penalty, ttl) = (time(length.usec), time(ttl.usec));
+        let message = format!("penalty {penalty} x 1 rejection >= time_out {ttl} of `{}`", port.name);
         found.push(
             Diagnostic::warning(LONG_PENALTY, length.span, message)
                 .label("longer than a message lives: it is cut to half of what is left")
@@ -222,7 +222,7 @@ fn rings(hir: &Hir, found: &mut Vec<Diagnostic>) {
     let mut calls: Vec<Call> = Vec::new();
     for (at, port) in hir.ports.iter().enumerate().filter(|(_, port)| port.class == Class::Command) {
         let id = PortId::from_index(at);
-        for from in senders(port).filter(|_| !carries_beats(hir, id)) {
+        for from in senders(port).filter(|_| !carries_heartbeats(hir, id)) {
             for to in receivers(port) {
                 if let Some(place) = certain_call(hir, id, from, to)
                     && !has_handler(task(hir, to), id)

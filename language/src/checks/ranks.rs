@@ -1,6 +1,6 @@
 //! Reports handlers in a task without an `order`: `self` ranks first there, which is seldom what is meant (D46, D58, D93).
 
-use super::carries_beats;
+use super::carries_heartbeats;
 use crate::codes::UNRANKED;
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Hir, Statement, StatementKind, Task, Trigger};
@@ -23,7 +23,7 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
 
 /// Whether handlers are offered messages of the port.
 fn is_offered(hir: &Hir, port: PortId) -> bool {
-    hir.ports[port.index()].usage != Usage::Reply && !carries_beats(hir, port)
+    hir.ports[port.index()].usage != Usage::Reply && !carries_heartbeats(hir, port)
 }
 
 /// The first statement during which the thread has its own rank: one that waits, but is no `receive`.

@@ -24,22 +24,22 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
 fn time_outs(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
     let Some(tick) = hir.tick.map(|tick| tick.usec.max(1)) else { return };
     let all = port.time_out.into_iter().chain(port.users.iter().filter_map(|user| user.time_out));
-    let Some(life) = all.min_by_key(|life| life.usec) else { return };
-    let ticks = life.usec / tick;
-    let message = format!("time_out {} of `{}` is {ticks} ticks", time(life.usec), port.name);
+    let Some(ttl) = all.min_by_key(|ttl| ttl.usec) else { return };
+    let ticks = ttl.usec / tick;
+    let message = format!("time_out {} of `{}` is {ticks} ticks", time(ttl.usec), port.name);
     if ticks < LEAST_TICKS {
         found.push(
-            Diagnostic::error(SHORT_TIME_OUT, life.span, message)
+            Diagnostic::error(SHORT_TIME_OUT, ttl.span, message)
                 .label(format!("under {LEAST_TICKS} ticks of {}", time(tick)))
                 .also(port.span, "the port")
                 .help(format!(
                     "give it {} or more, or the cell a shorter tick",
-                    time(super::deadlines::least(hir, id, Some(life)))
+                    time(super::deadlines::least(hir, id, Some(ttl)))
                 )),
         );
     } else if ticks < FEW_TICKS {
         found.push(
-            Diagnostic::note(SOON, life.span, message)
+            Diagnostic::note(SOON, ttl.span, message)
                 .label(format!("a timer may be late by one tick: {} percent of it", 100 / ticks)),
         );
     }

@@ -22,8 +22,8 @@ pub(super) fn cell(hir: &Hir, clock: &mut Clock) -> Cell {
     let tasks = tasks.collect();
     let beats: Vec<PortId> = hir.couples.iter().filter_map(|couple| via(&couple.kind)).collect();
     let ports = hir.ports.iter().enumerate().map(|(at, port)| {
-        let is_beat = beats.contains(&PortId::from_index(at));
-        self::port(hir, port, is_beat, clock)
+        let is_heartbeat = beats.contains(&PortId::from_index(at));
+        self::port(hir, port, is_heartbeat, clock)
     });
     let ports = ports.collect();
     let couples = hir.couples.iter().filter_map(|couple| self::couple(&couple.kind, clock)).collect();
@@ -47,7 +47,7 @@ fn couple(kind: &CoupleKind, clock: &mut Clock) -> Option<CoupleDecl> {
     Some(CoupleDecl { primary, standby, lease, takeover, every, via, trusted: false, mutual })
 }
 
-fn port(hir: &Hir, port: &Port, is_beat: bool, clock: &mut Clock) -> PortDecl {
+fn port(hir: &Hir, port: &Port, is_heartbeat: bool, clock: &mut Clock) -> PortDecl {
     let time_out = port.time_out.map_or(Ticks::ZERO, |length| clock.time_out(length));
     let users = port.users.iter().map(|user| UserDecl {
         time_out: user.time_out.map(|length| clock.time_out(length)),
@@ -64,7 +64,7 @@ fn port(hir: &Hir, port: &Port, is_beat: bool, clock: &mut Clock) -> PortDecl {
     };
     let waitfor = port.usage == Usage::Waitfor;
     let packets = |fields: &[Field]| match u8::try_from(format(fields).fragments()) {
-        Ok(packets) if !is_beat => packets,
+        Ok(packets) if !is_heartbeat => packets,
         _ => 1,
     };
     PortDecl {

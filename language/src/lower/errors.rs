@@ -66,7 +66,7 @@ impl Mapping<'_> {
             | CellError::TooManyAsked(port)
             | CellError::ListedTwice(port, _)
             | CellError::UnknownModule(port, _)
-            | CellError::NotForBeats(port)
+            | CellError::NotForHeartbeats(port)
             | CellError::NotOfTheCouple(port) => {
                 let found = Diagnostic::error(code(error), self.port_span(port), error.to_string());
                 found.label("this port")
@@ -117,17 +117,17 @@ impl Mapping<'_> {
     /// `60/1 msec x 1 receiver x 200 sec = 12000000 > 2^23`
     fn numbers(&self, name: &str) -> String {
         let said = self.port(name).and_then(|port| {
-            let lives = port.users.iter().filter_map(|user| user.time_out).chain(port.time_out);
-            let life = lives.map(|life| life.usec).max()?;
+            let ttls = port.users.iter().filter_map(|user| user.time_out).chain(port.time_out);
+            let ttl = ttls.map(|ttl| ttl.usec).max()?;
             let rates = port.users.iter().filter_map(|user| Some((user.rate?, 1)));
             let own = port.rate.map(|rate| (rate, port.users.len()));
             let sent = |((count, per), to): ((u16, Duration), usize)| {
-                u128::from(count) * to as u128 * u128::from(life) / u128::from(per.usec.max(1))
+                u128::from(count) * to as u128 * u128::from(ttl) / u128::from(per.usec.max(1))
             };
             let ((count, per), to) = own.into_iter().chain(rates).max_by_key(|&rate| sent(rate))?;
             let all = sent(((count, per), to));
-            let (per, life) = (self.time(Ticks(per.usec / self.usec)), self.time(Ticks(life / self.usec)));
-            Some(format!("{count} in {per} x {to} at the other end x {life} = {all} > 2^23"))
+            let (per, ttl) = (self.time(Ticks(per.usec / self.usec)), self.time(Ticks(ttl / self.usec)));
+            Some(format!("{count} in {per} x {to} at the other end x {ttl} = {all} > 2^23"))
         });
         said.unwrap_or_else(|| "too often".to_owned())
     }
@@ -173,17 +173,17 @@ impl Mapping<'_> {
                     | CoupleKind::Serial(..) => None,
                 })?;
             let guarded = self.hir.ports.iter().filter(|port| port.guard == Some(at));
-            let lives = guarded.filter_map(|port| {
+            let ttls = guarded.filter_map(|port| {
                 let ends = port.users.iter().filter_map(|user| user.time_out).chain(port.time_out);
-                Some((ends.map(|life| life.usec).max()?, port.name.as_str()))
+                Some((ends.map(|ttl| ttl.usec).max()?, port.name.as_str()))
             });
-            let (life, port) = lives.max()?;
+            let (ttl, port) = ttls.max()?;
             let time = |usec: u64| self.time(Ticks(usec / self.usec));
-            let rest = (least.0.saturating_mul(self.usec)).checked_sub(lease.saturating_add(life))?;
+            let rest = (least.0.saturating_mul(self.usec)).checked_sub(lease.saturating_add(ttl))?;
             Some(format!(
                 "lease {} + {} of `{port}` + {} for the tick and the drift",
                 time(lease),
-                time(life),
+                time(ttl),
                 time(rest)
             ))
         });
@@ -252,7 +252,7 @@ const fn code(error: &CellError) -> &'static str {
         CellError::OtherClass(..) | CellError::OtherFormat(..) => DISAGREE,
         CellError::UnknownModule(..) | CellError::Dangling(_) => UNKNOWN_NAME,
         CellError::DuplicateName(..) => DUPLICATE,
-        CellError::NotForBeats(_) | CellError::NotOfTheCouple(_) | CellError::CoupledTwice(_) => COUPLE,
+        CellError::NotForHeartbeats(_) | CellError::NotOfTheCouple(_) | CellError::CoupledTwice(_) => COUPLE,
         CellError::MarginTooLong { .. } | CellError::DeadlineTooShort { .. } => DEADLINE,
         CellError::Unreachable(..) => NO_LINK,
         CellError::SequenceWraps(_) => WRAPS,

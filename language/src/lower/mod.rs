@@ -14,7 +14,7 @@ mod units;
 pub use errors::table_errors;
 pub use units::Unit;
 
-use crate::checks::carries_beats;
+use crate::checks::carries_heartbeats;
 use crate::diagnostic::Diagnostic;
 use crate::hir::{self, Hir};
 use crate::span::Span;
@@ -162,7 +162,7 @@ pub fn lower(hir: &Hir, unit: Unit) -> Result<Lowered, Vec<Diagnostic>> {
 }
 
 fn formats(hir: &Hir, id: PortId) -> Formats {
-    if carries_beats(hir, id) {
+    if carries_heartbeats(hir, id) {
         return Formats::default();
     }
     let port = &hir.ports[id.index()];

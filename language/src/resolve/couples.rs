@@ -44,11 +44,11 @@ impl<'a> Resolver<'a> {
                 for (what, length) in [("lease", *lease), ("takeover", *takeover), ("period", *every)] {
                     self.some_time(what, length);
                 }
-                self.beats_unknown |= first.is_none() || second.is_none() || port.is_none();
+                self.heartbeats_unknown |= first.is_none() || second.is_none() || port.is_none();
                 let (first, second, port) = (first?, second?, port?);
                 self.apart(first, second, standby)?;
                 self.alone(couple.span, [(first, primary), (second, standby)]);
-                self.carries_beats(port, first, second, via);
+                self.carries_heartbeats(port, first, second, via);
                 let (lease, takeover, every, mutual) = (*lease, *takeover, *every, *mutual);
                 let (primary, standby, via) = (first, second, port);
                 Some(CoupleKind::Work { primary, standby, mutual, lease, takeover, every, via })
@@ -106,7 +106,7 @@ impl<'a> Resolver<'a> {
     }
 
     /// Checks that the heartbeats have a port of their own: the standby queries, the primary responds.
-    fn carries_beats(&mut self, port: PortId, primary: TaskId, standby: TaskId, via: &Name) {
+    fn carries_heartbeats(&mut self, port: PortId, primary: TaskId, standby: TaskId, via: &Name) {
         if self.poisoned_ports.contains(&port.index()) {
             return;
         }
@@ -127,7 +127,7 @@ impl<'a> Resolver<'a> {
                     .help("publish less, and send the rest through another port")
             })
         } else {
-            self.beats_unknown = true;
+            self.heartbeats_unknown = true;
             let message = format!("port `{}` cannot carry the beats of `{a}` and `{b}`", declared.name);
             Some(
                 Diagnostic::error(COUPLE, via.span, message)

@@ -115,7 +115,7 @@ struct Resolver<'a> {
     /// The ports that carry heartbeats.
     beats: Vec<PortId>,
     /// Whether a couple has no valid heartbeat port.
-    beats_unknown: bool,
+    heartbeats_unknown: bool,
     /// The parts that could not be parsed.
     lost: Lost,
 }

@@ -271,7 +271,7 @@ impl<'a> Thread<'_, 'a> {
     /// `alive := p`: sets what the answers to the heartbeats carry (D61).
     pub fn publish(&mut self, port: PortId, name: &'a Name, value: &'a Written) -> Option<StatementKind> {
         if !self.resolver.beats.contains(&port) {
-            if self.resolver.beats_unknown {
+            if self.resolver.heartbeats_unknown {
                 return None;
             }
             let declared = self.resolver.hir.ports[port.index()].span;
@@ -295,7 +295,7 @@ impl<'a> Thread<'_, 'a> {
     }
 
     /// The heartbeat port that an expression names.
-    pub fn beats_of(&self, value: &Written) -> Option<PortId> {
+    pub fn heartbeats_of(&self, value: &Written) -> Option<PortId> {
         let ast::ExprKind::Path(Place { path, .. }) = &value.kind else { return None };
         let [name] = &path[..] else { return None };
         let port = self.resolver.ports.get(&name.text).filter(|_| !self.scope.has(&name.text));

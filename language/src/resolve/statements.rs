@@ -176,7 +176,7 @@ impl<'r, 'a> Thread<'r, 'a> {
         {
             return self.publish(PortId::from_index(at), name, value);
         }
-        if let Some(port) = self.beats_of(value) {
+        if let Some(port) = self.heartbeats_of(value) {
             return self.published(port, place);
         }
         match self.find(place)? {

@@ -1,13 +1,13 @@
 //! Values from other tasks, in meetings, answers and heartbeats, and replies that come later or from a third task (D93).
 
-use super::floor::Floor;
+use super::virtual_cell::VirtualCell;
 use super::{all_found, found, whole};
 use imrs_language::lower::Behaviour;
 use imrs_language::{Options, Source, Unit, compile_with};
 use imrs_protocol::{Rules, Ticks};
 
-fn floor(text: &str) -> Floor {
-    Floor::new(&whole(text).lower(Unit::Ticks).expect("a whole cell"))
+fn virtual_cell(text: &str) -> VirtualCell {
+    VirtualCell::new(&whole(text).lower(Unit::Ticks).expect("a whole cell"))
 }
 
 const HEAD: &str = "cell c; tick 1 msec; node na; node nb; node nd; link na -- nb delay 1 msec;
@@ -31,11 +31,15 @@ task d on nd use_port lift(height: int16; ready: bool) usage = waitfor; begin wa
 "
     )
     .replace("height: int16; ready: bool", "height: int16, ready: bool");
-    let mut floor = floor(&text);
-    floor.run(100);
-    assert_eq!((floor.var("a", "h"), floor.var("a", "all")), (-460, 1));
-    floor.run(3_000);
-    assert_eq!((floor.var("a", "h"), floor.var("a", "all")), (0, 0), "nobody else came the second time");
+    let mut virtual_cell = virtual_cell(&text);
+    virtual_cell.run(100);
+    assert_eq!((virtual_cell.var("a", "h"), virtual_cell.var("a", "all")), (-460, 1));
+    virtual_cell.run(3_000);
+    assert_eq!(
+        (virtual_cell.var("a", "h"), virtual_cell.var("a", "all")),
+        (0, 0),
+        "nobody else came the second time"
+    );
 }
 
 #[test]
@@ -56,9 +60,12 @@ task b on nb use_port ask(n: int8) -> Pos usage = response; begin on query ask(n
 task d on nd use_port ask(n: int8) -> Pos usage = response; begin delay 9 sec; receive ask(); response(0, false); end d;
 "
     );
-    let mut floor = floor(&text);
-    floor.run(500);
-    assert_eq!([floor.var("a", "x"), floor.var("a", "y"), floor.var("a", "good")], [2_127, 0, 1]);
+    let mut virtual_cell = virtual_cell(&text);
+    virtual_cell.run(500);
+    assert_eq!(
+        [virtual_cell.var("a", "x"), virtual_cell.var("a", "y"), virtual_cell.var("a", "good")],
+        [2_127, 0, 1]
+    );
 }
 
 #[test]
@@ -105,11 +112,15 @@ task b on nb use_port grab(n: int8) usage = query; var got: int8; begin query gr
 task d on nd use_port grab(n: int8) usage = query; var got: int8; begin query grab(2) -> got on time_out do got := -1; end; delay 1 sec; end d;
 "
     );
-    let mut floor = floor(&text);
-    floor.run(30);
-    assert_eq!([floor.var("b", "got"), floor.var("d", "got")], [0, 2], "one is answered at once");
-    floor.run(100);
-    assert_eq!([floor.var("b", "got"), floor.var("tool", "late")], [50, 1]);
+    let mut virtual_cell = virtual_cell(&text);
+    virtual_cell.run(30);
+    assert_eq!(
+        [virtual_cell.var("b", "got"), virtual_cell.var("d", "got")],
+        [0, 2],
+        "one is answered at once"
+    );
+    virtual_cell.run(100);
+    assert_eq!([virtual_cell.var("b", "got"), virtual_cell.var("tool", "late")], [50, 1]);
     assert!(!all_found(&text).iter().any(|found| found.starts_with("E209") || found.starts_with("W308")));
 }
 
@@ -136,9 +147,9 @@ begin loop receive pass(n); reply(); reply back(42) for asker ticket n; end; end
     let lowered = compiled.lower(Unit::Ticks).expect("a whole cell");
     let Behaviour::Script(clerk) = &lowered.tasks[1] else { panic!("a script") };
     assert!(clerk.program.names_messages());
-    let mut floor = Floor::new(&lowered);
-    floor.run(100);
-    assert_eq!(floor.var("asker", "got"), 42);
+    let mut virtual_cell = VirtualCell::new(&lowered);
+    virtual_cell.run(100);
+    assert_eq!(virtual_cell.var("asker", "got"), 42);
     for (from, to, code) in [
         (" ticket n;", ";", "E113 `asker`"),
         (" for asker ticket n;", ";", "E113 `reply back(42)`"),
@@ -157,9 +168,9 @@ fn reals_are_cut_off_on_demand() {
             "{HEAD}task a on na var r: real; var n: int16; begin r := 0.0 - 2.9; n := {value}; delay 1 sec; end a;"
         )
     };
-    let mut floor = floor(&text("trunc(r * 10.0) + trunc(3.99)"));
-    floor.run(10);
-    assert_eq!(floor.var("a", "n"), -26);
+    let mut virtual_cell = virtual_cell(&text("trunc(r * 10.0) + trunc(3.99)"));
+    virtual_cell.run(10);
+    assert_eq!(virtual_cell.var("a", "n"), -26);
     assert_eq!(found(&text("r")), ["E112 `r`"]);
     assert_eq!(found(&text("trunc(3)")), ["E112 `3`"]);
     assert_eq!(found(&text("trunc(3.0e9)")), ["E112 `trunc(3.0e9)`"]);
@@ -188,16 +199,16 @@ end r2;
 couple work r1 -> r2 lease 100 msec takeover 400 msec every 20 msec via alive;
 "
     );
-    let mut floor = floor(&text);
-    floor.run(420);
-    let spot = floor.var("r1", "p.spot");
+    let mut virtual_cell = virtual_cell(&text);
+    virtual_cell.run(420);
+    let spot = virtual_cell.var("r1", "p.spot");
     assert!((4..=10).contains(&spot), "{spot}");
-    let read = floor.var("r2", "p.spot");
+    let read = virtual_cell.var("r2", "p.spot");
     assert!(read == spot || read == spot - 1, "{read} of {spot}");
-    assert_eq!(floor.var("r2", "p.phase"), 7);
-    floor.crash("na");
-    floor.run(1_000);
-    assert_eq!(floor.var("r2", "now.phase"), 7, "and after the take-over");
+    assert_eq!(virtual_cell.var("r2", "p.phase"), 7);
+    virtual_cell.crash("na");
+    virtual_cell.run(1_000);
+    assert_eq!(virtual_cell.var("r2", "now.phase"), 7, "and after the take-over");
 }
 
 #[test]
@@ -225,9 +236,9 @@ couple work r1 {arrow} r2 lease 100 msec takeover 400 msec every 20 msec via ali
     let one_way = text("->")
         .replace("takeover loop got := alive; assert got >= 0; delay 20 msec; end; end r1;", "end r1;");
     assert_eq!(said(&one_way), ["W317 `got := alive`", "W317 `alive := n`"]);
-    let mut floor = floor(&text("<->"));
-    floor.run(300);
-    assert_eq!(floor.var("r2", "got"), 5);
+    let mut virtual_cell = virtual_cell(&text("<->"));
+    virtual_cell.run(300);
+    assert_eq!(virtual_cell.var("r2", "got"), 5);
 }
 
 #[test]
@@ -274,9 +285,9 @@ task b on nb use_port m() usage = waitfor; begin waitfor m(); end b;
     let lowered = compile_with(&source, Options { paper: true }).lower(Unit::Ticks).expect("a whole cell");
     let port = &lowered.cell.ports[0];
     assert_eq!((port.margin, port.resend, port.losses), (Some(Ticks::ZERO), Ticks::FAR, 0));
-    let mut floor = Floor::new(&lowered);
-    floor.run(30);
-    assert!(floor.log().iter().all(|line| line.ends_with("Finished")), "both met");
+    let mut virtual_cell = VirtualCell::new(&lowered);
+    virtual_cell.run(30);
+    assert!(virtual_cell.log().iter().all(|line| line.ends_with("Finished")), "both met");
 }
 
 #[test]
@@ -296,9 +307,9 @@ task b on nb use_port q() usage = query; var n: int8; begin query q() -> n on ti
     };
     let notes = |text: &str| all_found(text).into_iter().filter(|found| found.starts_with("N202")).count();
     let answered = |text: &str, by| {
-        let mut floor = floor(text);
-        floor.run(by);
-        floor.var("b", "n") == 1
+        let mut virtual_cell = virtual_cell(text);
+        virtual_cell.run(by);
+        virtual_cell.var("b", "n") == 1
     };
     let (unsaid, first, last) = (text(""), text("order q > self;"), text("order self > q;"));
     assert_eq!([&unsaid, &first, &last].map(|text| notes(text)), [1, 0, 0]);
@@ -316,7 +327,7 @@ task b on nb use_port q() usage = query; var n: int8; begin
   delay 100 msec; query q() -> n; delay 2 sec; query q() -> n; n := n + 10; delay 1 sec; end b;
 "
     );
-    let mut floor = floor(&text);
-    floor.run(2_300);
-    assert_eq!(floor.var("b", "n"), 11);
+    let mut virtual_cell = virtual_cell(&text);
+    virtual_cell.run(2_300);
+    assert_eq!(virtual_cell.var("b", "n"), 11);
 }

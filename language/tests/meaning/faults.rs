@@ -323,7 +323,7 @@ fn e121_and_e122_things_that_are_joined() {
 }
 
 #[test]
-fn what_beats_carry_is_assigned() {
+fn what_heartbeats_carry_is_assigned() {
     check(&WELD.replace("loop receive prog(p); end;", "loop receive prog(p); p := alive; end;"), &[]);
     check(
         &WELD.replace("loop receive prog(p); end;", "loop receive prog(p); g := alive; end;"),

@@ -5,10 +5,10 @@ mod checks;
 mod deadlines;
 mod exits;
 mod faults;
-mod floor;
 mod lowered;
 mod random;
 mod runs;
+mod virtual_cell;
 
 use crate::support::source;
 use imrs_language::{Compiled, Diagnostic, compile, render};

@@ -1,10 +1,10 @@
 //! Joins the results of all searches to the verdict on a cell.
 
-use super::course::Course;
 use super::done::Done;
 use super::judge::{self, Reached};
 use super::missed::Missed;
 use super::plan::{CellFaults, CellPlan, Holds, Times};
+use super::run_state::RunState;
 use super::values::Tried;
 use super::verdict::{Finding, Kind, Phase, Verdicts};
 use super::{alike, context};
@@ -79,7 +79,7 @@ fn is_the_same(one: &Finding, other: &Finding) -> bool {
 
 /// Terms of checks that never changed in any state of any phase: `r2.active = false`.
 fn still(plan: &Arc<CellPlan>, done: &[Done]) -> Vec<(usize, String)> {
-    let start = Course::new(plan, &CellFaults::default());
+    let start = RunState::new(plan, &CellFaults::default());
     let all = done.iter().map(|done| done.reached.clone()).reduce(Reached::join).unwrap_or_default();
     let checks = all.still.into_iter().enumerate();
     let said = |(check, terms): (usize, Vec<(Term, Option<i64>)>)| {

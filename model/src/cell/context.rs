@@ -1,21 +1,25 @@
 //! Adds to a finding the values that explain it, and what the tasks that it concerns do then.
 
-use super::course::Course;
 use super::judge::{Shown, name, program};
 use super::legend::shown;
 use super::plan::{Holds, about};
+use super::run_state::RunState;
 use super::verdict::{Concerned, Kind};
 use super::view::view;
-use crate::floor::script::ScriptTurn;
+use crate::cell_state::script::ScriptReaction;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::{Activity, Address, End, Op, Predicate, Slot, Term, Variable};
 use std::fmt::Write as _;
 
 /// The cause with the values that explain it, and the tasks that it concerns. `begun`: the statement that each task began last.
-pub(super) fn context(course: &Course, shown: &Shown, begun: &[Option<Address>]) -> (String, Vec<Concerned>) {
+pub(super) fn context(
+    run_state: &RunState,
+    shown: &Shown,
+    begun: &[Option<Address>],
+) -> (String, Vec<Concerned>) {
     let values = match shown.kind {
-        Kind::Assertion | Kind::ScriptFault => of_statement(course, shown),
-        Kind::Check => shown.check.map_or_else(Vec::new, |check| of_check(course, check)),
+        Kind::Assertion | Kind::ScriptFault => of_statement(run_state, shown),
+        Kind::Check => shown.check.map_or_else(Vec::new, |check| of_check(run_state, check)),
         Kind::Deadlock
         | Kind::TimeOut
         | Kind::Starves
@@ -37,43 +41,43 @@ pub(super) fn context(course: &Course, shown: &Shown, begun: &[Option<Address>])
     }
     let mut tasks = shown.others.clone();
     if let Some(check) = shown.check {
-        tasks.extend(course.plan.terms(check).iter().filter_map(about));
+        tasks.extend(run_state.plan.terms(check).iter().filter_map(about));
     }
     tasks.sort_unstable();
     tasks.dedup();
-    (cause, tasks.into_iter().map(|task| concerned(course, task, begun)).collect())
+    (cause, tasks.into_iter().map(|task| concerned(run_state, task, begun)).collect())
 }
 
-fn concerned(course: &Course, task: usize, begun: &[Option<Address>]) -> Concerned {
+fn concerned(run_state: &RunState, task: usize, begun: &[Option<Address>]) -> Concerned {
     let last = begun.get(task).copied().flatten();
-    let view = view(course, task);
-    let (at, does) = match course.activity(task).filter(|_| course.is_up(task)) {
-        Some(Activity::Ended(end)) => (last, ended(course, task, end)),
+    let view = view(run_state, task);
+    let (at, does) = match run_state.activity(task).filter(|_| run_state.is_up(task)) {
+        Some(Activity::Ended(end)) => (last, ended(run_state, task, end)),
         Some(Activity::NotBegun | Activity::Passive) | None => (None, view.does),
         Some(Activity::Waits | Activity::Acts | Activity::Chooses(_)) => (Some(view.at), view.does),
     };
     Concerned { task: TaskId::from_index(task), at, does }
 }
 
-fn ended(course: &Course, task: usize, end: End) -> String {
+fn ended(run_state: &RunState, task: usize, end: End) -> String {
     match end {
         End::Finished => "has ended: it came to its end".into(),
         End::Fenced => "has ended: it lost its lease".into(),
         End::Assertion(_) => "has ended: its assertion did not hold".into(),
         End::Fault { fault, .. } => format!("has ended: {fault}"),
         End::Aborted(reason) => {
-            let reasons = program(course, task).map_or(&[][..], |program| &program.reasons);
+            let reasons = program(run_state, task).map_or(&[][..], |program| &program.reasons);
             format!("has ended: {}", reasons.get(usize::from(reason)).map_or("it aborted", String::as_str))
         }
     }
 }
 
 /// The variables that the statement of a finding reads, such as `height = 42`. Those of handlers ended with their activation.
-fn of_statement(course: &Course, shown: &Shown) -> Vec<String> {
+fn of_statement(run_state: &RunState, shown: &Shown) -> Vec<String> {
     let read = || {
         let (task, at) = (shown.task?, usize::from(shown.address?));
-        let program = program(course, task)?;
-        let script = &course.floor.bodies.get(task)?.actor.as_ref()?.script;
+        let program = program(run_state, task)?;
+        let script = &run_state.cell.bodies.get(task)?.actor.as_ref()?.script;
         let begins = program.code.get(..at)?.iter().rposition(|op| *op == Op::Statement).unwrap_or(0);
         let mut values = Vec::new();
         for op in &program.code[begins..=at.min(program.code.len() - 1)] {
@@ -104,34 +108,35 @@ pub(super) struct Origin {
 
 impl Origin {
     /// Begins at the start of a path.
-    pub fn new(start: &Course, check: Option<usize>) -> Self {
+    pub fn new(start: &RunState, check: Option<usize>) -> Self {
         let mut origin = Self { check, owed: None, acted: Vec::new() };
         origin.note(start, &[]);
         origin
     }
 
     /// Adds a step of the path.
-    pub fn note(&mut self, course: &Course, turns: &[ScriptTurn]) {
+    pub fn note(&mut self, run_state: &RunState, turns: &[ScriptReaction]) {
         let Some(check) = self.check else { return };
         self.acted = turns.iter().map(|turn| turn.task).collect();
         self.acted.sort_unstable();
         self.acted.dedup();
-        let is_owed = course.beside.due.get(check).is_some_and(Option::is_some);
-        if course.broken.contains(&check) {
+        let is_owed = run_state.beside.due.get(check).is_some_and(Option::is_some);
+        if run_state.broken.contains(&check) {
             return;
         }
         if !is_owed {
             self.owed = None;
         } else if self.owed.is_none()
-            && let Some(Holds::Leads { when, .. }) = course.plan.checks.get(check).map(|check| &check.holds)
+            && let Some(Holds::Leads { when, .. }) =
+                run_state.plan.checks.get(check).map(|check| &check.holds)
         {
-            let read = when.iter().filter_map(|term| value(course, *term)).collect();
-            self.owed = Some((course.passed, read));
+            let read = when.iter().filter_map(|term| value(run_state, *term)).collect();
+            self.owed = Some((run_state.passed, read));
         }
     }
 
     /// The words to append to the cause of the finding.
-    pub fn words(&self, end: &Course) -> String {
+    pub fn words(&self, end: &RunState) -> String {
         let Some(holds) = self.check.and_then(|check| end.plan.checks.get(check)).map(|check| &check.holds)
         else {
             return String::new();
@@ -157,29 +162,29 @@ impl Origin {
 }
 
 /// The terms of a check with their values, such as `robot.height = 42`.
-fn of_check(course: &Course, check: usize) -> Vec<String> {
-    let mixed = course.mixed.iter().find(|(of, _)| *of == check).map(|(_, seen)| seen);
+fn of_check(run_state: &RunState, check: usize) -> Vec<String> {
+    let mixed = run_state.mixed.iter().find(|(of, _)| *of == check).map(|(_, seen)| seen);
     let seen = |term: Term| match mixed {
         Some(seen) => seen.iter().find(|(of, _)| *of == term).and_then(|(_, value)| *value),
-        None => course.floor.look_up(term),
+        None => run_state.cell.look_up(term),
     };
-    course.plan.terms(check).into_iter().filter_map(|term| said(course, term, seen(term)?)).collect()
+    run_state.plan.terms(check).into_iter().filter_map(|term| said(run_state, term, seen(term)?)).collect()
 }
 
 /// The present value of a term, in the words of the check.
-pub(super) fn value(course: &Course, term: Term) -> Option<String> {
-    said(course, term, course.floor.look_up(term)?)
+pub(super) fn value(run_state: &RunState, term: Term) -> Option<String> {
+    said(run_state, term, run_state.cell.look_up(term)?)
 }
 
-fn said(course: &Course, term: Term, value: i64) -> Option<String> {
-    let table = &course.plan.table;
+fn said(run_state: &RunState, term: Term, value: i64) -> Option<String> {
+    let table = &run_state.plan.table;
     let task = |task: TaskId| name(table, task.index());
     let port =
         |port: imrs_protocol::PortId| table.cell().ports.get(port.index()).map_or("?", |port| &port.name);
     let truth = value != 0;
     Some(match term {
         Term::Of { task: of, variable } => {
-            let declared = program(course, of.index())?.variables.get(usize::from(variable))?;
+            let declared = program(run_state, of.index())?.variables.get(usize::from(variable))?;
             equals(&format!("{}.{}", task(of), declared.name), declared, value)
         }
         Term::Is(Predicate::Active(of)) => format!("{}.active = {truth}", task(of)),

@@ -1,10 +1,10 @@
 //! Searches each independent part of a cell by itself.
 
-use super::course::Course;
 use super::done::{Done, take_checks};
 use super::judge::nothing_reached;
 use super::parts::only;
 use super::plan::{CellFaults, CellPlan, Part};
+use super::run_state::RunState;
 use std::sync::Arc;
 
 /// Searches each part by itself and joins the results. For parts that no fault of the hypothesis can touch, `plain` stands: the
@@ -38,7 +38,7 @@ pub(super) fn look_at_each(
     for part in parts.iter().filter(|part| !searched.contains(part)) {
         let still = match plain {
             Some(plain) => plain.reached.still.clone(),
-            None => nothing_reached(&Course::new(&only(plan, Some(part)), faults)).still,
+            None => nothing_reached(&RunState::new(&only(plan, Some(part)), faults)).still,
         };
         take_checks(&mut all.reached.still, still, part);
     }

@@ -1,14 +1,14 @@
 //! Shows the path to a finding as a monitor sees nodes: after each step the state and the observations of every node.
 
-use super::course::Course;
 use super::parts::{only, parts};
 use super::plan::{CellFaults, CellPlan};
+use super::run_state::RunState;
 use super::story::{self, Walked};
 use super::verdict::{Finding, Phase, Step, TaskView};
 use super::view::view;
+use crate::cell_state::script::ScriptReaction;
+use crate::cell_state::{Effect, NodeState};
 use crate::chart::{Note, label};
-use crate::floor::script::ScriptTurn;
-use crate::floor::{Effect, Station};
 use imrs_protocol::script::{Activity, Address, End};
 use imrs_protocol::{Event, Incarnation, NodeId, Observation, Reason, TaskId};
 use imrs_wire::obs::{Gathering, Liveness, Snapshot, TimerEntry};
@@ -21,7 +21,7 @@ const QUEUE_LIMIT: usize = 64;
 #[derive(Clone, Debug)]
 pub struct NodeFrame {
     /// Its incarnation.
-    pub life: Incarnation,
+    pub incarnation: Incarnation,
     /// Its state; `None` while it is down.
     pub snapshot: Option<Snapshot>,
     /// Observations of the step: at a task, or at the transit buffer (`None`).
@@ -65,12 +65,12 @@ pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
         Phase::Faults => plan.faults.get(finding.hypothesis).cloned().unwrap_or_default(),
     };
     let mut dropped = vec![[0; Reason::ALL.len()]; plan.table.cell().nodes.len()];
-    let start = Course::new(plan, &faults);
+    let start = RunState::new(plan, &faults);
     let mut scenes = vec![Scene {
         tick: 0,
         odd: false,
         happened: std::iter::once(Shows::Said("the start".into()))
-            .chain(began(start.floor.turns.as_deref().unwrap_or_default()))
+            .chain(began(start.cell.turns.as_deref().unwrap_or_default()))
             .collect(),
         tasks: (0..plan.tasks.len()).map(|task| view(&start, task)).collect(),
         nodes: nodes(&start, &[], &dropped),
@@ -81,7 +81,7 @@ pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
     let mut last = 0;
     story::walk(plan, &faults, &finding.moves, |walked| {
         let Step { tick, tasks, notes, .. } = walked.step();
-        let log = &walked.course.floor.log;
+        let log = &walked.run_state.cell.log;
         for effect in log {
             if let Effect::Seen(node, _, Observation { event: Event::Discarded(reason), .. }) = effect {
                 dropped[usize::from(*node)][*reason as usize] += 1;
@@ -96,7 +96,7 @@ pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
                 || walked.turns.iter().any(ended_badly),
             happened,
             tasks,
-            nodes: nodes(walked.course, log, &dropped),
+            nodes: nodes(walked.run_state, log, &dropped),
         });
     });
     if let Some(found) = scenes.last_mut() {
@@ -105,35 +105,36 @@ pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
     scenes
 }
 
-fn began(turns: &[ScriptTurn]) -> impl Iterator<Item = Shows> {
+fn began(turns: &[ScriptReaction]) -> impl Iterator<Item = Shows> {
     turns.iter().flat_map(|turn| {
         let task = TaskId::from_index(turn.task);
         turn.passed.iter().map(move |&at| Shows::Began(task, at))
     })
 }
 
-fn nodes(course: &Course, log: &[Effect], dropped: &[[u64; Reason::ALL.len()]]) -> Vec<NodeFrame> {
-    let frame = |(i, station): (usize, &Station)| {
+fn nodes(run_state: &RunState, log: &[Effect], dropped: &[[u64; Reason::ALL.len()]]) -> Vec<NodeFrame> {
+    let frame = |(i, node_state): (usize, &NodeState)| {
         let here = |effect: &Effect| match *effect {
             Effect::Seen(node, task, observation) if usize::from(node) == i => Some((task, observation)),
-            Effect::Seen(..) | Effect::Sent(..) | Effect::Told(..) => None,
+            Effect::Seen(..) | Effect::Sent(..) | Effect::Signalled(..) => None,
         };
         NodeFrame {
-            life: station.life,
-            snapshot: (station.up || !course.plan.has_node(i)).then(|| snapshot(course, i, dropped[i])),
+            incarnation: node_state.incarnation,
+            snapshot: (node_state.up || !run_state.plan.has_node(i))
+                .then(|| snapshot(run_state, i, dropped[i])),
             observed: log.iter().filter_map(here).collect(),
         }
     };
-    course.floor.stations.iter().enumerate().map(frame).collect()
+    run_state.cell.nodes.iter().enumerate().map(frame).collect()
 }
 
 /// Clocks stay at zero: the caller knows the time of the model.
-fn snapshot(course: &Course, node: usize, dropped: [u64; Reason::ALL.len()]) -> Snapshot {
-    let station = &course.floor.stations[node];
-    let parts = station.node.parts();
+fn snapshot(run_state: &RunState, node: usize, dropped: [u64; Reason::ALL.len()]) -> Snapshot {
+    let node_state = &run_state.cell.nodes[node];
+    let parts = node_state.node.parts();
     let mut gathering = Gathering::new(dropped);
-    for (task, machine) in station.table.tasks_on(NodeId::from_index(node)).zip(&parts.tasks) {
-        let liveness = match course.activity(task.index()) {
+    for (task, machine) in node_state.table.tasks_on(NodeId::from_index(node)).zip(&parts.tasks) {
+        let liveness = match run_state.activity(task.index()) {
             Some(Activity::Ended(End::Finished | End::Aborted(_) | End::Fenced)) => Liveness::Ended,
             Some(Activity::Ended(End::Assertion(_) | End::Fault { .. })) => Liveness::Crashed,
             Some(
@@ -145,7 +146,7 @@ fn snapshot(course: &Course, node: usize, dropped: [u64; Reason::ALL.len()]) -> 
             )
             | None => Liveness::Alive,
         };
-        gathering.task(liveness, 0, machine.view(&station.table, QUEUE_LIMIT), &[]);
+        gathering.task(liveness, 0, machine.view(&node_state.table, QUEUE_LIMIT), &[]);
     }
     let entry = |(owner, id, remaining)| TimerEntry { owner, id, remaining };
     // The log already counts the packets that the transit buffer drops.
@@ -161,26 +162,26 @@ fn happenings(walked: &Walked<'_>, passed: u64) -> Vec<Shows> {
     let words = |note: &Note| note.words(&walked.lanes.names);
     let later = (passed > 0).then(|| format!("{passed} tick{} later", if passed == 1 { "" } else { "s" }));
     let came = later.into_iter().chain(came.iter().map(words));
-    let nodes = &walked.course.plan.table.cell().nodes;
-    let left = walked.course.floor.log.iter().filter_map(|effect| match effect {
+    let nodes = &walked.run_state.plan.table.cell().nodes;
+    let left = walked.run_state.cell.log.iter().filter_map(|effect| match effect {
         Effect::Sent(next, packet) => {
             let next = nodes.get(next.index()).map_or("?", |node| node.name.as_str());
             let source = walked.lanes.names.get(packet.source.index()).map_or("?", String::as_str);
             Some(format!("{} of {source} leaves for {next}", label(packet, walked.ports)))
         }
-        Effect::Told(..) | Effect::Seen(..) => None,
+        Effect::Signalled(..) | Effect::Seen(..) => None,
     });
     let ended = ended.iter().map(words);
     let said = Shows::Said;
     came.map(said).chain(began(walked.turns)).chain(ended.chain(left).map(said)).collect()
 }
 
-/// Whether a note shows something wrong: a packet whose fate is not a plain arrival.
+/// Whether a note shows something wrong: a packet whose outcome is not a plain arrival.
 fn went_wrong(note: &Note) -> bool {
-    matches!(note, Note::Packet { fate, .. } if !fate.is_empty())
+    matches!(note, Note::Packet { outcome, .. } if !outcome.is_empty())
 }
 
-fn ended_badly(turn: &ScriptTurn) -> bool {
+fn ended_badly(turn: &ScriptReaction) -> bool {
     match &turn.end {
         Some(End::Aborted(_) | End::Assertion(_) | End::Fault { .. }) => true,
         Some(End::Finished | End::Fenced) | None => false,

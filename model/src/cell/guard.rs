@@ -11,18 +11,18 @@
 //! A verdict is only as good as its packed states. What packing omits must not matter to any program, and what a reduction omits
 //! must show nothing new. The walks check both at every step.
 
-use super::course::{CellMove, Course};
 use super::follow::plain;
 use super::judge::{Reached, Shown};
 use super::outside::with_programs;
 use super::parts::{only, parts};
 use super::plan::{CellFaults, CellPlan, Times};
+use super::run_state::{CellMove, RunState};
 use super::search::{Kept, explore_and_keep, timed};
 use super::seen::Mark;
 use super::unpacked::Unpacked;
 use super::verdict::{Finding, Kind, Phase};
 use super::waiting::deadlock;
-use crate::floor::script::ScriptTurn;
+use crate::cell_state::script::ScriptReaction;
 use imrs_protocol::script::ScriptInput;
 use imrs_protocol::{Call, MessageId, ReplyTo, Round, Seq24, Signal};
 use std::fmt;
@@ -181,7 +181,7 @@ fn shows(
         cell.take(step);
         last = cell.shown();
     }
-    last.extend([false, true].into_iter().filter_map(|goes_on| deadlock(&cell.course, goes_on)));
+    last.extend([false, true].into_iter().filter_map(|goes_on| deadlock(&cell.run_state, goes_on)));
     let kind = |kind| if kind == Kind::Starves { Kind::TimeOut } else { kind };
     let is = |shown: &Shown| {
         (kind(shown.kind), shown.task, shown.address, shown.check)
@@ -234,19 +234,19 @@ impl<'a> Walk<'a> {
         if !self.looked_at()? {
             return self.end();
         }
-        let mut here = self.own.course.clone().store();
+        let mut here = self.own.run_state.clone().store();
         for _ in 0..length {
             let Ok(bytes) = here else { return self.end() };
-            self.twin.course.load(&bytes);
+            self.twin.run_state.load(&bytes);
             let (mut moves, mut others) = (Vec::new(), Vec::new());
-            self.own.course.moves(&mut moves);
-            self.twin.course.moves(&mut others);
+            self.own.run_state.moves(&mut moves);
+            self.twin.run_state.moves(&mut others);
             if moves != others {
                 return self.differs(format!("next may happen {moves:?}, in the packed state {others:?}"));
             }
             if moves.len() > 1 && self.kept.complete && !self.far && !self.unlisted {
                 agreement.looked_up += 1;
-                if !self.kept.seen.covers(Mark::of(self.own.course.split(&bytes))) {
+                if !self.kept.seen.covers(Mark::of(self.own.run_state.split(&bytes))) {
                     return self.differs("the search has not been in this state".into());
                 }
             }
@@ -255,14 +255,14 @@ impl<'a> Walk<'a> {
             self.moves.push(step);
             self.own.take(step);
             self.twin.take(step);
-            let [turns, twins] = [&self.own, &self.twin].map(|cell| turns(&cell.course));
+            let [turns, twins] = [&self.own, &self.twin].map(|cell| turns(&cell.run_state));
             if turns != twins {
                 return self.differs(format!("the scripts do {turns:?}; from the packed state {twins:?}"));
             }
             if !self.looked_at()? {
                 return self.end();
             }
-            let [state, packed] = [&self.own, &self.twin].map(|cell| cell.course.clone().store());
+            let [state, packed] = [&self.own, &self.twin].map(|cell| cell.run_state.clone().store());
             let restarted = || self.moves.iter().any(|step| matches!(step, CellMove::Restart(_)));
             self.far |= state != packed && restarted();
             if state != packed && !self.far {
@@ -314,10 +314,10 @@ impl<'a> Walk<'a> {
 }
 
 /// What the scripts did, without the numbers of messages and rounds, which differ in a packed state.
-fn turns(course: &Course) -> Vec<String> {
-    let all = course.floor.turns.iter().flatten();
-    let told = |turn: &ScriptTurn| {
-        let ScriptTurn { task, at, input, passed, end } = turn;
+fn turns(run_state: &RunState) -> Vec<String> {
+    let all = run_state.cell.turns.iter().flatten();
+    let told = |turn: &ScriptReaction| {
+        let ScriptReaction { task, at, input, passed, end } = turn;
         format!("{task} at {at}: {:?} -> {passed:?} {end:?}", nameless(*input))
     };
     all.map(told).collect()

@@ -1,9 +1,9 @@
 //! Judges a move: its findings, and the statements that it reached.
 
-use super::course::Course;
 use super::plan::Conduct;
+use super::run_state::RunState;
 use super::verdict::{Kind, Phase};
-use crate::floor::script::ScriptTurn;
+use crate::cell_state::script::ScriptReaction;
 use crate::state::Violation;
 use imrs_protocol::script::{Address, End, Op, Program, ScriptInput, Term};
 
@@ -61,43 +61,43 @@ impl Reached {
         self
     }
 
-    fn note(&mut self, course: &Course) {
+    fn note(&mut self, run_state: &RunState) {
         for still in &mut self.still {
-            still.retain(|&(term, first)| course.floor.look_up(term) == first);
+            still.retain(|&(term, first)| run_state.cell.look_up(term) == first);
         }
     }
 }
 
-pub(super) fn nothing_reached(course: &Course) -> Reached {
+pub(super) fn nothing_reached(run_state: &RunState) -> Reached {
     let len = |task: &Conduct| match task {
         Conduct::Program { program, .. } => program.code.len(),
         Conduct::Extern(_) => 0,
     };
-    let first = |term: Term| (term, course.floor.look_up(term));
+    let first = |term: Term| (term, run_state.cell.look_up(term));
     Reached {
-        statements: course.plan.tasks.iter().map(|task| vec![false; len(task)]).collect(),
-        still: (0..course.plan.checks.len())
-            .map(|check| course.plan.terms(check).into_iter().map(first).collect())
+        statements: run_state.plan.tasks.iter().map(|task| vec![false; len(task)]).collect(),
+        still: (0..run_state.plan.checks.len())
+            .map(|check| run_state.plan.terms(check).into_iter().map(first).collect())
             .collect(),
     }
 }
 
-pub(super) fn program(course: &Course, task: usize) -> Option<&Program> {
-    match course.plan.tasks.get(task)? {
+pub(super) fn program(run_state: &RunState, task: usize) -> Option<&Program> {
+    match run_state.plan.tasks.get(task)? {
         Conduct::Program { program, .. } => Some(program),
         Conduct::Extern(_) => None,
     }
 }
 
 /// Judges the present state, and what the scripts did since the last call. A panic becomes a violation.
-pub(super) fn judge(course: &mut Course, phase: Phase, reached: &mut Reached) -> Vec<Shown> {
-    let judged = catch_unwind(AssertUnwindSafe(|| judge_turns(course, phase, reached)));
+pub(super) fn judge(run_state: &mut RunState, phase: Phase, reached: &mut Reached) -> Vec<Shown> {
+    let judged = catch_unwind(AssertUnwindSafe(|| judge_turns(run_state, phase, reached)));
     judged.unwrap_or_else(|_| vec![Shown::whole(Kind::Machine, Violation::Panic.text())])
 }
 
-fn judge_turns(course: &mut Course, phase: Phase, reached: &mut Reached) -> Vec<Shown> {
-    let turns = course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
-    reached.note(course);
+fn judge_turns(run_state: &mut RunState, phase: Phase, reached: &mut Reached) -> Vec<Shown> {
+    let turns = run_state.cell.turns.as_mut().map(std::mem::take).unwrap_or_default();
+    reached.note(run_state);
     let mut shown = Vec::new();
     for turn in &turns {
         for &at in &turn.passed {
@@ -105,41 +105,42 @@ fn judge_turns(course: &mut Course, phase: Phase, reached: &mut Reached) -> Vec<
                 *flag = true;
             }
         }
-        shown.extend(outcome(course, turn, phase));
-        shown.extend(end(course, turn, phase));
+        shown.extend(outcome(run_state, turn, phase));
+        shown.extend(end(run_state, turn, phase));
     }
-    for &check in &course.broken {
-        let name = &course.plan.checks[check].name;
+    for &check in &run_state.broken {
+        let name = &run_state.plan.checks[check].name;
         let cause = format!("`{name}` does not hold");
         shown.push(Shown { check: Some(check), ..Shown::whole(Kind::Check, &cause) });
     }
-    if course.both_active {
-        shown.extend(two_owners(course));
+    if run_state.both_active {
+        shown.extend(two_owners(run_state));
     }
-    if let Some(violation) = course.floor.violation {
+    if let Some(violation) = run_state.cell.violation {
         shown.push(Shown::whole(Kind::Machine, violation.text()));
     }
     shown
 }
 
 /// The first couple of which both tasks act.
-fn two_owners(course: &Course) -> Option<Shown> {
-    let couples = &course.plan.table.cell().couples;
-    let at = couples.iter().position(|couple| course.acts(couple.primary) && course.acts(couple.standby))?;
+fn two_owners(run_state: &RunState) -> Option<Shown> {
+    let couples = &run_state.plan.table.cell().couples;
+    let at =
+        couples.iter().position(|couple| run_state.acts(couple.primary) && run_state.acts(couple.standby))?;
     let both = [couples[at].primary.index(), couples[at].standby.index()];
-    let [primary, standby] = both.map(|task| name(&course.plan.table, task));
+    let [primary, standby] = both.map(|task| name(&run_state.plan.table, task));
     let cause = format!("{primary} and {standby} both act");
     Some(Shown { couple: Some(at), others: both.into(), ..Shown::whole(Kind::TwoOwners, &cause) })
 }
 
 /// A request that ended badly in a search without faults.
-fn outcome(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
+fn outcome(run_state: &RunState, turn: &ScriptReaction, phase: Phase) -> Option<Shown> {
     let ScriptInput::Signal(signal) = turn.input else { return None };
     if phase == Phase::Faults {
         return None;
     }
-    let table = &course.plan.table;
-    let what = statement(table, program(course, turn.task)?, turn.at);
+    let table = &run_state.plan.table;
+    let what = statement(table, program(run_state, turn.task)?, turn.at);
     let name = name(table, turn.task);
     let mut others = None;
     let (kind, cause) = match signal {
@@ -176,14 +177,14 @@ fn outcome(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
         | Signal::Cancelled => return None,
     };
     let (task, address) = (Some(turn.task), Some(turn.at));
-    let others = others.unwrap_or_else(|| partners(course, turn.task, turn.at));
+    let others = others.unwrap_or_else(|| partners(run_state, turn.task, turn.at));
     Some(Shown { task, address, others, last: false, ..Shown::whole(kind, &cause) })
 }
 
 /// A script that ended before its last statement.
-fn end(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
-    let table = &course.plan.table;
-    let program = program(course, turn.task)?;
+fn end(run_state: &RunState, turn: &ScriptReaction, phase: Phase) -> Option<Shown> {
+    let table = &run_state.plan.table;
+    let program = program(run_state, turn.task)?;
     let name = name(table, turn.task);
     let fault_free = phase != Phase::Faults;
     let (kind, address, cause) = match turn.end? {
@@ -205,12 +206,12 @@ fn end(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
         }
     };
     let (task, at) = (Some(turn.task), Some(address));
-    let others = if kind == Kind::Ends { partners(course, turn.task, address) } else { Vec::new() };
+    let others = if kind == Kind::Ends { partners(run_state, turn.task, address) } else { Vec::new() };
     Some(Shown { task, address: at, others, last: fault_free, ..Shown::whole(kind, &cause) })
 }
 
-pub(super) fn position(course: &Course, task: usize) -> Address {
-    course.floor.bodies[task].actor.as_ref().map_or(0, |actor| actor.script.position())
+pub(super) fn position(run_state: &RunState, task: usize) -> Address {
+    run_state.cell.bodies[task].actor.as_ref().map_or(0, |actor| actor.script.position())
 }
 
 pub(super) fn name(table: &CellTable, task: usize) -> &str {
@@ -245,13 +246,13 @@ pub(super) fn statement(table: &CellTable, program: &Program, at: Address) -> St
 }
 
 /// The tasks that should have answered a request that ended badly, or have sent what it waited for.
-fn partners(course: &Course, task: usize, at: Address) -> Vec<usize> {
+fn partners(run_state: &RunState, task: usize, at: Address) -> Vec<usize> {
     let peers = |port| {
-        let table = &course.plan.table;
+        let table = &run_state.plan.table;
         let of = TaskId::from_index(task);
         table.port(port).into_iter().flat_map(move |port| port.peers(of)).map(TaskId::index).collect()
     };
-    match program(course, task).and_then(|program| program.code.get(usize::from(at))) {
+    match program(run_state, task).and_then(|program| program.code.get(usize::from(at))) {
         Some(Op::Send { to: Target::One(to), .. }) => vec![to.index()],
         Some(Op::Send { port, .. } | Op::Get { port: Some(port), .. }) => peers(*port),
         _ => Vec::new(),

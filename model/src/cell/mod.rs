@@ -23,7 +23,7 @@
 //!   both happen at every other event, too.
 //! - A link named for a cut loses every packet in both directions, from any packet on until any later one.
 //! - A node named for a pause pauses before any of its steps. It wakes after any later event, at its own next deadline or end
-//!   of lease, or when the pause reaches its bound (`course::pause`).
+//!   of lease, or when the pause reaches its bound (`run_state::pause`).
 //! - The script of a restarted node begins once no message of its earlier incarnation is in flight, as on real nodes (D157).
 //! - A task outside the cell chooses one use of its ports, or none, once in its period. Its messages carry one of a few values:
 //!   zero, one, constants of the other tasks and their neighbours ([`Tried`]).
@@ -37,7 +37,6 @@
 mod alike;
 mod conclude;
 mod context;
-mod course;
 mod done;
 mod each_part;
 mod follow;
@@ -50,6 +49,7 @@ mod outside;
 mod parts;
 mod plan;
 mod reader;
+mod run_state;
 mod search;
 mod seen;
 mod simulate;
@@ -65,7 +65,6 @@ mod waiting;
 mod walker;
 
 pub use crate::chart::{Folding, Note, chart};
-pub use course::CellMove;
 pub use follow::{
     Followed, Happened, Happening, Late, Run, Steps, Turn, Unexplained, follow_run, steps_in_model,
 };
@@ -73,6 +72,7 @@ pub use frames::{NodeFrame, Scene, Shows, scenes};
 pub use guard::{Agreement, Disagreement, Effort, compare_with_walks};
 pub use legend::Legend;
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds, Pause, Times};
+pub use run_state::CellMove;
 pub use search::check_cell;
 pub use simulate::{Chooser, Ended, Fault, Found, MOST_FAULTS, Schedule, Shrunk, Simulated, Simulator, Tape};
 pub use story::drawn;

@@ -44,8 +44,8 @@ fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>, values: &Tried) ->
         .filter(|couple| [couple.primary, couple.standby].contains(&task))
         .collect();
     // The protocol itself sends heartbeats: no task uses their port.
-    let carries_beats = |port: PortId| couples.iter().any(|couple| couple.via == port);
-    for &port in table.ports_of(task).iter().filter(|&&port| !carries_beats(port)) {
+    let carries_heartbeats = |port: PortId| couples.iter().any(|couple| couple.via == port);
+    for &port in table.ports_of(task).iter().filter(|&&port| !carries_heartbeats(port)) {
         for to in targets(plan, task, port) {
             for number in 0..values.len() {
                 let value = |of: Type| values.value(of, number);

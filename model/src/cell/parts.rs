@@ -7,8 +7,8 @@
 //! A part keeps the numbers, tables and plans of the whole cell. Nodes outside it stay down and are not packed. So the same moves
 //! replay a finding, if the same part is given.
 
-use super::course::bit;
 use super::plan::{CellPlan, Part, about, node_of};
+use super::run_state::bit;
 use imrs_protocol::{CellTable, NodeId};
 use std::sync::Arc;
 

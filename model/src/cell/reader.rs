@@ -1,9 +1,9 @@
 //! Finds the line of the cell's text that each step of a path belongs to, and the values that its messages carry.
 
-use super::course::Course;
 use super::judge::{position, program};
-use crate::floor::Effect;
-use crate::floor::script::ScriptTurn;
+use super::run_state::RunState;
+use crate::cell_state::Effect;
+use crate::cell_state::script::ScriptReaction;
 use imrs_protocol::script::{Address, End, Op, Program, Trigger};
 use imrs_protocol::{
     Call, Contents, Event, Kind, Observation, Outcome, Packet, PortId, ReplyTo, Signal, Target, TaskId,
@@ -38,10 +38,10 @@ struct StepAt {
 
 impl Reader {
     /// Begins a step. `begun` is the statement that each task began last.
-    pub fn before(&mut self, course: &Course, begun: &[Option<Address>], drawn: Option<Packet>) {
-        let tasks = course.plan.tasks.len();
+    pub fn before(&mut self, run_state: &RunState, begun: &[Option<Address>], drawn: Option<Packet>) {
+        let tasks = run_state.plan.tasks.len();
         self.step = StepAt {
-            before: (0..tasks).map(|task| position(course, task)).collect(),
+            before: (0..tasks).map(|task| position(run_state, task)).collect(),
             begun: begun.iter().map(|at| at.iter().map(|&at| (at, 0)).collect()).collect(),
             outcome: vec![None; tasks],
             taken: BTreeMap::new(),
@@ -50,15 +50,17 @@ impl Reader {
     }
 
     /// Takes what the scripts did in the step, and the log of the step.
-    pub fn after(&mut self, turns: &[ScriptTurn], log: &[Effect]) {
+    pub fn after(&mut self, turns: &[ScriptReaction], log: &[Effect]) {
         for turn in turns {
             if let Some(begun) = self.step.begun.get_mut(turn.task) {
                 begun.extend(turn.passed.iter().map(|&at| (at, 0)));
             }
         }
         for effect in log {
-            if let Effect::Told(_, Signal::Message(delivery) | Signal::Interrupt(Call::Message(delivery))) =
-                effect
+            if let Effect::Signalled(
+                _,
+                Signal::Message(delivery) | Signal::Interrupt(Call::Message(delivery)),
+            ) = effect
             {
                 let ReplyTo { port, source, id } = delivery.from;
                 self.step.taken.insert((source.index(), port, id.sequence.get()), delivery.contents);
@@ -67,7 +69,7 @@ impl Reader {
     }
 
     /// The line at which a packet was sent.
-    pub fn of_packet(&mut self, course: &Course, packet: &Packet) -> Option<u32> {
+    pub fn of_packet(&mut self, run_state: &RunState, packet: &Packet) -> Option<u32> {
         let (event, number) = match packet.kind {
             Kind::Send | Kind::Query => (Event::Sent, packet.id.sequence.get()),
             Kind::Reply | Kind::Response => (Event::Replied, packet.id.sequence.get()),
@@ -79,54 +81,54 @@ impl Reader {
         // No step shows packets that left before the first one. Their task is still at the statement.
         let at = self.sent.get(&named).copied().or_else(|| {
             let begun = self.step.begun.get(task)?.first()?.0;
-            let program = program(course, task)?;
+            let program = program(run_state, task)?;
             operations(program, begun).any(|op| does(op, event, packet.port)).then_some(begun)
         })?;
         self.sent.insert(named, at);
-        course.plan.legend.line(task, at)
+        run_state.plan.legend.line(task, at)
     }
 
     /// The line of the action that ends in this activation.
-    pub fn of_action(&self, course: &Course, task: usize, level: u8) -> Option<u32> {
-        let script = &course.floor.bodies.get(task)?.actor.as_ref()?.script;
+    pub fn of_action(&self, run_state: &RunState, task: usize, level: u8) -> Option<u32> {
+        let script = &run_state.cell.bodies.get(task)?.actor.as_ref()?.script;
         let at = match level {
             _ if level == script.depth() => script.position(),
             0 => script.position_at(0)?,
             _ => return None,
         };
-        course.plan.legend.line(task, at)
+        run_state.plan.legend.line(task, at)
     }
 
     /// The line at which a script ended.
-    pub fn of_end(&self, course: &Course, turn: &ScriptTurn) -> Option<u32> {
+    pub fn of_end(&self, run_state: &RunState, turn: &ScriptReaction) -> Option<u32> {
         let at = match turn.end? {
             End::Assertion(at) | End::Fault { at, .. } => at,
             End::Finished | End::Aborted(_) | End::Fenced => *turn.passed.last().unwrap_or(&turn.at),
         };
-        course.plan.legend.line(turn.task, at)
+        run_state.plan.legend.line(turn.task, at)
     }
 
     /// The line of an effect, and the values that its task takes or is told.
-    pub fn of_effect(&mut self, course: &Course, effect: &Effect) -> (Option<u32>, Option<String>) {
+    pub fn of_effect(&mut self, run_state: &RunState, effect: &Effect) -> (Option<u32>, Option<String>) {
         match effect {
-            Effect::Seen(_, Some(task), seen) => self.of_observation(course, task.index(), seen),
-            Effect::Told(task, signal) => self.of_signal(course, task.index(), signal),
+            Effect::Seen(_, Some(task), seen) => self.of_observation(run_state, task.index(), seen),
+            Effect::Signalled(task, signal) => self.of_signal(run_state, task.index(), signal),
             Effect::Seen(_, None, _) | Effect::Sent(..) => (None, None),
         }
     }
 
     fn of_observation(
         &mut self,
-        course: &Course,
+        run_state: &RunState,
         task: usize,
         seen: &Observation,
     ) -> (Option<u32>, Option<String>) {
-        let legend = &course.plan.legend;
+        let legend = &run_state.plan.legend;
         let named = (task, seen.port, seen.number);
         let before = self.step.before.get(task).copied();
         let at = match seen.event {
             Event::Sent | Event::Reached | Event::Replied => {
-                let at = self.carried_out(course, task, seen);
+                let at = self.carried_out(run_state, task, seen);
                 if let Some(at) = at {
                     self.sent.insert(named, at);
                 }
@@ -163,13 +165,13 @@ impl Reader {
                     .get(&message)
                     .filter(|_| self.step.drawn.is_none_or(|packet| !is_drawn(packet)));
                 let values = values.and_then(|contents| legend.values(seen.port, false, contents.as_bytes()));
-                let handler = program(course, task)
+                let handler = program(run_state, task)
                     .and_then(|program| legend.handler(program, task, Trigger::Message(seen.port)));
-                let at = self.taken_at(course, task, seen.port).or(before);
+                let at = self.taken_at(run_state, task, seen.port).or(before);
                 return (handler.or_else(|| legend.line(task, at?)), values);
             }
             Event::Rejected => before,
-            Event::Resumed => Some(position(course, task)),
+            Event::Resumed => Some(position(run_state, task)),
             Event::Granted
             | Event::TookOver
             | Event::Fenced
@@ -183,14 +185,14 @@ impl Reader {
         (at.and_then(|at| legend.line(task, at)), None)
     }
 
-    fn of_signal(&self, course: &Course, task: usize, signal: &Signal) -> (Option<u32>, Option<String>) {
-        let legend = &course.plan.legend;
-        let handler = |trigger| legend.handler(program(course, task)?, task, trigger);
+    fn of_signal(&self, run_state: &RunState, task: usize, signal: &Signal) -> (Option<u32>, Option<String>) {
+        let legend = &run_state.plan.legend;
+        let handler = |trigger| legend.handler(program(run_state, task)?, task, trigger);
         match signal {
             Signal::Outcome(outcome) => {
                 let asked = self.step.outcome.get(task).copied().flatten();
                 let at = asked.or_else(|| self.step.before.get(task).copied());
-                let values = match (outcome, at.and_then(|at| self.asks(course, task, at))) {
+                let values = match (outcome, at.and_then(|at| self.asks(run_state, task, at))) {
                     (Outcome::Reply(contents), Some(port))
                         if self.step.drawn.is_none_or(|packet| packet.port != port) =>
                     {
@@ -210,9 +212,9 @@ impl Reader {
     }
 
     /// The statement of this step that sends, answers or reaches what was observed.
-    fn carried_out(&mut self, course: &Course, task: usize, seen: &Observation) -> Option<Address> {
-        let program = program(course, task)?;
-        let peers = course.plan.table.port(seen.port)?.peers(TaskId::from_index(task)).count();
+    fn carried_out(&mut self, run_state: &RunState, task: usize, seen: &Observation) -> Option<Address> {
+        let program = program(run_state, task)?;
+        let peers = run_state.plan.table.port(seen.port)?.peers(TaskId::from_index(task)).count();
         let begun = self.step.begun.get_mut(task)?;
         let mut doing = begun.iter_mut().filter_map(|(at, told)| {
             let op = operations(program, *at).find(|op| does(op, seen.event, seen.port))?;
@@ -227,16 +229,16 @@ impl Reader {
     }
 
     /// The last statement, of this step or begun before it, that takes messages of a port.
-    fn taken_at(&self, course: &Course, task: usize, on: PortId) -> Option<Address> {
-        let program = program(course, task)?;
+    fn taken_at(&self, run_state: &RunState, task: usize, on: PortId) -> Option<Address> {
+        let program = program(run_state, task)?;
         let takes = |op: &Op| matches!(op, Op::Get { port, .. } if port.is_none_or(|port| port == on));
         let begun = self.step.begun.get(task)?.iter().rev().map(|&(at, _)| at);
         begun.into_iter().find(|&at| operations(program, at).any(takes))
     }
 
     /// The port on which the statement at an address sends.
-    fn asks(&self, course: &Course, task: usize, at: Address) -> Option<PortId> {
-        let program = program(course, task)?;
+    fn asks(&self, run_state: &RunState, task: usize, at: Address) -> Option<PortId> {
+        let program = program(run_state, task)?;
         let sends = |op: &Op| match op {
             Op::Send { port, .. } => Some(*port),
             _ => None,

@@ -4,15 +4,15 @@
 //! merges the results in the order of the batch, so the answer is the same for any number of threads.
 
 use super::conclude::conclude;
-use super::course::{CellMove, Course};
 use super::done::Done;
 use super::each_part::look_at_each;
 use super::judge::{self, Reached, Shown};
 use super::outside::{tried, with_programs};
 use super::parts::parts;
 use super::plan::{CellFaults, CellPlan, Conduct, Times};
+use super::run_state::{CellMove, RunState};
 use super::seen::Seen;
-use super::standstill::{self, OutOfMemory, Ways};
+use super::standstill::{self, OutOfMemory, StateGraph};
 use super::verdict::{Coverage, Finding, Kind, Phase, Refused, Verdicts};
 use super::walker::{Hit, Origin, Walker, Walks};
 use super::{starve, story};
@@ -42,7 +42,7 @@ struct Search {
     moves: u64,
     longest: usize,
     outgrown: bool,
-    ways: Ways,
+    graph: StateGraph,
     /// For each kept state, the fingerprint of its core: all but its remaining faults.
     cores: Vec<u64>,
     /// The least depth in the last batch, if a budget ended the search before all its results were merged.
@@ -164,7 +164,7 @@ fn explore(plan: &Arc<CellPlan>, phase: (Phase, usize), faults: &CellFaults) -> 
 fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &CellFaults) -> (Search, Done) {
     let start = Instant::now();
     let mut search = Search::default();
-    let walker = || Walker::new(phase, Course::new(plan, faults));
+    let walker = || Walker::new(phase, RunState::new(plan, faults));
     let mut walkers: Vec<Walker> = (0..plan.jobs.max(1)).map(|_| walker()).collect();
     let ended_by = search.run(plan, &mut walkers, start);
     let outgrown = || search.outgrown.then(|| "some states do not fit the checker's packed form".to_string());
@@ -175,7 +175,7 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
     let mut still = Vec::new();
     if ended_by.is_none() {
         let room = plan.budget.bytes.saturating_sub(resident_bytes().unwrap_or(0));
-        match search.ways.all_still(&search.cores, room) {
+        match search.graph.all_still(&search.cores, room) {
             Ok(all) => still = all,
             Err(OutOfMemory) => ended_by = Some(out_of_memory(plan)),
         }
@@ -273,7 +273,7 @@ impl Search {
     fn take_in(&mut self, walks: Walks) {
         self.moves += walks.moves;
         self.outgrown |= walks.outgrown;
-        self.ways.take_in(walks.ways);
+        self.graph.take_in(walks.graph);
         for hit in walks.hits {
             if !self.hits.iter().any(|known| known.shown.is_same(&hit.shown)) {
                 self.hits.push(hit);
@@ -298,19 +298,19 @@ impl Search {
             origin = self.origins[origin.parent as usize];
         }
         walks.push((None, origin.steps));
-        let mut course = Course::new(plan, faults);
+        let mut run_state = RunState::new(plan, faults);
         let mut path = Vec::new();
         let mut moves = Vec::new();
         for (mut choice, steps) in walks.into_iter().rev() {
             for _ in 0..steps {
                 moves.clear();
-                course.moves(&mut moves);
+                run_state.moves(&mut moves);
                 let alone = choice.is_none() && moves.len() != 1;
                 let Some(&step) = moves.get(choice.take().unwrap_or(0)).filter(|_| !alone) else {
                     return path;
                 };
                 path.push(step);
-                if !course.survives(step) {
+                if !run_state.survives(step) {
                     return path;
                 }
             }

@@ -1,6 +1,6 @@
 //! The set of states that a search has kept.
 
-use super::course::canon::Left;
+use super::run_state::canon::Left;
 use std::collections::HashMap;
 use std::collections::hash_map::{DefaultHasher, Entry};
 use std::hash::{BuildHasherDefault, Hash, Hasher};

@@ -5,13 +5,13 @@
 //! *still* if no path without faults and restarts leads from it to progress or to an end. A cycle of still states is reported
 //! if a task in it waits for others. So a camera that loops by itself is no standstill.
 
-use super::course::{CellMove, Course};
 use super::judge::{Shown, name};
 use super::plan::{CellFaults, CellPlan};
+use super::run_state::{CellMove, RunState};
 use super::seen::Mark;
 use super::story;
 use super::verdict::{Finding, Kind, Phase};
-use crate::floor::script::ScriptTurn;
+use crate::cell_state::script::ScriptReaction;
 use imrs_protocol::Signal;
 use imrs_protocol::script::{Address, ScriptInput};
 use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
@@ -23,7 +23,7 @@ const MOST_STATES: usize = 4096;
 /// The most still states that are tried until one of them shows a standstill.
 pub(super) const MOST_TOLD: usize = 64;
 
-/// The most bytes that [`Ways::all_still`] needs for a state: an entry in a map and on a stack, and two flags.
+/// The most bytes that [`StateGraph::all_still`] needs for a state: an entry in a map and on a stack, and two flags.
 const BYTES_OF_A_STATE: usize = 64;
 
 /// The analysis does not fit into the memory budget of the search.
@@ -32,14 +32,14 @@ pub(super) struct OutOfMemory;
 
 /// The graph of kept states for the livelock analysis. Its edges are walks without faults and restarts.
 #[derive(Default)]
-pub(super) struct Ways {
+pub(super) struct StateGraph {
     /// Edges without progress: the number of the state, and the core fingerprint of the state that it leads to.
     steps: Vec<(u32, u64)>,
     /// States with a walk that makes progress or ends.
     free: Vec<u32>,
 }
 
-impl Ways {
+impl StateGraph {
     /// Notes a walk from a kept state to another one; `None`: to progress or to an end.
     pub fn note(&mut self, from: u32, to: Option<u64>) {
         match to {
@@ -116,13 +116,13 @@ pub(super) fn tell(
     mut moves: Vec<CellMove>,
     idle: &mut HashSet<u64>,
 ) -> Option<Finding> {
-    let mut course = Course::new(plan, faults);
-    if !moves.iter().all(|&step| course.survives(step)) {
+    let mut run_state = RunState::new(plan, faults);
+    if !moves.iter().all(|&step| run_state.survives(step)) {
         return None;
     }
     // What scripts did before the standstill is no part of it.
-    course.floor.turns.iter_mut().for_each(Vec::clear);
-    let seen = Round::walk(&mut course, &mut moves)?;
+    run_state.cell.turns.iter_mut().for_each(Vec::clear);
+    let seen = Round::walk(&mut run_state, &mut moves)?;
     let asks = seen.asks();
     let tasks: Vec<usize> = asks.keys().copied().collect();
     let names: Vec<&str> = tasks.iter().map(|&task| name(&plan.table, task)).collect();
@@ -153,35 +153,35 @@ struct Round {
 
 impl Round {
     /// Explores all states. Appends the first move of each state to `moves`, so that the chart shows one cycle.
-    fn walk(course: &mut Course, moves: &mut Vec<CellMove>) -> Option<Self> {
+    fn walk(run_state: &mut RunState, moves: &mut Vec<CellMove>) -> Option<Self> {
         let mut round = Self::default();
-        let mut open = vec![(course.store().ok()?, true)];
+        let mut open = vec![(run_state.store().ok()?, true)];
         let mut all = Vec::new();
         while let Some((state, first)) = open.pop() {
-            let from = Mark::of(course.split(&state)).core();
+            let from = Mark::of(run_state.split(&state)).core();
             if !round.known.insert(from) {
                 continue;
             }
             if round.known.len() > MOST_STATES {
                 return None;
             }
-            course.load(&state);
+            run_state.load(&state);
             all.clear();
-            course.moves(&mut all);
+            run_state.moves(&mut all);
             all.retain(|&step| !is_outside(step));
             for (at, &step) in all.iter().enumerate().rev() {
-                course.load(&state);
-                if course.progresses(step) != Some(false) {
+                run_state.load(&state);
+                if run_state.progresses(step) != Some(false) {
                     return None;
                 }
-                let turns = course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
-                let next = course.store().ok()?;
-                let to = Mark::of(course.split(&next)).core();
+                let turns = run_state.cell.turns.as_mut().map(std::mem::take).unwrap_or_default();
+                let next = run_state.store().ok()?;
+                let to = Mark::of(run_state.split(&next)).core();
                 round.leads.entry(from).or_default().push(to);
                 // Outcomes told to a task outside the cell do not count: nobody knows what its real program does next.
                 let told = turns
                     .iter()
-                    .filter(|turn| is_answered(turn) && !course.plan.outside.contains(&turn.task));
+                    .filter(|turn| is_answered(turn) && !run_state.plan.outside.contains(&turn.task));
                 round.told.extend(told.map(|turn| (turn.task, turn.at, from, to)));
                 let shown = first && at == 0;
                 if shown {
@@ -219,7 +219,7 @@ fn comes_to(leads: &HashMap<u64, Vec<u64>>, from: u64, to: u64) -> bool {
 }
 
 /// Whether a script is told the outcome of a request to other tasks.
-const fn is_answered(turn: &ScriptTurn) -> bool {
+const fn is_answered(turn: &ScriptReaction) -> bool {
     match turn.input {
         ScriptInput::Signal(Signal::Outcome(_) | Signal::Answers { .. } | Signal::GaveUp { .. }) => true,
         ScriptInput::Signal(
@@ -239,16 +239,17 @@ const fn is_answered(turn: &ScriptTurn) -> bool {
     }
 }
 
-impl Course {
+impl RunState {
     /// Makes a move; returns whether it was progress, `None` if it panics.
     pub fn progresses(&mut self, step: CellMove) -> Option<bool> {
         let mut before = std::mem::take(&mut self.before);
         before.clear();
         self.live_variables(&mut |value| before.push(value));
         let survived = self.survives(step);
-        let is_met = |turn: &ScriptTurn| matches!(turn.input, ScriptInput::Signal(Signal::Released { .. }));
+        let is_met =
+            |turn: &ScriptReaction| matches!(turn.input, ScriptInput::Signal(Signal::Released { .. }));
         let mut further = matches!(step, CellMove::Acted(_, _, true, _));
-        further |= self.floor.turns.iter().flatten().any(is_met);
+        further |= self.cell.turns.iter().flatten().any(is_met);
         let mut at = 0;
         self.live_variables(&mut |value| {
             further |= matches!((before.get(at), value), (Some(&Some(before)), Some(now)) if before != now);
@@ -260,7 +261,7 @@ impl Course {
 
     /// Passes the variables of all tasks to `each`, `None` for a dead one: packing resets it, so its old value means nothing.
     fn live_variables(&self, each: &mut impl FnMut(Option<i64>)) {
-        for (task, body) in self.floor.bodies.iter().enumerate() {
+        for (task, body) in self.cell.bodies.iter().enumerate() {
             let Some(actor) = &body.actor else { continue };
             let dead = self.dead_variables(task);
             for (at, value) in (0..).map_while(|at| actor.script.var(at)).enumerate() {
@@ -275,12 +276,12 @@ mod tests {
     use super::*;
 
     /// Whether no path leads to progress or to an end, computed for one state by a plain search.
-    fn is_still(ways: &Ways, cores: &[u64], from: usize) -> bool {
+    fn is_still(graph: &StateGraph, cores: &[u64], from: usize) -> bool {
         let (mut seen, mut open) = (vec![from], vec![from]);
         while let Some(at) = open.pop() {
             let number = u32::try_from(at).expect("few");
-            let mut on = ways.steps.iter().filter(|(of, _)| *of == number).peekable();
-            if ways.free.contains(&number) || on.peek().is_none() {
+            let mut on = graph.steps.iter().filter(|(of, _)| *of == number).peekable();
+            if graph.free.contains(&number) || on.peek().is_none() {
                 return false;
             }
             for (_, to) in on {
@@ -305,18 +306,18 @@ mod tests {
         for _ in 0..2000 {
             let n = 2 + draw(9);
             let cores: Vec<u64> = (0..n).map(|at| at * 7 + 3).collect();
-            let mut ways = Ways::default();
+            let mut graph = StateGraph::default();
             for from in 0..n {
                 for _ in 0..1 + draw(2) {
                     let to = (draw(8) > 0).then(|| cores[usize::try_from(draw(n)).expect("few")]);
-                    ways.note(u32::try_from(from).expect("few"), to);
+                    graph.note(u32::try_from(from).expect("few"), to);
                 }
             }
-            let asked: Vec<usize> = (0..cores.len()).filter(|&at| is_still(&ways, &cores, at)).collect();
+            let asked: Vec<usize> = (0..cores.len()).filter(|&at| is_still(&graph, &cores, at)).collect();
             let is_any = !asked.is_empty();
-            assert_eq!(ways.all_still(&cores, 4096), Ok(asked), "{:?} {:?}", ways.steps, ways.free);
-            let less = cores.len() * BYTES_OF_A_STATE + ways.steps.len() * 8 - 1;
-            assert_eq!(ways.all_still(&cores, less as u64), Err(OutOfMemory));
+            assert_eq!(graph.all_still(&cores, 4096), Ok(asked), "{:?} {:?}", graph.steps, graph.free);
+            let less = cores.len() * BYTES_OF_A_STATE + graph.steps.len() * 8 - 1;
+            assert_eq!(graph.all_still(&cores, less as u64), Err(OutOfMemory));
             if is_any { still += 1 } else { none += 1 }
         }
         assert!(still > 300 && none > 300, "{still} {none}");

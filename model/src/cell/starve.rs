@@ -52,9 +52,9 @@ fn starved(
     story::walk(plan, &CellFaults::default(), moves, |walked| {
         last.clone_from(&waits);
         for (wait, &peer) in waits.iter_mut().zip(&peers) {
-            let station = &walked.course.floor.stations[walked.course.floor.station_of(peer)];
-            let machine = station.node.task(TaskId::from_index(peer));
-            let view = machine.map(|machine| machine.view(&station.table, usize::MAX));
+            let node_state = &walked.run_state.cell.nodes[walked.run_state.cell.node_state_of(peer)];
+            let machine = node_state.node.task(TaskId::from_index(peer));
+            let view = machine.map(|machine| machine.view(&node_state.table, usize::MAX));
             let view = view.as_ref().and_then(|view| view.ports.iter().find(|view| view.port == *port));
             let Some(view) = view else { continue };
             let rejected = wait.rejected + view.counters.rejected.saturating_sub(wait.counted);
@@ -66,7 +66,7 @@ fn starved(
             if !waits {
                 continue;
             }
-            let took = |turn: &&crate::floor::script::ScriptTurn| {
+            let took = |turn: &&crate::cell_state::script::ScriptReaction| {
                 let taken = |signal: &Signal| matches!(signal, Signal::Message(_) | Signal::Interrupt(_));
                 turn.task == peer && matches!(&turn.input, ScriptInput::Signal(signal) if taken(signal))
             };

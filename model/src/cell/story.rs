@@ -1,16 +1,16 @@
 //! Replays the path to a finding: step by step with what each task does, and as a chart.
 
 use super::context::{Origin, context};
-use super::course::{CellMove, Course};
 use super::judge::Shown;
 use super::parts::parts;
 use super::plan::{CellFaults, CellPlan, Conduct, Part};
 use super::reader::Reader;
+use super::run_state::{CellMove, RunState};
 use super::verdict::{Concerned, Finding, Phase, Step};
 use super::view::view;
-use crate::chart::{Folding, Note, Pen, chart};
-use crate::floor::chart::Lanes;
-use crate::floor::script::ScriptTurn;
+use crate::cell_state::chart::Lanes;
+use crate::cell_state::script::ScriptReaction;
+use crate::chart::{ChartRecorder, Folding, Note, chart};
 use crate::state::Violation;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::{Address, End};
@@ -20,7 +20,7 @@ use std::sync::Arc;
 const LINES: usize = 160;
 
 /// A path with its steps, its chart and its cause.
-pub(super) struct Told {
+pub(super) struct Explained {
     pub steps: Vec<Step>,
     pub chart: String,
     pub ticks: u64,
@@ -30,18 +30,23 @@ pub(super) struct Told {
 }
 
 /// Replays a path, and records its steps and its chart.
-pub(super) fn tell(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove], shown: &Shown) -> Told {
+pub(super) fn tell(
+    plan: &Arc<CellPlan>,
+    faults: &CellFaults,
+    moves: &[CellMove],
+    shown: &Shown,
+) -> Explained {
     let mut steps = Vec::new();
-    let mut origin = Origin::new(&Course::new(plan, faults), shown.check);
-    let Way { pen, course, begun } = walk(plan, faults, moves, |walked| {
+    let mut origin = Origin::new(&RunState::new(plan, faults), shown.check);
+    let ReplayedPath { recorder, run_state, begun } = walk(plan, faults, moves, |walked| {
         steps.push(walked.step());
-        origin.note(walked.course, walked.turns);
+        origin.note(walked.run_state, walked.turns);
     });
-    let (mut cause, others) = context(&course, shown, &begun);
-    cause.push_str(&origin.words(&course));
-    let (names, notes) = within(plan, plan.part.as_ref(), pen.notes);
+    let (mut cause, others) = context(&run_state, shown, &begun);
+    cause.push_str(&origin.words(&run_state));
+    let (names, notes) = within(plan, plan.part.as_ref(), recorder.notes);
     let drawn = chart(&names, &notes, &cause, Folding::Repeats);
-    Told { steps, chart: shorten(&drawn), ticks: course.passed, cause, others }
+    Explained { steps, chart: shorten(&drawn), ticks: run_state.passed, cause, others }
 }
 
 /// The finding that the last of these moves shows.
@@ -77,7 +82,7 @@ pub(super) fn finding(
 /// A step of a path that is replayed.
 pub(super) struct Walked<'a> {
     /// The cell after the step. Its log holds what the step showed.
-    pub course: &'a Course,
+    pub run_state: &'a RunState,
     pub lanes: &'a Lanes,
     /// The names of the ports.
     pub ports: &'a [String],
@@ -86,22 +91,22 @@ pub(super) struct Walked<'a> {
     /// How many notes, the last ones, are about scripts that ended.
     pub ended: usize,
     /// What the scripts did.
-    pub turns: &'a [ScriptTurn],
+    pub turns: &'a [ScriptReaction],
 }
 
 impl Walked<'_> {
     /// The step as data that is independent of the cell.
     pub fn step(&self) -> Step {
-        let tasks = (0..self.course.plan.tasks.len()).map(|task| view(self.course, task)).collect();
-        Step { tick: self.course.passed, step: self.step, notes: self.notes.to_vec(), tasks }
+        let tasks = (0..self.run_state.plan.tasks.len()).map(|task| view(self.run_state, task)).collect();
+        Step { tick: self.run_state.passed, step: self.step, notes: self.notes.to_vec(), tasks }
     }
 }
 
 /// A path that was replayed.
-pub(super) struct Way {
-    pub pen: Pen,
+pub(super) struct ReplayedPath {
+    pub recorder: ChartRecorder,
     /// The cell at its end.
-    pub course: Course,
+    pub run_state: RunState,
     /// The statement that each task began last.
     pub begun: Vec<Option<Address>>,
 }
@@ -112,85 +117,94 @@ pub(super) fn walk(
     faults: &CellFaults,
     moves: &[CellMove],
     mut each: impl FnMut(&Walked<'_>),
-) -> Way {
-    let mut course = Course::new(plan, faults);
-    course.floor.keep_log = true;
-    let lanes = Lanes::new(&course.floor.plan);
+) -> ReplayedPath {
+    let mut run_state = RunState::new(plan, faults);
+    run_state.cell.keep_log = true;
+    let lanes = Lanes::new(&run_state.cell.plan);
     let ports = plan.table.cell().ports.iter().map(|port| port.name.clone()).collect();
     let timers = |task: &Conduct| match task {
         Conduct::Program { program, .. } => program.timers.clone(),
         Conduct::Extern(_) => Vec::new(),
     };
     let timers = plan.tasks.iter().map(timers).collect();
-    let mut pen = Pen::new(lanes.names.clone()).naming(ports, timers);
+    let mut recorder = ChartRecorder::new(lanes.names.clone()).naming(ports, timers);
     // What scripts do before the first move is drawn with it.
-    let turns = course.floor.turns.replace(Vec::new()).unwrap_or_default();
+    let turns = run_state.cell.turns.replace(Vec::new()).unwrap_or_default();
     let mut begun = vec![None; plan.tasks.len()];
     let mut reader = Reader::default();
     note_begun(&turns, &mut begun);
-    ends(&course, &turns, &mut pen, 0, &reader);
+    ends(&run_state, &turns, &mut recorder, 0, &reader);
     let mut from = 0;
     for (at, &step) in moves.iter().enumerate() {
-        course.floor.log.clear();
-        let arrow = packet(&course, step, &lanes);
-        let before = describe(&course, step);
+        run_state.cell.log.clear();
+        let arrow = packet(&run_state, step, &lanes);
+        let before = describe(&run_state, step);
         let acted = match step {
-            CellMove::Acted(task, level, ..) => reader.of_action(&course, usize::from(task), level),
+            CellMove::Acted(task, level, ..) => reader.of_action(&run_state, usize::from(task), level),
             _ => None,
         };
-        reader.before(&course, &begun, arrow.map(|(_, packet, _)| packet));
-        if !course.survives(step) {
-            course = before_panic(plan, faults, &moves[..at]);
+        reader.before(&run_state, &begun, arrow.map(|(_, packet, _)| packet));
+        if !run_state.survives(step) {
+            run_state = before_panic(plan, faults, &moves[..at]);
         }
-        let shown = u32::try_from(course.passed).unwrap_or(u32::MAX);
+        let shown = u32::try_from(run_state.passed).unwrap_or(u32::MAX);
         if let Some((ends, packet, fate)) = arrow {
-            let (line, values) = (reader.of_packet(&course, &packet), plan.legend.of_packet(&packet));
-            explained(&mut pen, line, values.as_deref(), |pen| pen.arrow(shown, ends, &packet, fate));
+            let (line, values) = (reader.of_packet(&run_state, &packet), plan.legend.of_packet(&packet));
+            explained(&mut recorder, line, values.as_deref(), |recorder| {
+                recorder.arrow(shown, ends, &packet, fate)
+            });
         }
         if let Some((lane, text)) = before {
             let lane = match lane {
                 Lane::Task(task) => task,
                 Lane::Node(node) => lanes.on_node(node),
             };
-            explained(&mut pen, acted, None, |pen| pen.event(shown, lane, &text));
+            explained(&mut recorder, acted, None, |recorder| recorder.event(shown, lane, &text));
         }
-        let turns = course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
-        reader.after(&turns, &course.floor.log);
-        for effect in &course.floor.log {
-            let (line, values) = reader.of_effect(&course, effect);
-            explained(&mut pen, line, values.as_deref(), |pen| lanes.effect(pen, shown, effect));
+        let turns = run_state.cell.turns.as_mut().map(std::mem::take).unwrap_or_default();
+        reader.after(&turns, &run_state.cell.log);
+        for effect in &run_state.cell.log {
+            let (line, values) = reader.of_effect(&run_state, effect);
+            explained(&mut recorder, line, values.as_deref(), |recorder| {
+                lanes.effect(recorder, shown, effect)
+            });
         }
-        let others = pen.notes.len();
+        let others = recorder.notes.len();
         note_begun(&turns, &mut begun);
-        ends(&course, &turns, &mut pen, shown, &reader);
-        let (notes, ended) = (&pen.notes[from..], pen.notes.len() - others);
-        let ports = pen.ports();
-        each(&Walked { course: &course, lanes: &lanes, ports, step, notes, ended, turns: &turns });
-        from = pen.notes.len();
-        if course.floor.violation.is_some() {
+        ends(&run_state, &turns, &mut recorder, shown, &reader);
+        let (notes, ended) = (&recorder.notes[from..], recorder.notes.len() - others);
+        let ports = recorder.ports();
+        each(&Walked { run_state: &run_state, lanes: &lanes, ports, step, notes, ended, turns: &turns });
+        from = recorder.notes.len();
+        if run_state.cell.violation.is_some() {
             break;
         }
     }
-    Way { pen, course, begun }
+    ReplayedPath { recorder, run_state, begun }
 }
 
 /// A panic leaves the cell half changed, so this makes the moves before it again on a new one.
-fn before_panic(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove]) -> Course {
-    let mut course = Course::new(plan, faults);
-    moves.iter().for_each(|&step| course.apply(step));
-    course.floor.turns.iter_mut().for_each(Vec::clear);
-    course.floor.violation = Some(Violation::Panic);
-    course
+fn before_panic(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove]) -> RunState {
+    let mut run_state = RunState::new(plan, faults);
+    moves.iter().for_each(|&step| run_state.apply(step));
+    run_state.cell.turns.iter_mut().for_each(Vec::clear);
+    run_state.cell.violation = Some(Violation::Panic);
+    run_state
 }
 
 /// Draws notes, and adds their line and their values.
-fn explained(pen: &mut Pen, line: Option<u32>, values: Option<&str>, draw: impl FnOnce(&mut Pen)) {
-    let before = pen.notes.len();
-    draw(pen);
-    pen.notes[before..].iter_mut().for_each(|note| note.explain(line, values));
+fn explained(
+    recorder: &mut ChartRecorder,
+    line: Option<u32>,
+    values: Option<&str>,
+    draw: impl FnOnce(&mut ChartRecorder),
+) {
+    let before = recorder.notes.len();
+    draw(recorder);
+    recorder.notes[before..].iter_mut().for_each(|note| note.explain(line, values));
 }
 
-fn note_begun(turns: &[ScriptTurn], begun: &mut [Option<Address>]) {
+fn note_begun(turns: &[ScriptReaction], begun: &mut [Option<Address>]) {
     for turn in turns {
         if let (Some(last), Some(&at)) = (begun.get_mut(turn.task), turn.passed.last()) {
             *last = Some(at);
@@ -205,29 +219,29 @@ enum Lane {
 
 type Arrow = ((usize, usize), imrs_protocol::Packet, &'static str);
 
-fn packet(course: &Course, step: CellMove, lanes: &Lanes) -> Option<Arrow> {
+fn packet(run_state: &RunState, step: CellMove, lanes: &Lanes) -> Option<Arrow> {
     let i = usize::from(step.packet()?);
     let fate = match step {
-        CellMove::Deliver(_) if course.floor.is_behind(i) => "OVERTAKES",
+        CellMove::Deliver(_) if run_state.cell.is_behind(i) => "OVERTAKES",
         CellMove::Lose(_) => "LOST",
         CellMove::Duplicate(_) => "TWICE",
         CellMove::Cut(..) | CellMove::Vanish(_) => "CUT OFF",
         _ => "",
     };
-    let crossing = course.floor.crossings.get(i)?;
-    let (from, to, _) = course.floor.links[usize::from(crossing.link)];
-    let packet = crossing.packet;
+    let carried = run_state.cell.in_flight.get(i)?;
+    let (from, to, _) = run_state.cell.links[usize::from(carried.link)];
+    let packet = carried.packet;
     Some(((lanes.lane(from, packet.source), lanes.lane(to, packet.destination)), packet, fate))
 }
 
-fn describe(course: &Course, step: CellMove) -> Option<(Lane, String)> {
+fn describe(run_state: &RunState, step: CellMove) -> Option<(Lane, String)> {
     Some(match step {
         CellMove::Acted(task, level, ok, value) => {
             let at = usize::from(task);
-            let actor = course.floor.bodies[at].actor.as_ref()?;
+            let actor = run_state.cell.bodies[at].actor.as_ref()?;
             let running = actor.runs(level)?;
             let action = actor.program.actions.get(usize::from(running.action)).map_or("?", String::as_str);
-            let number = course.value(at, level, value);
+            let number = run_state.value(at, level, value);
             let text = match (ok, number) {
                 (false, _) => format!("{action} FAILS"),
                 (true, 0) => format!("{action} ends"),
@@ -237,13 +251,13 @@ fn describe(course: &Course, step: CellMove) -> Option<(Lane, String)> {
         }
         CellMove::Choose(task, choice) => (Lane::Task(usize::from(task)), format!("chooses {choice}")),
         CellMove::Crash(number) => {
-            (Lane::Node(super::course::small(course.crash_node(number))), "CRASHES".into())
+            (Lane::Node(super::run_state::small(run_state.crash_node(number))), "CRASHES".into())
         }
         CellMove::Restart(node) => (Lane::Node(node), "restarts".into()),
         CellMove::Pause(_, node) | CellMove::PauseNext(_, node) => (Lane::Node(node), "PAUSES".into()),
         CellMove::PauseBefore(_, node) => (Lane::Node(node), "PAUSES, before its action".into()),
         CellMove::Wake(node) => {
-            let slept = course.floor.slept(usize::from(node)).unwrap_or(0);
+            let slept = run_state.cell.slept(usize::from(node)).unwrap_or(0);
             let ticks = if slept == 1 { "tick" } else { "ticks" };
             (Lane::Node(node), format!("goes on after {slept} {ticks}"))
         }
@@ -266,7 +280,13 @@ fn describe(course: &Course, step: CellMove) -> Option<(Lane, String)> {
 }
 
 /// Draws the scripts that ended with the last move.
-fn ends(course: &Course, turns: &[ScriptTurn], pen: &mut Pen, tick: u32, reader: &Reader) {
+fn ends(
+    run_state: &RunState,
+    turns: &[ScriptReaction],
+    recorder: &mut ChartRecorder,
+    tick: u32,
+    reader: &Reader,
+) {
     for turn in turns {
         let text = match &turn.end {
             None => continue,
@@ -276,7 +296,9 @@ fn ends(course: &Course, turns: &[ScriptTurn], pen: &mut Pen, tick: u32, reader:
             Some(End::Assertion(_)) => "ASSERTION FAILS".into(),
             Some(End::Fault { fault, .. }) => format!("FAULT: {fault}"),
         };
-        explained(pen, reader.of_end(course, turn), None, |pen| pen.event(tick, turn.task, &text));
+        explained(recorder, reader.of_end(run_state, turn), None, |recorder| {
+            recorder.event(tick, turn.task, &text)
+        });
     }
 }
 

@@ -70,7 +70,7 @@ fn wide(text: &str) -> usize {
 fn lane_width(notes: &[&Note]) -> usize {
     let widest = notes.iter().map(|note| match note {
         Note::Event { text, .. } => wide(text) + 24,
-        Note::Packet { label, fate, .. } => wide(label) + wide(fate) + 40,
+        Note::Packet { label, outcome, .. } => wide(label) + wide(outcome) + 40,
         Note::Remark { .. } => 0,
     });
     widest.max().unwrap_or(0).clamp(LANE.0, LANE.1)
@@ -86,10 +86,10 @@ fn draw(out: &mut String, note: &Note, y: usize, x: impl Fn(usize) -> usize) {
         Note::Remark { text, .. } => {
             let _ = writeln!(out, "<text x=\"{}\" y=\"{y}\">{}</text>", x(0) + 8, escaped(text));
         }
-        Note::Packet { from, to, label, fate, .. } => {
+        Note::Packet { from, to, label, outcome, .. } => {
             let (a, b) = (x(*from), x(*to));
             let (dash, colour) =
-                if fate.is_empty() { ("", "#5a8fd0") } else { (" stroke-dasharray=\"4 3\"", "#d0605a") };
+                if outcome.is_empty() { ("", "#5a8fd0") } else { (" stroke-dasharray=\"4 3\"", "#d0605a") };
             let _ = writeln!(
                 out,
                 "<line x1=\"{a}\" y1=\"{y}\" x2=\"{b}\" y2=\"{y}\" stroke=\"{colour}\"{dash}/>"
@@ -101,7 +101,7 @@ fn draw(out: &mut String, note: &Note, y: usize, x: impl Fn(usize) -> usize) {
                 y - 4,
                 y + 4
             );
-            let text = if fate.is_empty() { label.clone() } else { format!("{label} {fate}") };
+            let text = if outcome.is_empty() { label.clone() } else { format!("{label} {outcome}") };
             let _ = writeln!(
                 out,
                 "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">{}</text>",

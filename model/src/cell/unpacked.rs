@@ -1,8 +1,8 @@
 //! Runs a cell without packing: makes moves on the protocol's state machine and judges them.
 
-use super::course::{CellMove, Course};
 use super::judge::{Reached, Shown, judge, nothing_reached};
 use super::plan::{CellFaults, CellPlan};
+use super::run_state::{CellMove, RunState};
 use super::verdict::Phase;
 use crate::state::Violation;
 use std::sync::Arc;
@@ -10,7 +10,7 @@ use std::sync::Arc;
 /// A cell that is never packed, and the statements that its scripts have reached.
 #[derive(Clone)]
 pub(super) struct Unpacked {
-    pub course: Course,
+    pub run_state: RunState,
     pub reached: Reached,
     phase: Phase,
 }
@@ -18,26 +18,26 @@ pub(super) struct Unpacked {
 impl Unpacked {
     /// The start of a cell, with the history of the run.
     pub fn new(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Self {
-        let course = Course::with_history(plan, faults);
-        let reached = nothing_reached(&course);
-        Self { course, reached, phase }
+        let run_state = RunState::with_history(plan, faults);
+        let reached = nothing_reached(&run_state);
+        Self { run_state, reached, phase }
     }
 
     /// The same without history, so that packed states can be loaded.
     pub fn without_history(mut self) -> Self {
-        self.course.floor.forget_history();
+        self.run_state.cell.forget_history();
         self
     }
 
     /// Makes a move. A panic becomes a violation.
     pub fn take(&mut self, step: CellMove) {
-        if !self.course.survives(step) {
-            self.course.floor.violation = Some(Violation::Panic);
+        if !self.run_state.survives(step) {
+            self.run_state.cell.violation = Some(Violation::Panic);
         }
     }
 
     /// The findings of the last move, or of the start. Call it once after each move.
     pub fn shown(&mut self) -> Vec<Shown> {
-        judge(&mut self.course, self.phase, &mut self.reached)
+        judge(&mut self.run_state, self.phase, &mut self.reached)
     }
 }

@@ -1,7 +1,7 @@
 //! The verdicts of a check: findings, warnings and coverage.
 
-use super::course::CellMove;
 use super::plan::Times;
+use super::run_state::CellMove;
 use super::values::Tried;
 use crate::chart::Note;
 use imrs_protocol::script::Address;

@@ -1,33 +1,35 @@
 //! Describes in words what a task does at a point of a path.
 
-use super::course::Course;
 use super::judge::{name, position, statement};
 use super::plan::Conduct;
+use super::run_state::RunState;
 use super::verdict::TaskView;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Activity;
 
 /// The present view of a task.
-pub(super) fn view(course: &Course, task: usize) -> TaskView {
-    let plan = &course.plan;
+pub(super) fn view(run_state: &RunState, task: usize) -> TaskView {
+    let plan = &run_state.plan;
     let outside = !plan.has_task(task);
-    let up = course.is_up(task) || outside;
-    let at = position(course, task);
-    let station = &course.floor.stations[course.floor.station_of(task)];
-    let machine = station.node.task(TaskId::from_index(task)).filter(|_| up);
+    let up = run_state.is_up(task) || outside;
+    let at = position(run_state, task);
+    let node_state = &run_state.cell.nodes[run_state.cell.node_state_of(task)];
+    let machine = node_state.node.task(TaskId::from_index(task)).filter(|_| up);
     let queues = machine.map_or_else(Vec::new, |machine| {
-        let ports = machine.view(&station.table, 0).ports;
+        let ports = machine.view(&node_state.table, 0).ports;
         ports.iter().map(|port| (port.port, port.len)).collect()
     });
-    let actor = course.floor.bodies[task].actor.as_ref();
+    let actor = run_state.cell.bodies[task].actor.as_ref();
     let what = |at| match &plan.tasks[task] {
         Conduct::Program { program, .. } => statement(&plan.table, program, at),
         Conduct::Extern(_) => name(&plan.table, task).into(),
     };
-    let does = match course.activity(task) {
+    let does = match run_state.activity(task) {
         _ if outside => "is not looked at: it is in another part of the cell".into(),
         _ if !up => "is down".into(),
-        _ if course.is_asleep(course.floor.station_of(task)) => format!("is paused: {}", what(at)),
+        _ if run_state.is_asleep(run_state.cell.node_state_of(task)) => {
+            format!("is paused: {}", what(at))
+        }
         None | Some(Activity::NotBegun) => "has not begun".into(),
         Some(Activity::Waits) => format!("waits: {}", what(at)),
         Some(Activity::Acts) => what(at),

@@ -1,53 +1,53 @@
 //! Detects tasks that wait for ever: for each other (deadlock), or for a task that sends nothing any more.
 
-use super::course::Course;
 use super::judge::{Shown, name, position, program, statement};
 use super::missed::{next, reached_from};
+use super::run_state::RunState;
 use super::verdict::Kind;
 use imrs_protocol::script::{Activity, Op, Program, Term};
 use imrs_protocol::{CellTable, Instant, Packet, PortId, TaskId, Usage};
 
 /// Tasks that wait for each other, or else one that is left waiting. `goes_on`: other moves are still possible.
-pub(super) fn for_ever(course: &Course, goes_on: bool) -> Option<Shown> {
-    let closed = closed(course, goes_on);
+pub(super) fn for_ever(run_state: &RunState, goes_on: bool) -> Option<Shown> {
+    let closed = closed(run_state, goes_on);
     // Of most states nobody is left.
     if !closed.contains(&true) {
         return None;
     }
-    ring(course, closed.clone(), goes_on).or_else(|| left(course, closed))
+    ring(run_state, closed.clone(), goes_on).or_else(|| left(run_state, closed))
 }
 
 /// Tasks that wait for each other.
-pub(super) fn deadlock(course: &Course, goes_on: bool) -> Option<Shown> {
-    ring(course, closed(course, goes_on), goes_on)
+pub(super) fn deadlock(run_state: &RunState, goes_on: bool) -> Option<Shown> {
+    ring(run_state, closed(run_state, goes_on), goes_on)
 }
 
 /// The waiting tasks that nobody outside this set can help any more.
-fn closed(course: &Course, goes_on: bool) -> Vec<bool> {
+fn closed(run_state: &RunState, goes_on: bool) -> Vec<bool> {
     let waits = |task: usize| {
-        course.is_up(task) && matches!(course.activity(task), Some(Activity::Waits | Activity::Acts))
+        run_state.is_up(task) && matches!(run_state.activity(task), Some(Activity::Waits | Activity::Acts))
     };
-    let mut closed: Vec<bool> = (0..course.plan.tasks.len())
-        .map(|task| if goes_on { waits_for_good(course, task) } else { waits(task) })
+    let mut closed: Vec<bool> = (0..run_state.plan.tasks.len())
+        .map(|task| if goes_on { waits_for_good(run_state, task) } else { waits(task) })
         .collect();
     if goes_on {
-        keep_closed(course, &mut closed);
+        keep_closed(run_state, &mut closed);
         // This scan of all packets comes second, because in most states no task is left by now.
         closed
             .iter_mut()
             .enumerate()
-            .for_each(|(task, closed)| *closed = *closed && !is_coming(course, task));
-        keep_closed(course, &mut closed);
+            .for_each(|(task, closed)| *closed = *closed && !is_coming(run_state, task));
+        keep_closed(run_state, &mut closed);
     }
     closed
 }
 
 /// The tasks of the set that wait for each other, as a finding.
-fn ring(course: &Course, mut alive: Vec<bool>, goes_on: bool) -> Option<Shown> {
+fn ring(run_state: &RunState, mut alive: Vec<bool>, goes_on: bool) -> Option<Shown> {
     let n = alive.len();
     // A helper of a waiting task is any task that could still send what it waits for.
     let helpers: Vec<Vec<usize>> =
-        (0..n).map(|task| if alive[task] { senders(course, task) } else { Vec::new() }).collect();
+        (0..n).map(|task| if alive[task] { senders(run_state, task) } else { Vec::new() }).collect();
     // A task whose helpers have all ended is at rest. The tasks that remain wait in a cycle.
     loop {
         let at_rest = (0..n).find(|&task| alive[task] && !helpers[task].iter().any(|&helper| alive[helper]));
@@ -55,17 +55,17 @@ fn ring(course: &Course, mut alive: Vec<bool>, goes_on: bool) -> Option<Shown> {
         alive[task] = false;
     }
     let first = alive.iter().position(|&alive| alive)?;
-    let table = &course.plan.table;
+    let table = &run_state.plan.table;
     let ring: Vec<String> = (0..n)
         .filter(|&task| alive[task])
         .map(|task| {
             let whom: Vec<&str> = helpers[task].iter().map(|&helper| name(table, helper)).collect();
-            format!("{} for {}", waits_at(course, task), whom.join(" or "))
+            format!("{} for {}", waits_at(run_state, task), whom.join(" or "))
         })
         .collect();
     Some(Shown {
         task: Some(first),
-        address: Some(position(course, first)),
+        address: Some(position(run_state, first)),
         others: (0..n).filter(|&task| alive[task]).collect(),
         last: !goes_on,
         ..Shown::whole(Kind::Deadlock, &ring.join("; "))
@@ -73,36 +73,36 @@ fn ring(course: &Course, mut alive: Vec<bool>, goes_on: bool) -> Option<Shown> {
 }
 
 /// Whether a task is at a `receive` without a time_out, and no deadline or lease of its communication task ends the wait.
-fn waits_for_good(course: &Course, task: usize) -> bool {
-    let station = &course.floor.stations[course.floor.station_of(task)];
-    matches!(operation(course, task), Some(Op::Get { time_out: None, .. }))
-        && course.is_up(task)
-        && course.activity(task) == Some(Activity::Waits)
-        && station
+fn waits_for_good(run_state: &RunState, task: usize) -> bool {
+    let node_state = &run_state.cell.nodes[run_state.cell.node_state_of(task)];
+    matches!(operation(run_state, task), Some(Op::Get { time_out: None, .. }))
+        && run_state.is_up(task)
+        && run_state.activity(task) == Some(Activity::Waits)
+        && node_state
             .node
             .task(TaskId::from_index(task))
             .is_some_and(|machine| machine.next_deadline() == Instant::NEVER && machine.epoch().is_none())
 }
 
 /// Whether a packet for a task is in flight, or a timer of it runs.
-fn is_coming(course: &Course, task: usize) -> bool {
+fn is_coming(run_state: &RunState, task: usize) -> bool {
     let id = TaskId::from_index(task);
     let for_it = |packet: &Packet| packet.destination == id;
-    course.floor.crossings.iter().any(|crossing| for_it(&crossing.packet))
-        || course.floor.stations.iter().filter(|station| station.up).any(|station| {
-            let parts = station.node.parts();
+    run_state.cell.in_flight.iter().any(|carried| for_it(&carried.packet))
+        || run_state.cell.nodes.iter().filter(|node_state| node_state.up).any(|node_state| {
+            let parts = node_state.node.parts();
             parts.transit.waiting().iter().any(for_it)
                 || parts.timer.entries().iter().any(|(owner, ..)| *owner == id)
         })
 }
 
 /// Removes tasks from the set until nobody outside it can help any of its members.
-fn keep_closed(course: &Course, closed: &mut [bool]) {
+fn keep_closed(run_state: &RunState, closed: &mut [bool]) {
     let has_ended =
-        |task: usize| course.is_up(task) && matches!(course.activity(task), Some(Activity::Ended(_)));
+        |task: usize| run_state.is_up(task) && matches!(run_state.activity(task), Some(Activity::Ended(_)));
     loop {
         let helped = (0..closed.len()).find(|&task| {
-            closed[task] && heard_by(course, task).any(|helper| !closed[helper] && !has_ended(helper))
+            closed[task] && heard_by(run_state, task).any(|helper| !closed[helper] && !has_ended(helper))
         });
         let Some(task) = helped else { return };
         closed[task] = false;
@@ -110,17 +110,17 @@ fn keep_closed(course: &Course, closed: &mut [bool]) {
 }
 
 /// The tasks that can send anything to a task, for its body or for a handler.
-fn heard_by(course: &Course, task: usize) -> impl Iterator<Item = usize> {
-    let (table, id) = (&course.plan.table, TaskId::from_index(task));
+fn heard_by(run_state: &RunState, task: usize) -> impl Iterator<Item = usize> {
+    let (table, id) = (&run_state.plan.table, TaskId::from_index(task));
     let ports = receives(table, id).into_iter().filter_map(move |port| table.port(port));
     ports.flat_map(move |port| port.peers(id)).map(TaskId::index)
 }
 
 /// The tasks that could send what this task waits for, in a GET or for its lease.
-fn senders(course: &Course, task: usize) -> Vec<usize> {
-    let table = &course.plan.table;
+fn senders(run_state: &RunState, task: usize) -> Vec<usize> {
+    let table = &run_state.plan.table;
     let at = TaskId::from_index(task);
-    let (ports, from): (Vec<PortId>, Option<TaskId>) = match operation(course, task) {
+    let (ports, from): (Vec<PortId>, Option<TaskId>) = match operation(run_state, task) {
         Some(Op::Get { port: Some(port), source, .. }) => (vec![*port], *source),
         Some(Op::Get { port: None, source, .. }) => (receives(table, at), *source),
         // The standby's heartbeats grant the lease.
@@ -150,26 +150,26 @@ fn receives(table: &CellTable, task: TaskId) -> Vec<PortId> {
 ///
 /// A server at the head of its endless loop is at rest: it has done all that it was asked for. So is a primary whose standby has
 /// taken over and ended.
-fn left(course: &Course, mut closed: Vec<bool>) -> Option<Shown> {
-    keep_closed(course, &mut closed);
+fn left(run_state: &RunState, mut closed: Vec<bool>) -> Option<Shown> {
+    keep_closed(run_state, &mut closed);
     let is_left = |&task: &usize| {
-        let at = usize::from(position(course, task));
+        let at = usize::from(position(run_state, task));
         closed[task]
-            && course.activity(task) == Some(Activity::Waits)
-            && !course.plan.outside.contains(&task)
-            && program(course, task).is_some_and(|program| !is_served_at(program, at))
-            && !is_relieved(course, task)
+            && run_state.activity(task) == Some(Activity::Waits)
+            && !run_state.plan.outside.contains(&task)
+            && program(run_state, task).is_some_and(|program| !is_served_at(program, at))
+            && !is_relieved(run_state, task)
     };
     let left: Vec<usize> = (0..closed.len()).filter(is_left).collect();
     let &task = left.first()?;
-    let (at, table) = (position(course, task), &course.plan.table);
-    let helpers = senders(course, task);
+    let (at, table) = (position(run_state, task), &run_state.plan.table);
+    let helpers = senders(run_state, task);
     let state = |&helper: &usize| {
-        let ended = matches!(course.activity(helper), Some(Activity::Ended(_)));
+        let ended = matches!(run_state.activity(helper), Some(Activity::Ended(_)));
         format!("{} {}", name(table, helper), if ended { "has ended" } else { "sends nothing any more" })
     };
     let why: Vec<String> = helpers.iter().map(state).collect();
-    let cause = format!("{} for ever: {}", waits_at(course, task), why.join(", "));
+    let cause = format!("{} for ever: {}", waits_at(run_state, task), why.join(", "));
     let mut others: Vec<usize> = left[1..].iter().chain(&helpers).copied().collect();
     others.sort_unstable();
     others.dedup();
@@ -178,16 +178,17 @@ fn left(course: &Course, mut closed: Vec<bool>) -> Option<Shown> {
 }
 
 /// Whether a task waits for its lease while its standby has taken over and ended.
-fn is_relieved(course: &Course, task: usize) -> bool {
-    matches!(operation(course, task), Some(Op::Lease))
-        && senders(course, task).into_iter().any(|standby| {
-            matches!(course.activity(standby), Some(Activity::Ended(_))) && has_taken_over(course, standby)
+fn is_relieved(run_state: &RunState, task: usize) -> bool {
+    matches!(operation(run_state, task), Some(Op::Lease))
+        && senders(run_state, task).into_iter().any(|standby| {
+            matches!(run_state.activity(standby), Some(Activity::Ended(_)))
+                && has_taken_over(run_state, standby)
         })
 }
 
 /// Whether a task that has ended must have taken over first: its body has no end.
-fn has_taken_over(course: &Course, task: usize) -> bool {
-    program(course, task).is_some_and(|Program { code, takeover, .. }| {
+fn has_taken_over(run_state: &RunState, task: usize) -> bool {
+    program(run_state, task).is_some_and(|Program { code, takeover, .. }| {
         let body = reached_from(code, [0], |at| next(&code[at], at));
         let has_end = (0..code.len()).any(|at| body[at] && matches!(code[at], Op::End | Op::Abort(_)));
         takeover.is_some() && !has_end
@@ -224,14 +225,14 @@ const fn waits(op: &Op) -> bool {
 }
 
 /// The operation that a task's own thread stands at.
-fn operation(course: &Course, task: usize) -> Option<&Op> {
-    program(course, task)?.code.get(usize::from(position(course, task)))
+fn operation(run_state: &RunState, task: usize) -> Option<&Op> {
+    program(run_state, task)?.code.get(usize::from(position(run_state, task)))
 }
 
 /// `arm waits at receive `part``.
-fn waits_at(course: &Course, task: usize) -> String {
-    let table = &course.plan.table;
-    let what = program(course, task)
-        .map_or_else(String::new, |program| statement(table, program, position(course, task)));
+fn waits_at(run_state: &RunState, task: usize) -> String {
+    let table = &run_state.plan.table;
+    let what = program(run_state, task)
+        .map_or_else(String::new, |program| statement(table, program, position(run_state, task)));
     format!("{} waits at {what}", name(table, task))
 }

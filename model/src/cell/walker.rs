@@ -1,9 +1,9 @@
 //! Expands kept states: makes each of their moves, and goes on as long as only one move is possible.
 
-use super::course::{CellMove, Course};
 use super::judge::{Reached, Shown, judge, nothing_reached};
+use super::run_state::{CellMove, RunState};
 use super::seen::{Mark, Seen};
-use super::standstill::{Ways, is_outside};
+use super::standstill::{StateGraph, is_outside};
 use super::verdict::{Kind, Phase};
 use super::waiting::for_ever;
 use crate::state::Violation;
@@ -38,7 +38,7 @@ pub(super) struct Stop {
 
 /// A walk so far.
 #[derive(Clone, Copy)]
-struct Way {
+struct WalkPath {
     from: u32,
     takes_fault: bool,
     /// Whether a move of it was progress.
@@ -61,7 +61,7 @@ pub(super) struct Walks {
     pub stops: Vec<Stop>,
     pub hits: Vec<Hit>,
     pub moves: u64,
-    pub ways: Ways,
+    pub graph: StateGraph,
     /// Whether some state had no packed form. The search does not go on from such a state.
     pub outgrown: bool,
 }
@@ -69,21 +69,21 @@ pub(super) struct Walks {
 /// Walks from kept states to the next choice.
 pub(super) struct Walker {
     phase: Phase,
-    course: Course,
+    run_state: RunState,
     pub reached: Reached,
     walks: Walks,
     all: Vec<CellMove>,
 }
 
 impl Walker {
-    pub fn new(phase: Phase, course: Course) -> Self {
-        let reached = nothing_reached(&course);
-        Self { phase, course, reached, walks: Walks::default(), all: Vec::new() }
+    pub fn new(phase: Phase, run_state: RunState) -> Self {
+        let reached = nothing_reached(&run_state);
+        Self { phase, run_state, reached, walks: Walks::default(), all: Vec::new() }
     }
 
     /// For each check, whether its left side ever held.
     pub fn mattered(&self) -> &[bool] {
-        &self.course.mattered
+        &self.run_state.mattered
     }
 
     /// The results since the last call.
@@ -98,17 +98,17 @@ impl Walker {
 
     /// Expands a kept state: walks by each of its moves.
     pub fn expand(&mut self, at: u32, before: u16, state: &[u8], seen: &Seen) {
-        self.course.load(state);
+        self.run_state.load(state);
         let mut all = std::mem::take(&mut self.all);
         all.clear();
-        self.course.moves(&mut all);
+        self.run_state.moves(&mut all);
         let mut moves: Vec<(u16, CellMove)> = (0_u16..).zip(all.iter().copied()).collect();
         self.all = all;
         let depth = before.saturating_add(u16::from(moves.len() > 1));
         let mut fresh = !self.leave_out(state, &mut moves);
         for (choice, step) in moves {
             if !std::mem::take(&mut fresh) {
-                self.course.load(state);
+                self.run_state.load(state);
             }
             self.walk(Origin { parent: at, choice, depth, steps: 0 }, Some(step), seen);
         }
@@ -117,21 +117,21 @@ impl Walker {
     /// Drops the moves that lose a packet whose arrival changes nothing: the arrival leads to the same state, with more faults
     /// left. A cut may as well begin with the next packet, or end before this one. But an arrival ends postponements of actions
     /// and packets, and its node may crash right after it; a loss does neither. In these cases the move that ends a cut stays.
-    /// Returns whether the course was changed.
+    /// Returns whether the run state was changed.
     fn leave_out(&mut self, state: &[u8], moves: &mut Vec<(u16, CellMove)>) -> bool {
-        if self.course.plan.everything {
+        if self.run_state.plan.everything {
             return false;
         }
-        let beside = &self.course.beside;
+        let beside = &self.run_state.beside;
         let waits = !beside.stays.is_empty() || beside.slow != 0 || !beside.crashed.is_empty();
         let mut taken: Vec<u8> = moves.iter().filter_map(|&(_, step)| takes_away(step)).collect();
         taken.dedup();
         for &i in &taken {
             let comes = |&&(_, step): &&(u16, CellMove)| matches!(step, CellMove::Deliver(at) | CellMove::Mend(at, _) if at == i);
             let Some(&(_, arrives)) = moves.iter().find(comes) else { continue };
-            let course = &mut self.course;
-            let with = catch_unwind(AssertUnwindSafe(|| course.after(state, arrives)));
-            let without = course.without(state, i);
+            let run_state = &mut self.run_state;
+            let with = catch_unwind(AssertUnwindSafe(|| run_state.after(state, arrives)));
+            let without = run_state.without(state, i);
             if !matches!(with, Ok(Some(with)) if with == without) {
                 continue;
             }
@@ -149,24 +149,25 @@ impl Walker {
     fn walk(&mut self, mut origin: Origin, first: Option<CellMove>, seen: &Seen) {
         let mut step = first;
         let mut moves = Vec::new();
-        let mut way = Way { from: origin.parent, takes_fault: origin.parent == u32::MAX, further: false };
+        let mut path =
+            WalkPath { from: origin.parent, takes_fault: origin.parent == u32::MAX, further: false };
         loop {
             origin.steps += u16::from(step.is_some());
             if let Some(step) = step {
-                way.takes_fault |= is_outside(step);
-                way.further |= self.apply(step);
+                path.takes_fault |= is_outside(step);
+                path.further |= self.apply(step);
             }
             if self.look(origin) {
-                self.lead(way, None);
+                self.lead(path, None);
                 return;
             }
             moves.clear();
-            self.course.moves(&mut moves);
+            self.run_state.moves(&mut moves);
             if !moves.iter().any(|step| !matches!(step, CellMove::Crash(_) | CellMove::Restart(_))) {
-                if let Some(shown) = for_ever(&self.course, false) {
+                if let Some(shown) = for_ever(&self.run_state, false) {
                     self.note(shown, origin);
                 }
-                self.lead(way, None);
+                self.lead(path, None);
                 if moves.is_empty() {
                     return;
                 }
@@ -177,12 +178,12 @@ impl Walker {
             }
             match self.is_known(&moves, seen) {
                 Known::Covered(mark) => {
-                    self.lead(way, Some(mark));
+                    self.lead(path, Some(mark));
                     return;
                 }
                 Known::Post(mark, state) => {
                     self.note_ring(origin);
-                    self.lead(way, Some(mark));
+                    self.lead(path, Some(mark));
                     self.walks.stops.push(Stop { origin, mark, state });
                     return;
                 }
@@ -190,10 +191,10 @@ impl Walker {
             }
         }
         self.note_ring(origin);
-        match self.course.store() {
+        match self.run_state.store() {
             Ok(state) => {
-                let mark = Mark::of(self.course.split(&state));
-                self.lead(way, Some(mark));
+                let mark = Mark::of(self.run_state.split(&state));
+                self.lead(path, Some(mark));
                 if !seen.covers(mark) {
                     self.walks.stops.push(Stop { origin, mark, state });
                 }
@@ -208,26 +209,26 @@ impl Walker {
 
     /// Notes a deadlock or an endless wait of some tasks while others go on.
     fn note_ring(&mut self, origin: Origin) {
-        if let Some(shown) = for_ever(&self.course, true) {
+        if let Some(shown) = for_ever(&self.run_state, true) {
             self.note(shown, origin);
         }
     }
 
     /// Notes for the livelock analysis where a walk leads. A walk with a fault does not count.
-    fn lead(&mut self, way: Way, to: Option<Mark>) {
-        if !way.takes_fault {
-            self.walks.ways.note(way.from, to.filter(|_| !way.further).map(Mark::core));
+    fn lead(&mut self, path: WalkPath, to: Option<Mark>) {
+        if !path.takes_fault {
+            self.walks.graph.note(path.from, to.filter(|_| !path.further).map(Mark::core));
         }
     }
 
     /// Makes a move; returns whether it was progress.
     fn apply(&mut self, step: CellMove) -> bool {
         self.walks.moves += 1;
-        self.course.progresses(step).unwrap_or_else(|| {
-            let mattered = std::mem::take(&mut self.course.mattered);
-            self.course = Course::new(&Arc::clone(&self.course.plan), &self.course.faults.clone());
-            self.course.mattered = mattered;
-            self.course.floor.violation = Some(Violation::Panic);
+        self.run_state.progresses(step).unwrap_or_else(|| {
+            let mattered = std::mem::take(&mut self.run_state.mattered);
+            self.run_state = RunState::new(&Arc::clone(&self.run_state.plan), &self.run_state.faults.clone());
+            self.run_state.mattered = mattered;
+            self.run_state.cell.violation = Some(Violation::Panic);
             true
         })
     }
@@ -238,8 +239,8 @@ impl Walker {
         if !matches!(moves, [CellMove::Deliver(_) | CellMove::Vanish(_)]) {
             return Known::No;
         }
-        let Ok(state) = self.course.store() else { return Known::No };
-        let mark = Mark::of(self.course.split(&state));
+        let Ok(state) = self.run_state.store() else { return Known::No };
+        let mark = Mark::of(self.run_state.split(&state));
         if seen.covers(mark) {
             Known::Covered(mark)
         } else if mark.is_post() {
@@ -251,7 +252,7 @@ impl Walker {
 
     /// Judges the last move; returns whether the search stops here.
     fn look(&mut self, origin: Origin) -> bool {
-        let shown = judge(&mut self.course, self.phase, &mut self.reached);
+        let shown = judge(&mut self.run_state, self.phase, &mut self.reached);
         let last = shown.iter().any(|shown| shown.last);
         shown.into_iter().for_each(|shown| self.note(shown, origin));
         last

@@ -1,6 +1,6 @@
 //! Draws a chart as text: lanes on the left, words on the right, at most 78 columns wide.
 
-use super::{Note, fate_words};
+use super::{Note, outcome_words};
 
 /// The widest line. The command indents charts by two columns, which still fits the narrowest terminals.
 const COLUMNS: usize = 78;
@@ -138,10 +138,10 @@ impl<'a> Sheet<'a> {
         };
         match note {
             Note::Event { lane, .. } => put(lane * self.lane, '*'),
-            Note::Packet { from, to, fate, .. } => {
+            Note::Packet { from, to, outcome, .. } => {
                 let (left, right) = (from.min(to) * self.lane, from.max(to) * self.lane);
                 (left + 1..right).for_each(|at| put(at, '-'));
-                let tip = match fate.as_str() {
+                let tip = match outcome.as_str() {
                     "LOST" | "CUT OFF" => 'x',
                     _ if from < to => '>',
                     _ => '<',
@@ -160,9 +160,9 @@ impl<'a> Sheet<'a> {
         let name = |lane: usize| self.names.get(lane).map_or("?", String::as_str);
         match note {
             Note::Event { lane, text, .. } => format!("{}: {text}", name(*lane)),
-            Note::Packet { from, to, label, fate, .. } => {
-                let fate = if fate.is_empty() { "" } else { fate_words(fate) };
-                let text = format!("{} -> {}: {label} {fate}", name(*from), name(*to));
+            Note::Packet { from, to, label, outcome, .. } => {
+                let outcome = if outcome.is_empty() { "" } else { outcome_words(outcome) };
+                let text = format!("{} -> {}: {label} {outcome}", name(*from), name(*to));
                 text.trim_end().to_owned()
             }
             Note::Remark { text, .. } => text.clone(),
@@ -236,8 +236,8 @@ fn is_same(one: &Note, other: &Note, later: u32) -> bool {
                 a == b && text(x, y)
             }
             (
-                Note::Packet { from: a, to: b, label: x, fate: f, .. },
-                Note::Packet { from: c, to: d, label: y, fate: g, .. },
+                Note::Packet { from: a, to: b, label: x, outcome: f, .. },
+                Note::Packet { from: c, to: d, label: y, outcome: g, .. },
             ) => (a, b, f) == (c, d, g) && text(x, y),
             (Note::Remark { text: x, .. }, Note::Remark { text: y, .. }) => x == y,
             (Note::Event { .. } | Note::Packet { .. } | Note::Remark { .. }, _) => false,
@@ -267,7 +267,7 @@ mod tests {
         let label = format!("QUERY beat #{number}");
         let text = format!("takes beat #{number} of armL");
         [
-            Note::Packet { tick, from: 0, to: 1, label, fate: String::new(), line: None },
+            Note::Packet { tick, from: 0, to: 1, label, outcome: String::new(), line: None },
             Note::Event { tick, lane: 1, text, line: None },
         ]
     }
@@ -279,7 +279,7 @@ mod tests {
             from: 1,
             to: 0,
             label: "SEND halt #1".into(),
-            fate: "LOST".into(),
+            outcome: "LOST".into(),
             line: None,
         };
         let notes = [&beat(0, 3)[..], &[lost]].concat();
@@ -347,7 +347,7 @@ mod tests {
                     from: tasks - 1,
                     to: 0,
                     label: long.into(),
-                    fate: "CUT OFF".into(),
+                    outcome: "CUT OFF".into(),
                     line: None,
                 },
             ];

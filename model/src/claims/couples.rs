@@ -1,9 +1,9 @@
 //! Claims about work-coupled tasks: at most one acts, and no order of an older epoch runs (R8; D30, D61, D78, D80).
 
-use super::floors::{Plan, bounds, settle_plan};
+use super::cell_states::{Plan, bounds, settle_plan};
 use super::{Claim, Settled, Variant, Work};
-use crate::floor::plan::{Faults, FloorWatch, Goal};
-use crate::floor::worlds::{Couple, Orders};
+use crate::cell_state::plan::{CellProperty, Faults, Goal};
+use crate::cell_state::worlds::{Couple, Orders};
 use crate::report::{Found, Outcome};
 use imrs_protocol::Ticks;
 use imrs_protocol::margin::takeover_margin;
@@ -21,7 +21,7 @@ const COUPLE: Couple = Couple {
     rule: LeaseRule::Echoed,
     epoch: 0,
     faults: Faults { loss: u8::MAX, dup: 0, crash: 0, drift: 0, late: 0, over: 0 },
-    watch: FloorWatch::OneActive,
+    watch: CellProperty::OneActive,
 };
 
 pub(super) fn claims() -> Vec<Claim> {
@@ -165,7 +165,7 @@ fn margin(work: &mut Work<'_>, couple: &Couple) -> Settled {
     let Some((takeover, settled)) = held else {
         return one_less.map_or_else(|| settle_plan(work, couple.plan()), |(settled, _)| settled);
     };
-    let reach = Couple { takeover, watch: FloorWatch::Reach(Goal::TookOver), ..couple.clone() };
+    let reach = Couple { takeover, watch: CellProperty::Reach(Goal::TookOver), ..couple.clone() };
     let reached = settle_plan(work, reach.plan()).outcome == Outcome::Fails;
     let (least, closed) = (takeover.saturating_sub(couple.lease), closed_form(couple));
     let found = Found {
@@ -213,9 +213,9 @@ fn heartbeat() -> Claim {
 const ORDER: (u64, u64) = (4, 1);
 
 /// Orders of both tasks to one arm. The take-over exceeds the lease by `margin` ticks.
-fn ordered(margin: u64, heed: bool, watch: FloorWatch) -> Orders {
+fn ordered(margin: u64, heed: bool, watch: CellProperty) -> Orders {
     let couple = Couple { takeover: COUPLE.lease + margin, every: 3, watch, ..COUPLE };
-    Orders { couple, way: ORDER.1, life: ORDER.0, orders: 1, heed }
+    Orders { couple, delay: ORDER.1, ttl: ORDER.0, orders: 1, heed }
 }
 
 /// Claims about which orders an actuator executes.
@@ -229,9 +229,9 @@ fn orders() -> Vec<Claim> {
         expect,
         smoke: true,
         settle: Box::new(move |work: &mut Work<'_>| {
-            let reach = ordered(margin, heed, FloorWatch::Reach(Goal::TookOver));
+            let reach = ordered(margin, heed, CellProperty::Reach(Goal::TookOver));
             let reached = settle_plan(work, reach.plan()).outcome == Outcome::Fails;
-            let settled = settle_plan(work, ordered(margin, heed, FloorWatch::FencedOrders).plan());
+            let settled = settle_plan(work, ordered(margin, heed, CellProperty::FencedOrders).plan());
             Settled { sound: settled.sound && reached, ..settled }
         }),
     };
@@ -245,7 +245,7 @@ fn orders() -> Vec<Claim> {
         smoke: true,
         settle: Box::new(|work| {
             equal_states(work, |epoch| {
-                let orders = ordered(1, true, FloorWatch::FencedOrders);
+                let orders = ordered(1, true, CellProperty::FencedOrders);
                 Orders { couple: Couple { epoch, ..orders.couple }, ..orders }.plan()
             })
         }),

@@ -17,7 +17,7 @@ const fn margin(least: u64, closed: u64) -> Found {
 }
 
 /// The least TTL with which a message is served, and the closed form K (D59).
-const fn life(least: u64, closed: u64) -> Found {
+const fn ttl(least: u64, closed: u64) -> Found {
     Found { least_bound_ticks: Some(least), bound_ticks: Some(closed), ..Found::NOTHING }
 }
 
@@ -61,13 +61,13 @@ const PINNED: [(Row, Found); 50] = [
     ((ALL_OR_NONE, "default, largest bounds", 2, 3), margin(4, 11)),
     ((ALL_OR_NONE, "default, two time_outs", 3, 0), margin(1, 2)),
     ((ALL_OR_NONE, "default, two time_outs", 3, 1), margin(3, 5)),
-    ((FAIR, "default, served by GETs", 3, 0), life(6, 7)),
-    ((FAIR, "default, served by GETs, two floods", 4, 0), life(6, 8)),
-    ((FAIR, "default, served by a handler", 3, 0), life(4, 9)),
-    ((FAIR, "default, served by GETs, one ahead", 4, 0), life(11, 13)),
-    ((FAIR, "default, served by GETs, two ahead", 5, 0), life(16, 19)),
-    ((FAIR, "default, served by a handler, one ahead", 4, 0), life(8, 11)),
-    ((FAIR, "default, served by a handler, a rival", 3, 0), life(3, 11)),
+    ((FAIR, "default, served by GETs", 3, 0), ttl(6, 7)),
+    ((FAIR, "default, served by GETs, two floods", 4, 0), ttl(6, 8)),
+    ((FAIR, "default, served by a handler", 3, 0), ttl(4, 9)),
+    ((FAIR, "default, served by GETs, one ahead", 4, 0), ttl(11, 13)),
+    ((FAIR, "default, served by GETs, two ahead", 5, 0), ttl(16, 19)),
+    ((FAIR, "default, served by a handler, one ahead", 4, 0), ttl(8, 11)),
+    ((FAIR, "default, served by a handler, a rival", 3, 0), ttl(3, 11)),
     ((AGAIN, "default", 2, 1), attempts(2)),
     ((AGAIN, "default", 3, 0), attempts(1)),
     ((ACTIVE, "default", 2, ANY), margin(0, 1)),

@@ -1,10 +1,10 @@
 //! Claims about the order of service: interruption by rank (§4.2, D15, D16), the time penalty and aging (§5.1.1, D58,
 //! D59).
 
-use super::floors::{Part, claim, holds, reaches, settle};
+use super::cell_states::{Part, claim, holds, reaches, settle};
 use super::{Claim, Settled, Variant, Work};
-use crate::floor::plan::{Faults, FloorWatch, Goal};
-use crate::floor::worlds::{Flood, Interrupted, Workshop, penalised, query_all, refused};
+use crate::cell_state::plan::{CellProperty, Faults, Goal};
+use crate::cell_state::worlds::{Flood, Interrupted, Workshop, penalised, query_all, refused};
 use crate::report::{Found, Outcome};
 use imrs_protocol::rules::{Aging, Rules};
 
@@ -25,7 +25,7 @@ const INTERRUPTED: Interrupted = Interrupted {
     watches: Vec::new(),
 };
 
-fn interrupted(plan: &Interrupted, watches: &[FloorWatch]) -> Part {
+fn interrupted(plan: &Interrupted, watches: &[CellProperty]) -> Part {
     let plan = Interrupted { watches: watches.to_vec(), ..plan.clone() };
     holds(move || plan.plan())
 }
@@ -34,8 +34,8 @@ fn query_order() -> Vec<Claim> {
     let name = "query-order";
     let about =
         "a handler runs only when it outranks; the interrupted thread resumes and is told its answer once";
-    let watches = [FloorWatch::Order, FloorWatch::Waits { slack: 0 }];
-    let nested = || Interrupted { watches: vec![FloorWatch::Reach(Goal::Nested)], ..INTERRUPTED }.plan();
+    let watches = [CellProperty::Order, CellProperty::Waits { slack: 0 }];
+    let nested = || Interrupted { watches: vec![CellProperty::Reach(Goal::Nested)], ..INTERRUPTED }.plan();
     let large = Interrupted {
         relay: true,
         time_out: 8,
@@ -63,9 +63,9 @@ fn query_order() -> Vec<Claim> {
 fn query_sets() -> Vec<Claim> {
     let about = "a query to all ends once, with a mark for each that was asked, whatever is lost (D12)";
     let faults = Faults { loss: 1, ..Faults::default() };
-    let waits = move || query_all(faults, vec![FloorWatch::Waits { slack: 0 }]);
-    let once = move || query_all(faults, vec![FloorWatch::AtMostOnce]);
-    let all = move || query_all(faults, vec![FloorWatch::Reach(Goal::AllAnswered)]);
+    let waits = move || query_all(faults, vec![CellProperty::Waits { slack: 0 }]);
+    let once = move || query_all(faults, vec![CellProperty::AtMostOnce]);
+    let all = move || query_all(faults, vec![CellProperty::Reach(Goal::AllAnswered)]);
     vec![
         claim(
             ("class-2-resolves", "default, query to all", about),
@@ -86,7 +86,7 @@ const FLOOD: Flood = Flood {
     flooded: 1,
     room: 1,
     urgent: 2,
-    life: 20,
+    ttl: 20,
     buffer: 1,
     every: 20,
     service: 1,
@@ -95,7 +95,7 @@ const FLOOD: Flood = Flood {
 };
 
 const WORKSHOP: Workshop = Workshop {
-    life: 20,
+    ttl: 20,
     every: 20,
     buffer: 1,
     rivals: 0,
@@ -162,53 +162,53 @@ fn penalty_is_fair() -> Vec<Claim> {
             true,
             vec![workshop(Workshop { rules: rules(Aging::Unbounded), ..WORKSHOP })],
         ),
-        served_claim("default, served by GETs", true, |life| Flood {
-            life: life.into(),
-            every: life,
+        served_claim("default, served by GETs", true, |ttl| Flood {
+            ttl: ttl.into(),
+            every: ttl,
             served: true,
             ..FLOOD
         }),
-        served_claim("default, served by GETs, two floods", false, |life| Flood {
+        served_claim("default, served by GETs, two floods", false, |ttl| Flood {
             flooded: 2,
-            life: life.into(),
-            every: life,
+            ttl: ttl.into(),
+            every: ttl,
             served: true,
             ..FLOOD
         }),
-        served_claim("default, served by a handler", true, |life| Workshop {
-            life: life.into(),
-            every: life,
+        served_claim("default, served by a handler", true, |ttl| Workshop {
+            ttl: ttl.into(),
+            every: ttl,
             served: true,
             ..WORKSHOP
         }),
-        served_claim("default, served by GETs, one ahead", true, |life| Flood {
+        served_claim("default, served by GETs, one ahead", true, |ttl| Flood {
             room: 2,
             buffer: 2,
-            life: life.into(),
-            every: life,
+            ttl: ttl.into(),
+            every: ttl,
             served: true,
             ..FLOOD
         }),
-        served_claim("default, served by GETs, two ahead", false, |life| Flood {
+        served_claim("default, served by GETs, two ahead", false, |ttl| Flood {
             room: 3,
             buffer: 3,
-            life: life.into(),
-            every: life,
+            ttl: ttl.into(),
+            every: ttl,
             served: true,
             ..FLOOD
         }),
-        served_claim("default, served by a handler, one ahead", true, |life| Workshop {
+        served_claim("default, served by a handler, one ahead", true, |ttl| Workshop {
             buffer: 2,
-            life: life.into(),
-            every: life,
+            ttl: ttl.into(),
+            every: ttl,
             served: true,
             ..WORKSHOP
         }),
-        served_claim("default, served by a handler, a rival", false, |life| Workshop {
+        served_claim("default, served by a handler, a rival", false, |ttl| Workshop {
             rivals: 1,
             urgent: false,
-            life: life.into(),
-            every: life,
+            ttl: ttl.into(),
+            every: ttl,
             served: true,
             ..WORKSHOP
         }),
@@ -216,13 +216,13 @@ fn penalty_is_fair() -> Vec<Claim> {
 }
 
 /// A plan whose watched message has a given TTL, and the TTL that is surely long enough.
-trait Lives: Clone + Send + Sync + 'static {
+trait TtlPlan: Clone + Send + Sync + 'static {
     fn part(&self) -> Part;
     fn closed_form(&self) -> u64;
     fn tasks(&self) -> usize;
 }
 
-impl Lives for Flood {
+impl TtlPlan for Flood {
     fn part(&self) -> Part {
         flood(*self)
     }
@@ -234,7 +234,7 @@ impl Lives for Flood {
     }
 }
 
-impl Lives for Workshop {
+impl TtlPlan for Workshop {
     fn part(&self) -> Part {
         workshop(*self)
     }
@@ -248,7 +248,7 @@ impl Lives for Workshop {
 
 /// The claim that a message whose TTL is K is served. The least such TTL is searched for; one tick less is the
 /// variant that must fail (D59).
-fn served_claim<L: Lives>(
+fn served_claim<L: TtlPlan>(
     rule: &'static str,
     smoke: bool,
     with: impl Fn(u8) -> L + Send + Sync + 'static,
@@ -260,11 +260,11 @@ fn served_claim<L: Lives>(
         about: "a message that lives K ticks is served: K from the declaration, the least life found beside it (D59)",
         expect: Outcome::Holds,
         smoke,
-        settle: Box::new(move |work| least_life(work, &with)),
+        settle: Box::new(move |work| least_ttl(work, &with)),
     }
 }
 
-fn least_life<L: Lives>(work: &mut Work<'_>, with: &impl Fn(u8) -> L) -> Settled {
+fn least_ttl<L: TtlPlan>(work: &mut Work<'_>, with: &impl Fn(u8) -> L) -> Settled {
     let closed = u8::try_from(with(1).closed_form()).unwrap_or(u8::MAX);
     let mut settled = settle(work, &[with(closed).part()]);
     // Down from the closed form: the last TTL that holds is the least one, and the one below it shows why.
@@ -320,11 +320,11 @@ fn literal_penalty() -> Vec<Claim> {
             Outcome::Holds,
             true,
             vec![
-                reaches(|| refused(PENALTY, Aging::Off, FloorWatch::Reach(Goal::Left))),
-                holds(|| refused(PENALTY, Aging::Off, FloorWatch::TimeToLive)),
-                holds(|| refused(PENALTY, Aging::Off, FloorWatch::Expires)),
-                holds(|| refused(PENALTY, Aging::Bounded, FloorWatch::TimeToLive)),
-                holds(|| refused(PENALTY, Aging::Bounded, FloorWatch::Expires)),
+                reaches(|| refused(PENALTY, Aging::Off, CellProperty::Reach(Goal::Left))),
+                holds(|| refused(PENALTY, Aging::Off, CellProperty::TimeToLive)),
+                holds(|| refused(PENALTY, Aging::Off, CellProperty::Expires)),
+                holds(|| refused(PENALTY, Aging::Bounded, CellProperty::TimeToLive)),
+                holds(|| refused(PENALTY, Aging::Bounded, CellProperty::Expires)),
             ],
         ),
         claim(
@@ -335,7 +335,7 @@ fn literal_penalty() -> Vec<Claim> {
             ),
             Outcome::Fails,
             true,
-            vec![holds(|| refused(LITERAL, Aging::Bounded, FloorWatch::TimeToLive))],
+            vec![holds(|| refused(LITERAL, Aging::Bounded, CellProperty::TimeToLive))],
         ),
         never_expires(),
     ]
@@ -350,9 +350,9 @@ const LITERAL: (u64, bool) = (PENALTY.0, true);
 fn never_expires() -> Claim {
     let about = "what a refusal adds is as long as the wait for the next offer: refused again and again, a message never expires (D4)";
     let row = ("no-stale-delivery", "literal time_penalty, for ever", about);
-    let explored = || holds(|| refused(LITERAL, Aging::Bounded, FloorWatch::Expires));
-    let never = || holds(|| refused(LITERAL, Aging::Bounded, FloorWatch::Reach(Goal::Left)));
-    let without = || holds(|| refused((0, true), Aging::Bounded, FloorWatch::Expires));
+    let explored = || holds(|| refused(LITERAL, Aging::Bounded, CellProperty::Expires));
+    let never = || holds(|| refused(LITERAL, Aging::Bounded, CellProperty::Reach(Goal::Left)));
+    let without = || holds(|| refused((0, true), Aging::Bounded, CellProperty::Expires));
     Claim {
         settle: Box::new(move |work| {
             let settled = settle(work, &[explored()]);

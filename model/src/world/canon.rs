@@ -1,10 +1,10 @@
 //! Packs worlds into their canonical bytes and unpacks them (D51).
 
-use super::{Place, World};
-use crate::floor::canon::Least;
-use crate::ghost::{self, Ghost};
-use crate::network::{Codec, Flight};
+use super::{NodeState, World};
+use crate::cell_state::canon::Least;
+use crate::network::{Codec, InFlight};
 use crate::scenario::Scenario;
+use crate::spec_state::{self, SpecState};
 use crate::state::{HEADER, Packed, Violation};
 use crate::symmetry;
 use imrs_protocol::{
@@ -21,33 +21,34 @@ impl World {
         self.late = bytes[4] >> 4;
         self.steps = u16::from_le_bytes([bytes[5], bytes[6]]);
         let mut at = HEADER;
-        for ghost in &mut self.ghosts {
-            at += ghost::load(ghost, self.scenario.watch, self.scenario.lives(), &bytes[at..]);
+        for spec_state in &mut self.spec_states {
+            at +=
+                spec_state::load(spec_state, self.scenario.watch, self.scenario.incarnations(), &bytes[at..]);
         }
         self.rounds.fill(Frame::ROUND);
-        let lives = self.scenario.lives();
-        for i in 0..self.places.len() {
+        let incarnations = self.scenario.incarnations();
+        for i in 0..self.nodes.len() {
             let len = usize::from(bytes[at]);
             let block = &bytes[at..at + len];
             (self.open[i], self.owed[i]) = (block[1] & OPEN != 0, block[1] & OWED != 0);
             self.loaded[i] = touch.is_none_or(|touched| touched == i);
             if self.loaded[i] {
-                load_place(&mut self.places[i], block, lives, self.scenario.clocks[i]);
+                load_node_state(&mut self.nodes[i], block, incarnations, self.scenario.clocks[i]);
             } else {
                 self.blocks[i].clear();
                 self.blocks[i].extend_from_slice(block);
             }
             at += len;
         }
-        self.flights.clear();
+        self.in_flight.clear();
         while at < bytes.len() {
-            let (mut flight, len) = self.codec.decode(&bytes[at..]);
-            if flight.packet.source == flight.packet.destination {
+            let (mut carried, len) = self.codec.decode(&bytes[at..]);
+            if carried.packet.source == carried.packet.destination {
                 // Packed without its sender, see `anonymous`: any other member will do.
-                let other = (flight.packet.destination.index() + 1) % self.places.len();
-                flight.packet.source = TaskId::from_index(other);
+                let other = (carried.packet.destination.index() + 1) % self.nodes.len();
+                carried.packet.source = TaskId::from_index(other);
             }
-            self.flights.push(flight);
+            self.in_flight.push(carried);
             at += len;
         }
     }
@@ -56,9 +57,9 @@ impl World {
     pub fn destination(scenario: &Scenario, state: &Packed, i: u8) -> Option<usize> {
         let bytes = &state.0;
         let mut at = HEADER;
-        let mut ghost = Ghost::default();
+        let mut spec_state = SpecState::default();
         for _ in 0..scenario.tasks() {
-            at += ghost::load(&mut ghost, scenario.watch, scenario.lives(), &bytes[at..]);
+            at += spec_state::load(&mut spec_state, scenario.watch, scenario.incarnations(), &bytes[at..]);
         }
         for _ in 0..scenario.tasks() {
             at += usize::from(*bytes.get(at)?);
@@ -67,8 +68,8 @@ impl World {
         for _ in 0..i {
             at += codec.decode(bytes.get(at..)?).1;
         }
-        let (flight, _) = codec.decode(bytes.get(at..)?);
-        Some(flight.packet.destination.index())
+        let (carried, _) = codec.decode(bytes.get(at..)?);
+        Some(carried.packet.destination.index())
     }
 
     /// Packs the state in its canonical form.
@@ -98,7 +99,7 @@ impl World {
         if self.done {
             return Ok(Packed(Box::new([0, 0, 0, 0, 2])));
         }
-        for (place, loaded) in self.places.iter_mut().zip(&self.loaded) {
+        for (place, loaded) in self.nodes.iter_mut().zip(&self.loaded) {
             if *loaded {
                 place.node.parts_mut().tasks[0].bury();
             }
@@ -114,11 +115,12 @@ impl World {
         if moved != 0 {
             self.load_rest();
         }
-        let frame = Frame { rounds: &rounds, sequences: &sequences, lives: self.scenario.lives() };
+        let frame =
+            Frame { rounds: &rounds, sequences: &sequences, incarnations: self.scenario.incarnations() };
         for i in 0..self.n() {
             if self.loaded[i] {
                 self.blocks[i].clear();
-                store_place(&mut self.places[i], &frame, &mut self.blocks[i])?;
+                store_node_state(&mut self.nodes[i], &frame, &mut self.blocks[i])?;
             }
             let marks = mark(self.open[i], OPEN) | mark(self.owed[i], OWED);
             self.blocks[i][1] = (self.blocks[i][1] & !(OPEN | OWED)) | marks;
@@ -126,29 +128,29 @@ impl World {
         let flags = u8::from(self.healed) | (self.late << 4);
         let [low, high] = self.steps.to_le_bytes();
         let header = [0, self.loss, self.dup, self.crash, flags, low, high];
-        let least = self.ghosts.iter().map(|g| g.releases).min().unwrap_or(0);
-        let mut ghosts = Vec::with_capacity(self.n());
-        for (i, ghost) in self.ghosts.iter().enumerate() {
+        let least = self.spec_states.iter().map(|g| g.releases).min().unwrap_or(0);
+        let mut specs = Vec::with_capacity(self.n());
+        for (i, spec) in self.spec_states.iter().enumerate() {
             let mut bytes = Vec::with_capacity(4);
             let task = TaskId::from_index(i);
-            ghost::store(ghost, self.scenario.watch, &frame, u32::from(moved), task, least, &mut bytes)?;
-            ghosts.push(bytes);
+            spec_state::store(spec, self.scenario.watch, &frame, u32::from(moved), task, least, &mut bytes)?;
+            specs.push(bytes);
         }
-        let reduces = self.scenario.reductions.ignores && !self.scenario.lives();
+        let reduces = self.scenario.reductions.ignores && !self.scenario.incarnations();
         // A CONFIRM releases a member waiting in its round, whoever sent it: the receiver is packed as its sender.
-        let anonymous = |flight: &Flight| {
-            let mut flight = *flight;
-            if reduces && self.releases(&flight) {
-                flight.packet.source = flight.packet.destination;
+        let anonymous = |carried: &InFlight| {
+            let mut carried = *carried;
+            if reduces && self.releases(&carried) {
+                carried.packet.source = carried.packet.destination;
             }
-            flight
+            carried
         };
-        let flights: Vec<Flight> = self.flights.iter().map(anonymous).collect();
+        let packets: Vec<InFlight> = self.in_flight.iter().map(anonymous).collect();
         let parts = symmetry::Parts {
             header,
-            ghosts: &ghosts,
+            specs: &specs,
             blocks: &self.blocks,
-            flights: &flights,
+            packets: &packets,
             frame,
             codec: self.codec,
         };
@@ -168,10 +170,10 @@ impl World {
     fn load_rest(&mut self) {
         for i in 0..self.n() {
             if !self.loaded[i] {
-                load_place(
-                    &mut self.places[i],
+                load_node_state(
+                    &mut self.nodes[i],
                     &self.blocks[i],
-                    self.scenario.lives(),
+                    self.scenario.incarnations(),
                     self.scenario.clocks[i],
                 );
                 self.loaded[i] = true;
@@ -181,23 +183,25 @@ impl World {
 
     /// Whether no running node can crash any more: its next incarnation would notice what the present one ignores.
     fn is_settled(&self) -> bool {
-        !self.scenario.lives() || self.crash == 0
+        !self.scenario.incarnations() || self.crash == 0
     }
 
     /// Whether both nodes are up and `i` knows the present incarnation of `of`: no envelope from `of` is news.
     fn knows(&self, i: usize, of: usize) -> bool {
-        let up = self.places[i].up && self.places[of].up;
-        !self.scenario.lives() || (up && self.places[i].known[of] == self.places[of].life)
+        let up = self.nodes[i].up && self.nodes[of].up;
+        !self.scenario.incarnations() || (up && self.nodes[i].known[of] == self.nodes[of].incarnation)
     }
 
     /// Whether the tasks at the ends of a packet have heard each other in their present incarnations.
-    fn acquainted(&self, flight: &Flight) -> bool {
-        let (from, to) = (flight.packet.source, flight.packet.destination);
+    fn acquainted(&self, carried: &InFlight) -> bool {
+        let (from, to) = (carried.packet.source, carried.packet.destination);
         let heard = |at: TaskId, of: TaskId| {
-            let life = self.task(at.index()).heard_in(&self.places[at.index()].table, flight.packet.port, of);
-            life == Some(self.places[of.index()].life)
+            let incarnation =
+                self.task(at.index()).heard_in(&self.nodes[at.index()].table, carried.packet.port, of);
+            incarnation == Some(self.nodes[of.index()].incarnation)
         };
-        !self.scenario.lives() || (self.knows(from.index(), to.index()) && heard(from, to) && heard(to, from))
+        !self.scenario.incarnations()
+            || (self.knows(from.index(), to.index()) && heard(from, to) && heard(to, from))
     }
 
     /// Drops CONFIRMs still to be sent that every member would ignore, then packets in flight that nobody can notice.
@@ -210,55 +214,55 @@ impl World {
                     other == i || (self.knows(other, i) && self.task(other).is_over(port, round))
                 })
             {
-                let task = &mut self.places[i].node.parts_mut().tasks[0];
+                let task = &mut self.nodes[i].node.parts_mut().tasks[0];
                 task.settle(port);
                 task.bury();
             }
         }
-        let mut flights = std::mem::take(&mut self.flights);
-        flights.retain(|flight| !self.is_unnoticed(flight));
-        self.flights = flights;
-        if !self.scenario.lives() {
+        let mut in_flight = std::mem::take(&mut self.in_flight);
+        in_flight.retain(|carried| !self.is_unnoticed(carried));
+        self.in_flight = in_flight;
+        if !self.scenario.incarnations() {
             self.drop_more_confirms();
         }
     }
 
-    fn is_unnoticed(&self, flight: &Flight) -> bool {
-        let packet = &flight.packet;
+    fn is_unnoticed(&self, carried: &InFlight) -> bool {
+        let packet = &carried.packet;
         let (from, to) = (packet.source.index(), packet.destination.index());
-        let known = self.places[to].known[from];
-        if self.scenario.lives() && self.places[to].up && flight.life != known {
-            return flight.life.0 < known.0;
+        let known = self.nodes[to].known[from];
+        if self.scenario.incarnations() && self.nodes[to].up && carried.incarnation != known {
+            return carried.incarnation.0 < known.0;
         }
         // A member that has left a round ignores CONFIRMs of it, even if it still owes one itself.
         let confirmed =
             packet.kind == Kind::Confirm && self.task(to).is_over(packet.port, packet.meeting().round);
-        let ignores = || self.task(to).ignores(&self.places[to].table, packet, self.task(from));
-        self.places[to].up && (confirmed || (self.acquainted(flight) && ignores()))
+        let ignores = || self.task(to).ignores(&self.nodes[to].table, packet, self.task(from));
+        self.nodes[to].up && (confirmed || (self.acquainted(carried) && ignores()))
     }
 
     /// A member that waits in a round is released by the first CONFIRM of it and ignores the others. So only the
     /// oldest of those in flight to a member are kept: one more than can still be lost.
     fn drop_more_confirms(&mut self) {
         let enough = usize::from(self.loss) + 1;
-        let releases: Vec<bool> = self.flights.iter().map(|flight| self.releases(flight)).collect();
+        let releases: Vec<bool> = self.in_flight.iter().map(|carried| self.releases(carried)).collect();
         if releases.iter().filter(|&&releases| releases).count() <= enough {
             return;
         }
-        let key = |at: usize, flight: &Flight| (std::cmp::Reverse(flight.age), flight.fresh, at);
-        let older = |at: usize, flight: &Flight| {
-            let others = self.flights.iter().enumerate().filter(|&(other, _)| releases[other]);
-            let here = others.filter(|(_, other)| other.packet.destination == flight.packet.destination);
-            here.filter(|&(other, of)| key(other, of) < key(at, flight)).count()
+        let key = |at: usize, carried: &InFlight| (std::cmp::Reverse(carried.age), carried.fresh, at);
+        let older = |at: usize, carried: &InFlight| {
+            let others = self.in_flight.iter().enumerate().filter(|&(other, _)| releases[other]);
+            let here = others.filter(|(_, other)| other.packet.destination == carried.packet.destination);
+            here.filter(|&(other, of)| key(other, of) < key(at, carried)).count()
         };
-        let kept = self.flights.iter().enumerate();
-        let kept = kept.filter(|&(at, flight)| !releases[at] || older(at, flight) < enough);
-        self.flights = kept.map(|(_, flight)| *flight).collect();
+        let kept = self.in_flight.iter().enumerate();
+        let kept = kept.filter(|&(at, carried)| !releases[at] || older(at, carried) < enough);
+        self.in_flight = kept.map(|(_, carried)| *carried).collect();
     }
 
     /// Whether a packet is a CONFIRM that would release its receiver now.
-    fn releases(&self, flight: &Flight) -> bool {
-        let packet = &flight.packet;
+    fn releases(&self, carried: &InFlight) -> bool {
+        let packet = &carried.packet;
         let to = packet.destination.index();
         packet.kind == Kind::Confirm
             && match self.task(to).state() {
@@ -271,21 +275,21 @@ impl World {
     fn bases(&mut self) -> (Vec<Round>, Vec<Seq24>) {
         let sequence = |i: usize| if self.loaded[i] { self.next_sequence(i) } else { Frame::SEQUENCE };
         let sequences = (0..self.n()).map(sequence).collect();
-        if self.scenario.lives() {
+        if self.scenario.incarnations() {
             // A restarted node counts rounds from the first one: only absolute rounds compare with those of others.
             return (self.rounds.clone(), sequences);
         }
         let mut least = Least(vec![None; self.rounds.len()]);
-        for (i, place) in self.places.iter_mut().enumerate() {
+        for (i, place) in self.nodes.iter_mut().enumerate() {
             if self.loaded[i] {
                 place.node.parts_mut().tasks[0].walk(&place.table, &mut least);
             } else if let Some(&low) = self.blocks[i].get(1) {
                 least.round(PortId(0), &mut Frame::ROUND.plus(u16::from(low & !(OPEN | OWED))));
             }
         }
-        self.flights.iter_mut().for_each(|flight| flight.packet.walk(&mut least));
-        for ghost in &self.ghosts {
-            if let Some(mut round) = ghost.last_released {
+        self.in_flight.iter_mut().for_each(|carried| carried.packet.walk(&mut least));
+        for spec_state in &self.spec_states {
+            if let Some(mut round) = spec_state.last_released {
                 least.round(PortId(0), &mut round);
             }
         }
@@ -296,7 +300,7 @@ impl World {
     /// Drops what the packed form would leave out, without packing.
     pub fn tidy(&mut self) {
         if self.scenario.reductions.ignores && self.is_settled() && self.violation.is_none() {
-            for place in &mut self.places {
+            for place in &mut self.nodes {
                 place.node.parts_mut().tasks[0].bury();
             }
             self.drop_unnoticed();
@@ -339,7 +343,7 @@ impl Walk for FromBase {
 }
 
 /// Packs a node: its length, its least round with two flags, whether it is up, its incarnations, its task.
-fn store_place(place: &mut Place, frame: &Frame<'_>, out: &mut Vec<u8>) -> Result<(), Overflow> {
+fn store_node_state(place: &mut NodeState, frame: &Frame<'_>, out: &mut Vec<u8>) -> Result<(), Overflow> {
     let mut least = Least(vec![None; frame.rounds.len()]);
     let task = &mut place.node.parts_mut().tasks[0];
     if place.up {
@@ -348,24 +352,24 @@ fn store_place(place: &mut Place, frame: &Frame<'_>, out: &mut Vec<u8>) -> Resul
     // A node that is down has no task: the one in `place` is left over from another state.
     let low = least.0.first().copied().flatten().map_or(0, |round| round.steps_from(frame.rounds[0]));
     out.extend([0, u8::try_from(low).ok().filter(|low| low & (OPEN | OWED) == 0).ok_or(Overflow)?]);
-    Encode::append(out, frame, |w| walk_place(place, w))?;
+    Encode::append(out, frame, |w| walk_node_state(place, w))?;
     out[0] = u8::try_from(out.len()).map_err(|_| Overflow)?;
     Ok(())
 }
 
-fn load_place(place: &mut Place, block: &[u8], lives: bool, clock: u64) {
-    Decode::read(&block[2..], lives, |r| walk_place(place, r));
+fn load_node_state(place: &mut NodeState, block: &[u8], incarnations: bool, clock: u64) {
+    Decode::read(&block[2..], incarnations, |r| walk_node_state(place, r));
     if place.up && clock != 0 {
         place.node.parts_mut().tasks[0].set_ahead(&place.table, Ticks(clock));
     }
 }
 
-fn walk_place<W: Walk>(place: &mut Place, w: &mut W) {
-    let Place { node, table, up, life, known } = place;
-    if w.lives() {
+fn walk_node_state<W: Walk>(place: &mut NodeState, w: &mut W) {
+    let NodeState { node, table, up, incarnation, known } = place;
+    if w.incarnations() {
         w.flag(up);
-        w.byte(&mut life.0);
-        known.iter_mut().for_each(|life| w.byte(&mut life.0));
+        w.byte(&mut incarnation.0);
+        known.iter_mut().for_each(|incarnation| w.byte(&mut incarnation.0));
     }
     if *up {
         node.parts_mut().tasks[0].walk(table, w);

@@ -1,7 +1,7 @@
 //! Time in a world: ticks, late timers, and the properties that are judged by counting ticks or steps.
 
-use super::{Place, World};
-use crate::network::Flight;
+use super::{NodeState, World};
+use crate::network::InFlight;
 use crate::scenario::{Behaviour, Watch};
 use crate::state::Violation;
 use imrs_protocol::rules::TimeStamp;
@@ -12,13 +12,13 @@ impl World {
     /// reads its clock at every input (D42).
     pub(super) fn tick(&mut self, late: Option<usize>) -> Result<(), Violation> {
         self.steps = 0;
-        for flight in &mut self.flights {
-            flight.age += 1;
+        for carried in &mut self.in_flight {
+            carried.age += 1;
         }
         for i in 0..self.n() {
             if late == Some(i) {
                 self.owed[i] = true;
-            } else if self.places[i].up {
+            } else if self.nodes[i].up {
                 let elapsed = Ticks(1 + u64::from(std::mem::take(&mut self.owed[i])));
                 self.step(i, elapsed, NodeInput::Time)?;
                 self.keep_clock(i);
@@ -26,8 +26,8 @@ impl World {
             self.count_tick(i)?;
         }
         if self.scenario.cell.cell().rules.time_stamp == TimeStamp::Absolute {
-            for flight in self.flights.iter_mut().filter(|flight| flight.packet.kind == Kind::Send) {
-                flight.packet.remaining = flight.packet.remaining - Ticks(1);
+            for carried in self.in_flight.iter_mut().filter(|carried| carried.packet.kind == Kind::Send) {
+                carried.packet.remaining = carried.packet.remaining - Ticks(1);
             }
         }
         Ok(())
@@ -37,12 +37,12 @@ impl World {
     fn count_tick(&mut self, i: usize) -> Result<(), Violation> {
         let lateness = Ticks(1 + u64::from(self.scenario.timing.late > 0));
         let limit = self.patience(i) + lateness;
-        let ghost = &mut self.ghosts[i];
-        ghost.statuses.retain_mut(|(_, left)| {
+        let spec_state = &mut self.spec_states[i];
+        spec_state.statuses.retain_mut(|(_, left)| {
             *left -= 1;
             *left > 0
         });
-        if let Some(open) = &mut ghost.open {
+        if let Some(open) = &mut spec_state.open {
             *open += 1;
             if matches!(self.scenario.watch, Watch::Resolves | Watch::Waits)
                 && limit < Ticks::FAR
@@ -56,7 +56,7 @@ impl World {
 
     /// Lets a late node read its clock, before it takes any other input.
     pub(super) fn catch_up(&mut self, i: usize) -> Result<(), Violation> {
-        if std::mem::take(&mut self.owed[i]) && self.places[i].up {
+        if std::mem::take(&mut self.owed[i]) && self.nodes[i].up {
             self.step(i, Ticks(1), NodeInput::Time)?;
             self.keep_clock(i);
         }
@@ -68,7 +68,7 @@ impl World {
     fn keep_clock(&mut self, i: usize) {
         let ahead = Ticks(self.scenario.clocks[i]);
         if self.scenario.cell.cell().rules.time_stamp == TimeStamp::Absolute {
-            let Place { node, table, .. } = &mut self.places[i];
+            let NodeState { node, table, .. } = &mut self.nodes[i];
             let task = &mut node.parts_mut().tasks[0];
             task.rebase(table);
             task.set_ahead(table, ahead);
@@ -87,16 +87,16 @@ impl World {
     }
 
     /// If sequence numbers wrap after `wrap` messages (a variant), a number means the latest message that has it.
-    pub(super) fn wrap_around(&self, flight: &mut Flight) {
+    pub(super) fn wrap_around(&self, carried: &mut InFlight) {
         let Some(wrap) = self.scenario.wrap.map(u32::from) else { return };
-        let source = match flight.packet.kind {
-            Kind::Reply | Kind::Response | Kind::Control => flight.packet.destination,
-            Kind::Send | Kind::Query | Kind::Arrive | Kind::Confirm | Kind::Abort => flight.packet.source,
+        let source = match carried.packet.kind {
+            Kind::Reply | Kind::Response | Kind::Control => carried.packet.destination,
+            Kind::Send | Kind::Query | Kind::Arrive | Kind::Confirm | Kind::Abort => carried.packet.source,
         };
         let next = self.next_sequence(source.index());
-        let back = next.steps_from(flight.packet.id.sequence);
+        let back = next.steps_from(carried.packet.id.sequence);
         if back > 0 {
-            flight.packet.id.sequence = next.plus(Seq24::MODULUS - ((back - 1) % wrap + 1));
+            carried.packet.id.sequence = next.plus(Seq24::MODULUS - ((back - 1) % wrap + 1));
         }
     }
 

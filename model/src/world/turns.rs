@@ -31,11 +31,11 @@ impl World {
         let delay = self.scenario.delay.unwrap_or(0);
         let mut overdue = 0;
         let before = actions.len();
-        for (at, flight) in self.flights.iter().enumerate() {
-            overdue += usize::from(flight.age >= delay);
-            let again = at > 0 && self.flights[at - 1] == *flight;
+        for (at, carried) in self.in_flight.iter().enumerate() {
+            overdue += usize::from(carried.age >= delay);
+            let again = at > 0 && self.in_flight[at - 1] == *carried;
             // A packet that is lost just before the faults end may be of any age.
-            if self.loss > 0 && !self.healed && !again && (may_heal || flight.age >= delay) {
+            if self.loss > 0 && !self.healed && !again && (may_heal || carried.age >= delay) {
                 actions.push(Action::Lose(small(at)));
             }
         }
@@ -55,9 +55,9 @@ impl World {
         if open {
             self.task_actions(i, actions);
         }
-        for (at, flight) in self.flights.iter().enumerate() {
-            let here = flight.packet.destination.index() == i && (open || flight.fresh);
-            if here && !(at > 0 && self.flights[at - 1] == *flight) {
+        for (at, carried) in self.in_flight.iter().enumerate() {
+            let here = carried.packet.destination.index() == i && (open || carried.fresh);
+            if here && !(at > 0 && self.in_flight[at - 1] == *carried) {
                 self.arrivals(small(at), actions);
             }
         }
@@ -66,7 +66,7 @@ impl World {
     /// Ends the turn of node `i`.
     fn close(&mut self, i: usize) {
         self.open[i] = false;
-        self.settle_flights(i);
+        self.settle_in_flight(i);
     }
 
     /// Closes and opens nodes as `action` requires, before it is carried out.
@@ -74,7 +74,7 @@ impl World {
         let at = match action {
             Action::Act(i) | Action::Answer(i) => usize::from(i),
             Action::Deliver(i) | Action::Overcharge(i, _) | Action::Duplicate(i) => {
-                self.flights[usize::from(i)].packet.destination.index()
+                self.in_flight[usize::from(i)].packet.destination.index()
             }
             Action::Lose(_) => return self.set_open(false),
             Action::Tick | Action::Late(_) | Action::Crash(_) | Action::Restart(_) | Action::Heal => {
@@ -87,7 +87,7 @@ impl World {
         }
         if !self.open[at] {
             self.open[at] = true;
-            self.settle_flights(at);
+            self.settle_in_flight(at);
         }
     }
 
@@ -98,12 +98,12 @@ impl World {
 
     fn set_open(&mut self, open: bool) {
         self.open.fill(open);
-        self.flights.iter_mut().for_each(|flight| flight.fresh = false);
+        self.in_flight.iter_mut().for_each(|carried| carried.fresh = false);
     }
 
-    fn settle_flights(&mut self, to: usize) {
-        let here = self.flights.iter_mut().filter(|flight| flight.packet.destination.index() == to);
-        here.for_each(|flight| flight.fresh = false);
+    fn settle_in_flight(&mut self, to: usize) {
+        let here = self.in_flight.iter_mut().filter(|carried| carried.packet.destination.index() == to);
+        here.for_each(|carried| carried.fresh = false);
     }
 
     /// Makes turns canonical: a node with nothing to do is closed; one with only fresh packets to take is open.
@@ -112,15 +112,15 @@ impl World {
             return;
         }
         for i in 0..self.n() {
-            let here = || self.flights.iter().filter(|flight| flight.packet.destination.index() == i);
+            let here = || self.in_flight.iter().filter(|carried| carried.packet.destination.index() == i);
             let mut acts = Vec::new();
             self.task_actions(i, &mut acts);
-            let (any, refused) = (here().next().is_some(), here().any(|flight| !flight.fresh));
+            let (any, refused) = (here().next().is_some(), here().any(|carried| !carried.fresh));
             if !any && acts.is_empty() {
                 self.open[i] = false;
             } else if any && !refused && acts.is_empty() && !self.open[i] {
                 self.open[i] = true;
-                self.settle_flights(i);
+                self.settle_in_flight(i);
             }
         }
     }

@@ -21,7 +21,7 @@ const ENDLESS: u8 = u8::MAX;
 #[derive(Clone, Debug)]
 pub struct Reference {
     tasks: Vec<CommTask>,
-    flights: Vec<Flight>,
+    in_flight: Vec<InFlight>,
     memories: Vec<Memory>,
     loss: u8,
     dup: u8,
@@ -29,7 +29,7 @@ pub struct Reference {
 }
 
 #[derive(Clone, Debug)]
-struct Flight {
+struct InFlight {
     packet: Packet,
     age: u8,
 }
@@ -55,7 +55,7 @@ impl Hash for Reference {
             return (violation as u8).hash(hasher);
         }
         self.tasks.iter().for_each(|task| hash_fields(task, hasher));
-        self.flights.iter().for_each(|flight| key(flight).hash(hasher));
+        self.in_flight.iter().for_each(|carried| key(carried).hash(hasher));
         (&self.memories, self.loss, self.dup).hash(hasher);
     }
 }
@@ -74,17 +74,27 @@ impl PartialEq for Reference {
 
 /// What distinguishes packets. Nobody reads the id of a meeting's packet, and the remaining time of a CONFIRM or an
 /// ABORT is constant.
-fn key(flight: &Flight) -> (u8, u16, u16, u16, bool, u32, u64, Contents, u8) {
-    let p = &flight.packet;
+fn key(carried: &InFlight) -> (u8, u16, u16, u16, bool, u32, u64, Contents, u8) {
+    let p = &carried.packet;
     let sequence = if of_meeting(p) { 0 } else { p.id.sequence.get() };
     let remaining = if matches!(p.kind, Kind::Confirm | Kind::Abort) { 0 } else { p.remaining.0 };
     let status = p.class == Class::Status;
-    (p.kind as u8, p.source.0, p.destination.0, p.port.0, status, sequence, remaining, p.contents, flight.age)
+    (
+        p.kind as u8,
+        p.source.0,
+        p.destination.0,
+        p.port.0,
+        status,
+        sequence,
+        remaining,
+        p.contents,
+        carried.age,
+    )
 }
 
 /// An order of packets in which equal ones are neighbours.
-fn order(flight: &Flight) -> impl Ord + use<> {
-    let (a, b, c, d, e, f, g, contents, age) = key(flight);
+fn order(carried: &InFlight) -> impl Ord + use<> {
+    let (a, b, c, d, e, f, g, contents, age) = key(carried);
     (a, b, c, d, e, f, g, contents.as_bytes().to_vec(), age)
 }
 
@@ -132,10 +142,10 @@ pub struct ReferenceModel {
 impl ReferenceModel {
     /// The reference form of `scenario`. At most `states` states are expanded.
     pub fn new(scenario: &Arc<Scenario>, states: u64) -> Self {
-        assert!(!scenario.lives(), "the reference form has no restarts");
+        assert!(!scenario.incarnations(), "the reference form has no restarts");
         let tables = (0..scenario.tasks()).map(|i| scenario.table(NodeId::from_index(i)));
         let tables: Vec<NodeTable> = tables.collect();
-        let node = |table: &NodeTable| Node::new(table.clone(), Scenario::FIRST_LIFE, false, 16);
+        let node = |table: &NodeTable| Node::new(table.clone(), Scenario::FIRST_INCARNATION, false, 16);
         let nodes = Mutex::new(tables.iter().map(node).collect());
         Self { scenario: Arc::clone(scenario), nodes, tables, states, expanded: 0.into() }
     }
@@ -150,22 +160,22 @@ impl ReferenceModel {
     fn apply(&self, state: &mut Reference, action: Action) -> Result<(), Violation> {
         match action {
             Action::Tick => {
-                state.flights.iter_mut().for_each(|flight| flight.age += 1);
+                state.in_flight.iter_mut().for_each(|carried| carried.age += 1);
                 (0..state.tasks.len()).try_for_each(|i| self.step(state, i, 1, NodeInput::Time))
             }
             Action::Deliver(at) | Action::Duplicate(at) => {
-                let packet = state.flights[usize::from(at)].packet;
+                let packet = state.in_flight[usize::from(at)].packet;
                 if matches!(action, Action::Duplicate(_)) {
                     state.dup -= 1;
                 } else {
-                    state.flights.remove(usize::from(at));
+                    state.in_flight.remove(usize::from(at));
                 }
                 let charge = Ticks(u64::from(self.scenario.delay.unwrap_or(0)));
                 let from = NodeId::from_index(packet.source.index());
                 self.step(state, packet.destination.index(), 0, NodeInput::Packet { from, packet, charge })
             }
             Action::Lose(at) => {
-                state.flights.remove(usize::from(at));
+                state.in_flight.remove(usize::from(at));
                 state.loss -= 1;
                 Ok(())
             }
@@ -222,7 +232,7 @@ impl ReferenceModel {
             nodes[i].step(now, input, &mut seen);
             std::mem::swap(&mut nodes[i].parts_mut().tasks[0], &mut state.tasks[i]);
         }
-        state.flights.extend(seen.sent.into_iter().map(|packet| Flight { packet, age: 0 }));
+        state.in_flight.extend(seen.sent.into_iter().map(|packet| InFlight { packet, age: 0 }));
         remember(&mut state.memories[i], waited_in, &seen.observations);
         seen.signals.iter().try_for_each(|signal| self.judge(state, i, signal))?;
         let any = |mark: fn(&Memory) -> &Vec<Round>| state.memories.iter().flat_map(mark).collect::<Vec<_>>();
@@ -277,8 +287,8 @@ impl ReferenceModel {
         for (task, table) in state.tasks.iter_mut().zip(&self.tables) {
             task.walk(table, &mut oldest);
         }
-        for flight in state.flights.iter().filter(|flight| of_meeting(&flight.packet)) {
-            let meeting = flight.packet.meeting();
+        for carried in state.in_flight.iter().filter(|carried| of_meeting(&carried.packet)) {
+            let meeting = carried.packet.meeting();
             [meeting.round, meeting.released].iter_mut().for_each(|round| oldest.round(PortId(0), round));
         }
         state
@@ -290,14 +300,14 @@ impl ReferenceModel {
         for (task, table) in state.tasks.iter_mut().zip(&self.tables) {
             task.walk(table, &mut origin);
         }
-        for Flight { packet, .. } in &mut state.flights {
+        for InFlight { packet, .. } in &mut state.in_flight {
             origin.packet(packet);
         }
         let fewest = state.memories.iter().map(|m| m.releases).min().unwrap_or(0);
         for (i, memory) in state.memories.iter_mut().enumerate() {
             self.forget(memory, TaskId::from_index(i), fewest, &mut origin);
         }
-        state.flights.sort_by_cached_key(order);
+        state.in_flight.sort_by_cached_key(order);
     }
 
     fn forget(&self, memory: &mut Memory, task: TaskId, fewest: u32, origin: &mut Origin) {
@@ -417,7 +427,7 @@ impl Model for ReferenceModel {
         };
         let mut state = Reference {
             tasks: self.nodes.lock().unwrap().iter().map(|node| node.parts().tasks[0].clone()).collect(),
-            flights: Vec::new(),
+            in_flight: Vec::new(),
             memories: self.scenario.behaviours.iter().map(memory).collect(),
             loss: self.scenario.budget.loss,
             dup: self.scenario.budget.dup,
@@ -446,8 +456,8 @@ impl Model for ReferenceModel {
             }
         }
         let urgent = self.scenario.hurry && !actions.is_empty();
-        for (i, flight) in state.flights.iter().enumerate() {
-            if i > 0 && key(&state.flights[i - 1]) == key(flight) {
+        for (i, carried) in state.in_flight.iter().enumerate() {
+            if i > 0 && key(&state.in_flight[i - 1]) == key(carried) {
                 continue;
             }
             let at = u8::try_from(i).unwrap();
@@ -457,7 +467,7 @@ impl Model for ReferenceModel {
         }
         if let Some(delay) = self.scenario.delay
             && !urgent
-            && state.flights.iter().all(|flight| flight.age < delay)
+            && state.in_flight.iter().all(|carried| carried.age < delay)
         {
             actions.push(Action::Tick);
         }

@@ -6,7 +6,7 @@ use std::fmt;
 use std::hash::Hasher;
 
 /// Fields without effect on behaviour: counters, numbers of arrival, the bookkeeping of a queue, and observations. In
-/// these worlds `life` is constant, because no node restarts. No task has two ports of which a GET could bypass one
+/// these worlds `incarnation` is constant, because no node restarts. No task has two ports of which a GET could bypass one
 /// (`served`, `since`), and none reads what others brought to a meeting (`told`).
 const LEFT_OUT: [&str; 12] = [
     "counters",
@@ -16,7 +16,7 @@ const LEFT_OUT: [&str; 12] = [
     "groups",
     "free",
     "confirmed",
-    "life",
+    "incarnation",
     "taken",
     "served",
     "since",

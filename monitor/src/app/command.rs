@@ -78,14 +78,17 @@ impl App {
         for id in found {
             for party in names.port(id).map_or(&[][..], |info| &info.parties) {
                 let wanted = task.is_none_or(|task| is(names.task(party.task).shown(), task));
-                let life = names.home(party.task).and_then(|node| self.store().latest(&cell, node));
-                if let Some(life) = life.filter(|_| wanted) {
-                    ends.push(PortEnd { life: life.id, task: party.task, port: id });
+                let incarnation = names.home(party.task).and_then(|node| self.store().latest(&cell, node));
+                if let Some(incarnation) = incarnation.filter(|_| wanted) {
+                    ends.push(PortEnd { incarnation: incarnation.id, task: party.task, port: id });
                 }
             }
         }
         let capacity = |end: &PortEnd| {
-            let view = self.store().life(end.life).and_then(|life| life.port(end.task, end.port));
+            let view = self
+                .store()
+                .incarnation(end.incarnation)
+                .and_then(|incarnation| incarnation.port(end.task, end.port));
             view.map_or(0, |view| view.capacity)
         };
         let Some(end) = ends.iter().find(|end| capacity(end) > 0).or_else(|| ends.first()).copied() else {
@@ -109,9 +112,9 @@ impl App {
                 return Some(format!("this cell has no node or task {}", crate::name::shown(wanted)));
             }
         };
-        let life = self.store().latest(&cell, node_id).map(|life| life.id);
-        let task = task.filter(|_| node.is_none() && life.is_some()).map(TaskId::from_index);
-        self.selected = Some(Place { node: life.ok_or(node_id), task, port: None });
+        let incarnation = self.store().latest(&cell, node_id).map(|incarnation| incarnation.id);
+        let task = task.filter(|_| node.is_none() && incarnation.is_some()).map(TaskId::from_index);
+        self.selected = Some(Place { node: incarnation.ok_or(node_id), task, port: None });
         self.before = self.screen;
         (self.screen, self.scroll) = (Screen::Overview, 0);
         None

@@ -3,7 +3,7 @@
 use super::App;
 use crate::name::Name;
 use crate::store::timeline::{Gap, Mark, Timeline, timeline};
-use crate::store::{Life, LifeId};
+use crate::store::{IncarnationId, NodeIncarnation};
 use imrs_protocol::{Event, NodeId, PortId, TaskId};
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -28,7 +28,7 @@ pub const ZOOMS: [Option<Duration>; 8] = [
 /// Identifies a mark independently of its position.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Anchor {
-    life: LifeId,
+    incarnation: IncarnationId,
     task: TaskId,
     mono_us: u64,
     number: u32,
@@ -36,7 +36,12 @@ pub struct Anchor {
 
 impl Anchor {
     fn of(mark: &Mark) -> Self {
-        Self { life: mark.life, task: mark.task, mono_us: mark.seen.mono_us, number: mark.seen.what.number }
+        Self {
+            incarnation: mark.incarnation,
+            task: mark.task,
+            mono_us: mark.seen.mono_us,
+            number: mark.seen.what.number,
+        }
     }
 }
 
@@ -157,7 +162,7 @@ impl App {
 
     /// The latest incarnation of the node on which a task of the shown cell runs.
     #[must_use]
-    pub fn life_of_task(&self, task: TaskId) -> Option<&Life> {
+    pub fn incarnation_of_task(&self, task: TaskId) -> Option<&NodeIncarnation> {
         let cell = self.cell()?;
         let home: NodeId = self.store().names(&cell)?.home(task)?;
         self.store().latest(&cell, home)

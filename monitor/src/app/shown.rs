@@ -6,7 +6,7 @@ use crate::rows::{Row, rows};
 use crate::store::health::{self, Finding, Place};
 use crate::store::message::MessageKey;
 use crate::store::queue::{Waiting, queue};
-use crate::store::{Life, Store};
+use crate::store::{NodeIncarnation, Store};
 use imrs_protocol::{PortView, Usage};
 use imrs_wire::obs::TaskSnapshot;
 
@@ -38,11 +38,11 @@ impl App {
     pub fn queues(&self) -> Vec<PortEnd> {
         let Some(cell) = self.cell() else { return Vec::new() };
         let store = self.store();
-        let ends = |life: &Life| {
-            let (life, tasks) = (life.id, life.tasks().iter());
+        let ends = |incarnation: &NodeIncarnation| {
+            let (incarnation, tasks) = (incarnation.id, incarnation.tasks().iter());
             let receives = |port: &&PortView| port.capacity > 0 && port.usage != Usage::Waitfor;
             let of = move |task: &TaskSnapshot| {
-                let end = |port: &PortView| PortEnd { life, task: task.view.task, port: port.port };
+                let end = |port: &PortView| PortEnd { incarnation, task: task.view.task, port: port.port };
                 task.view.ports.iter().filter(receives).map(end).collect::<Vec<_>>()
             };
             tasks.flat_map(of).collect::<Vec<_>>()
@@ -53,8 +53,9 @@ impl App {
     /// The shown port: the chosen one, or the first of `queues`.
     #[must_use]
     pub fn port(&self, queues: &[PortEnd]) -> Option<PortEnd> {
-        let there =
-            |end: &PortEnd| self.store().life(end.life).is_some_and(|l| l.port(end.task, end.port).is_some());
+        let there = |end: &PortEnd| {
+            self.store().incarnation(end.incarnation).is_some_and(|l| l.port(end.task, end.port).is_some())
+        };
         self.port.filter(there).or_else(|| queues.first().copied())
     }
 
@@ -69,8 +70,10 @@ impl App {
     #[must_use]
     pub fn queue(&self, now: Moment) -> Vec<Waiting> {
         let end = self.port(&self.queues());
-        let life = end.and_then(|end| self.store().life(end.life).zip(Some(end)));
-        life.map_or_else(Vec::new, |(life, end)| queue(life, end.task, end.port, self.moment(now)))
+        let incarnation = end.and_then(|end| self.store().incarnation(end.incarnation).zip(Some(end)));
+        incarnation.map_or_else(Vec::new, |(incarnation, end)| {
+            queue(incarnation, end.task, end.port, self.moment(now))
+        })
     }
 
     /// The screen that the help explains.

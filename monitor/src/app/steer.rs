@@ -7,7 +7,7 @@ use crate::query::Filter;
 use crate::replay::{At, Player};
 use crate::rows::Row;
 use crate::store::health::Place;
-use crate::store::journal::{Level, What};
+use crate::store::journal::{Severity, What};
 use crate::store::message::{MessageKey, key_of};
 use crate::store::trail::Seen;
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
@@ -324,7 +324,7 @@ impl App {
                 };
                 self.selected = found.map(|i| rows[i].place).or(self.selected);
             }
-            Screen::Events => self.jump_in_events(forward, Level::Warn),
+            Screen::Events => self.jump_in_events(forward, Severity::Warn),
             Screen::Port
             | Screen::Message
             | Screen::Rendezvous
@@ -336,7 +336,7 @@ impl App {
     }
 
     fn is_waitfor(&self, end: PortEnd) -> bool {
-        let view = self.store().life(end.life).and_then(|l| l.port(end.task, end.port));
+        let view = self.store().incarnation(end.incarnation).and_then(|l| l.port(end.task, end.port));
         view.is_some_and(|v| v.usage == Usage::Waitfor)
     }
 
@@ -391,10 +391,10 @@ impl App {
     }
 
     fn jump_to_error(&mut self, forward: bool) {
-        self.jump_in_events(forward, Level::Bad);
+        self.jump_in_events(forward, Severity::Bad);
     }
 
-    fn jump_in_events(&mut self, forward: bool, least: Level) {
+    fn jump_in_events(&mut self, forward: bool, least: Severity) {
         let lines = self.events();
         let at = self.held.unwrap_or(u64::MAX);
         let mut bad = lines.iter().filter(|e| e.level() >= least).map(|e| e.number);

@@ -4,7 +4,7 @@
 use super::{ExportError, Exported, each_frame};
 use crate::replay::Film;
 use crate::store::Store;
-use crate::store::journal::{Level, level_of, word};
+use crate::store::journal::{Severity, level_of, word};
 use crate::store::timeline::{Mark, Timeline, timeline};
 use imrs_protocol::{Event, TaskId};
 use imrs_wire::text::one_line;
@@ -108,9 +108,9 @@ fn draw(
             );
         }
         let class = match level_of(mark.seen.what.event) {
-            Level::Bad => "r",
-            Level::Warn => "w",
-            Level::Note | Level::Trace => "m",
+            Severity::Bad => "r",
+            Severity::Warn => "w",
+            Severity::Note | Severity::Trace => "m",
         };
         let _ = writeln!(out, "<circle class=\"{class}\" cx=\"{x}\" cy=\"{y}\" r=\"3\"/>");
         let _ = writeln!(

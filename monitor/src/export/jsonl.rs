@@ -6,7 +6,7 @@ use crate::replay::Film;
 use crate::report;
 use crate::source::{Arrival, Feed};
 use crate::store::journal::word;
-use crate::store::{Life, Store};
+use crate::store::{NodeIncarnation, Store};
 use imrs_protocol::Event;
 use imrs_wire::obs::{ServerFrame, TimedEvent};
 use imrs_wire::text;
@@ -28,8 +28,8 @@ pub(super) fn write(film: &Film, mut out: impl Write) -> Result<Exported, Export
 
 fn lines(store: &Store, arrival: &Arrival) -> Vec<Value> {
     let (at_us, source) = (micros(arrival.at), arrival.source);
-    let life = store.life_of(source);
-    let node = life.map(|life| life.node.raw().to_owned());
+    let incarnation = store.incarnation_of(source);
+    let node = incarnation.map(|incarnation| incarnation.node.raw().to_owned());
     match &arrival.feed {
         Feed::Attached { identity, pid, build } => vec![json!({
             "at_us": at_us, "what": "attached", "cell": identity.cell, "node": identity.node,
@@ -38,18 +38,18 @@ fn lines(store: &Store, arrival: &Arrival) -> Vec<Value> {
         Feed::Lost { why } => vec![json!({"at_us": at_us, "what": "lost", "node": node, "why": why})],
         Feed::Frame(frame) => match &**frame {
             ServerFrame::Events(events) => {
-                let Some(life) = life else { return Vec::new() };
+                let Some(incarnation) = incarnation else { return Vec::new() };
                 let gap = (events.lost > 0).then(
                     || json!({"at_us": at_us, "what": "gap", "node": node, "lost_events": events.lost}),
                 );
                 gap.into_iter()
-                    .chain(events.events.iter().map(|event| self::event(life, at_us, event)))
+                    .chain(events.events.iter().map(|event| self::event(incarnation, at_us, event)))
                     .collect()
             }
             ServerFrame::Bye(_) => vec![json!({"at_us": at_us, "what": "stopped", "node": node})],
             ServerFrame::Table(_) => Vec::new(),
-            _ => life.filter(|_| is_state(frame)).map_or_else(Vec::new, |life| {
-                vec![json!({"at_us": at_us, "what": "state", "state": report::node_value(store, life, arrival.at)})]
+            _ => incarnation.filter(|_| is_state(frame)).map_or_else(Vec::new, |incarnation| {
+                vec![json!({"at_us": at_us, "what": "state", "state": report::node_value(store, incarnation, arrival.at)})]
             }),
         },
         Feed::Judged { .. } | Feed::Failed { .. } | Feed::Left | Feed::Stale { .. } => Vec::new(),
@@ -62,7 +62,7 @@ pub(super) const fn is_state(frame: &ServerFrame) -> bool {
 }
 
 /// An event as JSON, with the names of the cell.
-pub(super) fn event(life: &Life, at_us: u64, event: &TimedEvent) -> Value {
+pub(super) fn event(incarnation: &NodeIncarnation, at_us: u64, event: &TimedEvent) -> Value {
     let what = event.what;
     let reason = match what.event {
         Event::Discarded(reason) => Some(reason.name()),
@@ -71,15 +71,15 @@ pub(super) fn event(life: &Life, at_us: u64, event: &TimedEvent) -> Value {
     json!({
         "at_us": at_us,
         "what": "event",
-        "node": life.node.raw(),
+        "node": incarnation.node.raw(),
         // On the node's own clock: only differences within one node are meaningful.
         "mono_us": event.mono_us,
-        "task": event.task.map(|task| life.names.task(task).raw().to_owned()),
+        "task": event.task.map(|task| incarnation.names.task(task).raw().to_owned()),
         "event": word(what.event),
         "reason": reason,
-        "port": life.names.port(what.port).map(|port| port.name.raw()),
-        "peer": life.names.task(what.peer).raw(),
+        "port": incarnation.names.port(what.port).map(|port| port.name.raw()),
+        "peer": incarnation.names.task(what.peer).raw(),
         "number": what.number,
-        "remaining_us": what.remaining.0.saturating_mul(life.tick_us),
+        "remaining_us": what.remaining.0.saturating_mul(incarnation.tick_us),
     })
 }

@@ -6,8 +6,8 @@ use crate::clock::{Moment, micros};
 use crate::replay::Film;
 use crate::report;
 use crate::source::Feed;
-use crate::store::journal::Level;
-use crate::store::{Life, Store};
+use crate::store::journal::Severity;
+use crate::store::{NodeIncarnation, Store};
 use imrs_protocol::{Class, PortView};
 use imrs_wire::obs::{ServerFrame, TaskSnapshot};
 use mcap::records::MessageHeader;
@@ -37,19 +37,24 @@ pub(super) fn write(film: &Film, out: impl Write + Seek) -> Result<Exported, Exp
     let mut told = BTreeSet::new();
     each_frame(film, |store, arrival| {
         let at = arrival.at;
-        let life = store.life_of(arrival.source);
-        match (&arrival.feed, life) {
-            (Feed::Frame(frame), Some(life)) => match &**frame {
+        let incarnation = store.incarnation_of(arrival.source);
+        match (&arrival.feed, incarnation) {
+            (Feed::Frame(frame), Some(incarnation)) => match &**frame {
                 ServerFrame::Events(events) => {
                     for event in &events.events {
-                        tape.put("/events", &EVENT, at, &jsonl::event(life, micros(at), event))?;
+                        tape.put("/events", &EVENT, at, &jsonl::event(incarnation, micros(at), event))?;
                     }
                 }
-                frame if jsonl::is_state(frame) => state(&mut tape, store, life, at)?,
+                frame if jsonl::is_state(frame) => state(&mut tape, store, incarnation, at)?,
                 _ => {}
             },
-            (Feed::Lost { why }, Some(life)) => {
-                tape.put("/log", &LOG, at, &log(at, Level::Bad, life.node.raw(), &format!("gone: {why}")))?;
+            (Feed::Lost { why }, Some(incarnation)) => {
+                tape.put(
+                    "/log",
+                    &LOG,
+                    at,
+                    &log(at, Severity::Bad, incarnation.node.raw(), &format!("gone: {why}")),
+                )?;
             }
             _ => {}
         }
@@ -63,25 +68,25 @@ pub(super) fn write(film: &Film, out: impl Write + Seek) -> Result<Exported, Exp
 fn state<W: Write + Seek>(
     tape: &mut Tape<W>,
     store: &Store,
-    life: &Life,
+    incarnation: &NodeIncarnation,
     at: Moment,
 ) -> Result<(), ExportError> {
-    let node = topic(life.node.raw());
-    tape.put(&format!("/nodes/{node}/state"), &STATE, at, &report::node_value(store, life, at))?;
-    for task in life.tasks() {
+    let node = topic(incarnation.node.raw());
+    tape.put(&format!("/nodes/{node}/state"), &STATE, at, &report::node_value(store, incarnation, at))?;
+    for task in incarnation.tasks() {
         for port in &task.view.ports {
-            let (of, name) = (life.names.task(task.view.task), life.names.port_name(port.port));
+            let (of, name) = (incarnation.names.task(task.view.task), incarnation.names.port_name(port.port));
             let name = format!("/nodes/{node}/{}/{}", topic(of.raw()), topic(name.raw()));
-            tape.put(&name, &PORT_SCHEMA, at, &flat(life, task, port, at))?;
+            tape.put(&name, &PORT_SCHEMA, at, &flat(incarnation, task, port, at))?;
         }
     }
     Ok(())
 }
 
-fn flat(life: &Life, task: &TaskSnapshot, port: &PortView, at: Moment) -> Value {
+fn flat(incarnation: &NodeIncarnation, task: &TaskSnapshot, port: &PortView, at: Moment) -> Value {
     let c = &port.counters;
     #[expect(clippy::cast_precision_loss, reason = "milliseconds for a plot")]
-    let slack = port.min_slack.map_or(-1.0, |s| life.left(s, task.age_us, at).us as f64 / 1000.0);
+    let slack = port.min_slack.map_or(-1.0, |s| incarnation.left(s, task.age_us, at).us as f64 / 1000.0);
     json!({
         "len": port.len, "capacity": port.capacity, "min_slack_ms": slack,
         "sent": c.sent, "delivered": c.delivered, "expired": c.expired, "refused": c.refused,
@@ -100,9 +105,10 @@ fn findings<W: Write + Seek>(
     let mut now = BTreeSet::new();
     for cell in store.cells() {
         for finding in crate::store::health::findings(store, &cell, at) {
-            let life = finding.place.node.ok().and_then(|id| store.life(id));
-            let node = life.map_or_else(|| cell.raw().to_owned(), |life| life.node.raw().to_owned());
-            let port = life.zip(finding.place.port).map(|(l, p)| format!(" {}", l.names.port_name(p)));
+            let incarnation = finding.place.node.ok().and_then(|id| store.incarnation(id));
+            let node = incarnation
+                .map_or_else(|| cell.raw().to_owned(), |incarnation| incarnation.node.raw().to_owned());
+            let port = incarnation.zip(finding.place.port).map(|(l, p)| format!(" {}", l.names.port_name(p)));
             let key = (node.clone() + port.as_deref().unwrap_or_default(), finding.code.to_owned());
             if !told.contains(&key) {
                 let text = format!("{}{}: {}", finding.code, port.unwrap_or_default(), finding.text);
@@ -116,12 +122,12 @@ fn findings<W: Write + Seek>(
 }
 
 /// A message in the schema `foxglove.Log`.
-fn log(at: Moment, level: Level, name: &str, message: &str) -> Value {
+fn log(at: Moment, level: Severity, name: &str, message: &str) -> Value {
     let level = match level {
-        Level::Trace => 1,
-        Level::Note => 2,
-        Level::Warn => 3,
-        Level::Bad => 4,
+        Severity::Trace => 1,
+        Severity::Note => 2,
+        Severity::Warn => 3,
+        Severity::Bad => 4,
     };
     json!({
         "timestamp": {"sec": at.as_secs(), "nsec": at.subsec_nanos()},

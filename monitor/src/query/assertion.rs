@@ -7,8 +7,8 @@ use super::{Condition, Filter, Value, operator_holds};
 use crate::clock::{Moment, Span};
 use crate::name::Name;
 use crate::store::health::{Finding, findings};
-use crate::store::journal::Level;
-use crate::store::{Life, Presence, Store};
+use crate::store::journal::Severity;
+use crate::store::{NodeIncarnation, Presence, Store};
 use std::cell::RefCell;
 
 /// A condition on a whole cell: `expired==0 and min_slack>5ms`, `count(class=2 and fill>80%) == 0 and up>=3`.
@@ -99,7 +99,7 @@ impl Amount {
     fn value(&self, store: &Store, cells: &Cells<'_>, now: Moment, time: bool) -> Value<'static> {
         #[expect(clippy::cast_precision_loss, reason = "a count for comparing")]
         let number = |count: usize| Value::Number(count as f64);
-        let lives = || cells.iter().flat_map(|(cell, _)| store.lives_of(cell));
+        let incarnations = || cells.iter().flat_map(|(cell, _)| store.incarnations_of(cell));
         let known = |cell: &Name| store.names(cell).map_or(0, |names| names.nodes.len());
         let declared = || cells.iter().map(|(cell, _)| known(cell)).sum::<usize>();
         match self {
@@ -110,25 +110,27 @@ impl Amount {
                 each_port(store, cells, now, &mut |row| count += usize::from(filter.takes(row)));
                 number(count)
             }
-            Self::Up => number(count_up(lives(), now)),
+            Self::Up => number(count_up(incarnations(), now)),
             Self::Nodes => number(declared()),
             Self::Missing => {
                 let present = cells.iter().flat_map(|(cell, _)| store.present(cell));
                 number(declared().saturating_sub(count_up(present, now)))
             }
             Self::Findings | Self::Critical => {
-                let least = if *self == Self::Critical { Level::Bad } else { Level::Warn };
+                let least = if *self == Self::Critical { Severity::Bad } else { Severity::Warn };
                 number(cells.iter().flat_map(|(_, all)| all).filter(|f| f.level >= least).count())
             }
             #[expect(clippy::cast_precision_loss, reason = "a count for comparing")]
-            Self::Lost => Value::Number(lives().map(|life| life.lost).sum::<u64>() as f64),
+            Self::Lost => {
+                Value::Number(incarnations().map(|incarnation| incarnation.lost).sum::<u64>() as f64)
+            }
         }
     }
 }
 
 /// How many of these nodes are up.
-fn count_up<'a>(lives: impl Iterator<Item = &'a Life>, now: Moment) -> usize {
-    lives.filter(|life| life.presence(now) == Presence::Up).count()
+fn count_up<'a>(incarnations: impl Iterator<Item = &'a NodeIncarnation>, now: Moment) -> usize {
+    incarnations.filter(|incarnation| incarnation.presence(now) == Presence::Up).count()
 }
 
 /// A field, aggregated over all ports that have it. With none, the minimum is positive infinity, and the maximum
@@ -160,10 +162,10 @@ fn over(
 /// Calls `each` for every port of the latest incarnations.
 fn each_port(store: &Store, cells: &Cells<'_>, now: Moment, each: &mut impl FnMut(&PortRow<'_>)) {
     for (cell, findings) in cells {
-        for life in store.present(cell) {
-            for task in life.tasks() {
+        for incarnation in store.present(cell) {
+            for task in incarnation.tasks() {
                 for port in &task.view.ports {
-                    each(&PortRow { store, life, task, port, findings, now });
+                    each(&PortRow { store, incarnation, task, port, findings, now });
                 }
             }
         }

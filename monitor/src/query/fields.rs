@@ -3,10 +3,10 @@
 use super::Value;
 use crate::clock::{self, Moment};
 use crate::store::health::{Finding, Place};
-use crate::store::journal::{Entry, Level};
+use crate::store::journal::{Entry, Severity};
 use crate::store::meeting::state;
 use crate::store::service::outlook;
-use crate::store::{Life, Store};
+use crate::store::{NodeIncarnation, Store};
 use imrs_protocol::{Class, PortView};
 use imrs_wire::obs::{Liveness, TaskSnapshot};
 use std::borrow::Cow;
@@ -111,7 +111,7 @@ pub struct PortRow<'a> {
     /// The store.
     pub store: &'a Store,
     /// The node.
-    pub life: &'a Life,
+    pub incarnation: &'a NodeIncarnation,
     /// The task.
     pub task: &'a TaskSnapshot,
     /// The port.
@@ -126,7 +126,7 @@ pub struct PortRow<'a> {
 #[derive(Clone, Copy, Debug)]
 pub struct NodeRow<'a> {
     /// The node.
-    pub life: &'a Life,
+    pub incarnation: &'a NodeIncarnation,
     /// The task, if the row is a task's.
     pub task: Option<&'a TaskSnapshot>,
     /// All findings of the cell.
@@ -156,11 +156,11 @@ const fn micros(us: u64) -> Value<'static> {
     Value::Time(us as f64)
 }
 
-const fn level(level: Option<Level>) -> &'static str {
+const fn level(level: Option<Severity>) -> &'static str {
     match level {
-        Some(Level::Bad) => "critical",
-        Some(Level::Warn) => "warning",
-        Some(Level::Note | Level::Trace) => "note",
+        Some(Severity::Bad) => "critical",
+        Some(Severity::Warn) => "warning",
+        Some(Severity::Note | Severity::Trace) => "note",
         None => "ok",
     }
 }
@@ -170,9 +170,9 @@ fn worst(findings: &[Finding], place: Place) -> Option<&Finding> {
     findings.iter().find(|finding| place.holds(&finding.place))
 }
 
-fn doing(life: &Life, task: &TaskSnapshot) -> String {
+fn doing(incarnation: &NodeIncarnation, task: &TaskSnapshot) -> String {
     match task.liveness {
-        Liveness::Alive => state(life, &task.view.state),
+        Liveness::Alive => state(incarnation, &task.view.state),
         Liveness::Ended => "ended".to_owned(),
         Liveness::Crashed => "crashed".to_owned(),
     }
@@ -180,11 +180,11 @@ fn doing(life: &Life, task: &TaskSnapshot) -> String {
 
 impl Row for PortRow<'_> {
     fn field(&self, field: Field) -> Value<'_> {
-        let Self { store, life, task, port, findings, now } = *self;
+        let Self { store, incarnation, task, port, findings, now } = *self;
         let c = &port.counters;
-        let place = Place { node: Ok(life.id), task: Some(task.view.task), port: Some(port.port) };
+        let place = Place { node: Ok(incarnation.id), task: Some(task.view.task), port: Some(port.port) };
         match field {
-            Field::Port => text(life.names.port_name(port.port).raw().to_owned()),
+            Field::Port => text(incarnation.names.port_name(port.port).raw().to_owned()),
             Field::Usage => text(port.usage.word()),
             Field::Health => text(level(worst(findings, place).map(|f| f.level))),
             Field::Code => worst(findings, place).map_or(Value::Missing, |f| text(f.code)),
@@ -194,9 +194,9 @@ impl Row for PortRow<'_> {
             Field::Fill if port.capacity == 0 => Value::Missing,
             Field::Fill => Value::Number(f64::from(port.len) * 100.0 / f64::from(port.capacity)),
             Field::Slack => {
-                port.min_slack.map_or(Value::Missing, |s| micros(life.left(s, task.age_us, now).us))
+                port.min_slack.map_or(Value::Missing, |s| micros(incarnation.left(s, task.age_us, now).us))
             }
-            Field::Rate => life.rate(task.view.task, port.port).map_or(Value::Missing, Value::Number),
+            Field::Rate => incarnation.rate(task.view.task, port.port).map_or(Value::Missing, Value::Number),
             Field::Sent => count(c.sent),
             Field::Resent => count(c.resent),
             Field::Enqueued => count(c.enqueued),
@@ -209,46 +209,47 @@ impl Row for PortRow<'_> {
             Field::TimedOut => count(c.timed_out),
             Field::Dropped => count(c.dropped),
             Field::Service => {
-                let outlook = outlook(store, life.id, task.view.task, port.port);
+                let outlook = outlook(store, incarnation.id, task.view.task, port.port);
                 outlook.p99_us.map_or(Value::Missing, micros)
             }
             Field::Cell | Field::Node | Field::Task | Field::State => {
-                node_field(life, Some(task), findings, field)
+                node_field(incarnation, Some(task), findings, field)
             }
             Field::Kind | Field::Peer | Field::Number | Field::Ago => Value::Missing,
         }
     }
 
     fn mentions(&self, words: &str) -> bool {
-        let node = NodeRow { life: self.life, task: Some(self.task), findings: self.findings };
-        self.life.names.port_name(self.port.port).shown().to_lowercase().contains(words)
+        let node = NodeRow { incarnation: self.incarnation, task: Some(self.task), findings: self.findings };
+        self.incarnation.names.port_name(self.port.port).shown().to_lowercase().contains(words)
             || node.mentions(words)
     }
 }
 
 impl Row for NodeRow<'_> {
     fn field(&self, field: Field) -> Value<'_> {
-        node_field(self.life, self.task, self.findings, field)
+        node_field(self.incarnation, self.task, self.findings, field)
     }
 
     fn mentions(&self, words: &str) -> bool {
         let has = |name: &crate::name::Name| name.shown().to_lowercase().contains(words);
-        has(&self.life.node) || self.task.is_some_and(|task| has(&self.life.names.task(task.view.task)))
+        has(&self.incarnation.node)
+            || self.task.is_some_and(|task| has(&self.incarnation.names.task(task.view.task)))
     }
 }
 
 fn node_field<'a>(
-    life: &'a Life,
+    incarnation: &'a NodeIncarnation,
     task: Option<&TaskSnapshot>,
     findings: &[Finding],
     field: Field,
 ) -> Value<'a> {
-    let place = Place { node: Ok(life.id), task: task.map(|t| t.view.task), port: None };
+    let place = Place { node: Ok(incarnation.id), task: task.map(|t| t.view.task), port: None };
     match (field, task) {
-        (Field::Cell, _) => text(life.names.cell.raw()),
-        (Field::Node, _) => text(life.node.raw()),
-        (Field::Task, Some(task)) => text(life.names.task(task.view.task).raw().to_owned()),
-        (Field::State, Some(task)) => text(doing(life, task)),
+        (Field::Cell, _) => text(incarnation.names.cell.raw()),
+        (Field::Node, _) => text(incarnation.node.raw()),
+        (Field::Task, Some(task)) => text(incarnation.names.task(task.view.task).raw().to_owned()),
+        (Field::State, Some(task)) => text(doing(incarnation, task)),
         (Field::Health, _) => text(level(worst(findings, place).map(|f| f.level))),
         (Field::Code, _) => worst(findings, place).map_or(Value::Missing, |f| text(f.code)),
         _ => Value::Missing,
@@ -263,7 +264,7 @@ impl Row for EventRow<'_> {
             Field::Cell => text(entry.names.cell.raw()),
             Field::Node => text(entry.node.raw()),
             Field::Kind => text(entry.kind()),
-            Field::Health => text(level((entry.level() > Level::Trace).then(|| entry.level()))),
+            Field::Health => text(level((entry.level() > Severity::Trace).then(|| entry.level()))),
             Field::Ago => micros(clock::micros(now.saturating_sub(entry.at))),
             Field::Task => observed
                 .and_then(|(task, _)| task)

@@ -4,7 +4,7 @@
 use crate::clock::{Moment, micros};
 use crate::error::MonitorError;
 use crate::source::{Arrival, Feed, SourceId};
-use crate::store::journal::{Level, level_of};
+use crate::store::journal::{Severity, level_of};
 use imrs_wire::files;
 use imrs_wire::obs::{Events, Role, ServerFrame};
 use imrs_wire::recording::{Ending, Record, RecordingReader, Shown, Step, Story, Stream};
@@ -293,7 +293,7 @@ pub(crate) fn is_odd(shown: &Shown) -> bool {
     match shown {
         Shown::Lost { .. } => true,
         Shown::Said(ServerFrame::Events(Events { events, .. })) => {
-            events.iter().any(|event| level_of(event.what.event) == Level::Bad)
+            events.iter().any(|event| level_of(event.what.event) == Severity::Bad)
         }
         Shown::Said(
             ServerFrame::Table(_)

@@ -2,7 +2,7 @@
 
 use super::Player;
 use crate::name::shown_line;
-use crate::store::{Life, Presence};
+use crate::store::{NodeIncarnation, Presence};
 use imrs_wire::recording::Story;
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -19,7 +19,7 @@ pub(crate) struct Position<'a> {
     odd: bool,
     happened: &'a [String],
     tasks: Vec<Doing<'a>>,
-    story: Option<Told<'a>>,
+    story: Option<StoryShown<'a>>,
     /// A note on the file.
     notice: Option<&'a str>,
 }
@@ -32,7 +32,7 @@ struct Doing<'a> {
 }
 
 #[derive(Serialize)]
-struct Told<'a> {
+struct StoryShown<'a> {
     file: &'a str,
     kind: &'a str,
     cause: &'a str,
@@ -49,7 +49,7 @@ pub(crate) fn position(player: &Player) -> Position<'_> {
     let film = player.film();
     let step = player.step();
     let tasks = step.map_or(&[][..], |step| &step.tasks).iter();
-    let story = film.story.as_ref().map(|story| Told {
+    let story = film.story.as_ref().map(|story| StoryShown {
         file: &story.file,
         kind: &story.kind,
         cause: &story.cause,
@@ -116,19 +116,21 @@ fn happened(player: &Player) -> String {
 /// The queues of the tasks and the transit buffers of the running nodes, as far as they are not empty.
 fn queues(player: &Player) -> String {
     let mut out = String::new();
-    let up = |life: &&Life| matches!(life.presence(player.moment()), Presence::Up | Presence::Silent(_));
-    for life in player.store().lives().iter().filter(up) {
-        let Some(sample) = &life.last else { continue };
+    let up = |incarnation: &&NodeIncarnation| {
+        matches!(incarnation.presence(player.moment()), Presence::Up | Presence::Silent(_))
+    };
+    for incarnation in player.store().incarnations().iter().filter(up) {
+        let Some(sample) = &incarnation.last else { continue };
         for task in &sample.snapshot.tasks {
-            let name = life.names.task(task.view.task);
+            let name = incarnation.names.task(task.view.task);
             for port in task.view.ports.iter().filter(|port| port.len > 0) {
-                let at = life.names.port_name(port.port);
+                let at = incarnation.names.port_name(port.port);
                 let _ = writeln!(out, "  {name} has {} of {} waiting in {at}", port.len, port.capacity);
             }
         }
         let transit = &sample.snapshot.transit;
         if transit.len > 0 {
-            let (node, len, capacity) = (&life.node, transit.len, transit.capacity);
+            let (node, len, capacity) = (&incarnation.node, transit.len, transit.capacity);
             let _ = writeln!(out, "  node {node} has {len} of {capacity} in transit");
         }
     }
@@ -137,7 +139,12 @@ fn queues(player: &Player) -> String {
 
 /// The activity of each task after the shown step, with the line of its statement.
 pub(crate) fn tasks(player: &Player) -> impl Iterator<Item = String> {
-    let names = player.store().lives().iter().map(|life| &life.names).max_by_key(|names| names.tasks.len());
+    let names = player
+        .store()
+        .incarnations()
+        .iter()
+        .map(|incarnation| &incarnation.names)
+        .max_by_key(|names| names.tasks.len());
     player.step().map_or(&[][..], |step| &step.tasks).iter().map(move |doing| {
         let name = names.map_or_else(String::new, |names| names.task(doing.task).to_string());
         let line = doing.line.map_or_else(String::new, |line| format!(", line {line}"));

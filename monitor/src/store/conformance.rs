@@ -1,16 +1,16 @@
 //! The validator's verdicts on the recorded inputs of nodes, by incarnation.
 
-use super::{LifeId, Store};
+use super::{IncarnationId, Store};
 pub use crate::conformance::{Conformance, Verdict};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// The verdict on an incarnation; if there is none, the reason.
 #[must_use]
-pub fn conformance(store: &Store, life: LifeId) -> Conformance {
-    let known = store.judged.get(&life).map(|known| known.as_ref().clone());
+pub fn conformance(store: &Store, incarnation: IncarnationId) -> Conformance {
+    let known = store.judged.get(&incarnation).map(|known| known.as_ref().clone());
     known.unwrap_or_else(|| Conformance::unknown("not recorded: start the node with --record"))
 }
 
 /// The verdicts so far.
-pub(super) type Judged = BTreeMap<LifeId, Arc<Conformance>>;
+pub(super) type Judged = BTreeMap<IncarnationId, Arc<Conformance>>;

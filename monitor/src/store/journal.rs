@@ -13,7 +13,7 @@ pub const KEPT: usize = 4096;
 
 /// The severity of an entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Level {
+pub enum Severity {
     /// Routine traffic.
     Trace,
     /// Worth an entry.
@@ -37,7 +37,7 @@ pub enum What {
     /// The monitor noticed it.
     Noticed {
         /// The severity.
-        level: Level,
+        level: Severity,
         /// The kind, in one word.
         kind: &'static str,
         /// The affected object.
@@ -67,7 +67,7 @@ pub struct Entry {
 impl Entry {
     /// Its severity.
     #[must_use]
-    pub const fn level(&self) -> Level {
+    pub const fn level(&self) -> Severity {
         match &self.what {
             What::Observed { observation, .. } => level_of(observation.event),
             What::Noticed { level, .. } => *level,
@@ -151,7 +151,7 @@ impl Entry {
     }
 }
 
-pub(crate) const fn level_of(event: Event) -> Level {
+pub(crate) const fn level_of(event: Event) -> Severity {
     match event {
         Event::Sent
         | Event::Resent
@@ -165,19 +165,19 @@ pub(crate) const fn level_of(event: Event) -> Level {
         | Event::Interrupted
         | Event::Resumed
         | Event::Rejected
-        | Event::Granted => Level::Trace,
-        Event::Rejoined | Event::ReleasedComplete | Event::ReleasedByConfirm => Level::Trace,
+        | Event::Granted => Severity::Trace,
+        Event::Rejoined | Event::ReleasedComplete | Event::ReleasedByConfirm => Severity::Trace,
         // The protocol repeats copies against losses, so dropping a duplicate is routine.
-        Event::Discarded(Reason::Duplicate | Reason::OldRound | Reason::Superseded) => Level::Trace,
+        Event::Discarded(Reason::Duplicate | Reason::OldRound | Reason::Superseded) => Severity::Trace,
         Event::Discarded(_) | Event::RefusedByPeer | Event::PartnerAborted | Event::WithinMargin => {
-            Level::Warn
+            Severity::Warn
         }
         Event::TimedOut
         | Event::TimedOutUnsent
         | Event::PeerRestarted
         | Event::GaveUp
         | Event::TookOver
-        | Event::Fenced => Level::Bad,
+        | Event::Fenced => Severity::Bad,
     }
 }
 
@@ -223,7 +223,7 @@ pub struct Journal {
 impl Journal {
     /// Adds an entry, or raises the count of the last one of its queue if the entry repeats it.
     pub fn add(&mut self, entry: Entry) {
-        let lines = if entry.level() == Level::Trace { &mut self.trace } else { &mut self.notable };
+        let lines = if entry.level() == Severity::Trace { &mut self.trace } else { &mut self.notable };
         if let Some(last) = lines.back_mut().filter(|last| last.repeats(&entry)) {
             *last = Entry { times: last.times.saturating_add(entry.times), number: last.number, ..entry };
             return;

@@ -2,7 +2,7 @@
 //! and who waits for whom.
 
 use super::health::held_back_words;
-use super::{Left, Life, Names, Presence, Store, is_killed};
+use super::{Left, Names, NodeIncarnation, Presence, Store, is_killed};
 use crate::clock::Moment;
 use crate::name::Name;
 use imrs_protocol::{MeetingState, MeetingView, PortId, Round, TaskId, TaskState};
@@ -100,8 +100,8 @@ const CRASHED: &str = "the task CRASHED";
 const ENDED: &str = "the task ended";
 
 /// The view of a meeting at one attached member.
-struct Told<'a> {
-    life: &'a Life,
+struct MemberReport<'a> {
+    incarnation: &'a NodeIncarnation,
     age_us: u64,
     view: &'a MeetingView,
 }
@@ -119,21 +119,24 @@ pub fn meeting(store: &Store, cell: &Name, port: PortId, now: Moment) -> Option<
     let names = store.names(cell)?;
     let info = names.port(port)?;
     let tasks: Vec<TaskId> = info.parties.iter().map(|p| p.task).collect();
-    let lives: Vec<Option<&Life>> =
+    let incarnations: Vec<Option<&NodeIncarnation>> =
         tasks.iter().map(|t| names.home(*t).and_then(|node| store.latest(cell, node))).collect();
-    let told: Vec<Option<Told<'_>>> =
-        (tasks.iter().zip(&lives)).map(|(task, life)| tell(*life, *task, port)).collect();
+    let told: Vec<Option<MemberReport<'_>>> = (tasks.iter().zip(&incarnations))
+        .map(|(task, incarnation)| tell(*incarnation, *task, port))
+        .collect();
     let round = round_shown(&told, now);
     let mut members: Vec<Member> = Vec::new();
     for (i, &task) in tasks.iter().enumerate() {
-        let presence = lives[i].map(|l| l.presence(now));
+        let presence = incarnations[i].map(|l| l.presence(now));
         let mut member = Member {
             task,
             name: names.task(task),
             node: names.home(task).map_or_else(|| Name::new("?"), |n| names.node(n)),
             presence,
-            doing: lives[i]
-                .map_or_else(|| of_unseen(store, cell, names, task), |life| doing(life, task, now)),
+            doing: incarnations[i].map_or_else(
+                || of_unseen(store, cell, names, task),
+                |incarnation| doing(incarnation, task, now),
+            ),
             standing: Standing::Unknown,
             left: None,
             waited_us: None,
@@ -144,31 +147,31 @@ pub fn meeting(store: &Store, cell: &Name, port: PortId, now: Moment) -> Option<
         };
         if let Some(told) = &told[i] {
             place(&mut member, told, &tasks, round, now);
-            let time_out = info.parties[i].time_out.0.saturating_mul(told.life.tick_us);
+            let time_out = info.parties[i].time_out.0.saturating_mul(told.incarnation.tick_us);
             member.waited_us = member.left.map(|left| time_out.saturating_sub(left.us));
         }
         members.push(member);
     }
     hear_of_the_silent(&mut members);
     let left = members.iter().filter(|m| m.standing == Standing::Arrived).filter_map(|m| m.left).min();
-    let tick_us = lives.iter().flatten().map(|l| l.tick_us).next().unwrap_or(1);
+    let tick_us = incarnations.iter().flatten().map(|l| l.tick_us).next().unwrap_or(1);
     let patience = info.parties.iter().map(|p| p.time_out.0).max().unwrap_or(0);
     let patience_us = patience.saturating_mul(tick_us);
     Some(Meeting { port, name: info.name.clone(), round, members, left, patience_us })
 }
 
-fn tell(life: Option<&Life>, task: TaskId, port: PortId) -> Option<Told<'_>> {
-    let life = life?;
-    let snapshot = life.task(task)?;
+fn tell(incarnation: Option<&NodeIncarnation>, task: TaskId, port: PortId) -> Option<MemberReport<'_>> {
+    let incarnation = incarnation?;
+    let snapshot = incarnation.task(task)?;
     let view = snapshot.view.meetings.iter().find(|m| m.port == port)?;
-    Some(Told { life, age_us: snapshot.age_us, view })
+    Some(MemberReport { incarnation, age_us: snapshot.age_us, view })
 }
 
 /// The freshest round in which a member waits; if none waits, the freshest next round of any member.
-fn round_shown(told: &[Option<Told<'_>>], now: Moment) -> Round {
+fn round_shown(told: &[Option<MemberReport<'_>>], now: Moment) -> Round {
     let rounds = |waiting: bool| {
         let all = told.iter().flatten().filter(move |t| {
-            !waiting || (t.view.state != MeetingState::Away && !t.life.presence(now).is_gone())
+            !waiting || (t.view.state != MeetingState::Away && !t.incarnation.presence(now).is_gone())
         });
         all.map(|t| t.view.round).reduce(Round::fresher)
     };
@@ -176,7 +179,7 @@ fn round_shown(told: &[Option<Told<'_>>], now: Moment) -> Round {
 }
 
 /// Fills in a member's own view.
-fn place(member: &mut Member, told: &Told<'_>, tasks: &[TaskId], round: Round, now: Moment) {
+fn place(member: &mut Member, told: &MemberReport<'_>, tasks: &[TaskId], round: Round, now: Moment) {
     let view = told.view;
     let waits = view.state != MeetingState::Away && view.round == round;
     let gone = member.is_gone();
@@ -188,7 +191,7 @@ fn place(member: &mut Member, told: &Told<'_>, tasks: &[TaskId], round: Round, n
     if !waits {
         return;
     }
-    member.left = view.remaining.map(|r| told.life.left(r, told.age_us, now));
+    member.left = view.remaining.map(|r| told.incarnation.left(r, told.age_us, now));
     member.within_margin = view.state == MeetingState::WithinMargin;
     for (j, task) in tasks.iter().enumerate() {
         let Some(known) = view.members.iter().find(|m| m.task == *task) else { continue };
@@ -222,26 +225,26 @@ fn of_unseen(store: &Store, cell: &Name, names: &Names, task: TaskId) -> String 
     text.to_owned()
 }
 
-fn doing(life: &Life, task: TaskId, now: Moment) -> String {
-    let presence = life.presence(now);
+fn doing(incarnation: &NodeIncarnation, task: TaskId, now: Moment) -> String {
+    let presence = incarnation.presence(now);
     if presence != Presence::Up {
-        return format!("{} {presence}", life.node);
+        return format!("{} {presence}", incarnation.node);
     }
-    if let Some((_, us)) = life.held_back(now).find(|(held, _)| *held == task) {
+    if let Some((_, us)) = incarnation.held_back(now).find(|(held, _)| *held == task) {
         return held_back_words(us);
     }
-    let Some(snapshot) = life.task(task) else { return String::new() };
+    let Some(snapshot) = incarnation.task(task) else { return String::new() };
     match snapshot.liveness {
         Liveness::Crashed => CRASHED.to_owned(),
         Liveness::Ended => ENDED.to_owned(),
-        Liveness::Alive => state(life, &snapshot.view.state),
+        Liveness::Alive => state(incarnation, &snapshot.view.state),
     }
 }
 
 /// The activity of a task, in words.
 #[must_use]
-pub fn state(life: &Life, state: &TaskState) -> String {
-    let names = &life.names;
+pub fn state(incarnation: &NodeIncarnation, state: &TaskState) -> String {
+    let names = &incarnation.names;
     match state {
         TaskState::Running => "run".to_owned(),
         TaskState::Receiving { port: Some(port), .. } => format!("receive {}", names.port_name(*port)),

@@ -2,7 +2,7 @@
 
 use super::timeline::{Mark, timeline_of};
 use super::trail::{KEPT, Seen};
-use super::{LifeId, Store};
+use super::{IncarnationId, Store};
 use crate::name::Name;
 use imrs_protocol::{Event, PortId, TaskId};
 
@@ -43,12 +43,14 @@ pub struct Passed {
 
 /// The stages of a message, causes first. Empty if nothing is known of it.
 #[must_use]
-pub fn life_of(store: &Store, cell: &Name, key: MessageKey) -> Vec<Stage> {
+pub fn incarnation_of(store: &Store, cell: &Name, key: MessageKey) -> Vec<Stage> {
     let marks = timeline_of(store, cell, KEPT, |seen| concerns(seen, key)).marks;
-    let tick_us = |life: LifeId| store.life(life).map_or(1, |life| life.tick_us);
+    let tick_us = |incarnation: IncarnationId| {
+        store.incarnation(incarnation).map_or(1, |incarnation| incarnation.tick_us)
+    };
     let mut stages: Vec<Stage> = Vec::new();
     for mark in marks {
-        let left_us = mark.seen.what.remaining.0.saturating_mul(tick_us(mark.life));
+        let left_us = mark.seen.what.remaining.0.saturating_mul(tick_us(mark.incarnation));
         let after = before(&stages, &mark, key);
         let from = after.and_then(|at| stages.get(at));
         let charged_us = from.and_then(|from| from.left_us.checked_sub(left_us));
@@ -61,7 +63,7 @@ pub fn life_of(store: &Store, cell: &Name, key: MessageKey) -> Vec<Stage> {
 /// The stage from which `mark` follows: the previous one at the same place, or else the send. An answer follows from
 /// the reply, or from the send of the request, so that the return path is charged too.
 fn before(stages: &[Stage], mark: &Mark, key: MessageKey) -> Option<usize> {
-    let same = |s: &Stage| (s.mark.life, s.mark.task, s.mark.in_transit) == place(mark);
+    let same = |s: &Stage| (s.mark.incarnation, s.mark.task, s.mark.in_transit) == place(mark);
     let event = |wanted: Event| move |s: &Stage| s.mark.seen.what.event == wanted;
     let replied = stages.iter().rposition(event(Event::Replied));
     let sent = stages.iter().rposition(event(Event::Sent));
@@ -72,12 +74,12 @@ fn before(stages: &[Stage], mark: &Mark, key: MessageKey) -> Option<usize> {
     }
 }
 
-const fn place(mark: &Mark) -> (LifeId, TaskId, bool) {
-    (mark.life, mark.task, mark.in_transit)
+const fn place(mark: &Mark) -> (IncarnationId, TaskId, bool) {
+    (mark.incarnation, mark.task, mark.in_transit)
 }
 
 fn passed(from: &Mark, to: &Mark) -> Option<Passed> {
-    if from.life == to.life {
+    if from.incarnation == to.incarnation {
         let us = to.seen.mono_us.checked_sub(from.seen.mono_us)?;
         return Some(Passed { us, estimated: false });
     }

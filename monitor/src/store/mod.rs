@@ -3,8 +3,8 @@
 pub mod conformance;
 pub mod coverage;
 pub mod health;
+mod incarnation;
 pub mod journal;
-mod life;
 pub mod meeting;
 pub mod message;
 mod names;
@@ -16,7 +16,9 @@ pub mod trail;
 mod unseen;
 pub mod waits;
 
-pub use life::{ClockOffset, Condition, Left, Life, LifeId, Presence, SILENT, Sample, Told, Watched};
+pub use incarnation::{
+    ClockOffset, Condition, IncarnationId, Left, NodeIncarnation, Presence, Received, SILENT, Sample, Watched,
+};
 pub use names::{Names, PortInfo, TaskInfo};
 pub use unseen::{Unseen, is_killed, unseen};
 
@@ -25,14 +27,14 @@ use crate::name::Name;
 use crate::source::{Arrival, Feed, SourceId};
 use imrs_protocol::{NodeId, TaskId};
 use imrs_wire::obs::{Count, Events, Goodbye, Liveness, NodeIdentity, ServerFrame, Table};
-use journal::{Entry, Journal, Level, What};
-use life::Notable;
+use incarnation::Notable;
+use journal::{Entry, Journal, Severity, What};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use trail::Trail;
 
 /// How many earlier incarnations of a node are kept beside the latest one.
-const EARLIER_LIVES: usize = 3;
+const EARLIER_INCARNATIONS: usize = 3;
 /// How many attach errors are kept.
 const TROUBLES: usize = 64;
 
@@ -40,8 +42,8 @@ const TROUBLES: usize = 64;
 #[derive(Clone, Debug, Default)]
 pub struct Store {
     /// Sorted by cell, node and incarnation.
-    lives: Vec<Life>,
-    of_source: BTreeMap<SourceId, LifeId>,
+    incarnations: Vec<NodeIncarnation>,
+    of_source: BTreeMap<SourceId, IncarnationId>,
     born: u32,
     journal: Journal,
     services: service::Services,
@@ -90,53 +92,57 @@ impl Store {
 
     /// All incarnations, sorted by cell, node and start.
     #[must_use]
-    pub fn lives(&self) -> &[Life] {
-        &self.lives
+    pub fn incarnations(&self) -> &[NodeIncarnation] {
+        &self.incarnations
     }
 
     /// The incarnations of the nodes of one cell.
-    pub fn lives_of<'a>(&'a self, cell: &Name) -> impl Iterator<Item = &'a Life> + use<'a> {
-        let first = self.lives.partition_point(|l| l.names.cell < *cell);
-        let after = self.lives.partition_point(|l| l.names.cell <= *cell);
-        self.lives.get(first..after).unwrap_or_default().iter()
+    pub fn incarnations_of<'a>(&'a self, cell: &Name) -> impl Iterator<Item = &'a NodeIncarnation> + use<'a> {
+        let first = self.incarnations.partition_point(|l| l.names.cell < *cell);
+        let after = self.incarnations.partition_point(|l| l.names.cell <= *cell);
+        self.incarnations.get(first..after).unwrap_or_default().iter()
     }
 
     /// One incarnation.
     #[must_use]
-    pub fn life(&self, id: LifeId) -> Option<&Life> {
-        self.lives.iter().find(|l| l.id == id)
+    pub fn incarnation(&self, id: IncarnationId) -> Option<&NodeIncarnation> {
+        self.incarnations.iter().find(|l| l.id == id)
     }
 
     /// The latest incarnation of a node of a cell.
     #[must_use]
-    pub fn latest(&self, cell: &Name, node: NodeId) -> Option<&Life> {
-        let upto = self.lives.partition_point(|l| (&l.names.cell, l.node_id) <= (cell, node));
-        let last = self.lives.get(upto.checked_sub(1)?)?;
+    pub fn latest(&self, cell: &Name, node: NodeId) -> Option<&NodeIncarnation> {
+        let upto = self.incarnations.partition_point(|l| (&l.names.cell, l.node_id) <= (cell, node));
+        let last = self.incarnations.get(upto.checked_sub(1)?)?;
         (last.node_id == node && last.names.cell == *cell).then_some(last)
     }
 
     /// The latest incarnation of each node of a cell. Findings and rates ignore the earlier ones.
-    pub fn present<'a>(&'a self, cell: &'a Name) -> impl Iterator<Item = &'a Life> {
-        self.lives_of(cell).filter(|life| self.is_present(life))
+    pub fn present<'a>(&'a self, cell: &'a Name) -> impl Iterator<Item = &'a NodeIncarnation> {
+        self.incarnations_of(cell).filter(|incarnation| self.is_present(incarnation))
     }
 
     /// Whether an incarnation is the latest of its node.
     #[must_use]
-    pub fn is_present(&self, life: &Life) -> bool {
-        self.latest(&life.names.cell, life.node_id).is_some_and(|latest| latest.id == life.id)
+    pub fn is_present(&self, incarnation: &NodeIncarnation) -> bool {
+        self.latest(&incarnation.names.cell, incarnation.node_id)
+            .is_some_and(|latest| latest.id == incarnation.id)
     }
 
     /// The known cells, sorted.
     #[must_use]
     pub fn cells(&self) -> Vec<Name> {
         // The incarnations are sorted by cell.
-        self.lives.chunk_by(|a, b| a.names.cell == b.names.cell).map(|of| of[0].names.cell.clone()).collect()
+        self.incarnations
+            .chunk_by(|a, b| a.names.cell == b.names.cell)
+            .map(|of| of[0].names.cell.clone())
+            .collect()
     }
 
     /// The names of a cell, as its nodes reported them.
     #[must_use]
     pub fn names(&self, cell: &Name) -> Option<&Arc<Names>> {
-        self.lives_of(cell).map(|l| &l.names).max_by_key(|n| n.nodes.len())
+        self.incarnations_of(cell).map(|l| &l.names).max_by_key(|n| n.nodes.len())
     }
 
     /// How many deltas did not fit the last state. If this grows, ask for whole snapshots.
@@ -148,13 +154,13 @@ impl Store {
     /// Approximate memory of the states, in bytes.
     #[must_use]
     pub fn weight(&self) -> usize {
-        self.lives.iter().map(Life::weight).sum()
+        self.incarnations.iter().map(NodeIncarnation::weight).sum()
     }
 
     /// The source that is attached to an incarnation, if any.
     #[must_use]
-    pub fn source_of(&self, life: LifeId) -> Option<SourceId> {
-        self.of_source.iter().find(|(_, id)| **id == life).map(|(source, _)| *source)
+    pub fn source_of(&self, incarnation: IncarnationId) -> Option<SourceId> {
+        self.of_source.iter().find(|(_, id)| **id == incarnation).map(|(source, _)| *source)
     }
 
     /// The event log.
@@ -177,27 +183,27 @@ impl Store {
     fn attach(&mut self, at: Moment, source: SourceId, identity: &NodeIdentity, pid: u32, build: &str) {
         self.troubles.remove(&source);
         let (cell, node) = (Name::new(&identity.cell), Name::new(&identity.node));
-        let same = |l: &&mut Life| {
-            l.names.cell == cell && l.node == node && (l.incarnation, l.pid) == (identity.incarnation.0, pid)
+        let same = |l: &&mut NodeIncarnation| {
+            l.names.cell == cell && l.node == node && (l.number, l.pid) == (identity.incarnation.0, pid)
         };
-        if let Some(life) = self.lives.iter_mut().find(same) {
-            life.condition = Condition::Attached;
-            life.heard = at;
+        if let Some(incarnation) = self.incarnations.iter_mut().find(same) {
+            incarnation.condition = Condition::Attached;
+            incarnation.heard = at;
             // A node found through two sources keeps only the newer one, because deltas continue one connection.
-            let id = life.id;
+            let id = incarnation.id;
             self.of_source.retain(|_, other| *other != id);
             self.of_source.insert(source, id);
             return;
         }
-        let id = LifeId(self.born);
+        let id = IncarnationId(self.born);
         self.born += 1;
-        let names = self.lives.iter().find(|l| l.names.cell == cell && l.digest == identity.digest);
+        let names = self.incarnations.iter().find(|l| l.names.cell == cell && l.digest == identity.digest);
         let names = names.map_or_else(|| Arc::new(Names::unknown(&identity.cell)), |l| l.names.clone());
-        let life = Life {
+        let incarnation = NodeIncarnation {
             id,
             node,
             node_id: NodeId(identity.id),
-            incarnation: identity.incarnation.0,
+            number: identity.incarnation.0,
             pid,
             build: Name::new(build),
             digest: identity.digest,
@@ -218,34 +224,44 @@ impl Store {
             clock: None,
             looked: health::Looked::default(),
         };
-        let again = self.lives.iter().any(|l| l.names.cell == life.names.cell && l.node == life.node);
+        let again = self
+            .incarnations
+            .iter()
+            .any(|l| l.names.cell == incarnation.names.cell && l.node == incarnation.node);
         // A node of the checker has no process.
         let process = if pid == 0 { String::new() } else { format!("pid {pid}, ") };
-        let detail = format!("incarnation {}, {process}{}", life.incarnation, life.build);
+        let detail = format!("incarnation {}, {process}{}", incarnation.number, incarnation.build);
         self.notice(
             at,
-            &life,
-            Level::Note,
+            &incarnation,
+            Severity::Note,
             if again { "restart" } else { "attached" },
             String::new(),
             detail,
         );
         self.of_source.insert(source, id);
-        self.lives.push(life);
-        self.lives.sort_by(|a, b| (&a.names.cell, a.node_id, a.id).cmp(&(&b.names.cell, b.node_id, b.id)));
-        self.forget_early_lives();
+        self.incarnations.push(incarnation);
+        self.incarnations
+            .sort_by(|a, b| (&a.names.cell, a.node_id, a.id).cmp(&(&b.names.cell, b.node_id, b.id)));
+        self.forget_early_incarnations();
     }
 
     /// Drops the earliest ended incarnations of nodes that have had many.
-    fn forget_early_lives(&mut self) {
-        let later = |life: &Life| {
-            let same = |l: &&Life| l.names.cell == life.names.cell && l.node == life.node && l.id > life.id;
-            self.lives.iter().filter(same).count()
+    fn forget_early_incarnations(&mut self) {
+        let later = |incarnation: &NodeIncarnation| {
+            let same = |l: &&NodeIncarnation| {
+                l.names.cell == incarnation.names.cell && l.node == incarnation.node && l.id > incarnation.id
+            };
+            self.incarnations.iter().filter(same).count()
         };
-        let gone = |life: &Life| life.condition != Condition::Attached;
-        let forgotten: Vec<_> =
-            self.lives.iter().filter(|l| gone(l) && later(l) > EARLIER_LIVES).map(|l| l.id).collect();
-        self.lives.retain(|l| !forgotten.contains(&l.id));
+        let gone = |incarnation: &NodeIncarnation| incarnation.condition != Condition::Attached;
+        let forgotten: Vec<_> = self
+            .incarnations
+            .iter()
+            .filter(|l| gone(l) && later(l) > EARLIER_INCARNATIONS)
+            .map(|l| l.id)
+            .collect();
+        self.incarnations.retain(|l| !forgotten.contains(&l.id));
         for id in forgotten {
             self.services.forget(id);
             self.judged.remove(&id);
@@ -254,19 +270,19 @@ impl Store {
 
     fn frame(&mut self, at: Moment, source: SourceId, frame: ServerFrame) {
         let Some(index) = self.index_of(source) else { return };
-        self.lives[index].heard = at;
-        self.lives[index].looked.forget();
+        self.incarnations[index].heard = at;
+        self.incarnations[index].looked.forget();
         match frame {
             ServerFrame::Table(table) => self.table(index, table),
-            ServerFrame::Snapshot(snapshot) => self.state(at, index, |life| {
-                life.take(at, snapshot);
+            ServerFrame::Snapshot(snapshot) => self.state(at, index, |incarnation| {
+                incarnation.take(at, snapshot);
                 true
             }),
-            ServerFrame::Delta(delta) => self.state(at, index, |life| life.change(at, &delta)),
-            ServerFrame::Detail(detail) => self.lives[index].look_at(at, detail),
-            ServerFrame::Vitals(vitals) => self.lives[index].feel(at, vitals),
-            ServerFrame::HeldBack(what) => self.lives[index].held_back = Some(Told { at, what }),
-            ServerFrame::Pong(pong) => self.lives[index].compare_clocks(at, pong),
+            ServerFrame::Delta(delta) => self.state(at, index, |incarnation| incarnation.change(at, &delta)),
+            ServerFrame::Detail(detail) => self.incarnations[index].look_at(at, detail),
+            ServerFrame::Vitals(vitals) => self.incarnations[index].feel(at, vitals),
+            ServerFrame::HeldBack(what) => self.incarnations[index].held_back = Some(Received { at, what }),
+            ServerFrame::Pong(pong) => self.incarnations[index].compare_clocks(at, pong),
             // The source has already handled these.
             ServerFrame::Places(_) | ServerFrame::Denied(_) => {}
             ServerFrame::Events(events) => self.events(at, index, events),
@@ -280,31 +296,31 @@ impl Store {
 
     /// The incarnation to which a source is attached.
     #[must_use]
-    pub fn life_of(&self, source: SourceId) -> Option<&Life> {
-        self.life(*self.of_source.get(&source)?)
+    pub fn incarnation_of(&self, source: SourceId) -> Option<&NodeIncarnation> {
+        self.incarnation(*self.of_source.get(&source)?)
     }
 
     fn index_of(&self, source: SourceId) -> Option<usize> {
         let id = self.of_source.get(&source)?;
-        self.lives.iter().position(|l| l.id == *id)
+        self.incarnations.iter().position(|l| l.id == *id)
     }
 
     /// Takes over the names. The cell's name is the one in the node's hello, not the one in the table.
     fn table(&mut self, index: usize, table: Table) {
-        let cell = self.lives[index].names.cell.raw().to_owned();
+        let cell = self.incarnations[index].names.cell.raw().to_owned();
         let told = Names::new(Table { cell, ..table });
         // All nodes of a cell report the same names, so they are kept once.
-        let known = self.lives.iter().find(|l| *l.names == told).map(|l| Arc::clone(&l.names));
-        self.lives[index].names = known.unwrap_or_else(|| Arc::new(told));
+        let known = self.incarnations.iter().find(|l| *l.names == told).map(|l| Arc::clone(&l.names));
+        self.incarnations[index].names = known.unwrap_or_else(|| Arc::new(told));
     }
 
     /// Applies a snapshot or delta with `change`, which returns false if the delta does not fit.
-    fn state(&mut self, at: Moment, index: usize, change: impl FnOnce(&mut Life) -> bool) {
-        let before = self.lives[index].notable();
-        if change(&mut self.lives[index]) {
-            let life = &self.lives[index];
-            if let Some(last) = &life.last {
-                self.services.sampled(life.id, life.tick_us, &last.snapshot);
+    fn state(&mut self, at: Moment, index: usize, change: impl FnOnce(&mut NodeIncarnation) -> bool) {
+        let before = self.incarnations[index].notable();
+        if change(&mut self.incarnations[index]) {
+            let incarnation = &self.incarnations[index];
+            if let Some(last) = &incarnation.last {
+                self.services.sampled(incarnation.id, incarnation.tick_us, &last.snapshot);
             }
             self.compare(at, index, before);
         } else {
@@ -314,7 +330,7 @@ impl Store {
 
     /// Adds journal entries for changes that no state machine observes: ended tasks and drops on links.
     fn compare(&mut self, at: Moment, index: usize, before: Option<Notable>) {
-        let (Some(before), Some(after)) = (before, self.lives[index].last.clone()) else { return };
+        let (Some(before), Some(after)) = (before, self.incarnations[index].last.clone()) else { return };
         let after = &after.snapshot;
         let mut found = Vec::new();
         let was = |id: TaskId| before.tasks.iter().find(|(task, _)| *task == id).map(|(_, was)| *was);
@@ -323,13 +339,13 @@ impl Store {
             if task.liveness == Liveness::Alive {
                 continue;
             }
-            let name = self.lives[index].names.task(task.view.task).to_string();
+            let name = self.incarnations[index].names.task(task.view.task).to_string();
             match (was(task.view.task), task.liveness) {
                 (Some(Liveness::Alive), Liveness::Crashed) => {
-                    found.push((Level::Bad, "crashed", name, "the task panicked".to_owned(), 1));
+                    found.push((Severity::Bad, "crashed", name, "the task panicked".to_owned(), 1));
                 }
                 (Some(Liveness::Alive), Liveness::Ended) => {
-                    found.push((Level::Note, "ended", name, "the task returned".to_owned(), 1));
+                    found.push((Severity::Note, "ended", name, "the task returned".to_owned(), 1));
                 }
                 _ => {}
             }
@@ -338,20 +354,26 @@ impl Store {
         for Count { name, count } in &after.link_discards {
             let more = count.saturating_sub(old(name));
             if more > 0 {
-                found.push((Level::Warn, "discard", "on a link".to_owned(), crate::name::shown(name), more));
+                found.push((
+                    Severity::Warn,
+                    "discard",
+                    "on a link".to_owned(),
+                    crate::name::shown(name),
+                    more,
+                ));
             }
         }
         if found.is_empty() {
             return;
         }
-        let life = self.lives[index].clone();
+        let incarnation = self.incarnations[index].clone();
         for (level, kind, object, detail, times) in found {
             let what = What::Noticed { level, kind, object, detail };
             self.journal.add(Entry {
                 number: 0,
                 at,
-                node: life.node.clone(),
-                names: life.names.clone(),
+                node: incarnation.node.clone(),
+                names: incarnation.names.clone(),
                 what,
                 times,
             });
@@ -359,71 +381,72 @@ impl Store {
     }
 
     fn events(&mut self, at: Moment, index: usize, events: Events) {
-        let life = &mut self.lives[index];
-        self.trail.take(at, life.id, &events);
+        let incarnation = &mut self.incarnations[index];
+        self.trail.take(at, incarnation.id, &events);
         let newest = events.events.iter().map(|e| e.mono_us).max().unwrap_or(0);
-        life.lost = life.lost.saturating_add(events.lost);
-        self.services.happened(life.id, &events);
+        incarnation.lost = incarnation.lost.saturating_add(events.lost);
+        self.services.happened(incarnation.id, &events);
         for event in events.events {
             let what = What::Observed { task: event.task, observation: event.what };
             let earlier = std::time::Duration::from_micros(newest - event.mono_us);
             let at = at.saturating_sub(earlier);
             if let Some(task) = event.task {
                 let round = (event.what.port, event.what.number);
-                self.histories.happened(&life.names.cell, task, at, event.what.event, round);
+                self.histories.happened(&incarnation.names.cell, task, at, event.what.event, round);
             }
             self.journal.add(Entry {
                 number: 0,
                 at,
-                node: life.node.clone(),
-                names: life.names.clone(),
+                node: incarnation.node.clone(),
+                names: incarnation.names.clone(),
                 what,
                 times: 1,
             });
         }
         if events.lost > 0 {
             let what = What::Noticed {
-                level: Level::Note,
+                level: Severity::Note,
                 kind: "lost",
                 object: String::new(),
                 detail: "events the node could not keep for this monitor".to_owned(),
             };
-            let (node, names) = (life.node.clone(), life.names.clone());
+            let (node, names) = (incarnation.node.clone(), incarnation.names.clone());
             self.journal.add(Entry { number: 0, at, node, names, what, times: events.lost });
         }
     }
 
     /// Stores the validator's verdict on a node; a verdict on an unknown node is dropped.
     fn judge(&mut self, (cell, node, incarnation): (&str, &str, u8), said: conformance::Conformance) {
-        let one =
-            |l: &&Life| l.names.cell.raw() == cell && l.node.raw() == node && l.incarnation == incarnation;
-        if let Some(life) = self.lives.iter().rfind(one) {
-            self.judged.insert(life.id, Arc::new(said));
+        let one = |l: &&NodeIncarnation| {
+            l.names.cell.raw() == cell && l.node.raw() == node && l.number == incarnation
+        };
+        if let Some(incarnation) = self.incarnations.iter().rfind(one) {
+            self.judged.insert(incarnation.id, Arc::new(said));
         }
     }
 
     fn end(&mut self, at: Moment, source: SourceId, condition: Condition) {
         let Some(index) = self.index_of(source) else { return };
         // Ignore the end of the connection after an orderly goodbye.
-        if self.lives[index].condition != Condition::Attached {
+        if self.incarnations[index].condition != Condition::Attached {
             return;
         }
-        let life = self.lives[index].clone();
+        let incarnation = self.incarnations[index].clone();
         let (level, kind, detail) = match &condition {
-            Condition::Dead { why, .. } => (Level::Bad, "dead", crate::name::shown(why)),
+            Condition::Dead { why, .. } => (Severity::Bad, "dead", crate::name::shown(why)),
             Condition::Stopped { .. } | Condition::Attached => {
-                (Level::Note, "stopped", "in order".to_owned())
+                (Severity::Note, "stopped", "in order".to_owned())
             }
         };
-        self.notice(at, &life, level, kind, String::new(), detail);
-        self.lives[index].condition = condition;
+        self.notice(at, &incarnation, level, kind, String::new(), detail);
+        self.incarnations[index].condition = condition;
     }
 
     fn notice(
         &mut self,
         at: Moment,
-        life: &Life,
-        level: Level,
+        incarnation: &NodeIncarnation,
+        level: Severity,
         kind: &'static str,
         object: String,
         detail: String,
@@ -432,8 +455,8 @@ impl Store {
         self.journal.add(Entry {
             number: 0,
             at,
-            node: life.node.clone(),
-            names: life.names.clone(),
+            node: incarnation.node.clone(),
+            names: incarnation.names.clone(),
             what,
             times: 1,
         });

@@ -1,6 +1,6 @@
 //! The queued messages of a port: in detail if the port is watched, otherwise as listed in the snapshot.
 
-use super::{Left, Life};
+use super::{Left, NodeIncarnation};
 use crate::clock::Moment;
 use imrs_protocol::{HeldView, PortId, QueueEntry, TaskId};
 use std::time::Duration;
@@ -23,13 +23,15 @@ pub struct Waiting {
 
 /// The queued messages of a port, shortest remaining time first.
 #[must_use]
-pub fn queue(life: &Life, task: TaskId, port: PortId, now: Moment) -> Vec<Waiting> {
-    let Some(snapshot) = life.task(task) else { return Vec::new() };
-    let told = life.watched(task, port).filter(|told| now.saturating_sub(told.at) < STALE);
+pub fn queue(incarnation: &NodeIncarnation, task: TaskId, port: PortId, now: Moment) -> Vec<Waiting> {
+    let Some(snapshot) = incarnation.task(task) else { return Vec::new() };
+    let told = incarnation.watched(task, port).filter(|told| now.saturating_sub(told.at) < STALE);
     if let Some(told) = told {
         let passed = now.saturating_sub(told.at).saturating_add(Duration::from_micros(told.what.age_us));
         let passed_us = crate::clock::micros(passed);
-        let us = |ticks: imrs_protocol::Ticks| ticks.0.saturating_mul(life.tick_us).saturating_sub(passed_us);
+        let us = |ticks: imrs_protocol::Ticks| {
+            ticks.0.saturating_mul(incarnation.tick_us).saturating_sub(passed_us)
+        };
         let waiting = |held: &HeldView| Waiting {
             entry: held.entry,
             left: Left { us: us(held.entry.remaining), estimated: false },
@@ -38,10 +40,10 @@ pub fn queue(life: &Life, task: TaskId, port: PortId, now: Moment) -> Vec<Waitin
         };
         return told.what.queue.queue.iter().map(waiting).collect();
     }
-    let listed = life.port(task, port).map_or(&[][..], |view| &view.queue);
+    let listed = incarnation.port(task, port).map_or(&[][..], |view| &view.queue);
     let waiting = |entry: &QueueEntry| Waiting {
         entry: *entry,
-        left: life.left(entry.remaining, snapshot.age_us, now),
+        left: incarnation.left(entry.remaining, snapshot.age_us, now),
         held: None,
         back_off_us: 0,
     };

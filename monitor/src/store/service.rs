@@ -1,7 +1,7 @@
 //! Service statistics of a port, derived from events and snapshots: service times, shares of the sources, and fill of
 //! the buffer.
 
-use super::{LifeId, Store};
+use super::{IncarnationId, Store};
 use imrs_protocol::{Event, PortId, Reason, TaskId};
 use imrs_wire::obs::{Events, Snapshot};
 use std::collections::{BTreeMap, VecDeque};
@@ -90,20 +90,20 @@ impl Service {
 
 /// The service statistics of a port of a task, if there are any.
 #[must_use]
-pub fn service(store: &Store, life: LifeId, task: TaskId, port: PortId) -> Option<Service> {
-    store.services.ports.get(&(life, task, port)).map(|port| port.service())
+pub fn service(store: &Store, incarnation: IncarnationId, task: TaskId, port: PortId) -> Option<Service> {
+    store.services.ports.get(&(incarnation, task, port)).map(|port| port.service())
 }
 
 /// The forecast for a port of a task.
 #[must_use]
-pub fn outlook(store: &Store, life: LifeId, task: TaskId, port: PortId) -> Outlook {
-    store.services.ports.get(&(life, task, port)).map_or_else(Outlook::default, |port| port.outlook())
+pub fn outlook(store: &Store, incarnation: IncarnationId, task: TaskId, port: PortId) -> Outlook {
+    store.services.ports.get(&(incarnation, task, port)).map_or_else(Outlook::default, |port| port.outlook())
 }
 
 /// The statistics of all ports.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Services {
-    ports: BTreeMap<(LifeId, TaskId, PortId), Arc<Port>>,
+    ports: BTreeMap<(IncarnationId, TaskId, PortId), Arc<Port>>,
 }
 
 /// The statistics of one port.
@@ -123,10 +123,10 @@ struct Port {
 
 impl Services {
     /// Updates the statistics with the events of an incarnation, in the order of each task.
-    pub fn happened(&mut self, life: LifeId, events: &Events) {
+    pub fn happened(&mut self, incarnation: IncarnationId, events: &Events) {
         if events.lost > 0 {
             // Discard open measurements, because events are missing.
-            for (_, port) in self.ports.range_mut(of(life)) {
+            for (_, port) in self.ports.range_mut(of(incarnation)) {
                 Arc::make_mut(port).in_hand = None;
             }
         }
@@ -142,17 +142,17 @@ impl Services {
                     | Event::Discarded(Reason::Expired | Reason::Evicted | Reason::Superseded)
             );
             if concerns {
-                let port = self.ports.entry((life, task, what.port)).or_default();
+                let port = self.ports.entry((incarnation, task, what.port)).or_default();
                 Arc::make_mut(port).happened(event.mono_us, what.event, what.peer, what.number);
             }
         }
     }
 
     /// Updates the statistics with a snapshot: the fill of the buffers.
-    pub fn sampled(&mut self, life: LifeId, tick_us: u64, snapshot: &Snapshot) {
+    pub fn sampled(&mut self, incarnation: IncarnationId, tick_us: u64, snapshot: &Snapshot) {
         for task in &snapshot.tasks {
             for view in task.view.ports.iter().filter(|view| view.capacity > 0) {
-                let key = (life, task.view.task, view.port);
+                let key = (incarnation, task.view.task, view.port);
                 // A port that was always empty needs no statistics.
                 if view.len == 0 && !self.ports.contains_key(&key) {
                     continue;
@@ -169,13 +169,13 @@ impl Services {
     }
 
     /// Drops the statistics of an incarnation.
-    pub fn forget(&mut self, life: LifeId) {
-        self.ports.retain(|(of, _, _), _| *of != life);
+    pub fn forget(&mut self, incarnation: IncarnationId) {
+        self.ports.retain(|(of, _, _), _| *of != incarnation);
     }
 }
 
-fn of(life: LifeId) -> std::ops::RangeInclusive<(LifeId, TaskId, PortId)> {
-    (life, TaskId(0), PortId(0))..=(life, TaskId(u16::MAX), PortId(u16::MAX))
+fn of(incarnation: IncarnationId) -> std::ops::RangeInclusive<(IncarnationId, TaskId, PortId)> {
+    (incarnation, TaskId(0), PortId(0))..=(incarnation, TaskId(u16::MAX), PortId(u16::MAX))
 }
 
 impl Port {
@@ -293,8 +293,8 @@ mod tests {
 
     fn learnt(events: Vec<TimedEvent>) -> Service {
         let mut services = Services::default();
-        services.happened(LifeId(1), &Events { lost: 0, events });
-        services.ports[&(LifeId(1), TaskId(0), PORT)].service()
+        services.happened(IncarnationId(1), &Events { lost: 0, events });
+        services.ports[&(IncarnationId(1), TaskId(0), PORT)].service()
     }
 
     #[test]
@@ -338,10 +338,10 @@ mod tests {
             event(0, Event::Enqueued, 1, 1),
             event(0, Event::Delivered, 1, 0),
         ];
-        services.happened(LifeId(1), &Events { lost: 0, events: first });
+        services.happened(IncarnationId(1), &Events { lost: 0, events: first });
         let later = vec![event(9_000_000, Event::Delivered, 1, 1)];
-        services.happened(LifeId(1), &Events { lost: 7, events: later });
-        assert_eq!(services.ports[&(LifeId(1), TaskId(0), PORT)].service().samples, 0);
+        services.happened(IncarnationId(1), &Events { lost: 7, events: later });
+        assert_eq!(services.ports[&(IncarnationId(1), TaskId(0), PORT)].service().samples, 0);
     }
 
     #[test]

@@ -5,7 +5,7 @@
 //! otherwise the snapshot with the shortest delay. So the order of events on different nodes is an estimate.
 
 use super::trail::Seen;
-use super::{Life, LifeId, Store};
+use super::{IncarnationId, NodeIncarnation, Store};
 use crate::clock::Moment;
 use crate::name::Name;
 use imrs_protocol::{Event, PortId, TaskId};
@@ -20,7 +20,7 @@ const APART: Duration = Duration::from_millis(100);
 #[derive(Clone, Copy, Debug)]
 pub struct Mark {
     /// The incarnation of its node.
-    pub life: LifeId,
+    pub incarnation: IncarnationId,
     /// The task; for a drop in a transit buffer, the task that had sent the packet.
     pub task: TaskId,
     /// Whether the transit buffer of this node dropped the packet.
@@ -39,7 +39,7 @@ pub struct Mark {
 #[derive(Clone, Copy, Debug)]
 pub struct Gap {
     /// The incarnation that lost them.
-    pub life: LifeId,
+    pub incarnation: IncarnationId,
     /// How many.
     pub lost: u64,
     /// The moment before which they were lost.
@@ -64,26 +64,35 @@ pub fn timeline(store: &Store, cell: &Name, most: usize) -> Timeline {
 /// The last `most` marks of a cell that `wanted` selects.
 #[must_use]
 pub fn timeline_of(store: &Store, cell: &Name, most: usize, wanted: impl Fn(&Seen) -> bool) -> Timeline {
-    let lives: BTreeSet<LifeId> = store.lives_of(cell).map(|life| life.id).collect();
+    let incarnations: BTreeSet<IncarnationId> =
+        store.incarnations_of(cell).map(|incarnation| incarnation.id).collect();
     let offsets = offsets(store, cell);
     let mut marks: Vec<Mark> = Vec::new();
     let mut gaps = Vec::new();
-    for batch in store.trail().batches().rev().filter(|batch| lives.contains(&batch.life)) {
+    for batch in store.trail().batches().rev().filter(|batch| incarnations.contains(&batch.incarnation)) {
         if marks.len() >= most {
             break;
         }
-        let moment = |seen: &Seen| match offsets.get(&batch.life) {
+        let moment = |seen: &Seen| match offsets.get(&batch.incarnation) {
             Some(offset) => moment(seen.mono_us, *offset),
             None => batch.moment(seen),
         };
         if batch.lost > 0 {
             let order = batch.seen.iter().map(moment).min().unwrap_or(batch.at);
-            gaps.push(Gap { life: batch.life, lost: batch.lost, order });
+            gaps.push(Gap { incarnation: batch.incarnation, lost: batch.lost, order });
         }
         for seen in batch.seen.iter().rev().filter(|seen| wanted(seen)) {
             let at = moment(seen);
             let (task, in_transit) = seen.task.map_or((seen.what.peer, true), |task| (task, false));
-            marks.push(Mark { life: batch.life, task, in_transit, seen: *seen, at, order: at, cause: None });
+            marks.push(Mark {
+                incarnation: batch.incarnation,
+                task,
+                in_transit,
+                seen: *seen,
+                at,
+                order: at,
+                cause: None,
+            });
         }
     }
     marks.reverse();
@@ -94,26 +103,29 @@ pub fn timeline_of(store: &Store, cell: &Name, most: usize, wanted: impl Fn(&See
 }
 
 /// For each incarnation, how far the monitor's clock is ahead of the node's, in microseconds.
-fn offsets(store: &Store, cell: &Name) -> BTreeMap<LifeId, i128> {
-    store.lives_of(cell).filter_map(|life| Some((life.id, clock_ahead(life)?))).collect()
+fn offsets(store: &Store, cell: &Name) -> BTreeMap<IncarnationId, i128> {
+    store
+        .incarnations_of(cell)
+        .filter_map(|incarnation| Some((incarnation.id, clock_ahead(incarnation)?)))
+        .collect()
 }
 
 /// How far the monitor's clock is ahead of a node's, in microseconds. It comes from a ping, or otherwise from the
 /// snapshot with the shortest delay.
 #[must_use]
-pub fn clock_ahead(life: &Life) -> Option<i128> {
-    if let Some(clock) = life.clock {
+pub fn clock_ahead(incarnation: &NodeIncarnation) -> Option<i128> {
+    if let Some(clock) = incarnation.clock {
         return Some(-i128::from(clock.us));
     }
-    let samples = [&life.last, &life.base].into_iter().flatten();
+    let samples = [&incarnation.last, &incarnation.base].into_iter().flatten();
     samples.map(|s| micros(s.at) - i128::from(s.snapshot.mono_us)).min()
 }
 
 /// The time since a node's start at a moment of the monitor's clock, in microseconds.
 #[must_use]
-pub fn own_clock(life: &Life, at: Moment) -> Option<u64> {
-    let snapshot = &life.last.as_ref()?.snapshot;
-    let mono = micros(at) - clock_ahead(life)?;
+pub fn own_clock(incarnation: &NodeIncarnation, at: Moment) -> Option<u64> {
+    let snapshot = &incarnation.last.as_ref()?.snapshot;
+    let mono = micros(at) - clock_ahead(incarnation)?;
     let started = i128::from(snapshot.mono_us) - i128::from(snapshot.uptime_us);
     u64::try_from(mono - started).ok()
 }
@@ -220,7 +232,7 @@ fn find_causes(marks: &mut [Mark]) {
     for at in 0..marks.len() {
         let mark = marks[at];
         let Some((from, port, kind, number)) = caused_by(&mark) else { continue };
-        if !had.insert((mark.life, mark.task, from, port, kind, number)) {
+        if !had.insert((mark.incarnation, mark.task, from, port, kind, number)) {
             continue;
         }
         let fits = |&candidate: &usize| {
@@ -240,10 +252,10 @@ fn ordered(mut marks: Vec<Mark>) -> Vec<Mark> {
     let mut effect = vec![None; marks.len()];
     let mut other_effect = vec![None; marks.len()];
     let mut open: Vec<usize> = vec![0; marks.len()];
-    let mut last: HashMap<(LifeId, TaskId, bool), usize> = HashMap::new();
+    let mut last: HashMap<(IncarnationId, TaskId, bool), usize> = HashMap::new();
     for at in 0..marks.len() {
         let mark = marks[at];
-        if let Some(before) = last.insert((mark.life, mark.task, mark.in_transit), at) {
+        if let Some(before) = last.insert((mark.incarnation, mark.task, mark.in_transit), at) {
             next_own[before] = Some(at);
             open[at] += 1;
         }

@@ -1,7 +1,7 @@
 //! The trail: single observations in bounded memory, for screens that follow single messages. The journal, in contrast,
 //! folds repetitions.
 
-use super::LifeId;
+use super::IncarnationId;
 use super::coverage::{Fired, KINDS, place};
 use crate::clock::Moment;
 use imrs_protocol::{Event, Observation, PortId, TaskId};
@@ -17,7 +17,7 @@ pub const KEPT: usize = 32 * 1024;
 const LOOKED_AT: usize = 64;
 
 /// The most incarnations, and tasks of each, for which events are counted.
-const LIVES: usize = 256;
+const INCARNATIONS: usize = 256;
 const TASKS: usize = 4096;
 
 /// One observation.
@@ -35,7 +35,7 @@ pub struct Seen {
 #[derive(Clone, Debug)]
 pub struct Batch {
     /// The incarnation.
-    pub life: LifeId,
+    pub incarnation: IncarnationId,
     /// The moment of arrival.
     pub at: Moment,
     /// How many observations were lost before these.
@@ -60,32 +60,32 @@ pub struct Trail {
     batches: VecDeque<Batch>,
     len: usize,
     /// For each incarnation and each of its tasks: how often each kind was ever observed.
-    fired: BTreeMap<LifeId, BTreeMap<Option<TaskId>, Box<Fired>>>,
+    fired: BTreeMap<IncarnationId, BTreeMap<Option<TaskId>, Box<Fired>>>,
 }
 
 impl Trail {
     /// Adds the events of an incarnation, and drops the oldest batches.
-    pub fn take(&mut self, at: Moment, life: LifeId, events: &Events) {
+    pub fn take(&mut self, at: Moment, incarnation: IncarnationId, events: &Events) {
         if events.events.is_empty() && events.lost == 0 {
             return;
         }
         let seen: Arc<[Seen]> =
             (events.events.iter()).map(|e| Seen { mono_us: e.mono_us, task: e.task, what: e.what }).collect();
-        self.count(life, &seen);
+        self.count(incarnation, &seen);
         let newest_us = seen.iter().map(|s| s.mono_us).max().unwrap_or(0);
         self.len += cost(&seen);
-        self.batches.push_back(Batch { life, at, lost: events.lost, newest_us, seen });
+        self.batches.push_back(Batch { incarnation, at, lost: events.lost, newest_us, seen });
         while self.len > KEPT {
             let Some(oldest) = self.batches.pop_front() else { break };
             self.len -= cost(&oldest.seen);
         }
     }
 
-    fn count(&mut self, life: LifeId, seen: &[Seen]) {
-        if !self.fired.contains_key(&life) && self.fired.len() == LIVES {
+    fn count(&mut self, incarnation: IncarnationId, seen: &[Seen]) {
+        if !self.fired.contains_key(&incarnation) && self.fired.len() == INCARNATIONS {
             self.fired.pop_first();
         }
-        let tasks = self.fired.entry(life).or_default();
+        let tasks = self.fired.entry(incarnation).or_default();
         for one in seen {
             if tasks.len() < TASKS || tasks.contains_key(&one.task) {
                 let fired = tasks.entry(one.task).or_insert_with(|| Box::new([0; KINDS.len()]));
@@ -97,15 +97,22 @@ impl Trail {
 
     /// How often each kind was ever observed in a task of an incarnation (`None` for its transit buffer).
     #[must_use]
-    pub fn fired(&self, life: LifeId, task: Option<TaskId>) -> Option<&Fired> {
-        self.fired.get(&life)?.get(&task).map(|fired| &**fired)
+    pub fn fired(&self, incarnation: IncarnationId, task: Option<TaskId>) -> Option<&Fired> {
+        self.fired.get(&incarnation)?.get(&task).map(|fired| &**fired)
     }
 
     /// The number in the latest observation of this kind at a task's port.
     #[must_use]
-    pub fn last_number(&self, life: LifeId, task: TaskId, event: Event, port: PortId) -> Option<u32> {
+    pub fn last_number(
+        &self,
+        incarnation: IncarnationId,
+        task: TaskId,
+        event: Event,
+        port: PortId,
+    ) -> Option<u32> {
         let fits = |s: &&Seen| s.task == Some(task) && s.what.event == event && s.what.port == port;
-        let batches = self.batches.iter().rev().filter(|batch| batch.life == life).take(LOOKED_AT);
+        let batches =
+            self.batches.iter().rev().filter(|batch| batch.incarnation == incarnation).take(LOOKED_AT);
         batches.flat_map(|batch| batch.seen.iter().rev()).find(fits).map(|seen| seen.what.number)
     }
 

@@ -4,7 +4,7 @@
 use super::meeting::{Meeting, Standing, meetings};
 use super::names::Names;
 use super::trail::Seen;
-use super::{Life, Presence, Store};
+use super::{NodeIncarnation, Presence, Store};
 use crate::clock::Moment;
 use crate::name::Name;
 use imrs_protocol::{Event, NodeId, PortId, TaskId, TaskState, Usage};
@@ -58,9 +58,9 @@ pub fn waits(store: &Store, cell: &Name, now: Moment) -> Vec<Wait> {
         at_meeting(&meeting, names, &mut found);
     }
     let nodes = (0..names.nodes.len()).filter_map(|i| store.latest(cell, NodeId::from_index(i)));
-    for life in nodes.filter(|life| life.presence(now) == Presence::Up) {
-        for task in life.tasks().iter().filter(|task| task.liveness == Liveness::Alive) {
-            found.extend(at_port(life, task.view.task, &task.view.state));
+    for incarnation in nodes.filter(|incarnation| incarnation.presence(now) == Presence::Up) {
+        for task in incarnation.tasks().iter().filter(|task| task.liveness == Liveness::Alive) {
+            found.extend(at_port(incarnation, task.view.task, &task.view.state));
         }
     }
     found.sort_by_key(|wait| (wait.waiter, wait.on, wait.port));
@@ -81,15 +81,15 @@ fn at_meeting(meeting: &Meeting, names: &Names, found: &mut Vec<Wait>) {
     }
 }
 
-fn at_port(life: &Life, waiter: TaskId, state: &TaskState) -> Option<Wait> {
-    let names = &life.names;
+fn at_port(incarnation: &NodeIncarnation, waiter: TaskId, state: &TaskState) -> Option<Wait> {
+    let names = &incarnation.names;
     match state {
         TaskState::AwaitingReply { port, from, .. } => {
             let why = format!("reply {}", names.port_name(*port));
             Some(Wait { waiter, on: *from, port: *port, why })
         }
         TaskState::Receiving { port, .. } => {
-            let (port, on) = sole_sender(life, waiter, *port)?;
+            let (port, on) = sole_sender(incarnation, waiter, *port)?;
             Some(Wait { waiter, on, port, why: format!("receive {}", names.port_name(port)) })
         }
         TaskState::Running | TaskState::Waiting { .. } | TaskState::Delaying => None,
@@ -97,8 +97,12 @@ fn at_port(life: &Life, waiter: TaskId, state: &TaskState) -> Option<Wait> {
 }
 
 /// The only task that can end a receive, if there is exactly one and no message is queued.
-fn sole_sender(life: &Life, task: TaskId, port: Option<PortId>) -> Option<(PortId, TaskId)> {
-    let view = &life.task(task)?.view;
+fn sole_sender(
+    incarnation: &NodeIncarnation,
+    task: TaskId,
+    port: Option<PortId>,
+) -> Option<(PortId, TaskId)> {
+    let view = &incarnation.task(task)?.view;
     let takes = |p: &&imrs_protocol::PortView| {
         p.capacity > 0 && p.usage != Usage::Waitfor && port.is_none_or(|wanted| wanted == p.port)
     };
@@ -107,7 +111,7 @@ fn sole_sender(life: &Life, task: TaskId, port: Option<PortId>) -> Option<(PortI
         if port.len > 0 {
             return None;
         }
-        let parties = life.names.port(port.port).map_or(&[][..], |info| &info.parties);
+        let parties = incarnation.names.port(port.port).map_or(&[][..], |info| &info.parties);
         let others = parties.iter().filter(|p| p.task != task && sends(p.usage));
         senders.extend(others.map(|p| (port.port, p.task)));
     }
@@ -133,9 +137,10 @@ pub fn cycles(store: &Store, cell: &Name, now: Moment) -> Vec<Cycle> {
     if waits.is_empty() {
         return Vec::new();
     }
-    let up: Vec<_> = store.lives_of(cell).filter(|life| life.presence(now) == Presence::Up).collect();
+    let up: Vec<_> =
+        store.incarnations_of(cell).filter(|incarnation| incarnation.presence(now) == Presence::Up).collect();
     let busy = busy(store, names, &up, now);
-    let is_known = |task: TaskId| up.iter().any(|life| life.task(task).is_some());
+    let is_known = |task: TaskId| up.iter().any(|incarnation| incarnation.task(task).is_some());
     waits.retain(|wait| is_known(wait.waiter) && !busy.contains(&wait.waiter));
     trim(&mut waits);
     let mut cycles = Vec::new();
@@ -173,12 +178,12 @@ fn trim(waits: &mut Vec<Wait>) {
 }
 
 /// The tasks whose last message may still be in flight, or may have arrived since the last report of its receiver.
-fn busy(store: &Store, names: &Names, lives: &[&Life], now: Moment) -> BTreeSet<TaskId> {
-    let tick_us = lives.iter().map(|l| l.tick_us).max().unwrap_or(1);
+fn busy(store: &Store, names: &Names, incarnations: &[&NodeIncarnation], now: Moment) -> BTreeSet<TaskId> {
+    let tick_us = incarnations.iter().map(|l| l.tick_us).max().unwrap_or(1);
     let link_us = names.links.iter().map(|l| l.delay.0.saturating_mul(tick_us)).max().unwrap_or(0);
     let settled = PERIOD.saturating_add(Duration::from_micros(link_us.saturating_mul(3)));
     // The reports of a suspended or late node may be old, so count from the oldest report of any node.
-    let heard = lives.iter().map(|life| life.heard).min().unwrap_or(now);
+    let heard = incarnations.iter().map(|incarnation| incarnation.heard).min().unwrap_or(now);
     let since = heard.saturating_sub(settled);
     let acts = |seen: &Seen| {
         matches!(
@@ -188,7 +193,7 @@ fn busy(store: &Store, names: &Names, lives: &[&Life], now: Moment) -> BTreeSet<
     };
     let mut busy = BTreeSet::new();
     for batch in store.trail().batches().rev().take_while(|batch| batch.at >= since) {
-        if lives.iter().any(|l| l.id == batch.life) {
+        if incarnations.iter().any(|l| l.id == batch.incarnation) {
             let late = batch.seen.iter().filter(|seen| acts(seen) && batch.moment(seen) >= since);
             busy.extend(late.filter_map(|seen| seen.task));
         }

@@ -1,6 +1,6 @@
 //! The rows below the overview: the most awaited task, the links, and the verdict of the validator.
 
-use super::pen::Pen;
+use super::canvas::Canvas;
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::name::Name;
@@ -19,8 +19,8 @@ pub(super) const fn rows(height: u16) -> u16 {
 }
 
 /// Draws the most awaited task, the links, and the validator's verdict.
-pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
-    let Some(cell) = app.cell().filter(|_| pen.height() > 0) else { return };
+pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
+    let Some(cell) = app.cell().filter(|_| canvas.height() > 0) else { return };
     let mut waits: Vec<_> = super::awaited(app, &cell, now).into_iter().collect();
     if let Some((text, ink)) = held_back(app, &cell, now) {
         let after = if waits.is_empty() { "" } else { ";" };
@@ -30,26 +30,26 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
         waits.push((" no single blocker".to_owned(), Ink::Dim));
     }
     let waits: Vec<_> = waits.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
-    pen.line(0, &waits);
+    canvas.line(0, &waits);
     let mut pieces = links(app, &cell, now);
     pieces.extend(model(app, &cell));
     let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
-    pen.line(1, &pieces);
+    canvas.line(1, &pieces);
 }
 
 /// The restarted node with the longest remaining hold-back.
 fn held_back(app: &App, cell: &Name, now: Moment) -> Option<(String, Ink)> {
-    let up = app.store().present(cell).filter(|life| !life.presence(now).is_gone());
-    let held = up.filter_map(|life| Some((life.longest_held_back(now)?, life)));
-    let (us, life) = held.max_by_key(|(us, _)| *us)?;
-    Some((format!("{} {}", life.node, held_back_sentence(us)), Ink::Warn))
+    let up = app.store().present(cell).filter(|incarnation| !incarnation.presence(now).is_gone());
+    let held = up.filter_map(|incarnation| Some((incarnation.longest_held_back(now)?, incarnation)));
+    let (us, incarnation) = held.max_by_key(|(us, _)| *us)?;
+    Some((format!("{} {}", incarnation.node, held_back_sentence(us)), Ink::Warn))
 }
 
 /// For each link: active, quiet for how long, or down at one end.
 fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
     let store = app.store();
     let Some(names) = store.names(cell) else { return Vec::new() };
-    let gone = |node| store.latest(cell, node).is_some_and(|life| life.presence(now).is_gone());
+    let gone = |node| store.latest(cell, node).is_some_and(|incarnation| incarnation.presence(now).is_gone());
     let mut pieces = vec![(" links".to_owned(), Ink::Dim)];
     let mut unknown = 0;
     for link in names.links.iter().take(SHOWN) {
@@ -79,8 +79,9 @@ const LATELY_US: u64 = 1_000_000;
 
 /// Time since the last datagram at `at` from `peer`, in microseconds; `None` if there was none or it is unknown.
 fn heard(app: &App, cell: &Name, at: NodeId, peer: NodeId, now: Moment) -> Option<u64> {
-    let life = app.store().latest(cell, at).filter(|life| !life.presence(now).is_gone())?;
-    let last = life.last.as_ref()?;
+    let incarnation =
+        app.store().latest(cell, at).filter(|incarnation| !incarnation.presence(now).is_gone())?;
+    let last = incarnation.last.as_ref()?;
     last.snapshot.links.iter().find(|link| link.peer == peer)?.heard_us
 }
 
@@ -88,20 +89,20 @@ fn heard(app: &App, cell: &Name, at: NodeId, peer: NodeId, now: Moment) -> Optio
 fn model(app: &App, cell: &Name) -> Vec<(String, Ink)> {
     let store = app.store();
     let (mut steps, mut unknown, mut violated) = (0_u64, 0, None);
-    let mut lives = 0;
-    for life in store.present(cell) {
-        let told = conformance(store, life.id);
-        lives += 1;
+    let mut incarnations = 0;
+    for incarnation in store.present(cell) {
+        let told = conformance(store, incarnation.id);
+        incarnations += 1;
         steps = steps.saturating_add(told.steps);
         match told.verdict {
             Verdict::Unknown { .. } => unknown += 1,
             Verdict::Conforms => {}
-            Verdict::Violates { .. } => violated = violated.or_else(|| Some(life.node.to_string())),
+            Verdict::Violates { .. } => violated = violated.or_else(|| Some(incarnation.node.to_string())),
         }
     }
     let (text, ink) = match violated {
         Some(node) => (format!("{node} VIOLATES it (7)"), Ink::Bad),
-        None if unknown == lives => ("UNKNOWN, not recorded".to_owned(), Ink::Dim),
+        None if unknown == incarnations => ("UNKNOWN, not recorded".to_owned(), Ink::Dim),
         None if unknown > 0 => (format!("conforms in {steps} steps, {unknown} nodes UNKNOWN"), Ink::Warn),
         None => (format!("conforms in {steps} steps"), Ink::Good),
     };

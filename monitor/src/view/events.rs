@@ -1,10 +1,10 @@
 //! Screen 6: the event log, newest entry at the bottom. It follows new entries until the user scrolls up; `G` resumes.
 
+use super::canvas::{Canvas, Column};
 use super::mark;
-use super::pen::{Column, Pen};
 use crate::app::App;
 use crate::clock::{Moment, Span};
-use crate::store::journal::Level;
+use crate::store::journal::Severity;
 use crate::theme::Ink;
 
 fn columns(width: u16) -> Vec<Column> {
@@ -19,12 +19,12 @@ fn columns(width: u16) -> Vec<Column> {
     columns
 }
 
-pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
+pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let lines = app.events();
-    let columns = columns(pen.area.width);
-    let widths = pen.widths(&columns);
-    pen.titles(0, &columns, &widths);
-    let room = usize::from(pen.height().saturating_sub(1));
+    let columns = columns(canvas.area.width);
+    let widths = canvas.widths(&columns);
+    canvas.titles(0, &columns, &widths);
+    let room = usize::from(canvas.height().saturating_sub(1));
     let last = lines.len().checked_sub(1);
     let Some(last) = last else {
         let text = if app.shape.filter.is_empty() {
@@ -32,7 +32,7 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
         } else {
             " No event has this text."
         };
-        pen.line(1, &[(text, Ink::Dim)]);
+        canvas.line(1, &[(text, Ink::Dim)]);
         return;
     };
     let bottom = app.held.map_or(last, |held| lines.iter().rposition(|e| e.number <= held).unwrap_or(0));
@@ -40,10 +40,10 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
     for (y, (i, entry)) in (1..).zip(lines.iter().enumerate().skip(first).take(room)) {
         let level = entry.level();
         let ink = match level {
-            Level::Trace => Ink::Dim,
-            Level::Note => Ink::Plain,
-            Level::Warn => Ink::Warn,
-            Level::Bad => Ink::Bad,
+            Severity::Trace => Ink::Dim,
+            Severity::Note => Ink::Plain,
+            Severity::Warn => Ink::Warn,
+            Severity::Bad => Ink::Bad,
         };
         let ago = Span(now.saturating_sub(entry.at)).to_string();
         let times = if entry.times > 1 { format!(" x{}", entry.times) } else { String::new() };
@@ -56,9 +56,9 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
         } else {
             cells.extend([(entry.kind(), ink), (narrow.as_str(), Ink::Plain)]);
         }
-        pen.row(y, &columns, &widths, &cells);
+        canvas.row(y, &columns, &widths, &cells);
         if app.held.is_some() && i == bottom {
-            pen.select(y);
+            canvas.select(y);
         }
     }
     let newer = last - bottom;
@@ -67,6 +67,6 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
         (None, true) => " every event, following ".to_owned(),
         (None, false) => " following ".to_owned(),
     };
-    let x = pen.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
-    pen.at(x, 0, u16::MAX, &text, if app.held.is_some() { Ink::Warn } else { Ink::Dim });
+    let x = canvas.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
+    canvas.at(x, 0, u16::MAX, &text, if app.held.is_some() { Ink::Warn } else { Ink::Dim });
 }

@@ -1,7 +1,7 @@
 //! The help, generated from the table of key bindings, so that it cannot be wrong. It starts with the bindings of the
 //! screen from which it was opened.
 
-use super::pen::Pen;
+use super::canvas::Canvas;
 use crate::app::{App, COMMANDS, Screen};
 use crate::keys::{BINDINGS, Binding};
 use crate::theme::{Ink, Theme};
@@ -9,24 +9,24 @@ use crate::theme::{Ink, Theme};
 /// Left text, right text, and the style of the right text.
 type Line = (String, String, Ink);
 
-pub(super) fn draw(app: &App, pen: &mut Pen<'_>) {
+pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
     let lines = lines(app);
-    let room = usize::from(pen.height());
+    let room = usize::from(canvas.height());
     let first = app.scroll.min(lines.len().saturating_sub(room.max(1)));
-    let left_width = if pen.area.width < 60 { 11 } else { 15 };
+    let left_width = if canvas.area.width < 60 { 11 } else { 15 };
     for (y, (left, right, ink)) in (0..).zip(lines.iter().skip(first).take(room)) {
         if right.is_empty() {
-            pen.at(1, y, u16::MAX, left, *ink);
+            canvas.at(1, y, u16::MAX, left, *ink);
         } else {
-            pen.at(1, y, left_width - 1, left, if *ink == Ink::Head { Ink::Head } else { Ink::Plain });
-            pen.at(left_width + 1, y, u16::MAX, right, *ink);
+            canvas.at(1, y, left_width - 1, left, if *ink == Ink::Head { Ink::Head } else { Ink::Plain });
+            canvas.at(left_width + 1, y, u16::MAX, right, *ink);
         }
     }
     let rest = lines.len().saturating_sub(first + room);
-    if rest > 0 && pen.height() > 0 {
+    if rest > 0 && canvas.height() > 0 {
         let text = format!(" {rest} more lines: j, PgDn ");
-        let x = pen.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
-        pen.at(x, 0, u16::MAX, &text, Ink::Head);
+        let x = canvas.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
+        canvas.at(x, 0, u16::MAX, &text, Ink::Head);
     }
 }
 

@@ -1,10 +1,10 @@
 //! Screen 2b: the history of one message, stage by stage, with the time that each stage cost.
 
-use super::pen::{Column, Pen, bar};
+use super::canvas::{Canvas, Column, bar};
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::store::Names;
-use crate::store::message::{MessageKey, Passed, Stage, life_of};
+use crate::store::message::{MessageKey, Passed, Stage, incarnation_of};
 use crate::store::queue::{Waiting, queue};
 use crate::store::timeline::own_clock;
 use crate::theme::Ink;
@@ -22,24 +22,24 @@ const COLUMNS: [Column; 8] = [
     Column::left("TIME LEFT", 0),
 ];
 
-pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
+pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let Some((cell, key)) = app.cell().zip(app.message()) else {
         let text =
             " No message is chosen: press Enter on one in a port's queue (2), the events or the timeline.";
-        pen.line(1, &[(text, Ink::Plain)]);
+        canvas.line(1, &[(text, Ink::Plain)]);
         return;
     };
     let Some(names) = app.store().names(&cell).cloned() else { return };
-    let stages = life_of(app.store(), &cell, key);
+    let stages = incarnation_of(app.store(), &cell, key);
     let whole_us = whole(app, &names, key, &stages);
-    about(&names, key, whole_us, pen);
+    about(&names, key, whole_us, canvas);
     if stages.is_empty() {
         let text = " Nothing is known of it any more: it was born before the monitor came, or too long ago.";
-        pen.line(2, &[(text, Ink::Dim)]);
+        canvas.line(2, &[(text, Ink::Dim)]);
     }
     let rows = u16::try_from(stages.len()).unwrap_or(u16::MAX);
-    table(app, &names, &stages, whole_us, &mut pen.below(2));
-    let mut rest = pen.below(rows.saturating_add(4).max(4));
+    table(app, &names, &stages, whole_us, &mut canvas.below(2));
+    let mut rest = canvas.below(rows.saturating_add(4).max(4));
     let mut lines = sentence(&stages, usize::from(rest.area.width));
     lines.extend(waiting(app, &names, key, now));
     for (y, (text, ink)) in (0..).zip(&lines) {
@@ -50,14 +50,14 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
 /// The TTL of the message in microseconds: as sent, or else as declared at the source's end of the port.
 fn whole(app: &App, names: &Names, key: MessageKey, stages: &[Stage]) -> u64 {
     let sent = stages.iter().find(|s| s.mark.seen.what.event == Event::Sent).map(|s| s.left_us);
-    let tick_us = app.life_of_task(key.source).map_or(1, |life| life.tick_us);
+    let tick_us = app.incarnation_of_task(key.source).map_or(1, |incarnation| incarnation.tick_us);
     let declared = names.port(key.port).and_then(|info| info.time_out(key.source));
     let declared = declared.map_or(0, |ticks| ticks.0.saturating_mul(tick_us));
     let most = stages.iter().map(|s| s.left_us).max().unwrap_or(0);
     sent.unwrap_or(declared).max(most)
 }
 
-fn about(names: &Names, key: MessageKey, whole_us: u64, pen: &mut Pen<'_>) {
+fn about(names: &Names, key: MessageKey, whole_us: u64, canvas: &mut Canvas<'_>) {
     let home = |task| names.home(task).map_or_else(String::new, |node| format!("@{}", names.node(node)));
     let name = format!(" {}#{}", names.port_name(key.port), key.number);
     let source = format!("  of {}{}", names.task(key.source), home(key.source));
@@ -67,12 +67,13 @@ fn about(names: &Names, key: MessageKey, whole_us: u64, pen: &mut Pen<'_>) {
         Some(imrs_protocol::Class::Status) => "  class 1",
         None => "",
     };
-    let life = format!("  whole life {}", Span::micros(whole_us));
-    pen.line(0, &[(&name, Ink::Head), (&source, Ink::Plain), (class, Ink::Dim), (&life, Ink::Plain)]);
+    let incarnation = format!("  whole life {}", Span::micros(whole_us));
+    canvas
+        .line(0, &[(&name, Ink::Head), (&source, Ink::Plain), (class, Ink::Dim), (&incarnation, Ink::Plain)]);
 }
 
-fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, pen: &mut Pen<'_>) {
-    let width = pen.area.width;
+fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, canvas: &mut Canvas<'_>) {
+    let width = canvas.area.width;
     let shown: &[usize] = match width {
         0..60 => &[1, 2, 3, 4],
         60..110 => &[0, 1, 2, 3, 4, 5, 7],
@@ -84,18 +85,18 @@ fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, pen: &mut Pe
     } else if width < 110 {
         (columns[1].width, columns[2].width) = (12, 12);
     }
-    let widths = pen.widths(&columns);
-    pen.titles(0, &columns, &widths);
+    let widths = canvas.widths(&columns);
+    canvas.titles(0, &columns, &widths);
     let bar_width = widths.last().map_or(0, |w| w.saturating_sub(2).min(60));
-    let room = usize::from(pen.height().saturating_sub(1));
+    let room = usize::from(canvas.height().saturating_sub(1));
     // All rows use one clock, because the nodes' own clocks have different origins and would not be in order.
-    let first = stages.first().and_then(|stage| app.store().life(stage.mark.life));
+    let first = stages.first().and_then(|stage| app.store().incarnation(stage.mark.incarnation));
     for (y, stage) in (1..).zip(stages.iter().skip(app.scroll).take(room)) {
         let event = stage.mark.seen.what.event;
         let ink = super::words::ink(event);
-        let life = app.store().life(stage.mark.life);
+        let incarnation = app.store().incarnation(stage.mark.incarnation);
         let at = first.and_then(|first| own_clock(first, stage.mark.at)).map_or_else(String::new, clock);
-        let node = life.map_or_else(String::new, |life| life.node.to_string());
+        let node = incarnation.map_or_else(String::new, |incarnation| incarnation.node.to_string());
         let place = if stage.mark.in_transit {
             "transit".to_owned()
         } else {
@@ -121,7 +122,7 @@ fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, pen: &mut Pe
             (bar.as_str(), if tight { Ink::Warn } else { Ink::Bar }),
         ];
         let cells: Vec<_> = shown.iter().map(|&i| all[i]).collect();
-        pen.row(y, &columns, &widths, &cells);
+        canvas.row(y, &columns, &widths, &cells);
     }
 }
 
@@ -180,9 +181,9 @@ fn sentence(stages: &[Stage], width: usize) -> Vec<(String, Ink)> {
 /// The place where the message is queued now.
 fn waiting(app: &App, names: &Names, key: MessageKey, now: Moment) -> Option<(String, Ink)> {
     let cell = app.cell()?;
-    for life in app.store().lives_of(&cell) {
-        for task in life.tasks().iter().map(|task| task.view.task) {
-            let waiting = queue(life, task, key.port, now);
+    for incarnation in app.store().incarnations_of(&cell) {
+        for task in incarnation.tasks().iter().map(|task| task.view.task) {
+            let waiting = queue(incarnation, task, key.port, now);
             let fits = |w: &&Waiting| w.entry.source == key.source && w.entry.id.sequence.get() == key.number;
             if let Some(found) = waiting.iter().find(fits) {
                 let left = found.left;
@@ -190,8 +191,11 @@ fn waiting(app: &App, names: &Names, key: MessageKey, now: Moment) -> Option<(St
                     0 => String::new(),
                     us => format!(", not offered for {}", Span::micros(us)),
                 };
-                let text =
-                    format!(" now it waits at {}@{}: {left} left{back_off}.", names.task(task), life.node);
+                let text = format!(
+                    " now it waits at {}@{}: {left} left{back_off}.",
+                    names.task(task),
+                    incarnation.node
+                );
                 return Some((text, if left.us == 0 { Ink::Bad } else { Ink::Good }));
             }
         }
@@ -202,5 +206,5 @@ fn waiting(app: &App, names: &Names, key: MessageKey, now: Moment) -> Option<(St
 /// The number of stages, for scrolling.
 pub(super) fn length(app: &App) -> usize {
     let key = app.cell().zip(app.message());
-    key.map_or(0, |(cell, key)| life_of(app.store(), &cell, key).len())
+    key.map_or(0, |(cell, key)| incarnation_of(app.store(), &cell, key).len())
 }

@@ -1,12 +1,12 @@
 //! Draws the screens: pure functions of the app and the moment, one screen per file.
 
 mod below;
+mod canvas;
 mod events;
 mod help;
 mod message;
 mod model;
 mod overview;
-mod pen;
 mod port;
 mod rendezvous;
 mod replay;
@@ -19,13 +19,13 @@ use crate::clock::{Moment, Span};
 use crate::name::Name;
 use crate::rows::Sort;
 use crate::store::health::{Finding, Place};
-use crate::store::journal::Level;
+use crate::store::journal::Severity;
 use crate::store::waits;
 use crate::store::{Condition, Presence};
 use crate::theme::Ink;
+use canvas::Canvas;
 use imrs_protocol::TaskId;
 use imrs_wire::obs::Liveness;
-use pen::Pen;
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 
@@ -33,16 +33,16 @@ use ratatui::layout::Rect;
 pub fn view(app: &App, now: Moment, area: Rect, buffer: &mut Buffer) {
     let now = app.moment(now);
     let area = area.intersection(buffer.area);
-    let mut pen = Pen { buffer, area, theme: &app.theme };
+    let mut canvas = Canvas { buffer, area, theme: &app.theme };
     if area.is_empty() {
         return;
     }
-    head(app, now, &mut pen);
+    head(app, now, &mut canvas);
     let findings = app.findings(now);
     let foot = u16::from(area.height > 2);
     let middle = Rect { y: area.y + 1, height: area.height.saturating_sub(1 + foot), ..area };
     if foot == 1 {
-        self::foot(app, &findings, now, &mut pen);
+        self::foot(app, &findings, now, &mut canvas);
     }
     let told = app.replay().map_or(0, |player| replay::rows(player, middle.height));
     let (middle, panel) = (
@@ -50,20 +50,20 @@ pub fn view(app: &App, now: Moment, area: Rect, buffer: &mut Buffer) {
         Rect { y: middle.y + middle.height - told, height: told, ..middle },
     );
     if let Some(player) = app.replay() {
-        replay::draw(player, &mut Pen { buffer: pen.buffer, area: panel, theme: &app.theme });
+        replay::draw(player, &mut Canvas { buffer: canvas.buffer, area: panel, theme: &app.theme });
     }
-    let mut pen = Pen { buffer: pen.buffer, area: middle, theme: &app.theme };
+    let mut canvas = Canvas { buffer: canvas.buffer, area: middle, theme: &app.theme };
     match app.screen {
-        Screen::Help => help::draw(app, &mut pen),
-        _ if app.cell().is_none() => nothing(app, &mut pen),
-        Screen::Overview => overview::draw(app, &findings, now, &mut pen),
-        Screen::Port => port::draw(app, now, &mut pen),
-        Screen::Message => message::draw(app, now, &mut pen),
-        Screen::Rendezvous => rendezvous::draw(app, now, &mut pen),
-        Screen::Timeline => timeline::draw(app, &mut pen),
-        Screen::Timers => timers::draw(app, now, &mut pen),
-        Screen::Events => events::draw(app, now, &mut pen),
-        Screen::Model => model::draw(app, now, &mut pen),
+        Screen::Help => help::draw(app, &mut canvas),
+        _ if app.cell().is_none() => nothing(app, &mut canvas),
+        Screen::Overview => overview::draw(app, &findings, now, &mut canvas),
+        Screen::Port => port::draw(app, now, &mut canvas),
+        Screen::Message => message::draw(app, now, &mut canvas),
+        Screen::Rendezvous => rendezvous::draw(app, now, &mut canvas),
+        Screen::Timeline => timeline::draw(app, &mut canvas),
+        Screen::Timers => timers::draw(app, now, &mut canvas),
+        Screen::Events => events::draw(app, now, &mut canvas),
+        Screen::Model => model::draw(app, now, &mut canvas),
     }
 }
 
@@ -152,10 +152,10 @@ const TABS: [(Screen, char, &str); 7] = [
 /// A piece of the header, with the screen that a click on it opens.
 type Piece = (String, Ink, Option<Screen>);
 
-fn head(app: &App, now: Moment, pen: &mut Pen<'_>) {
-    let pieces = pieces(app, pen.area.width, now);
+fn head(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
+    let pieces = pieces(app, canvas.area.width, now);
     let pieces: Vec<_> = pieces.iter().map(|(text, ink, _)| (text.as_str(), *ink)).collect();
-    pen.line(0, &pieces);
+    canvas.line(0, &pieces);
 }
 
 fn pieces(app: &App, width: u16, now: Moment) -> Vec<Piece> {
@@ -220,11 +220,12 @@ fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &
     if app.recording.is_some() {
         pieces.push(("  REC".to_owned(), Ink::Bad));
     }
-    let insecure = app.store().lives_of(cell).filter_map(|l| l.last.as_ref()).any(|s| s.snapshot.insecure);
+    let insecure =
+        app.store().incarnations_of(cell).filter_map(|l| l.last.as_ref()).any(|s| s.snapshot.insecure);
     if insecure {
         pieces.push(("  INSECURE".to_owned(), Ink::Warn));
     }
-    let lost: u64 = app.store().lives_of(cell).map(|l| l.lost).sum();
+    let lost: u64 = app.store().incarnations_of(cell).map(|l| l.lost).sum();
     if lost > 0 {
         pieces.push((format!("  lost {lost}"), Ink::Warn));
     }
@@ -234,20 +235,20 @@ fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &
 fn nodes(app: &App, now: Moment) -> (usize, usize) {
     let Some(cell) = app.cell() else { return (0, 0) };
     let store = app.store();
-    let up = |life: &&crate::store::Life| life.presence(now) == Presence::Up;
-    let up = store.lives_of(&cell).filter(up).count();
+    let up = |incarnation: &&crate::store::NodeIncarnation| incarnation.presence(now) == Presence::Up;
+    let up = store.incarnations_of(&cell).filter(up).count();
     let known = store.names(&cell).map_or(0, |n| n.nodes.len());
-    (up, known.max(store.lives_of(&cell).filter(|l| l.condition == Condition::Attached).count()))
+    (up, known.max(store.incarnations_of(&cell).filter(|l| l.condition == Condition::Attached).count()))
 }
 
-fn foot(app: &App, findings: &[Finding], now: Moment, pen: &mut Pen<'_>) {
-    let y = pen.height() - 1;
+fn foot(app: &App, findings: &[Finding], now: Moment, canvas: &mut Canvas<'_>) {
+    let y = canvas.height() - 1;
     if app.typing {
-        pen.line(y, &[(" /", Ink::Head), (&app.shape.filter, Ink::Plain), ("_", Ink::Plain)]);
+        canvas.line(y, &[(" /", Ink::Head), (&app.shape.filter, Ink::Plain), ("_", Ink::Plain)]);
         return;
     }
     if let Some(command) = &app.command {
-        pen.line(y, &[(" :", Ink::Head), (command, Ink::Plain), ("_", Ink::Plain)]);
+        canvas.line(y, &[(" :", Ink::Head), (command, Ink::Plain), ("_", Ink::Plain)]);
         return;
     }
     let mut pieces: Vec<(String, Ink)> = Vec::new();
@@ -271,15 +272,15 @@ fn foot(app: &App, findings: &[Finding], now: Moment, pen: &mut Pen<'_>) {
     }
     if let Some(trouble) = app.store().troubles().next() {
         pieces.push((format!(" ! {trouble}"), Ink::Warn));
-    } else if let Some(worst) = findings.first().filter(|f| f.level >= Level::Warn) {
+    } else if let Some(worst) = findings.first().filter(|f| f.level >= Severity::Warn) {
         let place = overview::label(app, worst.place);
-        let ink = if worst.level == Level::Bad { Ink::Bad } else { Ink::Warn };
+        let ink = if worst.level == Severity::Bad { Ink::Bad } else { Ink::Warn };
         pieces.push((format!(" {} {place}: {}", mark(worst.level), worst.text), ink));
     } else if pieces.is_empty() {
         pieces.push((" q quit  ? help  space pause  / filter  Enter open".to_owned(), Ink::Dim));
     }
     let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
-    pen.line(y, &pieces);
+    canvas.line(y, &pieces);
 }
 
 /// The most awaited tasks of a cell and the kind of wait: the first question when nothing moves.
@@ -289,11 +290,14 @@ fn awaited(app: &App, cell: &Name, now: Moment) -> Option<(String, Ink)> {
     let found = waits::awaited(store, cell, now);
     let first = found.first()?;
     let same: Vec<TaskId> = found.iter().filter(|a| a.by == first.by).map(|a| a.task).collect();
-    let life = |task| names.home(task).and_then(|node| store.latest(cell, node));
+    let incarnation = |task| names.home(task).and_then(|node| store.latest(cell, node));
     let told = |task: &TaskId| {
         let node = names.home(*task).map_or_else(String::new, |node| format!("@{}", names.node(node)));
-        let gone = life(*task).map(|life| life.presence(now)).filter(|presence| presence.is_gone());
-        let runs = life(*task).and_then(|l| l.task(*task)).is_none_or(|t| t.liveness == Liveness::Alive);
+        let gone = incarnation(*task)
+            .map(|incarnation| incarnation.presence(now))
+            .filter(|presence| presence.is_gone());
+        let runs =
+            incarnation(*task).and_then(|l| l.task(*task)).is_none_or(|t| t.liveness == Liveness::Alive);
         let state = match (gone, runs) {
             (Some(gone), _) => format!(", {gone}"),
             (None, false) => ", no longer running".to_owned(),
@@ -317,17 +321,17 @@ fn awaited(app: &App, cell: &Name, now: Moment) -> Option<(String, Ink)> {
 }
 
 /// The sign of a severity.
-const fn mark(level: Level) -> &'static str {
+const fn mark(level: Severity) -> &'static str {
     match level {
-        Level::Trace | Level::Note => " ",
-        Level::Warn => "!",
-        Level::Bad => "!!",
+        Severity::Trace | Severity::Note => " ",
+        Severity::Warn => "!",
+        Severity::Bad => "!!",
     }
 }
 
-fn nothing(app: &App, pen: &mut Pen<'_>) {
-    pen.line(1, &[(" Waiting for a node to appear ...", Ink::Plain)]);
+fn nothing(app: &App, canvas: &mut Canvas<'_>) {
+    canvas.line(1, &[(" Waiting for a node to appear ...", Ink::Plain)]);
     for (y, trouble) in (3..).zip(app.store().troubles()) {
-        pen.line(y, &[(" ! ", Ink::Warn), (trouble, Ink::Plain)]);
+        canvas.line(y, &[(" ! ", Ink::Warn), (trouble, Ink::Plain)]);
     }
 }

@@ -1,10 +1,10 @@
 //! Screen 7: the conformance of each node, and the coverage of transitions (D63).
 
-use super::pen::{Pen, bar};
+use super::canvas::{Canvas, bar};
 use super::words::short;
 use crate::app::App;
 use crate::clock::Moment;
-use crate::store::Life;
+use crate::store::NodeIncarnation;
 use crate::store::conformance::{Verdict, conformance};
 use crate::store::coverage::{Abilities, KINDS};
 use crate::store::timeline::timeline_of;
@@ -17,13 +17,13 @@ const BEFORE: usize = 20;
 
 pub(super) type Line = Vec<(String, Ink)>;
 
-pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
-    let lines = lines(app, now, pen.area.width);
-    let room = usize::from(pen.height());
+pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
+    let lines = lines(app, now, canvas.area.width);
+    let room = usize::from(canvas.height());
     let first = app.scroll.min(lines.len().saturating_sub(1));
     for (y, line) in (0..).zip(lines.iter().skip(first).take(room)) {
         let pieces: Vec<_> = line.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
-        pen.line(y, &pieces);
+        canvas.line(y, &pieces);
     }
 }
 
@@ -33,15 +33,15 @@ pub(super) fn lines(app: &App, now: Moment, width: u16) -> Vec<Line> {
     let store = app.store();
     let mut lines: Vec<Line> = Vec::new();
     let mut whole = Sum::default();
-    for life in store.present(&cell) {
+    for incarnation in store.present(&cell) {
         if !lines.is_empty() {
             lines.push(Vec::new());
         }
-        node(app, life, now, width, &mut lines);
-        for task in life.tasks() {
-            let sum = Sum::of(store.trail(), life, task.view.task);
+        node(app, incarnation, now, width, &mut lines);
+        for task in incarnation.tasks() {
+            let sum = Sum::of(store.trail(), incarnation, task.view.task);
             whole.add(&sum);
-            coverage(app, life, task.view.task, &sum, width, &mut lines);
+            coverage(app, incarnation, task.view.task, &sum, width, &mut lines);
         }
     }
     let (fired, possible) = (whole.fired.len(), whole.fired.len() + whole.never.len());
@@ -55,9 +55,9 @@ pub(super) fn lines(app: &App, now: Moment, width: u16) -> Vec<Line> {
 }
 
 /// The validator's verdict on the recorded inputs of a node.
-fn node(app: &App, life: &Life, now: Moment, width: u16, lines: &mut Vec<Line>) {
-    let told = conformance(app.store(), life.id);
-    let gone = life.presence(now).is_gone();
+fn node(app: &App, incarnation: &NodeIncarnation, now: Moment, width: u16, lines: &mut Vec<Line>) {
+    let told = conformance(app.store(), incarnation.id);
+    let gone = incarnation.presence(now).is_gone();
     let sign = if gone { app.theme.glyphs.dead } else { " " };
     let (word, ink, rest) = match &told.verdict {
         Verdict::Unknown { why } => ("UNKNOWN", Ink::Warn, crate::name::shown_line(why)),
@@ -68,7 +68,7 @@ fn node(app: &App, life: &Life, now: Moment, width: u16, lines: &mut Vec<Line>) 
     };
     let steps = if told.steps > 0 { format!("  {} steps checked", told.steps) } else { String::new() };
     lines.push(vec![
-        (format!("{sign}{}", life.node), Ink::Head),
+        (format!("{sign}{}", incarnation.node), Ink::Head),
         (format!("  {word}"), ink),
         (steps, Ink::Plain),
     ]);
@@ -82,16 +82,16 @@ fn node(app: &App, life: &Life, now: Moment, width: u16, lines: &mut Vec<Line>) 
     );
     if matches!(told.verdict, Verdict::Violates { .. }) {
         lines.push(vec![(format!("   the last {BEFORE} that was observed:"), Ink::Dim)]);
-        let timeline = timeline_of(app.store(), &life.names.cell, KEPT, |_| true);
-        let own: Vec<_> = timeline.marks.iter().filter(|mark| mark.life == life.id).collect();
+        let timeline = timeline_of(app.store(), &incarnation.names.cell, KEPT, |_| true);
+        let own: Vec<_> = timeline.marks.iter().filter(|mark| mark.incarnation == incarnation.id).collect();
         for mark in own.iter().skip(own.len().saturating_sub(BEFORE)) {
-            let task = life.names.task(mark.task).to_string();
-            let text = format!("     {task:12} {}", short(mark, &life.names, &app.theme));
+            let task = incarnation.names.task(mark.task).to_string();
+            let text = format!("     {task:12} {}", short(mark, &incarnation.names, &app.theme));
             lines.push(vec![(text, super::words::ink(mark.seen.what.event))]);
         }
     }
-    if life.lost > 0 {
-        let text = format!("   {} observations lost: what they were is not counted", life.lost);
+    if incarnation.lost > 0 {
+        let text = format!("   {} observations lost: what they were is not counted", incarnation.lost);
         lines.push(vec![(text, Ink::Warn)]);
     }
 }
@@ -104,10 +104,10 @@ struct Sum {
 }
 
 impl Sum {
-    fn of(trail: &Trail, life: &Life, task: TaskId) -> Self {
-        let counts = trail.fired(life.id, Some(task));
+    fn of(trail: &Trail, incarnation: &NodeIncarnation, task: TaskId) -> Self {
+        let counts = trail.fired(incarnation.id, Some(task));
         let mut sum = Self::default();
-        let Some(snapshot) = life.task(task) else { return sum };
+        let Some(snapshot) = incarnation.task(task) else { return sum };
         let abilities = Abilities::of(&snapshot.view);
         for (at, kind) in KINDS.into_iter().enumerate() {
             match counts.and_then(|counts| counts.get(at)).copied().unwrap_or(0) {
@@ -136,10 +136,17 @@ impl Sum {
     }
 }
 
-fn coverage(app: &App, life: &Life, task: TaskId, sum: &Sum, width: u16, lines: &mut Vec<Line>) {
+fn coverage(
+    app: &App,
+    incarnation: &NodeIncarnation,
+    task: TaskId,
+    sum: &Sum,
+    width: u16,
+    lines: &mut Vec<Line>,
+) {
     let (fired, all) = (sum.fired.len() as u64, (sum.fired.len() + sum.never.len()) as u64);
     lines.push(vec![
-        (format!("   {:12} ", life.names.task(task).to_string()), Ink::Plain),
+        (format!("   {:12} ", incarnation.names.task(task).to_string()), Ink::Plain),
         (format!("{fired:2}/{all:2} "), Ink::Plain),
         (format!("[{}]", bar(&app.theme, if width < 60 { 10 } else { 20 }, fired, all)), Ink::Bar),
     ]);

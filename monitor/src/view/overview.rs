@@ -1,14 +1,14 @@
 //! Screen 1: nodes, their tasks and their ports. Each row shows the most severe finding within it.
 
-use super::pen::{Column, Pen, bar, first_row, widths};
+use super::canvas::{Canvas, Column, bar, first_row, widths};
 use super::{Hit, below, mark};
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::rows::{Row, Sort};
 use crate::store::health::{Finding, Place, held_back_words};
-use crate::store::journal::Level;
+use crate::store::journal::Severity;
 use crate::store::meeting::state;
-use crate::store::{Left, Life, LifeId, Presence, is_killed};
+use crate::store::{IncarnationId, Left, NodeIncarnation, Presence, is_killed};
 use crate::theme::Ink;
 use imrs_protocol::{PortCounters, PortView, TaskId, Usage};
 use imrs_wire::obs::{Liveness, RealTime, TaskSnapshot};
@@ -74,11 +74,11 @@ fn columns(width: u16) -> (Vec<Column>, &'static [usize]) {
     }
 }
 
-pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, pen: &mut Pen<'_>) {
+pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, canvas: &mut Canvas<'_>) {
     let rows = app.rows(findings, now);
     let selected = app.selected(&rows);
-    let (columns, shown) = columns(pen.area.width);
-    let mut titles = pen.below(0);
+    let (columns, shown) = columns(canvas.area.width);
+    let mut titles = canvas.below(0);
     let indented = ratatui::layout::Rect {
         x: titles.area.x + 2.min(titles.area.width),
         width: titles.area.width.saturating_sub(2),
@@ -93,23 +93,23 @@ pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, pen: &mut Pen<'
         let x = titles.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
         titles.at(x, 0, u16::MAX, &text, Ink::Head);
     }
-    let below = below::rows(pen.height());
-    let height = usize::from(pen.height().saturating_sub(1 + below));
+    let below = below::rows(canvas.height());
+    let height = usize::from(canvas.height().saturating_sub(1 + below));
     let first = first_row(selected, rows.len(), height);
-    let foot = pen.height().saturating_sub(below);
-    below::draw(app, now, &mut pen.below(foot));
+    let foot = canvas.height().saturating_sub(below);
+    below::draw(app, now, &mut canvas.below(foot));
     // Only visible rows are built, so that a cell of ten thousand ports costs no more.
     for (y, (i, row)) in (1..).zip(rows.iter().enumerate().skip(first).take(height)) {
-        let cells = cells(app, row, findings, pen.area.width, now);
+        let cells = cells(app, row, findings, canvas.area.width, now);
         let cells: Vec<_> = shown.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
         if i == selected {
-            pen.at(0, y, 1, app.theme.glyphs.selected, Ink::Head);
+            canvas.at(0, y, 1, app.theme.glyphs.selected, Ink::Head);
         }
-        let mut inner = pen.below(0);
+        let mut inner = canvas.below(0);
         inner.area = indented;
         inner.row(y, &columns, &widths, &cells);
         if i == selected {
-            pen.select(y);
+            canvas.select(y);
         }
     }
 }
@@ -148,17 +148,17 @@ pub(super) fn hit(app: &App, now: Moment, size: (u16, u16), at: (u16, u16)) -> O
 /// The name of a place: `node.task.port`, as far as it goes.
 pub(crate) fn label(app: &App, place: Place) -> String {
     let store = app.store();
-    let Ok(life) = place.node else {
+    let Ok(incarnation) = place.node else {
         let cell = app.cell().and_then(|c| store.names(&c).cloned());
         return cell.zip(place.node.err()).map_or_else(String::new, |(names, id)| names.node(id).to_string());
     };
-    let Some(life) = store.life(life) else { return String::new() };
-    let mut text = life.node.to_string();
+    let Some(incarnation) = store.incarnation(incarnation) else { return String::new() };
+    let mut text = incarnation.node.to_string();
     if let Some(task) = place.task {
-        text += &format!(".{}", life.names.task(task));
+        text += &format!(".{}", incarnation.names.task(task));
     }
     if let Some(port) = place.port {
-        text += &format!(".{}", life.names.port_name(port));
+        text += &format!(".{}", incarnation.names.port_name(port));
     }
     text
 }
@@ -178,14 +178,14 @@ fn cells(app: &App, row: &Row, findings: &[Finding], width: u16, now: Moment) ->
             cells[1] = (if killed { "DEAD" } else { "not seen here" }.to_owned(), Ink::Dim);
         }
         Ok(id) => {
-            let Some(life) = app.store().life(id) else { return cells };
-            let gone = life.presence(now).is_gone();
-            match (row.place.task.and_then(|t| life.task(t)), row.place.port) {
-                (None, _) => node(app, life, row, now, &mut cells),
-                (Some(task), None) => self::task(app, life, task, row, now, &mut cells),
+            let Some(incarnation) = app.store().incarnation(id) else { return cells };
+            let gone = incarnation.presence(now).is_gone();
+            match (row.place.task.and_then(|t| incarnation.task(t)), row.place.port) {
+                (None, _) => node(app, incarnation, row, now, &mut cells),
+                (Some(task), None) => self::task(app, incarnation, task, row, now, &mut cells),
                 (Some(task), Some(port)) => {
                     if let Some(view) = task.view.ports.iter().find(|p| p.port == port) {
-                        self::port(app, life, task, view, width, now, &mut cells);
+                        self::port(app, incarnation, task, view, width, now, &mut cells);
                     }
                 }
             }
@@ -202,8 +202,8 @@ fn cells(app: &App, row: &Row, findings: &[Finding], width: u16, now: Moment) ->
     cells
 }
 
-fn is_gone(app: &App, id: LifeId, now: Moment) -> bool {
-    app.store().life(id).is_some_and(|life| life.presence(now).is_gone())
+fn is_gone(app: &App, id: IncarnationId, now: Moment) -> bool {
+    app.store().incarnation(id).is_some_and(|incarnation| incarnation.presence(now).is_gone())
 }
 
 fn fold_sign(app: &App, row: &Row) -> &'static str {
@@ -214,80 +214,87 @@ fn fold_sign(app: &App, row: &Row) -> &'static str {
     }
 }
 
-fn node(app: &App, life: &Life, row: &Row, now: Moment, cells: &mut Cells) {
-    let presence = life.presence(now);
+fn node(app: &App, incarnation: &NodeIncarnation, row: &Row, now: Moment, cells: &mut Cells) {
+    let presence = incarnation.presence(now);
     let sign = if presence.is_gone() { app.theme.glyphs.dead } else { fold_sign(app, row) };
     // A node of the checker has no process.
-    let pid = if life.pid == 0 { String::new() } else { format!(" (pid {})", life.pid) };
-    cells[0] = (format!("{sign} {}{pid}", life.node), Ink::Plain);
-    let uptime = life.last.as_ref().map(|s| Duration::from_micros(s.snapshot.uptime_us));
+    let pid = if incarnation.pid == 0 { String::new() } else { format!(" (pid {})", incarnation.pid) };
+    cells[0] = (format!("{sign} {}{pid}", incarnation.node), Ink::Plain);
+    let uptime = incarnation.last.as_ref().map(|s| Duration::from_micros(s.snapshot.uptime_us));
     cells[1] = match (presence, uptime) {
         (Presence::Up, Some(uptime)) => (format!("up {}", Span(uptime)), Ink::Good),
         (Presence::Up, None) => ("attached".to_owned(), Ink::Plain),
         (Presence::Silent(_), _) => (presence.to_string(), Ink::Warn),
-        _ => (format!("{presence} (incarn. {})", life.incarnation), Ink::Dim),
+        _ => (format!("{presence} (incarn. {})", incarnation.number), Ink::Dim),
     };
-    let longest = life.longest_held_back(now);
+    let longest = incarnation.longest_held_back(now);
     if let Some(longest) = longest.filter(|_| matches!(presence, Presence::Up)) {
         cells[1] = (format!("up, held back {} s", longest.div_ceil(1_000_000)), Ink::Warn);
     }
-    match life.last.as_ref().map(|s| s.snapshot.real_time).filter(|_| !presence.is_gone()) {
+    match incarnation.last.as_ref().map(|s| s.snapshot.real_time).filter(|_| !presence.is_gone()) {
         Some(RealTime::Had) => cells[1].0 += "  rt",
         Some(RealTime::Refused { .. }) => cells[1] = (format!("{}  NO RT", cells[1].0), Ink::Warn),
         Some(RealTime::NotAsked) | None => {}
     }
-    sum(app, life, life.tasks(), now, cells);
+    sum(app, incarnation, incarnation.tasks(), now, cells);
     if let Some(transit) =
-        life.last.as_ref().map(|s| &s.snapshot.transit).filter(|t| t.len > 0 && !presence.is_gone())
+        incarnation.last.as_ref().map(|s| &s.snapshot.transit).filter(|t| t.len > 0 && !presence.is_gone())
     {
         cells[1].0 += &format!("  transit {}", transit.len);
     }
 }
 
-fn task(app: &App, life: &Life, task: &TaskSnapshot, row: &Row, now: Moment, cells: &mut Cells) {
-    cells[0] = (format!("  {} {}", fold_sign(app, row), life.names.task(task.view.task)), Ink::Plain);
+fn task(
+    app: &App,
+    incarnation: &NodeIncarnation,
+    task: &TaskSnapshot,
+    row: &Row,
+    now: Moment,
+    cells: &mut Cells,
+) {
+    cells[0] = (format!("  {} {}", fold_sign(app, row), incarnation.names.task(task.view.task)), Ink::Plain);
     cells[1] = match task.liveness {
         Liveness::Crashed => ("CRASHED".to_owned(), Ink::Bad),
         Liveness::Ended => ("ended".to_owned(), Ink::Dim),
-        Liveness::Alive if let Some(us) = life.task_held_back(task.view.task, now) => {
+        Liveness::Alive if let Some(us) = incarnation.task_held_back(task.view.task, now) => {
             (held_back_words(us), Ink::Warn)
         }
         Liveness::Alive => {
-            let left = remaining(life, task, now).map_or_else(String::new, |left| format!(" {left}"));
-            (state(life, &task.view.state) + &left, Ink::Plain)
+            let left = remaining(incarnation, task, now).map_or_else(String::new, |left| format!(" {left}"));
+            (state(incarnation, &task.view.state) + &left, Ink::Plain)
         }
     };
-    sum(app, life, std::slice::from_ref(task), now, cells);
+    sum(app, incarnation, std::slice::from_ref(task), now, cells);
 }
 
 /// The remaining time of the task's present wait.
-fn remaining(life: &Life, task: &TaskSnapshot, now: Moment) -> Option<Left> {
+fn remaining(incarnation: &NodeIncarnation, task: &TaskSnapshot, now: Moment) -> Option<Left> {
     use imrs_protocol::TaskState::{AwaitingReply, Delaying, Receiving, Running, Waiting};
     let remaining = match task.view.state {
         Running | Delaying => None,
         Receiving { remaining, .. } => remaining,
         AwaitingReply { remaining, .. } | Waiting { remaining, .. } => Some(remaining),
     };
-    remaining.map(|r| life.left(r, task.age_us, now))
+    remaining.map(|r| incarnation.left(r, task.age_us, now))
 }
 
 /// The sums over the ports of tasks: queue, least slack, rate, counters.
-fn sum(app: &App, life: &Life, tasks: &[TaskSnapshot], now: Moment, cells: &mut Cells) {
+fn sum(app: &App, incarnation: &NodeIncarnation, tasks: &[TaskSnapshot], now: Moment, cells: &mut Cells) {
     let (mut len, mut capacity, mut rate) = (0_u64, 0_u64, None::<f64>);
     let mut least: Option<Left> = None;
     let mut total = PortCounters::default();
     for task in tasks {
-        let earlier = life.earlier(task);
+        let earlier = incarnation.earlier(task);
         let slacks = task.view.ports.iter().filter_map(|port| port.min_slack);
-        let left = slacks.min().map(|slack| life.left(slack, task.age_us, now));
+        let left = slacks.min().map(|slack| incarnation.left(slack, task.age_us, now));
         least = [least, left].into_iter().flatten().min();
         for port in &task.view.ports {
             if port.usage != Usage::Waitfor {
                 len += u64::from(port.len);
                 capacity += u64::from(port.capacity);
             }
-            rate = [rate, life.rate_of(earlier, port)].into_iter().flatten().reduce(|a, b| a + b);
-            let c = counted(app, life, task.view.task, port);
+            rate = [rate, incarnation.rate_of(earlier, port)].into_iter().flatten().reduce(|a, b| a + b);
+            let c = counted(app, incarnation, task.view.task, port);
             total.expired = total.expired.saturating_add(c.expired);
             total.refused = total.refused.saturating_add(c.refused).saturating_add(c.evicted);
             total.rejected = total.rejected.saturating_add(c.rejected);
@@ -304,9 +311,11 @@ fn sum(app: &App, life: &Life, tasks: &[TaskSnapshot], now: Moment, cells: &mut 
 }
 
 /// A port's counters since the start, or since the mark if the user chose that.
-fn counted(app: &App, life: &Life, task: TaskId, view: &PortView) -> PortCounters {
+fn counted(app: &App, incarnation: &NodeIncarnation, task: TaskId, view: &PortView) -> PortCounters {
     let marked = app.mark().filter(|_| app.since_mark);
-    let before = marked.and_then(|(_, store)| store.life(life.id)?.port(task, view.port)).map(|p| p.counters);
+    let before = marked
+        .and_then(|(_, store)| store.incarnation(incarnation.id)?.port(task, view.port))
+        .map(|p| p.counters);
     let (now, before) = (view.counters, before.unwrap_or_default());
     PortCounters {
         expired: now.expired.saturating_sub(before.expired),
@@ -340,15 +349,15 @@ fn short(count: u64) -> String {
 
 fn port(
     app: &App,
-    life: &Life,
+    incarnation: &NodeIncarnation,
     task: &TaskSnapshot,
     view: &PortView,
     width: u16,
     now: Moment,
     cells: &mut Cells,
 ) {
-    cells[0] = (format!("      {}", life.names.port_name(view.port)), Ink::Plain);
-    let info = life.names.port(view.port);
+    cells[0] = (format!("      {}", incarnation.names.port_name(view.port)), Ink::Plain);
+    let info = incarnation.names.port(view.port);
     let parties = info.map_or(0, |i| i.parties.len());
     let class = if view.class == imrs_protocol::Class::Command { "c2" } else { "c1" };
     cells[1] = (format!("{class} {} {parties} parties", view.usage), Ink::Dim);
@@ -356,17 +365,17 @@ fn port(
         let meeting = task.view.meetings.iter().find(|m| m.port == view.port);
         let arrived = meeting.map_or(0, |m| m.members.iter().filter(|m| m.arrived).count());
         cells[2] = (format!("{arrived}/{parties}"), Ink::Plain);
-        let left = meeting.and_then(|m| m.remaining).map(|r| life.left(r, task.age_us, now));
+        let left = meeting.and_then(|m| m.remaining).map(|r| incarnation.left(r, task.age_us, now));
         cells[3] = (left.map_or_else(|| "-".to_owned(), |l| l.to_string()), Ink::Plain);
     } else if view.capacity > 0 {
         let fill = bar(&app.theme, 5, view.len.into(), view.capacity.into());
         let fill = if width < 116 { String::new() } else { format!(" {fill}") };
         cells[2] = (format!("{}/{}{fill}", view.len, view.capacity), Ink::Plain);
-        let left = view.min_slack.map(|s| life.left(s, task.age_us, now));
+        let left = view.min_slack.map(|s| incarnation.left(s, task.age_us, now));
         cells[3] = (left.map_or_else(|| "-".to_owned(), |l| l.to_string()), Ink::Plain);
     }
-    cells[4] = (per_second(life.rate(task.view.task, view.port)), Ink::Plain);
-    counts(cells, &counted(app, life, task.view.task, view));
+    cells[4] = (per_second(incarnation.rate(task.view.task, view.port)), Ink::Plain);
+    counts(cells, &counted(app, incarnation, task.view.task, view));
 }
 
 /// The most severe finding within a row; on a narrow screen only its sign.
@@ -376,7 +385,7 @@ fn health(row: &Row, findings: &[Finding], width: u16) -> (String, Ink) {
         let text = if never_seen { "?" } else { "ok" };
         return (text.to_owned(), if never_seen { Ink::Dim } else { Ink::Good });
     };
-    let ink = if worst.level == Level::Bad { Ink::Bad } else { Ink::Warn };
+    let ink = if worst.level == Severity::Bad { Ink::Bad } else { Ink::Warn };
     let text = if width < 60 { String::new() } else { format!(" {}", worst.text) };
     (format!("{}{text}", mark(worst.level)), ink)
 }

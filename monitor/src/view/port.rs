@@ -1,12 +1,12 @@
 //! Screen 2: the queue of one port, most urgent message first, with the remaining time of each message.
 
 use super::Hit;
-use super::pen::{Column, Pen, bar, first_row};
+use super::canvas::{Canvas, Column, bar, first_row};
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::store::queue::{Waiting, queue};
 use crate::store::service::{Service, Share, service};
-use crate::store::{Life, PortInfo};
+use crate::store::{NodeIncarnation, PortInfo};
 use crate::theme::Ink;
 use imrs_protocol::{Class, PortView, TaskId};
 
@@ -15,32 +15,33 @@ const fn above(height: u16) -> u16 {
     if height < 14 { 2 } else { 5 }
 }
 
-pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
+pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let queues = app.queues();
     let Some(end) = app.port(&queues) else {
-        pen.line(1, &[(" No port of this cell receives messages.", Ink::Plain)]);
+        canvas.line(1, &[(" No port of this cell receives messages.", Ink::Plain)]);
         return;
     };
-    let Some(life) = app.store().life(end.life) else { return };
-    let Some(view) = life.port(end.task, end.port) else { return };
-    let info = life.names.port(end.port);
+    let Some(incarnation) = app.store().incarnation(end.incarnation) else { return };
+    let Some(view) = incarnation.port(end.task, end.port) else { return };
+    let info = incarnation.names.port(end.port);
     let at = queues
         .iter()
         .position(|q| *q == end)
         .map_or_else(String::new, |i| format!("{}/{}", i + 1, queues.len()));
-    let above = above(pen.height());
-    about(life, end.task, view, info, &at, now, pen);
-    counters(view, pen);
-    let served = service(app.store(), end.life, end.task, end.port);
+    let above = above(canvas.height());
+    about(incarnation, end.task, view, info, &at, now, canvas);
+    counters(view, canvas);
+    let served = service(app.store(), end.incarnation, end.task, end.port);
     if above > 2 {
-        shares(life, served.as_ref(), pen);
-        fill(app, view, served.as_ref(), pen);
+        shares(incarnation, served.as_ref(), canvas);
+        fill(app, view, served.as_ref(), canvas);
     }
-    let whole = info.and_then(|i| i.time_out(end.task)).map_or(0, |t| t.0.saturating_mul(life.tick_us));
-    let waiting = queue(life, end.task, end.port, now);
-    bypassed(life, end.task, end.port, pen);
-    let queue = Queue { app, life, view, waiting, served: served.as_ref(), whole_us: whole };
-    queue.draw(&mut pen.below(above));
+    let whole =
+        info.and_then(|i| i.time_out(end.task)).map_or(0, |t| t.0.saturating_mul(incarnation.tick_us));
+    let waiting = queue(incarnation, end.task, end.port, now);
+    bypassed(incarnation, end.task, end.port, canvas);
+    let queue = Queue { app, incarnation, view, waiting, served: served.as_ref(), whole_us: whole };
+    queue.draw(&mut canvas.below(above));
 }
 
 /// The message at a row below the header.
@@ -54,9 +55,9 @@ pub(super) fn hit(app: &App, now: Moment, size: (u16, u16), y: u16) -> Option<Hi
 }
 
 /// Draws the service times and the shares of the sources.
-fn shares(life: &Life, served: Option<&Service>, pen: &mut Pen<'_>) {
+fn shares(incarnation: &NodeIncarnation, served: Option<&Service>, canvas: &mut Canvas<'_>) {
     let Some(served) = served else {
-        pen.line(2, &[(" service: ", Ink::Dim), ("nothing seen of it yet", Ink::Dim)]);
+        canvas.line(2, &[(" service: ", Ink::Dim), ("nothing seen of it yet", Ink::Dim)]);
         return;
     };
     let time = |us: Option<u64>| us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
@@ -71,28 +72,35 @@ fn shares(life: &Life, served: Option<&Service>, pen: &mut Pen<'_>) {
     let share = |(source, share): &(TaskId, Share)| {
         let rejected =
             if share.rejected > 0 { format!(", {} rejected", share.rejected) } else { String::new() };
-        format!("{} {}/{}{rejected}", life.names.task(*source), share.served, share.offered)
+        format!("{} {}/{}{rejected}", incarnation.names.task(*source), share.served, share.offered)
     };
     let each: Vec<_> = served.by_source.iter().map(share).collect();
     pieces.push((each.join("  "), Ink::Plain));
     let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
-    pen.line(2, &pieces);
+    canvas.line(2, &pieces);
 }
 
 /// Draws, for a watched port that competes with others, how often it was bypassed, and its limit (D58).
-fn bypassed(life: &Life, task: TaskId, port: imrs_protocol::PortId, pen: &mut Pen<'_>) {
-    let Some(told) = life.watched(task, port).filter(|told| told.what.queue.bypass_limit > 0) else { return };
+fn bypassed(
+    incarnation: &NodeIncarnation,
+    task: TaskId,
+    port: imrs_protocol::PortId,
+    canvas: &mut Canvas<'_>,
+) {
+    let Some(told) = incarnation.watched(task, port).filter(|told| told.what.queue.bypass_limit > 0) else {
+        return;
+    };
     let queue = &told.what.queue;
     let text = format!("bypassed {}/{} ", queue.bypassed, queue.bypass_limit);
-    let x = pen.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
-    if pen.area.width >= 100 {
+    let x = canvas.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
+    if canvas.area.width >= 100 {
         let near = queue.bypassed.saturating_mul(2) > queue.bypass_limit;
-        pen.at(x, 1, u16::MAX, &text, if near { Ink::Warn } else { Ink::Dim });
+        canvas.at(x, 1, u16::MAX, &text, if near { Ink::Warn } else { Ink::Dim });
     }
 }
 
 /// Draws the fill of the buffer over time, and the slack of its most urgent messages.
-fn fill(app: &App, view: &PortView, served: Option<&Service>, pen: &mut Pen<'_>) {
+fn fill(app: &App, view: &PortView, served: Option<&Service>, canvas: &mut Canvas<'_>) {
     let Some(served) = served else { return };
     let heights = app.theme.glyphs.heights;
     let top = usize::from(view.capacity.max(1));
@@ -100,36 +108,36 @@ fn fill(app: &App, view: &PortView, served: Option<&Service>, pen: &mut Pen<'_>)
         let at = (usize::from(*len) * (heights.len() - 1)).div_ceil(top).min(heights.len() - 1);
         heights[at]
     };
-    let room = usize::from(pen.area.width.saturating_sub(40)).max(10);
+    let room = usize::from(canvas.area.width.saturating_sub(40)).max(10);
     let late = served.fill.iter().skip(served.fill.len().saturating_sub(room));
     let drawn: String = late.map(height).collect();
     let time = |us: Option<u64>| us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
     let slack = format!("  slack p5 {} p50 {}", time(served.slack_p5_us), time(served.slack_p50_us));
-    pen.line(3, &[(" fill: ", Ink::Dim), (&drawn, Ink::Bar), (&slack, Ink::Plain)]);
+    canvas.line(3, &[(" fill: ", Ink::Dim), (&drawn, Ink::Bar), (&slack, Ink::Plain)]);
 }
 
 fn about(
-    life: &Life,
+    incarnation: &NodeIncarnation,
     task: TaskId,
     view: &PortView,
     info: Option<&PortInfo>,
     at: &str,
     now: Moment,
-    pen: &mut Pen<'_>,
+    canvas: &mut Canvas<'_>,
 ) {
-    let presence = life.presence(now);
-    let place = format!(" at {}@{}", life.names.task(task), life.node);
+    let presence = incarnation.presence(now);
+    let place = format!(" at {}@{}", incarnation.names.task(task), incarnation.node);
     let class = if view.class == Class::Command { "2" } else { "1" };
     let time_out =
-        info.and_then(|i| i.time_out(task)).map(|t| Span::micros(t.0.saturating_mul(life.tick_us)));
+        info.and_then(|i| i.time_out(task)).map(|t| Span::micros(t.0.saturating_mul(incarnation.tick_us)));
     let time_out = time_out.map_or_else(String::new, |t| format!("  time_out {t}"));
     let users: Vec<_> = info.map_or(&[][..], |i| &i.parties).iter().filter(|p| p.task != task).collect();
-    let users: Vec<_> = users.iter().map(|p| life.names.task(p.task).to_string()).collect();
+    let users: Vec<_> = users.iter().map(|p| incarnation.names.task(p.task).to_string()).collect();
     let with = format!("  usage {}  class {class}  with {}{time_out}", view.usage, users.join(","));
-    let name = format!(" {}", life.names.port_name(view.port));
+    let name = format!(" {}", incarnation.names.port_name(view.port));
     let fill = format!("  buffer {}/{}", view.len, view.capacity);
     let gone = if presence.is_gone() { format!("  {presence}: last state") } else { String::new() };
-    pen.line(
+    canvas.line(
         0,
         &[
             (&name, Ink::Head),
@@ -143,7 +151,7 @@ fn about(
     );
 }
 
-fn counters(view: &PortView, pen: &mut Pen<'_>) {
+fn counters(view: &PortView, canvas: &mut Canvas<'_>) {
     let c = &view.counters;
     let all = [
         ("in", c.enqueued),
@@ -160,13 +168,13 @@ fn counters(view: &PortView, pen: &mut Pen<'_>) {
     ];
     let shown = all.iter().enumerate().filter(|(i, (_, n))| *i < 3 || *n > 0);
     let text: Vec<_> = shown.map(|(_, (name, n))| format!("{name} {n}")).collect();
-    pen.line(1, &[(" since start: ", Ink::Dim), (&text.join("  "), Ink::Plain)]);
+    canvas.line(1, &[(" since start: ", Ink::Dim), (&text.join("  "), Ink::Plain)]);
 }
 
 /// The queue of a port, with the data for its verdicts.
 struct Queue<'a> {
     app: &'a App,
-    life: &'a Life,
+    incarnation: &'a NodeIncarnation,
     view: &'a PortView,
     waiting: Vec<Waiting>,
     served: Option<&'a Service>,
@@ -178,8 +186,8 @@ struct Queue<'a> {
 const STARVING: u32 = 3;
 
 impl Queue<'_> {
-    fn draw(&self, pen: &mut Pen<'_>) {
-        let width = pen.area.width;
+    fn draw(&self, canvas: &mut Canvas<'_>) {
+        let width = canvas.area.width;
         let shown: &[usize] = match width {
             0..60 => &[0, 1, 4, 5],
             60..100 => &[0, 1, 2, 4, 5, 8],
@@ -187,7 +195,7 @@ impl Queue<'_> {
             _ => &[0, 1, 2, 3, 4, 5, 6, 7, 9, 8],
         };
         let columns: Vec<Column> = shown.iter().map(|&i| column(i, width)).collect();
-        let mut inner = pen.below(0);
+        let mut inner = canvas.below(0);
         inner.area.x += 1.min(inner.area.width);
         inner.area.width = inner.area.width.saturating_sub(1);
         let widths = inner.widths(&columns);
@@ -204,25 +212,25 @@ impl Queue<'_> {
         for (y, (i, waiting)) in (1..).zip(self.waiting.iter().enumerate().skip(first).take(room)) {
             let cells = self.cells(i, waiting, bar_width);
             let cells: Vec<_> = shown.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
-            let mut inner = pen.below(0);
+            let mut inner = canvas.below(0);
             inner.area.x += 1.min(inner.area.width);
             inner.area.width = inner.area.width.saturating_sub(1);
             inner.row(y, &columns, &widths, &cells);
             if i == selected {
-                pen.at(0, y, 1, self.app.theme.glyphs.selected, Ink::Head);
-                pen.select(y);
+                canvas.at(0, y, 1, self.app.theme.glyphs.selected, Ink::Head);
+                canvas.select(y);
             }
         }
-        self.hidden(first + room, pen);
+        self.hidden(first + room, canvas);
     }
 
     /// Shows at the right of the titles how many rows are below.
-    fn hidden(&self, shown: usize, pen: &mut Pen<'_>) {
+    fn hidden(&self, shown: usize, canvas: &mut Canvas<'_>) {
         let hidden = usize::from(self.view.len).max(self.waiting.len()).saturating_sub(shown);
-        if hidden > 0 && pen.height() > 0 {
+        if hidden > 0 && canvas.height() > 0 {
             let text = format!(" {hidden} more ");
-            let x = pen.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
-            pen.at(x, 0, u16::MAX, &text, Ink::Head);
+            let x = canvas.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
+            canvas.at(x, 0, u16::MAX, &text, Ink::Head);
         }
     }
 
@@ -244,7 +252,7 @@ impl Queue<'_> {
         };
         [
             ((at + 1).to_string(), Ink::Dim),
-            (self.life.names.task(entry.source).to_string(), Ink::Plain),
+            (self.incarnation.names.task(entry.source).to_string(), Ink::Plain),
             (format!("#{}", entry.id), Ink::Dim),
             (class.to_owned(), Ink::Plain),
             (remain, tight),
@@ -259,18 +267,21 @@ impl Queue<'_> {
     /// A bar: the remaining time, the back-off beyond it, and a mark at the forecast of completion.
     fn bar(&self, width: u16, waiting: &Waiting, done_us: Option<u64>) -> String {
         let signs = self.app.theme.glyphs;
-        let life = bar(&self.app.theme, width, waiting.left.us, self.whole_us);
+        let incarnation = bar(&self.app.theme, width, waiting.left.us, self.whole_us);
         let waits = bar(&self.app.theme, width, waiting.back_off_us, self.whole_us);
         let place = |us: u64| {
             let at = u128::from(us) * u128::from(width) / u128::from(self.whole_us.max(1));
             usize::try_from(at).unwrap_or(usize::MAX).min(usize::from(width.saturating_sub(1)))
         };
         let done = done_us.filter(|_| self.whole_us > 0).map(place);
-        let both = life.chars().zip(waits.chars()).enumerate();
-        let sign = |(at, (life, waits)): (usize, (char, char))| match (done, signs.empty.contains(life)) {
+        let both = incarnation.chars().zip(waits.chars()).enumerate();
+        let sign = |(at, (incarnation, waits)): (usize, (char, char))| match (
+            done,
+            signs.empty.contains(incarnation),
+        ) {
             (Some(done), _) if done == at => signs.done.to_owned(),
             (_, true) if signs.full.contains(waits) => signs.wait.to_owned(),
-            _ => life.to_string(),
+            _ => incarnation.to_string(),
         };
         format!("[{}]", both.map(sign).collect::<String>())
     }

@@ -1,6 +1,6 @@
 //! Screen 3: a card for each rendezvous, with a matrix of known arrivals.
 
-use super::pen::{Pen, bar};
+use super::canvas::{Canvas, bar};
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::name::Name;
@@ -13,17 +13,17 @@ use imrs_protocol::TaskId;
 
 type Line = Vec<(String, Ink)>;
 
-pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
-    let lines = cards(app, now, pen.area.width);
+pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
+    let lines = cards(app, now, canvas.area.width);
     if lines.is_empty() {
-        pen.line(1, &[(" This cell has no waitfor.", Ink::Plain)]);
+        canvas.line(1, &[(" This cell has no waitfor.", Ink::Plain)]);
         return;
     }
-    let room = usize::from(pen.height());
+    let room = usize::from(canvas.height());
     let first = app.scroll.min(lines.len().saturating_sub(1));
     for (y, line) in (0..).zip(lines.iter().skip(first).take(room)) {
         let pieces: Vec<_> = line.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
-        pen.line(y, &pieces);
+        canvas.line(y, &pieces);
     }
 }
 

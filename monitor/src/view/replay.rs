@@ -1,6 +1,6 @@
 //! What a recording adds to every screen: the position in it, and the events of the step.
 
-use super::pen::Pen;
+use super::canvas::Canvas;
 use crate::replay::{Player, tell};
 use crate::theme::Ink;
 
@@ -25,16 +25,16 @@ pub(super) fn rows(player: &Player, height: u16) -> u16 {
 }
 
 /// Draws the panel: the events of the step, and the place in the cell's file.
-pub(super) fn draw(player: &Player, pen: &mut Pen<'_>) {
+pub(super) fn draw(player: &Player, canvas: &mut Canvas<'_>) {
     let lines = lines(player);
-    let room = usize::from(pen.height());
+    let room = usize::from(canvas.height());
     let shown = if lines.len() > room { room.saturating_sub(1) } else { lines.len() };
     for (y, (text, ink)) in (0..).zip(lines.iter().take(shown)) {
-        pen.at(0, y, u16::MAX, text, *ink);
+        canvas.at(0, y, u16::MAX, text, *ink);
     }
     if lines.len() > shown {
         let y = u16::try_from(shown).unwrap_or(0);
-        pen.at(0, y, u16::MAX, &format!("   ... {} lines more", lines.len() - shown), Ink::Dim);
+        canvas.at(0, y, u16::MAX, &format!("   ... {} lines more", lines.len() - shown), Ink::Dim);
     }
 }
 

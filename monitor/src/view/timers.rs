@@ -1,10 +1,10 @@
 //! Screen 5: all deadlines, soonest first: each node's timers, and the waits with a time_out.
 
-use super::pen::{Column, Pen, bar};
+use super::canvas::{Canvas, Column, bar};
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::store::trail::Trail;
-use crate::store::{Left, Life};
+use crate::store::{Left, NodeIncarnation};
 use crate::theme::Ink;
 use imrs_protocol::{Event, PortId, TaskId, TaskState, TimeId};
 
@@ -36,9 +36,9 @@ const COLUMNS: [Column; 7] = [
     Column::left("WHAT", 0),
 ];
 
-pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
+pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let lines = lines(app, now);
-    let width = pen.area.width;
+    let width = canvas.area.width;
     let shown: &[usize] = match width {
         0..60 => &[0, 2, 4, 6],
         60..100 => &[0, 1, 2, 3, 4, 5],
@@ -53,7 +53,7 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
             _ => column.width,
         };
     }
-    let mut inner = pen.below(0);
+    let mut inner = canvas.below(0);
     inner.area.x += 1.min(inner.area.width);
     inner.area.width = inner.area.width.saturating_sub(1);
     let widths = inner.widths(&columns);
@@ -87,30 +87,33 @@ pub(super) fn lines(app: &App, now: Moment) -> Vec<Line> {
     let Some(cell) = app.cell() else { return Vec::new() };
     let store = app.store();
     let mut lines = Vec::new();
-    for life in store.present(&cell) {
-        let gone = life.presence(now).is_gone();
-        let timers = life.last.as_ref().map_or(0, |s| s.snapshot.timers.len());
-        let presence = if gone { format!("  {}", life.presence(now)) } else { String::new() };
-        let (late, is_late) = lateness(life);
+    for incarnation in store.present(&cell) {
+        let gone = incarnation.presence(now).is_gone();
+        let timers = incarnation.last.as_ref().map_or(0, |s| s.snapshot.timers.len());
+        let presence = if gone { format!("  {}", incarnation.presence(now)) } else { String::new() };
+        let (late, is_late) = lateness(incarnation);
         let ink = match (gone, is_late) {
             (true, _) => Ink::Dim,
             (false, true) => Ink::Warn,
             (false, false) => Ink::Head,
         };
-        lines.push(Line::Node(format!("{}{presence}  Timer: {timers} running  {late}", life.node), ink));
-        let mut entries = entries(life, store.trail(), now);
+        lines.push(Line::Node(
+            format!("{}{presence}  Timer: {timers} running  {late}", incarnation.node),
+            ink,
+        ));
+        let mut entries = entries(incarnation, store.trail(), now);
         entries.sort_by_key(|entry| (entry.left.us, entry.owner));
         if entries.is_empty() {
             lines.push(Line::Note("nothing runs out here"));
         }
-        lines.extend(entries.into_iter().map(|entry| line(life, entry, gone)));
+        lines.extend(entries.into_iter().map(|entry| line(incarnation, entry, gone)));
     }
     lines
 }
 
 /// The lateness of the Timer, if the node reported it.
-fn lateness(life: &Life) -> (String, bool) {
-    let Some(told) = &life.vitals else { return ("late: -".to_owned(), false) };
+fn lateness(incarnation: &NodeIncarnation) -> (String, bool) {
+    let Some(told) = &incarnation.vitals else { return ("late: -".to_owned(), false) };
     let timer = told.what.timer;
     let us = Span::micros;
     let text = format!(
@@ -124,7 +127,7 @@ fn lateness(life: &Life) -> (String, bool) {
     (text, timer.late > 0)
 }
 
-fn line(life: &Life, entry: Entry, gone: bool) -> Line {
+fn line(incarnation: &NodeIncarnation, entry: Entry, gone: bool) -> Line {
     let tight = entry.length_us.is_some_and(|length| entry.left.us < length / 10);
     let ink = match (gone, entry.left.us, tight) {
         (true, _, _) => Ink::Dim,
@@ -137,7 +140,7 @@ fn line(life: &Life, entry: Entry, gone: bool) -> Line {
     let length = entry.length_us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
     let left = if entry.left.us == 0 { "over".to_owned() } else { entry.left.to_string() };
     let cells = [
-        (life.names.task(entry.owner).to_string(), plain),
+        (incarnation.names.task(entry.owner).to_string(), plain),
         (entry.id, Ink::Dim),
         (entry.kind.to_owned(), plain),
         (length, Ink::Dim),
@@ -147,49 +150,53 @@ fn line(life: &Life, entry: Entry, gone: bool) -> Line {
     Line::Entry(Box::new(cells), entry.left, entry.length_us)
 }
 
-fn entries(life: &Life, trail: &Trail, now: Moment) -> Vec<Entry> {
+fn entries(incarnation: &NodeIncarnation, trail: &Trail, now: Moment) -> Vec<Entry> {
     let mut found = Vec::new();
-    let Some(last) = &life.last else { return found };
+    let Some(last) = &incarnation.last else { return found };
     let timers = &last.snapshot.timers;
     for timer in timers {
         // A task's delays have higher ids than its timers, in scripts and in programs.
         let of_owner = timers.iter().filter(|t| t.owner == timer.owner);
         let last_name = of_owner.map(|t| t.id).max() == Some(timer.id);
-        let delays = life.task(timer.owner).is_some_and(|t| t.view.state == TaskState::Delaying);
+        let delays = incarnation.task(timer.owner).is_some_and(|t| t.view.state == TaskState::Delaying);
         let delay = timer.id >= TimeId(128) || (delays && last_name);
         found.push(Entry {
             owner: timer.owner,
             id: format!("t{}", timer.id.0),
             kind: if delay { "delay" } else { "timer" },
-            length_us: life.longest_timer(timer.owner, timer.id),
-            left: life.left(timer.remaining, 0, now),
+            length_us: incarnation.longest_timer(timer.owner, timer.id),
+            left: incarnation.left(timer.remaining, 0, now),
             what: if delay { "the task goes on" } else { "its handler begins" }.to_owned(),
         });
     }
-    for task in life.tasks() {
+    for task in incarnation.tasks() {
         let owner = task.view.task;
         let whole = |port: PortId| {
-            let time_out = life.names.port(port).and_then(|info| info.time_out(owner));
-            time_out.map(|t| t.0.saturating_mul(life.tick_us))
+            let time_out = incarnation.names.port(port).and_then(|info| info.time_out(owner));
+            time_out.map(|t| t.0.saturating_mul(incarnation.tick_us))
         };
         let mut add = |id: String, kind, length_us, remaining, what| {
-            let left = life.left(remaining, task.age_us, now);
+            let left = incarnation.left(remaining, task.age_us, now);
             found.push(Entry { owner, id, kind, length_us, left, what });
         };
         match task.view.state {
             TaskState::Receiving { port, remaining: Some(remaining) } => {
-                let at = port.map_or_else(|| "any port".to_owned(), |p| life.names.port_name(p).to_string());
+                let at = port
+                    .map_or_else(|| "any port".to_owned(), |p| incarnation.names.port_name(p).to_string());
                 add("-".to_owned(), "receive", None, remaining, format!("a message at {at}"));
             }
             TaskState::AwaitingReply { port, from, remaining } => {
-                let number = trail.last_number(life.id, owner, Event::Sent, port);
+                let number = trail.last_number(incarnation.id, owner, Event::Sent, port);
                 let id = number.map_or_else(|| "-".to_owned(), |n| format!("#{n}"));
-                let what =
-                    format!("the answer to {} from {}", life.names.port_name(port), life.names.task(from));
+                let what = format!(
+                    "the answer to {} from {}",
+                    incarnation.names.port_name(port),
+                    incarnation.names.task(from)
+                );
                 add(id, "reply", whole(port), remaining, what);
             }
             TaskState::Waiting { port, round, remaining } => {
-                let what = format!("the others at {}", life.names.port_name(port));
+                let what = format!("the others at {}", incarnation.names.port_name(port));
                 add(round.to_string(), "waitfor", whole(port), remaining, what);
             }
             TaskState::Running | TaskState::Delaying | TaskState::Receiving { remaining: None, .. } => {}

@@ -1,7 +1,7 @@
 //! Short descriptions of observations, for lanes and tables.
 
 use crate::store::Names;
-use crate::store::journal::{Level, level_of};
+use crate::store::journal::{Severity, level_of};
 use crate::store::timeline::Mark;
 use crate::theme::{Ink, Theme};
 use imrs_protocol::{Event, Observation};
@@ -48,8 +48,8 @@ pub(super) fn short(mark: &Mark, names: &Names, theme: &Theme) -> String {
 
 pub(super) fn ink(event: Event) -> Ink {
     match level_of(event) {
-        Level::Trace | Level::Note => Ink::Plain,
-        Level::Warn => Ink::Warn,
-        Level::Bad => Ink::Bad,
+        Severity::Trace | Severity::Note => Ink::Plain,
+        Severity::Warn => Ink::Warn,
+        Severity::Bad => Ink::Bad,
     }
 }

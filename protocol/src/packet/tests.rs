@@ -28,7 +28,7 @@ fn packet() -> impl Strategy<Value = Packet> {
 
 proptest! {
     #[test]
-    fn decoding_undoes_encoding_and_never_adds_life(p in packet(), digest: u32, hash: u32) {
+    fn decoding_undoes_encoding_and_never_adds_remaining_time(p in packet(), digest: u32, hash: u32) {
         let back = Packet::decode(&p.encode(digest, hash), digest, |_| Some(hash)).unwrap();
         prop_assert!(back.remaining <= p.remaining);
         let lost = p.remaining - back.remaining;

@@ -78,7 +78,7 @@ impl Packet {
             (*source, *destination) = (TaskId(ends >> 4), TaskId(ends & MOST_TASKS));
         }
         w.small(&mut port.0);
-        w.life(&mut id.incarnation);
+        w.incarnation(&mut id.incarnation);
         w.length(remaining);
         if !kind.is_of_meeting() {
             w.sequence(kind.id_source(*source, *destination), &mut id.sequence);
@@ -131,7 +131,7 @@ mod tests {
         let rounds = (0..200_u16, 0..200_u16, 0..200_u16);
         let time = prop_oneof![Just(Ticks::FAR), (0..300_u64).prop_map(Ticks)];
         (marks, ids, rounds, time, proptest::collection::vec(any::<u8>(), 0..=12)).prop_map(
-            |((kind, status, more, fragment), (d, s, p, life, back), rounds, remaining, bytes)| {
+            |((kind, status, more, fragment), (d, s, p, incarnation, back), rounds, remaining, bytes)| {
                 let mut packet = Packet {
                     kind: Kind::ALL[kind],
                     class: if status { Class::Status } else { Class::Command },
@@ -141,7 +141,7 @@ mod tests {
                     source: TaskId(s),
                     port: PortId(p),
                     id: MessageId {
-                        incarnation: Incarnation(life),
+                        incarnation: Incarnation(incarnation),
                         sequence: Frame::SEQUENCE.plus(Seq24::MODULUS - back),
                     },
                     remaining,
@@ -166,7 +166,7 @@ mod tests {
 
     fn encoded(packet: &Packet, (round, sequence): (Round, Seq24)) -> Result<Vec<u8>, Overflow> {
         let (rounds, sequences) = ([round; 9], [sequence; 16]);
-        let frame = Frame { rounds: &rounds, sequences: &sequences, lives: true };
+        let frame = Frame { rounds: &rounds, sequences: &sequences, incarnations: true };
         let mut packet = *packet;
         Encode::bytes(&frame, |w| packet.walk(w))
     }
@@ -205,9 +205,9 @@ mod tests {
         }
 
         #[test]
-        fn any_bytes_are_some_packet(bytes in proptest::collection::vec(any::<u8>(), 0..40), lives: bool) {
+        fn any_bytes_are_some_packet(bytes in proptest::collection::vec(any::<u8>(), 0..40), incarnations: bool) {
             let mut packet = Packet::BLANK;
-            prop_assert!(Decode::read(&bytes, lives, |w| packet.walk(w)) <= 40);
+            prop_assert!(Decode::read(&bytes, incarnations, |w| packet.walk(w)) <= 40);
         }
     }
 

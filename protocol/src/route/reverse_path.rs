@@ -21,7 +21,7 @@ pub(super) fn can_come(table: &NodeTable, from: NodeId, packet: &Packet) -> bool
     // A relay without space refuses a command in the name of the command's destination (D19). The relay's path back may
     // differ from the destination's, where two paths have the same length.
     let of_a_relay = packet.kind == Kind::Control && packet.control() == Some(Control::RefusedOnTheWay);
-    of_a_relay && way(table, destination, source).any(|relay| enters_from(table, from, relay, destination))
+    of_a_relay && route(table, destination, source).any(|relay| enters_from(table, from, relay, destination))
 }
 
 /// Whether packets that `source` sends to `destination` come to this node from `from`.
@@ -30,7 +30,7 @@ pub(super) fn can_come(table: &NodeTable, from: NodeId, packet: &Packet) -> bool
 /// may take a different one.
 fn enters_from(table: &NodeTable, from: NodeId, source: NodeId, destination: NodeId) -> bool {
     let mut last = None;
-    for node in way(table, source, destination) {
+    for node in route(table, source, destination) {
         if node == table.node {
             return last == Some(from);
         }
@@ -40,7 +40,7 @@ fn enters_from(table: &NodeTable, from: NodeId, source: NodeId, destination: Nod
 }
 
 /// The nodes that packets from `source` to `destination` pass, both included.
-fn way(table: &CellTable, source: NodeId, destination: NodeId) -> impl Iterator<Item = NodeId> + '_ {
+fn route(table: &CellTable, source: NodeId, destination: NodeId) -> impl Iterator<Item = NodeId> + '_ {
     let next = move |&node: &NodeId| table.next_hop(node, destination).filter(|_| node != destination);
     core::iter::successors(Some(source), next).take(usize::from(MAX_HOPS) + 2)
 }
@@ -128,7 +128,7 @@ mod tests {
             let table = table(7, &links);
             let passes = |start: NodeId, packet: &Packet| {
                 let end = table.location(packet.destination).unwrap();
-                let nodes: Vec<NodeId> = way(&table, start, end).collect();
+                let nodes: Vec<NodeId> = route(&table, start, end).collect();
                 nodes.windows(2).all(|hop| can_come(&at(&table, hop[1].0), hop[0], packet))
             };
             for (a, b) in (0..7).flat_map(|a| (0..7).map(move |b| (a, b))) {
@@ -138,7 +138,7 @@ mod tests {
                     contents: Control::RefusedOnTheWay.to_contents(),
                     ..packet(b, a)
                 };
-                for relay in way(&table, NodeId(a), NodeId(b)) {
+                for relay in route(&table, NodeId(a), NodeId(b)) {
                     prop_assert!(passes(relay, &word), "refused by {} between {} and {}", relay, a, b);
                 }
             }

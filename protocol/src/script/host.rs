@@ -230,8 +230,8 @@ impl ScriptedNode {
 
     /// Ends the script with the most steps since its last message; false if all have ended.
     fn stop_busiest(&mut self, out: &mut impl HostOutbox) -> bool {
-        let lives = |hosted: &Hosted| !matches!(hosted.script.activity(), Activity::Ended(_));
-        let living = (0..self.scripts.len()).filter(|&at| lives(&self.scripts[at]));
+        let incarnations = |hosted: &Hosted| !matches!(hosted.script.activity(), Activity::Ended(_));
+        let living = (0..self.scripts.len()).filter(|&at| incarnations(&self.scripts[at]));
         let Some(busiest) = living.max_by_key(|&at| self.steps[at]) else { return false };
         self.stop(busiest, out);
         true

@@ -11,8 +11,8 @@
 mod builder;
 mod check;
 mod host;
+mod interpreter;
 mod program;
-mod turn;
 mod value;
 #[cfg(feature = "checker")]
 mod walk;
@@ -33,8 +33,8 @@ use crate::ticks::Ticks;
 use alloc::boxed::Box;
 use alloc::vec;
 use core::fmt;
+use interpreter::Interpreter;
 use serde::{Deserialize, Serialize};
-use turn::Turn;
 
 /// How many operands a script may hold at once: those of the longest message, and an expression.
 pub const MAX_OPERANDS: usize = MAX_MESSAGE + CHECK_DEPTH;
@@ -193,7 +193,7 @@ pub enum End {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 enum Standing {
     NotBegun,
-    Lives,
+    Runs,
     Ended(End),
 }
 
@@ -334,20 +334,24 @@ impl Script {
                 Standing::NotBegun,
                 ScriptInput::Signal(_) | ScriptInput::Acted { .. } | ScriptInput::Chosen(_),
             )
-            | (Standing::Lives, ScriptInput::Begin) => {}
-            (Standing::NotBegun, ScriptInput::Begin) => Turn::new(self, program, out).begin(),
-            (Standing::Lives, ScriptInput::Signal(signal)) => Turn::new(self, program, out).signal(signal),
-            (Standing::Lives, ScriptInput::Acted { level, ok, value }) => {
-                Turn::new(self, program, out).acted(level, Acted { ok, value });
+            | (Standing::Runs, ScriptInput::Begin) => {}
+            (Standing::NotBegun, ScriptInput::Begin) => Interpreter::new(self, program, out).begin(),
+            (Standing::Runs, ScriptInput::Signal(signal)) => {
+                Interpreter::new(self, program, out).signal(signal);
             }
-            (Standing::Lives, ScriptInput::Chosen(choice)) => Turn::new(self, program, out).chosen(choice),
+            (Standing::Runs, ScriptInput::Acted { level, ok, value }) => {
+                Interpreter::new(self, program, out).acted(level, Acted { ok, value });
+            }
+            (Standing::Runs, ScriptInput::Chosen(choice)) => {
+                Interpreter::new(self, program, out).chosen(choice);
+            }
         }
     }
 
     /// Ends the script with a fault, as a driver does with one that never waits.
     pub fn stop(&mut self, program: &Program, fault: ScriptFault, out: &mut impl ScriptOutbox) {
         if !matches!(self.standing, Standing::Ended(_)) {
-            Turn::new(self, program, out).fault(fault);
+            Interpreter::new(self, program, out).fault(fault);
         }
     }
 
@@ -357,11 +361,11 @@ impl Script {
         match (self.standing, self.top().wait) {
             (Standing::NotBegun, _) => Activity::NotBegun,
             (Standing::Ended(end), _) => Activity::Ended(end),
-            (Standing::Lives, Wait::Working) => Activity::Acts,
-            (Standing::Lives, Wait::Choice(alternatives)) => Activity::Chooses(alternatives),
-            (Standing::Lives, Wait::Passive) => Activity::Passive,
+            (Standing::Runs, Wait::Working) => Activity::Acts,
+            (Standing::Runs, Wait::Choice(alternatives)) => Activity::Chooses(alternatives),
+            (Standing::Runs, Wait::Passive) => Activity::Passive,
             (
-                Standing::Lives,
+                Standing::Runs,
                 Wait::Nothing
                 | Wait::Register(..)
                 | Wait::Part(_)
@@ -381,7 +385,7 @@ impl Script {
         match self.standing {
             Standing::Ended(End::Fault { at, .. } | End::Assertion(at)) => at,
             Standing::Ended(End::Finished | End::Aborted(_) | End::Fenced) | Standing::NotBegun => 0,
-            Standing::Lives => self.top().at,
+            Standing::Runs => self.top().at,
         }
     }
 
@@ -391,8 +395,8 @@ impl Script {
         match self.standing {
             Standing::Ended(_) => None,
             Standing::NotBegun => (level == 0).then_some(0),
-            Standing::Lives if level > self.level => None,
-            Standing::Lives => self.frames.get(usize::from(level)).map(|thread| thread.at),
+            Standing::Runs if level > self.level => None,
+            Standing::Runs => self.frames.get(usize::from(level)).map(|thread| thread.at),
         }
     }
 

@@ -16,7 +16,7 @@ use crate::packet::Contents;
 use crate::request::{Fault, ReplyTo};
 use crate::state::{Walk, mark, same_variant};
 
-const LIVES: u8 = 1;
+const RUNS: u8 = 1;
 const ENDED: u8 = 2;
 const OPERANDS: u8 = 0x20;
 const ATOMIC: u8 = 0x10;
@@ -92,11 +92,11 @@ impl Script {
         let head = w.put(match standing {
             Standing::NotBegun => 0,
             Standing::Ended(_) => ENDED << 6,
-            Standing::Lives => LIVES << 6 | mark(*held > 0, OPERANDS) | mark(*atomic > 0, ATOMIC) | *level,
+            Standing::Runs => RUNS << 6 | mark(*held > 0, OPERANDS) | mark(*atomic > 0, ATOMIC) | *level,
         });
         if W::READS {
             *standing = match head >> 6 {
-                LIVES => Standing::Lives,
+                RUNS => Standing::Runs,
                 ENDED => Standing::Ended(End::Finished),
                 _ => Standing::NotBegun,
             };
@@ -104,11 +104,8 @@ impl Script {
             (*held, *atomic) = (0, 0);
             operands.fill(0);
             locals.fill(0);
-            let top = if *standing == Standing::Lives {
-                usize::from(head & LEVEL).min(frames.len() - 1)
-            } else {
-                0
-            };
+            let top =
+                if *standing == Standing::Runs { usize::from(head & LEVEL).min(frames.len() - 1) } else { 0 };
             *level = u8::try_from(top).unwrap_or(0);
         }
         match standing {
@@ -121,7 +118,7 @@ impl Script {
                 end.walk(w);
                 walk_variables(&program.variables, variables, w);
             }
-            Standing::Lives => {
+            Standing::Runs => {
                 if head & ATOMIC != 0 {
                     w.byte(atomic);
                 }

@@ -14,7 +14,7 @@ pub struct Frame<'a> {
     /// For each task, the next sequence number it will use.
     pub sequences: &'a [Seq24],
     /// Whether nodes restart. If not, every incarnation is the first one and takes no bytes.
-    pub lives: bool,
+    pub incarnations: bool,
 }
 
 impl Frame<'_> {
@@ -127,8 +127,8 @@ impl Walk for Encode<'_> {
     }
 
     #[inline]
-    fn lives(&self) -> bool {
-        self.frame.lives
+    fn incarnations(&self) -> bool {
+        self.frame.incarnations
     }
 
     #[inline]
@@ -143,13 +143,13 @@ impl Walk for Encode<'_> {
 pub struct Decode<'a> {
     bytes: &'a [u8],
     at: usize,
-    lives: bool,
+    incarnations: bool,
 }
 
 impl<'a> Decode<'a> {
     /// Reads what `walk` walks, and returns how many bytes it took.
-    pub fn read(bytes: &'a [u8], lives: bool, walk: impl FnOnce(&mut Self)) -> usize {
-        let mut pass = Self { bytes, at: 0, lives };
+    pub fn read(bytes: &'a [u8], incarnations: bool, walk: impl FnOnce(&mut Self)) -> usize {
+        let mut pass = Self { bytes, at: 0, incarnations };
         walk(&mut pass);
         pass.at
     }
@@ -203,7 +203,7 @@ impl Walk for Decode<'_> {
     }
 
     #[inline]
-    fn lives(&self) -> bool {
-        self.lives
+    fn incarnations(&self) -> bool {
+        self.incarnations
     }
 }

@@ -80,7 +80,7 @@ pub trait Walk {
     }
 
     /// Whether nodes restart. If not, every incarnation is the first one and takes no bytes.
-    fn lives(&self) -> bool {
+    fn incarnations(&self) -> bool {
         true
     }
 
@@ -252,32 +252,32 @@ pub trait Walk {
     }
 
     /// The incarnation of a node.
-    fn life(&mut self, life: &mut Incarnation) {
-        if self.lives() {
-            self.byte(&mut life.0);
+    fn incarnation(&mut self, incarnation: &mut Incarnation) {
+        if self.incarnations() {
+            self.byte(&mut incarnation.0);
         }
     }
 
     /// An incarnation that may not be known yet. If no node restarts, it is the first one.
-    fn known_life(&mut self, life: &mut Option<Incarnation>) {
-        if !self.lives() {
+    fn known_incarnation(&mut self, incarnation: &mut Option<Incarnation>) {
+        if !self.incarnations() {
             if Self::READS {
-                *life = Some(Incarnation(0));
+                *incarnation = Some(Incarnation(0));
             }
             return;
         }
-        let read = self.put(life.map_or(0, |life| life.0.wrapping_add(1)));
+        let read = self.put(incarnation.map_or(0, |incarnation| incarnation.0.wrapping_add(1)));
         if Self::READS {
-            *life = read.checked_sub(1).map(Incarnation);
+            *incarnation = read.checked_sub(1).map(Incarnation);
         }
     }
 
-    /// The id of a message. If no node restarts, its incarnation is `life`.
-    fn id(&mut self, source: TaskId, life: Incarnation, id: &mut MessageId) {
+    /// The id of a message. If no node restarts, its incarnation is `incarnation`.
+    fn id(&mut self, source: TaskId, incarnation: Incarnation, id: &mut MessageId) {
         if Self::READS {
-            id.incarnation = life;
+            id.incarnation = incarnation;
         }
-        self.life(&mut id.incarnation);
+        self.incarnation(&mut id.incarnation);
         self.sequence(source, &mut id.sequence);
     }
 

@@ -90,9 +90,9 @@ pub(super) fn port(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mu
             errors.push(CellError::NeedsClass2(name()));
         }
     }
-    let beats = matches!(decl.usage, Usage::Query | Usage::Response)
+    let heartbeats = matches!(decl.usage, Usage::Query | Usage::Response)
         && cell.couples.iter().any(|couple| couple.via == port.id);
-    if decl.guard.is_some() && (decl.fragments > 1 || decl.usage == Usage::Reply || beats) {
+    if decl.guard.is_some() && (decl.fragments > 1 || decl.usage == Usage::Reply || heartbeats) {
         errors.push(CellError::NoRoomForEpoch(name()));
     }
     check_sizes(port, errors);
@@ -114,8 +114,9 @@ fn check_sizes(port: &Port, errors: &mut Vec<CellError>) {
     for party in &port.parties {
         let Some(rate) = party.rate else { continue };
         // Within one TTL a sender must use less than half of the range of sequence numbers (D53).
-        let life = port.parties.iter().map(|p| p.time_out).max().unwrap_or_default();
-        let sent = u128::from(rate.count) * port.peers(party.task).count() as u128 * u128::from(life.0);
+        let incarnation = port.parties.iter().map(|p| p.time_out).max().unwrap_or_default();
+        let sent =
+            u128::from(rate.count) * port.peers(party.task).count() as u128 * u128::from(incarnation.0);
         if rate.per.is_zero() || sent / u128::from(rate.per.0) >= u128::from(Seq24::MODULUS / 2) {
             errors.push(CellError::SequenceWraps(decl.name.clone()));
             break;
@@ -147,8 +148,8 @@ fn check_ways(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mut Vec
         for peer in port.peers(party.task) {
             let (a, b) = (cell.tasks[party.task.index()].node, cell.tasks[peer.index()].node);
             let hop = routes[a.index() * n + b.index()];
-            let way = if a == b { Some((Ticks::ZERO, 1)) } else { hop.map(|h| (h.bound, h.links)) };
-            let reachable = way.filter(|&(_, links)| links <= MAX_HOPS + 1);
+            let route = if a == b { Some((Ticks::ZERO, 1)) } else { hop.map(|h| (h.bound, h.links)) };
+            let reachable = route.filter(|&(_, links)| links <= MAX_HOPS + 1);
             let Some((bound, _)) = reachable else {
                 if party.task < peer {
                     let names = (&cell.tasks[party.task.index()].name, &cell.tasks[peer.index()].name);

@@ -29,8 +29,8 @@ pub(crate) fn check(
             continue;
         };
         check_via(couple, via, errors);
-        let way = bound(couple.primary, couple.standby);
-        check_times(cell, couple, via, ports, (i, way), errors);
+        let delay = bound(couple.primary, couple.standby);
+        check_times(cell, couple, via, ports, (i, delay), errors);
         for other in &cell.couples[..i] {
             let both = [other.primary, other.standby];
             if both.contains(&couple.primary) || both.contains(&couple.standby) {
@@ -52,7 +52,7 @@ fn check_via(couple: &CoupleDecl, via: &Port, errors: &mut Vec<CellError>) {
         && usage(couple.primary) == Some(Usage::Response)
         && usage(couple.standby) == Some(Usage::Query);
     if !fits {
-        errors.push(CellError::NotForBeats(via.decl.name.clone()));
+        errors.push(CellError::NotForHeartbeats(via.decl.name.clone()));
     }
 }
 
@@ -61,10 +61,10 @@ fn check_times(
     couple: &CoupleDecl,
     via: &Port,
     ports: &[Port],
-    (position, way): (usize, Ticks),
+    (position, delay): (usize, Ticks),
     errors: &mut Vec<CellError>,
 ) {
-    let renewed = least_lease(way, couple.every, cell.tick);
+    let renewed = least_lease(delay, couple.every, cell.tick);
     if couple.every.is_zero() || couple.lease < renewed {
         let (couple, lease) = (name(cell, couple), couple.lease);
         errors.push(CellError::LeaseTooShort { couple, lease, least: renewed });

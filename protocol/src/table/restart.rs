@@ -14,11 +14,11 @@ impl CellTable {
     #[must_use]
     pub fn quarantine(&self, task: TaskId) -> Ticks {
         let heard = self.lasting(task).filter(|(_, own)| hears(own.usage));
-        let lives = heard.flat_map(|(port, own)| {
+        let incarnations = heard.flat_map(|(port, own)| {
             let peers = self.elsewhere(port, own.task).filter_map(|peer| port.party(peer));
             peers.map(|peer| peer.time_out + self.bound_between(peer.task, own.task))
         });
-        lives.max().unwrap_or_default()
+        incarnations.max().unwrap_or_default()
     }
 
     /// How long after its start a restarted node holds back the script of `task` (D94, D157). Until then
@@ -60,10 +60,10 @@ impl CellTable {
     /// How long commands and arrivals of an earlier incarnation of `task` may still arrive anywhere.
     fn sent(&self, task: TaskId) -> Ticks {
         let ports = self.lasting(task).filter(|(_, own)| sends(own.usage));
-        let lives = ports.flat_map(|(port, own)| {
+        let incarnations = ports.flat_map(|(port, own)| {
             self.elsewhere(port, own.task).map(|peer| own.time_out + self.bound_between(own.task, peer))
         });
-        lives.max().unwrap_or_default()
+        incarnations.max().unwrap_or_default()
     }
 
     /// The ports of `task` that carry commands or arrivals. Heartbeat ports are left out: leases have their own rule for restarts
@@ -74,8 +74,8 @@ impl CellTable {
             Usage::Waitfor => true,
             Usage::Reply => false,
             Usage::Send | Usage::Receive | Usage::Query | Usage::Response => {
-                let beats = self.cell.couples.iter().any(|couple| couple.via == port.id);
-                port.decl.class == Class::Command && !beats
+                let heartbeats = self.cell.couples.iter().any(|couple| couple.via == port.id);
+                port.decl.class == Class::Command && !heartbeats
             }
         };
         ports.filter(lasts).filter_map(move |port| Some((port, port.party(task)?)))

@@ -2,19 +2,19 @@
 //!
 //! | input | effect |
 //! |---|---|
-//! | [`send`](Client::send) | sends a class-1 message, or opens a desk at which the task waits for answers |
+//! | [`send`](Client::send) | sends a class-1 message, or opens a request at which the task waits for answers |
 //! | [`answer`](Client::answer), [`third_party`](Client::third_party) | takes a packet of an answer; the last one ends the wait |
 //! | [`advance`](Client::advance) | ends the wait at the deadline, or retransmits the request under the same id |
 //! | [`unsent`](Client::unsent), [`restarted`](Client::restarted) | a copy never left the node; an asked node restarted |
 //! | [`close`](Client::close) | the task cancels the request |
 //!
-//! A *desk* is the state of one outstanding request. The end of a wait is returned and not signalled here: the caller
-//! knows whether the waiting activation is the running one. Between two inputs a desk is open exactly if an
+//! An [`Outstanding`] is the state of one request whose answers are awaited. The end of a wait is returned and not signalled here: the caller
+//! knows whether the waiting activation is the running one. Between two inputs a request is open exactly if an
 //! activation waits at it. Then an answer is missing, the deadline has not passed, and no copy is overdue.
 
 mod answers;
 mod check;
-mod desk;
+mod outstanding;
 #[cfg(feature = "checker")]
 mod walk;
 
@@ -29,13 +29,13 @@ use crate::request::{Answers, Fault, Outcome, Target};
 use crate::table::{NodeTable, Party, Port};
 use crate::ticks::{Instant, Ticks};
 use alloc::boxed::Box;
-use desk::{Answer, Desk, Phase};
+use outstanding::{Answer, Outstanding, Phase};
 use serde::{Deserialize, Serialize};
 
-/// The desks of the task's requests, with the answers to the last request on each port.
+/// The requests of the task's requests, with the answers to the last request on each port.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Client {
-    desks: Box<[Desk]>,
+    requests: Box<[Outstanding]>,
     overdue: Option<Overdue>,
 }
 
@@ -51,19 +51,19 @@ struct Overdue {
 pub(crate) enum Sent {
     /// This many copies of a class-1 message were sent.
     Copies(u16),
-    /// The task waits for the answers at this desk.
-    Asked(u16),
+    /// The task waits for the answers at this request.
+    Request(u16),
 }
 
 /// The port, the TTL and the contents of a message.
 type Message<'a> = (&'a Port, Ticks, Contents);
 
 impl Client {
-    /// A client with a desk for each port on which the task asks.
+    /// A client with a request for each port on which the task asks.
     pub fn new(table: &NodeTable, own: &Own) -> Self {
         let ports = own.ports(table, |role| matches!(role, Role::Asks(_)));
-        let desks = ports.map(|(endpoint, port)| Desk::new(port, own.task, endpoint)).collect();
-        Self { desks, overdue: None }
+        let requests = ports.map(|(endpoint, port)| Outstanding::new(port, own.task, endpoint)).collect();
+        Self { requests, overdue: None }
     }
 
     /// SEND, or a query if that is the port's usage: sends a copy to each receiver (R26, R40).
@@ -99,97 +99,100 @@ impl Client {
                     Some(_) => 1,
                     None => mapping::destinations(port, own, to)?.count(),
                 };
-                let desk = &mut self.desks[usize::from(at)];
-                if desk.phase != Phase::Closed {
+                let request = &mut self.requests[usize::from(at)];
+                if request.phase != Phase::Closed {
                     return Err(Fault::Busy);
                 }
                 step.own.staged(place)?;
-                desk.forget();
+                request.forget();
                 match only {
-                    Some(peer) => ask(step, (&mut *desk, place), peer, message),
+                    Some(peer) => ask(step, (&mut *request, place), peer, message),
                     None => {
                         for peer in mapping::destinations(port, own, to)? {
-                            ask(step, (&mut *desk, place), peer, message);
+                            ask(step, (&mut *request, place), peer, message);
                         }
                     }
                 }
-                desk.open_for(asked > 1, party.retry, message, step.now());
-                desk.parts.copy(&step.own.endpoints[place].staged);
+                request.open_for(asked > 1, party.retry, message, step.now());
+                request.parts.copy(&step.own.endpoints[place].staged);
                 step.own.endpoints[place].staged.clear();
-                Ok(Sent::Asked(at))
+                Ok(Sent::Request(at))
             }
-            Role::Receives(_) | Role::Meets(_) | Role::Replies | Role::Hears | Role::Beats => {
+            Role::Receives(_) | Role::Meets(_) | Role::Replies | Role::Hears | Role::Heartbeats => {
                 Err(Fault::WrongUsage)
             }
         }
     }
 
-    /// The next instant at which time alone makes a desk act.
-    pub fn due(&self, desk: u16) -> Instant {
-        self.desks[usize::from(desk)].due()
+    /// The next instant at which time alone makes a request act.
+    pub fn due(&self, request: u16) -> Instant {
+        self.requests[usize::from(request)].due()
     }
 
-    /// Cancels the request at a desk.
-    pub fn close(&mut self, desk: u16) {
-        self.desks[usize::from(desk)].close();
+    /// Cancels the request at a request.
+    pub fn close(&mut self, request: u16) {
+        self.requests[usize::from(request)].close();
     }
 
     /// Cancels all requests.
     pub fn close_all(&mut self) {
-        self.desks.iter_mut().for_each(Desk::close);
+        self.requests.iter_mut().for_each(Outstanding::close);
     }
 
     /// Reports the outcome of a request to several tasks. The answers stay readable until the next request on the port.
-    pub fn tell(&mut self, desk: u16) -> (PortId, Answers) {
-        let desk = &mut self.desks[usize::from(desk)];
-        desk.tell();
-        (desk.port, desk.answers())
+    pub fn tell(&mut self, request: u16) -> (PortId, Answers) {
+        let request = &mut self.requests[usize::from(request)];
+        request.tell();
+        (request.port, request.answers())
     }
 
     /// Reports an answer of several fragments: returns the first one. The others stay readable likewise.
-    pub fn tell_long(&mut self, desk: u16) -> Contents {
-        let desk = &mut self.desks[usize::from(desk)];
-        desk.tell();
-        desk.long_answer().unwrap_or_default()
+    pub fn tell_long(&mut self, request: u16) -> Contents {
+        let request = &mut self.requests[usize::from(request)];
+        request.tell();
+        request.long_answer().unwrap_or_default()
     }
 
-    /// Fragment `index` of a task's answer to the last request on a desk's port.
-    pub fn answer_fragment(&self, desk: u16, task: TaskId, index: u8) -> Option<&Contents> {
-        let asked = self.desks[usize::from(desk)].asked.iter().find(|asked| asked.task == task)?;
-        (asked.answer == Answer::Answered).then(|| asked.contents.get(index)).flatten()
+    /// Fragment `index` of a task's answer to the last request on a request's port.
+    pub fn answer_fragment(&self, request: u16, task: TaskId, index: u8) -> Option<&Contents> {
+        let recipient =
+            self.requests[usize::from(request)].recipients.iter().find(|recipient| recipient.task == task)?;
+        (recipient.answer == Answer::Answered).then(|| recipient.contents.get(index)).flatten()
     }
 
     /// The outstanding requests whose answers are missing: the port, the task that was asked, and the message id.
     pub fn outstanding(&self) -> impl Iterator<Item = (PortId, TaskId, MessageId)> {
-        self.desks.iter().flat_map(|desk| desk.open().map(|asked| (desk.port, asked.task, asked.id)))
+        self.requests
+            .iter()
+            .flat_map(|request| request.open().map(|recipient| (request.port, recipient.task, recipient.id)))
     }
 
-    /// The port of a desk, the first task whose answer is missing there, and the deadline.
-    pub fn wait_at(&self, desk: u16) -> (PortId, Option<TaskId>, Instant) {
-        let desk = &self.desks[usize::from(desk)];
-        (desk.port, desk.open().next().map(|asked| asked.task), desk.deadline)
+    /// The port of a request, the first task whose answer is missing there, and the deadline.
+    pub fn wait_at(&self, request: u16) -> (PortId, Option<TaskId>, Instant) {
+        let request = &self.requests[usize::from(request)];
+        (request.port, request.open().next().map(|recipient| recipient.task), request.deadline)
     }
 
-    /// Does what is [`due`](Self::due) at a desk: times the request out, or retransmits it.
-    pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>, desk: u16) -> Option<Ended> {
-        let at = usize::from(desk);
-        let desk = &self.desks[at];
-        if desk.deadline > step.now() {
+    /// Does what is [`due`](Self::due) at a request: times the request out, or retransmits it.
+    pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>, request: u16) -> Option<Ended> {
+        let at = usize::from(request);
+        let request = &self.requests[at];
+        if request.deadline > step.now() {
             self.send_again(step, at);
             return None;
         }
-        let port = desk.port;
+        let port = request.port;
         step.count(port, |c| c.timed_out += 1);
         let mut outcome = Outcome::TimedOutUnknown;
-        for asked in self.desks[at].open() {
-            let unsent = asked.packets_out == 0;
+        for recipient in self.requests[at].open() {
+            let unsent = recipient.packets_out == 0;
             let event = if unsent { Event::TimedOutUnsent } else { Event::TimedOut };
             if unsent {
                 outcome = Outcome::TimedOutUnsent;
             }
-            step.note(event, port, asked.task, asked.id, Ticks::ZERO);
+            step.note(event, port, recipient.task, recipient.id, Ticks::ZERO);
             if !step.table.rules().refuse_late_replies {
-                self.overdue = Some(Overdue { port, to: asked.task, id: asked.id });
+                self.overdue = Some(Overdue { port, to: recipient.task, id: recipient.id });
             }
         }
         Some(self.end(at, outcome))
@@ -197,17 +200,18 @@ impl Client {
 
     /// Retransmits the request to the tasks that have not answered: the same message_ID, within the same time_out (D5).
     fn send_again(&mut self, step: &mut Step<'_, impl Outbox>, at: usize) {
-        let desk = &mut self.desks[at];
-        let Some(port) = step.table.port(desk.port) else { return };
-        desk.copies_left = desk.copies_left.saturating_sub(1);
-        desk.copy_at = if desk.copies_left > 0 { step.now() + port.decl.resend } else { Instant::NEVER };
-        let left = desk.deadline - step.now();
-        let fragments = desk.parts.fragments().unwrap_or(1);
+        let request = &mut self.requests[at];
+        let Some(port) = step.table.port(request.port) else { return };
+        request.copies_left = request.copies_left.saturating_sub(1);
+        request.copy_at =
+            if request.copies_left > 0 { step.now() + port.decl.resend } else { Instant::NEVER };
+        let left = request.deadline - step.now();
+        let fragments = request.parts.fragments().unwrap_or(1);
         let stamp = step.stamp(left);
-        let Desk { asked, contents, parts, .. } = desk;
-        for asked in asked.iter_mut().filter(|asked| asked.answer == Answer::Open) {
-            asked.packets_out = asked.packets_out.saturating_add(u16::from(fragments));
-            let (to, id) = (asked.task, asked.id);
+        let Outstanding { recipients, contents, parts, .. } = request;
+        for recipient in recipients.iter_mut().filter(|recipient| recipient.answer == Answer::Open) {
+            recipient.packets_out = recipient.packets_out.saturating_add(u16::from(fragments));
+            let (to, id) = (recipient.task, recipient.id);
             step.count(port.id, |c| c.resent += 1);
             step.note(Event::Resent, port.id, to, id, left);
             let first = mapping::message(port, step.own.task, to, id, stamp, *contents);
@@ -215,29 +219,29 @@ impl Client {
         }
     }
 
-    /// Validates a deserialised client: its desks are those of a new one.
+    /// Validates a deserialised client: its requests are those of a new one.
     pub fn is_like(&self, new: &Self) -> bool {
-        are_alike(&self.desks, &new.desks, Desk::is_like)
+        are_alike(&self.requests, &new.requests, Outstanding::is_like)
     }
 
-    /// Whether there is such a desk.
-    pub fn has(&self, desk: u16) -> bool {
-        usize::from(desk) < self.desks.len()
+    /// Whether there is such a request.
+    pub fn has(&self, request: u16) -> bool {
+        usize::from(request) < self.requests.len()
     }
 }
 
 /// Sends a class-2 message to one of the tasks that are asked, and notes its id.
 fn ask(
     step: &mut Step<'_, impl Outbox>,
-    (desk, place): (&mut Desk, usize),
+    (request, place): (&mut Outstanding, usize),
     peer: TaskId,
     message: Message<'_>,
 ) {
     let packets = step.own.endpoints[place].staged.fragments().unwrap_or(1);
     let id = send_packets(step, place, peer, message);
-    if let Some(asked) = desk.find(peer) {
-        let asked = &mut desk.asked[asked];
-        (asked.id, asked.answer, asked.packets_out) = (id, Answer::Open, u16::from(packets));
+    if let Some(recipient) = request.find(peer) {
+        let recipient = &mut request.recipients[recipient];
+        (recipient.id, recipient.answer, recipient.packets_out) = (id, Answer::Open, u16::from(packets));
     }
 }
 
@@ -246,12 +250,12 @@ fn send_packets(
     step: &mut Step<'_, impl Outbox>,
     place: usize,
     to: TaskId,
-    (port, life, contents): Message<'_>,
+    (port, ttl, contents): Message<'_>,
 ) -> MessageId {
     let id = step.next_id();
-    let packet = mapping::message(port, step.own.task, to, id, step.stamp(life), contents);
+    let packet = mapping::message(port, step.own.task, to, id, step.stamp(ttl), contents);
     step.own.endpoints[place].counters.sent += 1;
-    step.note(Event::Sent, port.id, to, id, life);
+    step.note(Event::Sent, port.id, to, id, ttl);
     mapping::in_fragments(packet, &step.own.endpoints[place].staged, |packet| step.out.transmit(packet));
     id
 }

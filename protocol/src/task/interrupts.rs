@@ -1,5 +1,5 @@
 //! Interruption: the task's own thread, the handlers that interrupt it and each other, and its timers (R15, R16, D15). An
-//! *activation* is the thread or one handler; the type is [`Level`].
+//! *activation* is the thread or one handler; the type is [`Activation`].
 //!
 //! | call | effect |
 //! |---|---|
@@ -40,7 +40,7 @@ pub(crate) const TIMERS: usize = 8;
 
 /// An activation: the task's own thread, or a handler.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub(crate) struct Level {
+pub(crate) struct Activation {
     /// The rank that a message must outrank to interrupt this handler. The `order` has that of the task's own thread.
     rank: u8,
     atomic: bool,
@@ -49,7 +49,7 @@ pub(crate) struct Level {
     pub finished: Option<Finished>,
 }
 
-impl Level {
+impl Activation {
     const NEW: Self = Self { rank: 0, atomic: false, pending: Pending::Nothing, finished: None };
 }
 
@@ -57,9 +57,9 @@ impl Level {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Interrupts {
     /// The running activation: the task's own thread, or the handler that interrupted last.
-    running: Level,
+    running: Activation,
     /// A stack of the interrupted activations, `depth` deep: the task's own thread, then handlers.
-    interrupted: Box<[Level]>,
+    interrupted: Box<[Activation]>,
     depth: u8,
     /// Whether the handler that began last took a capped message (D76).
     capped_last: bool,
@@ -71,8 +71,8 @@ pub(crate) struct Interrupts {
 impl Default for Interrupts {
     fn default() -> Self {
         Self {
-            running: Level::NEW,
-            interrupted: Box::new([Level::NEW; DEPTH]),
+            running: Activation::NEW,
+            interrupted: Box::new([Activation::NEW; DEPTH]),
             depth: 0,
             capped_last: false,
             next_turn: 0,
@@ -98,19 +98,20 @@ impl Interrupts {
     }
 
     /// All activations, from the task's own thread up to the running one.
-    pub fn threads(&self) -> impl Iterator<Item = &Level> {
+    pub fn threads(&self) -> impl Iterator<Item = &Activation> {
         self.interrupted.iter().take(usize::from(self.depth)).chain([&self.running])
     }
 
     /// Whether an activation has this wait.
     pub fn waits(&self, wait: Pending) -> bool {
-        self.threads().any(|level| level.pending == wait)
+        self.threads().any(|activation| activation.pending == wait)
     }
 
-    /// The desks at which activations wait.
-    pub fn open_desks(&self) -> impl Iterator<Item = u16> {
-        self.threads()
-            .filter_map(|level| if let Pending::Reply(desk) = level.pending { Some(desk) } else { None })
+    /// The requests at which activations wait.
+    pub fn open_requests(&self) -> impl Iterator<Item = u16> {
+        self.threads().filter_map(|activation| {
+            if let Pending::Reply(request) = activation.pending { Some(request) } else { None }
+        })
     }
 
     /// The number of running handlers: each has interrupted the one before, or the task's own thread.
@@ -131,8 +132,8 @@ impl Interrupts {
             return true;
         }
         let mut below = self.interrupted.iter_mut().take(usize::from(self.depth));
-        if let Some(level) = below.find(|level| level.pending == wait) {
-            (level.pending, level.finished) = (Pending::Nothing, Some(*finished));
+        if let Some(activation) = below.find(|activation| activation.pending == wait) {
+            (activation.pending, activation.finished) = (Pending::Nothing, Some(*finished));
         }
         false
     }
@@ -205,7 +206,7 @@ impl Interrupts {
         if self.running.pending == Pending::Nothing {
             self.wait(Pending::Boundary);
         }
-        let interrupted = core::mem::replace(&mut self.running, Level { rank, ..Level::NEW });
+        let interrupted = core::mem::replace(&mut self.running, Activation { rank, ..Activation::NEW });
         self.interrupted[usize::from(self.depth)] = interrupted;
         self.depth += 1;
     }
@@ -222,7 +223,7 @@ impl Interrupts {
     /// Drops the running handler and returns to the activation below. Without a handler, resets the task's own
     /// thread. True if there was a handler.
     pub fn drop_running(&mut self) -> bool {
-        self.running = Level::NEW;
+        self.running = Activation::NEW;
         let handler = self.depth > 0;
         if handler {
             self.depth -= 1;
@@ -233,12 +234,12 @@ impl Interrupts {
 
     /// Validates deserialised activations: the stack has its capacity, and everything that they wait for exists.
     pub fn is_whole(&self, is: impl Fn(Pending) -> bool) -> bool {
-        let named = |level: &Level| {
-            let ended = match level.finished {
-                Some(Finished::Answers(desk) | Finished::Long(desk)) => is(Pending::Reply(desk)),
+        let named = |activation: &Activation| {
+            let ended = match activation.finished {
+                Some(Finished::Answers(request) | Finished::Long(request)) => is(Pending::Reply(request)),
                 _ => true,
             };
-            is(level.pending) && ended
+            is(activation.pending) && ended
         };
         let whole = self.interrupted.len() == DEPTH && usize::from(self.depth) <= DEPTH;
         whole && self.timers.is_whole() && self.interrupted.iter().chain([&self.running]).all(named)

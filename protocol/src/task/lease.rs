@@ -25,8 +25,8 @@
 //! The first two return the epoch if the task begins to act. Between two inputs no task acts past its lease, and a
 //! pending call ([`called`](Lease::called)) is still true.
 
-mod beats;
 mod check;
+mod heartbeats;
 #[cfg(feature = "checker")]
 mod walk;
 
@@ -61,7 +61,7 @@ enum Post {
 /// partner: until when it is worth echoing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Answered {
-    beat: Seq24,
+    heartbeat: Seq24,
     until: Instant,
 }
 
@@ -80,7 +80,7 @@ pub(crate) struct Lease {
     /// Whether `epoch` is a guess: since its restart, the task has neither heard of an epoch nor acted.
     guessed: bool,
     /// The partner's incarnation: it received the answers below, and sent the echoed one.
-    life: Option<Incarnation>,
+    incarnation: Option<Incarnation>,
     /// The heartbeats that were answered last, newest first.
     answered: [Option<Answered>; ANSWERS],
     /// The newest heartbeat that was answered. An older one or a copy is answered, too, but not recorded: the lease never counts
@@ -89,7 +89,7 @@ pub(crate) struct Lease {
     /// The newest own heartbeat that was answered. The next heartbeat echoes it, as long as that may renew the lease.
     echo: Option<Answered>,
     /// When the next heartbeat is due.
-    beat_at: Instant,
+    heartbeat_at: Instant,
     /// When this task takes over if no answer comes before.
     takeover_at: Instant,
     /// The data that this task's answers carry, and that the partner's last answer carried.
@@ -109,8 +109,8 @@ const ECHO_BYTES: usize = 4;
 impl Lease {
     /// The task's side of its couple at the start of an incarnation; `None` if it is in no couple.
     pub fn new(table: &NodeTable, own: &Own) -> Option<Self> {
-        let beats = own.endpoints.iter().rfind(|endpoint| endpoint.role == Role::Beats)?;
-        let (couple, decl) = couple_of(table, beats.port, own.task)?;
+        let heartbeats = own.endpoints.iter().rfind(|endpoint| endpoint.role == Role::Heartbeats)?;
+        let (couple, decl) = couple_of(table, heartbeats.port, own.task)?;
         let (primary, restarted) = (decl.primary == own.task, own.restarted);
         // A restarted standby waits for the whole take-over: its earlier incarnation may just have renewed the lease.
         let armed = !primary && !decl.mutual;
@@ -123,11 +123,11 @@ impl Lease {
             epoch: if restarted { 2 } else { 0 },
             proposed: false,
             guessed: restarted,
-            life: None,
+            incarnation: None,
             answered: [None; ANSWERS],
             newest: None,
             echo: None,
-            beat_at: if primary && !decl.mutual { Instant::NEVER } else { Instant::START },
+            heartbeat_at: if primary && !decl.mutual { Instant::NEVER } else { Instant::START },
             takeover_at: if armed { Instant::START + decl.takeover } else { Instant::NEVER },
             published: Contents::EMPTY,
             said: Contents::EMPTY,
@@ -143,7 +143,7 @@ impl Lease {
     /// The next instant at which time alone makes this task act.
     pub fn due(&self) -> Instant {
         match self.post {
-            Post::Waits => self.beat_at.min(self.takeover_at),
+            Post::Waits => self.heartbeat_at.min(self.takeover_at),
             Post::Leased(until) => until,
             Post::Alone | Post::Passive => Instant::NEVER,
         }
@@ -228,7 +228,7 @@ impl Lease {
 
     /// Takes a heartbeat of the partner, or its answer to one. Returns the epoch if the task begins to act.
     pub fn hear(&mut self, step: &mut Step<'_, impl Outbox>, port: &Port, packet: &Packet) -> Option<u8> {
-        self.noting(step, |lease, step| lease.beat_came(step, port, packet))
+        self.noting(step, |lease, step| lease.heartbeat_came(step, port, packet))
     }
 
     /// Runs a step, and emits an observation if the task begins or stops to act in it.
@@ -262,7 +262,7 @@ impl Lease {
         match self.post {
             Post::Leased(until) if until <= step.now() => {
                 self.stop(if couple.mutual { Post::Waits } else { Post::Passive });
-                self.beat_at = if couple.mutual { step.now() } else { Instant::NEVER };
+                self.heartbeat_at = if couple.mutual { step.now() } else { Instant::NEVER };
                 self.call = Some(Call::Fenced);
             }
             Post::Waits if self.takeover_at <= step.now() => {
@@ -273,15 +273,15 @@ impl Lease {
             }
             Post::Waits | Post::Leased(_) | Post::Alone | Post::Passive => {}
         }
-        if self.post == Post::Waits && self.beat_at <= step.now() {
-            self.beat(step, couple);
+        if self.post == Post::Waits && self.heartbeat_at <= step.now() {
+            self.heartbeat(step, couple);
         }
     }
 
-    fn beat_came(&mut self, step: &mut Step<'_, impl Outbox>, port: &Port, packet: &Packet) {
+    fn heartbeat_came(&mut self, step: &mut Step<'_, impl Outbox>, port: &Port, packet: &Packet) {
         let Some(couple) = self.decl(step.table) else { return };
         match packet.kind {
-            Kind::Query => self.hear_beat(step, couple, port, packet),
+            Kind::Query => self.hear_heartbeat(step, couple, port, packet),
             Kind::Response => self.hear_answer(step, couple, packet),
             Kind::Send | Kind::Reply | Kind::Arrive | Kind::Confirm | Kind::Abort | Kind::Control => {}
         }
@@ -296,7 +296,7 @@ impl Lease {
     fn stand(&mut self, post: Post) {
         self.post = post;
         self.takeover_at = Instant::NEVER;
-        self.beat_at = Instant::NEVER;
+        self.heartbeat_at = Instant::NEVER;
         self.echo = None;
     }
 

@@ -75,17 +75,17 @@ impl Machines {
                     None => {}
                 }
             }
-            (Kind::Reply | Kind::Response | Kind::Control, Role::Asks(desk))
+            (Kind::Reply | Kind::Response | Kind::Control, Role::Asks(request))
                 if packet.kind == Kind::Control || packet.kind == mapping::answer_kind(port) =>
             {
-                let ended = self.client.answer(step, desk, packet);
+                let ended = self.client.answer(step, request, packet);
                 self.end(step, ended);
             }
             (Kind::Reply, Role::Hears) => {
                 let ended = self.client.third_party(step, packet);
                 self.end(step, ended);
             }
-            (Kind::Query | Kind::Response, Role::Beats) => {
+            (Kind::Query | Kind::Response, Role::Heartbeats) => {
                 let granted = self.lease.as_mut().and_then(|lease| lease.hear(step, port, packet));
                 self.grant(step, granted);
             }
@@ -108,7 +108,7 @@ impl Machines {
                 | Role::Meets(_)
                 | Role::Replies
                 | Role::Hears
-                | Role::Beats,
+                | Role::Heartbeats,
             ) => step.drop_packet(packet, Reason::NotAllowed),
         }
     }
@@ -123,10 +123,10 @@ impl Machines {
             step.out.signal(Signal::Nothing);
         }
         let mut from = 0;
-        while let Some(desk) = self.due_desk(from, step.now()) {
-            let ended = self.client.advance(step, desk);
+        while let Some(request) = self.due_request(from, step.now()) {
+            let ended = self.client.advance(step, request);
             self.end(step, ended);
-            from = desk + 1;
+            from = request + 1;
         }
         let mut from = 0;
         while let Some((meeting, ended)) = self.meetings.advance(step, from) {
@@ -137,16 +137,19 @@ impl Machines {
         self.grant(step, granted);
     }
 
-    /// The lowest desk, `from` or later, at which something is due.
-    fn due_desk(&self, from: u16, now: Instant) -> Option<u16> {
-        self.interrupts.open_desks().filter(|&desk| desk >= from && self.client.due(desk) <= now).min()
+    /// The lowest request, `from` or later, at which something is due.
+    fn due_request(&self, from: u16, now: Instant) -> Option<u16> {
+        self.interrupts
+            .open_requests()
+            .filter(|&request| request >= from && self.client.due(request) <= now)
+            .min()
     }
 
     /// The next instant at which time alone makes the task act.
     pub fn due(&self) -> Instant {
         let wait = match self.interrupts.pending() {
             Pending::Get { deadline, .. } => deadline,
-            Pending::Reply(desk) => self.client.due(desk),
+            Pending::Reply(request) => self.client.due(request),
             Pending::Nothing
             | Pending::Meeting(_)
             | Pending::Delay(..)
@@ -169,7 +172,7 @@ impl Machines {
         if self.interrupts.depth() == 0 {
             waits
         } else {
-            self.interrupts.open_desks().map(|desk| self.client.due(desk)).fold(waits, Instant::min)
+            self.interrupts.open_requests().map(|request| self.client.due(request)).fold(waits, Instant::min)
         }
     }
 
@@ -215,11 +218,11 @@ impl Machines {
     fn tell(&mut self, step: &mut Step<'_, impl Outbox>, finished: &Finished) {
         step.out.signal(match *finished {
             Finished::Outcome(outcome) => Signal::Outcome(outcome),
-            Finished::Answers(desk) => {
-                let (port, answers) = self.client.tell(desk);
+            Finished::Answers(request) => {
+                let (port, answers) = self.client.tell(request);
                 Signal::Answers { port, answers }
             }
-            Finished::Long(desk) => Signal::Outcome(Outcome::Reply(self.client.tell_long(desk))),
+            Finished::Long(request) => Signal::Outcome(Outcome::Reply(self.client.tell_long(request))),
             Finished::Released { port, round, by } => Signal::Released { port, round, by },
             Finished::GaveUp { port, round, missing } => Signal::GaveUp { port, round, missing },
             Finished::TimeOut(id) => Signal::TimeOut(id),

@@ -215,7 +215,7 @@ impl CommTask {
     /// Fragment `index` of [`answer_of`](Self::answer_of); the first one is 0.
     #[must_use]
     pub fn answer_fragment(&self, port: PortId, task: TaskId, index: u8) -> Option<&Contents> {
-        self.machines.client.answer_fragment(self.own.desk(port)?, task, index)
+        self.machines.client.answer_fragment(self.own.request(port)?, task, index)
     }
 
     /// The outstanding requests whose answers are missing: the port, the task that was asked, and the message id.

@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 pub(crate) enum Role {
     /// Sends class-1 messages, which are not answered.
     Sends,
-    /// Sends class-2 messages, tracked at this desk of the client.
+    /// Sends class-2 messages, tracked at this request of the client.
     Asks(u16),
     /// Receives messages into this inbox of the server.
     Receives(u16),
@@ -31,7 +31,7 @@ pub(crate) enum Role {
     /// Receives third-party replies.
     Hears,
     /// Carries the heartbeats of its couple (D61).
-    Beats,
+    Heartbeats,
 }
 
 /// An endpoint: the task's side of one port.
@@ -48,7 +48,9 @@ impl Endpoint {
     fn new(port: &Port, role: Role) -> Self {
         let fragments = match role {
             Role::Receives(_) | Role::Replies => port.decl.answer_fragments,
-            Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Hears | Role::Beats => port.decl.fragments,
+            Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Hears | Role::Heartbeats => {
+                port.decl.fragments
+            }
         };
         Self { port: port.id, role, counters: Counts::default(), staged: Parts::new(fragments) }
     }
@@ -74,7 +76,7 @@ pub(crate) struct Own {
 impl Own {
     /// The state of a task at the start of an incarnation of its node.
     pub fn new(table: &NodeTable, task: TaskId, incarnation: Incarnation, restarted: bool) -> Self {
-        let (mut endpoints, [mut desks, mut inboxes, mut meetings]) = (Vec::new(), [0; 3]);
+        let (mut endpoints, [mut requests, mut inboxes, mut meetings]) = (Vec::new(), [0; 3]);
         for &id in table.ports_of(task) {
             let Some((port, party)) = table.port(id).and_then(|port| Some((port, port.party(task)?))) else {
                 continue;
@@ -84,9 +86,9 @@ impl Own {
                 index(*count - 1)
             };
             let role = match party.usage {
-                Usage::Query | Usage::Response if couple_of(table, id, task).is_some() => Role::Beats,
+                Usage::Query | Usage::Response if couple_of(table, id, task).is_some() => Role::Heartbeats,
                 Usage::Send | Usage::Query if port.decl.class == Class::Command => {
-                    Role::Asks(next(&mut desks))
+                    Role::Asks(next(&mut requests))
                 }
                 Usage::Send | Usage::Query => Role::Sends,
                 Usage::Receive if port.decl.usage == Usage::Reply => Role::Hears,
@@ -147,9 +149,9 @@ impl Own {
         self.receiving(port).ok()
     }
 
-    /// The desk of a port on which the task asks.
-    pub fn desk(&self, port: PortId) -> Option<u16> {
-        if let Role::Asks(desk) = self.role(port)? { Some(desk) } else { None }
+    /// The request of a port on which the task asks.
+    pub fn request(&self, port: PortId) -> Option<u16> {
+        if let Role::Asks(request) = self.role(port)? { Some(request) } else { None }
     }
 
     /// The position of its rendezvous on a port.
@@ -178,7 +180,7 @@ impl Own {
         let endpoint = self.endpoint(port).ok_or(Fault::NotYourPort)?;
         match endpoint.role {
             Role::Sends | Role::Asks(_) | Role::Receives(_) | Role::Replies => {}
-            Role::Hears | Role::Meets(_) | Role::Beats => return Err(Fault::WrongUsage),
+            Role::Hears | Role::Meets(_) | Role::Heartbeats => return Err(Fault::WrongUsage),
         }
         if endpoint.staged.put(index, contents) {
             return Ok(Signal::Accepted(0));

@@ -56,7 +56,7 @@ struct Member {
     /// The freshest round that the member gave up: copies of its arrival in that round or an older one do not count (D54).
     barred: Option<Round>,
     /// The member's incarnation, as last heard.
-    life: Option<Incarnation>,
+    incarnation: Option<Incarnation>,
     /// Whether the member restarted since this task's last release: its new incarnation was not part of that meeting.
     reborn: bool,
     /// Whether the member is known to have released this task's round. Shown to monitors only.
@@ -195,8 +195,8 @@ impl Rendezvous {
 
     /// The node of a member restarted: its arrival is void, and its new incarnation was not in the meeting released last.
     fn forget(&mut self, member: usize) {
-        let life = self.members[member].life;
-        self.members[member] = Member { life, reborn: true, ..Member::default() };
+        let incarnation = self.members[member].incarnation;
+        self.members[member] = Member { incarnation, reborn: true, ..Member::default() };
     }
 
     /// Whether this task will never wait in `round` again: rounds only grow.

@@ -90,15 +90,15 @@ impl Machines {
     ) -> Done {
         let (port, party) = mapping::own_end(step.table, id, step.own.task)?;
         // Receivers and a restarted node rely on the declared TTL: a request may only shorten it.
-        let life = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
+        let ttl = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
         let contents = match port.decl.guard {
             None => contents,
             Some(couple) => self.lease.as_ref().ok_or(Fault::Fenced)?.with_epoch(couple, contents)?,
         };
-        match self.client.send(step, (party, to), (port, life, contents))? {
+        match self.client.send(step, (party, to), (port, ttl, contents))? {
             Sent::Copies(copies) => Ok(Some(Signal::Accepted(copies))),
-            Sent::Asked(desk) => {
-                self.interrupts.wait(Pending::Reply(desk));
+            Sent::Request(request) => {
+                self.interrupts.wait(Pending::Reply(request));
                 Ok(None)
             }
         }
@@ -136,7 +136,7 @@ impl Machines {
                 party.time_out
             }
             Role::Receives(inbox) => self.server.reply(step, (inbox, place), to, contents)?,
-            Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Hears | Role::Beats => {
+            Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Hears | Role::Heartbeats => {
                 return Err(Fault::NothingToAnswer);
             }
         };
@@ -186,7 +186,7 @@ impl Machines {
         match self.interrupts.end_wait() {
             Pending::Meeting(meeting) => self.meetings.leave(step, meeting),
             Pending::Delay(id, _) => step.out.disarm(id),
-            Pending::Reply(desk) => self.client.close(desk),
+            Pending::Reply(request) => self.client.close(request),
             Pending::Nothing | Pending::Get { .. } | Pending::Work | Pending::Lease | Pending::Boundary => {}
         }
         Signal::Cancelled

@@ -14,7 +14,7 @@
 //! of a command to an earlier incarnation of the task can still arrive (D49). It is from the present incarnation of its source,
 //! and new (`memory`). All fragments of its message are here (`assembly`), and no newer epoch has begun (`epochs`).
 //!
-//! Between two inputs nothing expired waits, the ready set (`heads`) agrees with a scan of all inboxes, and every waiting command
+//! Between two inputs nothing expired waits, the ready set (`ready`) agrees with a scan of all inboxes, and every waiting command
 //! has a dedup entry that says so. Rule variants that keep no memory or extend TTLs break only the last of these.
 
 mod admission;
@@ -22,10 +22,10 @@ mod assembly;
 mod check;
 mod delivery;
 mod epochs;
-mod heads;
 mod inbox;
 mod memory;
 mod offers;
+mod ready;
 mod view;
 #[cfg(feature = "checker")]
 mod walk;
@@ -45,9 +45,9 @@ use crate::ticks::{Instant, Ticks};
 use alloc::boxed::Box;
 use alloc::vec::Vec;
 use epochs::Guard;
-use heads::Heads;
-use inbox::{Aged, Inbox};
-use memory::{Fate, Remembered, Seen};
+use inbox::{Inbox, RetryState};
+use memory::{CommandStatus, DedupEntry, Seen};
+use ready::ReadySet;
 use serde::{Deserialize, Serialize};
 
 pub(crate) use delivery::send_answer;
@@ -57,7 +57,7 @@ pub(crate) use inbox::Held;
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Server {
     inboxes: Box<[Inbox]>,
-    heads: Heads,
+    ready: ReadySet,
     /// The number of GETs over all ports that were served (D58).
     served: u64,
     /// Numbers messages in the order of storing: the last key of the service order (D14).
@@ -65,7 +65,7 @@ pub(crate) struct Server {
     /// The number of the next round of rejections (D58).
     rejections: u64,
     /// The last known incarnation of each task that may send to this one, ascending by task.
-    lives: Box<[Known]>,
+    incarnations: Box<[Known]>,
     /// The newest epoch of each couple that commands this task (D61).
     guards: Box<[Guard]>,
     /// The message that the task took last (D28).
@@ -79,7 +79,7 @@ pub(crate) struct Server {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Known {
     task: TaskId,
-    life: Option<Incarnation>,
+    incarnation: Option<Incarnation>,
 }
 
 /// A message that the running activation takes as it arrives.
@@ -91,7 +91,7 @@ pub(crate) struct Arrival {
 }
 
 /// An inbox, and the position of a source in it.
-type Way = (usize, usize);
+type Origin = (usize, usize);
 
 /// Limit of counters in a deserialised state. They grow by one per input, so below it no recording makes them overflow.
 const MOST: u64 = 1 << 62;
@@ -112,12 +112,12 @@ impl Server {
         guards.dedup();
         let most = inboxes.iter().map(|inbox: &Inbox| inbox.queue.capacity()).max();
         Self {
-            heads: Heads::new(&inboxes),
+            ready: ReadySet::new(&inboxes),
             inboxes: inboxes.into(),
             served: 0,
             arrivals: 0,
             rejections: 1,
-            lives: sources.into_iter().map(|task| Known { task, life: None }).collect(),
+            incarnations: sources.into_iter().map(|task| Known { task, incarnation: None }).collect(),
             guards: guards.into(),
             taken: (None, Parts::new(longest)),
             turned: Vec::with_capacity(most.unwrap_or_default()),
@@ -170,7 +170,7 @@ impl Server {
             step.note(reason, packet.port, packet.source, packet.id, Ticks::ZERO);
             return None;
         }
-        let way = (inbox, self.inboxes[inbox].source(packet.source)?);
+        let origin = (inbox, self.inboxes[inbox].source(packet.source)?);
         let counted;
         let packet = if remaining == packet.remaining {
             packet
@@ -178,16 +178,16 @@ impl Server {
             counted = Packet { remaining, ..*packet };
             &counted
         };
-        if !self.is_fresh(step, way, port, (packet, reserved)) {
+        if !self.is_fresh(step, origin, port, (packet, reserved)) {
             return None;
         }
         let bounds = (reserved, way_back);
         if packet.more || packet.fragment > 0 {
-            let (whole, fragments) = self.assemble(step, way, packet, reserved)?;
-            self.take_in(step, threads, (port, from, way), (&whole, fragments), bounds)
+            let (whole, fragments) = self.assemble(step, origin, packet, reserved)?;
+            self.take_in(step, threads, (port, from, origin), (&whole, fragments), bounds)
         } else {
-            self.overtake(step, way, packet);
-            self.take_in(step, threads, (port, from, way), (packet, 1), bounds)
+            self.overtake(step, origin, packet);
+            self.take_in(step, threads, (port, from, origin), (packet, 1), bounds)
         }
     }
 
@@ -195,7 +195,7 @@ impl Server {
     fn is_fresh(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
-        (inbox, source): Way,
+        (inbox, source): Origin,
         port: &Port,
         (packet, reserved): (&Packet, Ticks),
     ) -> bool {
@@ -204,18 +204,18 @@ impl Server {
             control(step, packet, Control::Restarted);
             return false;
         }
-        if !self.enter_life(step, packet.source, packet.id.incarnation) {
+        if !self.enter_incarnation(step, packet.source, packet.id.incarnation) {
             step.drop_packet(packet, Reason::StaleIncarnation);
             return false;
         }
         match self.inboxes[inbox].sources[source].look_up(packet.id, step.now()) {
             Seen::New => return true,
-            Seen::Again(Fate::Held) => self.prolong((inbox, source), packet, reserved, step.now()),
-            Seen::Older | Seen::Again(Fate::Lapsed | Fate::Delivered(_)) => {}
+            Seen::Again(CommandStatus::Held) => self.prolong((inbox, source), packet, reserved, step.now()),
+            Seen::Older | Seen::Again(CommandStatus::Lapsed | CommandStatus::Delivered(_)) => {}
             // Only the last fragment of a copy is answered.
             Seen::Again(_) if packet.more => {}
-            Seen::Again(Fate::Refused) => control(step, packet, Control::Refused),
-            Seen::Again(Fate::Answered(contents)) => {
+            Seen::Again(CommandStatus::Refused) => control(step, packet, Control::Refused),
+            Seen::Again(CommandStatus::Answered(contents)) => {
                 let kind = mapping::answer_kind(port);
                 let to = mapping::reply_to(packet);
                 let answer = mapping::answer(to, step.own.task, kind, packet.remaining, contents);
@@ -233,14 +233,14 @@ impl Server {
         &mut self,
         step: &mut Step<'_, impl Outbox>,
         (threads, called): (&Interrupts, bool),
-        (port, from, way): (&Port, &Party, Way),
+        (port, from, origin): (&Port, &Party, Origin),
         (packet, fragments): (&Packet, u8),
         (reserved, way_back): (Ticks, Ticks),
     ) -> Option<Arrival> {
-        let (inbox, source) = way;
+        let (inbox, source) = origin;
         let contents = match port.decl.guard {
             None => packet.contents,
-            Some(couple) => self.within_epoch(step, port, (couple, way), packet)?,
+            Some(couple) => self.within_epoch(step, port, (couple, origin), packet)?,
         };
         let now = step.now();
         // A link charges an upper bound, so a later copy may have been charged less than this one. The dedup entry is
@@ -251,10 +251,10 @@ impl Server {
                 self.inboxes[inbox].sources[source].admit(packet.id.sequence, now, until);
             }
             Class::Command => {
-                self.withdraw_superseded(step, way);
+                self.withdraw_superseded(step, origin);
                 if step.table.rules().memory != Memory::None {
                     let sender_until = now + packet.remaining;
-                    let new = Remembered { id: packet.id, fate: Fate::Held, sender_until, until };
+                    let new = DedupEntry { id: packet.id, status: CommandStatus::Held, sender_until, until };
                     self.inboxes[inbox].sources[source].remember(Some(new));
                 }
             }
@@ -269,7 +269,7 @@ impl Server {
             fragments,
             arrival: 0,
         };
-        let mut aged = Aged::default();
+        let mut retry = RetryState::default();
         if self.inboxes[inbox].latest && !self.supersedes(step, inbox, &held) {
             self.inboxes[inbox].close(source, held.id());
             discard(step, packet.port, &held, Reason::Superseded);
@@ -278,15 +278,16 @@ impl Server {
         let handled = self.inboxes[inbox].handled;
         let awaited = threads.gets(packet.port, packet.source, handled);
         let offered = !awaited && handled && threads.is_interruptible(false, called);
-        if awaited || (offered && offers::outranks(step.table, step.own, threads, packet.port, &held, aged)) {
+        if awaited || (offered && offers::outranks(step.table, step.own, threads, packet.port, &held, retry))
+        {
             step.count_at(self.inboxes[inbox].endpoint, |c| c.enqueued += 1);
-            self.take_assembled(way, &held);
+            self.take_assembled(origin, &held);
             return Some(Arrival { inbox, held, interrupts: !awaited });
         }
         if offered {
-            self.reject_arrived(step, packet.port, (&mut held, &mut aged));
+            self.reject_arrived(step, packet.port, (&mut held, &mut retry));
         }
-        self.store(step, (port, way), (held, aged));
+        self.store(step, (port, origin), (held, retry));
         self.inboxes[inbox].close(source, held.id());
         None
     }
@@ -298,7 +299,7 @@ impl Server {
                 self.inboxes[inbox].queue.pop_if(|held: &Held| held.expires <= step.own.now)
             {
                 let entry = &mut self.inboxes[inbox];
-                entry.settle(held.source, held.id(), Fate::Lapsed);
+                entry.settle(held.source, held.id(), CommandStatus::Lapsed);
                 let port = entry.port;
                 step.count_at(entry.endpoint, |c| c.expired += 1);
                 let event = Event::Discarded(Reason::Expired);
@@ -327,7 +328,7 @@ impl Server {
         entry.begin(self.served);
         if handled {
             entry.queue.watch();
-            self.heads.watch(&self.inboxes);
+            self.ready.watch(&self.inboxes);
         }
         self.touch(own, inbox);
     }
@@ -336,10 +337,10 @@ impl Server {
     pub fn is_like(&self, new: &Self) -> bool {
         let counts = [self.arrivals, self.rejections, self.served].into_iter().all(|count| count < MOST);
         are_alike(&self.inboxes, &new.inboxes, Inbox::is_like)
-            && are_alike(&self.lives, &new.lives, |read, new| read.task == new.task)
+            && are_alike(&self.incarnations, &new.incarnations, |read, new| read.task == new.task)
             && are_alike(&self.guards, &new.guards, |read, new| read.couple == new.couple)
             && counts
-            && self.heads.is_whole(self.inboxes.len())
+            && self.ready.is_whole(self.inboxes.len())
             && self.taken.1.has_room_of(&new.taken.1)
     }
 }

@@ -25,7 +25,7 @@ impl CommTask {
             && meetings.is_like(&new.machines.meetings)
             && is_leased
             && interrupts.is_whole(|wait| match wait {
-                Pending::Reply(desk) => client.has(desk),
+                Pending::Reply(request) => client.has(request),
                 Pending::Meeting(meeting) => meetings.has(meeting),
                 Pending::Lease => lease.is_some(),
                 Pending::Get { port, .. } => port.is_none_or(|port| self.own.inbox(port).is_some()),

@@ -65,10 +65,10 @@ impl<O: Outbox> Step<'_, O> {
     }
 
     /// The time that a message carries: its remaining time (§5.1), or under the variant an instant on this node's clock.
-    pub fn stamp(&self, life: Ticks) -> Ticks {
+    pub fn stamp(&self, ttl: Ticks) -> Ticks {
         match self.table.rules().time_stamp {
-            TimeStamp::Remaining => life,
-            TimeStamp::Absolute => (self.own.now + life) - Instant::START,
+            TimeStamp::Remaining => ttl,
+            TimeStamp::Absolute => (self.own.now + ttl) - Instant::START,
         }
     }
 

@@ -49,8 +49,8 @@ impl CommTask {
             Pending::Get { port, deadline, .. } => {
                 TaskState::Receiving { port, remaining: (deadline != Instant::NEVER).then(|| deadline - now) }
             }
-            Pending::Reply(desk) => {
-                let (port, from, deadline) = self.machines.client.wait_at(desk);
+            Pending::Reply(request) => {
+                let (port, from, deadline) = self.machines.client.wait_at(request);
                 let from = from.unwrap_or(self.own.task);
                 TaskState::AwaitingReply { port, from, remaining: deadline - now }
             }

@@ -14,7 +14,7 @@ pub(crate) enum Pending {
         source: Option<TaskId>,
         deadline: Instant,
     },
-    /// For the answers to the request at this desk, which has the deadline.
+    /// For the answers to the request at this request, which has the deadline.
     Reply(u16),
     /// At the rendezvous at this position, which has the deadline.
     Meeting(u16),
@@ -32,9 +32,9 @@ pub(crate) enum Pending {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) enum Finished {
     Outcome(Outcome),
-    /// The request at this desk to several tasks has ended.
+    /// The request at this request to several tasks has ended.
     Answers(u16),
-    /// The request at this desk has ended with an answer of several packets.
+    /// The request at this request has ended with an answer of several packets.
     Long(u16),
     Released {
         port: PortId,

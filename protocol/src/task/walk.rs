@@ -37,8 +37,8 @@ impl CommTask {
         own.walk(w);
         interrupts.walk(&mut own.order, lease.as_ref().map(Lease::couple), w);
         client.walk_overdue(table, (own.task, own.incarnation), w);
-        own.walk_life(w);
-        server.walk_lives(w);
+        own.walk_incarnation(w);
+        server.walk_incarnations(w);
         own.walk_staged(w);
         client.walk(table, (own.task, own.incarnation), w);
         server.walk(table, own, w);

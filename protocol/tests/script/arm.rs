@@ -21,24 +21,24 @@ use imrs_protocol::*;
 #[derive(Clone, Copy)]
 pub struct Ports {
     pub lift: PortId,
-    pub beat: PortId,
+    pub heartbeat: PortId,
     pub halt: PortId,
 }
 
 /// The record `Beat`: `height`, `moving`.
-pub const BEAT: [(&str, Type); 2] = [("b.height", Type::Int16), ("b.moving", Type::Bool)];
+pub const HEARTBEAT: [(&str, Type); 2] = [("b.height", Type::Int16), ("b.moving", Type::Bool)];
 pub const HEIGHT: u16 = 0;
 pub const MOVING: u16 = 1;
 
 pub fn right(ports: Ports) -> Program {
-    let Ports { lift, beat, halt } = ports;
+    let Ports { lift, heartbeat, halt } = ports;
     let mut b = ProgramBuilder::new("armR");
     let height = b.variable("me.height", Type::Int16);
     let moving = b.variable("me.moving", Type::Bool);
     let me = [(Type::Int16, height), (Type::Bool, moving)];
     let silence = b.timer("silence of beat");
 
-    b.order(&[Ranked::Port(halt), Ranked::Port(beat), Ranked::Timer(silence), Ranked::Own]);
+    b.order(&[Ranked::Port(halt), Ranked::Port(heartbeat), Ranked::Timer(silence), Ranked::Own]);
     b.start(silence, Ticks(10));
     b.forever(|b| {
         b.run("grip", Ticks(300), Ticks(500));
@@ -52,7 +52,7 @@ pub fn right(ports: Ports) -> Program {
             b.delay(Ticks(20));
         });
     });
-    b.on_message(beat, &BEAT, |b, _| {
+    b.on_message(heartbeat, &HEARTBEAT, |b, _| {
         b.start(silence, Ticks(10)).reply(&me);
     });
     b.on_message(halt, &[("s.reason", Type::Int8)], |b, _| {
@@ -67,7 +67,7 @@ pub fn right(ports: Ports) -> Program {
     b.finish().expect("a checked program")
 }
 
-const PORTS: Ports = Ports { lift: LIFT, beat: ASK, halt: TELL };
+const PORTS: Ports = Ports { lift: LIFT, heartbeat: ASK, halt: TELL };
 const SILENCE: Signal = Signal::Interrupt(Call::Timer(TimeId(0)));
 
 /// The arm in mid lift: it waits in its delay of 20 ms.
@@ -106,7 +106,7 @@ fn lifting() -> Rig {
 }
 
 #[test]
-fn a_beat_is_answered_with_the_arms_own_height() {
+fn a_heartbeat_is_answered_with_the_arms_own_height() {
     let mut rig = lifting();
     assert_eq!(rig.tell(call(ASK, 1, &[7, 0, 1])), ["start 0 10"]);
     assert_eq!(rig.accept(), ["boundary"]);
@@ -116,7 +116,7 @@ fn a_beat_is_answered_with_the_arms_own_height() {
 }
 
 #[test]
-fn a_halt_stops_the_arm_though_a_beat_is_being_answered() {
+fn a_halt_stops_the_arm_though_a_heartbeat_is_being_answered() {
     let mut rig = lifting();
     rig.tell(call(ASK, 1, &[7, 0, 1]));
     rig.accept();

@@ -129,7 +129,7 @@ fn tables_are_sound() {
 }
 
 #[test]
-fn a_task_publishes_no_more_than_an_answer_to_a_beat_carries() {
+fn a_task_publishes_no_more_than_an_answer_to_a_heartbeat_carries() {
     let publish = |bytes: usize| Program {
         code: vec![Op::Term(Term::Push(0)); bytes]
             .into_iter()

@@ -1,8 +1,8 @@
 //! Drivers of nodes with scripts: one without the optional callbacks, a couple's lease, scripts packed at every tick.
 
 use super::arm;
-use super::floor::Floor;
 use super::host::{A, B, HALT, beam_lift, bytes, finish, triangle};
+use super::virtual_cell::VirtualCell;
 use imrs_protocol::script::*;
 use imrs_protocol::*;
 use std::sync::Arc;
@@ -57,7 +57,7 @@ fn a_driver_may_ignore_what_scripts_say_of_themselves() {
 }
 
 #[test]
-fn the_end_of_a_couples_script_ends_its_beats_and_a_fence_its_action() {
+fn the_end_of_a_couples_script_ends_its_heartbeats_and_a_fence_its_action() {
     let mut cell = Cell::new("couple", Ticks(1));
     let (here, there) = (cell.node("here"), cell.node("there"));
     cell.link(here, there, Ticks(1));
@@ -77,10 +77,10 @@ fn the_end_of_a_couples_script_ends_its_beats_and_a_fence_its_action() {
     primary.statement().op(Op::Lease).run("weld", Ticks(500), Ticks(500)).end();
     let mut standby = ProgramBuilder::new("s");
     standby.delay(Ticks(40)).end();
-    let mut floor = Floor::new(cell, vec![(p, finish(primary)), (s, finish(standby))]);
-    floor.begin();
-    floor.run(70);
-    let log = floor.log();
+    let mut virtual_cell = VirtualCell::new(cell, vec![(p, finish(primary)), (s, finish(standby))]);
+    virtual_cell.begin();
+    virtual_cell.run(70);
+    let log = virtual_cell.log();
     assert_eq!(log[0], "5 T0: run 0 [] at 0", "granted at the second beat");
     assert_eq!(log[1], "40 T1: ended Finished");
     // No heartbeat came after that, so the lease ended and the action with it.
@@ -91,18 +91,18 @@ fn the_end_of_a_couples_script_ends_its_beats_and_a_fence_its_action() {
 #[test]
 fn scripts_packed_at_every_tick_do_the_same() {
     let run = |packed: bool| {
-        let mut floor = beam_lift();
+        let mut virtual_cell = beam_lift();
         for tick in 0..60 {
             if tick == 20 {
-                floor.ask(
+                virtual_cell.ask(
                     A,
                     Request::Send { port: HALT, to: Target::All, contents: bytes(&[1]), time_out: None },
                 );
             }
-            floor.run(1);
-            for node in floor.nodes.iter_mut().filter(|_| packed) {
+            virtual_cell.run(1);
+            for node in virtual_cell.nodes.iter_mut().filter(|_| packed) {
                 let next: Vec<Seq24> = (0..3).map(|_| Frame::SEQUENCE).collect();
-                let frame = Frame { rounds: &[], sequences: &next, lives: true };
+                let frame = Frame { rounds: &[], sequences: &next, incarnations: true };
                 for Hosted { program, script, .. } in node.scripts_mut() {
                     let bytes = Encode::bytes(&frame, |w| script.walk(program, w)).expect("it fits");
                     let mut read = Script::new(program);
@@ -111,7 +111,7 @@ fn scripts_packed_at_every_tick_do_the_same() {
                 }
             }
         }
-        (floor.log(), floor.activities(), floor.var(B, arm::MOVING))
+        (virtual_cell.log(), virtual_cell.activities(), virtual_cell.var(B, arm::MOVING))
     };
     assert_eq!(run(true), run(false));
 }

@@ -145,7 +145,7 @@ impl Rig {
 
 /// Packs a script, reads it back and compares; returns the bytes.
 pub fn same_when_packed(program: &Program, script: &Script) -> Vec<u8> {
-    let frame = Frame { rounds: &[], sequences: &[Frame::SEQUENCE; 16], lives: true };
+    let frame = Frame { rounds: &[], sequences: &[Frame::SEQUENCE; 16], incarnations: true };
     let bytes = Encode::bytes(&frame, |w| script.clone().walk(program, w)).expect("it fits");
     let mut loaded = Script::new(program);
     let garbage: Vec<u8> = (0..=255).collect();

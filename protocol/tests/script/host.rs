@@ -1,7 +1,7 @@
 //! Scripts on whole nodes, with their communication tasks.
 
 use super::arm;
-use super::floor::Floor;
+use super::virtual_cell::VirtualCell;
 use super::written::{Ends, written};
 use imrs_protocol::script::*;
 use imrs_protocol::*;
@@ -34,69 +34,74 @@ pub fn bytes(bytes: &[u8]) -> Contents {
 }
 
 /// The beam lift: A is armL and C the hoist, both played by the test; B is armR.
-pub fn beam_lift() -> Floor {
+pub fn beam_lift() -> VirtualCell {
     let mut cell = triangle();
     let lift = cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], Ticks(2000)).resend(Ticks(50), 1));
-    let beat = cell.port(PortDecl::new("beat", A, Usage::Query, &[B], Ticks(5)));
+    let heartbeat = cell.port(PortDecl::new("beat", A, Usage::Query, &[B], Ticks(5)));
     let halt = cell.port(PortDecl::new("halt", A, Usage::Send, &[B], Ticks(10)).bounded_buffer(2));
-    let mut floor = Floor::new(cell, vec![(B, arm::right(arm::Ports { lift, beat, halt }))]);
-    floor.begin();
+    let mut virtual_cell =
+        VirtualCell::new(cell, vec![(B, arm::right(arm::Ports { lift, heartbeat, halt }))]);
+    virtual_cell.begin();
     for task in [A, C] {
-        floor.ask(task, Request::Arrive { port: lift, arguments: [0; 8], time_out: None });
+        virtual_cell.ask(task, Request::Arrive { port: lift, arguments: [0; 8], time_out: None });
     }
-    assert_eq!(floor.log(), ["0 T1: run 0 [] at 0"], "grip");
-    floor.run(299);
-    assert_eq!(floor.told(A), []);
-    floor.run(3);
-    assert!(matches!(floor.told(A)[..], [Signal::Released { .. }]));
-    assert!(matches!(floor.told(C)[..], [Signal::Released { .. }]));
-    assert_eq!(floor.log(), ["300 T1: run 2 [] at 0", "301 T1: run 3 [] at 0"], "start_lift, read_height");
-    assert_eq!(floor.var(B, arm::MOVING), 1);
-    floor
+    assert_eq!(virtual_cell.log(), ["0 T1: run 0 [] at 0"], "grip");
+    virtual_cell.run(299);
+    assert_eq!(virtual_cell.told(A), []);
+    virtual_cell.run(3);
+    assert!(matches!(virtual_cell.told(A)[..], [Signal::Released { .. }]));
+    assert!(matches!(virtual_cell.told(C)[..], [Signal::Released { .. }]));
+    assert_eq!(
+        virtual_cell.log(),
+        ["300 T1: run 2 [] at 0", "301 T1: run 3 [] at 0"],
+        "start_lift, read_height"
+    );
+    assert_eq!(virtual_cell.var(B, arm::MOVING), 1);
+    virtual_cell
 }
 
-const BEAT: PortId = PortId(1);
+const HEARTBEAT: PortId = PortId(1);
 pub const HALT: PortId = PortId(2);
 
-fn ask_beat(floor: &mut Floor) -> Vec<Signal> {
-    floor.ask(
+fn ask_heartbeat(virtual_cell: &mut VirtualCell) -> Vec<Signal> {
+    virtual_cell.ask(
         A,
-        Request::Send { port: BEAT, to: Target::One(B), contents: bytes(&[1, 0, 1]), time_out: None },
+        Request::Send { port: HEARTBEAT, to: Target::One(B), contents: bytes(&[1, 0, 1]), time_out: None },
     );
-    floor.run(2);
-    floor.told(A)
+    virtual_cell.run(2);
+    virtual_cell.told(A)
 }
 
 #[test]
-fn the_right_arm_answers_beats_while_it_lifts_and_stops_when_they_end() {
-    let mut floor = beam_lift();
+fn the_right_arm_answers_heartbeats_while_it_lifts_and_stops_when_they_end() {
+    let mut virtual_cell = beam_lift();
     for _ in 0..5 {
-        assert_eq!(ask_beat(&mut floor), [Signal::Outcome(Outcome::Reply(bytes(&[40, 0, 1])))]);
-        floor.run(4);
+        assert_eq!(ask_heartbeat(&mut virtual_cell), [Signal::Outcome(Outcome::Reply(bytes(&[40, 0, 1])))]);
+        virtual_cell.run(4);
     }
-    let last = floor.now() - 5;
-    floor.log();
-    floor.run(5);
+    let last = virtual_cell.now() - 5;
+    virtual_cell.log();
+    virtual_cell.run(5);
     assert_eq!(
-        floor.log(),
+        virtual_cell.log(),
         [format!("{} T1: run 4 [] at 1", last + 10)],
         "10 ticks of silence, then stop_now"
     );
-    floor.run(1);
-    assert_eq!(floor.var(B, arm::MOVING), 0);
+    virtual_cell.run(1);
+    assert_eq!(virtual_cell.var(B, arm::MOVING), 0);
 }
 
 #[test]
 fn a_halt_interrupts_the_right_arm_at_once() {
-    let mut floor = beam_lift();
-    floor.ask(A, Request::Send { port: HALT, to: Target::All, contents: bytes(&[1]), time_out: None });
-    assert_eq!(floor.told(A), [Signal::Accepted(1)]);
-    floor.run(2);
-    assert_eq!(floor.var(B, arm::MOVING), 0);
-    assert_eq!(floor.log(), ["303 T1: run 4 [] at 1"]);
-    floor.run(30);
+    let mut virtual_cell = beam_lift();
+    virtual_cell.ask(A, Request::Send { port: HALT, to: Target::All, contents: bytes(&[1]), time_out: None });
+    assert_eq!(virtual_cell.told(A), [Signal::Accepted(1)]);
+    virtual_cell.run(2);
+    assert_eq!(virtual_cell.var(B, arm::MOVING), 0);
+    assert_eq!(virtual_cell.log(), ["303 T1: run 4 [] at 1"]);
+    virtual_cell.run(30);
     assert_eq!(
-        floor.log(),
+        virtual_cell.log(),
         ["321 T1: run 0 [] at 0"],
         "the delay ended in its time, and the arm grips again"
     );
@@ -106,14 +111,15 @@ fn a_halt_interrupts_the_right_arm_at_once() {
 fn an_arm_whose_partners_never_come_gives_up() {
     let mut cell = triangle();
     let lift = cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], Ticks(2000)).resend(Ticks(50), 1));
-    let beat = cell.port(PortDecl::new("beat", A, Usage::Query, &[B], Ticks(5)));
+    let heartbeat = cell.port(PortDecl::new("beat", A, Usage::Query, &[B], Ticks(5)));
     let halt = cell.port(PortDecl::new("halt", A, Usage::Send, &[B], Ticks(10)).bounded_buffer(2));
-    let mut floor = Floor::new(cell, vec![(B, arm::right(arm::Ports { lift, beat, halt }))]);
-    floor.begin();
-    floor.run(2299);
-    assert_eq!(floor.log(), ["0 T1: run 0 [] at 0"]);
-    floor.run(1);
-    assert_eq!(floor.log(), ["2300 T1: run 1 [] at 0", "2300 T1: ended Aborted(0)"]);
+    let mut virtual_cell =
+        VirtualCell::new(cell, vec![(B, arm::right(arm::Ports { lift, heartbeat, halt }))]);
+    virtual_cell.begin();
+    virtual_cell.run(2299);
+    assert_eq!(virtual_cell.log(), ["0 T1: run 0 [] at 0"]);
+    virtual_cell.run(1);
+    assert_eq!(virtual_cell.log(), ["2300 T1: run 1 [] at 0", "2300 T1: ended Aborted(0)"]);
 }
 
 const GRAB: PortId = PortId(0);
@@ -174,7 +180,7 @@ fn robot(work: u64, honest: bool) -> ProgramBuilder {
     b
 }
 
-fn tool(work: u64, honest: bool, every: bool) -> Floor {
+fn tool(work: u64, honest: bool, every: bool) -> VirtualCell {
     let mut cell = triangle();
     cell.port(PortDecl::new("grab", A, Usage::Response, &[B, C], Ticks(20)).bounded_buffer(2));
     cell.port(PortDecl::new("free", A, Usage::Receive, &[B, C], Ticks(20)).command());
@@ -182,40 +188,40 @@ fn tool(work: u64, honest: bool, every: bool) -> Floor {
     let robots = [(B, robot(work, honest)), (C, robot(1, true))];
     let mut scripts: Vec<_> = robots.into_iter().map(|(task, b)| (task, as_told(b))).collect();
     scripts.push((A, as_told(dresser())));
-    let mut floor = Floor::new(cell, scripts);
-    floor.begin();
-    floor
+    let mut virtual_cell = VirtualCell::new(cell, scripts);
+    virtual_cell.begin();
+    virtual_cell
 }
 
 #[test]
 fn a_shared_tool_goes_to_one_at_a_time() {
-    let mut floor = tool(10, true, false);
-    floor.run(60);
-    let log = floor.log();
+    let mut virtual_cell = tool(10, true, false);
+    virtual_cell.run(60);
+    let log = virtual_cell.log();
     assert_eq!(
         log,
         ["2 T1: run 0 [] at 0", "14 T1: ended Finished", "20 T2: run 0 [] at 0", "23 T2: ended Finished",]
     );
-    assert_eq!((floor.var(B, 2), floor.var(C, 2)), (1, 3), "so often each asked");
-    assert_eq!(floor.counts().2, 0, "all commands were answered");
+    assert_eq!((virtual_cell.var(B, 2), virtual_cell.var(C, 2)), (1, 3), "so often each asked");
+    assert_eq!(virtual_cell.counts().2, 0, "all commands were answered");
 }
 
 #[test]
 fn a_timer_frees_the_tool_of_a_dead_holder() {
-    let mut floor = tool(1, false, false);
-    floor.run(41);
-    assert_eq!((floor.var(A, 0), floor.now()), (0, 41), "40 ticks after the grant at 1");
-    floor.run(20);
-    assert!(floor.log().iter().any(|line| line == "47 T2: run 0 [] at 0"));
+    let mut virtual_cell = tool(1, false, false);
+    virtual_cell.run(41);
+    assert_eq!((virtual_cell.var(A, 0), virtual_cell.now()), (0, 41), "40 ticks after the grant at 1");
+    virtual_cell.run(20);
+    assert!(virtual_cell.log().iter().any(|line| line == "47 T2: run 0 [] at 0"));
 }
 
 #[test]
-fn fused_and_unfused_statements_do_the_same_on_a_floor() {
+fn fused_and_unfused_statements_do_the_same_in_a_cell() {
     let run = |honest, every| {
-        let mut floor = tool(9, honest, every);
-        floor.run(80);
-        let (requests, statements, unanswered) = floor.counts();
-        (floor.log(), requests, statements, unanswered, floor.var(A, 0))
+        let mut virtual_cell = tool(9, honest, every);
+        virtual_cell.run(80);
+        let (requests, statements, unanswered) = virtual_cell.counts();
+        (virtual_cell.log(), requests, statements, unanswered, virtual_cell.var(A, 0))
     };
     for honest in [false, true] {
         assert_eq!(run(honest, false), run(honest, true));
@@ -245,14 +251,14 @@ fn long_messages_and_answers_travel_whole() {
         }
         b.reply(&kept[3..]);
     });
-    let mut floor = Floor::new(cell, vec![(A, finish(asker)), (B, finish(answerer))]);
-    floor.begin();
-    floor.run(10);
+    let mut virtual_cell = VirtualCell::new(cell, vec![(A, finish(asker)), (B, finish(answerer))]);
+    virtual_cell.begin();
+    virtual_cell.run(10);
     assert_eq!(
-        (0..7).map(|i| floor.var(B, i)).collect::<Vec<_>>(),
+        (0..7).map(|i| virtual_cell.var(B, i)).collect::<Vec<_>>(),
         [1001, 2001, 3001, 4001, 5001, 6001, 7001]
     );
-    assert_eq!((7..11).map(|i| floor.var(A, i)).collect::<Vec<_>>(), [4001, 5001, 6001, 7001]);
+    assert_eq!((7..11).map(|i| virtual_cell.var(A, i)).collect::<Vec<_>>(), [4001, 5001, 6001, 7001]);
 }
 
 /// A asks B, B passes the question on to C, and C answers A in B's place (D11).
@@ -276,11 +282,11 @@ fn a_third_task_answers() {
     c.statement().load(source).load(id).push(7).op(Op::ReplyFor { port: back, format }).end();
     let names = finish(b);
     assert!(names.names_messages());
-    let mut floor = Floor::new(cell, vec![(A, finish(a)), (B, names), (C, finish(c))]);
-    floor.begin();
-    floor.run(5);
-    assert_eq!([0, 1].map(|i| floor.var(A, i)), [7, StatementOutcome::Reply as i64]);
-    assert!(floor.activities().iter().all(|activity| *activity == Activity::Ended(End::Finished)));
+    let mut virtual_cell = VirtualCell::new(cell, vec![(A, finish(a)), (B, names), (C, finish(c))]);
+    virtual_cell.begin();
+    virtual_cell.run(5);
+    assert_eq!([0, 1].map(|i| virtual_cell.var(A, i)), [7, StatementOutcome::Reply as i64]);
+    assert!(virtual_cell.activities().iter().all(|activity| *activity == Activity::Ended(End::Finished)));
 }
 
 /// B takes the questions of A and C, and answers them in the other order (D93).
@@ -305,12 +311,12 @@ fn an_answer_may_come_later() {
     b.op(Op::Outcome).store(again).end();
     let answers = finish(b);
     assert!(!answers.names_messages(), "a checker can look at it");
-    let mut floor = Floor::new(cell, vec![(A, asker("a", 1)), (B, answers), (C, asker("c", 3))]);
-    floor.begin();
-    floor.run(20);
-    assert_eq!([A, C].map(|task| floor.var(task, 0)), [1, 3]);
-    assert_eq!([A, C].map(|task| floor.var(task, 1)), [StatementOutcome::Reply as i64; 2]);
-    assert_eq!(floor.var(B, 0), StatementOutcome::Unanswerable as i64, "A is answered already");
+    let mut virtual_cell = VirtualCell::new(cell, vec![(A, asker("a", 1)), (B, answers), (C, asker("c", 3))]);
+    virtual_cell.begin();
+    virtual_cell.run(20);
+    assert_eq!([A, C].map(|task| virtual_cell.var(task, 0)), [1, 3]);
+    assert_eq!([A, C].map(|task| virtual_cell.var(task, 1)), [StatementOutcome::Reply as i64; 2]);
+    assert_eq!(virtual_cell.var(B, 0), StatementOutcome::Unanswerable as i64, "A is answered already");
 }
 
 #[test]
@@ -324,10 +330,10 @@ fn who_arrives_tells_the_others() {
         b.arrival(lift, other, &[(Type::Int16, heard)]).end();
         finish(b)
     };
-    let mut floor = Floor::new(cell, vec![(A, member("a", -3, B)), (B, member("b", 900, A))]);
-    floor.begin();
-    floor.run(5);
-    assert_eq!([floor.var(A, 1), floor.var(B, 1)], [900, -3]);
+    let mut virtual_cell = VirtualCell::new(cell, vec![(A, member("a", -3, B)), (B, member("b", 900, A))]);
+    virtual_cell.begin();
+    virtual_cell.run(5);
+    assert_eq!([virtual_cell.var(A, 1), virtual_cell.var(B, 1)], [900, -3]);
 }
 
 #[test]
@@ -350,11 +356,11 @@ fn a_query_to_all_brings_the_answer_of_each() {
     let mut answerer = ProgramBuilder::new("b");
     let five = answerer.variable("five", Type::Int8);
     answerer.set(five, 5).receive(port, None, &[]).reply(&[(Type::Int8, five)]).end();
-    let mut floor = Floor::new(cell, vec![(A, finish(asker)), (B, finish(answerer))]);
-    floor.begin();
-    floor.run(9);
-    assert_eq!([0, 1, 2].map(|i| floor.var(A, i)), [5, 0, 0b10], "C never answers");
-    assert_eq!(floor.var(A, 3), StatementOutcome::Incomplete as i64);
+    let mut virtual_cell = VirtualCell::new(cell, vec![(A, finish(asker)), (B, finish(answerer))]);
+    virtual_cell.begin();
+    virtual_cell.run(9);
+    assert_eq!([0, 1, 2].map(|i| virtual_cell.var(A, i)), [5, 0, 0b10], "C never answers");
+    assert_eq!(virtual_cell.var(A, 3), StatementOutcome::Incomplete as i64);
 }
 
 #[test]
@@ -373,13 +379,17 @@ fn a_handler_waits_for_the_end_of_an_atomic_section() {
     b.on_message(port, &[], |b, _| {
         b.reply(&[]);
     });
-    let mut floor = Floor::new(cell, vec![(B, finish(b))]);
-    floor.begin();
-    floor.ask(A, Request::Send { port, to: Target::All, contents: Contents::EMPTY, time_out: None });
-    floor.run(6);
-    assert_eq!(floor.told(A), []);
-    floor.run(1);
-    assert_eq!(floor.told(A), [Signal::Outcome(Outcome::Reply(Contents::EMPTY))], "at 6, and one tick back");
+    let mut virtual_cell = VirtualCell::new(cell, vec![(B, finish(b))]);
+    virtual_cell.begin();
+    virtual_cell.ask(A, Request::Send { port, to: Target::All, contents: Contents::EMPTY, time_out: None });
+    virtual_cell.run(6);
+    assert_eq!(virtual_cell.told(A), []);
+    virtual_cell.run(1);
+    assert_eq!(
+        virtual_cell.told(A),
+        [Signal::Outcome(Outcome::Reply(Contents::EMPTY))],
+        "at 6, and one tick back"
+    );
 }
 
 /// The action ends while the first handler runs. When that handler returns, the second one begins before the communication
@@ -399,19 +409,23 @@ fn a_handler_that_comes_at_once_after_another_crosses_the_end_of_the_action() {
     b.handler(Trigger::Timer(timer), |b| {
         b.delay(Ticks(5)).set(heard, 9);
     });
-    let mut floor = Floor::new(cell, vec![(B, finish(b))]);
-    floor.begin();
-    floor.ask(A, Request::Send { port, to: Target::All, contents: bytes(&[7]), time_out: None });
-    floor.run(7);
-    assert_eq!(floor.told(A), [Signal::Outcome(Outcome::Reply(bytes(&[7])))], "at 1 + 5, and one tick back");
+    let mut virtual_cell = VirtualCell::new(cell, vec![(B, finish(b))]);
+    virtual_cell.begin();
+    virtual_cell.ask(A, Request::Send { port, to: Target::All, contents: bytes(&[7]), time_out: None });
+    virtual_cell.run(7);
     assert_eq!(
-        [0, 1].map(|i| floor.var(B, i)),
+        virtual_cell.told(A),
+        [Signal::Outcome(Outcome::Reply(bytes(&[7])))],
+        "at 1 + 5, and one tick back"
+    );
+    assert_eq!(
+        [0, 1].map(|i| virtual_cell.var(B, i)),
         [0, 7],
         "the action ended at 3, but the timer's handler runs"
     );
-    floor.run(4);
-    assert_eq!([0, 1].map(|i| floor.var(B, i)), [40, 9]);
-    assert_eq!(floor.log(), ["0 T1: run 0 [] at 0", "11 T1: ended Finished"]);
+    virtual_cell.run(4);
+    assert_eq!([0, 1].map(|i| virtual_cell.var(B, i)), [40, 9]);
+    assert_eq!(virtual_cell.log(), ["0 T1: run 0 [] at 0", "11 T1: ended Finished"]);
 }
 
 #[test]
@@ -425,21 +439,22 @@ fn what_can_be_answered_no_more_is_forgotten() {
         finish(b)
     };
     let run = |bury: bool| {
-        let mut floor = Floor::new(cell.clone(), vec![(B, program())]);
-        floor.begin();
-        floor.ask(A, Request::Send { port, to: Target::All, contents: Contents::EMPTY, time_out: None });
+        let mut virtual_cell = VirtualCell::new(cell.clone(), vec![(B, program())]);
+        virtual_cell.begin();
+        virtual_cell
+            .ask(A, Request::Send { port, to: Target::All, contents: Contents::EMPTY, time_out: None });
         let mut forgotten = None;
         for _ in 0..30 {
-            floor.run(1);
+            virtual_cell.run(1);
             if bury {
-                let before = floor.nodes[1].scripts()[0].script.clone();
-                floor.nodes[1].bury();
-                if floor.nodes[1].scripts()[0].script != before {
-                    forgotten = Some(floor.now());
+                let before = virtual_cell.nodes[1].scripts()[0].script.clone();
+                virtual_cell.nodes[1].bury();
+                if virtual_cell.nodes[1].scripts()[0].script != before {
+                    forgotten = Some(virtual_cell.now());
                 }
             }
         }
-        (floor.var(B, 0), floor.told(A), floor.log(), forgotten)
+        (virtual_cell.var(B, 0), virtual_cell.told(A), virtual_cell.log(), forgotten)
     };
     let (outcome, told, log, forgotten) = run(true);
     assert_eq!(outcome, StatementOutcome::Unanswerable as i64);
@@ -455,15 +470,15 @@ fn a_task_that_never_waits_is_stopped_and_the_node_goes_on() {
     b.forever(|b| {
         b.send(port, Target::All, &[]);
     });
-    let mut floor = Floor::new(cell, vec![(A, finish(b))]);
-    floor.begin();
-    assert_eq!(floor.log(), ["0 T0: ended Fault { fault: Runaway, at: 1 }"]);
+    let mut virtual_cell = VirtualCell::new(cell, vec![(A, finish(b))]);
+    virtual_cell.begin();
+    assert_eq!(virtual_cell.log(), ["0 T0: ended Fault { fault: Runaway, at: 1 }"]);
     assert_eq!(
-        floor.counts().0,
+        virtual_cell.counts().0,
         HOST_LIMIT as usize + 1,
         "a request for each step, and the last to give all up"
     );
-    floor.run(3);
+    virtual_cell.run(3);
 }
 
 #[test]
@@ -476,16 +491,16 @@ fn a_node_says_who_waits_for_a_choice() {
     };
     let mut cell = triangle();
     cell.port(PortDecl::new("news", A, Usage::Send, &[B], Ticks(9)));
-    let mut floor = Floor::new(cell.clone(), vec![(A, program())]);
-    floor.begin();
-    assert_eq!(floor.nodes[0].chooses(), Some((A, 4)));
-    floor.step(NodeId(0), HostInput::Chosen { task: A, choice: 3 });
-    floor.step(NodeId(0), HostInput::Chosen { task: B, choice: 3 });
-    assert_eq!((floor.var(A, 0), floor.nodes[0].chooses()), (3, None));
-    let mut floor = Floor::new(cell.clone(), vec![(A, program())]);
-    floor.choose_at_once(2);
-    floor.begin();
-    assert_eq!(floor.var(A, 0), 2);
+    let mut virtual_cell = VirtualCell::new(cell.clone(), vec![(A, program())]);
+    virtual_cell.begin();
+    assert_eq!(virtual_cell.nodes[0].chooses(), Some((A, 4)));
+    virtual_cell.step(NodeId(0), HostInput::Chosen { task: A, choice: 3 });
+    virtual_cell.step(NodeId(0), HostInput::Chosen { task: B, choice: 3 });
+    assert_eq!((virtual_cell.var(A, 0), virtual_cell.nodes[0].chooses()), (3, None));
+    let mut virtual_cell = VirtualCell::new(cell.clone(), vec![(A, program())]);
+    virtual_cell.choose_at_once(2);
+    virtual_cell.begin();
+    assert_eq!(virtual_cell.var(A, 0), 2);
 
     let table = NodeTable::new(Arc::new(CellTable::new(cell).expect("a checked cell")), NodeId(0));
     let node = Node::new(table, Incarnation(0), false, 4);
@@ -497,7 +512,7 @@ fn a_node_says_who_waits_for_a_choice() {
 }
 
 /// Two tasks with random scripts and handlers, on one node or on two.
-fn random_pair(genes: [&[u8]; 2], together: bool) -> Floor {
+fn random_pair(genes: [&[u8]; 2], together: bool) -> VirtualCell {
     let mut cell = Cell::new("pair", Ticks(1));
     let (na, nb) = (cell.node("na"), cell.node("nb"));
     cell.link(na, nb, Ticks(1));
@@ -515,10 +530,10 @@ fn random_pair(genes: [&[u8]; 2], together: bool) -> Floor {
     ];
     let programs =
         [a, b].into_iter().zip(genes).zip(ends).map(|((task, genes), ends)| (task, written(genes, ends)));
-    let mut floor = Floor::new(cell, programs.collect());
-    floor.choose_at_once(1);
-    floor.begin();
-    floor
+    let mut virtual_cell = VirtualCell::new(cell, programs.collect());
+    virtual_cell.choose_at_once(1);
+    virtual_cell.begin();
+    virtual_cell
 }
 
 fn ended_well(activity: Activity) -> bool {
@@ -544,9 +559,9 @@ proptest! {
         b in proptest::collection::vec(any::<u8>(), 0..200),
         together: bool,
     ) {
-        let mut floor = random_pair([&a, &b], together);
-        floor.run(120);
-        prop_assert!(floor.activities().into_iter().all(ended_well), "{:?}", floor.activities());
+        let mut virtual_cell = random_pair([&a, &b], together);
+        virtual_cell.run(120);
+        prop_assert!(virtual_cell.activities().into_iter().all(ended_well), "{:?}", virtual_cell.activities());
     }
 }
 
@@ -560,18 +575,18 @@ fn random_tasks_come_far() {
             let strategy = proptest::collection::vec(any::<u8>(), 0..200);
             proptest::strategy::ValueTree::current(&strategy.new_tree(&mut runner).expect("bytes"))
         };
-        let mut floor = random_pair([&genes(), &genes()], i % 2 == 0);
+        let mut virtual_cell = random_pair([&genes(), &genes()], i % 2 == 0);
         for _ in 0..120 {
-            floor.run(1);
+            virtual_cell.run(1);
             let depths =
-                floor.nodes.iter().flat_map(ScriptedNode::scripts).map(|hosted| hosted.script.depth());
+                virtual_cell.nodes.iter().flat_map(ScriptedNode::scripts).map(|hosted| hosted.script.depth());
             let depth = depths.max().unwrap_or(0);
             deepest = deepest.max(depth);
             interrupted += u32::from(depth > 0);
         }
         let ended = |activity: &Activity| matches!(activity, Activity::Ended(_));
-        alive += usize::from(!floor.activities().iter().any(ended));
-        acted += floor.log().len();
+        alive += usize::from(!virtual_cell.activities().iter().any(ended));
+        acted += virtual_cell.log().len();
     }
     assert!(deepest >= 2, "handlers nest: {deepest}");
     assert!(interrupted > 2000, "ticks in which a handler runs: {interrupted}");

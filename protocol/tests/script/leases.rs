@@ -1,7 +1,7 @@
 //! Fences and take-overs (D61).
 
 use super::fake::*;
-use super::floor::Floor;
+use super::virtual_cell::VirtualCell;
 use imrs_protocol::script::*;
 use imrs_protocol::*;
 
@@ -211,7 +211,7 @@ const A: TaskId = TaskId(0);
 const B: TaskId = TaskId(1);
 
 /// Two robots of a mutual couple: each welds for ever while it acts. After a take-over it reads what the other one published.
-fn robots() -> Floor {
+fn robots() -> VirtualCell {
     let mut cell = Cell::new("couple", Ticks(1));
     let nodes = ["na", "nb"].map(|name| cell.node(name));
     cell.link(nodes[0], nodes[1], Ticks(1));
@@ -244,43 +244,43 @@ fn robots() -> Floor {
         });
         b.finish().expect("a checked program")
     };
-    let mut floor = Floor::new(cell, vec![(A, welder("a", true)), (B, welder("b", false))]);
-    floor.begin();
-    floor.run(40);
-    assert_eq!([A, B].map(|task| floor.is_active(task)), [true, false]);
-    floor
+    let mut virtual_cell = VirtualCell::new(cell, vec![(A, welder("a", true)), (B, welder("b", false))]);
+    virtual_cell.begin();
+    virtual_cell.run(40);
+    assert_eq!([A, B].map(|task| virtual_cell.is_active(task)), [true, false]);
+    virtual_cell
 }
 
 const BOTH_WAYS: [(NodeId, NodeId); 2] = [(NodeId(0), NodeId(1)), (NodeId(1), NodeId(0))];
 
 #[test]
 fn who_gets_its_lease_back_before_the_other_took_over_goes_on() {
-    let mut floor = robots();
-    floor.cut(&BOTH_WAYS);
-    floor.run(20);
-    assert_eq!([A, B].map(|task| floor.is_active(task)), [false, false]);
-    floor.cut(&[]);
-    floor.log();
-    floor.run(30);
-    assert_eq!([A, B].map(|task| floor.is_active(task)), [true, false]);
-    let log = floor.log();
+    let mut virtual_cell = robots();
+    virtual_cell.cut(&BOTH_WAYS);
+    virtual_cell.run(20);
+    assert_eq!([A, B].map(|task| virtual_cell.is_active(task)), [false, false]);
+    virtual_cell.cut(&[]);
+    virtual_cell.log();
+    virtual_cell.run(30);
+    assert_eq!([A, B].map(|task| virtual_cell.is_active(task)), [true, false]);
+    let log = virtual_cell.log();
     assert!(log.iter().any(|line| line.ends_with("T0: run 1 [] at 0")), "who holds the lease works: {log:?}");
 }
 
 #[test]
 fn the_roles_go_back_and_forth() {
-    let mut floor = robots();
+    let mut virtual_cell = robots();
     for (acts, round) in [(B, 1), (A, 2), (B, 3)] {
-        floor.cut(&BOTH_WAYS);
-        floor.run(60);
-        floor.log();
-        floor.run(10);
-        let log = floor.log();
+        virtual_cell.cut(&BOTH_WAYS);
+        virtual_cell.run(60);
+        virtual_cell.log();
+        virtual_cell.run(10);
+        let log = virtual_cell.log();
         assert!(log.iter().all(|line| line.contains(&format!("{acts}: run 1"))), "round {round}: {log:?}");
         assert!(!log.is_empty(), "round {round}");
-        assert_eq!(floor.var(B, 1), 4, "what A published last");
-        floor.cut(&[]);
-        floor.run(60);
-        assert!(floor.is_active(acts), "round {round}");
+        assert_eq!(virtual_cell.var(B, 1), 4, "what A published last");
+        virtual_cell.cut(&[]);
+        virtual_cell.run(60);
+        assert!(virtual_cell.is_active(acts), "round {round}");
     }
 }

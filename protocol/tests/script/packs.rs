@@ -76,7 +76,7 @@ fn a_state_that_does_not_fit_is_refused_and_not_cut() {
     let mut rig = serving();
     let mut packed = |sequence: u32| {
         let sequences = [Seq24::new(sequence); 16];
-        let frame = Frame { rounds: &[], sequences: &sequences, lives: true };
+        let frame = Frame { rounds: &[], sequences: &sequences, incarnations: true };
         Encode::bytes(&frame, |w| rig.script.walk(&rig.program, w))
     };
     // The command's number is one back from the frame's own.

@@ -115,7 +115,7 @@ proptest! {
         let plain = same_when_packed(&rig.program, &rig.script);
         let mut shifted = rig.script.clone();
         shifted.walk(&rig.program, &mut Shift(by));
-        let frame = Frame { rounds: &[], sequences: &[Frame::SEQUENCE.plus(by); 16], lives: true };
+        let frame = Frame { rounds: &[], sequences: &[Frame::SEQUENCE.plus(by); 16], incarnations: true };
         prop_assert_eq!(Encode::bytes(&frame, |w| shifted.walk(&rig.program, w)), Ok(plain));
         Decode::read(&bytes, true, |r| rig.script.walk(&rig.program, r));
         for input in [ScriptInput::Signal(Signal::Accepted(1)), ScriptInput::Chosen(0), ScriptInput::Begin] {

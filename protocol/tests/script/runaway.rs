@@ -1,6 +1,6 @@
 //! Scripts that never wait, beside others on one node.
 
-use super::floor::Floor;
+use super::virtual_cell::VirtualCell;
 use imrs_protocol::script::*;
 use imrs_protocol::*;
 
@@ -42,14 +42,14 @@ fn a_task_that_never_waits_stops_no_other_one() {
     c.forever(|b| {
         b.delay(Ticks(1));
     });
-    let mut floor = Floor::new(cell, vec![(A, finish(a)), (B, finish(b)), (C, finish(c))]);
-    floor.begin();
-    floor.run(3);
+    let mut virtual_cell = VirtualCell::new(cell, vec![(A, finish(a)), (B, finish(b)), (C, finish(c))]);
+    virtual_cell.begin();
+    virtual_cell.run(3);
     assert_eq!(
-        floor.activities().into_iter().map(ran_on).collect::<Vec<_>>(),
+        virtual_cell.activities().into_iter().map(ran_on).collect::<Vec<_>>(),
         [true, false, false],
         "{:?}",
-        floor.activities()
+        virtual_cell.activities()
     );
 }
 
@@ -65,14 +65,14 @@ fn who_answers_one_that_never_waits_is_not_the_one_that_is_stopped() {
     b.forever(|b| {
         b.receive(ask, None, &[]).statement().reply(&[]);
     });
-    let mut floor = Floor::new(cell, vec![(A, finish(a)), (B, finish(b))]);
-    floor.begin();
-    floor.run(3);
+    let mut virtual_cell = VirtualCell::new(cell, vec![(A, finish(a)), (B, finish(b))]);
+    virtual_cell.begin();
+    virtual_cell.run(3);
     assert_eq!(
-        floor.activities().into_iter().map(ran_on).collect::<Vec<_>>(),
+        virtual_cell.activities().into_iter().map(ran_on).collect::<Vec<_>>(),
         [true, false],
         "{:?}",
-        floor.activities()
+        virtual_cell.activities()
     );
 }
 
@@ -91,9 +91,10 @@ fn of_two_that_keep_each_other_going_one_is_stopped() {
         });
         finish(b)
     };
-    let mut floor = Floor::new(cell, vec![(A, turns(pong, ping, true)), (B, turns(ping, pong, false))]);
-    floor.begin();
-    floor.run(3);
-    let stopped = floor.activities().into_iter().map(ran_on).collect::<Vec<_>>();
-    assert_eq!(stopped.iter().filter(|&&ran| ran).count(), 1, "{:?}", floor.activities());
+    let mut virtual_cell =
+        VirtualCell::new(cell, vec![(A, turns(pong, ping, true)), (B, turns(ping, pong, false))]);
+    virtual_cell.begin();
+    virtual_cell.run(3);
+    let stopped = virtual_cell.activities().into_iter().map(ran_on).collect::<Vec<_>>();
+    assert_eq!(stopped.iter().filter(|&&ran| ran).count(), 1, "{:?}", virtual_cell.activities());
 }

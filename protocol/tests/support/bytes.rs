@@ -103,7 +103,7 @@ pub fn packets(data: &[u8]) {
         let Ok(packet) = Packet::decode(&raw, DIGEST, port_hash) else { continue };
         let encoded = packet.encode(DIGEST, hash);
         assert_eq!(Packet::decode(&encoded, DIGEST, port_hash), Ok(packet), "decode(encode(packet))");
-        gains_no_life(&packet, u64::from_le_bytes(bytes.take()), hash);
+        gains_no_remaining_time(&packet, u64::from_le_bytes(bytes.take()), hash);
         notices(&encoded, &packet, flipped);
         let _ = (packet.meeting(), packet.meeting().next_round(), packet.control());
     }
@@ -116,7 +116,7 @@ fn port_hash(port: PortId) -> Option<u32> {
     port.0.is_multiple_of(2).then(|| u32::from(port.0).wrapping_mul(0x9e37_79b9))
 }
 
-fn gains_no_life(packet: &Packet, remaining: u64, hash: u32) {
+fn gains_no_remaining_time(packet: &Packet, remaining: u64, hash: u32) {
     let sent = Packet { remaining: Ticks(remaining), ..*packet };
     let decoded = Packet::decode(&sent.encode(DIGEST, hash), DIGEST, port_hash).expect("a packet");
     assert!(decoded.remaining <= sent.remaining, "{} became {}", sent.remaining, decoded.remaining);

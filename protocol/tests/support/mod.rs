@@ -82,14 +82,14 @@ pub struct Solo {
 
 impl Solo {
     pub fn new(table: &Arc<CellTable>, task: TaskId) -> Self {
-        Self::life(table, task, 0, false)
+        Self::incarnation(table, task, 0, false)
     }
 
     /// The task in a given incarnation of its node.
-    pub fn life(table: &Arc<CellTable>, task: TaskId, life: u8, restarted: bool) -> Self {
+    pub fn incarnation(table: &Arc<CellTable>, task: TaskId, incarnation: u8, restarted: bool) -> Self {
         let node = table.location(task).expect("a task of the cell");
         let table = NodeTable::new(Arc::clone(table), node);
-        let task = CommTask::new(&table, task, Incarnation(life), restarted);
+        let task = CommTask::new(&table, task, Incarnation(incarnation), restarted);
         Self { table, task }
     }
 
@@ -196,14 +196,14 @@ fn packs_and_unpacks(task: &CommTask, table: &NodeTable) -> Option<CommTask> {
     buried.walk(table, &mut ids);
     let rounds: Vec<Round> = ids.0.iter().map(|round| round.unwrap_or_default()).collect();
     let sequences: Vec<Seq24> = ids.1.iter().map(|next| next.unwrap_or_default()).collect();
-    let frame = Frame { rounds: &rounds, sequences: &sequences, lives: true };
+    let frame = Frame { rounds: &rounds, sequences: &sequences, incarnations: true };
     let bytes = Encode::bytes(&frame, |w| buried.walk(table, w)).ok()?;
     let mut loaded = task.clone();
     let read = Decode::read(&bytes, true, |r| loaded.walk(table, r));
     assert_eq!(read, bytes.len(), "not all bytes were read");
     invariants::check(&loaded, table).expect("a state read back is sound");
     let home = (vec![Frame::ROUND; rounds.len()], vec![Frame::SEQUENCE; sequences.len()]);
-    let frame = Frame { rounds: &home.0, sequences: &home.1, lives: true };
+    let frame = Frame { rounds: &home.0, sequences: &home.1, incarnations: true };
     let again = Encode::bytes(&frame, |w| loaded.walk(table, w));
     assert_eq!(again, Ok(bytes), "other bytes after reading back");
     let shift = Shift {
@@ -221,8 +221,8 @@ pub fn send(port: PortId, to: TaskId, byte: u8) -> Request {
 }
 
 /// A message to one task with a TTL of its own.
-pub fn send_for(port: PortId, to: TaskId, byte: u8, life: u64) -> Request {
-    Request::Send { port, to: Target::One(to), contents: contents(byte), time_out: Some(Ticks(life)) }
+pub fn send_for(port: PortId, to: TaskId, byte: u8, ttl: u64) -> Request {
+    Request::Send { port, to: Target::One(to), contents: contents(byte), time_out: Some(Ticks(ttl)) }
 }
 
 /// A message to all at the other end.

@@ -104,10 +104,10 @@ impl Net {
         self.step(node, NodeInput::Request(task, request));
     }
 
-    /// Replaces a node by the incarnation `life`, and tells the others.
-    pub fn restart(&mut self, node: NodeId, life: u8) {
+    /// Replaces a node by the incarnation `incarnation`, and tells the others.
+    pub fn restart(&mut self, node: NodeId, incarnation: u8) {
         let table = NodeTable::new(Arc::clone(&self.table), node);
-        self.nodes[node.index()] = Node::new(table, Incarnation(life), true, 16);
+        self.nodes[node.index()] = Node::new(table, Incarnation(incarnation), true, 16);
         for other in 0..self.nodes.len() {
             if other != node.index() {
                 self.step(NodeId::from_index(other), NodeInput::PeerRestarted(node));

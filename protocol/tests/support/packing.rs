@@ -15,7 +15,7 @@ pub fn repack(world: &mut World, task: usize) {
     let read = Decode::read(&bytes, world.restarts, |r| loaded.walk(&table, r));
     assert_eq!(read, bytes.len(), "not all bytes were read");
     let home = (vec![Frame::ROUND; rounds.len()], vec![Frame::SEQUENCE; sequences.len()]);
-    let frame = Frame { rounds: &home.0, sequences: &home.1, lives: world.restarts };
+    let frame = Frame { rounds: &home.0, sequences: &home.1, incarnations: world.restarts };
     let again = Encode::bytes(&frame, |w| loaded.walk(&table, w));
     assert_eq!(again, Ok(bytes), "other bytes after reading back");
     let shift = Shift {

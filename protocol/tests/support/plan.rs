@@ -156,8 +156,7 @@ impl Plan {
             charge_residence: bit(4),
             refuse_late_replies: bit(5),
             reserve_way_back: bit(6),
-            memory: [Memory::LifeAndLink, Memory::UntilAnswered, Memory::None]
-                [usize::from(self.rules[2] % 3)],
+            memory: [Memory::TtlAndLink, Memory::UntilAnswered, Memory::None][usize::from(self.rules[2] % 3)],
             quarantine: bit(7),
             aging: [Aging::Bounded, Aging::Off, Aging::Unbounded][usize::from(self.rules[3] % 3)],
             obey_order: self.rules[3] & 0x40 != 0,

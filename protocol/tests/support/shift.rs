@@ -19,7 +19,7 @@ pub struct Shift {
 pub enum EpochAt {
     Nowhere,
     /// In the heartbeats of a couple and in their answers.
-    Beats,
+    Heartbeats,
     /// In the last byte of an order.
     Orders,
 }
@@ -27,7 +27,7 @@ pub enum EpochAt {
 impl EpochAt {
     fn of(table: &CellTable, port: &Port) -> Self {
         if table.cell().couples.iter().any(|couple| couple.via == port.id) {
-            Self::Beats
+            Self::Heartbeats
         } else if port.decl.guard.is_some() {
             Self::Orders
         } else {
@@ -38,8 +38,8 @@ impl EpochAt {
     fn within(self, packet: &Packet) -> Option<usize> {
         let len = packet.contents.as_bytes().len();
         let at = match (self, packet.kind) {
-            (Self::Beats, Kind::Query) => Some(2),
-            (Self::Beats, Kind::Response) => Some(1),
+            (Self::Heartbeats, Kind::Query) => Some(2),
+            (Self::Heartbeats, Kind::Response) => Some(1),
             (Self::Orders, Kind::Send) => len.checked_sub(1),
             _ => None,
         };

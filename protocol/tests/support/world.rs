@@ -28,7 +28,7 @@ pub struct World {
     pub flying: Vec<Packet>,
     /// The commands that each task received.
     got: Vec<Vec<ReplyTo>>,
-    lives: Vec<u8>,
+    incarnations: Vec<u8>,
     /// The latest start of each of a task's delays and timers.
     pub turns: Vec<Vec<(TimeId, u8)>>,
     /// How far this world's ids are from those of the plain world.
@@ -55,7 +55,7 @@ impl World {
             tables,
             flying: Vec::new(),
             got: vec![Vec::new(); tasks],
-            lives: vec![0; table.cell().nodes.len()],
+            incarnations: vec![0; table.cell().nodes.len()],
             turns: vec![Vec::new(); tasks],
             shift: Shift::none(table),
             restarts,
@@ -275,7 +275,7 @@ impl World {
     }
 
     fn event(&mut self, task: usize, a: u16, b: u16) -> Effects {
-        let node = usize::from(b) % self.lives.len();
+        let node = usize::from(b) % self.incarnations.len();
         match a % 4 {
             0 => self.time_out(task, b),
             1 => match self.tasks[task].awaits() {
@@ -297,9 +297,10 @@ impl World {
 
     /// The next incarnation of a node: its tasks know nothing of the one before.
     fn restart(&mut self, node: usize) -> Effects {
-        self.lives[node] += 1;
+        self.incarnations[node] += 1;
         for (t, table) in self.tables.iter().enumerate().filter(|(_, table)| table.node.index() == node) {
-            let mut task = CommTask::new(table, TaskId::from_index(t), Incarnation(self.lives[node]), true);
+            let mut task =
+                CommTask::new(table, TaskId::from_index(t), Incarnation(self.incarnations[node]), true);
             task.walk(table, &mut &self.shift);
             self.tasks[t] = task;
             self.got[t].clear();
@@ -316,7 +317,7 @@ impl World {
     /// The canonical bytes of one task, after dead state is dropped.
     pub fn bytes(&self, task: usize) -> Result<Vec<u8>, Overflow> {
         let (rounds, sequences) = self.frame();
-        let frame = Frame { rounds: &rounds, sequences: &sequences, lives: self.restarts };
+        let frame = Frame { rounds: &rounds, sequences: &sequences, incarnations: self.restarts };
         let mut task_now = self.tasks[task].clone();
         task_now.walk(&self.tables[task], &mut &self.shift.epochs_back());
         task_now.bury();

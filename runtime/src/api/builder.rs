@@ -7,7 +7,7 @@ use crate::node::program::{Running, StartError, TaskProgram};
 use crate::node::threads::{Runtime, SPIN_TAIL};
 use crate::node::{Node, Plan};
 use crate::record::Recorder;
-use crate::script::{Actions, Seat, Simulated, Watch};
+use crate::script::{Actions, ScriptRunner, Simulated, Watch};
 use imrs_protocol::script::{HOST_LIMIT, Program};
 use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable};
 use imrs_wire::obs::RealTime;
@@ -271,14 +271,15 @@ impl Builder {
         for (place, (name, program)) in programs.iter().enumerate() {
             if let TaskProgram::Script(program) = program {
                 program.check().map_err(|error| StartError::Script(name.clone(), error))?;
-                let seat = Seat::new(place, Arc::clone(program), self.watch.clone(), self.seed, together);
-                let member = &node.members.list[place];
-                member.scripted.store(true, Ordering::Relaxed);
+                let runner =
+                    ScriptRunner::new(place, Arc::clone(program), self.watch.clone(), self.seed, together);
+                let local = &node.locals.list[place];
+                local.scripted.store(true, Ordering::Relaxed);
                 if self.restarted && self.holds {
-                    let held_back = node.table.held_back(member.task);
-                    member.begins.store(node.started.saturating_add(held_back.0), Ordering::Relaxed);
+                    let held_back = node.table.held_back(local.task);
+                    local.begins.store(node.started.saturating_add(held_back.0), Ordering::Relaxed);
                 }
-                node.look(member, |comm| comm.seat(seat));
+                node.look(local, |comm| comm.runner(runner));
             }
         }
         let seed = self.seed;

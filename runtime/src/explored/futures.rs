@@ -4,7 +4,7 @@ use super::{DEADLOCK, must_fail};
 use crate::clock::FAR;
 use crate::explorer::{Arc, explore, thread};
 use crate::sync::Word;
-use crate::sync::handoff::{Bell, Handoff, Plant, Rest, Station};
+use crate::sync::handoff::{Handoff, Plant, Protected, Rest, ThreadWaker};
 
 /// A machine whose task has asked, or not. As the real one, it confirms a cancellation even if there is no wait.
 #[derive(Default)]
@@ -27,9 +27,9 @@ enum Got {
     Cancelled,
 }
 
-impl Station for Asked {
+impl Protected for Asked {
     type Input = Brought;
-    type Mail = Got;
+    type Completion = Got;
     type Effects = ();
 
     fn may_wait(input: &Brought) -> bool {
@@ -63,8 +63,8 @@ impl Station for Asked {
 /// The word on which the executor sleeps.
 struct Waker(Word);
 
-impl Bell for Waker {
-    fn ring(&self) {
+impl ThreadWaker for Waker {
+    fn wake(&self) {
         self.0.store(1);
         self.0.wake();
     }
@@ -72,8 +72,8 @@ impl Bell for Waker {
 
 fn of_a_future(plant: Option<Plant>) -> (Arc<Handoff<Asked, Option<Plant>>>, std::sync::Arc<Waker>) {
     let waker = std::sync::Arc::new(Waker(Word::new(0)));
-    let bell = std::sync::Arc::clone(&waker) as std::sync::Arc<dyn Bell>;
-    (Arc::new(Handoff::planted(Asked::default(), Some(bell), plant)), waker)
+    let rings = std::sync::Arc::clone(&waker) as std::sync::Arc<dyn ThreadWaker>;
+    (Arc::new(Handoff::planted(Asked::default(), Some(rings), plant)), waker)
 }
 
 fn bring_a_message(handoff: &Arc<Handoff<Asked, Option<Plant>>>) -> thread::JoinHandle<()> {
@@ -91,7 +91,7 @@ fn ask_and_listen(plant: Option<Plant>, came_in: bool) -> u32 {
     }
     let mut entry = handoff.enter_awake(Brought::Question, &mut ());
     let other = bring_a_message(&handoff);
-    while entry.mail.is_none() {
+    while entry.completion.is_none() {
         polls += 1;
         if handoff.listen() {
             while waker.0.load() == 0 {
@@ -114,7 +114,7 @@ fn a_future_that_listens_is_woken() {
 
 #[test]
 fn a_future_that_is_not_called_waits_for_ever() {
-    must_fail(DEADLOCK, || ask_and_listen(Some(Plant::NoBell), false));
+    must_fail(DEADLOCK, || ask_and_listen(Some(Plant::NoWaker), false));
     must_fail(DEADLOCK, || ask_and_listen(Some(Plant::NoMark), false));
 }
 
@@ -136,7 +136,7 @@ fn give_up(blindly: bool) -> Got {
         handoff.enter_awake(Brought::Cancel, &mut ())
     };
     other.join().unwrap();
-    let got = entry.mail.expect("one or the other");
+    let got = entry.completion.expect("one or the other");
     let kept = handoff.look_at(|asked| asked.kept);
     assert_eq!(kept + u32::from(got == Got::Message), 1, "a message is gone");
     got

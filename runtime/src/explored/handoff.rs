@@ -3,8 +3,8 @@
 use super::{DEADLOCK, must_fail, must_fail_large};
 use crate::clock::FAR;
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
-use crate::sync::handoff::{Handoff, Plant, Rest, Station};
-use crate::sync::turn::{self, Turn};
+use crate::sync::combining_lock::{self, CombiningLock};
+use crate::sync::handoff::{Handoff, Plant, Protected, Rest};
 use crate::sync::{Mutex, lock};
 
 /// A machine of two states: its task has asked, or not. It keeps an answer that comes before the question.
@@ -33,9 +33,9 @@ pub(super) enum Got {
     TimedOut,
 }
 
-impl Station for Toy {
+impl Protected for Toy {
     type Input = Brought;
-    type Mail = Got;
+    type Completion = Got;
     /// How many inputs this thread has worked off.
     type Effects = u32;
 
@@ -108,7 +108,7 @@ fn ask_and_wait(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
     let mut waited = Waited::NotAtAll;
     let mut worked = 0;
     let mut entry = handoff.enter(Brought::Question, &mut worked);
-    while entry.mail.is_none() {
+    while entry.completion.is_none() {
         let found = handoff.look(|| false, |there| (0..looks).any(|_| there()));
         waited = if found {
             Waited::Looking
@@ -181,7 +181,7 @@ fn ask_for_news(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
     let other = bring(&handoff, Brought::News);
     let mut waited = Waited::NotAtAll;
     let mut entry = handoff.enter(Brought::Question, &mut worked);
-    while entry.mail.is_none() {
+    while entry.completion.is_none() {
         let found = looks > 0 && handoff.look(|| false, |there| (0..looks).any(|_| there()));
         waited = if found {
             Waited::Looking
@@ -383,7 +383,7 @@ fn input_that_a_full_inbox_drops_is_missed() {
     must_fail_large("input stayed behind", || three_bring(Some(Plant::DropsWhenFull)));
 }
 
-/// One thread looks at the station while another brings input. Returns how many inputs the looking thread worked off.
+/// One thread looks at the protected state while another brings input. Returns how many inputs the looking thread worked off.
 fn one_looks(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);
@@ -410,7 +410,7 @@ fn one_leaves(plant: Option<Plant>) -> u32 {
     let other = bring(&handoff, Brought::Answer);
     let mut worked = 0;
     assert!(handoff.leave(Brought::Answer).is_ok(), "the inbox has room");
-    handoff.nudge(&mut worked);
+    handoff.wake(&mut worked);
     assert_eq!(worked + other.join().unwrap(), 2, "input stayed behind");
     worked
 }
@@ -422,7 +422,7 @@ fn what_was_left_is_worked_off() {
 }
 
 #[test]
-fn a_nudge_without_a_look_leaves_input_behind() {
+fn a_wake_up_without_a_look_leaves_input_behind() {
     must_fail("input stayed behind", || one_leaves(Some(Plant::NoSecondLook)));
 }
 
@@ -436,7 +436,7 @@ fn race_with_time(under_lock: bool) -> Got {
     let mut worked = 0;
     let mut entry = handoff.enter(Brought::Question, &mut worked);
     let got = loop {
-        if let Some(got) = entry.mail {
+        if let Some(got) = entry.completion {
             break got;
         }
         handoff.sleep(Some(1));
@@ -472,7 +472,7 @@ fn stop_while_waiting(plant: Option<Plant>, with_answer: bool) -> Option<Got> {
     let stop = thread::spawn(move || stopper.stop(&mut 0));
     let mut worked = 0;
     let mut entry = handoff.enter(Brought::Question, &mut worked);
-    while entry.mail.is_none() && !entry.stopped {
+    while entry.completion.is_none() && !entry.stopped {
         handoff.sleep(None);
         entry = handoff.enter(Brought::Nothing, &mut worked);
     }
@@ -480,7 +480,7 @@ fn stop_while_waiting(plant: Option<Plant>, with_answer: bool) -> Option<Got> {
     if let Some(answer) = answer {
         answer.join().unwrap();
     }
-    entry.mail
+    entry.completion
 }
 
 #[test]
@@ -495,15 +495,15 @@ fn stopping_silently_leaves_a_sleeper_behind() {
 }
 
 /// Two threads put something down and take a turn to carry it away. Returns the most that one of them carried.
-fn two_take_turns(plant: Option<turn::Plant>) -> u32 {
-    fn put_and_take(turn: &Turn<(), Option<turn::Plant>>, pile: &Mutex<u32>) -> u32 {
+fn two_take_turns(plant: Option<combining_lock::Plant>) -> u32 {
+    fn put_and_take(turn: &CombiningLock<(), Option<combining_lock::Plant>>, pile: &Mutex<u32>) -> u32 {
         *lock(pile) += 1;
         turn.want();
         let mut carried = 0;
         turn.take(|()| carried += std::mem::take(&mut *lock(pile)));
         carried
     }
-    let shared = Arc::new((Turn::planted((), plant), Mutex::new(0)));
+    let shared = Arc::new((CombiningLock::planted((), plant), Mutex::new(0)));
     let theirs = Arc::clone(&shared);
     let other = thread::spawn(move || put_and_take(&theirs.0, &theirs.1));
     let own = put_and_take(&shared.0, &shared.1);
@@ -514,7 +514,7 @@ fn two_take_turns(plant: Option<turn::Plant>) -> u32 {
 
 /// As [`two_take_turns`], but a thread that gets the turn at once carries its own without putting it down.
 fn two_enter(blindly: bool) -> u32 {
-    fn carry_or_put(turn: &Turn<()>, pile: &Mutex<u32>, blindly: bool) -> u32 {
+    fn carry_or_put(turn: &CombiningLock<()>, pile: &Mutex<u32>, blindly: bool) -> u32 {
         let mut carried = 0;
         if let Some(own) = turn.enter() {
             carried += 1 + std::mem::take(&mut *lock(pile));
@@ -529,7 +529,7 @@ fn two_enter(blindly: bool) -> u32 {
         turn.take(|()| carried += std::mem::take(&mut *lock(pile)));
         carried
     }
-    let shared = Arc::new((Turn::new(()), Mutex::new(0)));
+    let shared = Arc::new((CombiningLock::new(()), Mutex::new(0)));
     let theirs = Arc::clone(&shared);
     let other = thread::spawn(move || carry_or_put(&theirs.0, &theirs.1, blindly));
     let own = carry_or_put(&shared.0, &shared.1, blindly);
@@ -557,12 +557,12 @@ fn nothing_is_left_lying_by_those_who_found_another_at_work() {
 
 #[test]
 fn leaving_without_another_look_leaves_something_lying() {
-    must_fail("something was left lying", || two_take_turns(Some(turn::Plant::LeavesBlindly)));
+    must_fail("something was left lying", || two_take_turns(Some(combining_lock::Plant::LeavesBlindly)));
 }
 
 #[test]
 fn without_its_fence_the_turn_leaves_something_lying() {
     if SEES_OLD_VALUES {
-        must_fail("something was left lying", || two_take_turns(Some(turn::Plant::NoFence)));
+        must_fail("something was left lying", || two_take_turns(Some(combining_lock::Plant::NoFence)));
     }
 }

@@ -4,9 +4,9 @@
 use super::handoff::{Brought, Toy};
 use super::{DEADLOCK, must_fail_large};
 use crate::explorer::{Arc, Condvar, PlainMutex, explore_large, thread};
-use crate::sync::handoff::{self, Bell, Handoff};
+use crate::sync::combining_lock::{self, CombiningLock};
+use crate::sync::handoff::{self, Handoff, ThreadWaker};
 use crate::sync::lead::{self, Came, Lead, Led};
-use crate::sync::turn::{self, Turn};
 
 /// A socket as the kernel reports it: a datagram is reported to the leader if one waits, else to the polling thread.
 pub(super) struct Socket {
@@ -85,8 +85,8 @@ impl Socket {
     }
 }
 
-impl Bell for Socket {
-    fn ring(&self) {
+impl ThreadWaker for Socket {
+    fn wake(&self) {
         self.state.lock().unwrap().called = true;
         self.leaders.notify_one();
     }
@@ -96,14 +96,14 @@ struct Scene {
     socket: std::sync::Arc<Socket>,
     handoff: Handoff<Toy, Option<handoff::Plant>>,
     lead: Lead<Option<lead::Plant>>,
-    receiving: Turn<(), Option<turn::Plant>>,
+    receiving: CombiningLock<(), Option<combining_lock::Plant>>,
 }
 
 /// The planted bugs.
 #[derive(Clone, Copy, Debug, Default)]
 struct Planted {
     /// A thread that waits in the link is not called.
-    no_bell: bool,
+    no_waker: bool,
     /// The leader leaves a reported datagram when its own wait is over.
     leaves_told: bool,
     /// The kernel's reports are edge-triggered.
@@ -115,12 +115,15 @@ struct Planted {
 impl Scene {
     fn new(planted: Planted, datagrams: u32) -> Arc<Self> {
         let socket = std::sync::Arc::new(Socket::expecting(datagrams));
-        let bell: std::sync::Arc<dyn Bell> = socket.clone();
+        let waker: std::sync::Arc<dyn ThreadWaker> = socket.clone();
         socket.state.lock().unwrap().edges = planted.edges;
-        let no_bell = planted.no_bell.then_some(handoff::Plant::NoBell);
-        let handoff = Handoff::planted(Toy::default(), Some(bell), no_bell);
+        let no_waker = planted.no_waker.then_some(handoff::Plant::NoWaker);
+        let handoff = Handoff::planted(Toy::default(), Some(waker), no_waker);
         let lead = Lead::planted(planted.leaves_told.then_some(lead::Plant::LeavesBlindly));
-        let receiving = Turn::planted((), planted.leaves_blindly.then_some(turn::Plant::LeavesBlindly));
+        let receiving = CombiningLock::planted(
+            (),
+            planted.leaves_blindly.then_some(combining_lock::Plant::LeavesBlindly),
+        );
         Arc::new(Self { socket, handoff, lead, receiving })
     }
 
@@ -157,7 +160,7 @@ impl Scene {
     fn run_task(&self, looks: u32) -> (Led, u32) {
         let (mut worked, mut took, mut led) = (0, 0, Led::ToTheEnd);
         let mut entry = self.handoff.enter(Brought::Question, &mut worked);
-        while entry.mail.is_none() {
+        while entry.completion.is_none() {
             let mut take_in = || {
                 let mut is_done = false;
                 self.receiving.want();
@@ -203,7 +206,7 @@ fn an_answer_by_datagram_ends_the_wait_whoever_takes_it() {
 
 #[test]
 fn who_leads_and_is_not_called_waits_for_ever() {
-    must_fail_large(DEADLOCK, || answer_by_datagram(Planted { no_bell: true, ..Planted::default() }, 0));
+    must_fail_large(DEADLOCK, || answer_by_datagram(Planted { no_waker: true, ..Planted::default() }, 0));
 }
 
 #[test]
@@ -215,8 +218,8 @@ fn who_looks_into_the_socket_before_it_leads_misses_no_answer() {
 }
 
 #[test]
-fn a_look_into_the_socket_does_not_make_up_for_the_bell() {
-    must_fail_large(DEADLOCK, || answer_by_datagram(Planted { no_bell: true, ..Planted::default() }, 1));
+fn a_look_into_the_socket_does_not_make_up_for_the_waker() {
+    must_fail_large(DEADLOCK, || answer_by_datagram(Planted { no_waker: true, ..Planted::default() }, 1));
 }
 
 /// The answer comes from another task of the node, and a datagram for a third task meanwhile. Returns whether the leader was

@@ -4,7 +4,7 @@ use super::must_fail;
 use crate::clock::FAR;
 use crate::explorer::{Arc, explore, thread};
 use crate::observe::ring::Ring;
-use crate::sync::handoff::{Handoff, Rest, Station};
+use crate::sync::handoff::{Handoff, Protected, Rest};
 use crate::sync::{AtomicU64, Mutex, Ordering, lock};
 use imrs_protocol::{Event, Observation, PortId, TaskId, Ticks};
 
@@ -14,9 +14,9 @@ struct Observed {
     count: u32,
 }
 
-impl Station for Observed {
+impl Protected for Observed {
     type Input = ();
-    type Mail = ();
+    type Completion = ();
     type Effects = ();
 
     fn may_wait(_input: &()) -> bool {
@@ -82,7 +82,7 @@ fn a_reader_that_does_not_know_its_loss_reads_out_of_order() {
 
 /// A machine that stamps each step with a time, and reports it.
 #[derive(Default)]
-struct Teller {
+struct Stamper {
     told: [Option<u64>; 2],
     count: usize,
 }
@@ -100,9 +100,9 @@ impl Stamps {
     }
 }
 
-impl Station for Teller {
+impl Protected for Stamper {
     type Input = Stamps;
-    type Mail = ();
+    type Completion = ();
     type Effects = ();
 
     fn may_wait(_input: &Stamps) -> bool {
@@ -125,7 +125,7 @@ impl Station for Teller {
 /// must not be older than the answer.
 fn told_until(stamped_outside: bool) -> usize {
     let clock = Arc::new(AtomicU64::new(0));
-    let handoff = Arc::new(Handoff::new(Teller::default(), None));
+    let handoff = Arc::new(Handoff::new(Stamper::default(), None));
     let (theirs, machine) = (Arc::clone(&clock), Arc::clone(&handoff));
     let other = thread::spawn(move || {
         for _ in 0..2 {
@@ -134,9 +134,9 @@ fn told_until(stamped_outside: bool) -> usize {
         }
     });
     let now = Stamps::now(&clock);
-    let before = handoff.with(|teller| teller.count, &mut ());
+    let before = handoff.with(|stamper| stamper.count, &mut ());
     other.join().unwrap();
-    let told = handoff.with(|teller| teller.told, &mut ());
+    let told = handoff.with(|stamper| stamper.told, &mut ());
     let after = told.iter().skip(before).flatten();
     after.for_each(|&at| assert!(at > now, "told too late"));
     before
@@ -156,26 +156,26 @@ fn a_stamp_from_outside_the_lock_is_told_too_late() {
 /// A machine that waits to hear whether its packet was sent.
 #[derive(Default)]
 struct Sender {
-    fate: Option<Fate>,
+    outcome: Option<Outcome>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Fate {
+enum Outcome {
     Unsent,
     Unknown,
 }
 
-impl Station for Sender {
-    type Input = Fate;
-    type Mail = Fate;
+impl Protected for Sender {
+    type Input = Outcome;
+    type Completion = Outcome;
     type Effects = ();
 
-    fn may_wait(_input: &Fate) -> bool {
+    fn may_wait(_input: &Outcome) -> bool {
         false
     }
 
-    fn feed(&mut self, fate: Fate, (): &mut ()) -> Option<Fate> {
-        self.fate.is_none().then(|| *self.fate.insert(fate))
+    fn feed(&mut self, outcome: Outcome, (): &mut ()) -> Option<Outcome> {
+        self.outcome.is_none().then(|| *self.outcome.insert(outcome))
     }
 
     fn settle(&mut self, _rest: Rest, (): &mut ()) -> u64 {
@@ -192,7 +192,7 @@ fn expire_in_the_buffer(news_comes_late: bool) -> bool {
         let dropped = std::mem::take(&mut *held);
         let held = (!news_comes_late).then_some(held);
         if dropped {
-            assert!(handoff.leave(Fate::Unsent).is_ok(), "the inbox has room");
+            assert!(handoff.leave(Outcome::Unsent).is_ok(), "the inbox has room");
         }
         drop(held);
         dropped
@@ -201,11 +201,11 @@ fn expire_in_the_buffer(news_comes_late: bool) -> bool {
     let theirs = Arc::clone(&shared);
     let other = thread::spawn(move || {
         advance(&theirs.0, &theirs.1, news_comes_late);
-        theirs.1.nudge(&mut ());
+        theirs.1.wake(&mut ());
     });
     let own = advance(&shared.0, &shared.1, news_comes_late);
-    let fate = shared.1.enter(Fate::Unknown, &mut ()).mail;
-    assert_eq!(fate, Some(Fate::Unsent), "the news came too late");
+    let outcome = shared.1.enter(Outcome::Unknown, &mut ()).completion;
+    assert_eq!(outcome, Some(Outcome::Unsent), "the news came too late");
     other.join().unwrap();
     own
 }

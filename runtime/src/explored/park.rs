@@ -3,7 +3,7 @@
 use super::lead::Socket;
 use super::{DEADLOCK, must_fail};
 use crate::explorer::{Arc, explore, thread};
-use crate::sync::handoff::Bell;
+use crate::sync::handoff::ThreadWaker;
 use crate::sync::lead::{Lead, Led};
 use crate::sync::park::{Park, Plant};
 use crate::sync::{Mutex, lock, try_lock};
@@ -20,7 +20,7 @@ struct Scene {
 impl Scene {
     fn new(plant: Option<Plant>, datagrams: u32) -> Arc<Self> {
         let socket = std::sync::Arc::new(Socket::expecting(datagrams));
-        let park = Park::planted(Some(socket.clone() as std::sync::Arc<dyn Bell>), plant);
+        let park = Park::planted(Some(socket.clone() as std::sync::Arc<dyn ThreadWaker>), plant);
         let (lead, receiving, woken) = (Lead::new(), Mutex::new(()), Mutex::new(false));
         Arc::new(Self { socket, park, lead, receiving, woken })
     }
@@ -93,7 +93,7 @@ fn a_datagram_wakes_a_future_whoever_takes_it() {
 
 #[test]
 fn who_is_away_and_is_not_called_never_polls_again() {
-    must_fail(DEADLOCK, || woken_by_datagram(Some(Plant::NoBell)));
+    must_fail(DEADLOCK, || woken_by_datagram(Some(Plant::NoWaker)));
 }
 
 /// Another thread wakes the future: a task, the Timer, or another waker of the program.

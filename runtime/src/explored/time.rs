@@ -4,7 +4,7 @@ use super::{DEADLOCK, must_fail, must_fail_large};
 use crate::clock::{FAR, Micros};
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
 use crate::sync::alarm::{Alarm, Cover, Plant};
-use crate::sync::handoff::{Handoff, Rest, Station};
+use crate::sync::handoff::{Handoff, Protected, Rest};
 use crate::sync::{AtomicBool, Ordering};
 
 type Planted = Alarm<Option<Plant>>;
@@ -111,9 +111,9 @@ enum Moment {
     Nothing,
 }
 
-impl Station for Timed {
+impl Protected for Timed {
     type Input = Moment;
-    type Mail = ();
+    type Completion = ();
     /// Whether this thread has served the expiry.
     type Effects = bool;
 
@@ -165,7 +165,7 @@ fn an_expiry_changes_hands(covers_all: bool) -> ServedBy {
     });
     let mut own = false;
     let mut entry = handoff.enter(Moment::Asked, &mut own);
-    while entry.mail.is_none() {
+    while entry.completion.is_none() {
         let moment = if entry.until <= NOW {
             Moment::TimeIsUp
         } else {

@@ -1,4 +1,4 @@
-//! Scenes of a visit to the station, as by a script's action that ends, or by a node that starts.
+//! Scenes of a visit to the protected state, as by a script's action that ends, or by a node that starts.
 
 use super::handoff::{Brought, Got, Toy};
 use super::{DEADLOCK, must_fail_large};
@@ -18,11 +18,11 @@ fn ask_while_visited(plant: Option<Plant>) -> bool {
     });
     let mut worked = 0;
     let mut entry = handoff.enter(Brought::Question, &mut worked);
-    while entry.mail.is_none() {
+    while entry.completion.is_none() {
         handoff.sleep(None);
         entry = handoff.enter(Brought::Nothing, &mut worked);
     }
-    assert_eq!(entry.mail, Some(Got::Answer));
+    assert_eq!(entry.completion, Some(Got::Answer));
     other.join().unwrap();
     visitor.join().unwrap()
 }

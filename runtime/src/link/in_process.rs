@@ -51,7 +51,7 @@ struct State {
     flights: BinaryHeap<Reverse<Flight>>,
     departures: u64,
     /// The incarnation of the node that receives here; `None` while there is none.
-    life: Option<Life>,
+    start: Option<Start>,
     /// The incarnation of each node that was last heard of here.
     heard: Vec<Option<Incarnation>>,
     /// Room for packets that have arrived. The polling thread has it while it works.
@@ -65,7 +65,7 @@ struct State {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Life {
+struct Start {
     incarnation: Incarnation,
     restarted: bool,
 }
@@ -76,7 +76,7 @@ struct Flight {
     number: u64,
     left: Instant,
     from: NodeId,
-    life: Life,
+    start: Start,
     packet: Packet,
 }
 
@@ -90,7 +90,7 @@ struct Landed {
 impl Flight {
     /// Whether both packets left one node at the same time.
     fn left_with(&self, other: &Self) -> bool {
-        (self.from, self.life, self.left) == (other.from, other.life, other.left)
+        (self.from, self.start, self.left) == (other.from, other.start, other.left)
     }
 }
 
@@ -123,7 +123,7 @@ impl Network {
             state: Mutex::new(State {
                 flights: BinaryHeap::with_capacity(CAPACITY),
                 departures: 0,
-                life: None,
+                start: None,
                 heard: vec![None; nodes],
                 landed: Vec::with_capacity(AT_ONCE),
                 starved: false,
@@ -143,12 +143,12 @@ impl Network {
     #[must_use]
     pub fn join(self: &Arc<Self>, node: NodeId, incarnation: Incarnation, restarted: bool) -> InProcess {
         let mut state = self.ends[node.index()].lock();
-        let life = Life { incarnation, restarted };
+        let start = Start { incarnation, restarted };
         state.flights.clear();
-        state.life = Some(life);
+        state.start = Some(start);
         state.heard.fill(None);
         (state.ready, state.woken) = (false, false);
-        InProcess { network: Arc::clone(self), node, life }
+        InProcess { network: Arc::clone(self), node, start }
     }
 
     fn bound(&self, a: NodeId, b: NodeId) -> Duration {
@@ -164,7 +164,7 @@ impl End {
 
 impl State {
     /// Puts a packet in flight, unless it gets lost. Its remaining time was true at `left`.
-    fn depart(&mut self, faults: &Faults, left: Instant, from: NodeId, life: Life, packet: Packet) {
+    fn depart(&mut self, faults: &Faults, left: Instant, from: NodeId, start: Start, packet: Packet) {
         if self.draws.f64() < faults.loss {
             return;
         }
@@ -174,7 +174,7 @@ impl State {
             let delay = faults.least_delay + spread.mul_f64(self.draws.f64());
             let (due, number) = (left + delay, self.departures);
             self.departures += 1;
-            self.flights.push(Reverse(Flight { due, number, left, from, life, packet }));
+            self.flights.push(Reverse(Flight { due, number, left, from, start, packet }));
         }
     }
 }
@@ -183,7 +183,7 @@ impl State {
 pub struct InProcess {
     network: Arc<Network>,
     node: NodeId,
-    life: Life,
+    start: Start,
 }
 
 impl InProcess {
@@ -198,16 +198,16 @@ impl InProcess {
 
     /// Hands packets that left one node together to the sink.
     fn land(&self, together: &[Landed], sink: &dyn Sink) {
-        let Some(&Landed { flight: Flight { from, life, left, .. }, known }) = together.first() else {
+        let Some(&Landed { flight: Flight { from, start, left, .. }, known }) = together.first() else {
             return;
         };
         // What a node sent before it ended is still good; what an earlier incarnation of a running node sent is not.
-        let now_there = self.network.ends[from.index()].lock().life;
-        if now_there.is_some_and(|now_there| now_there != life) {
+        let now_there = self.network.ends[from.index()].lock().start;
+        if now_there.is_some_and(|now_there| now_there != start) {
             return together.iter().for_each(|_| sink.discarded(LinkDiscard::StaleIncarnation));
         }
         if !known {
-            sink.peer(from, life.incarnation, life.restarted);
+            sink.peer(from, start.incarnation, start.restarted);
         }
         let mut packets = [together[0].flight.packet; AT_ONCE];
         packets.iter_mut().zip(together).for_each(|(packet, landed)| *packet = landed.flight.packet);
@@ -240,7 +240,7 @@ impl Link for InProcess {
     fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
         let end = self.end(next).ok_or(LinkBusy)?;
         let mut state = end.lock();
-        if state.life.is_none() {
+        if state.start.is_none() {
             // No node is there, as when a datagram goes to a closed port.
             return Ok(packets.len());
         }
@@ -251,7 +251,7 @@ impl Link for InProcess {
             return Err(LinkBusy);
         }
         for packet in &packets[..taken] {
-            state.depart(&self.network.faults, at, self.node, self.life, *packet);
+            state.depart(&self.network.faults, at, self.node, self.start, *packet);
         }
         drop(state);
         end.changed.notify_one();
@@ -289,7 +289,7 @@ impl Link for InProcess {
         let mut landed = std::mem::take(&mut state.landed);
         while landed.len() < AT_ONCE && state.flights.peek().is_some_and(|first| first.0.due <= now) {
             let Some(Reverse(flight)) = state.flights.pop() else { break };
-            let incarnation = flight.life.incarnation;
+            let incarnation = flight.start.incarnation;
             let known = state.heard[flight.from.index()].replace(incarnation) == Some(incarnation);
             landed.push(Landed { flight, known });
         }
@@ -315,8 +315,8 @@ impl Link for InProcess {
 impl Drop for InProcess {
     fn drop(&mut self) {
         let mut state = self.own().lock();
-        if state.life == Some(self.life) {
-            state.life = None;
+        if state.start == Some(self.start) {
+            state.start = None;
             state.flights.clear();
         }
     }

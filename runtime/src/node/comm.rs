@@ -5,9 +5,9 @@ use crate::node::effects::{Effect, Effects, Stamped};
 use crate::node::failstop::guarded;
 use crate::observe::ring::Ring;
 use crate::record::{Digesting, Log, OutputDigest, Step};
-use crate::script::{HeldLease, Knows, Seat};
+use crate::script::{HeldLease, Knows, ScriptRunner};
 use crate::sync::alarm::{Alarm, Cover};
-use crate::sync::handoff::{Rest, Station};
+use crate::sync::handoff::{Protected, Rest};
 use imrs_protocol::script::Program;
 use imrs_protocol::{
     Class, CommTask, Delivery, Event, Input, Kind, NodeTable, Observation, Outbox, Packet, PortId, QueueView,
@@ -32,7 +32,7 @@ pub(crate) struct Comm {
     ring: Ring,
     discards: [u64; Reason::ALL.len()],
     /// The script of the task, if it has one. It runs under the lock of its communication task.
-    seat: Option<Box<Seat>>,
+    runner: Option<Box<ScriptRunner>>,
 }
 
 impl Comm {
@@ -57,31 +57,31 @@ impl Comm {
             digest: OutputDigest::START,
             ring: Ring::new(),
             discards: [0; Reason::ALL.len()],
-            seat: None,
+            runner: None,
         }
     }
 
     /// Gives the task its script, before anything happens.
-    pub fn seat(&mut self, seat: Seat) {
-        self.seat = Some(Box::new(seat));
+    pub fn runner(&mut self, runner: ScriptRunner) {
+        self.runner = Some(Box::new(runner));
     }
 
     /// Works on the script of the task, together with its communication task.
-    pub fn with_seat(&mut self, work: impl FnOnce(&mut Seat, &mut Self)) {
-        if let Some(mut seat) = self.seat.take() {
-            work(&mut seat, self);
-            self.seat = Some(seat);
+    pub fn with_runner(&mut self, work: impl FnOnce(&mut ScriptRunner, &mut Self)) {
+        if let Some(mut runner) = self.runner.take() {
+            work(&mut runner, self);
+            self.runner = Some(runner);
         }
     }
 
     /// The program of the task's script.
     pub fn program(&self) -> Option<Arc<Program>> {
-        self.seat.as_ref().map(|seat| Arc::clone(seat.program()))
+        self.runner.as_ref().map(|runner| Arc::clone(runner.program()))
     }
 
     /// Whether the script still waits for the end of this action, so that the action has not been cut short.
     pub fn is_acting(&self, level: u8, number: u64) -> bool {
-        self.seat.as_ref().is_some_and(|seat| seat.is_acting(level, number))
+        self.runner.as_ref().is_some_and(|runner| runner.is_acting(level, number))
     }
 
     /// The lease under which the task acts, if there is one.
@@ -188,9 +188,9 @@ impl Comm {
         self.started.saturating_add(self.machine.next_deadline().0)
     }
 
-    fn take(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Mail> {
-        if self.seat.is_some() {
-            self.with_seat(|seat, comm| seat.take(comm, stamped, effects));
+    fn take(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Completion> {
+        if self.runner.is_some() {
+            self.with_runner(|runner, comm| runner.take(comm, stamped, effects));
             return None;
         }
         // The bringing thread, and with it the node, may have been stopped since it read the clock: a lease that has ended
@@ -203,24 +203,28 @@ impl Comm {
             // Another thread has advanced the machine further: the packet is charged for that wait, too.
             packet.remaining = packet.remaining - Ticks(at.saturating_sub(stamped.at));
         }
-        let mut mail = None;
-        self.run(&Step { elapsed, input }, &mut |signal| mail = Some(Mail { signal, at }), effects);
-        mail
+        let mut completion = None;
+        self.run(
+            &Step { elapsed, input },
+            &mut |signal| completion = Some(Completion { signal, at }),
+            effects,
+        );
+        completion
     }
 }
 
 /// An answer on its way to the task.
 #[derive(Clone, Copy, Debug)]
-pub struct Mail {
+pub struct Completion {
     /// The answer.
     pub signal: Signal,
     /// When the machine gave it.
     pub at: Micros,
 }
 
-impl Station for Comm {
+impl Protected for Comm {
     type Input = Stamped;
-    type Mail = Mail;
+    type Completion = Completion;
     type Effects = Effects;
 
     /// Only a class-1 message may wait, because its sender hears nothing of it. Its receiver takes it at its next call, and its
@@ -230,7 +234,7 @@ impl Station for Comm {
         packet.kind == Kind::Send && packet.class == Class::Status
     }
 
-    fn feed(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Mail> {
+    fn feed(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Completion> {
         guarded("a communication task", || self.take(stamped, effects))
     }
 

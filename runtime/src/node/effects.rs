@@ -2,7 +2,7 @@
 
 use crate::clock::{self, Micros};
 use crate::link::udp::SEGMENTS;
-use crate::script::Deed;
+use crate::script::OutsideEffect;
 use imrs_protocol::{Input, Packet, TaskId, Ticks, TimeId};
 use imrs_wire::envelope::MAX_PACKETS;
 use std::collections::VecDeque;
@@ -21,7 +21,7 @@ pub(crate) enum Effect {
     /// Another machine of the node has input for a communication task.
     Feed(TaskId, Stamped),
     /// A communication task has input in its inbox.
-    Nudge(TaskId),
+    Wake(TaskId),
     Arm(Micros, TaskId, TimeId, u8, Ticks),
     Disarm(Micros, TaskId, TimeId),
 }
@@ -32,7 +32,7 @@ pub(crate) enum Effect {
 pub(crate) struct Effects {
     pub queue: VecDeque<Effect>,
     /// Actions that scripts begin or end.
-    pub deeds: VecDeque<Deed>,
+    pub outside: VecDeque<OutsideEffect>,
     /// How many steps scripts took since input last came from outside of the node.
     pub steps: u32,
     /// Packets for links, each with the instant at which its remaining time was true.
@@ -160,7 +160,7 @@ impl Effects {
     pub fn of_an_onlooker() -> Self {
         Self {
             queue: VecDeque::new(),
-            deeds: VecDeque::new(),
+            outside: VecDeque::new(),
             steps: 0,
             leaving: Vec::new(),
             holds: false,
@@ -172,7 +172,7 @@ impl Effects {
 
     /// Whether there is nothing to carry out.
     pub fn is_done(&self) -> bool {
-        self.queue.is_empty() && self.deeds.is_empty() && self.bundles.is_empty() && self.leaving.is_empty()
+        self.queue.is_empty() && self.outside.is_empty() && self.bundles.is_empty() && self.leaving.is_empty()
     }
 
     /// The time of this turn at a script: the time at which the turn began, rounded up.

@@ -45,9 +45,9 @@ impl Executor {
         ended: impl Fn(usize, TaskEnd) + Send + Sync + 'static,
     ) -> Result<Self, StartError> {
         let shared = Arc::new(Shared { left: AtomicUsize::new(bodies.len()), ..Shared::default() });
-        let park = Arc::new(Park::new(node.bell()));
+        let park = Arc::new(Park::new(node.waker()));
         for (place, _) in &bodies {
-            node.members.list[*place].listens.store(true, Ordering::Relaxed);
+            node.locals.list[*place].listens.store(true, Ordering::Relaxed);
         }
         let (node, own, waits) = (Arc::clone(node), Arc::clone(&shared), Arc::clone(&park));
         let ended: Ended = Arc::new(ended);
@@ -83,7 +83,7 @@ fn run(
         async move {
             let end = to_its_end(&node, place, body).await;
             let crashed = matches!(end, TaskEnd::Panicked(_));
-            node.members.list[place].set_liveness(if crashed { Liveness::Crashed } else { Liveness::Ended });
+            node.locals.list[place].set_liveness(if crashed { Liveness::Crashed } else { Liveness::Ended });
             Caller::of_a_future(node, place).end();
             ended(place, end);
             shared.left.fetch_sub(1, Ordering::Release);

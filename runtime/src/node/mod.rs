@@ -8,7 +8,7 @@ pub(crate) mod comm;
 pub(crate) mod effects;
 pub(crate) mod executor;
 pub(crate) mod failstop;
-pub(crate) mod member;
+pub(crate) mod local_task;
 pub(crate) mod program;
 pub(crate) mod threads;
 pub(crate) mod timers;
@@ -16,17 +16,17 @@ pub(crate) mod transit;
 
 use crate::clock::{self, Micros};
 use crate::link::{Leading, Link, LinkDiscard, Sink};
-use crate::node::comm::{Comm, Mail};
+use crate::node::comm::{Comm, Completion};
 use crate::node::effects::{Effect, Effects, Stamped};
 use crate::node::failstop::guarded;
-use crate::node::member::{Member, Members};
+use crate::node::local_task::{LocalTask, LocalTasks};
 use crate::node::timers::Timers;
 use crate::node::transit::Dispatch;
 use crate::observe::lateness::LatenessCounts;
 use crate::record::Recorder;
 use crate::script::Stage;
 use crate::sync::alarm::Alarm;
-use crate::sync::handoff::{Bell, Entry};
+use crate::sync::handoff::{Entry, ThreadWaker};
 use crate::sync::lead::Lead;
 use crate::sync::{AtomicU64, Mutex, Ordering, lock};
 use imrs_protocol::route::{Arrival, Departure, arrived, departing};
@@ -52,7 +52,7 @@ pub(crate) struct Plan {
 }
 
 /// After an answer, returns what the task asks next under the same lock; mostly nothing.
-pub(crate) type More<'a> = &'a mut dyn FnMut(&Mail) -> Option<Request>;
+pub(crate) type More<'a> = &'a mut dyn FnMut(&Completion) -> Option<Request>;
 
 /// A running node. Its threads share it with its observers.
 pub struct Node {
@@ -61,7 +61,7 @@ pub struct Node {
     pub(crate) insecure: bool,
     pub(crate) real_time: RealTime,
     pub(crate) started: Micros,
-    pub(crate) members: Arc<Members>,
+    pub(crate) locals: Arc<LocalTasks>,
     pub(crate) dispatch: Dispatch,
     pub(crate) timers: Timers,
     pub(crate) alarm: Arc<Alarm>,
@@ -102,15 +102,15 @@ impl Node {
         let imrs_protocol::Parts { table, tasks, transit, timer } = plan.machine.into_parts();
         let count = tasks.len();
         let alarm = Arc::new(Alarm::new(count + 2));
-        let bell = bell_of(plan.link.as_ref());
-        let member = |(slot, machine): (usize, CommTask)| {
+        let waker = link_waker(plan.link.as_ref());
+        let local = |(slot, machine): (usize, CommTask)| {
             let task = machine.task();
             let log = plan.recorder.clone().and_then(|recorder| recorder.log(task));
             let comm = Comm::new(machine, table.clone(), slot, Arc::clone(&alarm), log, now);
-            Member::new(task, comm, bell.clone())
+            LocalTask::new(task, comm, waker.clone())
         };
-        let list = tasks.into_vec().into_iter().enumerate().map(member).collect();
-        let members = Arc::new(Members::new(list, table.cell().tasks.len()));
+        let list = tasks.into_vec().into_iter().enumerate().map(local).collect();
+        let locals = Arc::new(LocalTasks::new(list, table.cell().tasks.len()));
         let peer = |node| Peer {
             node,
             received: AtomicU64::new(0),
@@ -126,11 +126,11 @@ impl Node {
                 table.clone(),
                 transit,
                 plan.link.clone(),
-                Arc::clone(&members),
+                Arc::clone(&locals),
                 Arc::clone(&alarm),
                 now,
             ),
-            members,
+            locals,
             timers: Timers::new(timer, count, Arc::clone(&alarm), count + 1, now),
             alarm,
             lateness: LatenessCounts::new(table.cell().tick.0),
@@ -168,8 +168,8 @@ impl Node {
     }
 
     /// Wakes a thread of this node that waits in its link.
-    pub(crate) fn bell(&self) -> Option<Arc<dyn Bell>> {
-        bell_of(self.link.as_ref())
+    pub(crate) fn waker(&self) -> Option<Arc<dyn ThreadWaker>> {
+        link_waker(self.link.as_ref())
     }
 
     /// An instant, in microseconds of the node's clock. Every script step before it has been reported to its
@@ -179,21 +179,21 @@ impl Node {
     pub fn told_until(&self) -> u64 {
         let now = clock::now();
         // A step is stamped and reported under its task's lock, so this look comes after every step stamped before.
-        for member in &self.members.list {
-            if self.look(member, |comm| comm.is_overdue(now)) {
-                self.catch_up(member);
+        for local in &self.locals.list {
+            if self.look(local, |comm| comm.is_overdue(now)) {
+                self.catch_up(local);
             }
         }
         now
     }
 
     /// Lets the script of a task notice now what has expired, first of all its lease.
-    pub(crate) fn catch_up(&self, member: &Member) {
+    pub(crate) fn catch_up(&self, local: &LocalTask) {
         let mut effects = Effects::of_an_onlooker();
         let catch_up = |comm: &mut Comm, effects: &mut Effects| {
-            comm.with_seat(|seat, comm| seat.catch_up(comm, effects));
+            comm.with_runner(|runner, comm| runner.catch_up(comm, effects));
         };
-        member.handoff.visit(catch_up, &mut effects);
+        local.handoff.visit(catch_up, &mut effects);
         self.carry_out(&mut effects);
     }
 
@@ -205,10 +205,12 @@ impl Node {
         request: Request,
         more: More<'_>,
         effects: &mut Effects,
-    ) -> Entry<Mail> {
+    ) -> Entry<Completion> {
         let stamped = Stamped { at, input: Input::Request(request) };
-        let next = |mail: &Mail| more(mail).map(|next| Stamped { at, input: Input::Request(next) });
-        let entry = self.members.list[place].handoff.enter_and(stamped, next, effects);
+        let next = |completion: &Completion| {
+            more(completion).map(|next| Stamped { at, input: Input::Request(next) })
+        };
+        let entry = self.locals.list[place].handoff.enter_and(stamped, next, effects);
         self.carry_out(effects);
         entry
     }
@@ -221,7 +223,7 @@ impl Node {
         due: bool,
         more: More<'_>,
         effects: &mut Effects,
-    ) -> Entry<Mail> {
+    ) -> Entry<Completion> {
         if due {
             // Before the task's own time_out is decided: the task must know whether its message ever left.
             self.dispatch.advance(now, effects);
@@ -229,30 +231,32 @@ impl Node {
             self.carry_out(effects);
         }
         let stamped = Stamped { at: now, input: Input::Time };
-        let next = |mail: &Mail| more(mail).map(|next| Stamped { at: now, input: Input::Request(next) });
-        let entry = self.members.list[place].handoff.come_back_and(stamped, next, effects);
+        let next = |completion: &Completion| {
+            more(completion).map(|next| Stamped { at: now, input: Input::Request(next) })
+        };
+        let entry = self.locals.list[place].handoff.come_back_and(stamped, next, effects);
         self.carry_out(effects);
         entry
     }
 
     /// A task that is a future brings input, unless there is an answer for it already, and takes its answer.
-    pub(crate) fn look_in(&self, place: usize, stamped: Stamped, effects: &mut Effects) -> Entry<Mail> {
-        let entry = self.members.list[place].handoff.enter_awake(stamped, effects);
+    pub(crate) fn look_in(&self, place: usize, stamped: Stamped, effects: &mut Effects) -> Entry<Completion> {
+        let entry = self.locals.list[place].handoff.enter_awake(stamped, effects);
         self.carry_out(effects);
         entry
     }
 
     /// Looks at a communication task after draining its inbox. Nothing else of the task changes.
-    pub(crate) fn look<R>(&self, member: &Member, look: impl FnOnce(&mut Comm) -> R) -> R {
+    pub(crate) fn look<R>(&self, local: &LocalTask, look: impl FnOnce(&mut Comm) -> R) -> R {
         let mut effects = Effects::of_an_onlooker();
-        let seen = guarded("a look at a communication task", || member.handoff.with(look, &mut effects));
+        let seen = guarded("a look at a communication task", || local.handoff.with(look, &mut effects));
         self.carry_out(&mut effects);
         seen
     }
 
     /// Does everything that is due and that no task's thread waits for.
     pub(crate) fn tend(&self, now: Micros, effects: &mut Effects) {
-        let count = self.members.list.len();
+        let count = self.locals.list.len();
         if self.alarm.slot(count) <= now {
             self.dispatch.advance(now, effects);
         }
@@ -260,10 +264,10 @@ impl Node {
             self.timers.advance(now, effects);
         }
         self.carry_out(effects);
-        for (slot, member) in self.members.list.iter().enumerate() {
+        for (slot, local) in self.locals.list.iter().enumerate() {
             if self.alarm.slot(slot) <= now {
                 let stamped = Stamped { at: now, input: Input::Time };
-                member.handoff.deliver_now(stamped, effects);
+                local.handoff.deliver_now(stamped, effects);
                 self.carry_out(effects);
             }
         }
@@ -285,15 +289,15 @@ impl Node {
                     self.carry_out_one(effect, &mut latest, effects);
                 }
                 let Some((place, mut bundle)) = effects.bundles.pop() else { break };
-                self.members.list[place].handoff.deliver_all(&mut bundle, effects);
+                self.locals.list[place].handoff.deliver_all(&mut bundle, effects);
                 effects.bundles.give_back(bundle);
             }
             if !effects.holds || effects.leaving.len() >= self.dispatch.at_once {
                 self.dispatch.pump(latest, effects);
             }
-            while let Some(deed) = effects.deeds.pop_front() {
+            while let Some(effect) = effects.outside.pop_front() {
                 if let Some(stage) = self.stage.get() {
-                    stage.perform(self, deed);
+                    stage.perform(self, effect);
                 }
             }
             if effects.queue.is_empty() {
@@ -309,9 +313,9 @@ impl Node {
                 self.transmit(at, packet, effects);
             }
             Effect::Feed(task, stamped) => self.feed(task, stamped, effects),
-            Effect::Nudge(task) => {
-                if let Some(member) = self.members.of(task) {
-                    member.handoff.nudge(effects);
+            Effect::Wake(task) => {
+                if let Some(local) = self.locals.of(task) {
+                    local.handoff.wake(effects);
                 }
             }
             Effect::Arm(at, task, id, turn, length) => {
@@ -324,15 +328,15 @@ impl Node {
     fn transmit(&self, at: Micros, packet: Packet, effects: &mut Effects) {
         match departing(&self.table, &packet) {
             Departure::Local(task) => {
-                let Some(place) = self.members.place(task) else { return };
-                let member = &self.members.list[place];
+                let Some(place) = self.locals.place(task) else { return };
+                let local = &self.locals.list[place];
                 let stamped = Stamped { at, input: Input::Packet(packet) };
                 // A lone packet needs no bundle.
                 let alone = effects.queue.is_empty() && effects.bundles.is_empty();
-                if member.scripted.load(Ordering::Relaxed) && !alone {
+                if local.scripted.load(Ordering::Relaxed) && !alone {
                     effects.bundles.push(place, stamped);
                 } else {
-                    member.handoff.deliver(stamped, effects);
+                    local.handoff.deliver(stamped, effects);
                 }
             }
             Departure::Link(_) | Departure::Unroutable => {
@@ -342,8 +346,8 @@ impl Node {
     }
 
     fn feed(&self, task: TaskId, stamped: Stamped, effects: &mut Effects) {
-        if let Some(member) = self.members.of(task) {
-            member.handoff.deliver(stamped, effects);
+        if let Some(local) = self.locals.of(task) {
+            local.handoff.deliver(stamped, effects);
         }
     }
 
@@ -353,16 +357,16 @@ impl Node {
         for &packet in packets {
             match arrived(&self.table, from, packet, charge) {
                 Arrival::Local(task, packet) => {
-                    let Some(place) = self.members.place(task) else { continue };
-                    let member = &self.members.list[place];
-                    let listens = member.listens.load(Ordering::Relaxed);
-                    let by_link = if listens { &self.futures_by_link } else { &member.by_link };
+                    let Some(place) = self.locals.place(task) else { continue };
+                    let local = &self.locals.list[place];
+                    let listens = local.listens.load(Ordering::Relaxed);
+                    let by_link = if listens { &self.futures_by_link } else { &local.by_link };
                     by_link.store(true, Ordering::Relaxed);
                     let stamped = Stamped { at, input: Input::Packet(packet) };
                     if packets.len() > 1 {
                         effects.bundles.push(place, stamped);
                     } else {
-                        member.handoff.deliver(stamped, effects);
+                        local.handoff.deliver(stamped, effects);
                     }
                 }
                 Arrival::Relay(packet) => {
@@ -383,9 +387,9 @@ impl Node {
 
     /// A neighbour has a new incarnation.
     fn restarted(&self, node: NodeId, at: Micros, effects: &mut Effects) {
-        for member in &self.members.list {
+        for local in &self.locals.list {
             let stamped = Stamped { at, input: Input::PeerRestarted(node) };
-            member.handoff.deliver(stamped, effects);
+            local.handoff.deliver(stamped, effects);
         }
         self.carry_out(effects);
     }
@@ -396,15 +400,15 @@ impl Node {
 }
 
 /// Wakes a thread of the node that waits in its link.
-fn bell_of(link: Option<&Arc<dyn Link>>) -> Option<Arc<dyn Bell>> {
-    link.map(|link| Arc::new(LinkBell(Arc::clone(link))) as Arc<dyn Bell>)
+fn link_waker(link: Option<&Arc<dyn Link>>) -> Option<Arc<dyn ThreadWaker>> {
+    link.map(|link| Arc::new(LinkWaker(Arc::clone(link))) as Arc<dyn ThreadWaker>)
 }
 
 /// Wakes a thread that waits in the link.
-struct LinkBell(Arc<dyn Link>);
+struct LinkWaker(Arc<dyn Link>);
 
-impl Bell for LinkBell {
-    fn ring(&self) {
+impl ThreadWaker for LinkWaker {
+    fn wake(&self) {
         self.0.leading().into_iter().for_each(Leading::call);
     }
 }
@@ -417,7 +421,7 @@ pub(crate) struct Inlet {
 
 impl Inlet {
     pub fn new(node: Arc<Node>) -> Self {
-        let effects = Effects::of_a_receiver(node.members.list.len());
+        let effects = Effects::of_a_receiver(node.locals.list.len());
         Self { node, effects: Mutex::new(effects) }
     }
 

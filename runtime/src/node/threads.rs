@@ -8,7 +8,7 @@ use crate::node::comm::Comm;
 use crate::node::effects::Effects;
 use crate::node::executor::Executor;
 use crate::node::failstop::guarded;
-use crate::node::member::BEGUN;
+use crate::node::local_task::BEGUN;
 use crate::node::program::{StartError, TaskBody, TaskEnd, TaskProgram, message, spawn};
 use crate::node::{Inlet, Node};
 use crate::script::{Actions, Stage};
@@ -128,17 +128,17 @@ impl Runtime {
         let mut effects = Effects::new(None);
         let (now, here) = (clock::now(), Instant::now());
         let mut next: Option<u64> = None;
-        for member in &self.node.members.list {
-            let begins = member.begins.load(Ordering::Relaxed);
+        for local in &self.node.locals.list {
+            let begins = local.begins.load(Ordering::Relaxed);
             if begins > now {
                 next = next.into_iter().chain((begins != BEGUN).then_some(begins)).min();
                 continue;
             }
-            member.begins.store(BEGUN, Ordering::Relaxed);
+            local.begins.store(BEGUN, Ordering::Relaxed);
             let begin = |comm: &mut Comm, effects: &mut Effects| {
-                comm.with_seat(|seat, comm| seat.begin(comm, effects));
+                comm.with_runner(|runner, comm| runner.begin(comm, effects));
             };
-            member.handoff.visit(begin, &mut effects);
+            local.handoff.visit(begin, &mut effects);
             self.node.carry_out(&mut effects);
         }
         next.map(|next| here + Duration::from_micros(next - now))
@@ -181,16 +181,16 @@ impl Runtime {
 
     fn stop_tasks(&self) {
         let mut effects = Effects::of_an_onlooker();
-        for member in &self.node.members.list {
-            member.handoff.stop(&mut effects);
+        for local in &self.node.locals.list {
+            local.handoff.stop(&mut effects);
             let stop = |comm: &mut Comm, effects: &mut Effects| {
-                comm.with_seat(|seat, comm| seat.stop(comm, effects));
+                comm.with_runner(|runner, comm| runner.stop(comm, effects));
             };
-            member.handoff.visit(stop, &mut effects);
+            local.handoff.visit(stop, &mut effects);
             self.node.carry_out(&mut effects);
         }
-        for (place, member) in self.node.members.list.iter().enumerate() {
-            if member.scripted.load(Ordering::Relaxed) {
+        for (place, local) in self.node.locals.list.iter().enumerate() {
+            if local.scripted.load(Ordering::Relaxed) {
                 self.shared.stopped(place);
             }
         }
@@ -235,17 +235,17 @@ impl Drop for Runtime {
 
 fn run_task(node: &Arc<Node>, place: usize, program: TaskBody) -> TaskEnd {
     clock::sleep_exactly();
-    let presence = node.members.list[place].handoff.presence();
-    presence.returns();
+    let thread_state = node.locals.list[place].handoff.thread_state();
+    thread_state.returns();
     let end = match catch_unwind(AssertUnwindSafe(|| program(Arc::clone(node), place))) {
         Ok(Ok(()) | Err(TaskError::Stopped)) => TaskEnd::Returned,
         Ok(Err(error)) => TaskEnd::Failed(error),
         Err(panic) => TaskEnd::Panicked(message(panic.as_ref())),
     };
     let crashed = matches!(end, TaskEnd::Panicked(_));
-    node.members.list[place].set_liveness(if crashed { Liveness::Crashed } else { Liveness::Ended });
+    node.locals.list[place].set_liveness(if crashed { Liveness::Crashed } else { Liveness::Ended });
     Caller::new(Arc::clone(node), place).end();
-    presence.goes();
+    thread_state.goes();
     end
 }
 

@@ -6,10 +6,10 @@
 use crate::clock::{self, Micros};
 use crate::link::Link;
 use crate::node::effects::{Effect, Effects, Stamped};
-use crate::node::member::Members;
+use crate::node::local_task::LocalTasks;
 use crate::observe::ring::Ring;
 use crate::sync::alarm::Alarm;
-use crate::sync::turn::Turn;
+use crate::sync::combining_lock::CombiningLock;
 use crate::sync::{AtomicU64, Mutex, Ordering, lock};
 use imrs_protocol::{
     Input, Instant, MessageId, NodeId, NodeTable, Observation, Packet, RouteOutbox, TaskId, Ticks, Transit,
@@ -23,11 +23,11 @@ pub(crate) struct Dispatch {
     link: Option<Arc<dyn Link>>,
     /// The most packets that one call hands to the link, and that a thread gathers for it.
     pub at_once: usize,
-    members: Arc<Members>,
+    locals: Arc<LocalTasks>,
     alarm: Arc<Alarm>,
     slot: usize,
     buffer: Mutex<Buffer>,
-    sender: Turn<Box<[Batch]>>,
+    sender: CombiningLock<Box<[Batch]>>,
     sent: Box<[(NodeId, AtomicU64)]>,
 }
 
@@ -49,7 +49,7 @@ impl Dispatch {
         table: NodeTable,
         transit: Transit,
         link: Option<Arc<dyn Link>>,
-        members: Arc<Members>,
+        locals: Arc<LocalTasks>,
         alarm: Arc<Alarm>,
         now: Micros,
     ) -> Self {
@@ -60,15 +60,15 @@ impl Dispatch {
         let batch = |&next: &NodeId| Batch { next, packets: Vec::with_capacity(at_once), most: 0 };
         let mut buffer = Buffer { transit, ring: Ring::new() };
         // Nothing waits: this starts the buffer's clock.
-        buffer.advance(&table, now, &members, &mut Effects::of_an_onlooker());
+        buffer.advance(&table, now, &locals, &mut Effects::of_an_onlooker());
         Self {
             link,
             at_once,
-            slot: members.list.len(),
-            members,
+            slot: locals.list.len(),
+            locals,
             alarm,
             buffer: Mutex::new(buffer),
-            sender: Turn::new(neighbours.iter().map(batch).collect()),
+            sender: CombiningLock::new(neighbours.iter().map(batch).collect()),
             sent: neighbours.iter().map(|&next| (next, AtomicU64::new(0))).collect(),
             table,
         }
@@ -80,7 +80,7 @@ impl Dispatch {
         if buffer.transit.is_empty() {
             return;
         }
-        buffer.advance(&self.table, now, &self.members, effects);
+        buffer.advance(&self.table, now, &self.locals, effects);
         self.publish(&buffer);
     }
 
@@ -113,8 +113,8 @@ impl Dispatch {
     fn offer(&self, packets: impl Iterator<Item = (Micros, Packet)>, effects: &mut Effects) {
         let mut buffer = lock(&self.buffer);
         for (at, packet) in packets {
-            let packet = buffer.charged(&self.table, at, packet, &self.members, effects);
-            buffer.offer(&self.table, packet, &self.members, effects);
+            let packet = buffer.charged(&self.table, at, packet, &self.locals, effects);
+            buffer.offer(&self.table, packet, &self.locals, effects);
         }
         self.publish(&buffer);
     }
@@ -185,14 +185,14 @@ impl Dispatch {
         effects: &mut Effects,
     ) -> Micros {
         let mut buffer = lock(&self.buffer);
-        buffer.advance(&self.table, now, &self.members, effects);
+        buffer.advance(&self.table, now, &self.locals, effects);
         // Packets pass only if they fit into one batch: more could leave in another order than that of urgency.
         let few = leaving.len() <= self.at_once;
         for (at, packet) in leaving.drain(..) {
-            let packet = buffer.charged(&self.table, at, packet, &self.members, effects);
+            let packet = buffer.charged(&self.table, at, packet, &self.locals, effects);
             let passes =
                 |next: NodeId| few && batches.iter().any(|batch| batch.next == next && batch.takes());
-            let passed = buffer.pass(&self.table, packet, passes, &self.members, effects);
+            let passed = buffer.pass(&self.table, packet, passes, &self.locals, effects);
             put(batches, passed);
         }
         loop {
@@ -244,11 +244,11 @@ impl Buffer {
         table: &NodeTable,
         at: Micros,
         packet: Packet,
-        members: &Members,
+        locals: &LocalTasks,
         effects: &mut Effects,
     ) -> Packet {
         if at > self.now() {
-            self.advance(table, at, members, effects);
+            self.advance(table, at, locals, effects);
         }
         Packet { remaining: packet.remaining - (self.transit.now() - Instant(at)), ..packet }
     }
@@ -258,20 +258,20 @@ impl Buffer {
         table: &NodeTable,
         packet: Packet,
         ready: impl FnOnce(NodeId) -> bool,
-        members: &Members,
+        locals: &LocalTasks,
         effects: &mut Effects,
     ) -> Option<(NodeId, Packet)> {
-        let mut out = Out { at: self.now(), ring: &mut self.ring, members, effects };
+        let mut out = Out { at: self.now(), ring: &mut self.ring, locals, effects };
         self.transit.pass(table, packet, ready, &mut out)
     }
 
-    fn advance(&mut self, table: &NodeTable, now: Micros, members: &Members, effects: &mut Effects) {
-        let mut out = Out { at: self.now().max(now), ring: &mut self.ring, members, effects };
+    fn advance(&mut self, table: &NodeTable, now: Micros, locals: &LocalTasks, effects: &mut Effects) {
+        let mut out = Out { at: self.now().max(now), ring: &mut self.ring, locals, effects };
         self.transit.advance(table, Instant(now), &mut out);
     }
 
-    fn offer(&mut self, table: &NodeTable, packet: Packet, members: &Members, effects: &mut Effects) {
-        let mut out = Out { at: self.now(), ring: &mut self.ring, members, effects };
+    fn offer(&mut self, table: &NodeTable, packet: Packet, locals: &LocalTasks, effects: &mut Effects) {
+        let mut out = Out { at: self.now(), ring: &mut self.ring, locals, effects };
         self.transit.offer(table, packet, &mut out);
     }
 }
@@ -279,7 +279,7 @@ impl Buffer {
 struct Out<'a> {
     at: Micros,
     ring: &'a mut Ring,
-    members: &'a Members,
+    locals: &'a LocalTasks,
     effects: &'a mut Effects,
 }
 
@@ -288,9 +288,9 @@ impl RouteOutbox for Out<'_> {
     /// first, so it finds the news whichever thread dropped the packet. Its stamp 0 puts it before the decision on that time_out.
     fn unsent(&mut self, task: TaskId, id: MessageId) {
         let stamped = Stamped { at: 0, input: Input::Unsent(id) };
-        let Some(member) = self.members.of(task) else { return };
-        let effect = match member.handoff.leave(stamped) {
-            Ok(()) => Effect::Nudge(task),
+        let Some(local) = self.locals.of(task) else { return };
+        let effect = match local.handoff.leave(stamped) {
+            Ok(()) => Effect::Wake(task),
             Err(stamped) => Effect::Feed(task, stamped),
         };
         self.effects.queue.push_back(effect);

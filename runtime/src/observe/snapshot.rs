@@ -4,7 +4,7 @@
 use crate::clock;
 use crate::link::LinkDiscard;
 use crate::node::Node;
-use crate::node::member::{BEGUN, Member};
+use crate::node::local_task::{BEGUN, LocalTask};
 use crate::observe::ring::Ring;
 use crate::sync::Ordering;
 use imrs_protocol::{Observation, PortId, Reason, TaskId, Ticks};
@@ -61,10 +61,10 @@ impl Node {
         let discards: [u64; Reason::ALL.len()] =
             std::array::from_fn(|reason| self.discards[reason].load(Ordering::Relaxed));
         let mut gathering = Gathering::new(discards);
-        for member in &self.members.list {
+        for local in &self.locals.list {
             let ((view, at), dropped) = self
-                .look(member, |comm| (comm.view(|port| watching.limit(member.task, port)), *comm.discards()));
-            gathering.task(member.liveness(), now.saturating_sub(at), view, &dropped);
+                .look(local, |comm| (comm.view(|port| watching.limit(local.task, port)), *comm.discards()));
+            gathering.task(local.liveness(), now.saturating_sub(at), view, &dropped);
         }
         let (transit, transit_at) = self.dispatch.view();
         let link_counts = LinkDiscard::NAMES.iter().zip(&self.link_discards);
@@ -87,12 +87,12 @@ impl Node {
     #[must_use]
     pub fn held_back(&self) -> HeldBack {
         let now = clock::now();
-        let held = |member: &Member| {
-            let begins = member.begins.load(Ordering::Relaxed);
+        let held = |local: &LocalTask| {
+            let begins = local.begins.load(Ordering::Relaxed);
             let is_held = begins > 0 && begins != BEGUN;
-            is_held.then(|| HeldTask { task: member.task, remaining: Ticks(begins.saturating_sub(now)) })
+            is_held.then(|| HeldTask { task: local.task, remaining: Ticks(begins.saturating_sub(now)) })
         };
-        HeldBack { mono_us: now, tasks: self.members.list.iter().filter_map(held).collect() }
+        HeldBack { mono_us: now, tasks: self.locals.list.iter().filter_map(held).collect() }
     }
 
     /// What waits at the watched ports, as far as the node has them.
@@ -100,8 +100,8 @@ impl Node {
     pub fn detail(&self, ports: &[(TaskId, PortId)]) -> Detail {
         let now = clock::now();
         let one = |&(task, port): &(TaskId, PortId)| {
-            let member = self.members.of(task)?;
-            let (queue, at) = self.look(member, |comm| comm.queue(port, QUEUE_LIMIT.into()))?;
+            let local = self.locals.of(task)?;
+            let (queue, at) = self.look(local, |comm| comm.queue(port, QUEUE_LIMIT.into()))?;
             Some(PortDetail { task, port, age_us: now.saturating_sub(at), queue })
         };
         Detail { mono_us: now, ports: ports.iter().filter_map(one).collect() }
@@ -110,7 +110,7 @@ impl Node {
     /// Begins to follow what is observed from now on. Observations are kept only while somebody follows.
     #[must_use]
     pub fn observe(self: &Arc<Self>) -> Observations {
-        let tasks = self.members.list.iter().map(|member| self.look(member, |comm| comm.ring().subscribe()));
+        let tasks = self.locals.list.iter().map(|local| self.look(local, |comm| comm.ring().subscribe()));
         let positions = tasks.chain([self.dispatch.with_ring(|ring| ring.subscribe())]).collect();
         Observations { node: Arc::clone(self), positions }
     }
@@ -175,8 +175,8 @@ impl Observations {
             *position = next;
             lost += gone;
         };
-        for (member, position) in self.node.members.list.iter().zip(tasks) {
-            self.node.look(member, |comm| follow(comm.ring(), position, Some(member.task)));
+        for (local, position) in self.node.locals.list.iter().zip(tasks) {
+            self.node.look(local, |comm| follow(comm.ring(), position, Some(local.task)));
         }
         self.node.dispatch.with_ring(|ring| follow(ring, transit, None));
         lost
@@ -185,8 +185,8 @@ impl Observations {
 
 impl Drop for Observations {
     fn drop(&mut self) {
-        for member in &self.node.members.list {
-            self.node.look(member, |comm| comm.ring().unsubscribe());
+        for local in &self.node.locals.list {
+            self.node.look(local, |comm| comm.ring().unsubscribe());
         }
         self.node.dispatch.with_ring(Ring::unsubscribe);
     }

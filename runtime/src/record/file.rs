@@ -44,7 +44,7 @@ struct Aside {
 #[derive(Clone, Copy, Debug)]
 pub struct About<'a> {
     /// The incarnation of the node, and whether an earlier one may have taken requests.
-    pub life: (Incarnation, bool),
+    pub incarnation: (Incarnation, bool),
     /// Whether its links run without keys.
     pub insecure: bool,
     /// The name of the program.
@@ -70,8 +70,8 @@ impl FileRecorder {
             digest: table.digest(),
             statements: about.statements,
             node: Some(table.node),
-            incarnation: about.life.0,
-            restarted: about.life.1,
+            incarnation: about.incarnation.0,
+            restarted: about.incarnation.1,
             build: about.build.into(),
             insecure: about.insecure,
             began: u64::try_from(began.as_micros()).unwrap_or(u64::MAX),

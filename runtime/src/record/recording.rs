@@ -106,9 +106,9 @@ impl<'t> Replays<'t> {
         if recorded != 0 && given != 0 && recorded != given {
             return Err(ReplayError::OtherStatements { recorded, given });
         }
-        let life = (header.incarnation, header.restarted);
+        let incarnation = (header.incarnation, header.restarted);
         let replay = |task| {
-            let replay = Replay::new(table, task, life.0, life.1);
+            let replay = Replay::new(table, task, incarnation.0, incarnation.1);
             let Some(program) = script(task) else { return replay };
             let replay = replay.with_script(program);
             match watch {

@@ -35,7 +35,7 @@ pub enum KeyframeError {
     #[error("the state of {0} has {1} bytes too many")]
     Trailing(TaskId, usize),
     /// The state is that of another task, or of another incarnation of the node.
-    #[error("the state given for {0} is that of {1} in life {life}", life = .2.0)]
+    #[error("the state given for {0} is that of {1} in life {incarnation}", incarnation = .2.0)]
     Foreign(TaskId, TaskId, Incarnation),
     /// The state is not one of a machine with the ports of this task: parts are missing, too many or out of bounds.
     #[error("the state of {0} is not one of its machine")]
@@ -261,9 +261,9 @@ impl<'t> Replay<'t> {
         if !rest.is_empty() {
             return Err(KeyframeError::Trailing(self.task, rest.len()));
         }
-        let (task, life) = (machine.task(), machine.incarnation());
-        if (task, life) != (self.task, self.incarnation) {
-            return Err(KeyframeError::Foreign(self.task, task, life));
+        let (task, incarnation) = (machine.task(), machine.incarnation());
+        if (task, incarnation) != (self.task, self.incarnation) {
+            return Err(KeyframeError::Foreign(self.task, task, incarnation));
         }
         if !machine.is_whole(self.table) {
             return Err(KeyframeError::OutOfBounds(task));

@@ -74,8 +74,8 @@ impl Ending {
     /// The present lease of the action's task.
     pub(crate) fn lease(&self) -> Option<HeldLease> {
         let node = self.node.upgrade()?;
-        let member = node.members.list.get(self.place)?;
-        node.look(member, |comm| comm.lease())
+        let local = node.locals.list.get(self.place)?;
+        node.look(local, |comm| comm.lease())
     }
 
     fn say(&mut self, ok: bool, value: i32) {
@@ -86,9 +86,9 @@ impl Ending {
         let mut effects = Effects::new(None);
         let of = self.of;
         let acted = |comm: &mut Comm, effects: &mut Effects| {
-            comm.with_seat(|seat, comm| seat.acted(comm, of, ok, value, effects));
+            comm.with_runner(|runner, comm| runner.acted(comm, of, ok, value, effects));
         };
-        node.members.list[self.place].handoff.visit(acted, &mut effects);
+        node.locals.list[self.place].handoff.visit(acted, &mut effects);
         node.carry_out(&mut effects);
     }
 }
@@ -107,7 +107,7 @@ impl std::fmt::Debug for Node {
 
 /// What a script wants done outside, once the lock is released.
 #[derive(Clone, Debug)]
-pub(crate) enum Deed {
+pub(crate) enum OutsideEffect {
     Begin(Begun),
     CutShort { place: usize, level: u8, number: u64 },
     Ended { place: usize, end: End },
@@ -151,16 +151,16 @@ impl Stage {
         Self { node, actions, running: Mutex::new(BTreeMap::new()), ended }
     }
 
-    pub fn perform(&self, node: &Node, deed: Deed) {
-        match deed {
-            Deed::Begin(begun) => self.begin(node, &begun),
-            Deed::CutShort { place, level, number } => self.cut_short((place, level), number),
-            Deed::Ended { place, end } => {
-                let life = match end {
+    pub fn perform(&self, node: &Node, effect: OutsideEffect) {
+        match effect {
+            OutsideEffect::Begin(begun) => self.begin(node, &begun),
+            OutsideEffect::CutShort { place, level, number } => self.cut_short((place, level), number),
+            OutsideEffect::Ended { place, end } => {
+                let liveness = match end {
                     End::Finished | End::Fenced | End::Aborted(_) => Liveness::Ended,
                     End::Assertion(_) | End::Fault { .. } => Liveness::Crashed,
                 };
-                node.members.list[place].set_liveness(life);
+                node.locals.list[place].set_liveness(liveness);
                 (self.ended)(place, end);
             }
         }
@@ -198,12 +198,12 @@ impl Stage {
     /// since the script began it: for a task of a couple, the end of its lease comes first (D153).
     fn check(&self, node: &Node, begun: &Begun) -> Option<Arc<Program>> {
         let Begun { place, level, number, .. } = *begun;
-        let member = &node.members.list[place];
-        let (program, coupled) = node.look(member, |comm| (comm.program(), comm.is_coupled()));
+        let local = &node.locals.list[place];
+        let (program, coupled) = node.look(local, |comm| (comm.program(), comm.is_coupled()));
         if coupled {
-            node.catch_up(member);
+            node.catch_up(local);
             // Another thread may have noticed the end of the lease, without having carried out the cut yet.
-            return program.filter(|_| node.look(member, |comm| comm.is_acting(level, number)));
+            return program.filter(|_| node.look(local, |comm| comm.is_acting(level, number)));
         }
         program
     }

@@ -169,14 +169,14 @@ impl Commands {
     }
 
     /// Tells the launcher that a command begins, before anything runs. Returns the command's key.
-    fn announce(&self, task: &str) -> io::Result<Option<Told>> {
+    fn announce(&self, task: &str) -> io::Result<Option<Announced>> {
         let Some((pipe, of)) = &self.notices else { return Ok(None) };
         let key = format!("{of}-{}", self.begun.fetch_add(1, Ordering::Relaxed));
         pipe.tell(&Notice::Began { key: key.clone(), task: task.to_owned(), at: clock::now() })?;
-        Ok(Some(Told { pipe: Arc::clone(pipe), key }))
+        Ok(Some(Announced { pipe: Arc::clone(pipe), key }))
     }
 
-    fn errand(&self, act: &Act<'_>, words: &[String], told: Option<&Told>) -> Errand {
+    fn errand(&self, act: &Act<'_>, words: &[String], told: Option<&Announced>) -> Errand {
         let first = words.iter().map(OsString::from);
         let arguments = act.arguments.iter().map(|argument| argument.to_string().into());
         let length = clock::micros(act.most.saturating_add(self.margin));
@@ -193,7 +193,7 @@ impl Commands {
     }
 
     /// Starts the guard of a command.
-    fn start(&self, act: &Act<'_>, words: &[String]) -> Result<(Running, Option<Told>), CommandError> {
+    fn start(&self, act: &Act<'_>, words: &[String]) -> Result<(Running, Option<Announced>), CommandError> {
         let told = self.announce(act.task).map_err(CommandError::Notices)?;
         let errand = self.errand(act, words, told.as_ref());
         let mut guard = self.guard.command(&errand);
@@ -202,7 +202,7 @@ impl Commands {
         match guard.spawn().and_then(Running::new) {
             Ok(running) => Ok((running, told)),
             Err(why) => {
-                told.iter().for_each(Told::ended);
+                told.iter().for_each(Announced::ended);
                 Err(CommandError::Guard { program: self.guard.path().display().to_string(), why })
             }
         }
@@ -210,12 +210,12 @@ impl Commands {
 }
 
 /// A command that was announced to the launcher.
-struct Told {
+struct Announced {
     pipe: Arc<Notices>,
     key: String,
 }
 
-impl Told {
+impl Announced {
     fn ended(&self) {
         self.pipe.tell_at_last(&Notice::ended(&self.key));
     }
@@ -309,7 +309,7 @@ impl Stopping {
 struct Watcher {
     running: Arc<Running>,
     lease: Option<HeldLease>,
-    told: Option<Told>,
+    told: Option<Announced>,
     tell: Tell,
     action: String,
     program: String,
@@ -320,7 +320,7 @@ impl Watcher {
     fn watch(self, ending: Ending) {
         let outcome = self.running.follow(|| self.renew(&ending));
         if outcome.is_none() {
-            self.told.iter().for_each(Told::lost);
+            self.told.iter().for_each(Announced::lost);
         }
         self.running.set_over();
         if let Some(error) = self.error(outcome) {

@@ -8,17 +8,17 @@ mod actions;
 mod command;
 mod functions;
 mod knows;
-mod seat;
+mod runner;
 mod simulated;
 
 pub use actions::{Act, Actions, Ending, HeldLease, Stop};
 pub use command::{CommandError, Commands};
 pub use functions::{Call, Functions};
-pub use simulated::{Course, Give, Results, Simulated};
+pub use simulated::{Give, Ramp, Results, Simulated};
 
-pub(crate) use actions::{Deed, Stage};
+pub(crate) use actions::{OutsideEffect, Stage};
 pub(crate) use knows::{Does, Knows, Outlet};
-pub(crate) use seat::Seat;
+pub(crate) use runner::ScriptRunner;
 
 use imrs_protocol::script::{Address, End, Script};
 use imrs_protocol::{CommTask, ReplyTo, Request, Signal, TaskId, Ticks};

@@ -58,7 +58,7 @@ impl Give {
 /// An action whose results depend on time: the least when `since` last ended in the same task, rising to the most after `over`,
 /// and the most from then on.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Course {
+pub struct Ramp {
     /// The action that gives the results.
     pub action: String,
     /// The action from whose end the time counts.
@@ -72,8 +72,8 @@ pub struct Course {
 pub struct Simulated {
     seed: u64,
     results: BTreeMap<String, Give>,
-    courses: Vec<Course>,
-    /// By task and action that a course follows: when the action last ends.
+    courses: Vec<Ramp>,
+    /// By task and action that a ramp follows: when the action last ends.
     followed: Mutex<BTreeMap<(String, String), Instant>>,
     shared: Arc<Shared>,
 }
@@ -115,7 +115,7 @@ impl Simulated {
     ///
     /// # Errors
     /// The operating system refused the thread that ends the actions.
-    pub fn start(seed: u64, results: Vec<Results>, courses: Vec<Course>) -> io::Result<Arc<dyn Actions>> {
+    pub fn start(seed: u64, results: Vec<Results>, courses: Vec<Ramp>) -> io::Result<Arc<dyn Actions>> {
         let shared = Arc::new(Shared { state: Mutex::default(), changed: Condvar::new() });
         let ends = Arc::clone(&shared);
         thread::Builder::new().name("imrs actions".into()).spawn(move || run(&ends))?;
@@ -124,13 +124,13 @@ impl Simulated {
         Ok(Arc::new(Self { seed, results, courses, followed, shared }))
     }
 
-    /// How far the results of an action are on their course, from 0 to 1, if it has one.
+    /// How far the results of an action are on their ramp, from 0 to 1, if it has one.
     fn on_its_course(&self, act: &Act<'_>, now: Instant) -> Option<f64> {
-        let course = self.courses.iter().find(|course| course.action == act.name)?;
+        let ramp = self.courses.iter().find(|ramp| ramp.action == act.name)?;
         let followed = lock(&self.followed);
-        let since = followed.get(&(act.task.to_owned(), course.since.clone()));
+        let since = followed.get(&(act.task.to_owned(), ramp.since.clone()));
         let passed = since.map_or(Duration::ZERO, |since| now.saturating_duration_since(*since));
-        Some(if passed >= course.over { 1.0 } else { passed.div_duration_f64(course.over) })
+        Some(if passed >= ramp.over { 1.0 } else { passed.div_duration_f64(ramp.over) })
     }
 }
 
@@ -140,7 +140,7 @@ impl Actions for Simulated {
         let spread = act.most.saturating_sub(act.least);
         let length = act.least + spread.mul_f64(draws.f64());
         let now = Instant::now();
-        if self.courses.iter().any(|course| course.since == act.name) {
+        if self.courses.iter().any(|ramp| ramp.since == act.name) {
             let mut followed = lock(&self.followed);
             followed.insert((act.task.into(), act.name.into()), now + length);
         }

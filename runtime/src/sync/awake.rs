@@ -18,12 +18,12 @@ const ANY: u16 = u16::MAX;
 /// Whether a task's thread runs, visible to all other threads. The thread counts itself out when it goes. The thread that wakes
 /// it counts it back; if no thread did, it counts itself back.
 #[derive(Debug)]
-pub(crate) struct Presence {
+pub(crate) struct ThreadState {
     /// The only core that the thread may use, or `ANY`. Only the thread itself changes it, while it runs.
     core: AtomicU16,
 }
 
-impl Presence {
+impl ThreadState {
     pub const fn new() -> Self {
         Self { core: AtomicU16::new(ANY) }
     }
@@ -43,7 +43,7 @@ impl Presence {
         }
     }
 
-    /// Sets the only core of the calling thread, if it has just one. This must be the calling thread's presence.
+    /// Sets the only core of the calling thread, if it has just one. This must be the calling thread's own state.
     fn keeps_to(&self, core: Option<u16>) {
         self.goes();
         self.core.store(core.unwrap_or(ANY), Ordering::Relaxed);
@@ -116,7 +116,7 @@ impl Kind {
 
 /// Spin history of one kind of wait.
 #[derive(Clone, Copy, Debug)]
-struct Habit {
+struct SpinHistory {
     /// Whether the last wait was brief: what ended it came within the budget, however late the thread noticed.
     brief: bool,
     /// How much more often spinning failed than succeeded, at most [`Self::MOST`].
@@ -125,7 +125,7 @@ struct Habit {
     pause: u32,
 }
 
-impl Habit {
+impl SpinHistory {
     const MOST: u32 = 10;
     /// How many waits that are not brief pass before the thread spins all the same. Two ends that both sleep wake each other so
     /// late that no wait would ever be brief.
@@ -161,25 +161,25 @@ impl Habit {
 
 /// Spin policy of a task's thread: whether, and for how long, it spins before it sleeps.
 #[derive(Debug)]
-pub(crate) struct Patience {
+pub(crate) struct SpinPolicy {
     /// For how long the thread spins before it sleeps.
     budget: Micros,
     /// The cores of the calling thread, known once it has waited.
     cores: Option<Cores>,
-    habits: [Habit; 3],
+    histories: [SpinHistory; 3],
 }
 
-impl Patience {
+impl SpinPolicy {
     /// How many checks share one reading of the clock.
     const LOOKS: u32 = 16;
 
     pub fn new(budget: Micros) -> Self {
-        Self { budget, cores: None, habits: [Habit::NEW; 3] }
+        Self { budget, cores: None, histories: [SpinHistory::NEW; 3] }
     }
 
     /// Records that what ended a wait of this kind came after this time.
     pub fn learn(&mut self, kind: Kind, after: Micros) {
-        self.habits[kind as usize].ended(after <= self.budget);
+        self.histories[kind as usize].ended(after <= self.budget);
     }
 
     /// Spins, where that pays, until `there` returns true: at most for the budget, and not beyond `until`. Returns whether it
@@ -187,7 +187,7 @@ impl Patience {
     pub fn look(
         &mut self,
         kind: Kind,
-        presence: &Presence,
+        thread_state: &ThreadState,
         until: Micros,
         mut there: impl FnMut() -> bool,
     ) -> bool {
@@ -196,11 +196,11 @@ impl Patience {
         }
         let cores = *self.cores.get_or_insert_with(|| {
             let cores = Cores::now();
-            presence.keeps_to(cores.only);
+            thread_state.keeps_to(cores.only);
             cores
         });
-        let habit = &mut self.habits[kind as usize];
-        if !habit.tries() {
+        let history = &mut self.histories[kind as usize];
+        if !history.tries() {
             return false;
         }
         let mut ends = FAR;
@@ -208,7 +208,7 @@ impl Patience {
         while cores.free() {
             for _ in 0..Self::LOOKS {
                 if there() {
-                    habit.looked(true);
+                    history.looked(true);
                     return true;
                 }
                 std::hint::spin_loop();
@@ -223,7 +223,7 @@ impl Patience {
             looks = true;
         }
         if looks {
-            habit.looked(false);
+            history.looked(false);
         }
         false
     }
@@ -236,13 +236,13 @@ mod tests {
     const FREE: Cores = Cores { most: isize::MAX, only: None };
     const CROWDED: Cores = Cores { most: isize::MIN, only: None };
 
-    fn patience(cores: Cores) -> Patience {
-        Patience { cores: Some(cores), ..Patience::new(200) }
+    fn policy(cores: Cores) -> SpinPolicy {
+        SpinPolicy { cores: Some(cores), ..SpinPolicy::new(200) }
     }
 
     /// In how many of `waits` waits, which nothing ends, the thread spins.
-    fn tried(patience: &mut Patience, waits: u32) -> u32 {
-        let presence = Presence::new();
+    fn tried(policy: &mut SpinPolicy, waits: u32) -> u32 {
+        let thread_state = ThreadState::new();
         let mut tried = 0;
         for _ in 0..waits {
             let mut looks = 0;
@@ -250,7 +250,7 @@ mod tests {
                 looks += 1;
                 false
             };
-            assert!(!patience.look(Kind::Message, &presence, FAR, there));
+            assert!(!policy.look(Kind::Message, &thread_state, FAR, there));
             tried += u32::from(looks > 0);
         }
         tried
@@ -258,58 +258,61 @@ mod tests {
 
     #[test]
     fn it_looks_where_the_last_wait_was_brief_and_finds_what_comes() {
-        let (mut patience, presence) = (patience(FREE), Presence::new());
-        assert!(!patience.look(Kind::Message, &presence, FAR, || true), "nothing is known yet");
-        patience.learn(Kind::Message, 200);
-        assert!(!patience.look(Kind::Answers, &presence, FAR, || true), "of the other kind nothing is known");
+        let (mut policy, thread_state) = (policy(FREE), ThreadState::new());
+        assert!(!policy.look(Kind::Message, &thread_state, FAR, || true), "nothing is known yet");
+        policy.learn(Kind::Message, 200);
+        assert!(
+            !policy.look(Kind::Answers, &thread_state, FAR, || true),
+            "of the other kind nothing is known"
+        );
         for _ in 0..100 {
             let mut looks = 0;
             let third = || {
                 looks += 1;
                 looks == 3
             };
-            assert!(patience.look(Kind::Message, &presence, FAR, third));
+            assert!(policy.look(Kind::Message, &thread_state, FAR, third));
         }
     }
 
     #[test]
     fn waits_that_are_long_are_looked_at_once_in_64_and_less_each_time_in_vain() {
-        let mut patience = patience(FREE);
-        assert_eq!(tried(&mut patience, 64), 1);
+        let mut policy = policy(FREE);
+        assert_eq!(tried(&mut policy, 64), 1);
         // Another 63 go by six times, then 127, 255, 511, and 1,023 from there on.
-        assert_eq!(tried(&mut patience, 10_000), 17);
+        assert_eq!(tried(&mut policy, 10_000), 17);
     }
 
     #[test]
     fn waits_that_are_brief_only_where_it_sleeps_are_hardly_looked_at() {
-        let mut patience = patience(FREE);
+        let mut policy = policy(FREE);
         let mut all = 0;
         for _ in 0..5_000 {
-            patience.learn(Kind::Message, 5);
-            all += tried(&mut patience, 1);
+            policy.learn(Kind::Message, 5);
+            all += tried(&mut policy, 1);
         }
         assert!((10..=16).contains(&all), "{all} of 5,000");
     }
 
     #[test]
     fn it_does_not_look_where_others_need_the_core_or_without_a_budget() {
-        let mut crowded = patience(CROWDED);
-        let mut none = Patience { budget: 0, ..patience(FREE) };
-        for patience in [&mut crowded, &mut none] {
-            patience.learn(Kind::Message, 0);
-            assert_eq!(tried(patience, 100), 0);
+        let mut crowded = policy(CROWDED);
+        let mut none = SpinPolicy { budget: 0, ..policy(FREE) };
+        for policy in [&mut crowded, &mut none] {
+            policy.learn(Kind::Message, 0);
+            assert_eq!(tried(policy, 100), 0);
         }
     }
 
     #[test]
     fn it_looks_no_longer_than_the_budget_and_not_beyond_the_end() {
-        let (mut patience, presence) = (patience(FREE), Presence::new());
-        patience.learn(Kind::Message, 0);
+        let (mut policy, thread_state) = (policy(FREE), ThreadState::new());
+        policy.learn(Kind::Message, 0);
         let begins = clock::now();
-        assert!(!patience.look(Kind::Message, &presence, FAR, || false));
+        assert!(!policy.look(Kind::Message, &thread_state, FAR, || false));
         assert!(clock::now() - begins >= 200);
-        patience.budget = FAR;
-        (patience.habits[1].pause, patience.habits[1].brief) = (0, true);
-        assert!(!patience.look(Kind::Message, &presence, clock::now() + 50, || false), "it ends");
+        policy.budget = FAR;
+        (policy.histories[1].pause, policy.histories[1].brief) = (0, true);
+        assert!(!policy.look(Kind::Message, &thread_state, clock::now() + 50, || false), "it ends");
     }
 }

@@ -7,66 +7,66 @@
 //!   behind.
 //! - [`Handoff::enter_and`] is for the task's own thread, which needs the answer.
 //!
-//! The answer (`Mail`) is written under the lock, together with the word on which the task's thread [waits](Waiting). While the
+//! The answer (`Completion`) is written under the lock, together with the word on which the task's thread [waits](Waiting). While the
 //! word says that the thread spins, others leave their input to it. It gets the input at once, and its communication task stays
 //! in the near cache of one core (D128). To a running thread they leave what may wait until it enters (D130).
 //!
-//! The shared part knows nothing of messages: it is generic over the [`Station`], so that tests can explore its interleavings
-//! with a station of two states.
+//! The shared part knows nothing of messages: it is generic over the [`Protected`], so that tests can explore its interleavings
+//! with a protected state of two states.
 
-use crate::sync::awake::Presence;
+use crate::sync::awake::ThreadState;
 use crate::sync::inbox::Inbox;
 use crate::sync::lead::Away;
 use crate::sync::plant::{Plants, Sound};
-pub(crate) use crate::sync::station::{Bell, Entry, Rest, Station};
+pub(crate) use crate::sync::protected::{Entry, Protected, Rest, ThreadWaker};
 pub(crate) use crate::sync::waiting::Plant;
 use crate::sync::waiting::{AWAY, Leave, Waiting, Was};
 use crate::sync::{Mutex, MutexGuard, Ordering, fence, lock, try_lock};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-pub(crate) struct Handoff<S: Station, P = Sound> {
+pub(crate) struct Handoff<S: Protected, P = Sound> {
     core: Mutex<Core<S>>,
     pub inbox: Inbox<S::Input>,
     waiting: Waiting<P>,
 }
 
-struct Core<S: Station> {
-    station: S,
-    mail: Option<S::Mail>,
+struct Core<S: Protected> {
+    protected: S,
+    completion: Option<S::Completion>,
     /// The spare inbox: swapped with the full one.
     batch: Vec<S::Input>,
     resting: bool,
     stopped: bool,
 }
 
-impl<S: Station> Handoff<S> {
-    /// `bell` wakes the task's thread where it waits elsewhere ([`go_away`](Self::go_away)).
-    pub fn new(station: S, bell: Option<Arc<dyn Bell>>) -> Self {
-        Self::planted(station, bell, Sound)
+impl<S: Protected> Handoff<S> {
+    /// `waker` wakes the task's thread where it waits elsewhere ([`go_away`](Self::go_away)).
+    pub fn new(protected: S, waker: Option<Arc<dyn ThreadWaker>>) -> Self {
+        Self::planted(protected, waker, Sound)
     }
 }
 
-impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
+impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
     /// As [`new`](Handoff::new), with a bug.
-    pub fn planted(station: S, bell: Option<Arc<dyn Bell>>, plant: P) -> Self {
+    pub fn planted(protected: S, waker: Option<Arc<dyn ThreadWaker>>, plant: P) -> Self {
         let batch = Inbox::<S::Input>::spare();
         Self {
-            core: Mutex::new(Core { station, mail: None, batch, resting: false, stopped: false }),
+            core: Mutex::new(Core { protected, completion: None, batch, resting: false, stopped: false }),
             inbox: Inbox::new(),
-            waiting: Waiting::new(bell, plant),
+            waiting: Waiting::new(waker, plant),
         }
     }
 
     /// Whether the task's thread runs, visible to all other threads.
-    pub const fn presence(&self) -> &Presence {
-        &self.waiting.presence
+    pub const fn thread_state(&self) -> &ThreadState {
+        &self.waiting.thread_state
     }
 
     /// Brings input from any thread. On return the input has been taken, or the present or next holder of the lock will take it.
     pub fn deliver(&self, input: S::Input, effects: &mut S::Effects) {
         let left = match self.waiting.leaves() {
-            Leave::All => self.leave(input).map(|()| self.call_looker(effects)),
+            Leave::All => self.leave(input).map(|()| self.call_waiter(effects)),
             Leave::SomeOfIt if S::may_wait(&input) => {
                 self.inbox.leave_to_runner(input).map(|()| self.look_after_runner(effects))
             }
@@ -95,7 +95,7 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
                 }
             }
             if inputs.is_empty() {
-                return self.call_looker(effects);
+                return self.call_waiter(effects);
             }
         }
         if let Some(core) = try_lock(&self.core) {
@@ -117,7 +117,7 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
 
     /// As [`enter_and`](Self::enter_and), once.
     #[cfg(test)]
-    pub fn enter(&self, input: S::Input, effects: &mut S::Effects) -> Entry<S::Mail> {
+    pub fn enter(&self, input: S::Input, effects: &mut S::Effects) -> Entry<S::Completion> {
         self.enter_and(input, |_| None, effects)
     }
 
@@ -126,9 +126,9 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
     pub fn enter_and(
         &self,
         input: S::Input,
-        more: impl FnMut(&S::Mail) -> Option<S::Input>,
+        more: impl FnMut(&S::Completion) -> Option<S::Input>,
         effects: &mut S::Effects,
-    ) -> Entry<S::Mail> {
+    ) -> Entry<S::Completion> {
         let mut core = self.come_in();
         self.drain(&mut core, effects);
         core.feed(input, effects);
@@ -139,12 +139,12 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
     pub fn come_back_and(
         &self,
         input: S::Input,
-        more: impl FnMut(&S::Mail) -> Option<S::Input>,
+        more: impl FnMut(&S::Completion) -> Option<S::Input>,
         effects: &mut S::Effects,
-    ) -> Entry<S::Mail> {
+    ) -> Entry<S::Completion> {
         let mut core = self.come_in();
         self.drain(&mut core, effects);
-        if core.mail.is_none() {
+        if core.completion.is_none() {
             core.feed(input, effects);
         }
         self.go_on(core, more, effects)
@@ -161,12 +161,12 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
     fn go_on(
         &self,
         mut core: MutexGuard<'_, Core<S>>,
-        mut more: impl FnMut(&S::Mail) -> Option<S::Input>,
+        mut more: impl FnMut(&S::Completion) -> Option<S::Input>,
         effects: &mut S::Effects,
-    ) -> Entry<S::Mail> {
-        let mail = loop {
-            let mail = core.mail.take();
-            let Some(next) = mail.as_ref().and_then(&mut more) else { break mail };
+    ) -> Entry<S::Completion> {
+        let completion = loop {
+            let completion = core.completion.take();
+            let Some(next) = completion.as_ref().and_then(&mut more) else { break completion };
             // Only if half full, as the drain moves its cache line to this core. Once full, others would wait for the lock.
             if self.inbox.is_half_full() {
                 self.inbox.come_in();
@@ -175,36 +175,36 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
             core.feed(next, effects);
         };
         let stopped = core.stopped;
-        core.resting = mail.is_none() && !stopped;
+        core.resting = completion.is_none() && !stopped;
         let rest = if core.resting { Rest::Begins } else { Rest::No };
-        let until = core.station.settle(rest, effects);
+        let until = core.protected.settle(rest, effects);
         drop(core);
         self.second_look(effects);
-        Entry { mail, stopped, until }
+        Entry { completion, stopped, until }
     }
 
     /// As [`enter`](Self::enter), for a task that is a future. It never rests, so the Timer covers its deadlines. If there is an
     /// answer already, it takes that and brings no input.
-    pub fn enter_awake(&self, input: S::Input, effects: &mut S::Effects) -> Entry<S::Mail> {
+    pub fn enter_awake(&self, input: S::Input, effects: &mut S::Effects) -> Entry<S::Completion> {
         let mut core = lock(&self.core);
         self.waiting.is_polled();
-        let (mail, until) = if core.mail.is_some() {
+        let (completion, until) = if core.completion.is_some() {
             // The thread that brought the answer has settled what follows.
-            (core.mail.take(), u64::MAX)
+            (core.completion.take(), u64::MAX)
         } else {
             self.drain(&mut core, effects);
-            if core.mail.is_none() {
+            if core.completion.is_none() {
                 core.feed(input, effects);
             }
-            (core.mail.take(), core.station.settle(Rest::No, effects))
+            (core.completion.take(), core.protected.settle(Rest::No, effects))
         };
         let stopped = core.stopped;
         drop(core);
         self.second_look(effects);
-        Entry { mail, stopped, until }
+        Entry { completion, stopped, until }
     }
 
-    /// The future waits from here on; the bell wakes it. False if there is something for it already.
+    /// The future waits from here on; the waker wakes it. False if there is something for it already.
     pub fn listen(&self) -> bool {
         self.waiting.listens(|| self.has_left())
     }
@@ -252,8 +252,8 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
     }
 
     /// Input was left to the spinning thread: calls it.
-    fn call_looker(&self, effects: &mut S::Effects) {
-        if !self.waiting.call_looker() {
+    fn call_waiter(&self, effects: &mut S::Effects) {
+        if !self.waiting.call_waiter() {
             // It spins no longer, so it may have drained the inbox before this input came.
             self.second_look(effects);
         }
@@ -279,28 +279,28 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
     }
 
     /// Drains the inbox, unless another thread holds the lock.
-    pub fn nudge(&self, effects: &mut S::Effects) {
+    pub fn wake(&self, effects: &mut S::Effects) {
         self.second_look(effects);
     }
 
-    /// Changes the station in a way that may lead to work, from any thread.
+    /// Changes the protected state in a way that may lead to work, from any thread.
     pub fn visit(&self, visit: impl FnOnce(&mut S, &mut S::Effects), effects: &mut S::Effects) {
         // Drain first: input in the inbox may lead to an answer, and only `work` marks the word.
         self.second_look(effects);
         let mut core = lock(&self.core);
-        visit(&mut core.station, effects);
+        visit(&mut core.protected, effects);
         let rest = if core.resting { Rest::GoesOn } else { Rest::No };
-        core.station.settle(rest, effects);
+        core.protected.settle(rest, effects);
         drop(core);
         self.second_look(effects);
     }
 
-    /// Looks at the station under its lock, after draining the inbox. As a holder, the caller also works off what others leave
+    /// Looks at the protected state under its lock, after draining the inbox. As a holder, the caller also works off what others leave
     /// meanwhile.
     pub fn with<R>(&self, look: impl FnOnce(&mut S) -> R, effects: &mut S::Effects) -> R {
         let mut core = lock(&self.core);
         let seen = if self.inbox.is_empty() {
-            let seen = look(&mut core.station);
+            let seen = look(&mut core.protected);
             drop(core);
             seen
         } else {
@@ -313,7 +313,7 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
     /// As [`with`](Self::with), without draining the inbox.
     #[cfg(test)]
     pub fn look_at<R>(&self, look: impl FnOnce(&mut S) -> R) -> R {
-        look(&mut lock(&self.core).station)
+        look(&mut lock(&self.core).protected)
     }
 
     #[cfg(test)]
@@ -322,7 +322,7 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
     }
 
     /// Puts input into the inbox without taking the lock, or returns it if the inbox is full. The next thread that enters takes
-    /// the input; [`nudge`](Self::nudge) makes sure that one does.
+    /// the input; [`wake`](Self::wake) makes sure that one does.
     pub fn leave(&self, input: S::Input) -> Result<(), S::Input> {
         self.inbox.leave(input)
     }
@@ -336,7 +336,7 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         self.work_and(core, inputs, |_| (), effects);
     }
 
-    /// Drains the inbox, feeds `inputs`, and then calls `then` with the station.
+    /// Drains the inbox, feeds `inputs`, and then calls `then` with the protected state.
     fn work_and<R>(
         &self,
         mut core: MutexGuard<'_, Core<S>>,
@@ -344,18 +344,18 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
         then: impl FnOnce(&mut S) -> R,
         effects: &mut S::Effects,
     ) -> R {
-        let had_mail = core.mail.is_some();
+        let had_completion = core.completion.is_some();
         self.drain(&mut core, effects);
         for input in inputs {
             core.feed(input, effects);
         }
-        let new_mail = !had_mail && core.mail.is_some();
-        core.resting &= !new_mail;
-        let done = then(&mut core.station);
+        let new_completion = !had_completion && core.completion.is_some();
+        core.resting &= !new_completion;
+        let done = then(&mut core.protected);
         let rest = if core.resting { Rest::GoesOn } else { Rest::No };
-        core.station.settle(rest, effects);
+        core.protected.settle(rest, effects);
         // Last, because the task's thread may be spinning, and then wants the lock.
-        let was = if new_mail { self.waiting.mark() } else { Was::RUNNING };
+        let was = if new_completion { self.waiting.mark() } else { Was::RUNNING };
         drop(core);
         self.waiting.call(was);
         done
@@ -401,7 +401,7 @@ impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
     }
 }
 
-impl<S: Station, P: Plants<Plant>> Away for Handoff<S, P> {
+impl<S: Protected, P: Plants<Plant>> Away for Handoff<S, P> {
     fn go_away(&self) -> bool {
         self.waiting.goes(AWAY, || self.has_left())
     }
@@ -411,10 +411,10 @@ impl<S: Station, P: Plants<Plant>> Away for Handoff<S, P> {
     }
 }
 
-impl<S: Station> Core<S> {
+impl<S: Protected> Core<S> {
     fn feed(&mut self, input: S::Input, effects: &mut S::Effects) {
-        if let Some(mail) = self.station.feed(input, effects) {
-            self.mail = Some(mail);
+        if let Some(completion) = self.protected.feed(input, effects) {
+            self.completion = Some(completion);
         }
     }
 }

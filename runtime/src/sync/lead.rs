@@ -10,7 +10,7 @@ use crate::sync::{AtomicBool, Ordering};
 
 /// How a leading thread is called back from its wait in the link.
 pub(crate) trait Away {
-    /// The thread goes away: from now on the bell wakes it. False if it was called already.
+    /// The thread goes away: from now on the waker wakes it. False if it was called already.
     fn go_away(&self) -> bool;
 
     /// The thread is back. False if it was called meanwhile.

@@ -3,14 +3,14 @@
 
 pub(crate) mod alarm;
 pub(crate) mod awake;
+pub(crate) mod combining_lock;
 pub(crate) mod handoff;
 pub(crate) mod inbox;
 pub(crate) mod lane;
 pub(crate) mod lead;
 pub(crate) mod park;
 pub(crate) mod plant;
-pub(crate) mod station;
-pub(crate) mod turn;
+pub(crate) mod protected;
 pub(crate) mod waiting;
 
 #[cfg(test)]

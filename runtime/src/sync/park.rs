@@ -1,7 +1,7 @@
 //! Where the thread of the node's futures waits: asleep, or away, that is in the link (D127). Every waker of a future calls it.
 
 use crate::sync::Word;
-use crate::sync::handoff::Bell;
+use crate::sync::handoff::ThreadWaker;
 use crate::sync::lead::Away;
 use crate::sync::plant::{Plants, Sound};
 use std::sync::Arc;
@@ -12,12 +12,12 @@ const RUNNING: u32 = 0;
 const SLEEPING: u32 = 1;
 /// The thread was called: a future is ready to be polled.
 const CALLED: u32 = 2;
-/// The thread waits in the link, or is about to: the bell wakes it.
+/// The thread waits in the link, or is about to: the waker wakes it.
 const AWAY: u32 = 3;
 
 pub(crate) struct Park<P = Sound> {
     word: Word,
-    bell: Option<Arc<dyn Bell>>,
+    waker: Option<Arc<dyn ThreadWaker>>,
     plant: P,
 }
 
@@ -27,28 +27,28 @@ pub(crate) enum Plant {
     /// The thread parks although it was called after its last poll.
     GoesBlindly,
     /// A thread that is away is not woken.
-    NoBell,
+    NoWaker,
 }
 
 impl Park {
-    /// `bell` wakes the thread while it is away.
-    pub fn new(bell: Option<Arc<dyn Bell>>) -> Self {
-        Self::planted(bell, Sound)
+    /// `waker` wakes the thread while it is away.
+    pub fn new(waker: Option<Arc<dyn ThreadWaker>>) -> Self {
+        Self::planted(waker, Sound)
     }
 }
 
 impl<P: Plants<Plant>> Park<P> {
     /// As [`new`](Park::new), with a bug.
-    pub fn planted(bell: Option<Arc<dyn Bell>>, plant: P) -> Self {
-        Self { word: Word::new(RUNNING), bell, plant }
+    pub fn planted(waker: Option<Arc<dyn ThreadWaker>>, plant: P) -> Self {
+        Self { word: Word::new(RUNNING), waker, plant }
     }
 
     /// Says that a future is ready to be polled, and wakes the thread.
     pub fn call(&self) {
         match self.word.swap(CALLED) {
             SLEEPING => self.word.wake(),
-            AWAY if self.plant.has(Plant::NoBell) => {}
-            AWAY => self.bell.iter().for_each(|bell| bell.ring()),
+            AWAY if self.plant.has(Plant::NoWaker) => {}
+            AWAY => self.waker.iter().for_each(|waker| waker.wake()),
             _running_or_called => {}
         }
     }

@@ -3,8 +3,8 @@
 //! ```text
 //!                      goes, sleep                     mark: there is something for it
 //!   RUNNING <-----------------------------> SLEEPING ------------------------------> READY
-//!      ^  \---- go_away, come_home -------> AWAY -------- and the bell rings --------> READY
-//!      |   \--- listens ------------------> LISTENING --- and the bell rings --------> READY
+//!      ^  \---- go_away, come_home -------> AWAY --------------- a wake-up ----------> READY
+//!      |   \--- listens ------------------> LISTENING ---------- a wake-up ----------> READY
 //!      |    \-- begins to look, looks no more -> LOOKING ----------------------------> READY
 //!      \-------------------------------------- comes in ----------------------------- READY
 //! ```
@@ -12,9 +12,9 @@
 //! While the thread spins, others leave all input in the inbox for it. While it runs, they leave only input that may wait. So a
 //! thread checks the inbox after it has changed the word from `RUNNING`. Others check the word after they have left input.
 
-use crate::sync::awake::Presence;
+use crate::sync::awake::ThreadState;
 use crate::sync::plant::{Plants, Sound};
-use crate::sync::station::Bell;
+use crate::sync::protected::ThreadWaker;
 use crate::sync::{Ordering, Word, fence};
 use std::sync::Arc;
 
@@ -24,9 +24,9 @@ const RUNNING: u32 = 0;
 const SLEEPING: u32 = 1;
 /// There is something for the task's thread, or its program has ended: it must not sleep.
 const READY: u32 = 2;
-/// The task's thread waits in the link, or is about to: the bell wakes it.
+/// The task's thread waits in the link, or is about to: the waker wakes it.
 pub(super) const AWAY: u32 = 3;
-/// The task's program is a future that waits, or is about to: the bell wakes it.
+/// The task's program is a future that waits, or is about to: the waker wakes it.
 const LISTENING: u32 = 4;
 /// The task's thread spins on its word; it drains the inbox when it is called.
 const LOOKING: u32 = 5;
@@ -41,7 +41,7 @@ pub(crate) enum Plant {
     /// The word is marked, but nobody is woken.
     NoWake,
     /// A thread that waits elsewhere is not woken.
-    NoBell,
+    NoWaker,
     /// Stopping does not wake the thread.
     SilentStop,
     /// No fence orders the inbox and the lock.
@@ -87,15 +87,15 @@ impl Was {
 /// How a task's thread waits and is woken.
 pub(super) struct Waiting<P = Sound> {
     word: Line<Word>,
-    pub presence: Presence,
+    pub thread_state: ThreadState,
     /// Wakes the task's thread where it waits elsewhere than on its word.
-    bell: Option<Arc<dyn Bell>>,
+    waker: Option<Arc<dyn ThreadWaker>>,
     pub plant: P,
 }
 
 impl<P: Plants<Plant>> Waiting<P> {
-    pub fn new(bell: Option<Arc<dyn Bell>>, plant: P) -> Self {
-        Self { word: Line(Word::new(RUNNING)), presence: Presence::new(), bell, plant }
+    pub fn new(waker: Option<Arc<dyn ThreadWaker>>, plant: P) -> Self {
+        Self { word: Line(Word::new(RUNNING)), thread_state: ThreadState::new(), waker, plant }
     }
 
     /// Which input may be left to the thread now.
@@ -121,7 +121,7 @@ impl<P: Plants<Plant>> Waiting<P> {
     }
 
     /// The thread enters, under the lock. It writes only if needed, because others read the word's cache line. A swap, because a
-    /// thread that spun may be called just now: the acquire pairs with the `replace` in `call_looker`, so input left before it is
+    /// thread that spun may be called just now: the acquire pairs with the `replace` in `call_waiter`, so input left before it is
     /// seen.
     pub fn comes_in(&self) {
         if !self.is_running() {
@@ -151,21 +151,21 @@ impl<P: Plants<Plant>> Waiting<P> {
     /// Wakes the thread from the state that it had before its word was marked.
     pub fn call(&self, Was(was): Was) {
         if was == SLEEPING || was == AWAY {
-            self.presence.returns();
+            self.thread_state.returns();
         }
         if was == SLEEPING {
             self.word.0.wake();
         }
-        if self.plant.has(Plant::NoBell) {
+        if self.plant.has(Plant::NoWaker) {
             return;
         }
-        if let Some(bell) = self.bell.as_ref().filter(|_| was == AWAY || was == LISTENING) {
-            bell.ring();
+        if let Some(waker) = self.waker.as_ref().filter(|_| was == AWAY || was == LISTENING) {
+            waker.wake();
         }
     }
 
     /// Tells a spinning thread that input was left to it. False if the thread no longer spins, or was called before.
-    pub fn call_looker(&self) -> bool {
+    pub fn call_waiter(&self) -> bool {
         self.word.0.replace(LOOKING, READY) || self.plant.has(Plant::TrustsTheLook)
     }
 
@@ -182,13 +182,13 @@ impl<P: Plants<Plant>> Waiting<P> {
     /// The thread is about to wait in state `to`. False if there is something for it.
     pub fn goes(&self, to: u32, was_left: impl FnOnce() -> bool) -> bool {
         // Before the word changes, because a thread that sees the word and wakes this thread counts it back.
-        self.presence.goes();
+        self.thread_state.goes();
         if self.plant.has(Plant::SleepsBlindly) {
             self.word.0.store(to);
             return true;
         }
         if !self.word.0.replace(RUNNING, to) {
-            self.presence.returns();
+            self.thread_state.returns();
             return false;
         }
         if self.asks(was_left) {
@@ -202,7 +202,7 @@ impl<P: Plants<Plant>> Waiting<P> {
     pub fn comes(&self, from: u32) -> bool {
         let uncalled = self.word.0.replace(from, RUNNING);
         if uncalled {
-            self.presence.returns();
+            self.thread_state.returns();
         }
         uncalled
     }

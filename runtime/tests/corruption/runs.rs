@@ -12,7 +12,7 @@ use std::io::{self, Write};
 use std::sync::atomic::{AtomicI32, Ordering};
 use std::sync::{Arc, Mutex};
 
-const LIFE: (Incarnation, bool) = (Incarnation(1), false);
+const INCARNATION: (Incarnation, bool) = (Incarnation(1), false);
 
 /// The recording of a node, and what it takes to replay it.
 pub struct Recorded {
@@ -42,7 +42,7 @@ impl Recording {
     fn of(table: &NodeTable, programs: &BTreeMap<TaskId, Arc<Program>>) -> Self {
         let kept = Kept::default();
         let statements = statements(programs.iter().map(|(&task, program)| (task, &**program)));
-        let about = About { life: LIFE, insecure: false, build: "a test", statements };
+        let about = About { incarnation: INCARNATION, insecure: false, build: "a test", statements };
         let failed = |error: &imrs_wire::recording::WriteError| panic!("{error}");
         Self(FileRecorder::start(kept.clone(), table, &about, failed).unwrap(), kept)
     }

@@ -371,7 +371,8 @@ impl Write for Kept {
 
 fn recorder(here: &NodeTable) -> (Arc<FileRecorder>, Kept) {
     let kept = Kept::default();
-    let about = About { life: (Incarnation(1), false), insecure: true, build: "the soak", statements: 0 };
+    let about =
+        About { incarnation: (Incarnation(1), false), insecure: true, build: "the soak", statements: 0 };
     let failed = |error: &_| panic!("memory takes everything: {error}");
     (FileRecorder::start(kept.clone(), here, &about, failed).expect("a recording"), kept)
 }

@@ -155,9 +155,9 @@ fn bad_packets_in_a_good_envelope_leave_the_others_alone() {
 }
 
 #[test]
-fn repetitions_and_earlier_lives() {
+fn repetitions_and_earlier_incarnations() {
     let victim = Victim::new();
-    let from = |life: u8, counter: u64| sealed(&envelope_of(life, counter), &[encoded(1)]);
+    let from = |incarnation: u8, counter: u64| sealed(&envelope_of(incarnation, counter), &[encoded(1)]);
     for counter in [0, 1, 1_500, 1_499, 477] {
         victim.throw(&from(1, counter));
         assert_eq!(victim.memory.take_packets(&victim.link, 1).len(), 1, "{counter}");

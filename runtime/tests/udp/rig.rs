@@ -45,10 +45,10 @@ pub fn any_port() -> SocketAddr {
 }
 
 pub fn link(node: NodeId) -> UdpLink {
-    life(node, 1, false)
+    started(node, 1, false)
 }
 
-pub fn life(node: NodeId, incarnation: u8, restarted: bool) -> UdpLink {
+pub fn started(node: NodeId, incarnation: u8, restarted: bool) -> UdpLink {
     LazyLock::force(&STAMPED);
     bound(node, UdpOptions::new(Incarnation(incarnation), restarted))
 }
@@ -62,7 +62,7 @@ fn bound(node: NodeId, options: UdpOptions) -> UdpLink {
 static STAMPED: LazyLock<UdpLink> = LazyLock::new(|| {
     let end = Instant::now() + PATIENCE;
     loop {
-        let (a, b) = introduced(bound(A, first_life()), bound(B, first_life()));
+        let (a, b) = introduced(bound(A, first_incarnation()), bound(B, first_incarnation()));
         a.send(B, &[packet(1)]).unwrap();
         Memory::default().take_packets(&b, 1);
         if b.count(UdpCount::NoStamp) == 0 {
@@ -72,13 +72,13 @@ static STAMPED: LazyLock<UdpLink> = LazyLock::new(|| {
     }
 });
 
-fn first_life() -> UdpOptions {
+fn first_incarnation() -> UdpOptions {
     UdpOptions::new(Incarnation(1), false)
 }
 
 /// A link for which the kernel neither cuts nor merges.
 pub fn plain(node: NodeId) -> UdpLink {
-    bound(node, UdpOptions { segments: false, ..first_life() })
+    bound(node, UdpOptions { segments: false, ..first_incarnation() })
 }
 
 /// Links of A and B that know each other's addresses.

@@ -200,8 +200,8 @@ fn what_came_in_one_need_not_be_of_one() {
     if !cuts(&b) {
         return;
     }
-    let of = |sender: NodeId, life: u8, counter: u64, number: u32| {
-        sealed(&Envelope { sender, ..envelope_of(life, counter) }, &[encoded(number)])
+    let of = |sender: NodeId, incarnation: u8, counter: u64, number: u32| {
+        sealed(&Envelope { sender, ..envelope_of(incarnation, counter) }, &[encoded(number)])
     };
     let all =
         [of(A, 1, 0, 1), of(A, 1, 1, 2), of(C, 1, 0, 3), of(A, 2, 0, 4), of(A, 1, 2, 5), of(C, 1, 1, 6)];

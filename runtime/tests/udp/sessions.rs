@@ -1,8 +1,8 @@
 //! Sessions: no node stays deaf, and no dead session takes over (D144).
 
 use super::rig::{
-    A, B, C, Memory, PATIENCE, any_port, cell, digests, encoded, envelope, introduced, life, link, packet,
-    pair, raw_socket, sealed, sealed_for, table,
+    A, B, C, Memory, PATIENCE, any_port, cell, digests, encoded, envelope, introduced, link, packet, pair,
+    raw_socket, sealed, sealed_for, started, table,
 };
 use imrs_protocol::{Incarnation, NodeTable, Packet};
 use imrs_runtime::link::udp::{UdpCount, UdpLink, UdpOptions};
@@ -109,13 +109,13 @@ fn a_node_that_lost_its_state_is_heard_after_one_exchange() {
     for (before, after) in [(200, 0), (5, 5), (130, 2), (7, 8)] {
         // A new link in each turn, because what was heard before would count, and because one link asks only so often.
         let (b, at_b) = (link(B), Memory::default());
-        let a = life(A, before, true);
+        let a = started(A, before, true);
         let (a, b) = (a, &b);
         a.set_address(B, Some(b.local_address())).unwrap();
         b.set_address(A, Some(a.local_address())).unwrap();
         lost_until_heard(&a, b, &at_b, 100);
         drop(a);
-        let again = life(A, after, false);
+        let again = started(A, after, false);
         again.set_address(B, Some(b.local_address())).unwrap();
         b.set_address(A, Some(again.local_address())).unwrap();
         let lost = lost_until_heard(&again, b, &at_b, 200);
@@ -130,7 +130,7 @@ fn a_node_that_greets_is_heard_with_its_first_packet() {
     let (a, b) = pair();
     let (at_a, at_b) = (Memory::default(), Memory::default());
     acquainted(&a, &b);
-    let again = life(A, 0, false);
+    let again = started(A, 0, false);
     let (again, b) = introduced(again, b);
     assert!(again.greet());
     settle(&[(&b, &at_b), (&again, &at_a), (&b, &at_b), (&again, &at_a)]);
@@ -141,7 +141,7 @@ fn a_node_that_greets_is_heard_with_its_first_packet() {
 
 #[test]
 fn a_datagram_of_a_dead_session_takes_nothing_over() {
-    let (a, b) = introduced(life(A, 200, true), link(B));
+    let (a, b) = introduced(started(A, 200, true), link(B));
     let at_b = Memory::default();
     acquainted(&a, &b);
     let dead = taken_on_its_way(&a, &b, packet(7));
@@ -149,11 +149,11 @@ fn a_datagram_of_a_dead_session_takes_nothing_over() {
     drop(a);
     // Incarnation 100 comes before 200, and 250 after it.
     for (incarnation, reason) in [(100, LinkDiscard::UnprovenSession), (250, LinkDiscard::StaleIncarnation)] {
-        let (again, b) = (life(A, incarnation, false), &b);
+        let (again, b) = (started(A, incarnation, false), &b);
         again.set_address(B, Some(b.local_address())).unwrap();
         b.set_address(A, Some(again.local_address())).unwrap();
         lost_until_heard(&again, b, &at_b, 10);
-        let before = b.count(UdpCount::NewLives);
+        let before = b.count(UdpCount::NewIncarnations);
         at_b.packets.lock().unwrap().clear();
         at_b.discards.lock().unwrap().clear();
         for number in 0..20 {
@@ -162,7 +162,7 @@ fn a_datagram_of_a_dead_session_takes_nothing_over() {
             assert_eq!(lost_until_heard(&again, b, &at_b, 1_000 + number), 0);
         }
         assert_eq!(at_b.take_packets(b, 20).len(), 20);
-        assert_eq!(b.count(UdpCount::NewLives), before);
+        assert_eq!(b.count(UdpCount::NewIncarnations), before);
     }
 }
 
@@ -180,7 +180,7 @@ fn a_dead_session_that_is_heard_first_is_replaced() {
     let length = between.recv(&mut dead_of_b).unwrap();
     drop((a, b));
     // Each hears the other's dead session first.
-    let (a, b) = introduced(life(A, 3, true), life(B, 3, true));
+    let (a, b) = introduced(started(A, 3, true), started(B, 3, true));
     let (at_a, at_b) = (Memory::default(), Memory::default());
     throw(&dead_of_a, &b);
     throw(&dead_of_b[..length], &a);
@@ -260,10 +260,10 @@ fn a_refusal_ends_with_what_is_admitted() {
 
 #[test]
 fn neighbours_say_which_incarnation_they_remember() {
-    let (a, b) = introduced(life(A, 77, true), link(B));
+    let (a, b) = introduced(started(A, 77, true), link(B));
     acquainted(&a, &b);
     drop(a);
-    let (again, c) = (life(A, 0, false), link(C));
+    let (again, c) = (started(A, 0, false), link(C));
     again.set_address(C, Some(c.local_address())).unwrap();
     c.set_address(A, Some(again.local_address())).unwrap();
     let (again, b) = introduced(again, b);
@@ -300,7 +300,7 @@ fn what_others_pass_on_is_remembered_too() {
     let id = imrs_protocol::MessageId { incarnation: Incarnation(41), ..other.id };
     b.send(C, &[Packet { id, ..other }]).unwrap();
     at_c.take_packets(&c, 1);
-    let a = life(A, 0, false);
+    let a = started(A, 0, false);
     a.set_address(C, Some(c.local_address())).unwrap();
     c.set_address(A, Some(a.local_address())).unwrap();
     let said = std::thread::scope(|scope| {

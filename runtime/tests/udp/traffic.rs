@@ -1,6 +1,6 @@
 //! Tests of sending, coalescing, waiting, restarts and network errors.
 
-use super::rig::{A, B, C, Memory, PATIENCE, any_port, life, link, packet, pair, raw_socket, table};
+use super::rig::{A, B, C, Memory, PATIENCE, any_port, link, packet, pair, raw_socket, started, table};
 use imrs_protocol::{Contents, Incarnation, NodeId, Packet, PacketError, Ticks};
 use imrs_runtime::link::udp::{NotANeighbour, UdpCount, UdpError, UdpLink, UdpOptions};
 use imrs_runtime::link::{Link, LinkBusy, LinkDiscard, PollEnd};
@@ -200,12 +200,12 @@ fn whoever_waits_takes_over_the_socket() {
 }
 
 #[test]
-fn a_restart_is_announced_and_what_is_left_of_the_old_life_dropped() {
+fn a_restart_is_announced_and_what_is_left_of_the_old_incarnation_dropped() {
     let (a, b) = pair();
     let memory = Memory::default();
     a.send(B, &[packet(1)]).unwrap();
     memory.take_packets(&b, 1);
-    let again = life(A, 2, true);
+    let again = started(A, 2, true);
     again.set_address(B, Some(b.local_address())).unwrap();
     // The new incarnation has another address: the address book says so.
     b.set_address(A, Some(again.local_address())).unwrap();
@@ -217,14 +217,14 @@ fn a_restart_is_announced_and_what_is_left_of_the_old_life_dropped() {
     a.send(B, &[packet(3)]).unwrap();
     assert_eq!(memory.take_discards(&b, 1)[0].name(), "stale_incarnation");
     assert_eq!(*memory.peers.lock().unwrap(), [(A, Incarnation(1), false), (A, Incarnation(2), true)]);
-    assert_eq!(b.count(UdpCount::NewLives), 2);
+    assert_eq!(b.count(UdpCount::NewIncarnations), 2);
     b.send(A, &[packet(4)]).unwrap();
     assert_eq!(Memory::default().take_packets(&again, 1)[0].1, packet(4));
 }
 
 #[test]
 fn a_node_says_itself_that_it_restarted() {
-    let (again, b) = (life(A, 9, true), link(B));
+    let (again, b) = (started(A, 9, true), link(B));
     again.set_address(B, Some(b.local_address())).unwrap();
     again.send(B, &[packet(1)]).unwrap();
     let memory = Memory::default();

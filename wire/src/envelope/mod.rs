@@ -323,9 +323,9 @@ mod tests {
     }
 
     #[test]
-    fn later_lives_supersede_earlier_ones_around_the_wrap() {
-        let lives = |new, old| supersedes(Incarnation(new), Incarnation(old));
-        assert!(lives(1, 0) && lives(0, 255) && lives(127, 0));
-        assert!(!lives(0, 0) && !lives(0, 1) && !lives(255, 0) && !lives(128, 0));
+    fn later_incarnations_supersede_earlier_ones_around_the_wrap() {
+        let newer = |new, old| supersedes(Incarnation(new), Incarnation(old));
+        assert!(newer(1, 0) && newer(0, 255) && newer(127, 0));
+        assert!(!newer(0, 0) && !newer(0, 1) && !newer(255, 0) && !newer(128, 0));
     }
 }

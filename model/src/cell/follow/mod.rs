@@ -24,14 +24,14 @@ pub use guide::follow_run;
 pub use run::{Followed, Happened, Happening, Late, Run, Turn, Unexplained};
 pub use steps::{Steps, steps_in_model};
 
-use super::course::Course;
 use super::judge::{name, statement};
 use super::plan::{CellFaults, CellPlan, Conduct};
+use super::run_state::RunState;
 pub(super) use words::plain;
 use words::{alike, named, port_name, said};
 
-use crate::floor::script::Running;
-use crate::floor::{Crossing, Effect, Floor};
+use crate::cell_state::script::Running;
+use crate::cell_state::{CellState, Effect, InFlight};
 use imrs_protocol::script::{Address, ScriptInput};
 use imrs_protocol::{Packet, TaskId};
 use std::collections::{BTreeMap, VecDeque};
@@ -81,7 +81,7 @@ pub(super) type Roundings = BTreeMap<(usize, usize), Rounding>;
 pub(super) struct Follower {
     /// Microseconds in a tick.
     tick: u64,
-    course: Course,
+    run_state: RunState,
     pub roundings: Roundings,
     /// For each node: the microsecond of its start, the ticks that its tasks have counted, and the ticks that its actions have
     /// counted.
@@ -104,7 +104,7 @@ pub(super) struct Follower {
     /// For each task, steps of its script in the model that the run has not shown yet.
     pending: Vec<VecDeque<Turn>>,
     /// The packets that arrived last, the newest first.
-    arrived: VecDeque<Crossing>,
+    arrived: VecDeque<InFlight>,
     /// For each task, packets that it sent in the model and the run has not shown yet, each with the tick of its node.
     sends: Vec<Vec<(u64, Packet)>>,
     pub out: Followed,
@@ -131,13 +131,13 @@ pub(super) enum Stop {
 }
 
 /// The inputs of a task, each with what came of it. Passing time that shows nothing is left out.
-fn groups(course: &Course, run: &Run, task: usize) -> Vec<Group> {
+fn groups(run_state: &RunState, run: &Run, task: usize) -> Vec<Group> {
     let mut groups: Vec<Group> = Vec::new();
-    let here = course.floor.station_of(task);
+    let here = run_state.cell.node_state_of(task);
     for Happening { at, what, .. } in run.tasks.get(task).into_iter().flatten() {
         match what {
             Happened::Sent(packet) => {
-                let leaves = course.floor.station_of(packet.destination.index()) != here;
+                let leaves = run_state.cell.node_state_of(packet.destination.index()) != here;
                 if let Some(group) = groups.last_mut().filter(|_| leaves) {
                     group.sent.push(named(packet));
                 }
@@ -161,14 +161,14 @@ fn groups(course: &Course, run: &Run, task: usize) -> Vec<Group> {
 
 impl Follower {
     pub fn new(plan: &Arc<CellPlan>, run: &Run) -> Self {
-        let mut course = Course::new(plan, &CellFaults::default());
+        let mut run_state = RunState::new(plan, &CellFaults::default());
         // No script has begun yet, because the run gives the order in which its tasks go on.
-        course.floor = Floor::waiting(&Arc::clone(&course.floor.plan));
-        course.floor.keep_log = true;
-        let (nodes, tasks) = (course.floor.stations.len(), plan.tasks.len());
-        let groups: Vec<_> = (0..tasks).map(|task| groups(&course, run, task)).collect();
+        run_state.cell = CellState::waiting(&Arc::clone(&run_state.cell.plan));
+        run_state.cell.keep_log = true;
+        let (nodes, tasks) = (run_state.cell.nodes.len(), plan.tasks.len());
+        let groups: Vec<_> = (0..tasks).map(|task| groups(&run_state, run, task)).collect();
         let first = |node: usize| {
-            let here = (0..tasks).filter(|&task| course.floor.station_of(task) == node);
+            let here = (0..tasks).filter(|&task| run_state.cell.node_state_of(task) == node);
             here.filter_map(|task| run.tasks.get(task)?.first()).map(|first| first.at).min().unwrap_or(0)
         };
         Self {
@@ -187,7 +187,7 @@ impl Follower {
             guessed: 0,
             done: Vec::new(),
             roundings: Roundings::new(),
-            course,
+            run_state,
             out: Followed::default(),
         }
     }
@@ -199,7 +199,7 @@ impl Follower {
 
     /// The node of a task.
     pub fn node_of(&self, task: TaskId) -> usize {
-        self.course.floor.station_of(task.index())
+        self.run_state.cell.node_state_of(task.index())
     }
 
     /// Follows the run until `inputs` of its inputs were followed in all, or until it cannot go on.
@@ -245,13 +245,13 @@ impl Follower {
     /// The operation of the run's next script step of a task; without one, the operation at which the task is in the model.
     fn address(&self, task: usize) -> Address {
         let next = self.groups[task].get(self.next[task]).and_then(|group| group.turns.first());
-        next.map_or_else(|| super::judge::position(&self.course, task), |turn| turn.at)
+        next.map_or_else(|| super::judge::position(&self.run_state, task), |turn| turn.at)
     }
 
     fn follow(&mut self, task: usize) -> Result<(), No> {
         let groups = Arc::clone(&self.groups);
         let Some(group) = groups[task].get(self.next[task]) else { return Ok(()) };
-        let node = self.course.floor.station_of(task);
+        let node = self.run_state.cell.node_state_of(task);
         let now = group.at.saturating_sub(self.starts[node]) / self.tick;
         let counted = now.saturating_add_signed(self.rounding(task));
         match group.cause {
@@ -260,7 +260,7 @@ impl Follower {
                 // A script may begin long after its node's first record. Its first action must not count that time.
                 self.let_actions_go_on(node, now);
                 self.catch_up(node, counted)?;
-                self.course.floor.leave(task, ScriptInput::Begin);
+                self.run_state.cell.leave(task, ScriptInput::Begin);
                 self.made(node)?;
             }
             Happened::Time | Happened::PeerRestarted(_) => {
@@ -276,7 +276,7 @@ impl Follower {
             Happened::Chosen(choice) => {
                 self.quiet(task, "it chooses")?;
                 self.let_actions_go_on(node, now);
-                self.course.floor.leave(task, ScriptInput::Chosen(choice));
+                self.run_state.cell.leave(task, ScriptInput::Chosen(choice));
                 self.made(node)?;
             }
             Happened::Sent(_) | Happened::Turn(_) | Happened::Stopped => {}
@@ -298,7 +298,7 @@ impl Follower {
     }
 
     fn sends_what(&self, packet: &Packet) -> String {
-        let table = &self.course.plan.table;
+        let table = &self.run_state.plan.table;
         let (from, to) = (name(table, packet.source.index()), name(table, packet.destination.index()));
         let again = if packet.resent { " again" } else { "" };
         format!("{from} sends a {:?} on {} to {to}{again}", packet.kind, port_name(table, packet.port))
@@ -315,24 +315,24 @@ impl Follower {
     /// Runs the scripts after a move of the model, and collects what they did.
     fn made(&mut self, node: usize) -> Result<(), No> {
         self.out.moves += 1;
-        let course = &mut self.course;
-        let result = course.floor.run_scripts();
-        course.floor.crossings.sort_by_key(|crossing| crossing.link);
+        let run_state = &mut self.run_state;
+        let result = run_state.cell.run_scripts();
+        run_state.cell.in_flight.sort_by_key(|carried| carried.link);
         self.collect(node);
         result.map_err(|violation| No::Never(violation.text().into()))
     }
 
     fn collect(&mut self, node: usize) {
-        let turns = self.course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
+        let turns = self.run_state.cell.turns.as_mut().map(std::mem::take).unwrap_or_default();
         for turn in turns {
             let (at, input, passed, end) = (turn.at, turn.input, turn.passed, turn.end);
             self.pending[turn.task].push_back(Turn { at, input, passed, end });
         }
-        for effect in std::mem::take(&mut self.course.floor.log) {
+        for effect in std::mem::take(&mut self.run_state.cell.log) {
             if let Effect::Sent(_, packet) = effect {
                 let task = packet.source.index();
                 // Packets that a node only relays do not count.
-                if self.course.floor.station_of(task) == node {
+                if self.run_state.cell.node_state_of(task) == node {
                     self.sends[task].push((self.clocks[node], named(&packet)));
                 }
             }
@@ -369,7 +369,7 @@ impl Follower {
         let over = self.over.remove(&(task, level)).unwrap_or(0);
         self.late(task, at, over);
         let runs = |running: &&Running| running.level == level;
-        let actor = self.course.floor.bodies[task].actor.as_ref();
+        let actor = self.run_state.cell.bodies[task].actor.as_ref();
         let Some(&Running { action, least, .. }) = actor.and_then(|actor| actor.running.iter().find(runs))
         else {
             return Err(No::Never("an action ends that the model has not begun".into()));
@@ -378,18 +378,18 @@ impl Follower {
             let why = format!("an action ends {least} ticks before its least time is over");
             return Err(if u64::from(least) > ROUNDED { No::However(why) } else { No::Never(why) });
         }
-        if let Conduct::Program { values, .. } = &self.course.plan.tasks[task] {
+        if let Conduct::Program { values, .. } = &self.run_state.plan.tasks[task] {
             let tried = values.get(usize::from(action)).map_or(&[][..], Vec::as_slice);
             let is_tried = if tried.is_empty() { value == 0 } else { tried.contains(&value) };
             self.out.other_values += u64::from(ok && !is_tried);
         }
-        self.course.floor.acted(task, level, ok, value);
+        self.run_state.cell.acted(task, level, ok, value);
         self.made(node)
     }
 
     fn tell(&self, task: usize, turn: &Turn) -> String {
-        let table = &self.course.plan.table;
-        let what = match &self.course.plan.tasks[task] {
+        let table = &self.run_state.plan.table;
+        let what = match &self.run_state.plan.tasks[task] {
             Conduct::Program { program, .. } => statement(table, program, turn.at),
             Conduct::Extern(_) => String::new(),
         };

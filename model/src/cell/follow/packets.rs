@@ -19,14 +19,14 @@ impl Follower {
         (now, counted): (u64, u64),
         packet: Packet,
     ) -> Result<(), No> {
-        let from = self.course.floor.station_of(packet.source.index());
+        let from = self.run_state.cell.node_state_of(packet.source.index());
         if from == node {
             return Ok(());
         }
         let known =
             self.under_way(&packet).is_some() || self.guess(from, task, &packet) || self.copied(&packet);
         if !known {
-            let table = &self.course.plan.table;
+            let table = &self.run_state.plan.table;
             let (from, kind) = (name(table, packet.source.index()), packet.kind);
             let port = port_name(table, packet.port);
             let why = format!("{kind:?} of {from} on {port} arrives that the model has not sent");
@@ -46,7 +46,7 @@ impl Follower {
     fn was_sent(&self, packet: &Packet) -> bool {
         let source = packet.source.index();
         let mut sent = self.groups[source].iter().flat_map(|group| &group.sent);
-        let is_whole = self.whole.get(self.course.floor.station_of(source)).copied().unwrap_or(true);
+        let is_whole = self.whole.get(self.run_state.cell.node_state_of(source)).copied().unwrap_or(true);
         !is_whole || sent.any(|sent| *sent == named(packet))
     }
 
@@ -54,20 +54,20 @@ impl Follower {
     /// run shows of its remaining time; `None` if the run does not show that.
     fn carry(&mut self, packet: &Packet, node: usize, more: Option<u64>) -> Result<bool, No> {
         while let Some(i) = self.under_way(packet) {
-            let crossing = self.course.floor.crossings.remove(i);
-            let (_, to, bound) = self.course.floor.links[usize::from(crossing.link)];
+            let carried = self.run_state.cell.in_flight.remove(i);
+            let (_, to, bound) = self.run_state.cell.links[usize::from(carried.link)];
             let last = to.index() == node;
             // Ticks that the packet was charged beyond the link's bound, rounded down (D20).
-            let left = crossing.packet.remaining.0.saturating_sub(u64::from(bound)) * self.tick;
+            let left = carried.packet.remaining.0.saturating_sub(u64::from(bound)) * self.tick;
             let over = match more.filter(|_| last) {
                 Some(more) => left.saturating_sub(packet.remaining.0) / self.tick + more,
                 None => 0,
             };
             if last {
                 self.arrived.truncate(REPEATED - 1);
-                self.arrived.push_front(crossing);
+                self.arrived.push_front(carried);
             }
-            let step = self.course.floor.deliver(crossing, u8::try_from(over).unwrap_or(u8::MAX));
+            let step = self.run_state.cell.deliver(carried, u8::try_from(over).unwrap_or(u8::MAX));
             step.map_err(|violation| No::Never(violation.text().into()))?;
             self.made(to.index())?;
             if last {
@@ -80,7 +80,7 @@ impl Follower {
     /// Guesses moves of a killed node that lead to this packet, because the node may have done more than its recording shows. It
     /// tries the newest packet in flight to the node first.
     fn guess(&mut self, node: usize, task: usize, wanted: &Packet) -> bool {
-        let over = (0..self.next.len()).filter(|&task| self.course.floor.station_of(task) == node);
+        let over = (0..self.next.len()).filter(|&task| self.run_state.cell.node_state_of(task) == node);
         let mut over = over.map(|task| self.next[task] == self.groups[task].len());
         if self.whole.get(node).copied().unwrap_or(true) || !over.all(|over| over) {
             return false;
@@ -89,8 +89,8 @@ impl Follower {
         let now = at.saturating_sub(self.starts[node]) / self.tick;
         self.let_actions_go_on(node, now);
         for _ in 0..GUESSES {
-            let to = |packet: &Packet| self.course.floor.station_of(packet.destination.index()) == node;
-            let coming = self.course.floor.crossings.iter().map(|crossing| crossing.packet);
+            let to = |packet: &Packet| self.run_state.cell.node_state_of(packet.destination.index()) == node;
+            let coming = self.run_state.cell.in_flight.iter().map(|carried| carried.packet);
             let coming: Vec<Packet> = coming.filter(to).collect();
             let mut trials: Vec<Self> = Vec::new();
             for packet in coming.iter().rev() {
@@ -101,7 +101,7 @@ impl Follower {
             }
             for (task, level) in self.may_end(node) {
                 let mut trial = self.clone();
-                trial.course.floor.acted(task, level, true, 0);
+                trial.run_state.cell.acted(task, level, true, 0);
                 if trial.made(node).is_ok() {
                     trials.push(trial);
                 }
@@ -121,7 +121,7 @@ impl Follower {
             self.guessed += 1;
             if let Some(at) = self.like(wanted) {
                 // Nobody knows the results of its actions, nor the contents that follow from them.
-                self.course.floor.crossings[at].packet.contents = wanted.contents;
+                self.run_state.cell.in_flight[at].packet.contents = wanted.contents;
                 return true;
             }
         }
@@ -133,17 +133,17 @@ impl Follower {
         let source = packet.source.index();
         let mut to_come = self.groups[source][self.next[source]..].iter().flat_map(|group| &group.sent);
         let again = to_come.any(|sent| *sent == named(packet));
-        let before = self.arrived.iter().find(|crossing| named(&crossing.packet) == named(packet)).copied();
-        let Some(crossing) = before.filter(|_| !again) else { return false };
-        self.course.floor.crossings.push(crossing);
+        let before = self.arrived.iter().find(|carried| named(&carried.packet) == named(packet)).copied();
+        let Some(carried) = before.filter(|_| !again) else { return false };
+        self.run_state.cell.in_flight.push(carried);
         true
     }
 
     /// The actions on a node that may end now.
     fn may_end(&self, node: usize) -> Vec<(usize, u8)> {
-        let floor = &self.course.floor;
-        let here = (0..floor.bodies.len()).filter(|&task| floor.station_of(task) == node);
-        let actors = here.filter_map(|task| Some((task, floor.bodies[task].actor.as_ref()?)));
+        let cell_state = &self.run_state.cell;
+        let here = (0..cell_state.bodies.len()).filter(|&task| cell_state.node_state_of(task) == node);
+        let actors = here.filter_map(|task| Some((task, cell_state.bodies[task].actor.as_ref()?)));
         let running = actors.flat_map(|(task, actor)| actor.running.iter().map(move |action| (task, action)));
         running.filter(|(_, action)| action.least == 0).map(|(task, action)| (task, action.level)).collect()
     }
@@ -151,28 +151,28 @@ impl Follower {
     /// The packet in flight that differs from this one only in its contents.
     fn like(&self, packet: &Packet) -> Option<usize> {
         let like = |other: &Packet| named(&Packet { contents: packet.contents, ..*other }) == named(packet);
-        self.course.floor.crossings.iter().position(|crossing| like(&crossing.packet))
+        self.run_state.cell.in_flight.iter().position(|carried| like(&carried.packet))
     }
 
     /// Of the same packets in flight in the model, the one whose remaining time is nearest to this one's.
     pub(super) fn under_way(&self, packet: &Packet) -> Option<usize> {
         let left = packet.remaining.0 / self.tick;
         let same = |other: &Packet| named(other) == named(packet);
-        let floor = &self.course.floor;
-        let all = floor.crossings.iter().enumerate().filter(|(_, crossing)| same(&crossing.packet));
+        let cell_state = &self.run_state.cell;
+        let all = cell_state.in_flight.iter().enumerate().filter(|(_, carried)| same(&carried.packet));
         let distance = |at: usize| {
-            let crossing = &floor.crossings[at];
-            let charge = u64::from(floor.links[usize::from(crossing.link)].2);
-            crossing.packet.remaining.0.saturating_sub(charge).abs_diff(left)
+            let carried = &cell_state.in_flight[at];
+            let charge = u64::from(cell_state.links[usize::from(carried.link)].2);
+            carried.packet.remaining.0.saturating_sub(charge).abs_diff(left)
         };
         all.map(|(at, _)| at).min_by_key(|&at| distance(at))
     }
 
     /// Counts packets in flight at the end of the run as lost. This includes packets that were sent just before.
     pub(super) fn count_lost(&mut self) {
-        let floor = &self.course.floor;
-        for (at, (from, to, _)) in floor.links.iter().enumerate() {
-            let left = floor.crossings.iter().filter(|crossing| usize::from(crossing.link) == at).count();
+        let cell_state = &self.run_state.cell;
+        for (at, (from, to, _)) in cell_state.links.iter().enumerate() {
+            let left = cell_state.in_flight.iter().filter(|carried| usize::from(carried.link) == at).count();
             if left > 0 {
                 self.out.lost.push((from.index(), to.index(), left as u64));
             }

@@ -2,9 +2,9 @@
 //! of [`Times::Between`], and with the declared faults at the plan's times.
 
 use super::run::{Happened, Run, Turn};
-use crate::cell::course::{CellMove, Course};
 use crate::cell::outside::with_programs;
 use crate::cell::plan::{CellFaults, CellPlan, Times};
+use crate::cell::run_state::{CellMove, RunState};
 use crate::cell::search::timed;
 use imrs_protocol::script::{Address, End, ScriptInput};
 use imrs_protocol::{Call, Outcome, PortId, Signal, TaskId};
@@ -74,15 +74,15 @@ pub fn steps_in_model(plan: &Arc<CellPlan>, run: &Run) -> Steps {
 }
 
 fn walk(plan: &Arc<CellPlan>, faults: &CellFaults, draw: &mut Draw, missing: &mut BTreeSet<Kind>) {
-    let mut course = Course::new(plan, faults);
+    let mut run_state = RunState::new(plan, faults);
     let mut moves = Vec::new();
     for _ in 0..LENGTH {
-        for turn in course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default() {
+        for turn in run_state.cell.turns.as_mut().map(std::mem::take).unwrap_or_default() {
             let (at, input, passed, end) = (turn.at, turn.input, turn.passed, turn.end);
             missing.remove(&Kind::of(turn.task, &Turn { at, input, passed, end }));
         }
         moves.clear();
-        course.moves(&mut moves);
+        run_state.moves(&mut moves);
         // To lose another packet of an open cut is no new fault.
         let is_fault = |step: &CellMove| step.is_fault() && !matches!(step, CellMove::Vanish(_));
         // Faults are rare, or they would all happen at the beginning.
@@ -90,7 +90,7 @@ fn walk(plan: &Arc<CellPlan>, faults: &CellFaults, draw: &mut Draw, missing: &mu
             moves.retain(|step| !is_fault(step));
         }
         let Some(&step) = moves.get(draw.below(moves.len())) else { return };
-        if !course.survives(step) || course.floor.violation.is_some() || missing.is_empty() {
+        if !run_state.survives(step) || run_state.cell.violation.is_some() || missing.is_empty() {
             return;
         }
     }

@@ -15,7 +15,7 @@ const TIED: usize = 8;
 impl Follower {
     /// Ticks until time alone makes a node act.
     pub(super) fn expiry(&self, node: usize) -> Option<u64> {
-        self.course.floor.stations[node].node.time_left().map(|ticks| ticks.0.max(1))
+        self.run_state.cell.nodes[node].node.time_left().map(|ticks| ticks.0.max(1))
     }
 
     pub(super) fn count(&mut self, node: usize, ticks: u64) -> Result<(), No> {
@@ -23,7 +23,7 @@ impl Follower {
             return Ok(());
         }
         self.clocks[node] += ticks;
-        let step = self.course.floor.pass(node, Ticks(ticks));
+        let step = self.run_state.cell.pass(node, Ticks(ticks));
         step.map_err(|violation| No::Never(violation.text().into()))?;
         self.made(node)
     }
@@ -31,7 +31,7 @@ impl Follower {
     /// Whether a node signals or sends anything when this many ticks pass.
     pub(super) fn shows(&self, node: usize, ticks: u64) -> bool {
         let mut look = Look(false);
-        let mut node = self.course.floor.stations[node].node.clone();
+        let mut node = self.run_state.cell.nodes[node].node.clone();
         node.step(node.now() + Ticks(ticks), NodeInput::Time, &mut look);
         look.0
     }
@@ -55,9 +55,9 @@ impl Follower {
     pub(super) fn let_actions_go_on(&mut self, node: usize, now: u64) {
         let ticks = u32::try_from(now.saturating_sub(self.acts[node])).unwrap_or(u32::MAX);
         self.acts[node] = self.acts[node].max(now);
-        for task in 0..self.course.floor.bodies.len() {
-            if self.course.floor.station_of(task) == node
-                && let Some(actor) = &mut self.course.floor.bodies[task].actor
+        for task in 0..self.run_state.cell.bodies.len() {
+            if self.run_state.cell.node_state_of(task) == node
+                && let Some(actor) = &mut self.run_state.cell.bodies[task].actor
             {
                 self.over.retain(|&(of, level), _| {
                     of != task || actor.running.iter().any(|running| running.level == level)
@@ -84,7 +84,7 @@ impl Follower {
         let since = self.done.iter().rev().take(inputs).next_back();
         let since = since.map_or(0, |&(task, group)| self.groups[task][group].at);
         let coming = self.next.iter().enumerate().filter_map(|(task, &next)| {
-            let node = self.course.floor.station_of(task);
+            let node = self.run_state.cell.node_state_of(task);
             let now = self.groups[task].get(next)?.at.saturating_sub(self.starts[node]) / self.tick;
             let due = self.clocks[node] + self.expiry(node)?;
             Some(now.saturating_sub(due))
@@ -158,10 +158,10 @@ impl Follower {
     /// The timers and delays of a node, each with the ticks until it ends and the ticks until it was due. The latter are fewer,
     /// perhaps below 0, if its end was put off because a late node has not noticed it yet.
     fn timers(&mut self, node: usize) -> Vec<(Timer, u64, i64)> {
-        let entries = self.course.floor.stations[node].node.parts().timer.entries();
+        let entries = self.run_state.cell.nodes[node].node.parts().timer.entries();
         // A timer that was put off ends with the next tick; if it does not, it was started again.
         let known = |timer: &Timer| entries.iter().any(|&(of, id, left)| (of, id) == *timer && left.0 <= 1);
-        let here = |of: TaskId| self.course.floor.station_of(of.index()) == node;
+        let here = |of: TaskId| self.run_state.cell.node_state_of(of.index()) == node;
         self.put_off.retain(|timer, _| !here(timer.0) || known(timer));
         let entry = |(of, id, left): (TaskId, TimeId, Ticks)| {
             let put_off = self.put_off.get(&(of, id)).copied().unwrap_or(0);
@@ -191,7 +191,7 @@ impl Follower {
 
     /// Ticks until time alone makes a node act, apart from its Timer.
     fn rest(&self, node: usize) -> Option<u64> {
-        let mut rest = self.course.floor.stations[node].node.clone();
+        let mut rest = self.run_state.cell.nodes[node].node.clone();
         for (of, id, _) in rest.parts().timer.entries() {
             rest.parts_mut().timer.disarm(of, id);
         }
@@ -201,7 +201,7 @@ impl Follower {
     /// Puts off timers that end within `ticks` until right after these: the run shows later when they end.
     fn put_timers_off(&mut self, node: usize, ticks: u64) {
         for ((of, id), left, _) in self.timers(node).into_iter().filter(|(_, left, _)| *left <= ticks) {
-            self.course.floor.stations[node].node.parts_mut().timer.put(of, id, Ticks(ticks + 1));
+            self.run_state.cell.nodes[node].node.parts_mut().timer.put(of, id, Ticks(ticks + 1));
             *self.put_off.entry((of, id)).or_default() += ticks + 1 - left;
         }
     }
@@ -220,8 +220,8 @@ impl Follower {
 
     fn end_now(&mut self, node: usize, (of, id): Timer) -> Result<(), No> {
         self.put_off.remove(&(of, id));
-        self.course.floor.stations[node].node.parts_mut().timer.put(of, id, Ticks::ZERO);
-        let step = self.course.floor.pass(node, Ticks::ZERO);
+        self.run_state.cell.nodes[node].node.parts_mut().timer.put(of, id, Ticks::ZERO);
+        let step = self.run_state.cell.pass(node, Ticks::ZERO);
         step.map_err(|violation| No::Never(violation.text().into()))?;
         self.made(node)
     }

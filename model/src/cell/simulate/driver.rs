@@ -3,8 +3,8 @@
 mod who;
 
 use super::schedule::{Chooser, Fault, Tape, in_order};
-use crate::cell::course::{CellMove, Course, OPEN, UNUSED};
-use crate::floor::script::Running;
+use crate::cell::run_state::{CellMove, OPEN, RunState, UNUSED};
+use crate::cell_state::script::Running;
 use imrs_protocol::{NodeId, TaskId};
 use who::{Who, is_of_a_turn, who};
 
@@ -46,15 +46,15 @@ struct Chosen {
 
 impl Chosen {
     /// Whether the end was chosen for this action of an activation.
-    fn is_of(&self, course: &Course, (task, level): (u8, u8), running: &Running) -> bool {
+    fn is_of(&self, run_state: &RunState, (task, level): (u8, u8), running: &Running) -> bool {
         (self.task, self.level, self.action, self.latest)
-            == (task, level, running.action, latest(course, running))
+            == (task, level, running.action, latest(run_state, running))
     }
 }
 
 /// The latest end of an action.
-fn latest(course: &Course, running: &Running) -> u64 {
-    if running.most == Running::FOREVER { u64::MAX } else { course.passed + u64::from(running.most) }
+fn latest(run_state: &RunState, running: &Running) -> u64 {
+    if running.most == Running::FOREVER { u64::MAX } else { run_state.passed + u64::from(running.most) }
 }
 
 /// A directed link.
@@ -86,9 +86,9 @@ pub(super) struct Driver<'a> {
 }
 
 impl<'a> Driver<'a> {
-    pub fn new(faults: &[Fault], source: Source<'a>, start: &Course) -> Self {
+    pub fn new(faults: &[Fault], source: Source<'a>, start: &RunState) -> Self {
         let cell = start.plan.table.cell();
-        let links = &start.floor.links;
+        let links = &start.cell.links;
         let tasks = (0..cell.tasks.len()).map(|task| Chooser::Task(TaskId::from_index(task)));
         let ends = links.iter().map(|&(from, to, _)| Chooser::Link(from, to));
         let nodes = (0..cell.nodes.len()).map(|node| Chooser::Node(NodeId::from_index(node)));
@@ -129,20 +129,20 @@ impl<'a> Driver<'a> {
     }
 
     /// The next move, one of `moves`; `None` if the run is over.
-    pub fn next(&mut self, course: &Course, moves: &[CellMove]) -> Option<CellMove> {
+    pub fn next(&mut self, run_state: &RunState, moves: &[CellMove]) -> Option<CellMove> {
         let step = if moves.iter().any(|step| is_of_a_turn(*step)) {
-            self.in_turn(course, moves)
+            self.in_turn(run_state, moves)
         } else {
-            self.between(course, moves)
+            self.between(run_state, moves)
         }?;
-        self.note(course, step);
+        self.note(run_state, step);
         Some(step)
     }
 
     /// The next move if no node has anything to do in this tick.
-    fn between(&mut self, course: &Course, moves: &[CellMove]) -> Option<CellMove> {
-        let now = course.passed;
-        let waits = course.next_event().is_some();
+    fn between(&mut self, run_state: &RunState, moves: &[CellMove]) -> Option<CellMove> {
+        let now = run_state.passed;
+        let waits = run_state.next_event().is_some();
         moves
             .iter()
             .copied()
@@ -150,14 +150,14 @@ impl<'a> Driver<'a> {
                 CellMove::Crash(number) => self.stop(number).is_some_and(|(_, at, _)| at <= now),
                 CellMove::Restart(node) => self.is_back(node, if waits { now } else { u64::MAX }),
                 CellMove::Drift(node, more) => self.drift(node, more, now).is_some(),
-                CellMove::Wake(node) => course.must_wake(usize::from(node)),
+                CellMove::Wake(node) => run_state.must_wake(usize::from(node)),
                 _ => self.pause(*step, now).is_some(),
             })
             .or_else(|| moves.iter().copied().find(|step| *step == CellMove::Pass))
     }
 
     /// The next move if a node has something to do in this tick.
-    fn in_turn(&mut self, course: &Course, moves: &[CellMove]) -> Option<CellMove> {
+    fn in_turn(&mut self, run_state: &RunState, moves: &[CellMove]) -> Option<CellMove> {
         if let Some(CellMove::Choose(task, _)) = moves.first() {
             let choice = self.draw(usize::from(*task), moves.len(), Spread::Even);
             return moves.get(choice as usize).copied();
@@ -165,11 +165,11 @@ impl<'a> Driver<'a> {
         let back = moves
             .iter()
             .copied()
-            .find(|step| matches!(step, CellMove::Restart(node) if self.is_back(*node, course.passed)));
+            .find(|step| matches!(step, CellMove::Restart(node) if self.is_back(*node, run_state.passed)));
         if back.is_some() {
             return back;
         }
-        let pauses = moves.iter().copied().find(|step| self.pause(*step, course.passed).is_some());
+        let pauses = moves.iter().copied().find(|step| self.pause(*step, run_state.passed).is_some());
         if pauses.is_some() {
             return pauses;
         }
@@ -177,14 +177,14 @@ impl<'a> Driver<'a> {
         let mut seen: Vec<Who> = Vec::new();
         let is_busy = moves.iter().any(|step| matches!(step, CellMove::Take(..) | CellMove::Begin(_)));
         for &step in moves {
-            let Some(who) = who(course, step).filter(|who| !seen.contains(who)) else { continue };
+            let Some(who) = who(run_state, step).filter(|who| !seen.contains(who)) else { continue };
             seen.push(who);
-            if is_busy && !self.comes_now(course, who) {
+            if is_busy && !self.comes_now(run_state, who) {
                 continue;
             }
             let waits = match who {
-                Who::Action(task, level) => self.goes_on(course, moves, (task, level)),
-                Who::Line(link) => self.stays(course, moves, link),
+                Who::Action(task, level) => self.goes_on(run_state, moves, (task, level)),
+                Who::Line(link) => self.stays(run_state, moves, link),
                 Who::Input(_) => None,
             };
             if waits.is_some() {
@@ -193,48 +193,49 @@ impl<'a> Driver<'a> {
             ready.push(who);
         }
         let node = match *ready.first()? {
-            Who::Action(task, _) => course.floor.station_of(usize::from(task)),
-            Who::Line(link) => course.floor.links[link].1.index(),
+            Who::Action(task, _) => run_state.cell.node_state_of(usize::from(task)),
+            Who::Line(link) => run_state.cell.links[link].1.index(),
             Who::Input(CellMove::Take(node, _) | CellMove::Begin(node)) => usize::from(node),
             Who::Input(_) => return None,
         };
         let first = self.draw(self.tasks + self.lines.len() + node, ready.len(), Spread::Even);
         match *ready.get(first as usize)? {
             Who::Action(task, level) => self.ends(moves, (task, level)),
-            Who::Line(link) => self.comes(course, moves, link),
+            Who::Line(link) => self.comes(run_state, moves, link),
             Who::Input(step) => Some(step),
         }
     }
 
     /// Whether a move may come while inputs wait in a node: an action whose end was chosen for now, or a packet that has no fault
     /// or has another packet behind it. All other actions and packets are asked when no input waits.
-    fn comes_now(&self, course: &Course, who: Who) -> bool {
+    fn comes_now(&self, run_state: &RunState, who: Who) -> bool {
         match who {
             Who::Input(_) => true,
             Who::Action(task, level) => {
-                let actor = course.floor.bodies[usize::from(task)].actor.as_ref();
+                let actor = run_state.cell.bodies[usize::from(task)].actor.as_ref();
                 actor.and_then(|actor| actor.runs(level)).is_some_and(|running| {
-                    let chosen = self.actions.iter().find(|of| of.is_of(course, (task, level), running));
+                    let chosen = self.actions.iter().find(|of| of.is_of(run_state, (task, level), running));
                     running.most == 0 || chosen.is_some_and(|chosen| chosen.left == 0)
                 })
             }
             Who::Line(link) => {
-                let mut on = (0..course.floor.crossings.len())
-                    .filter(|&at| usize::from(course.floor.crossings[at].link) == link);
-                on.next().is_some_and(|first| course.floor.is_followed(first)) || !self.is_named(course, link)
+                let mut on = (0..run_state.cell.in_flight.len())
+                    .filter(|&at| usize::from(run_state.cell.in_flight[at].link) == link);
+                on.next().is_some_and(|first| run_state.cell.is_followed(first))
+                    || !self.is_named(run_state, link)
             }
         }
     }
 
     /// Whether a fault is named for the next packet of a link at its bound: the packet is lost, doubled or cut off.
-    fn is_named(&self, course: &Course, link: usize) -> bool {
-        let (from, to, _) = course.floor.links[link];
+    fn is_named(&self, run_state: &RunState, link: usize) -> bool {
+        let (from, to, _) = run_state.cell.links[link];
         let next = self.lines[link].arrived + 1;
         let is = |fault: &Fault| match *fault {
             Fault::Lose { link, nth } | Fault::Copy { link, nth } => link == (from, to) && nth == next,
             _ => false,
         };
-        self.named(is).is_some() || self.cut(course, link).is_some()
+        self.named(is).is_some() || self.cut(run_state, link).is_some()
     }
 
     /// The move that ends an action: its named failure, or one of its values by choice.
@@ -255,20 +256,25 @@ impl<'a> Driver<'a> {
     }
 
     /// The move by which an action that may end now goes on; `None` if it ends.
-    fn goes_on(&mut self, course: &Course, moves: &[CellMove], (task, level): (u8, u8)) -> Option<CellMove> {
-        let running = *course.floor.bodies[usize::from(task)].actor.as_ref()?.runs(level)?;
+    fn goes_on(
+        &mut self,
+        run_state: &RunState,
+        moves: &[CellMove],
+        (task, level): (u8, u8),
+    ) -> Option<CellMove> {
+        let running = *run_state.cell.bodies[usize::from(task)].actor.as_ref()?.runs(level)?;
         if !moves.contains(&CellMove::GoOn(task, level)) {
             return None;
         }
         let endless = running.most == Running::FOREVER;
-        let known = self.actions.iter_mut().find(|chosen| chosen.is_of(course, (task, level), &running));
+        let known = self.actions.iter_mut().find(|chosen| chosen.is_of(run_state, (task, level), &running));
         if let Some(chosen) = known {
             chosen.left = chosen.left.checked_sub(1)?;
             return Some(CellMove::GoOn(task, level));
         }
         self.actions.retain(|chosen| (chosen.task, chosen.level) != (task, level));
         // It may end now, or after whole steps, counted back from its most time.
-        let step = course.plan.step.max(1);
+        let step = run_state.plan.step.max(1);
         let first = running.most - (running.most.saturating_sub(1) / step) * step;
         let instants = if endless { ENDLESS } else { 2 + (running.most - first) / step };
         let number = self.draw(usize::from(task), instants as usize, Spread::Ends);
@@ -277,7 +283,7 @@ impl<'a> Driver<'a> {
             task,
             level,
             action: running.action,
-            latest: latest(course, &running),
+            latest: latest(run_state, &running),
             left: left.saturating_sub(1),
         });
         match number {
@@ -288,23 +294,23 @@ impl<'a> Driver<'a> {
     }
 
     /// The move by which a packet that may arrive now stays on its link; `None` if it arrives.
-    fn stays(&mut self, course: &Course, moves: &[CellMove], link: usize) -> Option<CellMove> {
+    fn stays(&mut self, run_state: &RunState, moves: &[CellMove], link: usize) -> Option<CellMove> {
         let stays = CellMove::Stay(u8::try_from(link).ok()?);
-        let first = course.floor.crossings.iter().find(|crossing| usize::from(crossing.link) == link)?;
+        let first = run_state.cell.in_flight.iter().find(|carried| usize::from(carried.link) == link)?;
         if !moves.contains(&stays) {
             return None;
         }
-        let bound = u32::from(course.floor.links[link].2);
+        let bound = u32::from(run_state.cell.links[link].2);
         let next = self.lines[link].arrived + 1;
-        (self.is_named(course, link) || first.age < self.arrives(link, next, (first.age, bound)))
+        (self.is_named(run_state, link) || first.age < self.arrives(link, next, (first.age, bound)))
             .then_some(stays)
     }
 
     /// The move of the first packet of a link: it arrives, or a fault happens to it.
-    fn comes(&mut self, course: &Course, moves: &[CellMove], link: usize) -> Option<CellMove> {
-        let floor = &course.floor;
-        let first = floor.crossings.iter().position(|crossing| usize::from(crossing.link) == link)?;
-        let (first, (from, to, _)) = (u8::try_from(first).ok()?, floor.links[link]);
+    fn comes(&mut self, run_state: &RunState, moves: &[CellMove], link: usize) -> Option<CellMove> {
+        let cell_state = &run_state.cell;
+        let first = cell_state.in_flight.iter().position(|carried| usize::from(carried.link) == link)?;
+        let (first, (from, to, _)) = (u8::try_from(first).ok()?, cell_state.links[link]);
         let next = self.lines[link].arrived + 1;
         let here = |of: (NodeId, NodeId), is: bool| of == (from, to) && is;
         let overtaken =
@@ -313,9 +319,9 @@ impl<'a> Driver<'a> {
         let twice =
             self.named(|fault| matches!(*fault, Fault::Copy { link, nth } if here(link, nth == next)));
         let behind = moves.iter().copied().find(|step| {
-            matches!(*step, CellMove::Deliver(i) if i != first && who(course, *step) == Some(Who::Line(link)))
+            matches!(*step, CellMove::Deliver(i) if i != first && who(run_state, *step) == Some(Who::Line(link)))
         });
-        let (step, fault) = match self.cut(course, link) {
+        let (step, fault) = match self.cut(run_state, link) {
             Some(Cut::Lasts) => (Some(CellMove::Vanish(first)), None),
             Some(Cut::Begins(number, fault)) => (Some(CellMove::Cut(first, number)), Some(fault)),
             None if overtaken.is_some() && behind.is_some() => (behind, overtaken),
@@ -348,20 +354,20 @@ impl<'a> Driver<'a> {
     }
 
     /// What cuts do to the packet at the end of a link.
-    fn cut(&self, course: &Course, link: usize) -> Option<Cut> {
+    fn cut(&self, run_state: &RunState, link: usize) -> Option<Cut> {
         let cuts = (0_u8..).zip(self.faults.iter().enumerate().filter_map(|(fault, of)| match *of {
             Fault::Cut { link, at, .. } => Some((fault, link, at)),
             _ => None,
         }));
         let here = || cuts.clone().filter(|(_, (_, of, _))| *of == link / 2);
-        let state = |number: u8| course.beside.cuts.get(usize::from(number)).copied();
+        let state = |number: u8| run_state.beside.cuts.get(usize::from(number)).copied();
         // No other cut of a link begins while one is open.
         if let Some((_, (fault, ..))) = here().find(|(number, _)| state(*number) == Some(OPEN)) {
-            let over = self.cuts[fault].is_some_and(|over| over <= course.passed);
+            let over = self.cuts[fault].is_some_and(|over| over <= run_state.passed);
             return (!over).then_some(Cut::Lasts);
         }
         let (number, (fault, _, at)) = here().find(|(number, _)| state(*number) == Some(UNUSED))?;
-        (at <= course.passed).then_some(Cut::Begins(number, fault))
+        (at <= run_state.passed).then_some(Cut::Begins(number, fault))
     }
 
     /// The first fault that has not happened and for which `is` holds.
@@ -407,9 +413,9 @@ impl<'a> Driver<'a> {
     }
 
     /// Updates the counts and the faults that happened, after a move.
-    fn note(&mut self, course: &Course, step: CellMove) {
+    fn note(&mut self, run_state: &RunState, step: CellMove) {
         let line =
-            |i: u8| course.floor.crossings.get(usize::from(i)).map(|crossing| usize::from(crossing.link));
+            |i: u8| run_state.cell.in_flight.get(usize::from(i)).map(|carried| usize::from(carried.link));
         match step {
             CellMove::Deliver(i)
             | CellMove::Lose(i)
@@ -423,7 +429,7 @@ impl<'a> Driver<'a> {
                     _ => None,
                 });
                 if let Some((fault, lasts)) = cuts.nth(usize::from(number)) {
-                    self.cuts[fault] = lasts.map(|lasts| course.passed.saturating_add(lasts));
+                    self.cuts[fault] = lasts.map(|lasts| run_state.passed.saturating_add(lasts));
                 }
             }
             CellMove::Acted(task, level, ..) => {
@@ -433,13 +439,13 @@ impl<'a> Driver<'a> {
             CellMove::Crash(number) => {
                 if let Some((fault, _, restart)) = self.stop(number) {
                     self.happened[fault] = true;
-                    let due = restart.map(|after| course.passed.saturating_add(after));
-                    self.restarts[course.crash_node(number)] = due;
+                    let due = restart.map(|after| run_state.passed.saturating_add(after));
+                    self.restarts[run_state.crash_node(number)] = due;
                 }
             }
             CellMove::Restart(node) => self.restarts[usize::from(node)] = None,
             CellMove::Drift(node, more) => {
-                if let Some(fault) = self.drift(node, more, course.passed) {
+                if let Some(fault) = self.drift(node, more, run_state.passed) {
                     self.happened[fault] = true;
                 }
             }

@@ -22,11 +22,11 @@ pub use run::Ended;
 pub use schedule::{Chooser, Fault, MOST_FAULTS, Schedule, Tape};
 
 use super::alike::shows_alike;
-use super::course::Course;
 use super::judge::{Reached, Shown};
 use super::missed::Missed;
 use super::outside::with_programs;
 use super::plan::{CellFaults, CellPlan, Conduct, Times};
+use super::run_state::RunState;
 use super::search::{timed, too_large};
 use super::story;
 use super::verdict::{Finding, Phase, Refused};
@@ -156,7 +156,7 @@ impl Simulator {
         }
         let plan = timed(&with_programs(plan), Times::Every);
         let plain = run(&plan, &[], Source::Tape(&Tape::new()), Limit { steps, stop: None });
-        let links = Course::new(&plan, &CellFaults::default()).floor.links;
+        let links = RunState::new(&plan, &CellFaults::default()).cell.links;
         let census = Census::of(&plan, &links, &plain);
         Ok(Self { census, steps, jobs: plan.jobs.max(1), plan, stop: Arc::default() })
     }
@@ -325,14 +325,14 @@ impl Simulator {
     }
 
     fn chart(&self, run: &Run) -> String {
-        let way = story::walk(&self.plan, &run.faults, &run.moves, |_| {});
+        let path = story::walk(&self.plan, &run.faults, &run.moves, |_| {});
         let end = match run.ended {
             Ended::Over => "nothing happens any more",
             Ended::Found => "a finding ends the run",
             Ended::Steps => "the run has made as many steps as it may",
             Ended::Crowded => "more packets are in flight than can be numbered",
         };
-        story::shorten(&chart(way.pen.names(), &way.pen.notes, end, Folding::Repeats))
+        story::shorten(&chart(path.recorder.names(), &path.recorder.notes, end, Folding::Repeats))
     }
 
     fn shrink(&self, Group { shown, moves, schedule, .. }: &Group) -> Found {

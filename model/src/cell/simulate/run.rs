@@ -2,9 +2,9 @@
 
 use super::driver::{Driver, Source};
 use super::schedule::{Fault, Tape};
-use crate::cell::course::CellMove;
 use crate::cell::judge::{Reached, Shown};
 use crate::cell::plan::{CellFaults, CellPlan};
+use crate::cell::run_state::CellMove;
 use crate::cell::starve::decided;
 use crate::cell::unpacked::Unpacked;
 use crate::cell::verdict::Phase;
@@ -68,7 +68,7 @@ pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, li
     let phase = if faults.is_empty() { Phase::FaultFree } else { Phase::Faults };
     let budgets = super::schedule::budgets(&super::schedule::in_order(faults));
     let mut cell = Unpacked::new(plan, phase, &budgets);
-    let mut driver = Driver::new(faults, source, &cell.course);
+    let mut driver = Driver::new(faults, source, &cell.run_state);
     let (mut taken, mut next) = (Vec::new(), Vec::new());
     let mut judged: Vec<Shown> = Vec::new();
     let mut shown: Vec<(usize, Shown)> = Vec::new();
@@ -77,11 +77,11 @@ pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, li
         let mut found = cell.shown();
         next.clear();
         if !found.iter().any(|one| one.last) {
-            cell.course.moves(&mut next);
+            cell.run_state.moves(&mut next);
             if next.iter().all(|step| matches!(step, CellMove::Crash(_) | CellMove::Restart(_))) {
-                found.extend(deadlock(&cell.course, false));
+                found.extend(deadlock(&cell.run_state, false));
             } else {
-                found.extend(deadlock(&cell.course, true));
+                found.extend(deadlock(&cell.run_state, true));
             }
         }
         let mut last = false;
@@ -100,10 +100,10 @@ pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, li
         if stopped || taken.len() >= limit.steps as usize {
             break Ended::Steps;
         }
-        if cell.course.floor.crossings.len() > MOST_PACKETS {
+        if cell.run_state.cell.in_flight.len() > MOST_PACKETS {
             break Ended::Crowded;
         }
-        let Some(step) = driver.next(&cell.course, &next) else { break Ended::Over };
+        let Some(step) = driver.next(&cell.run_state, &next) else { break Ended::Over };
         cell.take(step);
         taken.push(step);
     };
@@ -114,7 +114,7 @@ pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, li
         ended,
         stopped,
         shown,
-        ticks: cell.course.passed,
+        ticks: cell.run_state.passed,
         reached: cell.reached,
         tape: driver.tape(),
         counts: driver.counts(),

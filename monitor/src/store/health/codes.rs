@@ -1,6 +1,6 @@
 //! The lints of the monitor: code, severity and explanation of each.
 
-use crate::store::journal::Level;
+use crate::store::journal::Severity;
 
 /// A lint: a kind of finding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -8,7 +8,7 @@ pub struct Lint {
     /// A stable name, for programs and for `imrs explain`.
     pub code: &'static str,
     /// Its severity.
-    pub level: Level,
+    pub level: Severity,
     /// A short title.
     pub title: &'static str,
     /// An explanation in Markdown: meaning, condition, remedy.
@@ -19,7 +19,7 @@ macro_rules! lints {
     ($($name:ident $level:ident $code:literal $title:literal;)*) => {
         $(pub(super) const $name: Lint = Lint {
             code: $code,
-            level: Level::$level,
+            level: Severity::$level,
             title: $title,
             explanation: include_str!(concat!("explain/", $code, ".md")),
         };)*

@@ -2,7 +2,7 @@
 
 use super::codes::{self, Lint};
 use super::{Finding, Lately, Place};
-use crate::store::Life;
+use crate::store::NodeIncarnation;
 
 /// The link counters (`runtime/src/link`) with a lint of their own. Any other counter is [`codes::LINK_DISCARDS`],
 /// unless it is routine.
@@ -29,8 +29,8 @@ const SIGNS: &[(&str, &Lint)] = &[
 /// Packets of a neighbour's previous incarnation, which still arrive after a restart, are routine.
 const ORDINARY: &[&str] = &["stale_incarnation", "unproven_session"];
 
-pub(super) fn look(life: &Life, lately: &Lately<'_>, found: &mut Vec<Finding>) {
-    let place = Place::node(life);
+pub(super) fn look(incarnation: &NodeIncarnation, lately: &Lately<'_>, found: &mut Vec<Finding>) {
+    let place = Place::node(incarnation);
     for (name, more) in lately.link_discards() {
         if ORDINARY.contains(&name) {
             continue;

@@ -30,8 +30,8 @@ pub(super) fn look(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Find
 
 /// The place of a task in the latest incarnation of its node.
 fn home(store: &Store, cell: &Name, names: &Names, task: TaskId) -> Option<Place> {
-    let life = names.home(task).and_then(|node| store.latest(cell, node))?;
-    Some(Place { task: Some(task), ..Place::node(life) })
+    let incarnation = names.home(task).and_then(|node| store.latest(cell, node))?;
+    Some(Place { task: Some(task), ..Place::node(incarnation) })
 }
 
 /// Findings of a rendezvous in which a member waits.

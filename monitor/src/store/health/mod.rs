@@ -8,8 +8,8 @@ mod port;
 
 pub(crate) use node::{held_back_sentence, held_back_words};
 
-use super::journal::Level;
-use super::{Life, LifeId, Store};
+use super::journal::Severity;
+use super::{IncarnationId, NodeIncarnation, Store};
 use crate::clock::Moment;
 use crate::name::Name;
 use codes::Lint;
@@ -21,7 +21,7 @@ use std::sync::{Arc, OnceLock};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Place {
     /// The incarnation of the node, or the id of a node that was never seen.
-    pub node: Result<LifeId, NodeId>,
+    pub node: Result<IncarnationId, NodeId>,
     /// The task.
     pub task: Option<TaskId>,
     /// The port.
@@ -30,8 +30,8 @@ pub struct Place {
 
 impl Place {
     /// The place of a whole node.
-    const fn node(life: &Life) -> Self {
-        Self { node: Ok(life.id), task: None, port: None }
+    const fn node(incarnation: &NodeIncarnation) -> Self {
+        Self { node: Ok(incarnation.id), task: None, port: None }
     }
 
     /// Whether `other` is this place or lies within it.
@@ -47,7 +47,7 @@ impl Place {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Finding {
     /// Its severity.
-    pub level: Level,
+    pub level: Severity,
     /// A stable name, for programs: see [`codes`].
     pub code: &'static str,
     /// Its place.
@@ -82,8 +82,8 @@ impl Looked {
 #[must_use]
 pub fn findings(store: &Store, cell: &Name, now: Moment) -> Vec<Finding> {
     let mut found = Vec::new();
-    for life in store.present(cell) {
-        node::look(store, life, now, &mut found);
+    for incarnation in store.present(cell) {
+        node::look(store, incarnation, now, &mut found);
     }
     node::never_seen(store, cell, &mut found);
     node::unlike(store, cell, now, &mut found);
@@ -92,15 +92,15 @@ pub fn findings(store: &Store, cell: &Name, now: Moment) -> Vec<Finding> {
     found
 }
 
-/// Two snapshots to compare: the one at [`Life::base`] and the latest.
+/// Two snapshots to compare: the one at [`NodeIncarnation::base`] and the latest.
 struct Lately<'a> {
     before: Option<&'a Snapshot>,
     after: &'a Snapshot,
 }
 
 impl<'a> Lately<'a> {
-    fn of(life: &'a Life) -> Option<Self> {
-        let after = &life.last.as_ref()?.snapshot;
-        Some(Self { before: life.base.as_ref().map(|s| &*s.snapshot), after })
+    fn of(incarnation: &'a NodeIncarnation) -> Option<Self> {
+        let after = &incarnation.last.as_ref()?.snapshot;
+        Some(Self { before: incarnation.base.as_ref().map(|s| &*s.snapshot), after })
     }
 }

@@ -4,7 +4,7 @@ use super::{Finding, Lately, Place, codes, links, port};
 use crate::clock::{Moment, Span};
 use crate::name::Name;
 use crate::store::conformance::{Verdict, conformance};
-use crate::store::{Condition, Life, Presence, Store, unseen};
+use crate::store::{Condition, NodeIncarnation, Presence, Store, unseen};
 use imrs_wire::obs::{Liveness, RealTime};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -14,11 +14,11 @@ const VITALS: Duration = Duration::from_secs(3);
 /// With fewer ended timers there is no finding.
 const A_RULE: u64 = 8;
 
-pub(super) fn look(store: &Store, life: &Life, now: Moment, found: &mut Vec<Finding>) {
-    let place = Place::node(life);
-    match life.presence(now) {
+pub(super) fn look(store: &Store, incarnation: &NodeIncarnation, now: Moment, found: &mut Vec<Finding>) {
+    let place = Place::node(incarnation);
+    match incarnation.presence(now) {
         Presence::Dead(_) => {
-            let why = match &life.condition {
+            let why = match &incarnation.condition {
                 Condition::Dead { why, .. } => crate::name::shown(why),
                 Condition::Attached | Condition::Stopped { .. } => String::new(),
             };
@@ -32,51 +32,51 @@ pub(super) fn look(store: &Store, life: &Life, now: Moment, found: &mut Vec<Find
         Presence::Stopped(_) => return,
         Presence::Up => {}
     }
-    if let Verdict::Violates { step, what } = conformance(store, life.id).verdict {
+    if let Verdict::Violates { step, what } = conformance(store, incarnation.id).verdict {
         let text = format!("does not do what was verified: step {step}: {}", crate::name::shown_line(&what));
         found.push(Finding::new(&codes::MODEL_VIOLATION, place, text));
     }
-    let Some(lately) = Lately::of(life) else { return };
+    let Some(lately) = Lately::of(incarnation) else { return };
     if let RealTime::Refused { memory, scheduler, core } = lately.after.real_time {
         let all = [(scheduler, "the scheduler"), (memory, "locked memory"), (core, "the core")];
         let refused: Vec<_> = all.into_iter().filter_map(|(is, what)| is.then_some(what)).collect();
         let text = format!("real time was refused: {}", refused.join(", "));
         found.push(Finding::new(&codes::NO_REAL_TIME, place, text));
     }
-    held_back(life, now, found);
-    let lost = life.lost_lately();
+    held_back(incarnation, now, found);
+    let lost = incarnation.lost_lately();
     if lost > 0 {
         let text = format!("{lost} events were lost on the way to this monitor");
         found.push(Finding::new(&codes::EVENTS_LOST, place, text));
     }
-    timers(life, now, found);
-    links::look(life, &lately, found);
-    found.extend_from_slice(life.looked.or_look(|| tasks(store, life, &lately)));
+    timers(incarnation, now, found);
+    links::look(incarnation, &lately, found);
+    found.extend_from_slice(incarnation.looked.or_look(|| tasks(store, incarnation, &lately)));
 }
 
-fn tasks(store: &Store, life: &Life, lately: &Lately<'_>) -> Vec<Finding> {
+fn tasks(store: &Store, incarnation: &NodeIncarnation, lately: &Lately<'_>) -> Vec<Finding> {
     let mut found = Vec::new();
     for task in &lately.after.tasks {
         if task.liveness == Liveness::Crashed {
-            let place = Place { task: Some(task.view.task), ..Place::node(life) };
+            let place = Place { task: Some(task.view.task), ..Place::node(incarnation) };
             found.push(Finding::new(&codes::TASK_CRASHED, place, "the task panicked".to_owned()));
         }
-        port::look(store, life, lately, task, &mut found);
+        port::look(store, incarnation, lately, task, &mut found);
     }
     found
 }
 
 /// The scripts that a restarted node holds back: one finding if all tasks have the same remaining time, otherwise one each.
-fn held_back(life: &Life, now: Moment, found: &mut Vec<Finding>) {
-    let held: Vec<_> = life.held_back(now).collect();
+fn held_back(incarnation: &NodeIncarnation, now: Moment, found: &mut Vec<Finding>) {
+    let held: Vec<_> = incarnation.held_back(now).collect();
     let Some(&(_, first)) = held.first() else { return };
-    let alike = held.len() == life.tasks().len() && held.iter().all(|(_, us)| *us == first);
+    let alike = held.len() == incarnation.tasks().len() && held.iter().all(|(_, us)| *us == first);
     if alike {
-        found.push(Finding::new(&codes::HELD_BACK, Place::node(life), held_back_sentence(first)));
+        found.push(Finding::new(&codes::HELD_BACK, Place::node(incarnation), held_back_sentence(first)));
         return;
     }
     for (task, us) in held {
-        let place = Place { task: Some(task), ..Place::node(life) };
+        let place = Place { task: Some(task), ..Place::node(incarnation) };
         found.push(Finding::new(&codes::HELD_BACK, place, held_back_sentence(us)));
     }
 }
@@ -93,12 +93,12 @@ pub(crate) fn held_back_sentence(us: u64) -> String {
 
 /// Reports timers that are usually late, if enough of them ended within the last seconds. Single timers are late on any
 /// shared machine; only the timer screen shows those.
-fn timers(life: &Life, now: Moment, found: &mut Vec<Finding>) {
-    let Some(told) = life.vitals.as_ref().filter(|told| now.saturating_sub(told.at) <= VITALS) else {
+fn timers(incarnation: &NodeIncarnation, now: Moment, found: &mut Vec<Finding>) {
+    let Some(told) = incarnation.vitals.as_ref().filter(|told| now.saturating_sub(told.at) <= VITALS) else {
         return;
     };
-    let Some(lately) = life.timers_lately() else { return };
-    let tick_us = life.names.tick.0.saturating_mul(life.tick_us);
+    let Some(lately) = incarnation.timers_lately() else { return };
+    let tick_us = incarnation.names.tick.0.saturating_mul(incarnation.tick_us);
     if lately.count >= A_RULE && lately.late.saturating_mul(2) > lately.count {
         let text = format!(
             "timers are late: {} of the last {} by more than the tick of {}, half of the newest by {} or more",
@@ -107,7 +107,7 @@ fn timers(life: &Life, now: Moment, found: &mut Vec<Finding>) {
             Span::micros(tick_us),
             Span::micros(told.what.timer.p50_us)
         );
-        found.push(Finding::new(&codes::TIMER_LATE, Place::node(life), text));
+        found.push(Finding::new(&codes::TIMER_LATE, Place::node(incarnation), text));
     }
 }
 
@@ -126,20 +126,21 @@ pub(super) fn never_seen(store: &Store, cell: &Name, found: &mut Vec<Finding>) {
 
 /// Reports nodes that differ from the majority of their cell in digest or release.
 pub(super) fn unlike(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Finding>) {
-    let up: Vec<&Life> = store.present(cell).filter(|life| !life.presence(now).is_gone()).collect();
-    if let Some(usual) = most_usual(up.iter().map(|life| life.digest)) {
-        for life in up.iter().filter(|life| life.digest != usual) {
+    let up: Vec<&NodeIncarnation> =
+        store.present(cell).filter(|incarnation| !incarnation.presence(now).is_gone()).collect();
+    if let Some(usual) = most_usual(up.iter().map(|incarnation| incarnation.digest)) {
+        for incarnation in up.iter().filter(|incarnation| incarnation.digest != usual) {
             let text = format!(
                 "runs another text of the cell: digest {:08x}, the others have {usual:08x}",
-                life.digest
+                incarnation.digest
             );
-            found.push(Finding::new(&codes::DIGEST_MISMATCH, Place::node(life), text));
+            found.push(Finding::new(&codes::DIGEST_MISMATCH, Place::node(incarnation), text));
         }
     }
-    if let Some(usual) = most_usual(up.iter().map(|life| life.build.clone())) {
-        for life in up.iter().filter(|life| life.build != usual) {
-            let text = format!("is of another release: {}, the others are {usual}", life.build);
-            found.push(Finding::new(&codes::VERSION_MISMATCH, Place::node(life), text));
+    if let Some(usual) = most_usual(up.iter().map(|incarnation| incarnation.build.clone())) {
+        for incarnation in up.iter().filter(|incarnation| incarnation.build != usual) {
+            let text = format!("is of another release: {}, the others are {usual}", incarnation.build);
+            found.push(Finding::new(&codes::VERSION_MISMATCH, Place::node(incarnation), text));
         }
     }
 }

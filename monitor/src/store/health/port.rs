@@ -4,9 +4,9 @@
 use super::codes::{self, Lint};
 use super::{Finding, Lately, Place};
 use crate::clock::Span;
-use crate::store::life::port_of;
+use crate::store::incarnation::port_of;
 use crate::store::service::outlook;
-use crate::store::{Life, Store};
+use crate::store::{NodeIncarnation, Store};
 use imrs_protocol::{Class, PortCounters, PortView};
 use imrs_wire::obs::TaskSnapshot;
 
@@ -17,14 +17,14 @@ const FLOOD: u64 = 10;
 
 pub(super) fn look(
     store: &Store,
-    life: &Life,
+    incarnation: &NodeIncarnation,
     lately: &Lately<'_>,
     task: &TaskSnapshot,
     found: &mut Vec<Finding>,
 ) {
     let earlier = lately.before.and_then(|s| s.tasks.iter().find(|t| t.view.task == task.view.task));
     for (at, port) in task.view.ports.iter().enumerate() {
-        let place = Place { task: Some(task.view.task), port: Some(port.port), ..Place::node(life) };
+        let place = Place { task: Some(task.view.task), port: Some(port.port), ..Place::node(incarnation) };
         // A node lists its ports in the same order every time.
         let there = earlier.and_then(|task| task.view.ports.get(at)).filter(|there| there.port == port.port);
         let earlier = there.or_else(|| port_of(earlier?, port.port));
@@ -32,7 +32,7 @@ pub(super) fn look(
             found.push(Finding::new(lint, place, text));
         }
         if port.len > 0
-            && let Some((lint, text)) = waiting(store, life, task, port)
+            && let Some((lint, text)) = waiting(store, incarnation, task, port)
         {
             found.push(Finding::new(lint, place, text));
         }
@@ -63,27 +63,27 @@ fn grown(class: Class, before: &PortCounters, after: &PortCounters) -> Option<(&
 /// A queued message that will starve or expire.
 fn waiting(
     store: &Store,
-    life: &Life,
+    incarnation: &NodeIncarnation,
     task: &TaskSnapshot,
     port: &PortView,
 ) -> Option<(&'static Lint, String)> {
-    let outlook = outlook(store, life.id, task.view.task, port.port);
+    let outlook = outlook(store, incarnation.id, task.view.task, port.port);
     let waits =
         |source, number| port.queue.iter().any(|e| (e.source, e.id.sequence.get()) == (source, number));
     let starved = outlook.most_rejected.filter(|(.., times)| *times >= REJECTIONS);
     if let Some((source, number, times)) = starved
         && waits(source, number)
     {
-        let from = life.names.task(source);
+        let from = incarnation.names.task(source);
         return Some((&codes::STARVING, format!("starving: #{number} of {from} was rejected {times} times")));
     }
     // Use the node's own sample: counted down here, a message that was taken since the snapshot would raise an alarm.
     for (position, entry) in port.queue.iter().enumerate() {
-        let left = life.left_when_seen(entry.remaining, task.age_us);
+        let left = incarnation.left_when_seen(entry.remaining, task.age_us);
         if let Some(needed) = outlook.done_in(position)
             && left < needed
         {
-            let from = life.names.task(entry.source);
+            let from = incarnation.names.task(entry.source);
             let text = format!(
                 "expiring: #{} of {from} has {} left and needs {}",
                 entry.id.sequence.get(),
@@ -93,8 +93,8 @@ fn waiting(
             return Some((&codes::DEADLINE_RISK, text));
         }
     }
-    let left = life.left_when_seen(port.min_slack?, task.age_us);
-    let whole = life.names.port(port.port)?.time_out(task.view.task)?;
-    let late = left < whole.0.saturating_mul(life.tick_us) / 10;
+    let left = incarnation.left_when_seen(port.min_slack?, task.age_us);
+    let whole = incarnation.names.port(port.port)?.time_out(task.view.task)?;
+    let late = left < whole.0.saturating_mul(incarnation.tick_us) / 10;
     late.then(|| (&codes::DEADLINE_RISK, "expiring: a message has a tenth of its life left".to_owned()))
 }

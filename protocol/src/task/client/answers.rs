@@ -1,6 +1,6 @@
 //! Answers, refusals and restarts that end the task's outstanding requests.
 
-use super::desk::{Answer, Asked, Desk, Phase};
+use super::outstanding::{Answer, Outstanding, Phase, Recipient};
 use super::{Client, Overdue};
 use crate::ids::{MessageId, NodeId};
 use crate::observe::{Event, Reason};
@@ -16,63 +16,64 @@ impl Client {
     fn mark(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
-        (at, asked): (usize, usize),
+        (at, recipient): (usize, usize),
         event: Event,
     ) -> Option<Ended> {
-        let desk = &mut self.desks[at];
-        let (port, left) = (desk.port, desk.deadline - step.now());
-        let asked = &mut desk.asked[asked];
-        let contents = asked.contents.get(0).copied().unwrap_or_default();
+        let request = &mut self.requests[at];
+        let (port, left) = (request.port, request.deadline - step.now());
+        let recipient = &mut request.recipients[recipient];
+        let contents = recipient.contents.get(0).copied().unwrap_or_default();
         let (answer, outcome) = match event {
             Event::Answered => (Answer::Answered, Outcome::Reply(contents)),
             Event::RefusedByPeer => (Answer::Refused, Outcome::Refused),
             _ => (Answer::Restarted, Outcome::PeerRestarted),
         };
-        asked.answer = answer;
-        let (task, id) = (asked.task, asked.id);
-        step.count_at(desk.endpoint, |c| match answer {
+        recipient.answer = answer;
+        let (task, id) = (recipient.task, recipient.id);
+        step.count_at(request.endpoint, |c| match answer {
             Answer::Answered => c.delivered += 1,
             Answer::Refused => c.refused += 1,
             Answer::Restarted | Answer::NotAsked | Answer::Open => {}
         });
         step.note(event, port, task, id, left);
-        let waits = self.desks[at].open().next().is_some();
+        let waits = self.requests[at].open().next().is_some();
         (!waits).then(|| self.end(at, outcome))
     }
 
     pub(super) fn end(&mut self, at: usize, outcome: Outcome) -> Ended {
-        let (desk, at) = (&mut self.desks[at], index(at));
-        let is_long = |asked: &Asked| asked.contents.contents.len() > 1;
-        let finished = if desk.set {
+        let (request, at) = (&mut self.requests[at], index(at));
+        let is_long = |recipient: &Recipient| recipient.contents.contents.len() > 1;
+        let finished = if request.set {
             Finished::Answers(at)
-        } else if matches!(outcome, Outcome::Reply(_)) && desk.asked.iter().any(is_long) {
+        } else if matches!(outcome, Outcome::Reply(_)) && request.recipients.iter().any(is_long) {
             Finished::Long(at)
         } else {
             // Nothing else of the request needs to be kept.
-            desk.close();
+            request.close();
             return Ended { wait: Some(Pending::Reply(at)), finished: Finished::Outcome(outcome) };
         };
-        desk.settle();
-        desk.phase = Phase::Ended;
+        request.settle();
+        request.phase = Phase::Ended;
         Ended { wait: Some(Pending::Reply(at)), finished }
     }
 
     /// Takes an answer to the task's own class-2 message.
     pub fn answer(&mut self, step: &mut Step<'_, impl Outbox>, at: u16, packet: &Packet) -> Option<Ended> {
         let at = usize::from(at);
-        let desk = &self.desks[at];
-        let open = |asked: &Asked| asked.answer == Answer::Open && asked.id == packet.id;
-        let from =
-            desk.find(packet.source).filter(|&from| desk.phase == Phase::Open && open(&desk.asked[from]));
+        let request = &self.requests[at];
+        let open = |recipient: &Recipient| recipient.answer == Answer::Open && recipient.id == packet.id;
+        let from = request
+            .find(packet.source)
+            .filter(|&from| request.phase == Phase::Open && open(&request.recipients[from]));
         match from {
-            Some(asked) => self.answered(step, (at, asked), packet),
+            Some(recipient) => self.answered(step, (at, recipient), packet),
             None => self.late(step, packet),
         }
     }
 
     /// Takes an answer of another task than the one that was asked (D11).
     pub fn third_party(&mut self, step: &mut Step<'_, impl Outbox>, packet: &Packet) -> Option<Ended> {
-        let found = self.desks.iter().enumerate().find_map(|(at, d)| Some((at, d.waits_for(packet.id)?)));
+        let found = self.requests.iter().enumerate().find_map(|(at, d)| Some((at, d.waits_for(packet.id)?)));
         match found {
             Some(place) => self.answered(step, place, packet),
             None => self.late(step, packet),
@@ -97,10 +98,10 @@ impl Client {
     fn answered(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
-        (at, asked): (usize, usize),
+        (at, recipient): (usize, usize),
         packet: &Packet,
     ) -> Option<Ended> {
-        let entry = &mut self.desks[at].asked[asked];
+        let entry = &mut self.requests[at].recipients[recipient];
         let unsent = entry.packets_out == 0;
         let event = match (packet.kind, packet.control()) {
             (Kind::Reply | Kind::Response, _) => match entry.take(packet) {
@@ -129,14 +130,14 @@ impl Client {
                 return None;
             }
         };
-        self.mark(step, (at, asked), event)
+        self.mark(step, (at, recipient), event)
     }
 
     /// The transit buffer dropped a packet of one of the task's requests.
     pub fn unsent(&mut self, id: MessageId) {
-        for desk in &mut self.desks {
-            if let Some(at) = desk.waits_for(id) {
-                desk.asked[at].packets_out = desk.asked[at].packets_out.saturating_sub(1);
+        for request in &mut self.requests {
+            if let Some(at) = request.waits_for(id) {
+                request.recipients[at].packets_out = request.recipients[at].packets_out.saturating_sub(1);
             }
         }
     }
@@ -144,13 +145,15 @@ impl Client {
     /// A node has a new incarnation: its tasks do not answer any more. Ends at most one wait: call it until it returns `None`.
     pub fn restarted(&mut self, step: &mut Step<'_, impl Outbox>, node: NodeId) -> Option<Ended> {
         let table = step.table;
-        let is_there =
-            |asked: &Asked| asked.answer == Answer::Open && table.location(asked.task) == Some(node);
-        let missing = |(at, desk): (usize, &Desk)| {
-            let asked = desk.asked.iter().position(is_there).filter(|_| desk.phase == Phase::Open);
-            Some((at, asked?))
+        let is_there = |recipient: &Recipient| {
+            recipient.answer == Answer::Open && table.location(recipient.task) == Some(node)
         };
-        while let Some(place) = self.desks.iter().enumerate().find_map(missing) {
+        let missing = |(at, request): (usize, &Outstanding)| {
+            let recipient =
+                request.recipients.iter().position(is_there).filter(|_| request.phase == Phase::Open);
+            Some((at, recipient?))
+        };
+        while let Some(place) = self.requests.iter().enumerate().find_map(missing) {
             let ended = self.mark(step, place, Event::PeerRestarted);
             if ended.is_some() {
                 return ended;

@@ -10,15 +10,15 @@ use crate::task::wait::{Finished, Pending};
 use alloc::vec::Vec;
 
 /// Task A has asked B, and its thread waits for the answer.
-fn asked() -> (Fixture, Client, Interrupts) {
+fn asking() -> (Fixture, Client, Interrupts) {
     let mut bench = Fixture::new(A);
     let (mut client, mut threads) = (Client::new(&bench.table, &bench.own), Interrupts::default());
     let table = bench.table.clone();
     let (port, party) = mapping::own_end(&table, MOVE, A).unwrap();
     let message = (port, Ticks(20), Contents::new(b"go").unwrap());
     let sent = client.send(&mut bench.at(Instant(10)), (party, Target::One(B)), message);
-    let Ok(Sent::Asked(desk)) = sent else { panic!("it asks") };
-    threads.wait(Pending::Reply(desk));
+    let Ok(Sent::Request(request)) = sent else { panic!("it asks") };
+    threads.wait(Pending::Reply(request));
     assert_eq!(client.check(&bench.own, &threads), Ok(()));
     (bench, client, threads)
 }
@@ -32,7 +32,7 @@ fn answer(bench: &mut Fixture) -> Packet {
 
 #[test]
 fn an_answer_ends_the_wait_once() {
-    let (mut bench, mut client, mut threads) = asked();
+    let (mut bench, mut client, mut threads) = asking();
     let answer = answer(&mut bench);
     assert_eq!(client.outstanding().collect::<Vec<_>>(), [(MOVE, B, answer.id)]);
     let ended = client.answer(&mut bench.at(Instant(12)), 0, &answer).expect("an end");
@@ -46,7 +46,7 @@ fn an_answer_ends_the_wait_once() {
 
 #[test]
 fn copies_carry_the_same_id_and_what_is_left_until_the_deadline_ends_the_wait() {
-    let (mut bench, mut client, _) = asked();
+    let (mut bench, mut client, _) = asking();
     let first = bench.packets()[0];
     let mut copies = Vec::new();
     let mut end = None;
@@ -65,7 +65,7 @@ fn copies_carry_the_same_id_and_what_is_left_until_the_deadline_ends_the_wait() 
 
 #[test]
 fn a_request_of_which_no_packet_left_the_node_did_not_run() {
-    let (mut bench, mut client, _) = asked();
+    let (mut bench, mut client, _) = asking();
     let id = bench.packets()[0].id;
     client.unsent(id);
     let ended = client.advance(&mut bench.at(Instant(30)), 0).expect("an end");
@@ -74,7 +74,7 @@ fn a_request_of_which_no_packet_left_the_node_did_not_run() {
 
 #[test]
 fn a_node_that_starts_again_answers_no_more() {
-    let (mut bench, mut client, _) = asked();
+    let (mut bench, mut client, _) = asking();
     let ended = client.restarted(&mut bench.at(Instant(11)), NodeId(0)).expect("an end");
     assert_eq!(ended.finished, Finished::Outcome(Outcome::PeerRestarted));
     assert!(client.restarted(&mut bench.at(Instant(11)), NodeId(0)).is_none());
@@ -82,10 +82,10 @@ fn a_node_that_starts_again_answers_no_more() {
 
 #[test]
 fn a_planted_fault_is_found() {
-    let planted = |change: fn(&mut Desk)| {
-        let (mut bench, mut client, threads) = asked();
+    let planted = |change: fn(&mut Outstanding)| {
+        let (mut bench, mut client, threads) = asking();
         bench.own.now = Instant(13);
-        change(&mut client.desks[0]);
+        change(&mut client.requests[0]);
         client.check(&bench.own, &threads)
     };
     use crate::ids::Seq24;
@@ -95,5 +95,8 @@ fn a_planted_fault_is_found() {
     assert_eq!(planted(|d| d.copies_left = 0), Err(Violation::ResendInstant(MOVE)));
     assert_eq!(planted(|d| d.phase = Phase::Closed), Err(Violation::WaitsForNothing(MOVE)));
     assert_eq!(planted(|d| d.phase = Phase::Ended), Err(Violation::WaitsForNothing(MOVE)));
-    assert_eq!(planted(|d| d.asked[0].id.sequence = Seq24::new(1)), Err(Violation::WaitsForNothing(MOVE)));
+    assert_eq!(
+        planted(|d| d.recipients[0].id.sequence = Seq24::new(1)),
+        Err(Violation::WaitsForNothing(MOVE))
+    );
 }

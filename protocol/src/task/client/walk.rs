@@ -1,12 +1,12 @@
 //! Visits the fields of a client, for the checker's packed states.
 
-use super::desk::{Answer, Asked, Desk, Phase};
+use super::outstanding::{Answer, Outstanding, Phase, Recipient};
 use super::{Client, Overdue};
 use crate::ids::{Incarnation, MessageId, PortId, TaskId};
 use crate::state::{Walk, mark, same_variant};
 use crate::table::NodeTable;
 
-/// Layout of a desk's first byte: its phase, and whether several tasks were asked.
+/// Layout of a request's first byte: its phase, and whether several tasks were asked.
 const PHASE: u8 = 3;
 const SET: u8 = 4;
 
@@ -32,7 +32,7 @@ impl Form {
     }
 }
 
-/// The state of the request to the only asked task, implied by the phase of a desk that is not closed.
+/// The state of the request to the only asked task, implied by the phase of a request that is not closed.
 const fn one(phase: Phase) -> Answer {
     match phase {
         Phase::Closed | Phase::Open => Answer::Open,
@@ -48,8 +48,8 @@ impl Client {
         w: &mut W,
     ) {
         // Visited by `walk_overdue`.
-        let Self { desks, overdue: _ } = self;
-        desks.iter_mut().for_each(|desk| desk.walk(table, own, w));
+        let Self { requests, overdue: _ } = self;
+        requests.iter_mut().for_each(|request| request.walk(table, own, w));
     }
 
     pub(in crate::task) fn walk_overdue<W: Walk>(
@@ -77,14 +77,24 @@ impl Overdue {
     const BLANK: Self = Self { port: PortId(0), to: TaskId(0), id: MessageId::BLANK };
 }
 
-impl Desk {
+impl Outstanding {
     fn walk<W: Walk>(&mut self, table: &NodeTable, own: (TaskId, Incarnation), w: &mut W) {
         let form = Form::of(table, self.port);
         if W::READS {
             self.close();
         }
-        let Self { port: _, endpoint: _, phase, set, deadline, copies_left, copy_at, contents, parts, asked } =
-            self;
+        let Self {
+            port: _,
+            endpoint: _,
+            phase,
+            set,
+            deadline,
+            copies_left,
+            copy_at,
+            contents,
+            parts,
+            recipients,
+        } = self;
         let closed = *phase == Phase::Closed;
         let first = w.put(if closed { 0 } else { *phase as u8 | mark(*set, SET) });
         if W::READS {
@@ -106,29 +116,35 @@ impl Desk {
             }
         }
         if *set {
-            for asked in asked {
-                w.one_of(&ANSWERS, &mut asked.answer, same_variant);
-                asked.walk(*phase, form, own, w);
+            for recipient in recipients {
+                w.one_of(&ANSWERS, &mut recipient.answer, same_variant);
+                recipient.walk(*phase, form, own, w);
             }
             return;
         }
         // The state of a request to one task is not packed: the phase implies it.
-        let at = asked.iter().position(|asked| asked.answer == one(*phase));
+        let at = recipients.iter().position(|recipient| recipient.answer == one(*phase));
         if !W::READS && at.is_none() {
             return;
         }
         let at = w.count(at.unwrap_or(0));
-        if let Some(asked) = asked.get_mut(at) {
+        if let Some(recipient) = recipients.get_mut(at) {
             if W::READS {
-                asked.answer = one(*phase);
+                recipient.answer = one(*phase);
             }
-            asked.walk(*phase, form, own, w);
+            recipient.walk(*phase, form, own, w);
         }
     }
 }
 
-impl Asked {
-    fn walk<W: Walk>(&mut self, phase: Phase, form: Form, (own, life): (TaskId, Incarnation), w: &mut W) {
+impl Recipient {
+    fn walk<W: Walk>(
+        &mut self,
+        phase: Phase,
+        form: Form,
+        (own, incarnation): (TaskId, Incarnation),
+        w: &mut W,
+    ) {
         let Self { task: _, party: _, id, answer, packets_out, contents, by } = self;
         let open = *answer == Answer::Open;
         if *answer == Answer::NotAsked {
@@ -136,7 +152,7 @@ impl Asked {
         }
         // Once the request has ended, no answer is matched to this id.
         if open && phase == Phase::Open {
-            w.id(own, life, id);
+            w.id(own, incarnation, id);
         }
         if open {
             w.small(packets_out);

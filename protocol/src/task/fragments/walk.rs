@@ -27,7 +27,7 @@ impl Parts {
 }
 
 impl Assembly {
-    /// Visits an incomplete answer. Its desk has the id and the deadline.
+    /// Visits an incomplete answer. Its request has the id and the deadline.
     pub fn walk_answer<W: Walk>(&mut self, w: &mut W) {
         w.word(&mut self.have);
         self.walk_fragments(w);

@@ -27,27 +27,29 @@ impl Interrupts {
             return Err(Violation::Overdue(deadline));
         }
         let mut below = None;
-        for (i, level) in (0_u8..).zip(self.threads()) {
+        for (i, activation) in (0_u8..).zip(self.threads()) {
             let top = i == self.depth;
-            let suspended = level.finished.is_some() != (level.pending != Pending::Nothing);
-            let ranks = below.is_none_or(|rank| i < 2 || level.rank <= rank);
-            let between = top && level.pending == Pending::Boundary;
-            if (!top && (!suspended || level.atomic))
-                || (top && level.finished.is_some())
+            let suspended = activation.finished.is_some() != (activation.pending != Pending::Nothing);
+            let ranks = below.is_none_or(|rank| i < 2 || activation.rank <= rank);
+            let between = top && activation.pending == Pending::Boundary;
+            if (!top && (!suspended || activation.atomic))
+                || (top && activation.finished.is_some())
                 || !ranks
                 || between
             {
                 return Err(Violation::Levels(i));
             }
-            below = Some(level.rank);
+            below = Some(activation.rank);
         }
         Ok(())
     }
 
     fn check_timers(&self, table: &NodeTable, own: &Own, called: bool) -> Result<(), Violation> {
         let delays = self.threads();
-        let delays = delays
-            .filter_map(|level| if let Pending::Delay(id, _) = level.pending { Some(id) } else { None });
+        let delays =
+            delays.filter_map(
+                |activation| if let Pending::Delay(id, _) = activation.pending { Some(id) } else { None },
+            );
         let mut names = [0_u64; 4];
         for id in delays.chain(self.timers.slots.iter().flatten().map(|started| started.id)) {
             let (word, bit) = (usize::from(id.0 / 64), 1 << (id.0 % 64));

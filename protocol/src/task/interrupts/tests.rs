@@ -35,7 +35,7 @@ fn a_thread_between_two_statements_stands_at_a_boundary_while_a_handler_runs() {
 }
 
 #[test]
-fn in_an_atomic_section_only_word_of_the_lease_interrupts() {
+fn in_an_atomic_section_only_the_lease_interrupts() {
     let mut threads = Interrupts::default();
     threads.set_atomic(true);
     threads.wait(Pending::Work);
@@ -80,8 +80,8 @@ fn a_planted_fault_is_found() {
     let two = planted(|t| {
         t.depth = 2;
         t.interrupted[0] = t.running;
-        t.interrupted[1] = Level { rank: 1, pending: Pending::Work, ..Level::NEW };
-        t.running = Level { rank: 2, ..Level::NEW };
+        t.interrupted[1] = Activation { rank: 1, pending: Pending::Work, ..Activation::NEW };
+        t.running = Activation { rank: 2, ..Activation::NEW };
     });
     assert_eq!(two, Violation::Levels(2));
     let late = planted(|t| t.wait(Pending::Get { port: None, source: None, deadline: Instant(9) }));

@@ -64,7 +64,7 @@ impl Interrupts {
 
     /// Whether an activation delays under this name.
     fn is_named(&self, id: TimeId) -> bool {
-        self.threads().any(|level| matches!(level.pending, Pending::Delay(delay, _) if delay == id))
+        self.threads().any(|activation| matches!(activation.pending, Pending::Delay(delay, _) if delay == id))
     }
 
     /// The running activation delays.

@@ -1,7 +1,7 @@
 //! Visits the activations, the timers and the `order` of a task, for the checker's packed states.
 
 use super::timers::{Started, Timers};
-use super::{DEPTH, Interrupts, Level};
+use super::{Activation, DEPTH, Interrupts};
 use crate::ids::{PortId, Round, TaskId};
 use crate::packet::Contents;
 use crate::request::{Outcome, Ranked, ReleasedBy, ServiceOrder, TimeId};
@@ -16,8 +16,8 @@ const TIMERS: u8 = 0x20;
 const ATOMIC: u8 = 0x40;
 const CAPPED: u8 = 0x80;
 
-/// Codes of waits: the lower ones are fixed, and from each of these on they count desks or meetings.
-const DESKS: u8 = 0x10;
+/// Codes of waits: the lower ones are fixed, and from each of these on they count requests or meetings.
+const REQUESTS: u8 = 0x10;
 const MEETINGS: u8 = 0x80;
 
 const RANKED: [Ranked; 5] = [
@@ -72,11 +72,11 @@ impl Interrupts {
             *depth = if first & HANDLERS != 0 { (*depth).min(most) } else { 0 };
         }
         let top = usize::from(*depth);
-        for (i, level) in interrupted.iter_mut().take(top).chain([running]).enumerate() {
+        for (i, activation) in interrupted.iter_mut().take(top).chain([running]).enumerate() {
             if W::READS {
-                *level = Level { atomic: i == 0 && first & ATOMIC != 0, ..Level::NEW };
+                *activation = Activation { atomic: i == 0 && first & ATOMIC != 0, ..Activation::NEW };
             }
-            let Level { rank, atomic, pending, finished } = level;
+            let Activation { rank, atomic, pending, finished } = activation;
             pending.walk(w);
             if i > 0 {
                 let byte = w.put(*rank | mark(*atomic, ATOMIC));
@@ -99,7 +99,7 @@ impl Interrupts {
 
     /// Whether an interrupted activation has left a meeting of this port: it has yet to read the members' arguments.
     pub(in crate::task) fn is_unread(&self, port: PortId) -> bool {
-        self.threads().any(|level| match &level.finished {
+        self.threads().any(|activation| match &activation.finished {
             Some(Finished::Released { port: of, .. } | Finished::GaveUp { port: of, .. }) => *of == port,
             Some(
                 Finished::Outcome(_)
@@ -160,7 +160,7 @@ impl Pending {
             Self::Work => 3,
             Self::Boundary => 4,
             Self::Lease => 5,
-            Self::Reply(desk) => usize::from(DESKS) + usize::from(desk),
+            Self::Reply(request) => usize::from(REQUESTS) + usize::from(request),
             Self::Meeting(meeting) => usize::from(MEETINGS) + usize::from(meeting),
         };
         if matches!(self, Self::Reply(_)) && code >= usize::from(MEETINGS) {
@@ -175,8 +175,8 @@ impl Pending {
                 3 => Self::Work,
                 4 => Self::Boundary,
                 5 => Self::Lease,
-                0 | 6..DESKS => Self::Nothing,
-                DESKS..MEETINGS => Self::Reply(u16::from(code - DESKS)),
+                0 | 6..REQUESTS => Self::Nothing,
+                REQUESTS..MEETINGS => Self::Reply(u16::from(code - REQUESTS)),
                 MEETINGS.. => Self::Meeting(u16::from(code - MEETINGS)),
             };
         }
@@ -209,7 +209,7 @@ fn walk_finished<W: Walk>(finished: &mut Option<Finished>, couple: Option<u8>, w
     });
     match finished {
         Some(Finished::Outcome(Outcome::Reply(contents))) => w.contents(contents),
-        Some(Finished::Answers(desk) | Finished::Long(desk)) => w.small(desk),
+        Some(Finished::Answers(request) | Finished::Long(request)) => w.small(request),
         Some(Finished::Released { port, round, by }) => {
             w.small(&mut port.0);
             w.round(*port, round);

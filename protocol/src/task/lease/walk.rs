@@ -25,11 +25,11 @@ impl Lease {
             epoch,
             proposed,
             guessed,
-            life,
+            incarnation,
             answered,
             newest,
             echo,
-            beat_at,
+            heartbeat_at,
             takeover_at,
             published,
             said,
@@ -45,7 +45,7 @@ impl Lease {
         let first = w.put(
             code | mark(newest.is_some(), NEWEST)
                 | mark(*proposed, PROPOSED)
-                | mark(life.is_some(), MET)
+                | mark(incarnation.is_some(), MET)
                 | mark(echo.is_some(), ECHO)
                 | mark(*call == Some(Call::Fenced), FENCED)
                 | mark(matches!(call, Some(Call::TakeOver(_))), TOOK_OVER),
@@ -59,7 +59,7 @@ impl Lease {
                 2 => Post::Alone,
                 _ => Post::Passive,
             };
-            (*beat_at, *takeover_at) = (Instant::NEVER, Instant::NEVER);
+            (*heartbeat_at, *takeover_at) = (Instant::NEVER, Instant::NEVER);
             *guessed = false;
         }
         // The epoch of a take-over is not packed: it is `epoch`.
@@ -69,8 +69,8 @@ impl Lease {
             _ if W::READS => *call = (first & TOOK_OVER != 0).then_some(Call::TakeOver(*epoch)),
             _ => {}
         }
-        let mut met = life.unwrap_or(Incarnation(0));
-        if w.lives() {
+        let mut met = incarnation.unwrap_or(Incarnation(0));
+        if w.incarnations() {
             w.byte(&mut met.0);
             w.flag(guessed);
         } else if W::READS {
@@ -80,11 +80,11 @@ impl Lease {
             w.overflows();
         }
         if W::READS {
-            *life = (first & MET != 0).then_some(met);
+            *incarnation = (first & MET != 0).then_some(met);
         }
         match post {
             Post::Waits => {
-                w.instant(beat_at);
+                w.instant(heartbeat_at);
                 w.instant(takeover_at);
             }
             Post::Leased(until) => w.instant(until),
@@ -108,11 +108,11 @@ impl Lease {
 }
 
 impl Answered {
-    const BLANK: Self = Self { beat: Seq24::new(0), until: Instant::START };
+    const BLANK: Self = Self { heartbeat: Seq24::new(0), until: Instant::START };
 
     fn walk<W: Walk>(&mut self, source: TaskId, w: &mut W) {
-        let Self { beat, until } = self;
-        w.sequence(source, beat);
+        let Self { heartbeat, until } = self;
+        w.sequence(source, heartbeat);
         w.instant(until);
     }
 }

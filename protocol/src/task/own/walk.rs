@@ -22,8 +22,8 @@ impl Own {
     }
 
     /// Visits the incarnation.
-    pub fn walk_life<W: Walk>(&mut self, w: &mut W) {
-        if w.lives() {
+    pub fn walk_incarnation<W: Walk>(&mut self, w: &mut W) {
+        if w.incarnations() {
             w.instant(&mut self.quarantine_until);
             w.byte(&mut self.incarnation.0);
             w.flag(&mut self.restarted);

@@ -19,16 +19,16 @@ impl Rendezvous {
         if packet.kind == Kind::Confirm {
             return self.hear_confirm(at, from, packet, meeting.round);
         }
-        match self.members[from].life {
-            Some(life) if life != packet.id.incarnation => {
-                if packet.id.incarnation.is_older_than(life) {
+        match self.members[from].incarnation {
+            Some(incarnation) if incarnation != packet.id.incarnation => {
+                if packet.id.incarnation.is_older_than(incarnation) {
                     return self.drop_packet(at, packet, Reason::StaleIncarnation);
                 }
                 self.forget(from);
             }
             Some(_) | None => {}
         }
-        self.members[from].life = Some(packet.id.incarnation);
+        self.members[from].incarnation = Some(packet.id.incarnation);
         if packet.kind == Kind::Abort {
             self.hear_abort(at, from, meeting);
         } else {

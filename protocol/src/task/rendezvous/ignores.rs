@@ -9,7 +9,7 @@ use crate::ticks::Instant;
 impl Rendezvous {
     /// The incarnation in which this task last heard a member.
     pub fn heard_in(&self, port: &Port, member: TaskId) -> Option<Incarnation> {
-        self.members[port.party_index(member)?].life
+        self.members[port.party_index(member)?].incarnation
     }
 
     /// The round whose CONFIRM this task has yet to send, or to send again.

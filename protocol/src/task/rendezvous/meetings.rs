@@ -4,7 +4,7 @@ use super::{At, Rendezvous};
 use crate::ids::NodeId;
 use crate::observe::MeetingView;
 use crate::packet::Packet;
-use crate::queue::Words;
+use crate::queue::Heap;
 use crate::table::NodeTable;
 use crate::task::own::{Own, Role, are_alike, index};
 use crate::task::step::{Outbox, Step};
@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 pub(crate) struct Meetings {
     pub(super) list: Box<[Rendezvous]>,
     /// The rendezvous by when they act next (D108).
-    pub(super) next: Words,
+    pub(super) next: Heap,
 }
 
 impl Meetings {
@@ -28,7 +28,7 @@ impl Meetings {
         let numbered = table.rules().rounds;
         let list = ports.map(|(_, port)| Rendezvous::new(port.id, port.parties.len(), numbered));
         let list: Box<[_]> = list.collect();
-        Self { next: Words::new(index(list.len())), list }
+        Self { next: Heap::new(index(list.len())), list }
     }
 
     /// Runs a step of one rendezvous. Returns its result, and the end of the wait if the step released the task.

@@ -28,8 +28,8 @@ impl Rendezvous {
         for i in 0..self.members.len() {
             // A member that restarted since was not in this meeting.
             if !self.members[i].reborn {
-                let life = self.members[i].life.unwrap_or_default();
-                self.send_confirm(at, i, round, life, resent);
+                let incarnation = self.members[i].incarnation.unwrap_or_default();
+                self.send_confirm(at, i, round, incarnation, resent);
             }
         }
     }
@@ -53,13 +53,13 @@ impl Rendezvous {
         at: &mut At<'_, '_, impl Outbox>,
         to: usize,
         round: Round,
-        life: Incarnation,
+        incarnation: Incarnation,
         resent: bool,
     ) {
         let meeting = Meeting { round, released: round, arguments: [0; 8] };
         // A late CONFIRM does no harm, because it names its round. So its TTL is the longest patience of any member.
         let packet = self.packet(at, Kind::Confirm, meeting);
-        let id = MessageId { incarnation: life, ..packet.id };
+        let id = MessageId { incarnation, ..packet.id };
         send(at, to, Packet { id, resent, ..packet });
     }
 

@@ -81,7 +81,7 @@ impl Rendezvous {
 
 impl Member {
     fn walk<W: Walk>(&mut self, port: PortId, unread: bool, w: &mut W) {
-        let Self { arrived, barred, life, reborn, confirmed, told } = self;
+        let Self { arrived, barred, incarnation, reborn, confirmed, told } = self;
         let brought = arrived.as_ref().is_some_and(|arrived| arrived.arguments != [0; 8]);
         let [has_arrived, is_barred, is_reborn, has_brought, has_told] =
             w.flags([arrived.is_some(), barred.is_some(), *reborn, brought, unread && told.is_some()]);
@@ -100,7 +100,7 @@ impl Member {
         if let Some(barred) = w.some(barred, is_barred, Round::default()) {
             w.round(port, barred);
         }
-        w.known_life(life);
+        w.known_incarnation(incarnation);
         if W::READS {
             // Not packed: shown to monitors only.
             *confirmed = false;

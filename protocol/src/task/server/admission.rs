@@ -1,8 +1,8 @@
 //! Admission of messages to the bounded_buffer, and eviction (§5.1.1, D60).
 
-use super::inbox::{Admission, Aged};
-use super::memory::Fate;
-use super::{Held, Server, Way, discard, rest_of};
+use super::inbox::{Admission, RetryState};
+use super::memory::CommandStatus;
+use super::{Held, Origin, Server, discard, rest_of};
 use crate::ids::{Incarnation, MessageId, TaskId};
 use crate::mapping;
 use crate::observe::{Event, Reason};
@@ -16,7 +16,13 @@ impl Server {
     /// Extends the deadline of a waiting command by a copy that has more time left. A link charges an upper bound, so the copy
     /// with the most time left tells the end of the sender's wait best (D20). Of a long message only the first complete copy
     /// counts.
-    pub(super) fn prolong(&mut self, (inbox, source): Way, packet: &Packet, reserved: Ticks, now: Instant) {
+    pub(super) fn prolong(
+        &mut self,
+        (inbox, source): Origin,
+        packet: &Packet,
+        reserved: Ticks,
+        now: Instant,
+    ) {
         let sender_until = now + packet.remaining;
         let expires = sender_until - reserved;
         let inbox = &mut self.inboxes[inbox];
@@ -26,9 +32,9 @@ impl Server {
             return;
         }
         inbox.queue.change(slot, |held, _| held.expires = expires);
-        if let Some(remembered) = inbox.sources[source].command_mut() {
-            remembered.sender_until = remembered.sender_until.max(sender_until);
-            remembered.until = remembered.until.max(sender_until);
+        if let Some(dedup) = inbox.sources[source].command_mut() {
+            dedup.sender_until = dedup.sender_until.max(sender_until);
+            dedup.until = dedup.until.max(sender_until);
         }
     }
 
@@ -40,8 +46,11 @@ impl Server {
         newcomer: &Held,
     ) -> bool {
         let Some((slot, held)) = self.inboxes[inbox].of_source(newcomer.source) else { return true };
-        let same_life = held.incarnation == newcomer.incarnation;
-        if newcomer.class == Class::Status && same_life && held.sequence.is_newer_than(newcomer.sequence) {
+        let same_incarnation = held.incarnation == newcomer.incarnation;
+        if newcomer.class == Class::Status
+            && same_incarnation
+            && held.sequence.is_newer_than(newcomer.sequence)
+        {
             return false;
         }
         if let Some(old) = self.inboxes[inbox].queue.remove(slot) {
@@ -53,15 +62,15 @@ impl Server {
     pub(super) fn store(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
-        (port, (inbox, source)): (&Port, Way),
-        (message, aged): (Held, Aged),
+        (port, (inbox, source)): (&Port, Origin),
+        (message, retry): (Held, RetryState),
     ) {
         let message = Held { arrival: self.arrivals, ..message };
         self.arrivals += 1;
         let entry = &mut self.inboxes[inbox];
         let (id, endpoint) = (entry.port, entry.endpoint);
         let left = message.expires - step.now();
-        let (slot, lost) = match entry.admit(message, aged, self.served) {
+        let (slot, lost) = match entry.admit(message, retry, self.served) {
             Admission::Kept(slot) => (Some(slot), None),
             Admission::Replaced(slot, evicted) => (Some(slot), Some((evicted, Reason::Evicted))),
             Admission::Turned => (None, Some((message, Reason::Refused))),
@@ -90,24 +99,26 @@ impl Server {
         source: TaskId,
         message: MessageId,
     ) {
-        self.inboxes[inbox].settle(source, message, Fate::Refused);
-        let life = port.party(source).map_or(Ticks::ZERO, |party| party.time_out);
+        self.inboxes[inbox].settle(source, message, CommandStatus::Refused);
+        let ttl = port.party(source).map_or(Ticks::ZERO, |party| party.time_out);
         let to = ReplyTo { port: port.id, source, id: message };
-        step.out.transmit(mapping::control(to, step.own.task, Control::Refused, life));
+        step.out.transmit(mapping::control(to, step.own.task, Control::Refused, ttl));
     }
 
     /// Whether a message is from the present incarnation of its source. A new incarnation clears the dedup entries of
     /// the earlier one, and drops its waiting commands, because nobody waits for their answers.
-    pub(super) fn enter_life(
+    pub(super) fn enter_incarnation(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
         source: TaskId,
-        life: Incarnation,
+        incarnation: Incarnation,
     ) -> bool {
-        let Ok(at) = self.lives.binary_search_by_key(&source, |known| known.task) else { return false };
-        match self.lives[at].life {
-            Some(known) if life.is_older_than(known) => return false,
-            Some(known) if known != life => {
+        let Ok(at) = self.incarnations.binary_search_by_key(&source, |known| known.task) else {
+            return false;
+        };
+        match self.incarnations[at].incarnation {
+            Some(known) if incarnation.is_older_than(known) => return false,
+            Some(known) if known != incarnation => {
                 for inbox in 0..self.inboxes.len() {
                     if let Some(entry) = self.inboxes[inbox].source(source) {
                         self.withdraw_superseded(step, (inbox, entry));
@@ -118,17 +129,17 @@ impl Server {
             }
             Some(_) | None => {}
         }
-        self.lives[at].life = Some(life);
+        self.incarnations[at].incarnation = Some(incarnation);
         true
     }
 
     /// Drops the waiting command of a source that sends a newer one: with one outstanding request per port, it has given the
     /// older one up (D12).
-    pub(super) fn withdraw_superseded(&mut self, step: &mut Step<'_, impl Outbox>, (inbox, source): Way) {
+    pub(super) fn withdraw_superseded(&mut self, step: &mut Step<'_, impl Outbox>, (inbox, source): Origin) {
         let entry = &self.inboxes[inbox].sources[source];
         let task = entry.task;
         let Some(old) = entry.command() else { return };
-        if !matches!(old.fate, Fate::Held) || old.until <= step.now() {
+        if !matches!(old.status, CommandStatus::Held) || old.until <= step.now() {
             return;
         }
         let id = old.id;

@@ -1,7 +1,7 @@
 //! Reassembly of messages of several packets: complete before their one deadline, or dropped. Ports whose messages
 //! take one packet skip this stage (D28).
 
-use super::{Server, Way};
+use super::{Origin, Server};
 use crate::ids::{MessageId, PortId, TaskId};
 use crate::observe::{Event, Reason};
 use crate::packet::Packet;
@@ -15,11 +15,11 @@ impl Server {
     pub(super) fn assemble(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
-        way: Way,
+        origin: Origin,
         packet: &Packet,
         reserved: Ticks,
     ) -> Option<(Packet, u8)> {
-        let (inbox, source) = way;
+        let (inbox, source) = origin;
         let now = step.now();
         let Some(assembly) = self.inboxes[inbox].assembly_mut(source) else {
             step.drop_packet(packet, Reason::NotAllowed);
@@ -32,7 +32,7 @@ impl Server {
                 step.drop_packet(packet, Reason::Incomplete);
                 return None;
             }
-            self.overtake(step, way, packet);
+            self.overtake(step, origin, packet);
             self.inboxes[inbox].assembly_mut(source)?.begin(packet.id);
         }
         let assembly = self.inboxes[inbox].assembly_mut(source)?;
@@ -57,7 +57,7 @@ impl Server {
     pub(super) fn overtake(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
-        (inbox, source): Way,
+        (inbox, source): Origin,
         packet: &Packet,
     ) {
         let Some(assembly) = self.inboxes[inbox].assembly_mut(source) else { return };

@@ -1,8 +1,8 @@
 //! The invariants of a server between two inputs.
 
 use super::Server;
-use super::inbox::{Aged, Held, Inbox};
-use super::memory::{Fate, Remembered};
+use super::inbox::{Held, Inbox, RetryState};
+use super::memory::{CommandStatus, DedupEntry};
 use crate::ids::TaskId;
 use crate::packet::Class;
 use crate::rules::{Aging, Memory};
@@ -19,7 +19,7 @@ impl Server {
     /// The first violation found.
     pub(in crate::task) fn check(&self, table: &NodeTable, own: &Own, open: bool) -> Result<(), Violation> {
         self.inboxes.iter().try_for_each(|inbox| inbox.check(table, own, open))?;
-        let wrong = self.heads.out_of_order(&self.inboxes, &own.order);
+        let wrong = self.ready.out_of_order(&self.inboxes, &own.order);
         wrong.map_or(Ok(()), |port| Err(Violation::OutOfOrder(port)))
     }
 }
@@ -31,9 +31,9 @@ impl Inbox {
             return Err(Violation::Overfull(self.port));
         }
         // Some variants extend the deadline of a waiting message, beyond its sender's wait and its dedup entry.
-        let exact = table.rules().charge_residence && !port.decl.lengthens_lives();
+        let exact = table.rules().charge_residence && !port.decl.lengthens_ttls();
         for (slot, held) in self.queue.iter() {
-            let aged = self.queue.side(slot);
+            let retry = self.queue.side(slot);
             let (id, source) = (self.port, held.source);
             if held.expires <= own.now {
                 return Err(Violation::HoldsExpired(id, source, held.id()));
@@ -41,12 +41,12 @@ impl Inbox {
             if held.class != port.decl.class || !port.admits(source, own.task) {
                 return Err(Violation::HoldsForeign(id, source, held.id()));
             }
-            let remembers = table.rules().memory == Memory::LifeAndLink && exact;
+            let remembers = table.rules().memory == Memory::TtlAndLink && exact;
             if remembers && held.class == Class::Command && !self.remembers(held, own.now) {
                 return Err(Violation::NotRemembered(id, source, held.id()));
             }
-            check_rejections(table, own, port, (held, aged))?;
-            if self.handled && open && aged.not_before <= own.now {
+            check_rejections(table, own, port, (held, retry))?;
+            if self.handled && open && retry.not_before <= own.now {
                 return Err(Violation::NotOffered(id, source, held.id()));
             }
         }
@@ -64,7 +64,7 @@ impl Inbox {
 
     fn remembers(&self, held: &Held, now: Instant) -> bool {
         let command = self.source(held.source).and_then(|at| self.sources[at].command());
-        command.is_some_and(|c| c.id == held.id() && c.fate == Fate::Held && c.until > now)
+        command.is_some_and(|c| c.id == held.id() && c.status == CommandStatus::Held && c.until > now)
     }
 }
 
@@ -73,26 +73,28 @@ fn check_rejections(
     table: &NodeTable,
     own: &Own,
     port: &Port,
-    (held, aged): (&Held, Aged),
+    (held, retry): (&Held, RetryState),
 ) -> Result<(), Violation> {
     let penalty = port.decl.penalty;
-    let counts = table.rules().aging == Aging::Bounded && !port.decl.lengthens_lives();
+    let counts = table.rules().aging == Aging::Bounded && !port.decl.lengthens_ttls();
     let most = if counts { cap(own.order.rank(port.id, held.source)) } else { 0 };
     let (id, source) = (port.id, held.source);
-    if aged.rejections > most {
+    if retry.rejections > most {
         return Err(Violation::RejectedTooOften(id, source, held.id()));
     }
     let length = penalty.map_or(table.cell().tick, |penalty| penalty.length).max(Ticks(1));
-    if aged.not_before > own.now + length {
+    if retry.not_before > own.now + length {
         return Err(Violation::RejectedTooLong(id, source, held.id()));
     }
     Ok(())
 }
 
-fn check_memory(source: TaskId, command: &Remembered) -> Result<(), Violation> {
-    let budget_fits = match command.fate {
-        Fate::Delivered(budget_ends) => budget_ends <= command.sender_until,
-        Fate::Held | Fate::Lapsed | Fate::Refused | Fate::Answered(_) => true,
+fn check_memory(source: TaskId, command: &DedupEntry) -> Result<(), Violation> {
+    let budget_fits = match command.status {
+        CommandStatus::Delivered(budget_ends) => budget_ends <= command.sender_until,
+        CommandStatus::Held | CommandStatus::Lapsed | CommandStatus::Refused | CommandStatus::Answered(_) => {
+            true
+        }
     };
     if command.until < command.sender_until || !budget_fits {
         return Err(Violation::MemoryTooShort(source, command.id));

@@ -1,8 +1,8 @@
 //! From a waiting message to its answer: GET, delivery with the execution budget, and REPLY (§5.2.1).
 
 use super::inbox::Inbox;
-use super::memory::Fate;
-use super::{Held, Server, Way, rest_of};
+use super::memory::CommandStatus;
+use super::{Held, Origin, Server, rest_of};
 use crate::ids::TaskId;
 use crate::mapping;
 use crate::observe::Event;
@@ -43,12 +43,12 @@ impl Server {
             return head(self.next_served(own)?);
         }
         let open = self.inboxes.iter().enumerate().filter(|(_, inbox)| !inbox.handled);
-        let heads = open.filter_map(|(at, inbox)| {
+        let ready = open.filter_map(|(at, inbox)| {
             let (slot, message) = inbox.head(source)?;
             let rank = own.order.rank(inbox.port, message.source);
             Some(((message.expires, message.class, rank, inbox.port), (at, slot)))
         });
-        heads.min_by_key(|&(key, _)| key).map(|(_, place)| place)
+        ready.min_by_key(|&(key, _)| key).map(|(_, place)| place)
     }
 
     /// Removes a message from a port's buffer to deliver it.
@@ -66,7 +66,7 @@ impl Server {
     }
 
     /// Like [`take`](Self::take), for a message that was never stored.
-    pub(super) fn take_assembled(&mut self, (inbox, source): Way, held: &Held) {
+    pub(super) fn take_assembled(&mut self, (inbox, source): Origin, held: &Held) {
         self.taken.0 = Some(held.contents);
         if held.fragments < 2 {
             return self.taken.1.clear();
@@ -85,7 +85,8 @@ impl Server {
     pub fn deliver(&mut self, step: &mut Step<'_, impl Outbox>, inbox: usize, message: &Held) -> Delivery {
         let entry = &mut self.inboxes[inbox];
         let (port, endpoint) = (entry.port, entry.endpoint);
-        if let Some(source) = entry.settle(message.source, message.id(), Fate::Delivered(message.expires))
+        if let Some(source) =
+            entry.settle(message.source, message.id(), CommandStatus::Delivered(message.expires))
             && entry.close(source, message.id())
         {
             self.touch(step.own, inbox);
@@ -114,7 +115,7 @@ impl Server {
         let source = entry.source(to.source).ok_or(Fault::NothingToAnswer)?;
         let left = entry.answerable(source, to, step.now())?;
         step.own.staged(place)?;
-        entry.settle(to.source, to.id, Fate::Answered(contents));
+        entry.settle(to.source, to.id, CommandStatus::Answered(contents));
         if let Some(answer) = entry.answer_mut(source) {
             answer.copy(&step.own.endpoints[place].staged);
         }
@@ -134,7 +135,7 @@ impl Server {
     pub fn owed(&self, inbox: u16, task: TaskId) -> Option<ReplyTo> {
         let inbox = self.inboxes.get(usize::from(inbox))?;
         let known = inbox.sources[inbox.source(task)?].command()?;
-        let owes = matches!(known.fate, Fate::Delivered(_));
+        let owes = matches!(known.status, CommandStatus::Delivered(_));
         owes.then_some(ReplyTo { port: inbox.port, source: task, id: known.id })
     }
 }
@@ -144,17 +145,17 @@ impl Inbox {
     fn answerable(&self, source: usize, to: ReplyTo, now: Instant) -> Result<Ticks, Fault> {
         // If the dedup entry has ended, so has the sender's wait.
         let known = self.sources[source].command().filter(|c| c.until > now);
-        let Some(remembered) = known else { return Err(Fault::Late) };
-        if remembered.id != to.id {
+        let Some(dedup) = known else { return Err(Fault::Late) };
+        if dedup.id != to.id {
             // A newer command has replaced the entry: the sender has given this one up.
-            let newer = remembered.id.sequence.is_newer_than(to.id.sequence);
+            let newer = dedup.id.sequence.is_newer_than(to.id.sequence);
             return Err(if newer { Fault::Late } else { Fault::NothingToAnswer });
         }
-        let Fate::Delivered(budget_ends) = remembered.fate else { return Err(Fault::NothingToAnswer) };
+        let CommandStatus::Delivered(budget_ends) = dedup.status else { return Err(Fault::NothingToAnswer) };
         if budget_ends <= now {
             return Err(Fault::Late);
         }
-        Ok(remembered.sender_until - now)
+        Ok(dedup.sender_until - now)
     }
 }
 

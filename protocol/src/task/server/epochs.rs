@@ -1,7 +1,7 @@
 //! Fencing of commands that are sent under a lease: those of a past epoch are dropped. Ports without a lease skip
 //! this stage (D61).
 
-use super::{Held, Server, Way, discard};
+use super::{Held, Origin, Server, discard};
 use crate::observe::Reason;
 use crate::packet::{Contents, Packet};
 #[cfg(feature = "checker")]
@@ -60,7 +60,7 @@ impl Server {
         &mut self,
         step: &mut Step<'_, impl Outbox>,
         port: &Port,
-        (couple, (inbox, source)): (u8, Way),
+        (couple, (inbox, source)): (u8, Origin),
         packet: &Packet,
     ) -> Option<Contents> {
         let now = step.now();

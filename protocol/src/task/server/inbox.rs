@@ -1,6 +1,6 @@
 //! The receiver's state of one port: the bounded_buffer (§5.1.1) and the dedup entries of its sources.
 
-use super::memory::{Fate, Memory, Source};
+use super::memory::{CommandStatus, Memory, Source};
 use crate::cell::PortDecl;
 use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
 use crate::packet::{Class, Contents};
@@ -39,7 +39,7 @@ impl Held {
 
 /// The retry state of a waiting message, on a port with a handler.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub(crate) struct Aged {
+pub(crate) struct RetryState {
     /// The number of rejections by rank, up to the cap, and the number of the round with the first one (D58).
     pub rejections: u8,
     pub rejected_first: u64,
@@ -50,7 +50,7 @@ pub(crate) struct Aged {
 /// The order of service within a port: earliest deadline, then commands, then the lower source, then the earlier
 /// arrival. The order among ports is the server's (D14).
 impl Entry for Held {
-    type Side = Aged;
+    type Side = RetryState;
 
     fn key(&self) -> u128 {
         let class = u128::from(self.class == Class::Status);
@@ -59,8 +59,8 @@ impl Entry for Held {
         (u128::from(self.expires.0) << 64) | (class << 63) | (source << 47) | arrival
     }
 
-    fn due(&self, aged: &Aged) -> Instant {
-        aged.not_before
+    fn due(&self, retry: &RetryState) -> Instant {
+        retry.not_before
     }
 
     /// Never: all messages of a port have the same class.
@@ -159,12 +159,12 @@ impl Inbox {
 
     /// Sets the status of a command, if the dedup entry of its source is about it. Returns the position of the
     /// source, if it belongs to the port.
-    pub fn settle(&mut self, source: TaskId, id: MessageId, fate: Fate) -> Option<usize> {
+    pub fn settle(&mut self, source: TaskId, id: MessageId, status: CommandStatus) -> Option<usize> {
         let at = self.source(source)?;
-        if let Some(remembered) = self.sources[at].command_mut()
-            && remembered.id == id
+        if let Some(dedup) = self.sources[at].command_mut()
+            && dedup.id == id
         {
-            remembered.fate = fate;
+            dedup.status = status;
         }
         Some(at)
     }
@@ -267,17 +267,17 @@ impl Inbox {
     /// newcomer is refused (D60).
     ///
     /// `served`: see [`bypassed`](Self::bypassed).
-    pub fn admit(&mut self, held: Held, aged: Aged, served: u64) -> Admission {
+    pub fn admit(&mut self, held: Held, retry: RetryState, served: u64) -> Admission {
         if self.queue.len() == 0 {
             self.begin(served);
         }
-        if let Ok(slot) = self.queue.push_with(held, aged) {
+        if let Ok(slot) = self.queue.push_with(held, retry) {
             return Admission::Kept(slot);
         }
         match self.queue.last().map(|(slot, last)| (slot, last.key())) {
             Some((slot, last)) if last > held.key() => {
                 let evicted = self.queue.remove(slot);
-                match (evicted, self.queue.push_with(held, aged)) {
+                match (evicted, self.queue.push_with(held, retry)) {
                     (Some(evicted), Ok(slot)) => Admission::Replaced(slot, evicted),
                     (None, Ok(slot)) => Admission::Kept(slot),
                     (_, Err(_)) => Admission::Turned,

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 /// The status of a received command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub(super) enum Fate {
+pub(super) enum CommandStatus {
     /// It waits in the port's buffer.
     Held,
     /// It expired in the buffer, before the task took it. Nothing ran, so a later copy with time left is taken in as
@@ -25,9 +25,9 @@ pub(super) enum Fate {
 /// The dedup entry of the last command of one source on one port. One is enough, because a task has at most one
 /// outstanding request per port (D75).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub(super) struct Remembered {
+pub(super) struct DedupEntry {
     pub id: MessageId,
-    pub fate: Fate,
+    pub status: CommandStatus,
     /// The latest end of the sender's wait, on this task's clock.
     pub sender_until: Instant,
     /// The entry's end: TTL and link delay have passed, so that no copy can arrive any more.
@@ -104,7 +104,7 @@ pub(super) struct Source {
 /// Dedup state by the class of the port.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Memory {
-    Command(Option<Remembered>),
+    Command(Option<DedupEntry>),
     Status(Window),
 }
 
@@ -114,7 +114,7 @@ pub(super) enum Seen {
     /// New, or known only by copies that expired before the task took them.
     New,
     /// A copy of the command of the entry.
-    Again(Fate),
+    Again(CommandStatus),
     /// A duplicate status message, or a command older than the entry's: its sender has gone on.
     Older,
 }
@@ -129,7 +129,7 @@ impl Source {
     }
 
     /// The dedup entry of its last command.
-    pub fn command(&self) -> Option<&Remembered> {
+    pub fn command(&self) -> Option<&DedupEntry> {
         match &self.memory {
             Memory::Command(command) => command.as_ref(),
             Memory::Status(_) => None,
@@ -137,7 +137,7 @@ impl Source {
     }
 
     /// See [`command`](Self::command).
-    pub fn command_mut(&mut self) -> Option<&mut Remembered> {
+    pub fn command_mut(&mut self) -> Option<&mut DedupEntry> {
         match &mut self.memory {
             Memory::Command(command) => command.as_mut(),
             Memory::Status(_) => None,
@@ -145,7 +145,7 @@ impl Source {
     }
 
     /// Sets or clears the dedup entry.
-    pub fn remember(&mut self, new: Option<Remembered>) {
+    pub fn remember(&mut self, new: Option<DedupEntry>) {
         match &mut self.memory {
             Memory::Command(command) => *command = new,
             Memory::Status(_) => {}
@@ -188,8 +188,12 @@ impl Source {
         let may_come = |newest: Seq24| copies().any(|copy| !copy.is_newer_than(newest));
         match &mut self.memory {
             Memory::Command(command) => {
-                let is_settled =
-                    |c: &Remembered| matches!(c.fate, Fate::Refused | Fate::Answered(_) | Fate::Lapsed);
+                let is_settled = |c: &DedupEntry| {
+                    matches!(
+                        c.status,
+                        CommandStatus::Refused | CommandStatus::Answered(_) | CommandStatus::Lapsed
+                    )
+                };
                 *command = command.filter(|c| !is_settled(c) || may_come(c.id.sequence));
             }
             Memory::Status(window) => {
@@ -213,8 +217,8 @@ impl Source {
         };
         match command.filter(|c| c.until > now) {
             None => Seen::New,
-            Some(c) if c.id == id && c.fate == Fate::Lapsed => Seen::New,
-            Some(c) if c.id == id => Seen::Again(c.fate),
+            Some(c) if c.id == id && c.status == CommandStatus::Lapsed => Seen::New,
+            Some(c) if c.id == id => Seen::Again(c.status),
             Some(c) if c.id.sequence.is_newer_than(id.sequence) => Seen::Older,
             Some(_) => Seen::New,
         }

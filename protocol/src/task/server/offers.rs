@@ -1,6 +1,6 @@
 //! Messages for handlers: which one interrupts first, and how the others are rejected (D16, D58).
 
-use super::inbox::Aged;
+use super::inbox::RetryState;
 use super::{Held, Server};
 use crate::ids::PortId;
 use crate::observe::Event;
@@ -20,11 +20,11 @@ pub(super) fn outranks(
     threads: &Interrupts,
     port: PortId,
     held: &Held,
-    aged: Aged,
+    retry: RetryState,
 ) -> bool {
     let base = own.order.rank(port, held.source);
-    let rank = base.saturating_sub(aged.rejections);
-    threads.outranks(table, own, rank, aged.rejections >= cap(base))
+    let rank = base.saturating_sub(retry.rejections);
+    threads.outranks(table, own, rank, retry.rejections >= cap(base))
 }
 
 impl Server {
@@ -35,17 +35,18 @@ impl Server {
         let offers = handled.flat_map(|(i, inbox)| {
             let due = inbox.queue.all_due(due_by);
             let due = due.map(|(slot, held)| (slot, held, inbox.queue.side(slot)));
-            let ready = due.filter(|&(_, held, aged)| outranks(table, own, threads, inbox.port, held, aged));
-            ready.map(move |(slot, held, aged)| {
+            let ready =
+                due.filter(|&(_, held, retry)| outranks(table, own, threads, inbox.port, held, retry));
+            ready.map(move |(slot, held, retry)| {
                 let base = own.order.rank(inbox.port, held.source);
-                let turn = if aged.rejections >= cap(base) {
-                    threads.capped_turn(aged.rejected_first)
+                let turn = if retry.rejections >= cap(base) {
+                    threads.capped_turn(retry.rejected_first)
                 } else if inbox.bypassed(self.served) >= limit {
                     Turn::Bypassed(u16::MAX - inbox.bypassed(self.served))
                 } else {
                     Turn::InOrder
                 };
-                let rank = base.saturating_sub(aged.rejections);
+                let rank = base.saturating_sub(retry.rejections);
                 let key = (turn, rank, held.expires, held.class, inbox.port, held.key());
                 Offer { key, what: What::Message(i, slot) }
             })
@@ -86,7 +87,7 @@ impl Server {
             turned.extend(due.map(|(slot, _)| slot));
             turned.sort_unstable_by_key(|&slot| queue.get(slot).map(Entry::key));
             for &slot in &*turned {
-                queue.change(slot, |held, aged| reject(step, id, (held, aged), round));
+                queue.change(slot, |held, retry| reject(step, id, (held, retry), round));
                 self.rejections = round + 1;
             }
             step.count(id, |c| c.rejected += turned.len() as u64);
@@ -100,7 +101,7 @@ impl Server {
         &mut self,
         step: &mut Step<'_, impl Outbox>,
         port: PortId,
-        message: (&mut Held, &mut Aged),
+        message: (&mut Held, &mut RetryState),
     ) {
         step.count(port, |c| c.rejected += 1);
         reject(step, port, message, self.rejections);
@@ -112,9 +113,10 @@ impl Server {
     pub fn reorder(&mut self, own: &Own, old: &ServiceOrder) {
         for inbox in &mut self.inboxes {
             let port = inbox.port;
-            inbox.queue.adjust(|held, aged| {
+            inbox.queue.adjust(|held, retry| {
                 let [before, after] = [old, &own.order].map(|order| cap(order.rank(port, held.source)));
-                aged.rejections = if aged.rejections >= before { after } else { aged.rejections.min(after) };
+                retry.rejections =
+                    if retry.rejections >= before { after } else { retry.rejections.min(after) };
             });
         }
         self.touch_all(own);
@@ -122,7 +124,12 @@ impl Server {
 }
 
 /// Rejects a message: it is offered again after the penalty, one rank higher (D4, D58).
-fn reject(step: &mut Step<'_, impl Outbox>, port: PortId, (held, aged): (&mut Held, &mut Aged), round: u64) {
+fn reject(
+    step: &mut Step<'_, impl Outbox>,
+    port: PortId,
+    (held, retry): (&mut Held, &mut RetryState),
+    round: u64,
+) {
     let penalty = step.table.port(port).and_then(|port| port.decl.penalty);
     let length = penalty.map_or(step.table.cell().tick, |penalty| penalty.length);
     let now = step.now();
@@ -131,15 +138,15 @@ fn reject(step: &mut Step<'_, impl Outbox>, port: PortId, (held, aged): (&mut He
     if penalty.is_some_and(|penalty| penalty.literal) {
         // The Appendix's `save` adds the penalty to the deadline: less urgent, but with more time left.
         held.expires += length;
-        aged.not_before = now + length.max(Ticks(1));
+        retry.not_before = now + length.max(Ticks(1));
         return;
     }
-    aged.not_before = now + length.min(Ticks(left.0 / 2)).max(Ticks(1));
+    retry.not_before = now + length.min(Ticks(left.0 / 2)).max(Ticks(1));
     if step.table.rules().aging == Aging::Bounded {
-        if aged.rejections == 0 {
-            aged.rejected_first = round;
+        if retry.rejections == 0 {
+            retry.rejected_first = round;
         }
         let cap = cap(step.own.order.rank(port, held.source));
-        aged.rejections = aged.rejections.saturating_add(1).min(cap);
+        retry.rejections = retry.rejections.saturating_add(1).min(cap);
     }
 }

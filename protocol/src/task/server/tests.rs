@@ -1,5 +1,5 @@
-use super::heads::Heads;
 use super::inbox::Long;
+use super::ready::ReadySet;
 use super::*;
 use crate::cell::{PortDecl, Usage};
 use crate::ids::MessageId;
@@ -91,11 +91,11 @@ fn a_planted_fault_in_a_buffer_or_memory_is_found() {
     assert_eq!(planted(|s| inbox(s, |h| h.class = Class::Status)), Violation::HoldsForeign(MOVE, A, id));
     let forgotten = planted(|s| s.inboxes[0].sources[0].remember(None));
     assert_eq!(forgotten, Violation::NotRemembered(MOVE, A, id));
-    let memory = |server: &mut Server, change: fn(&mut Remembered)| {
+    let memory = |server: &mut Server, change: fn(&mut DedupEntry)| {
         change(server.inboxes[0].sources[0].command_mut().unwrap());
     };
     let not_remembered = Violation::NotRemembered(MOVE, A, id);
-    assert_eq!(planted(|s| memory(s, |c| c.fate = Fate::Refused)), not_remembered);
+    assert_eq!(planted(|s| memory(s, |c| c.status = CommandStatus::Refused)), not_remembered);
     assert_eq!(planted(|s| memory(s, |c| c.until = Instant(10))), not_remembered);
     assert_eq!(planted(|s| memory(s, |c| c.until = Instant(15))), Violation::MemoryTooShort(A, id));
 }
@@ -105,15 +105,15 @@ fn an_order_that_was_not_kept_right_is_found() {
     let held = |s: &mut Server, change: fn(&mut Held)| s.inboxes[0].queue.change_all(|held, _| change(held));
     assert_eq!(planted(|s| held(s, |h| h.expires += Ticks(1))), Violation::OutOfOrder(MOVE));
     assert_eq!(planted(|s| s.inboxes[0].since = 7), Violation::OutOfOrder(MOVE));
-    assert_eq!(planted(|s| s.heads = Heads::new(&s.inboxes)), Violation::OutOfOrder(MOVE));
+    assert_eq!(planted(|s| s.ready = ReadySet::new(&s.inboxes)), Violation::OutOfOrder(MOVE));
 }
 
 #[test]
 fn a_planted_fault_on_a_port_with_a_handler_is_found() {
-    let holds = |s: &mut Server, change: fn(&mut Aged)| {
+    let holds = |s: &mut Server, change: fn(&mut RetryState)| {
         s.inboxes[0].handled = true;
         s.inboxes[0].queue.watch();
-        s.inboxes[0].queue.change_all(|_, aged| change(aged));
+        s.inboxes[0].queue.change_all(|_, retry| change(retry));
     };
     let id = MessageId::default();
     let offered = planted(|s| holds(s, |h| h.not_before = Instant(10)));

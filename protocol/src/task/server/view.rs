@@ -25,15 +25,15 @@ impl Server {
     pub fn queue_view(&self, own: &Own, inbox: u16, limit: usize) -> QueueView {
         let inbox = &self.inboxes[usize::from(inbox)];
         let held = |(slot, held): &(Slot, &Held)| {
-            let (aged, base) = (inbox.queue.side(*slot), own.order.rank(inbox.port, held.source));
+            let (retry, base) = (inbox.queue.side(*slot), own.order.rank(inbox.port, held.source));
             HeldView {
                 entry: held.entry(own.now),
                 arrival: held.arrival,
                 fragments: held.fragments,
-                rank: inbox.handled.then(|| base.saturating_sub(aged.rejections)),
-                rejections: aged.rejections,
-                capped: inbox.handled && aged.rejections >= cap(base),
-                back_off: aged.not_before - own.now,
+                rank: inbox.handled.then(|| base.saturating_sub(retry.rejections)),
+                rejections: retry.rejections,
+                capped: inbox.handled && retry.rejections >= cap(base),
+                back_off: retry.not_before - own.now,
             }
         };
         QueueView {

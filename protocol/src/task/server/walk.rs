@@ -1,7 +1,7 @@
 //! Visits the fields of a server, for the checker's packed states.
 
-use super::inbox::{Aged, Held, Inbox};
-use super::memory::{Fate, Memory, Remembered, Source, Window};
+use super::inbox::{Held, Inbox, RetryState};
+use super::memory::{CommandStatus, DedupEntry, Memory, Source, Window};
 use super::{Known, Server};
 use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
 use crate::packet::{Class, Contents};
@@ -18,13 +18,13 @@ const WAITING: u8 = 0x3f;
 const BYPASSED: u8 = 0x40;
 const HANDLED: u8 = 0x80;
 
-const FATES: [Option<Fate>; 6] = [
+const STATUSES: [Option<CommandStatus>; 6] = [
     None,
-    Some(Fate::Held),
-    Some(Fate::Delivered(Instant::START)),
-    Some(Fate::Refused),
-    Some(Fate::Answered(Contents::EMPTY)),
-    Some(Fate::Lapsed),
+    Some(CommandStatus::Held),
+    Some(CommandStatus::Delivered(Instant::START)),
+    Some(CommandStatus::Refused),
+    Some(CommandStatus::Answered(Contents::EMPTY)),
+    Some(CommandStatus::Lapsed),
 ];
 
 /// Fields that the packed bytes contain only if the port's declaration needs them.
@@ -52,7 +52,7 @@ impl Form {
 /// deadlines (D4), and so do copies of commands. A copy does so only while its dedup entry exists. Where waiting is
 /// charged, such a command waits alone: the next one of its source replaces it (D12).
 fn arrival_matters(table: &NodeTable, port: &Port) -> bool {
-    port.decl.lengthens_lives() || (port.decl.class == Class::Command && !table.rules().charge_residence)
+    port.decl.lengthens_ttls() || (port.decl.class == Class::Command && !table.rules().charge_residence)
 }
 
 /// Counters of which only the relative order is packed.
@@ -65,7 +65,7 @@ struct Counters<'a> {
 struct Waiting {
     slot: Slot,
     held: Held,
-    aged: Aged,
+    retry: RetryState,
 }
 
 /// The waiting messages of an inbox in the order of service.
@@ -75,20 +75,21 @@ fn waiting(inboxes: &[Inbox], form: Form, at: usize) -> Vec<Waiting> {
         return Vec::new();
     }
     let ranked = |(slot, held): (Slot, &Held)| {
-        let (mut held, mut aged) = (*held, queue.side(slot));
+        let (mut held, mut retry) = (*held, queue.side(slot));
         if form.ranks_arrivals {
             // Its rank among the waiting messages of its source.
             let before = |other: &Held| other.source == held.source && other.arrival < held.arrival;
             held.arrival = queue.iter().filter(|(_, other)| before(other)).count() as u64;
         }
-        if aged.rejections > 0 {
+        if retry.rejections > 0 {
             // Its rank among all waiting messages of the task.
             let queues = inboxes.iter().map(|inbox| &inbox.queue);
             let all = queues.flat_map(|queue| queue.iter().map(|(slot, _)| queue.side(slot)));
-            let before = |other: &Aged| other.rejections > 0 && other.rejected_first < aged.rejected_first;
-            aged.rejected_first = all.filter(before).count() as u64;
+            let before =
+                |other: &RetryState| other.rejections > 0 && other.rejected_first < retry.rejected_first;
+            retry.rejected_first = all.filter(before).count() as u64;
         }
-        Waiting { slot, held, aged }
+        Waiting { slot, held, retry }
     };
     queue.sorted().into_iter().map(ranked).collect()
 }
@@ -98,12 +99,12 @@ impl Server {
         let Self {
             inboxes,
             // Rebuilt from the inboxes below.
-            heads,
+            ready,
             served,
             arrivals,
             rejections,
-            // Visited by `walk_lives` and `walk_guards`.
-            lives: _,
+            // Visited by `walk_incarnations` and `walk_guards`.
+            incarnations: _,
             guards: _,
             // Not packed: the task has read the message by then.
             taken,
@@ -128,15 +129,17 @@ impl Server {
             inboxes[at].walk(form, (own.now, *served), waiting, counters, w);
         }
         if W::READS && inboxes.iter().any(|inbox| inbox.handled) {
-            heads.watch(inboxes);
+            ready.watch(inboxes);
         }
         if matches!(W::PASS, Pass::Decode | Pass::Change) {
             self.touch_all(own);
         }
     }
 
-    pub(in crate::task) fn walk_lives<W: Walk>(&mut self, w: &mut W) {
-        self.lives.iter_mut().for_each(|Known { task: _, life }| w.known_life(life));
+    pub(in crate::task) fn walk_incarnations<W: Walk>(&mut self, w: &mut W) {
+        self.incarnations
+            .iter_mut()
+            .for_each(|Known { task: _, incarnation }| w.known_incarnation(incarnation));
     }
 
     pub(in crate::task) fn walk_guards<W: Walk>(&mut self, w: &mut W) {
@@ -178,7 +181,7 @@ impl Inbox {
         w: &mut W,
     ) {
         if W::PASS == Pass::Change {
-            self.queue.change_all(|held, aged| held.walk(aged, now, form, w));
+            self.queue.change_all(|held, retry| held.walk(retry, now, form, w));
             return;
         }
         let bypassed = if W::READS { 0 } else { self.bypassed(served) };
@@ -199,8 +202,8 @@ impl Inbox {
             }
             return (0..head & WAITING).for_each(|_| self.take_in(form, counters, w));
         }
-        for Waiting { slot, mut held, mut aged } in waiting {
-            held.walk(&mut aged, now, form, w);
+        for Waiting { slot, mut held, mut retry } in waiting {
+            held.walk(&mut retry, now, form, w);
             if let Some(body) = self.body_mut(slot).filter(|_| held.fragments > 1) {
                 body.walk(w);
             }
@@ -209,20 +212,20 @@ impl Inbox {
 
     /// Decodes a waiting message.
     fn take_in<W: Walk>(&mut self, form: Form, counters: &mut Counters<'_>, w: &mut W) {
-        let (mut held, mut aged) = (Held::BLANK, Aged::default());
-        held.walk(&mut aged, Instant::START, form, w);
+        let (mut held, mut retry) = (Held::BLANK, RetryState::default());
+        held.walk(&mut retry, Instant::START, form, w);
         if !form.ranks_arrivals {
             held.arrival = *counters.arrivals;
         }
         *counters.arrivals += 1;
-        if aged.rejections > 0 {
-            aged.rejected_first += 1;
-            *counters.rejections = (*counters.rejections).max(aged.rejected_first + 1);
+        if retry.rejections > 0 {
+            retry.rejected_first += 1;
+            *counters.rejections = (*counters.rejections).max(retry.rejected_first + 1);
         }
-        if aged != Aged::default() {
+        if retry != RetryState::default() {
             self.queue.watch();
         }
-        if let Ok(slot) = self.queue.push_with(held, aged)
+        if let Ok(slot) = self.queue.push_with(held, retry)
             && let Some(body) = self.body_mut(slot)
         {
             body.clear();
@@ -245,11 +248,11 @@ impl Held {
         arrival: 0,
     };
 
-    fn walk<W: Walk>(&mut self, aged: &mut Aged, now: Instant, form: Form, w: &mut W) {
+    fn walk<W: Walk>(&mut self, retry: &mut RetryState, now: Instant, form: Form, w: &mut W) {
         let Self { source, incarnation, sequence, class, expires, contents, fragments, arrival } = self;
-        let Aged { rejections, rejected_first, not_before } = aged;
+        let RetryState { rejections, rejected_first, not_before } = retry;
         w.small(&mut source.0);
-        w.life(incarnation);
+        w.incarnation(incarnation);
         w.sequence(*source, sequence);
         let [status, rejected, later] =
             w.flags([*class == Class::Status, *rejections > 0, *not_before > now]);
@@ -302,7 +305,7 @@ impl Source {
 }
 
 fn walk_command<W: Walk>(
-    command: &mut Option<Remembered>,
+    command: &mut Option<DedupEntry>,
     task: TaskId,
     mut answer: Option<&mut Parts>,
     w: &mut W,
@@ -312,30 +315,30 @@ fn walk_command<W: Walk>(
     {
         answer.clear();
     }
-    let mut known = command.map(|command| command.fate);
-    w.one_of(&FATES, &mut known, same_option);
-    let blank = |fate| Remembered {
+    let mut known = command.map(|command| command.status);
+    w.one_of(&STATUSES, &mut known, same_option);
+    let blank = |status| DedupEntry {
         id: MessageId::default(),
-        fate,
+        status,
         sender_until: Instant::START,
         until: Instant::START,
     };
     if W::READS {
         *command = known.map(blank);
     }
-    let Some(Remembered { id, fate, sender_until, until }) = command else { return };
+    let Some(DedupEntry { id, status, sender_until, until }) = command else { return };
     w.id(task, Incarnation(0), id);
     w.instant(sender_until);
     w.instant(until);
-    match fate {
-        Fate::Delivered(budget_ends) => w.instant(budget_ends),
-        Fate::Answered(contents) => {
+    match status {
+        CommandStatus::Delivered(budget_ends) => w.instant(budget_ends),
+        CommandStatus::Answered(contents) => {
             w.contents(contents);
             if let Some(answer) = answer {
                 answer.walk(w);
             }
         }
-        Fate::Held | Fate::Lapsed | Fate::Refused => {}
+        CommandStatus::Held | CommandStatus::Lapsed | CommandStatus::Refused => {}
     }
 }
 

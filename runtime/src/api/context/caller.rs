@@ -3,11 +3,11 @@
 use super::outcome::TaskError;
 use crate::api::message::Bytes;
 use crate::clock::{self, Micros};
-use crate::node::comm::{Comm, Mail};
+use crate::node::comm::{Comm, Completion};
 use crate::node::effects::{Effects, Stamped};
 use crate::node::failstop::guarded;
 use crate::node::{Inlet, More, Node};
-use crate::sync::awake::{Kind, Patience};
+use crate::sync::awake::{Kind, SpinPolicy};
 use crate::sync::handoff::Entry;
 use crate::sync::lead::Led;
 use imrs_protocol::{Contents, Delivery, Input, PortId, ReplyTo, Request, Signal, TaskId, Ticks};
@@ -23,7 +23,7 @@ pub(crate) struct Caller {
     /// What the thread receives with where it leads. Made when it first leads.
     inlet: Option<Inlet>,
     /// The spin policy of the thread.
-    patience: Patience,
+    policy: SpinPolicy,
     stopped: bool,
     /// The error of a handler that failed: what the handler interrupted cannot go on.
     failed: Option<TaskError>,
@@ -37,9 +37,9 @@ pub(crate) struct Caller {
 
 impl Caller {
     pub fn new(node: Arc<Node>, place: usize) -> Self {
-        let task = node.members.list[place].task;
+        let task = node.locals.list[place].task;
         Self {
-            patience: Patience::new(node.spin),
+            policy: SpinPolicy::new(node.spin),
             node,
             place,
             effects: Effects::new(Some(task)),
@@ -74,9 +74,9 @@ impl Caller {
         };
         let entry = self.node.look_in(self.place, Stamped { at, input }, &mut self.effects);
         self.stopped = entry.stopped;
-        match entry.mail {
-            Some(Mail { signal: Signal::Fault(fault), .. }) => Err(super::RequestFault(fault).into()),
-            Some(Mail { signal, at: since }) => Ok(Some((signal, Ticks(at.saturating_sub(since))))),
+        match entry.completion {
+            Some(Completion { signal: Signal::Fault(fault), .. }) => Err(super::RequestFault(fault).into()),
+            Some(Completion { signal, at: since }) => Ok(Some((signal, Ticks(at.saturating_sub(since))))),
             None if entry.stopped => {
                 self.give_up();
                 Err(TaskError::Stopped)
@@ -87,13 +87,13 @@ impl Caller {
 
     /// The future waits: `waker` is called when there is something for it. False if there is something already.
     pub fn listen(&self, waker: &Waker) -> bool {
-        let member = &self.node.members.list[self.place];
-        member.bell.listen(waker);
-        member.handoff.listen()
+        let local = &self.node.locals.list[self.place];
+        local.waker.listen(waker);
+        local.handoff.listen()
     }
 
     pub fn task(&self) -> TaskId {
-        self.node.members.list[self.place].task
+        self.node.locals.list[self.place].task
     }
 
     /// The port of the task that has this name.
@@ -130,16 +130,16 @@ impl Caller {
         let mut waited = false;
         let mut entry = self.node.ask(self.place, asked, request, more, &mut self.effects);
         loop {
-            let Entry { mail, stopped, until } = entry;
+            let Entry { completion, stopped, until } = entry;
             self.stopped = stopped;
-            if let (true, Some(kind), Some(mail)) = (waited, kind, &mail) {
-                self.patience.learn(kind, mail.at.saturating_sub(asked));
+            if let (true, Some(kind), Some(completion)) = (waited, kind, &completion) {
+                self.policy.learn(kind, completion.at.saturating_sub(asked));
             }
-            match mail {
-                Some(Mail { signal: Signal::Fault(fault), .. }) => {
+            match completion {
+                Some(Completion { signal: Signal::Fault(fault), .. }) => {
                     return Err(super::RequestFault(fault).into());
                 }
-                Some(Mail { signal, at }) => return Ok((signal, Ticks(now.saturating_sub(at)))),
+                Some(Completion { signal, at }) => return Ok((signal, Ticks(now.saturating_sub(at)))),
                 None if stopped => {
                     self.give_up();
                     return Err(TaskError::Stopped);
@@ -174,13 +174,13 @@ impl Caller {
             self.effects.holds = true;
         }
         let node = &self.node;
-        let member = &node.members.list[self.place];
+        let local = &node.locals.list[self.place];
         // A wait for a time alone, if it is to be exact, is on the word.
         let link = node.link.as_ref().filter(|_| !node.is_exact || kind.is_some());
         let leading = link.and_then(|link| link.leading());
         // Set again by what the link brings, whichever thread takes it in.
-        let leading = leading.filter(|_| member.by_link.swap(false, Ordering::Relaxed));
-        let handoff = &member.handoff;
+        let leading = leading.filter(|_| local.by_link.swap(false, Ordering::Relaxed));
+        let handoff = &local.handoff;
         let inlet = leading.map(|_| &*self.inlet.get_or_insert_with(|| Inlet::new(Arc::clone(node))));
         let leading = leading.zip(inlet);
         let take_in = || {
@@ -188,7 +188,7 @@ impl Caller {
             guarded("a task's thread that receives", take_in)
         };
         if let Some(kind) = kind
-            && handoff.look(take_in, |there| self.patience.look(kind, handoff.presence(), until, there))
+            && handoff.look(take_in, |there| self.policy.look(kind, handoff.thread_state(), until, there))
         {
             return;
         }
@@ -196,9 +196,9 @@ impl Caller {
             let left =
                 || (until != clock::FAR).then(|| Duration::from_micros(until.saturating_sub(clock::now())));
             match node.lead.wait(handoff, || leading.wait(left()), take_in) {
-                Led::ToTheEnd => return member.by_link.store(true, Ordering::Relaxed),
+                Led::ToTheEnd => return local.by_link.store(true, Ordering::Relaxed),
                 Led::Called => return,
-                Led::No => member.by_link.store(true, Ordering::Relaxed),
+                Led::No => local.by_link.store(true, Ordering::Relaxed),
             }
         }
         let early = if until == clock::FAR { until } else { until.saturating_sub(node.spin_tail) };
@@ -232,7 +232,7 @@ impl Caller {
     pub fn end(&mut self) {
         self.give_up();
         self.tell(Request::End);
-        self.node.members.list[self.place].handoff.end(&mut self.effects);
+        self.node.locals.list[self.place].handoff.end(&mut self.effects);
         self.node.carry_out(&mut self.effects);
     }
 
@@ -277,7 +277,7 @@ impl Caller {
 
     /// Looks at the communication task after draining its inbox. Nothing else of it changes.
     pub fn look<R>(&mut self, look: impl FnOnce(&mut Comm) -> R) -> R {
-        let seen = self.node.members.list[self.place].handoff.with(look, &mut self.effects);
+        let seen = self.node.locals.list[self.place].handoff.with(look, &mut self.effects);
         self.node.carry_out(&mut self.effects);
         seen
     }

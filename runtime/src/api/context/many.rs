@@ -2,7 +2,7 @@
 
 use super::{Context, TaskError, mismatch, ticks};
 use crate::clock::{self, Micros};
-use crate::node::comm::Mail;
+use crate::node::comm::Completion;
 use imrs_protocol::{Delivery, PortId, Request, Signal, Ticks};
 use std::time::Duration;
 
@@ -37,9 +37,9 @@ impl<S> Context<S> {
             taken.clear();
             taken.reserve(limit);
             let poll = Request::Get { port, source: None, time_out: Some(Ticks::ZERO) };
-            let mut more = |mail: &Mail| match mail.signal {
+            let mut more = |completion: &Completion| match completion.signal {
                 Signal::Message(message) => {
-                    taken.push((mail.at, message));
+                    taken.push((completion.at, message));
                     (taken.len() < limit && message.fragments <= 1).then_some(poll)
                 }
                 _ => None,

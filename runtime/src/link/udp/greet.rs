@@ -39,11 +39,11 @@ impl UdpLink {
         let mut any = false;
         let unmet = |(_, peer): &(usize, &Peer)| !peer.met.load(Ordering::Relaxed);
         for (position, peer) in self.peers.iter().enumerate().filter(unmet) {
-            if let Some(way) = &mut *lock(&peer.way) {
+            if let Some(route) = &mut *lock(&peer.route) {
                 any = true;
                 // There may have been no route when the address was set.
-                if way.connected.is_none() {
-                    way.connected = self.connected(position, way.address);
+                if route.connected.is_none() {
+                    route.connected = self.connected(position, route.address);
                 }
             }
             let heard = *lock(&peer.heard);
@@ -61,7 +61,7 @@ impl UdpLink {
         self.uncounted.store(true, Ordering::Release);
         let end = Instant::now() + within;
         let is_silent = |peer: &&Peer| {
-            lock(&peer.way).is_some() && lock(&peer.remembers).is_none() && lock(&peer.refusal).is_none()
+            lock(&peer.route).is_some() && lock(&peer.remembers).is_none() && lock(&peer.refusal).is_none()
         };
         let mut ask_at = Instant::now();
         while Instant::now() < end && self.peers.iter().any(|peer| is_silent(&peer)) {
@@ -86,7 +86,7 @@ impl UdpLink {
     /// Whether there is a neighbour to which something can be sent.
     #[must_use]
     pub fn has_addresses(&self) -> bool {
-        self.peers.iter().any(|peer| lock(&peer.way).is_some())
+        self.peers.iter().any(|peer| lock(&peer.route).is_some())
     }
 
     /// The neighbours with which nothing can be exchanged at present, and why.
@@ -115,12 +115,12 @@ impl UdpLink {
     }
 
     fn send_bare(&self, peer: &Peer, purpose: Purpose, heard: Option<Heard>) {
-        let mut way = lock(&peer.way);
-        let Some(way) = way.as_mut() else { return };
+        let mut route = lock(&peer.route);
+        let Some(route) = route.as_mut() else { return };
         let envelope = self.envelope(peer, Instant::now(), heard, purpose);
         let count =
             if let Purpose::Refusal(_) = purpose { UdpCount::RefusalsSent } else { UdpCount::GreetingsSent };
-        if self.transmit(&without_packets(&envelope, self.digests()), way).is_ok() {
+        if self.transmit(&without_packets(&envelope, self.digests()), route).is_ok() {
             self.statistics.add(count, 1);
         }
     }

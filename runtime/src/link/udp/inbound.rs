@@ -8,7 +8,7 @@ use super::UdpLink;
 use super::socket;
 use crate::link::residency::Reading;
 use crate::lock::lock;
-use crate::sync::turn::Turn;
+use crate::sync::combining_lock::CombiningLock;
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::Arc;
@@ -26,7 +26,7 @@ pub(super) struct Inbound {
     pub(super) socket: UdpSocket,
     /// The address to which it is connected.
     pub(super) from: Option<SocketAddr>,
-    queue: Turn<Queue>,
+    queue: CombiningLock<Queue>,
 }
 
 /// What is known of a socket's queue in the kernel.
@@ -42,7 +42,7 @@ pub(super) struct Queue {
 impl Inbound {
     /// `empty`: the clocks before anything can have come in.
     pub(super) fn new(socket: UdpSocket, from: Option<SocketAddr>, empty: Reading) -> Self {
-        Self { socket, from, queue: Turn::new(Queue { empty, last: empty, dropped: 0 }) }
+        Self { socket, from, queue: CombiningLock::new(Queue { empty, last: empty, dropped: 0 }) }
     }
 
     /// Whether this is the socket of strangers, which receives what no neighbour's socket receives.

@@ -33,7 +33,7 @@ use crate::lock::lock;
 use imrs_protocol::{Incarnation, NodeId, NodeTable, Packet, Ticks};
 use imrs_wire::envelope::{MAX_PACKETS, Session};
 use inbound::{Inbound, STRANGERS};
-use peer::{Peer, Way};
+use peer::{Peer, Route};
 use receive::Room;
 pub(crate) use send::SEGMENTS;
 use socket::{Asked, Waited};
@@ -45,7 +45,7 @@ use std::sync::atomic::{AtomicBool, AtomicU16, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use thiserror::Error;
-use watch::{Seen, Told, Watch};
+use watch::{ReadySockets, Seen, Watch};
 
 /// The size of a kernel receive queue, by default: some 200 full datagrams.
 const DEFAULT_QUEUE_BYTES: usize = 256 * 1024;
@@ -137,7 +137,7 @@ pub struct UdpLink {
     /// Until when no thread reads the strangers' socket, because there was a flood.
     rest: Mutex<Option<Instant>>,
     /// What was reported to the leader and not yet taken in.
-    told: Mutex<Told>,
+    told: Mutex<ReadySockets>,
     /// For as many threads as receive at once: the polling thread, the leader, and threads that spin before they sleep.
     rooms: Mutex<Vec<Room>>,
     /// All neighbours, ascending.
@@ -234,9 +234,9 @@ impl UdpLink {
     /// [`NotANeighbour`] if the node is no neighbour.
     pub fn set_address(&self, node: NodeId, address: Option<SocketAddr>) -> Result<(), NotANeighbour> {
         let (position, peer) = self.peer(node).ok_or(NotANeighbour(node))?;
-        let mut way = lock(&peer.way);
-        *way = address.map(|address| Way::new(address, self.connected(position, address), self.segments));
-        drop(way);
+        let mut route = lock(&peer.route);
+        *route = address.map(|address| Route::new(address, self.connected(position, address), self.segments));
+        drop(route);
         peer.met.store(false, Ordering::Relaxed);
         if address.is_some() {
             self.address_known.store(true, Ordering::Release);
@@ -309,13 +309,13 @@ impl UdpLink {
     }
 
     /// The socket that sends to a neighbour.
-    fn sending(&self, way: &Way) -> Arc<Inbound> {
-        Arc::clone(way.connected.as_ref().unwrap_or(&self.strangers))
+    fn sending(&self, route: &Route) -> Arc<Inbound> {
+        Arc::clone(route.connected.as_ref().unwrap_or(&self.strangers))
     }
 
     /// Whether the kernel takes a datagram for a neighbour, as far as is known.
-    fn takes(&self, peer: &Peer, way: &Way) -> bool {
-        if peer.full.load(Ordering::Acquire) && socket::takes(&self.sending(way).socket) {
+    fn takes(&self, peer: &Peer, route: &Route) -> bool {
+        if peer.full.load(Ordering::Acquire) && socket::takes(&self.sending(route).socket) {
             peer.full.store(false, Ordering::Release);
         }
         !peer.full.load(Ordering::Acquire)
@@ -324,7 +324,7 @@ impl UdpLink {
     /// The sockets that were found full.
     fn full(&self) -> Vec<Arc<Inbound>> {
         let full = self.peers.iter().filter(|peer| peer.full.load(Ordering::Acquire));
-        full.filter_map(|peer| lock(&peer.way).as_ref().map(|way| self.sending(way))).collect()
+        full.filter_map(|peer| lock(&peer.route).as_ref().map(|route| self.sending(route))).collect()
     }
 
     /// Waits for a datagram, for a wake-up or, if the kernel took no more for a neighbour, until it may: then returns `None`.
@@ -357,7 +357,7 @@ impl UdpLink {
                 Waited::Writable => return Ok(None),
                 Waited::TimedOut => return Ok(Some(Seen::TimedOut)),
                 // Another thread may have taken it meanwhile.
-                Waited::Told => match self.polling.wait_some(Some(Duration::ZERO))? {
+                Waited::ReadySockets => match self.polling.wait_some(Some(Duration::ZERO))? {
                     Some(Seen::TimedOut) | None => {}
                     seen => return Ok(seen),
                 },
@@ -429,7 +429,7 @@ impl Leading for UdpLink {
 impl Link for UdpLink {
     fn ready(&self, next: NodeId) -> bool {
         let Some((_, peer)) = self.peer(next) else { return false };
-        lock(&peer.way).as_ref().is_some_and(|way| self.takes(peer, way))
+        lock(&peer.route).as_ref().is_some_and(|route| self.takes(peer, route))
     }
 
     fn at_once(&self) -> usize {
@@ -438,11 +438,11 @@ impl Link for UdpLink {
 
     fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
         let (_, peer) = self.peer(next).ok_or(LinkBusy)?;
-        let mut way = lock(&peer.way);
-        let way = way.as_mut().ok_or(LinkBusy)?;
+        let mut route = lock(&peer.route);
+        let route = route.as_mut().ok_or(LinkBusy)?;
         match &packets[..packets.len().min(self.at_once())] {
             [] => Ok(0),
-            packets => self.send_over(peer, way, packets, at),
+            packets => self.send_over(peer, route, packets, at),
         }
     }
 
@@ -456,8 +456,8 @@ impl Link for UdpLink {
                 Ok(Some(Seen::Readable(told))) => self.drain(&told, sink).then_some(PollEnd::Received),
                 Ok(None) => {
                     for peer in &self.peers {
-                        lock(&peer.way).iter().for_each(|way| {
-                            self.takes(peer, way);
+                        lock(&peer.route).iter().for_each(|route| {
+                            self.takes(peer, route);
                         });
                     }
                     Some(PollEnd::Ready)

@@ -15,7 +15,7 @@ pub(super) struct Peer {
     pub(super) node: NodeId,
     /// The declared bound of the link to it, in microseconds.
     pub(super) declared: Ticks,
-    pub(super) way: Mutex<Option<Way>>,
+    pub(super) route: Mutex<Option<Route>>,
     /// The socket that is connected to the neighbour. It still receives when the address is no longer known.
     pub(super) inbound: Mutex<Option<Arc<Inbound>>>,
     /// The neighbour's session, as the receiving threads know it. Locked while a datagram of the neighbour is judged and entered:
@@ -71,7 +71,7 @@ const NOTHING: u16 = u16::MAX;
 /// The connected socket sends and receives. The kernel looks up the route once, and reports there that no socket listens at the
 /// address (ECONNREFUSED). If the connected socket fails, the socket of strangers sends, from the same address. If it is full,
 /// nothing sends: datagrams that the kernel holds for an unresolved neighbour would fill the socket of strangers, too.
-pub(super) struct Way {
+pub(super) struct Route {
     pub(super) address: SocketAddr,
     pub(super) connected: Option<Arc<Inbound>>,
     segments: Segments,
@@ -86,7 +86,7 @@ enum Segments {
     Refused,
 }
 
-impl Way {
+impl Route {
     /// The route to `address`. `segments`: the kernel may be asked to cut what is sent.
     pub(super) const fn new(address: SocketAddr, connected: Option<Arc<Inbound>>, segments: bool) -> Self {
         let segments = if segments { Segments::NotYet } else { Segments::Refused };
@@ -120,7 +120,7 @@ impl Peer {
         Self {
             node,
             declared,
-            way: Mutex::default(),
+            route: Mutex::default(),
             inbound: Mutex::default(),
             known: Mutex::default(),
             full: AtomicBool::new(false),

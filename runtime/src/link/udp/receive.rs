@@ -7,7 +7,7 @@ use super::send::SEGMENTS;
 use super::session::{Contact, Known, admit, judge};
 use super::socket::{Asked, Received, Receiver};
 use super::statistics::UdpCount;
-use super::watch::Told;
+use super::watch::ReadySockets;
 use crate::clock;
 use crate::link::residency::{Evidence, Reading, residency};
 use crate::link::{LinkDiscard, Sink};
@@ -59,7 +59,7 @@ impl UdpLink {
     /// comes later is reported to the polling thread. False if another thread receives from one of the sockets: it takes that in,
     /// too. To see a socket empty costs one more syscall, so this does it only now and then: nothing depends on it while stamps
     /// can be believed.
-    pub(super) fn take_told(&self, told: &Told, sink: &dyn Sink) -> bool {
+    pub(super) fn take_told(&self, told: &ReadySockets, sink: &dyn Sink) -> bool {
         self.with_room(|room| {
             let mut all = true;
             for inbound in told.places().filter_map(|place| self.inbound(place)) {
@@ -75,7 +75,7 @@ impl UdpLink {
 
     /// Takes what waits in the reported sockets, up to a [`BATCH`] of each, or a [`STRANGERS_BATCH`] of strangers. Returns
     /// whether any datagram came in.
-    pub(super) fn drain(&self, told: &Told, sink: &dyn Sink) -> bool {
+    pub(super) fn drain(&self, told: &ReadySockets, sink: &dyn Sink) -> bool {
         self.with_room(|room| {
             let mut any = false;
             for inbound in told.places().filter_map(|place| self.inbound(place)) {
@@ -231,7 +231,7 @@ impl Together<'_> {
         if self.decoded.len() + opened.packets.len() > self.decoded.capacity() {
             self.hand_over();
         }
-        let one_way = || lock(&peer.way).is_none();
+        let one_way = || lock(&peer.route).is_none();
         let mut known = lock(&peer.known);
         let judged = judge(known.as_ref(), envelope, link.sent_after(envelope, at), one_way);
         let contact = judged.map_err(|unheard| {
@@ -291,7 +291,7 @@ impl Together<'_> {
     ) -> Ticks {
         let link = self.link;
         if let Contact::New { restarted } = contact {
-            link.statistics.add(UdpCount::NewLives, 1);
+            link.statistics.add(UdpCount::NewIncarnations, 1);
             peer.remember(envelope.incarnation);
             self.sink.peer(peer.node, envelope.incarnation, restarted);
         }

@@ -1,7 +1,7 @@
 //! Sending: from packets to the socket.
 
 use super::UdpLink;
-use super::peer::{Heard, Outgoing, Peer, Way};
+use super::peer::{Heard, Outgoing, Peer, Route};
 use super::socket;
 use super::statistics::UdpCount;
 use crate::link::LinkBusy;
@@ -24,7 +24,7 @@ impl UdpLink {
     pub(super) fn send_over(
         &self,
         peer: &Peer,
-        way: &mut Way,
+        route: &mut Route,
         packets: &[Packet],
         at: Instant,
     ) -> Result<usize, LinkBusy> {
@@ -46,7 +46,7 @@ impl UdpLink {
             let envelope = Envelope { counter: *counter + number as u64, ..first };
             datagram.seal(&envelope, digests);
         }
-        let left = self.leave(peer, way, &datagrams[..count]);
+        let left = self.leave(peer, route, &datagrams[..count]);
         // Counters of datagrams that were not taken count, too: part of a failed call may have left.
         *counter += count as u64;
         left.map(|left| packets.len().min(left * MAX_PACKETS))
@@ -76,9 +76,9 @@ impl UdpLink {
     }
 
     /// Hands datagrams to the kernel in their order. Returns how many datagrams it took, or lost.
-    fn leave(&self, peer: &Peer, way: &mut Way, datagrams: &[Datagram]) -> Result<usize, LinkBusy> {
+    fn leave(&self, peer: &Peer, route: &mut Route, datagrams: &[Datagram]) -> Result<usize, LinkBusy> {
         if datagrams.len() > 1 {
-            match self.transmit_segmented(datagrams, way) {
+            match self.transmit_segmented(datagrams, route) {
                 Ok(()) => {
                     datagrams.iter().for_each(|datagram| self.has_left(datagram));
                     self.statistics.add(UdpCount::SendsSaved, datagrams.len() as u64 - 1);
@@ -90,7 +90,7 @@ impl UdpLink {
             }
         }
         for (left, datagram) in datagrams.iter().enumerate() {
-            match self.transmit(datagram.sealed(), way) {
+            match self.transmit(datagram.sealed(), route) {
                 Ok(()) => self.has_left(datagram),
                 Err(error) if is_full(&error) => {
                     let busy = self.found_full(peer);
@@ -118,26 +118,26 @@ impl UdpLink {
     }
 
     /// Hands a datagram to the kernel.
-    pub(super) fn transmit(&self, bytes: &[u8], way: &mut Way) -> io::Result<()> {
-        if let Some(connected) = &way.connected {
+    pub(super) fn transmit(&self, bytes: &[u8], route: &mut Route) -> io::Result<()> {
+        if let Some(connected) = &route.connected {
             match self.sent(|| connected.socket.send(bytes)) {
                 Ok(()) => return Ok(()),
                 Err(error) if is_full(&error) => return Err(error),
-                Err(error) => self.doubt_segments(way, &error),
+                Err(error) => self.doubt_segments(route, &error),
             }
         }
-        retried(|| self.strangers.socket.send_to(bytes, way.address))
+        retried(|| self.strangers.socket.send_to(bytes, route.address))
     }
 
     /// Hands datagrams to the kernel in one call, all of one length except the last: all of them leave, or none.
-    fn transmit_segmented(&self, datagrams: &[Datagram], way: &mut Way) -> io::Result<()> {
-        let Some(socket) = way.segmenting() else { return Err(io::ErrorKind::Unsupported.into()) };
+    fn transmit_segmented(&self, datagrams: &[Datagram], route: &mut Route) -> io::Result<()> {
+        let Some(socket) = route.segmenting() else { return Err(io::ErrorKind::Unsupported.into()) };
         let slices: [IoSlice<'_>; SEGMENTS] = std::array::from_fn(|number| {
             IoSlice::new(datagrams.get(number).map_or(&[], |datagram| datagram.sealed()))
         });
         let sent = self.sent(|| socket::send_all(socket, &slices[..datagrams.len()]));
         if let Err(error) = &sent {
-            self.doubt_segments(way, error);
+            self.doubt_segments(route, error);
         }
         sent
     }
@@ -157,9 +157,10 @@ impl UdpLink {
     /// Stops cutting on this route if the error says that the kernel refuses it: the network takes no full datagrams in one piece
     /// (EINVAL, EMSGSIZE), or cannot checksum what it is given to cut (EIO). From then on each datagram leaves by itself. Other
     /// errors concern earlier datagrams, or pass.
-    fn doubt_segments(&self, way: &mut Way, error: &io::Error) {
+    fn doubt_segments(&self, route: &mut Route, error: &io::Error) {
         let refused = [Errno::INVAL, Errno::IO, Errno::MSGSIZE];
-        if Errno::from_io_error(error).is_some_and(|errno| refused.contains(&errno)) && way.segment_no_more()
+        if Errno::from_io_error(error).is_some_and(|errno| refused.contains(&errno))
+            && route.segment_no_more()
         {
             self.statistics.add(UdpCount::SegmentsRefused, 1);
         }

@@ -236,7 +236,7 @@ impl Wake {
 /// What a wait for room ended with.
 pub(super) enum Waited {
     /// The epoll instance has an event.
-    Told,
+    ReadySockets,
     /// A socket that was full may take something.
     Writable,
     TimedOut,
@@ -264,7 +264,7 @@ pub(super) fn wait_for_room(
             Err(errno) => return Err(errno.into()),
         }
         if !fds[0].revents().is_empty() {
-            return Ok(Waited::Told);
+            return Ok(Waited::ReadySockets);
         }
         // The next send fetches a sending socket's error.
         if fds[1..].iter().any(|fd| !fd.revents().is_empty()) {

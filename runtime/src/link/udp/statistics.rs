@@ -63,7 +63,7 @@ counts! {
     /// Datagrams whose wait was counted from then because the kernel gave no stamp.
     NoStamp = "no_stamp",
     /// New sessions of neighbours: the first one of each, and one for each restart.
-    NewLives = "new_lives",
+    NewIncarnations = "new_lives",
     /// Greetings sent: they carry no packets, and are not among the datagrams.
     GreetingsSent = "greetings_sent",
     /// Greetings that came in.

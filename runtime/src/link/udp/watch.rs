@@ -41,19 +41,19 @@ pub(super) struct Watch {
 /// What a wait ended with.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Seen {
-    Readable(Told),
+    Readable(ReadySockets),
     Woken,
     TimedOut,
 }
 
 /// The places of sockets that have something, in the order in which they got it.
 #[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Told {
+pub(super) struct ReadySockets {
     places: [u32; AT_ONCE],
     count: usize,
 }
 
-impl Told {
+impl ReadySockets {
     pub(super) fn places(&self) -> impl Iterator<Item = u32> + '_ {
         self.places[..self.count].iter().copied()
     }
@@ -127,7 +127,7 @@ impl Watch {
     }
 
     /// The sockets that have something now. Consumes no wake-up.
-    pub(super) fn look(&self) -> Told {
+    pub(super) fn look(&self) -> ReadySockets {
         self.events(Some(&NOW)).map(|(told, _)| told).unwrap_or_default()
     }
 
@@ -151,10 +151,10 @@ impl Watch {
 
     /// The sockets that have something within `left`, and whether there is a wake-up. A socket's error (EPOLLERR) is fetched by
     /// receiving.
-    fn events(&self, left: Option<&Timespec>) -> rustix::io::Result<(Told, bool)> {
+    fn events(&self, left: Option<&Timespec>) -> rustix::io::Result<(ReadySockets, bool)> {
         let mut room = [MaybeUninit::uninit(); AT_ONCE];
         let (events, _) = epoll::wait(&self.epoll, &mut room, left)?;
-        let (mut told, mut wake) = (Told::default(), false);
+        let (mut told, mut wake) = (ReadySockets::default(), false);
         for event in events {
             match u32::try_from(event.data.u64()) {
                 Ok(place) => told.push(place),
@@ -164,7 +164,7 @@ impl Watch {
         Ok((told, wake))
     }
 
-    fn seen(&self, told: Told, wake: bool) -> Seen {
+    fn seen(&self, told: ReadySockets, wake: bool) -> Seen {
         if wake && (self.wake_first || told.is_empty()) {
             self.wake.clear();
             Seen::Woken

@@ -1,6 +1,6 @@
 //! Names the actor of a move: an action, a link or a waiting input.
 
-use crate::cell::course::{CellMove, Course};
+use crate::cell::run_state::{CellMove, RunState};
 
 /// An actor in a tick.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -14,14 +14,14 @@ pub(super) enum Who {
 }
 
 /// The actor of a move in a tick; `None` for other moves.
-pub(super) fn who(course: &Course, step: CellMove) -> Option<Who> {
+pub(super) fn who(run_state: &RunState, step: CellMove) -> Option<Who> {
     match step {
         CellMove::Acted(task, level, ..) | CellMove::GoOn(task, level) => Some(Who::Action(task, level)),
         CellMove::Stay(link) => Some(Who::Line(usize::from(link))),
         CellMove::Take(..) | CellMove::Begin(_) => Some(Who::Input(step)),
         _ => {
-            let crossing = course.floor.crossings.get(usize::from(step.packet()?))?;
-            Some(Who::Line(usize::from(crossing.link)))
+            let carried = run_state.cell.in_flight.get(usize::from(step.packet()?))?;
+            Some(Who::Line(usize::from(carried.link)))
         }
     }
 }

@@ -1,0 +1,73 @@
+//! Event times between the extremes: an action may end before its most time, a packet may arrive before its link's bound.
+//!
+//! [`Times::Between`] decides only the order of events. An action ends at its least or most time, or right after any event
+//! between them. A packet arrives after one tick, at its link's bound, or right after any event between them. This tries every
+//! order of two close events, but not every distance to later ones. [`Times::Every`] tries every tick.
+
+use super::{RunState, bit, small};
+use crate::cell::plan::Times;
+use crate::cell_state::script::Running;
+
+impl RunState {
+    /// An event happened: actions and packets that were postponed until an event may end or arrive now.
+    pub fn stir(&mut self) {
+        self.beside.stays.clear();
+        self.beside.slow = 0;
+    }
+
+    /// Time passed: with [`Times::Every`], postponed actions and packets may end or arrive at this step.
+    pub fn next_step(&mut self) {
+        if self.times != Times::Every {
+            return;
+        }
+        let (cell_state, beside, step) = (&self.cell, &mut self.beside, self.plan.step);
+        beside.stays.retain(|&(task, level)| {
+            let actor = cell_state.bodies[usize::from(task)].actor.as_ref();
+            let running = actor.and_then(|actor| actor.runs(level));
+            running.is_some_and(|action| action.most % step != 0 || action.most == Running::FOREVER)
+        });
+        for carried in &cell_state.in_flight {
+            let bound = u32::from(cell_state.links[usize::from(carried.link)].2);
+            if bound.saturating_sub(carried.age) % step == 0 {
+                beside.slow &= !bit(usize::from(carried.link));
+            }
+        }
+    }
+
+    /// Ticks to the next instant at which an event may happen that is at most `most` ticks away.
+    pub fn to_next_step(&self, most: u32) -> u32 {
+        let step = self.plan.step;
+        if self.times == Times::Every && most != Running::FOREVER {
+            most - (most.saturating_sub(1) / step) * step
+        } else {
+            most
+        }
+    }
+
+    /// Drops postponements of actions that have ended, and of links without a packet.
+    pub fn settle(&mut self) {
+        if self.times == Times::Ends {
+            return;
+        }
+        let (cell_state, beside) = (&self.cell, &mut self.beside);
+        beside.stays.retain(|&(task, level)| {
+            let actor = cell_state.bodies[usize::from(task)].actor.as_ref();
+            let running = actor.and_then(|actor| actor.runs(level));
+            running.is_some_and(|action| action.least == 0 && action.most > 0)
+        });
+        let full = cell_state.in_flight.iter().fold(0, |full, carried| full | bit(usize::from(carried.link)));
+        beside.slow &= full;
+    }
+
+    /// Postpones the end of an action that may end now.
+    pub fn go_on(&mut self, task: usize, level: u8) {
+        if self.times != Times::Ends {
+            self.beside.stays.push((small(task), level));
+            self.beside.stays.sort_unstable();
+            return;
+        }
+        let Some(actor) = &mut self.cell.bodies[task].actor else { return };
+        let actions = actor.running.iter_mut().filter(|action| action.level == level);
+        actions.for_each(|action| action.least = action.most);
+    }
+}

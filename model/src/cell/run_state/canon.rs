@@ -1,0 +1,214 @@
+//! Packs a cell state into canonical bytes and loads it back: first fault budgets and checks, then the nodes and packets.
+
+use super::order::TickValues;
+use super::pause::Asleep;
+use super::{Beside, RunState, bit};
+use crate::cell::plan::{CellFaults, CellPlan, Holds, Times};
+use crate::cell_state::CellState;
+use crate::state::Violation;
+use imrs_protocol::{Decode, Encode, Frame, Walk};
+
+/// Marker that replaces the first byte of the cell state when values that nodes showed earlier in this tick follow.
+const TICK_VALUES: u8 = 0xff;
+
+/// Remaining faults, one byte for each budget, pause and cut. More in every byte allows a superset of the moves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(in crate::cell) struct Left([u8; 8]);
+
+impl Left {
+    /// Whether this allows every fault that `other` allows.
+    pub fn covers(self, other: Self) -> bool {
+        self.0.iter().zip(other.0).all(|(mine, others)| *mine >= others)
+    }
+}
+
+/// Number of bytes at the beginning of a state that hold [`Left`].
+fn left_len(faults: &CellFaults) -> usize {
+    let counted = [faults.loss, faults.dup, faults.reorder, faults.fail, faults.drift];
+    let counted = counted.iter().filter(|had| **had > 0).count() + faults.pause.len();
+    let len = counted + faults.cut.len();
+    // An open cut forbids copies and overtaking, a cut that is over does not: then cuts cannot be compared. Nor do 9 bytes fit.
+    if faults.dup > 0 || faults.reorder > 0 || len > 8 { counted.min(8) } else { len }
+}
+
+impl RunState {
+    /// Splits a state into its remaining faults and the rest.
+    pub fn split<'a>(&self, state: &'a [u8]) -> (Left, &'a [u8]) {
+        let len = if self.plan.everything { 0 } else { left_len(&self.faults) };
+        let (budgets, core) = state.split_at(len.min(state.len()));
+        let mut left = Left::default();
+        left.0.iter_mut().zip(budgets).for_each(|(to, from)| *to = *from);
+        (left, core)
+    }
+
+    /// Packs the canonical state, the remaining faults first ([`RunState::split`]).
+    ///
+    /// # Errors
+    /// The violation of the cell state, or [`Violation::Overflow`] if some value has no packed form.
+    pub fn store(&mut self) -> Result<Box<[u8]>, Violation> {
+        self.bury();
+        let cell_state = self.cell.store();
+        if let Some(violation) = cell_state.violation() {
+            return Err(violation);
+        }
+        // Keep only the `acted` bits of nodes that may still crash or restart: no move depends on the others.
+        let may = self.faults.crash.iter().zip(&self.beside.crashed).filter(|(_, crashed)| **crashed == 0);
+        let may = may.fold(0_u64, |mask, (node, _)| mask | bit(node.index()));
+        let down = (0..self.cell.nodes.len()).filter(|&node| self.is_down(node));
+        let may = down.fold(may, |mask, node| mask | bit(node));
+        let acted = self.beside.acted;
+        self.beside.acted &= may;
+        // These fields hold no rounds and no message numbers, so nothing is relative.
+        let frame = Frame { rounds: &[], sequences: &[], incarnations: true };
+        let mut out = Vec::with_capacity(cell_state.len() + 16);
+        let beside = Encode::append(&mut out, &frame, |w| self.walk_beside(w));
+        self.beside.acted = acted;
+        beside.map_err(|_| Violation::Overflow)?;
+        let at = out.len();
+        out.extend_from_slice(&cell_state.0);
+        if self
+            .tick_values
+            .iter()
+            .flat_map(|tick_values| &tick_values.earlier)
+            .any(|earlier| !earlier.is_empty())
+        {
+            // The first byte of the cell state is 0 without a violation, so the marker may replace it.
+            out[at] = TICK_VALUES;
+            let tick_values = Encode::bytes(&frame, |w| {
+                self.tick_values.iter_mut().for_each(|tick_values| tick_values.walk(w))
+            });
+            out.splice(at + 1..at + 1, tick_values.map_err(|_| Violation::Overflow)?);
+        }
+        Ok(out.into_boxed_slice())
+    }
+
+    /// Loads a packed state.
+    pub fn load(&mut self, state: &[u8]) {
+        let mut at = Decode::read(state, true, |r| self.walk_beside(r));
+        for earlier in self.tick_values.iter_mut().flat_map(|tick_values| &mut tick_values.earlier) {
+            earlier.clear();
+        }
+        if state.get(at) == Some(&TICK_VALUES) {
+            at += Decode::read(&state[at + 1..], true, |r| {
+                self.tick_values.iter_mut().for_each(|tick_values| tick_values.walk(r));
+            });
+        }
+        self.cell.violation = None;
+        self.cell.load_bytes(state.get(at..).unwrap_or_default());
+        self.see_anew();
+    }
+
+    fn walk_beside<W: Walk>(&mut self, w: &mut W) {
+        self.beside.walk(&self.plan, &self.faults, self.times, &mut self.cell, w);
+    }
+}
+
+impl Beside {
+    fn walk<W: Walk>(
+        &mut self,
+        plan: &CellPlan,
+        had: &CellFaults,
+        times: Times,
+        cell_state: &mut CellState,
+        w: &mut W,
+    ) {
+        let Self {
+            loss,
+            dup,
+            reorder,
+            fail,
+            drift,
+            crashed,
+            cuts,
+            paused,
+            asleep,
+            due,
+            stays,
+            slow,
+            held_back,
+            begins,
+            acted,
+        } = self;
+        w.byte_if(had.loss > 0, loss);
+        w.byte_if(had.dup > 0, dup);
+        w.byte_if(had.reorder > 0, reorder);
+        w.byte_if(had.fail > 0, fail);
+        w.byte_if(had.drift > 0, drift);
+        w.raw(paused);
+        w.raw(cuts);
+        w.raw(crashed);
+        if !had.crash.is_empty() {
+            w.long(acted);
+        }
+        for node in &had.crash {
+            let mut left = held_back[node.index()].unwrap_or(0);
+            w.number(&mut left);
+            held_back[node.index()] = Some(left).filter(|left| *left > 0);
+            begins[node.index()].walk(w);
+        }
+        for (node, asleep) in asleep.iter_mut().enumerate() {
+            let slept = &mut cell_state.nodes[node].asleep;
+            if had.pause.iter().any(|pause| pause.is_of(node)) {
+                walk_pause(asleep, slept, w);
+            } else if W::READS {
+                (*slept, *asleep) = (None, None);
+            }
+        }
+        for (_, due) in
+            plan.checks.iter().zip(due).filter(|(check, _)| matches!(check.holds, Holds::Leads { .. }))
+        {
+            or_none(due, w);
+        }
+        if W::READS {
+            stays.clear();
+        }
+        if times != Times::Ends {
+            w.list(stays, (0, 0), walk_thread);
+            w.long(slow);
+        }
+    }
+}
+
+/// A task and one of its activations.
+fn walk_thread<W: Walk>((task, level): &mut (u8, u8), w: &mut W) {
+    w.byte(task);
+    w.byte(level);
+}
+
+/// An optional number of ticks: `None` is 0, `n` is `n + 1`.
+fn or_none<W: Walk>(ticks: &mut Option<u32>, w: &mut W) {
+    let mut read = ticks.map_or(0, |ticks| ticks + 1);
+    w.number(&mut read);
+    *ticks = read.checked_sub(1);
+}
+
+/// A pause: the ticks that it may still last, the ticks that it has lasted, and the actions that it holds back.
+fn walk_pause<W: Walk>(asleep: &mut Option<Asleep>, slept: &mut Option<u32>, w: &mut W) {
+    let mut left = asleep.as_ref().map(|asleep| asleep.left);
+    or_none(&mut left, w);
+    if W::READS {
+        *asleep = left.map(|left| Asleep { left, held: Vec::new() });
+        *slept = left;
+    }
+    let Some(Asleep { left: _, held }) = asleep else { return };
+    w.number(slept.get_or_insert(0));
+    w.list(held, (0, 0), walk_thread);
+}
+
+impl TickValues {
+    /// Packs what nodes showed earlier in this tick: how many sights, then their values.
+    fn walk<W: Walk>(&mut self, w: &mut W) {
+        let widths: Vec<usize> = self.widths().collect();
+        for (earlier, width) in self.earlier.iter_mut().zip(widths) {
+            w.list(earlier, vec![None; width], |shown_values, w| {
+                shown_values.iter_mut().for_each(|value| walk_value(value, w));
+            });
+        }
+    }
+}
+
+fn walk_value<W: Walk>(value: &mut Option<i64>, w: &mut W) {
+    let mut bytes = value.unwrap_or(i64::MIN).to_le_bytes();
+    w.raw(&mut bytes);
+    *value = Some(i64::from_le_bytes(bytes)).filter(|value| *value != i64::MIN);
+}

@@ -1,0 +1,241 @@
+//! Lists the transitions that a cell state allows.
+
+use super::{CellMove, OPEN, RunState, UNUSED, bit, small};
+use crate::cell::plan::{Conduct, Times};
+use crate::cell_state::script::Running;
+use crate::cell_state::{CellState, InFlight};
+
+impl CellState {
+    /// Whether another packet is ahead of this one on its link.
+    pub(in crate::cell) fn is_behind(&self, packet: usize) -> bool {
+        let link = self.in_flight.get(packet).map(|carried| carried.link);
+        self.in_flight.iter().take(packet).any(|other| Some(other.link) == link)
+    }
+
+    /// Whether another packet is behind this one on its link.
+    pub(in crate::cell) fn is_followed(&self, packet: usize) -> bool {
+        let link = self.in_flight.get(packet).map(|carried| carried.link);
+        self.in_flight.iter().skip(packet + 1).any(|other| Some(other.link) == link)
+    }
+}
+
+impl RunState {
+    /// Adds the possible moves: those of the first node with something to do in this tick. Time passes only if no node has any.
+    pub fn moves(&self, moves: &mut Vec<CellMove>) {
+        for node in 0..self.cell.nodes.len() {
+            self.turn(node, moves);
+            if !moves.is_empty() {
+                return;
+            }
+        }
+        for (at, (&node, &crashed)) in self.faults.crash.iter().zip(&self.beside.crashed).enumerate() {
+            let earlier = self.faults.crash[..at].iter().zip(&self.beside.crashed);
+            let first = !earlier.into_iter().any(|(&other, &done)| other == node && done == 0);
+            let acted = self.plan.everything || self.beside.acted & bit(node.index()) != 0;
+            if crashed == 0 && first && acted && self.cell.nodes[node.index()].up {
+                moves.push(CellMove::Crash(small(at)));
+            }
+        }
+        let next = self.next_event();
+        let now = |i: usize| self.plan.everything || next.is_none() || self.beside.acted & bit(i) != 0;
+        self.pauses_between(next, moves);
+        let down = (0..self.cell.nodes.len()).filter(|&i| self.is_down(i) && now(i));
+        moves.extend(down.map(|i| CellMove::Restart(small(i))));
+        if next.is_none() {
+            return;
+        }
+        moves.push(CellMove::Pass);
+        if self.beside.drift > 0 {
+            let up = (0..self.cell.nodes.len()).filter(|&i| self.cell.nodes[i].up);
+            moves.extend(up.flat_map(|i| [true, false].map(|more| CellMove::Drift(small(i), more))));
+        }
+    }
+
+    /// Adds the moves of a node in this tick.
+    fn turn(&self, node: usize, moves: &mut Vec<CellMove>) {
+        if self.is_asleep(node) {
+            if self.must_wake(node) {
+                moves.push(CellMove::Wake(small(node)));
+            }
+            return;
+        }
+        let cell_state = &self.cell;
+        let here = |&task: &usize| cell_state.node_state_of(task) == node;
+        let up = cell_state.nodes[node].up;
+        let tasks = || (0..cell_state.bodies.len()).filter(here).filter(|_| up);
+        for task in tasks() {
+            let chooses = cell_state.bodies[task].actor.as_ref().and_then(|actor| actor.chooses());
+            if let Some(alternatives) = chooses {
+                moves.extend((0..alternatives).map(|choice| CellMove::Choose(small(task), choice)));
+                return;
+            }
+        }
+        let busy = cell_state.is_busy(node) || self.begins_next(node).is_some();
+        for task in tasks() {
+            let Some(actor) = &cell_state.bodies[task].actor else { continue };
+            for action in &actor.running {
+                self.ends(task, action, moves);
+            }
+        }
+        let mut comes = false;
+        let waited = self.longest_wait(node);
+        for (i, carried) in cell_state.in_flight.iter().enumerate() {
+            let (_, to, bound) = cell_state.links[usize::from(carried.link)];
+            let bound = u32::from(bound);
+            let ahead = cell_state.in_flight[..i].iter().find(|other| other.link == carried.link);
+            match ahead {
+                _ if to.index() != node => {}
+                None if carried.age.saturating_sub(bound) < waited => {}
+                None if carried.age >= bound => {
+                    self.arrivals(small(i), carried.link, moves);
+                    comes = true;
+                }
+                None if up && self.may_come_early(carried) => {
+                    // An open cut may end with an early packet, too. Otherwise it would not cover a cut that is over.
+                    let open = self.cut_of(carried.link, OPEN);
+                    let comes = open.map_or(CellMove::Deliver(small(i)), |cut| CellMove::Mend(small(i), cut));
+                    moves.extend([comes, CellMove::Stay(carried.link)]);
+                }
+                // A packet overtakes as late as possible, when the one ahead arrives, but never in the tick of its sending.
+                Some(ahead) if ahead.age >= bound && carried.age > 0 && self.may_overtake(carried.link) => {
+                    moves.push(CellMove::Deliver(small(i)));
+                }
+                None | Some(_) => {}
+            }
+        }
+        if busy {
+            return self.turn_within(node, moves);
+        }
+        if comes && !up && !self.plan.everything {
+            moves.push(CellMove::Restart(small(node)));
+        }
+        if !moves.is_empty() {
+            self.pauses(node, moves);
+        }
+    }
+
+    /// Adds the moves of a node in which inputs of tasks wait or scripts are about to begin (D170). Of the other moves only
+    /// those stay that bring a task something, or let the next packet do so. To postpone an action or packet, or to drop the
+    /// last packet of a link, changes nothing for tasks with waiting inputs; so those moves come when no input waits.
+    fn turn_within(&self, node: usize, moves: &mut Vec<CellMove>) {
+        let cell_state = &self.cell;
+        // A task takes nothing else before it has noticed the time.
+        let knows = |task: usize| cell_state.notices_all(node, task);
+        let comes = |i: u8| knows(cell_state.in_flight[usize::from(i)].packet.destination.index());
+        moves.retain(|&step| match step {
+            CellMove::Acted(task, ..) => knows(usize::from(task)),
+            CellMove::Deliver(i) | CellMove::Duplicate(i) | CellMove::Mend(i, _) => comes(i),
+            CellMove::Lose(i) | CellMove::Cut(i, _) | CellMove::Vanish(i) => {
+                cell_state.is_followed(usize::from(i))
+            }
+            _ => false,
+        });
+        let takes = cell_state.next_inputs(node).map(|at| CellMove::Take(small(node), small(at)));
+        moves.splice(..0, takes.chain(self.may_begin(node).then_some(CellMove::Begin(small(node)))));
+    }
+
+    /// Whether packets may overtake on a link: not while it is cut.
+    fn may_overtake(&self, link: u8) -> bool {
+        self.beside.reorder > 0 && self.cut_of(link, OPEN).is_none()
+    }
+
+    /// The first declared cut of a link, in either direction, that is in this state.
+    fn cut_of(&self, link: u8, at: u8) -> Option<u8> {
+        let mut cuts = self.faults.cut.iter().zip(&self.beside.cuts);
+        cuts.position(|(&of, &state)| of == usize::from(link) / 2 && state == at).map(small)
+    }
+
+    fn may_come_early(&self, carried: &InFlight) -> bool {
+        self.times != Times::Ends && carried.age > 0 && self.beside.slow & bit(usize::from(carried.link)) == 0
+    }
+
+    fn ends(&self, task: usize, action: &Running, moves: &mut Vec<CellMove>) {
+        if action.least > 0 || self.beside.stays.contains(&(small(task), action.level)) {
+            return;
+        }
+        let (task, level) = (small(task), action.level);
+        let values = self.values(usize::from(task), action.action).len().max(1);
+        moves.extend((0..values).map(|value| CellMove::Acted(task, level, true, small(value))));
+        if self.beside.fail > 0 {
+            moves.push(CellMove::Acted(task, level, false, 0));
+        }
+        if action.most > 0 {
+            moves.push(CellMove::GoOn(task, level));
+        }
+    }
+
+    fn values(&self, task: usize, action: u16) -> &[i32] {
+        match &self.plan.tasks[task] {
+            Conduct::Program { values, .. } => values.get(usize::from(action)).map_or(&[], Vec::as_slice),
+            Conduct::Extern(_) => &[],
+        }
+    }
+
+    /// The result that an action gives for a position among its values; 0 without values.
+    pub fn value(&self, task: usize, level: u8, value: u8) -> i32 {
+        let actor = self.cell.bodies[task].actor.as_ref();
+        let running = actor.and_then(|actor| actor.runs(level));
+        let values = running.map_or(&[][..], |action| self.values(task, action.action));
+        values.get(usize::from(value)).copied().unwrap_or(0)
+    }
+
+    fn arrivals(&self, i: u8, link: u8, moves: &mut Vec<CellMove>) {
+        if let Some(number) = self.cut_of(link, OPEN) {
+            moves.extend([CellMove::Vanish(i), CellMove::Mend(i, number)]);
+            return;
+        }
+        moves.push(CellMove::Deliver(i));
+        if self.beside.loss > 0 {
+            moves.push(CellMove::Lose(i));
+        }
+        if self.beside.dup > 0 {
+            moves.push(CellMove::Duplicate(i));
+        }
+        if let Some(number) = self.cut_of(link, UNUSED) {
+            moves.push(CellMove::Cut(i, number));
+        }
+    }
+
+    /// Ticks until the next event, at least 1; `None` if none is to come.
+    pub fn next_event(&self) -> Option<u32> {
+        let cell_state = &self.cell;
+        let waits = |carried: &&InFlight| {
+            let (_, to, bound) = cell_state.links[usize::from(carried.link)];
+            carried.age >= u32::from(bound) && self.is_asleep(to.index())
+        };
+        let packets = cell_state.in_flight.iter().filter(|carried| !waits(carried)).map(|carried| {
+            let bound = u32::from(cell_state.links[usize::from(carried.link)].2);
+            let left = bound.saturating_sub(carried.age);
+            match (self.times, carried.age) {
+                (Times::Between | Times::Every, 0) => u64::from(left.min(1)),
+                _ => u64::from(self.to_next_step(left)),
+            }
+        });
+        let up = || (0..cell_state.nodes.len()).filter(|&i| cell_state.nodes[i].up);
+        let awake = || up().filter(|&i| !self.is_asleep(i));
+        let nodes = awake().filter_map(|i| cell_state.nodes[i].node.time_left()).map(|t| t.0);
+        let paused = up().filter(|&i| self.is_asleep(i)).flat_map(|i| self.events_asleep(i));
+        let ends = (0..cell_state.bodies.len()).filter_map(|task| self.next_end(task));
+        // A check fails when the last tick of its bound is over, hence one tick more.
+        let due = self.beside.due.iter().flatten().map(|&left| u64::from(left) + 1);
+        let held_back = awake().filter_map(|i| self.next_begin(i));
+        let next = packets.chain(nodes).chain(paused).chain(ends).chain(due).chain(held_back).min()?;
+        u32::try_from(next.max(1)).ok()
+    }
+
+    /// Ticks until an action of this task may or must end. An action that is over on a paused node is no event.
+    fn next_end(&self, task: usize) -> Option<u64> {
+        let asleep = self.is_asleep(self.cell.node_state_of(task));
+        let running = self.cell.bodies[task].actor.iter().flat_map(|actor| &actor.running);
+        let going = running.filter(|action| {
+            let endless = action.most == Running::FOREVER && action.least == 0;
+            let over = asleep && action.most == 0;
+            !endless && !over && self.has_begun(task, action.level)
+        });
+        let left = |action: &Running| match action.least {
+            0 => self.to_next_step(action.most),
+            least => least,
+        };
+        going.map(|action| u64::from(left(action))).min()
+    }
+}

@@ -1,0 +1,171 @@
+//! Packs cell states into their canonical bytes and unpacks them: one block, relative numbers, one order (D51).
+
+use super::judge::Name;
+use super::plan::Transfer;
+use super::{CellState, FAR_BEHIND, InFlight};
+use crate::state::{Packed, Violation};
+use imrs_protocol::{
+    Coming, CommTask, Decode, Encode, Frame, Kind, Overflow, Packet, Pass, PortId, Round, Seq24, Walk,
+};
+
+/// The numbers that packed numbers are relative to.
+struct Bases {
+    rounds: Vec<Round>,
+    /// For each port, whether a round of it is in use.
+    used: Vec<bool>,
+    sequences: Vec<Seq24>,
+    incarnations: bool,
+}
+
+impl Bases {
+    fn frame(&self) -> Frame<'_> {
+        Frame { rounds: &self.rounds, sequences: &self.sequences, incarnations: self.incarnations }
+    }
+
+    fn back(&self, name: &Name) -> u32 {
+        let next = self.sequences.get(name.source.index()).copied().unwrap_or_default();
+        next.steps_from(name.number)
+    }
+}
+
+impl CellState {
+    /// Packs the state in its canonical form.
+    pub fn store(&mut self) -> Packed {
+        match self.try_store() {
+            Ok(bytes) => Packed(bytes.into_boxed_slice()),
+            // A relative number outgrew its field: an absorbing, visible failure, never a saturated value.
+            Err(Overflow) => Packed(Box::new([Violation::Overflow.code(), 0, 0, 0, 0])),
+        }
+    }
+
+    fn try_store(&mut self) -> Result<Vec<u8>, Overflow> {
+        if let Some(violation) = self.violation {
+            return Ok(vec![violation.code(), 0, 0, 0, 0]);
+        }
+        for node_state in self.nodes.iter_mut().filter(|s| s.up) {
+            node_state.node.parts_mut().tasks.iter_mut().for_each(CommTask::bury);
+        }
+        if !self.plan.keeps_seen {
+            let coming = self.coming();
+            for node_state in self.nodes.iter_mut().filter(|s| s.up) {
+                node_state.node.parts_mut().tasks.iter_mut().for_each(|task| task.bury_seen(&coming));
+            }
+        }
+        let bases = self.bases();
+        let frame = bases.frame();
+        self.spec_states
+            .remaining
+            .sort_unstable_by_key(|(name, left)| (name.source, *left, name.number.get()));
+        self.spec_states
+            .refused
+            .sort_unstable_by_key(|(task, port, name, _)| (*task, *port, name.source, bases.back(name)));
+        let mut behind = if self.counts_behind() { self.behind_from(&bases) } else { Vec::new() };
+        let mut out = Vec::with_capacity(128);
+        out.push(0);
+        Encode::append(&mut out, &frame, |w| self.walk(&mut behind, w))?;
+        let mut in_flight = Vec::with_capacity(self.in_flight.len());
+        for carried in &mut self.in_flight {
+            in_flight.push((carried.link, Encode::bytes(&frame, |w| carried.walk(w))?));
+        }
+        match self.plan.transfer {
+            Transfer::Any => in_flight.sort_unstable(),
+            // Packets arrive in the order in which they left.
+            Transfer::Exact => in_flight.sort_by_key(|(link, _)| *link),
+        }
+        in_flight.iter().for_each(|(_, bytes)| out.extend(bytes));
+        Ok(out)
+    }
+
+    /// Unpacks a state.
+    pub fn load(&mut self, state: &Packed) {
+        self.violation = state.violation();
+        self.load_bytes(&state.0);
+    }
+
+    /// Unpacks the bytes of a state without a violation.
+    pub fn load_bytes(&mut self, bytes: &[u8]) {
+        // A run that ended in a violation may have left inputs.
+        self.inputs.clear();
+        self.rounds.fill(Frame::ROUND);
+        self.sequences.fill(Frame::SEQUENCE);
+        let mut behind = std::mem::take(&mut self.behind);
+        Decode::read(bytes.get(1..).unwrap_or_default(), self.plan.incarnations(), |r| {
+            self.walk(&mut behind, r);
+            self.in_flight.clear();
+            while r.has_more() {
+                let mut carried = InFlight::BLANK;
+                carried.walk(r);
+                self.in_flight.push(carried);
+            }
+        });
+        self.behind = behind;
+    }
+
+    /// For each port, how far the least round in use is from the first round.
+    fn behind_from(&self, bases: &Bases) -> Vec<u8> {
+        let of_port = |(port, &behind): (usize, &u8)| {
+            let moved = bases.rounds[port].steps_from(self.rounds[port]).cast_signed();
+            let from_first = i32::from(behind) + i32::from(moved);
+            // If no round is in use, a new incarnation is behind nobody.
+            let from_first = if bases.used[port] { from_first } else { 0 };
+            u8::try_from(from_first.clamp(0, i32::from(FAR_BEHIND))).unwrap_or(FAR_BEHIND)
+        };
+        self.behind.iter().enumerate().map(of_port).collect()
+    }
+
+    /// All messages that may still arrive at a task: in flight, queued, or retransmitted by a waiting sender.
+    fn coming(&self) -> Vec<Coming> {
+        let up = || self.nodes.iter().filter(|s| s.up).map(|node_state| &node_state.node);
+        let waiting = up().flat_map(|node| node.parts().transit.waiting());
+        let packets = self.in_flight.iter().map(|carried| carried.packet).chain(waiting);
+        let packets = packets.chain(up().flat_map(imrs_protocol::Node::work_packets).copied());
+        let messages = packets.filter(|packet| matches!(packet.kind, Kind::Send | Kind::Query));
+        let of_packet = |packet: Packet| Coming {
+            port: packet.port,
+            source: packet.source,
+            to: packet.destination,
+            sequence: packet.id.sequence,
+        };
+        let again = up().flat_map(|node| &node.parts().tasks).flat_map(|task| {
+            let source = task.task();
+            let asked = task.outstanding();
+            asked.map(move |(port, to, id)| Coming { port, source, to, sequence: id.sequence })
+        });
+        messages.map(of_packet).chain(again).collect()
+    }
+
+    /// For each port the least round in use, and for each task the next sequence.
+    fn bases(&mut self) -> Bases {
+        let sequences = (0..self.bodies.len()).map(|task| self.next_sequence(task)).collect();
+        let incarnations = self.plan.incarnations();
+        // In the checker of cells, `behind` says how far behind a new incarnation is.
+        if incarnations && self.turns.is_none() {
+            // A restarted node counts rounds from the first one: only absolute rounds compare with those of others.
+            let used = vec![true; self.rounds.len()];
+            return Bases { rounds: self.rounds.clone(), used, sequences, incarnations };
+        }
+        let mut least = Least(vec![None; self.rounds.len()]);
+        for node_state in self.nodes.iter_mut().filter(|s| s.up) {
+            let parts = node_state.node.parts_mut();
+            parts.tasks.iter_mut().for_each(|task| task.walk(&node_state.table, &mut least));
+            parts.transit.walk(&node_state.table, &mut least);
+            node_state.node.walk_work(&mut least);
+        }
+        self.in_flight.iter_mut().for_each(|carried| carried.packet.walk(&mut least));
+        let used = least.0.iter().map(Option::is_some).collect();
+        let rounds = least.0.iter().zip(&self.rounds).map(|(least, old)| least.unwrap_or(*old)).collect();
+        Bases { rounds, used, sequences, incarnations }
+    }
+}
+
+/// A pass that finds the least round in use of each port.
+pub(crate) struct Least(pub Vec<Option<Round>>);
+
+impl Walk for Least {
+    const PASS: Pass = Pass::Look;
+
+    fn round(&mut self, port: PortId, round: &mut Round) {
+        let slot = &mut self.0[port.index()];
+        *slot = Some(slot.map_or(*round, |least| if least.is_newer_than(*round) { *round } else { least }));
+    }
+}

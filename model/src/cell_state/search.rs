@@ -1,0 +1,133 @@
+//! Floors under stateright's breadth-first search.
+
+use super::plan::CellScenario;
+use super::{CellState, Move};
+use crate::explore::{Exploration, Ground, Grounded, Limits, search};
+use crate::state::Packed;
+use stateright::{Model, Property};
+use std::sync::Arc;
+
+impl Ground for CellState {
+    type Action = Move;
+
+    fn first(&mut self) -> Packed {
+        Self::new(&Arc::clone(&self.plan)).store()
+    }
+
+    fn actions(&mut self, state: &Packed, actions: &mut Vec<Move>) {
+        self.load(state);
+        self.moves(actions);
+    }
+
+    fn step(&mut self, state: &Packed, action: Move) -> Packed {
+        self.load(state);
+        self.apply(action);
+        self.store()
+    }
+
+    fn renew(&mut self) {
+        *self = Self::new(&Arc::clone(&self.plan));
+    }
+}
+
+/// A cell as a stateright model.
+pub struct CellModel(Grounded<CellState>);
+
+impl CellModel {
+    /// The model of a scenario.
+    #[must_use]
+    pub fn new(plan: &Arc<CellScenario>, limits: Limits) -> Self {
+        Self(Grounded::new(CellState::new(plan), limits, None))
+    }
+
+    /// Whether no effect within a node and no step of an eager task is outstanding.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn is_quiescent(&self, state: &Packed) -> bool {
+        self.0.with(|cell_state| {
+            cell_state.load(state);
+            cell_state.is_quiescent()
+        })
+    }
+
+    /// A quiescent state, as the same cell with fused steps packs it.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn as_fused(&self, state: &Packed) -> Packed {
+        self.0.with(|cell_state| {
+            cell_state.load(state);
+            let mut fused = cell_state.clone();
+            fused.fuse();
+            fused.store()
+        })
+    }
+
+    /// The state, unpacked and packed again.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn rewritten(&self, state: &Packed) -> Packed {
+        self.0.with(|cell_state| {
+            cell_state.load(state);
+            cell_state.store()
+        })
+    }
+}
+
+impl Model for CellModel {
+    type State = Packed;
+    type Action = Move;
+
+    fn init_states(&self) -> Vec<Packed> {
+        self.0.init_states()
+    }
+
+    fn actions(&self, state: &Packed, actions: &mut Vec<Move>) {
+        self.0.actions(state, actions);
+    }
+
+    fn next_state(&self, state: &Packed, action: Move) -> Option<Packed> {
+        self.0.next_state(state, action)
+    }
+
+    fn properties(&self) -> Vec<Property<Self>> {
+        vec![Property::always("claim", |_, state: &Packed| state.violation().is_none())]
+    }
+}
+
+/// Explores a cell until its state space is covered, a violation is found or a limit is reached.
+#[must_use]
+pub fn explore_cell_state(plan: &Arc<CellScenario>, limits: Limits) -> Exploration<Move> {
+    search(CellState::new(plan), limits, None)
+}
+
+/// A cell state that is never packed: every transition works on a copy of the whole. For tests that compare the two forms.
+#[doc(hidden)]
+#[derive(Clone, Debug)]
+pub struct LiveCellState(CellState);
+
+impl LiveCellState {
+    /// The initial state.
+    #[must_use]
+    pub fn new(plan: &Arc<CellScenario>) -> Self {
+        Self(CellState::new(plan))
+    }
+
+    /// All successor states.
+    #[must_use]
+    pub fn next(&self) -> Vec<Self> {
+        let mut moves = Vec::new();
+        self.0.moves(&mut moves);
+        let follow = |step| {
+            let mut next = self.clone();
+            next.0.apply(step);
+            next
+        };
+        moves.into_iter().map(follow).collect()
+    }
+
+    /// The packed form.
+    #[must_use]
+    pub fn packed(&self) -> Packed {
+        self.0.clone().store()
+    }
+}

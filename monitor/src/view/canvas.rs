@@ -1,0 +1,131 @@
+//! Draws text into a part of a buffer. Text is clipped at the edges, and no size causes a panic.
+
+use crate::theme::{Ink, Theme};
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use ratatui::style::Modifier;
+
+/// A part of the screen that can be drawn on.
+pub(super) struct Canvas<'a> {
+    pub buffer: &'a mut Buffer,
+    pub area: Rect,
+    pub theme: &'a Theme,
+}
+
+/// A column of a table.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Column {
+    pub title: &'static str,
+    /// In screen columns, without the gap after it. 0: such columns share the remaining width.
+    pub width: u16,
+    pub right: bool,
+}
+
+impl Column {
+    pub(super) const fn left(title: &'static str, width: u16) -> Self {
+        Self { title, width, right: false }
+    }
+
+    pub(super) const fn right(title: &'static str, width: u16) -> Self {
+        Self { title, width, right: true }
+    }
+}
+
+impl Canvas<'_> {
+    /// The number of rows.
+    pub(super) const fn height(&self) -> u16 {
+        self.area.height
+    }
+
+    /// The same part without its first `rows` rows.
+    pub(super) fn below(&mut self, rows: u16) -> Canvas<'_> {
+        let rows = rows.min(self.area.height);
+        let area = Rect { y: self.area.y + rows, height: self.area.height - rows, ..self.area };
+        Canvas { buffer: self.buffer, area, theme: self.theme }
+    }
+
+    /// Writes `text` at a column and row, at most `width` columns of it. Returns the column after it.
+    pub(super) fn at(&mut self, x: u16, y: u16, width: u16, text: &str, ink: Ink) -> u16 {
+        if y >= self.area.height || x >= self.area.width {
+            return x;
+        }
+        let width = width.min(self.area.width - x);
+        let style = self.theme.style(ink);
+        let (end, _) =
+            self.buffer.set_stringn(self.area.x + x, self.area.y + y, text, usize::from(width), style);
+        end - self.area.x
+    }
+
+    /// Writes pieces in sequence.
+    pub(super) fn line(&mut self, y: u16, pieces: &[(&str, Ink)]) {
+        let mut x = 0;
+        for (text, ink) in pieces {
+            x = self.at(x, y, u16::MAX, text, *ink);
+        }
+    }
+
+    /// Highlights the selected row. The highlight replaces other styles, so that it is visible on every terminal.
+    pub(super) fn select(&mut self, y: u16) {
+        if y < self.area.height {
+            let row = Rect { y: self.area.y + y, height: 1, ..self.area };
+            self.buffer.set_style(row, self.theme.style(Ink::Selected).remove_modifier(Modifier::DIM));
+        }
+    }
+
+    /// The widths of `columns`.
+    pub(super) fn widths(&self, columns: &[Column]) -> Vec<u16> {
+        widths(columns, self.area.width)
+    }
+
+    /// Writes a row of a table.
+    pub(super) fn row(&mut self, y: u16, columns: &[Column], widths: &[u16], cells: &[(&str, Ink)]) {
+        let mut x = 0;
+        for ((column, width), (text, ink)) in columns.iter().zip(widths).zip(cells) {
+            let used = u16::try_from(ratatui::text::Span::raw(*text).width()).unwrap_or(u16::MAX);
+            let indent = if column.right { width.saturating_sub(used) } else { 0 };
+            self.at(x + indent, y, width - indent, text, *ink);
+            x = x.saturating_add(width + 1);
+        }
+    }
+
+    /// Writes the titles of a table.
+    pub(super) fn titles(&mut self, y: u16, columns: &[Column], widths: &[u16]) {
+        let cells: Vec<_> = columns.iter().map(|c| (c.title, Ink::Dim)).collect();
+        self.row(y, columns, widths, &cells);
+    }
+}
+
+/// The widths of `columns` in a total `width`.
+pub(super) fn widths(columns: &[Column], width: u16) -> Vec<u16> {
+    let gaps = u16::try_from(columns.len().saturating_sub(1)).unwrap_or(0);
+    let fixed: u16 = columns.iter().map(|c| c.width).sum();
+    let open = columns.iter().filter(|c| c.width == 0).count();
+    let left = width.saturating_sub(fixed + gaps);
+    let share = left / u16::try_from(open).unwrap_or(1).max(1);
+    let mut spare = left - share * u16::try_from(open).unwrap_or(0);
+    let mut width = |c: &Column| {
+        if c.width > 0 {
+            return c.width;
+        }
+        share + std::mem::take(&mut spare)
+    };
+    columns.iter().map(&mut width).collect()
+}
+
+/// A bar of `width` columns that shows `part` of `whole`. A nonzero part shows at least one full column.
+pub(super) fn bar(theme: &Theme, width: u16, part: u64, whole: u64) -> String {
+    let columns = u64::from(width);
+    let full = if whole == 0 {
+        0
+    } else {
+        (u128::from(part.min(whole)) * u128::from(columns)).div_ceil(whole.into())
+    };
+    let full = usize::try_from(full).unwrap_or(0).min(width.into());
+    theme.glyphs.full.repeat(full) + &theme.glyphs.empty.repeat(usize::from(width) - full)
+}
+
+/// The first of `count` rows to show in `height`, so that `selected` is visible: lists scroll by pages.
+pub(super) fn first_row(selected: usize, count: usize, height: usize) -> usize {
+    let page = selected / height.max(1) * height.max(1);
+    page.min(count.saturating_sub(height))
+}

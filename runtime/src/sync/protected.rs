@@ -1,0 +1,48 @@
+//! The interface between a hand-off and the data structure behind it.
+
+/// The data structure behind the combining lock.
+pub(crate) trait Protected {
+    /// The input that threads bring.
+    type Input;
+    /// The answer that its task waits for.
+    type Completion;
+    /// What the thread carries out once the lock is released. Owned by the caller.
+    type Effects;
+
+    /// Whether only the task's thread needs the result of this input, so that the input may wait until that thread enters.
+    fn may_wait(input: &Self::Input) -> bool;
+
+    /// Takes one input. Returns an answer for the task, if there is one.
+    fn feed(&mut self, input: Self::Input, effects: &mut Self::Effects) -> Option<Self::Completion>;
+
+    /// Called last before the lock is released. Returns when the protected state next expires.
+    fn settle(&mut self, rest: Rest, effects: &mut Self::Effects) -> u64;
+}
+
+/// Wakes a task's thread that waits elsewhere than on its word.
+pub(crate) trait ThreadWaker: Send + Sync {
+    /// Ends the thread's present wait there, or else its next one.
+    fn wake(&self);
+}
+
+/// What the task's thread does once the lock is released.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Rest {
+    /// The thread runs, or will: it does not come back by itself.
+    No,
+    /// The thread goes to sleep now, and comes back at the protected state's next expiry.
+    Begins,
+    /// The thread sleeps, and comes back at the expiry that `settle` returned for [`Begins`](Self::Begins).
+    GoesOn,
+}
+
+/// What the task's own thread gets when it enters.
+#[derive(Debug)]
+pub(crate) struct Entry<M> {
+    /// The answer, if it is there.
+    pub completion: Option<M>,
+    /// Whether the node stops.
+    pub stopped: bool,
+    /// When to enter again at the latest, if there is no answer yet.
+    pub until: u64,
+}
