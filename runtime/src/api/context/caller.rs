@@ -181,6 +181,10 @@ impl Caller {
         // Set again by what the link brings, whichever thread takes it in.
         let leading = leading.filter(|_| local.by_link.swap(false, Ordering::Relaxed));
         let handoff = &local.handoff;
+        if leading.is_some() && (handoff.is_called() || handoff.has_left()) {
+            // The link may have brought this before the wait began.
+            return local.by_link.store(true, Ordering::Relaxed);
+        }
         let inlet = leading.map(|_| &*self.inlet.get_or_insert_with(|| Inlet::new(Arc::clone(node))));
         let leading = leading.zip(inlet);
         let take_in = || {
