@@ -3,7 +3,7 @@
 //! `cargo run --example extern_task`, or the camera alone: `cargo run --example extern_task -- --node nc`, beside
 //! `imrs run examples/extern_task.cell --node np`.
 
-use imrs::{Context, Program, ProgramError, TaskEnd, TaskError};
+use imrs_client::{Context, Program, ProgramError, TaskEnd, TaskError};
 use std::time::Duration;
 
 const CELL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/extern_task.cell");

@@ -10,15 +10,18 @@ pub enum Failure {
     /// An argument names something that does not exist, or does not fit the others.
     #[error("{0}")]
     Usage(String),
-    /// A cell file cannot be read or written.
+    /// A cell file cannot be read.
     #[error(transparent)]
     CellFile(#[from] crate::cell_file::CellFileError),
+    /// A cell file cannot be written.
+    #[error(transparent)]
+    Unwritable(#[from] crate::cell_file::Unwritable),
     /// An output file cannot be written.
     #[error(transparent)]
     Kept(#[from] crate::kept::KeptError),
-    /// The cell has errors: the diagnostics of its compiler.
-    #[error("{0}")]
-    Cell(String),
+    /// The cell cannot be used.
+    #[error(transparent)]
+    Cell(#[from] imrs_client::cells::CellError),
     /// Standard output cannot be written to.
     #[error("cannot write the answer: {0}")]
     Output(#[source] io::Error),
@@ -57,6 +60,7 @@ impl Failure {
         match self {
             Self::Usage(_)
             | Self::CellFile(_)
+            | Self::Unwritable(_)
             | Self::Kept(_)
             | Self::Cell(_)
             | Self::Output(_)

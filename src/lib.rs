@@ -1,5 +1,9 @@
-//! The `imrs` command: it reads the command line, calls the crate that has the answer, and prints the answer. Also
-//! [`Program`], with which a Rust program runs nodes of a cell file.
+//! The `imrs` command: it reads the command line, calls the crate that has the answer, and prints the answer.
+//!
+//! A robot's program does not link this package: it would bring the model checker and the terminal monitor along. It links
+//! [`imrs_client`], whose front page is for its author, to run nodes of a cell file; or `imrs-runtime` and `imrs-macros`, to have
+//! its cell compiled in. All of `imrs_client` that a program uses is re-exported here: `imrs::Program` is
+//! [`imrs_client::Program`].
 #![forbid(unsafe_code)]
 
 mod args;
@@ -21,7 +25,6 @@ mod monitor;
 mod names;
 mod output;
 mod panics;
-mod program;
 mod replay;
 mod run;
 mod simulate;
@@ -29,10 +32,9 @@ mod time;
 mod token;
 mod verify;
 
-pub use imrs_runtime::script::Call;
-pub use imrs_runtime::{Context, Rendezvous, Sent, TaskEnd, TaskError};
-pub use launch::error::PlaceError;
-pub use program::{Program, ProgramError};
+pub use imrs_client::{
+    Call, Context, PlaceError, Program, ProgramError, Rendezvous, Sent, TaskEnd, TaskError,
+};
 
 use args::{Cli, Verb, VerifyArgs, early_color};
 use clap::{ColorChoice, CommandFactory, FromArgMatches};

@@ -7,13 +7,14 @@ use std::iter::Peekable;
 use std::path::Path;
 use std::str::Chars;
 
-const ROOMS: [&str; 8] = [
+const ROOMS: [&str; 9] = [
     "src",
     "protocol/src",
     "language/src",
     "wire/src",
     "model/src",
     "runtime/src",
+    "client/src",
     "monitor/src",
     "macros/src",
 ];

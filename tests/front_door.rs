@@ -12,8 +12,8 @@ use std::path::Path;
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 /// The README must stay shorter than this, because it is read in one go.
 const LONGEST_README: usize = 120;
-const CRATES: [&str; 8] =
-    ["protocol", "language", "wire", "model", "runtime", "macros", "monitor", "benches"];
+const CRATES: [&str; 9] =
+    ["protocol", "language", "wire", "model", "runtime", "client", "macros", "monitor", "benches"];
 
 fn read(path: &str) -> String {
     fs::read_to_string(Path::new(ROOT).join(path)).unwrap_or_else(|e| panic!("{path}: {e}"))

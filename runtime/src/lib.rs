@@ -3,6 +3,10 @@
 //!
 //! There is no protocol here: every rule is in `imrs-protocol`, and this crate is one of its drivers.
 //!
+//! A robot's program that reads a cell file when it starts links `imrs-client`, which runs its nodes on this crate. Link this
+//! crate and `imrs-macros` for a cell that is compiled into the program, with types for its messages; link this crate alone
+//! for a cell that is built in Rust, as here.
+//!
 //! ```
 //! use imrs_protocol::{Cell, CellTable, PortDecl, Ticks, Usage};
 //! use imrs_runtime::Runtime;

@@ -163,7 +163,7 @@ impl Scene {
     }
 
     fn load(&self) -> Result<Loaded, Failure> {
-        cells::load(&self.source())
+        Ok(cells::load(&self.source())?)
     }
 }
 
@@ -204,7 +204,7 @@ pub fn run(args: &DemoArgs, out: &mut Output) -> Result<Exit, Failure> {
 /// The cell of the beam lift.
 #[cfg(test)]
 pub fn beam_lift() -> std::sync::Arc<imrs_protocol::CellTable> {
-    SCENES[0].load().expect("a sound cell").table
+    std::sync::Arc::clone(&SCENES[0].load().expect("a sound cell").table)
 }
 
 #[cfg(test)]

@@ -1,8 +1,6 @@
 //! Runs one node of a cell under the orders of its launcher, in a process or a thread of its own.
 
 use super::deed::{Deed, Did, Lease};
-use super::error::PlaceError;
-use super::incarnation::{self, State};
 use super::lines::{Event, Figures, Order, RefusalFigures, Setup, What, Word, hear};
 use super::recorder::NodeRecording;
 use super::rt;
@@ -12,6 +10,7 @@ use super::way::Way;
 use crate::cells::{self, Loaded};
 use crate::exit::Exit;
 use crate::output::{complain, complain_aside};
+use imrs_client::{PlaceError, incarnation};
 use imrs_protocol::{Event as Observed, Incarnation, NodeId, NodeTable};
 use imrs_runtime::guard::{GuardProgram, Notices};
 use imrs_runtime::link::faulty::FaultyLink;
@@ -89,7 +88,7 @@ struct Process {
     table: NodeTable,
     link: Arc<FaultyWay>,
     /// The lock on the node's stored incarnation, if the node runs on its own.
-    _state: Option<State>,
+    _state: Option<incarnation::State>,
     /// How many more times silent neighbours are greeted.
     greetings: u32,
     /// None once it has been stopped.
@@ -445,7 +444,7 @@ fn socket(
     setup: &mut Setup,
     loaded: &Loaded,
     table: &NodeTable,
-) -> Result<(UdpLink, Option<State>), NodeError> {
+) -> Result<(UdpLink, Option<incarnation::State>), NodeError> {
     let address = setup.bind.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
     if !setup.counts {
         let statements = loaded.all_statements();
@@ -454,6 +453,7 @@ fn socket(
         return Ok((UdpLink::bind(table.clone(), address, options)?, None));
     }
     let (link, counted) = incarnation::bind::<NodeError>(loaded, table.node, address)?;
+    counted.notice.iter().for_each(complain);
     (setup.incarnation, setup.restarted) = (counted.incarnation.0, counted.restarted);
     Ok((link, Some(counted.state)))
 }

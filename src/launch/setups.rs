@@ -2,11 +2,10 @@
 
 use super::error::LaunchError;
 use super::lines::Setup;
-use super::place;
 use super::run::Run;
+use imrs_client::place::{self, observed_at};
 use imrs_protocol::NodeId;
 use imrs_wire::obs::Token;
-use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 /// The setups of all nodes that run here.
@@ -52,13 +51,6 @@ pub fn setups(
         all.push((id, setup));
     }
     Ok(all)
-}
-
-/// The observer address of the node with the index `after`. Port 0 means any free port for each.
-pub fn observed_at(first: SocketAddr, after: usize) -> SocketAddr {
-    let port = first.port();
-    let after = u16::try_from(after).unwrap_or(u16::MAX);
-    SocketAddr::new(first.ip(), if port == 0 { 0 } else { port.saturating_add(after) })
 }
 
 /// The recording file of one node: `run.imrs` becomes `run.nl.imrs`.

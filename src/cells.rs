@@ -1,17 +1,15 @@
 //! Compiles cells of the cell language, and names what is in them for people.
 
 use crate::cell_file;
-use crate::failure::Failure;
-use imrs_language::lower::{Action, Address, Behaviour, Check, CheckKind, Script};
-use imrs_language::{Options, Span, Unit, compile_with, render};
+use imrs_client::cells::{self, CellError};
+use imrs_language::Span;
+use imrs_language::lower::{Action, CheckKind};
 use imrs_protocol::script::{Op, Predicate, Program, Term, Type, Variable};
-use imrs_protocol::{Cell, CellTable, NodeId, PortId, TaskId};
+use imrs_protocol::{NodeId, PortId, TaskId};
 use imrs_runtime::record::statements;
-use imrs_runtime::script::{Give, Results};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::ops::Deref;
 use std::path::Path;
-use std::sync::Arc;
 
 /// The text of a cell; the launcher sends it to each node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -24,57 +22,34 @@ pub struct Source {
     pub paper: bool,
 }
 
-/// A compiled cell, with the scripts of its tasks.
+/// A compiled cell as a robot's program has it, with the words for it that only people need.
 #[derive(Debug)]
-pub struct Loaded {
-    /// The cell; its ticks are microseconds.
-    pub table: Arc<CellTable>,
-    /// The script of each task; none for an extern task, whose body is a Rust program.
-    pub scripts: Vec<Option<Box<Script>>>,
-    /// The declared address of each node.
-    pub addresses: Vec<Address>,
-    /// The checks of the cell.
-    pub checks: Vec<Check>,
-    source: imrs_language::Source,
+pub struct Loaded(cells::Loaded);
+
+impl Deref for Loaded {
+    type Target = cells::Loaded;
+
+    fn deref(&self) -> &Self::Target {
+        &self.0
+    }
 }
 
-/// Reads and compiles the cell of a file; `paper` as in [`Options`].
+/// Reads and compiles the cell of a file; `paper` as in [`Source`].
 ///
 /// # Errors
-/// The file cannot be read, or the cell has errors.
-pub fn open(path: &Path, paper: bool) -> Result<(Source, Loaded), Failure> {
-    let source = cell_file::read(path)?;
-    let source = Source { name: cell_file::shown(path), text: source.text().to_owned(), paper };
-    let loaded = load(&source)?;
-    Ok((source, loaded))
+/// [`CellError`].
+pub fn open(path: &Path, paper: bool) -> Result<(Source, Loaded), CellError> {
+    let loaded = cells::open(path, paper)?;
+    let source = Source { name: cell_file::shown(path), text: loaded.source.text().to_owned(), paper };
+    Ok((source, Loaded(loaded)))
 }
 
 /// Compiles a cell.
 ///
 /// # Errors
-/// The cell has errors.
-pub fn load(source: &Source) -> Result<Loaded, Failure> {
-    let Source { name, text, paper } = source;
-    let options = Options { paper: *paper };
-    let source = imrs_language::Source::new(text.as_bytes()).map_err(|found| said(&[*found], name, None))?;
-    let compiled = compile_with(&source, options);
-    let Some(lowered) = compiled.lower(Unit::Microseconds) else {
-        return Err(said(&compiled.diagnostics, name, Some(&source)));
-    };
-    let script = |behaviour| match behaviour {
-        Behaviour::Script(script) => Some(script),
-        Behaviour::Extern(_) => None,
-    };
-    let scripts = lowered.tasks.into_iter().map(script).collect();
-    let (addresses, checks) = (lowered.addresses, lowered.checks);
-    Ok(Loaded { table: table(lowered.cell)?, scripts, addresses, checks, source })
-}
-
-fn table(cell: Cell) -> Result<Arc<CellTable>, Failure> {
-    CellTable::new(cell).map(Arc::new).map_err(|errors| {
-        let all: Vec<String> = errors.iter().map(ToString::to_string).collect();
-        Failure::Usage(all.join("; "))
-    })
+/// [`CellError::Text`].
+pub fn load(Source { name, text, paper }: &Source) -> Result<Loaded, CellError> {
+    cells::load(name, text, *paper).map(Loaded)
 }
 
 /// Whether some path through the operations leads to the end of the task.
@@ -96,21 +71,12 @@ fn reaches_end(program: &Program) -> bool {
     false
 }
 
-fn said(found: &[imrs_language::Diagnostic], name: &str, source: Option<&imrs_language::Source>) -> Failure {
-    Failure::Cell(render::text(found, name, source, render::Style::Plain).trim_end().to_owned())
-}
-
 impl Loaded {
     /// The line, from 1, of the statement that an operation of a task's script belongs to.
     pub fn line(&self, task: TaskId, at: u16) -> Option<usize> {
         let script = self.scripts.get(task.index())?.as_ref()?;
         let span = script.spans.get(usize::from(at))?;
         Some(self.source.position(span.start).0)
-    }
-
-    /// The program of a task's script.
-    pub fn program(&self, task: TaskId) -> Option<&Arc<Program>> {
-        Some(&self.scripts.get(task.index())?.as_ref()?.program)
     }
 
     /// Whether a task can reach the end of its script. A task that serves for ever (`loop` without `exit`) cannot, though it
@@ -122,13 +88,6 @@ impl Loaded {
     /// The digest of the scripts of a node; zero if it has none.
     pub fn statements(&self, node: NodeId) -> u32 {
         let tasks = self.table.tasks_on(node);
-        statements(tasks.filter_map(|task| Some((task, &**self.program(task)?))))
-    }
-
-    /// The digest of the scripts of all nodes; zero if there are none. Nodes with different digests refuse each other. An
-    /// extern task has no part in it, so both nodes must declare the task `extern`.
-    pub fn all_statements(&self) -> u32 {
-        let tasks = (0..self.scripts.len()).map(TaskId::from_index);
         statements(tasks.filter_map(|task| Some((task, &**self.program(task)?))))
     }
 
@@ -213,68 +172,6 @@ impl Loaded {
     fn one_action(&self, task: TaskId, action: u16) -> Option<&Action> {
         self.scripts.get(task.index())?.as_ref()?.actions.get(usize::from(action))
     }
-
-    /// The names of all actions.
-    pub fn actions(&self) -> impl Iterator<Item = &str> {
-        self.all_actions().map(|action| action.name.as_str())
-    }
-
-    /// The ranges of simulated results: the declared range, else the values that the cell compares them with, else a small
-    /// default.
-    pub fn results(&self) -> Vec<Results> {
-        let mut results: BTreeMap<&str, (i64, i64, bool)> = BTreeMap::new();
-        for action in self.all_actions() {
-            if let Some((least, most)) = range(action) {
-                let real = action.result == Some(Type::Real);
-                let known = results.entry(&action.name).or_insert((least, most, real));
-                // Statements with the same action share the intersection of their ranges, or the hull if that is empty.
-                let common = (known.0.max(least), known.1.min(most));
-                let all = (known.0.min(least), known.1.max(most));
-                let (least, most) = if common.0 <= common.1 { common } else { all };
-                *known = (least, most, real);
-            }
-        }
-        let of = |(name, (least, most, real)): (&str, (i64, i64, bool))| {
-            #[expect(clippy::cast_precision_loss, reason = "the nearest real is meant")]
-            let give = if real {
-                Give::Real(least as f32, most as f32)
-            } else {
-                Give::Whole(i32::try_from(least).ok()?, i32::try_from(most).ok()?)
-            };
-            Some(Results { name: name.into(), give })
-        };
-        results.into_iter().filter_map(of).collect()
-    }
-
-    fn all_actions(&self) -> impl Iterator<Item = &Action> {
-        self.scripts.iter().flatten().flat_map(|script| &script.actions)
-    }
-}
-
-/// The least and the greatest result of an action.
-fn range(action: &Action) -> Option<(i64, i64)> {
-    // For a `real`, the whole numbers below and above it.
-    let around = |&value: &i64| match action.result {
-        Some(Type::Real) => {
-            let x = f32::from_bits(i32::try_from(value).unwrap_or(0).cast_unsigned());
-            #[expect(
-                clippy::cast_possible_truncation,
-                reason = "a whole number, or the last one of that side"
-            )]
-            let ends = (x.floor() as i64, x.ceil() as i64);
-            ends
-        }
-        Some(_) | None => (value, value),
-    };
-    let compared = || {
-        let values = || action.values.iter().map(around);
-        Some((values().map(|(low, _)| low).min()?, values().map(|(_, high)| high).max()?))
-    };
-    let of_type = || match action.result? {
-        Type::Bool => Some((0, 1)),
-        Type::Int8 | Type::Int16 | Type::Int32 | Type::Word | Type::Real => Some((0, 100)),
-    };
-    action.range.or_else(compared).or_else(of_type).filter(|(least, most)| least <= most)
 }
 
 fn shown(of: Option<Type>, value: i64) -> String {

@@ -1,7 +1,7 @@
-//! Resolves the address of a node that runs on its own, and those of its neighbours.
+//! The addresses of a node: its own, those of its neighbours, and the one at which monitors find it.
 
-use super::error::PlaceError;
 use crate::cells::Loaded;
+use crate::error::PlaceError;
 use imrs_protocol::NodeId;
 use std::collections::BTreeMap;
 use std::io;
@@ -29,4 +29,12 @@ pub fn neighbours(loaded: &Loaded, node: NodeId) -> Result<BTreeMap<String, Sock
     let of =
         |peer: NodeId| Ok((loaded.table.cell().nodes[peer.index()].name.clone(), address(loaded, peer)?));
     loaded.table.neighbours(node).map(of).collect()
+}
+
+/// The observer address of the node with the index `after`. Port 0 means any free port for each.
+#[must_use]
+pub fn observed_at(first: SocketAddr, after: usize) -> SocketAddr {
+    let port = first.port();
+    let after = u16::try_from(after).unwrap_or(u16::MAX);
+    SocketAddr::new(first.ip(), if port == 0 { 0 } else { port.saturating_add(after) })
 }

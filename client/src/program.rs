@@ -1,19 +1,19 @@
 //! Runs nodes of a cell file from a Rust program, with Rust functions for actions and extern tasks.
 
-use crate::cells::{self, Loaded, Source};
-use crate::launch::error::PlaceError;
-use crate::launch::incarnation::{self, Counted, State};
-use crate::launch::place;
+use crate::cells::{self, Loaded};
+use crate::error::ProgramError;
+use crate::incarnation::{self, Counted, State};
+use crate::place;
 use imrs_protocol::{Incarnation, NodeId};
 use imrs_runtime::link::Link;
 use imrs_runtime::link::in_process::{Faults, Network};
-use imrs_runtime::link::udp::UdpError;
-use imrs_runtime::observer::{Observer, ObserverError, Showing};
+use imrs_runtime::observer::{Observer, Showing};
 use imrs_runtime::script::{Actions, Call, Functions, Simulated};
-use imrs_runtime::{Context, Runtime, StartError, TaskEnd, TaskError};
-use imrs_wire::obs::{Token, TokenError};
+use imrs_runtime::{Context, Runtime, TaskEnd, TaskError};
+use imrs_wire::obs::Token;
+use imrs_wire::text::one_line;
 use std::collections::BTreeMap;
-use std::io;
+use std::io::{self, Write};
 use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
@@ -26,74 +26,39 @@ const LOOK_EVERY: Duration = Duration::from_millis(10);
 
 type Body = Box<dyn FnOnce(&mut Context) -> Result<(), TaskError> + Send>;
 
-/// Why a program cannot run its nodes.
-#[derive(Debug, thiserror::Error)]
-pub enum ProgramError {
-    /// The file cannot be read, or the cell has errors.
-    #[error("{0}")]
-    Cell(String),
-    /// The cell has no task of this name.
-    #[error("the cell has no task `{0}`")]
-    NoTask(String),
-    /// The cell has no action of this name.
-    #[error("the cell has no action `{0}`")]
-    NoAction(String),
-    /// The cell has no node of this name.
-    #[error("the cell has no node `{0}`")]
-    NoNode(String),
-    /// The task has a script in the cell. Only an extern task takes a body in Rust.
-    #[error(
-        "task `{0}` has a script in the cell; write `task {0} on … extern` there to give it a body in Rust"
-    )]
-    NotExtern(String),
-    /// The extern task runs on a node of this program, and has no body.
-    #[error("task `{0}` is extern and was given no body: call `body(\"{0}\", …)`")]
-    NoBody(String),
-    /// The node's address is no loopback address, and nothing authenticates its packets.
-    #[error(
-        "node `{0}` at {1}: nothing authenticates its packets; call `insecure()` on a network of your own"
-    )]
-    Insecure(String, SocketAddr),
-    /// The observer address is reachable from other machines, and no token is required of monitors.
-    #[error(
-        "monitors at {0}: whoever reaches this address could watch, for nothing asks who it is; call `observe_token(…)`, or take a loopback address"
-    )]
-    Watched(SocketAddr),
-    /// The text is not a valid token.
-    #[error(transparent)]
-    Token(#[from] TokenError),
-    /// The node cannot run on its own: it has no address, or runs already, or cannot store its incarnation.
-    #[error(transparent)]
-    Place(#[from] PlaceError),
-    /// The UDP socket of the node cannot be opened.
-    #[error(transparent)]
-    Link(#[from] UdpError),
-    /// A node did not start.
-    #[error(transparent)]
-    Start(#[from] StartError),
-    /// Monitors cannot be served.
-    #[error(transparent)]
-    Observe(#[from] ObserverError),
-    /// The operating system refused a thread.
-    #[error("cannot start the actions: {0}")]
-    Actions(io::Error),
-}
-
 /// Nodes of a cell file, with Rust functions for its actions and Rust bodies for its extern tasks.
 ///
 /// All nodes run as threads of this process and exchange packets in memory. With [`node`](Self::node) one of them runs,
 /// over UDP at the address that the cell declares for it. Actions without a function are simulated. Monitors find the nodes
 /// as they find those of `imrs run`.
 ///
-/// ```no_run
-/// # fn main() -> Result<(), imrs::ProgramError> {
-/// let ends = imrs::Program::open("examples/extern_task.cell")?
-///     .action("pick", |call| if call.arguments[0] < 500 { Ok(0) } else { Err("out of reach".into()) })
-///     .body("camera", |ctx| ctx.delay(std::time::Duration::from_secs(1)))
-///     .run(Some(std::time::Duration::from_secs(5)))?;
-/// for (task, end) in ends {
-///     println!("{task}: {end:?}");
-/// }
+/// First [`open`](Self::open) or [`of_text`](Self::of_text); then what the program adds, in any order; last
+/// [`run`](Self::run), which starts the nodes and returns when they have ended.
+///
+/// ```
+/// use imrs_client::{Program, TaskEnd};
+/// use std::time::Duration;
+///
+/// # fn main() -> Result<(), imrs_client::ProgramError> {
+/// const CELL: &str = "cell lift;
+/// tick 1 msec;
+/// node here;
+/// task watch on here extern
+/// end watch;
+/// task robot on here
+/// begin
+///   run grip 40 takes 10..500 msec;
+///   run rise takes 10..20 msec;
+/// end robot;
+/// ";
+/// let ends = Program::of_text("lift.cell", CELL)?
+///     .body("watch", |ctx| ctx.delay(Duration::from_millis(5)))
+///     .action("grip", |call| if call.arguments[0] < 500 { Ok(0) } else { Err("too wide".into()) })
+///     // `rise` has no function, so it is simulated: it takes 10 to 20 ms.
+///     .seed(7)
+///     .run(Some(Duration::from_secs(60)))?;
+/// assert_eq!(ends[0], ("watch".to_owned(), TaskEnd::Returned));
+/// assert!(matches!(ends[1].1, TaskEnd::Script(_)), "{ends:?}");
 /// # Ok(())
 /// # }
 /// ```
@@ -126,9 +91,7 @@ impl Program {
     /// # Errors
     /// [`ProgramError::Cell`], with the compiler's diagnostics.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, ProgramError> {
-        let (_, loaded) =
-            cells::open(path.as_ref(), false).map_err(|error| ProgramError::Cell(error.to_string()))?;
-        Ok(Self::of(loaded))
+        cells::open(path.as_ref(), false).map(Self::of).map_err(|error| ProgramError::Cell(error.to_string()))
     }
 
     /// The cell of a text; `name` stands for its file in diagnostics.
@@ -136,8 +99,7 @@ impl Program {
     /// # Errors
     /// [`ProgramError::Cell`], with the compiler's diagnostics.
     pub fn of_text(name: &str, text: &str) -> Result<Self, ProgramError> {
-        let source = Source { name: name.into(), text: text.into(), paper: false };
-        cells::load(&source).map(Self::of).map_err(|error| ProgramError::Cell(error.to_string()))
+        cells::load(name, text, false).map(Self::of).map_err(|error| ProgramError::Cell(error.to_string()))
     }
 
     fn of(loaded: Loaded) -> Self {
@@ -174,7 +136,9 @@ impl Program {
         self
     }
 
-    /// Runs only this node, at the address that the cell declares; the others run elsewhere, as by `imrs run --node`.
+    /// Runs only this node, at the address that the cell declares; the others run elsewhere, as by `imrs run --node`. Its
+    /// incarnation is stored in `$XDG_STATE_HOME/imrs` (else `~/.local/state/imrs`). Standard error says so if neighbours
+    /// remember a later one, or if none answers.
     pub fn node(mut self, name: &str) -> Self {
         self.node = Some(name.into());
         self
@@ -318,7 +282,7 @@ impl Program {
         // A node runs without its Unix socket, too. A TCP address was asked for, so failing to bind it is an error.
         observers.extend(Observer::start(Arc::clone(runtime.node())).ok());
         if let Some(first) = self.observe {
-            let address = crate::launch::observed_at(first, after);
+            let address = place::observed_at(first, after);
             let token = self.token.as_deref().map(Token::of).transpose()?;
             if token.is_none() && !address.ip().is_loopback() {
                 return Err(ProgramError::Watched(address));
@@ -331,6 +295,10 @@ impl Program {
     fn link(&self, node: NodeId) -> Result<(Arc<dyn Link>, Counted), ProgramError> {
         let address = place::address(&self.loaded, node)?;
         let (link, counted) = incarnation::bind::<ProgramError>(&self.loaded, node, address)?;
+        if let Some(notice) = &counted.notice {
+            // Nobody may be reading standard error: the node runs all the same.
+            let _ = writeln!(io::stderr(), "imrs: {}", one_line(notice));
+        }
         link.greet();
         Ok((Arc::new(link), counted))
     }

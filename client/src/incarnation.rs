@@ -4,10 +4,9 @@
 //! packets. So a failed start consumes no incarnation. A node that lost its state takes an incarnation that its neighbours do
 //! not consider old.
 
-use super::error::PlaceError;
-use super::place;
 use crate::cells::Loaded;
-use crate::output::complain;
+use crate::error::PlaceError;
+use crate::place;
 use imrs_protocol::{Incarnation, NodeId, NodeTable};
 use imrs_runtime::link::udp::{UdpError, UdpLink, UdpOptions};
 use imrs_wire::envelope::supersedes;
@@ -47,11 +46,12 @@ pub struct Counted {
     pub incarnation: Incarnation,
     /// Whether an earlier incarnation may have taken requests.
     pub restarted: bool,
+    /// What the operator should know: neighbours remember a later incarnation than this machine, or none answers.
+    pub notice: Option<String>,
 }
 
 /// Binds the socket of a node that runs on its own, sets the addresses of its neighbours, and counts its next incarnation. The
-/// count comes after the socket, so that a start without a socket consumes none (D145). Complains if neighbours remember a
-/// later incarnation than this machine, or if no neighbour answers.
+/// count comes after the socket, so that a start without a socket consumes none (D145).
 ///
 /// # Errors
 /// [`UdpError`]: the address cannot be bound. [`PlaceError`]: the node runs already, its incarnation cannot be stored, or a
@@ -92,18 +92,20 @@ fn count(link: &UdpLink, cell: &str, node: &str) -> Result<Counted, PlaceError> 
     let restarted = before.is_some() || !remembered.is_empty();
     link.set_incarnation(incarnation, restarted);
     let Incarnation(number) = incarnation;
-    if is_ahead {
-        complain(format_args!(
+    let notice = if is_ahead {
+        Some(format!(
             "node {node}: a neighbour remembers a later incarnation than {}; this is {number}",
             state.path.display()
-        ));
+        ))
     } else if said.is_empty() && link.has_addresses() {
-        complain(format_args!(
+        Some(format!(
             "node {node}: no neighbour said within {} s which incarnation it remembers; this is {number}",
             ASK_WITHIN.as_secs()
-        ));
-    }
-    Ok(Counted { state, incarnation, restarted })
+        ))
+    } else {
+        None
+    };
+    Ok(Counted { state, incarnation, restarted, notice })
 }
 
 /// The incarnation after the stored one and after all that neighbours remember, and whether theirs were ahead.

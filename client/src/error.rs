@@ -1,0 +1,145 @@
+//! Errors that keep the nodes of a program from running.
+
+use imrs_runtime::StartError;
+use imrs_runtime::link::udp::UdpError;
+use imrs_runtime::observer::ObserverError;
+use imrs_wire::obs::TokenError;
+use std::io;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+/// Why a [`Program`](crate::Program) cannot run its nodes. Its text says what to do.
+///
+/// ```
+/// use imrs_client::{Program, ProgramError};
+///
+/// const CELL: &str = "cell alone;
+/// tick 1 msec;
+/// node here;
+/// task camera on here extern
+/// end camera;
+/// ";
+/// # fn main() -> Result<(), ProgramError> {
+/// let error = Program::of_text("alone.cell", CELL)?.run(None).expect_err("the camera has no body");
+/// assert!(matches!(&error, ProgramError::NoBody(task) if task == "camera"));
+/// assert_eq!(error.to_string(), "task `camera` is extern and was given no body: call `body(\"camera\", …)`");
+///
+/// // The compiler's diagnostics, with the name that the text was given.
+/// let error = Program::of_text("faulty.cell", "cell faulty;\nnode a\n").err().expect("an error");
+/// assert!(error.to_string().contains("faulty.cell:2:"), "{error}");
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug, thiserror::Error)]
+pub enum ProgramError {
+    /// The file cannot be read, or the cell has errors.
+    #[error("{0}")]
+    Cell(String),
+    /// The cell has no task of this name.
+    #[error("the cell has no task `{0}`")]
+    NoTask(String),
+    /// The cell has no action of this name.
+    #[error("the cell has no action `{0}`")]
+    NoAction(String),
+    /// The cell has no node of this name.
+    #[error("the cell has no node `{0}`")]
+    NoNode(String),
+    /// The task has a script in the cell. Only an extern task takes a body in Rust.
+    #[error(
+        "task `{0}` has a script in the cell; write `task {0} on … extern` there to give it a body in Rust"
+    )]
+    NotExtern(String),
+    /// The extern task runs on a node of this program, and has no body.
+    #[error("task `{0}` is extern and was given no body: call `body(\"{0}\", …)`")]
+    NoBody(String),
+    /// The node's address is no loopback address, and nothing authenticates its packets.
+    #[error(
+        "node `{0}` at {1}: nothing authenticates its packets; call `insecure()` on a network of your own"
+    )]
+    Insecure(String, SocketAddr),
+    /// The observer address is reachable from other machines, and no token is required of monitors.
+    #[error(
+        "monitors at {0}: whoever reaches this address could watch, for nothing asks who it is; call `observe_token(…)`, or take a loopback address"
+    )]
+    Watched(SocketAddr),
+    /// The text is not a valid token.
+    #[error(transparent)]
+    Token(#[from] TokenError),
+    /// The node cannot run on its own: it has no address, or runs already, or cannot store its incarnation.
+    #[error(transparent)]
+    Place(#[from] PlaceError),
+    /// The UDP socket of the node cannot be opened.
+    #[error(transparent)]
+    Link(#[from] UdpError),
+    /// A node did not start.
+    #[error(transparent)]
+    Start(#[from] StartError),
+    /// Monitors cannot be served.
+    #[error(transparent)]
+    Observe(#[from] ObserverError),
+    /// The operating system refused a thread.
+    #[error("cannot start the actions: {0}")]
+    Actions(io::Error),
+}
+
+/// Why a node cannot run on its own ([`Program::node`](crate::Program::node)).
+///
+/// ```
+/// use imrs_client::{PlaceError, Program, ProgramError};
+///
+/// const CELL: &str = "cell two;
+/// tick 1 msec;
+/// node na;
+/// node nb at \"127.0.0.1\" port 7412;
+/// link na -- nb delay 1 msec;
+/// task left on na extern
+/// end left;
+/// task right on nb extern
+/// end right;
+/// ";
+/// # fn main() -> Result<(), ProgramError> {
+/// let error = Program::of_text("two.cell", CELL)?.body("left", |_| Ok(())).node("na").run(None);
+/// assert!(matches!(error, Err(ProgramError::Place(PlaceError::NoHost(node))) if node == "na"));
+/// # Ok(())
+/// # }
+/// ```
+#[derive(Debug, thiserror::Error)]
+pub enum PlaceError {
+    /// The cell declares no host for it.
+    #[error("node `{0}` has no address: write `node {0} at \"10.0.0.11\" port 7000;`")]
+    NoHost(String),
+    /// The cell declares no port for it.
+    #[error("node `{0}` has no UDP port: write `node {0} at \"{1}\" port 7000;`")]
+    NoPort(String, String),
+    /// Its host name does not resolve.
+    #[error("node `{node}` at \"{host}\": {source}")]
+    Unknown {
+        /// The node.
+        node: String,
+        /// Its host.
+        host: String,
+        /// Why.
+        source: io::Error,
+    },
+    /// The incarnation of the node cannot be stored.
+    #[error("cannot remember in {path} that the node ran: {source}")]
+    Life {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// Another process runs this node.
+    #[error(
+        "node `{node}` of this cell runs already on this machine, as process {process}: stop that first, or give this one a state of its own with XDG_STATE_HOME"
+    )]
+    Runs {
+        /// The node.
+        node: String,
+        /// The id of the process that runs it.
+        process: String,
+    },
+    /// There is no folder in which the incarnation can be stored.
+    #[error("no folder to remember in that the node ran: set XDG_STATE_HOME or HOME")]
+    NoFolder,
+}

@@ -1,0 +1,313 @@
+//! For robot programs: runs nodes of a cell file, with Rust functions for the actions of their scripts and Rust bodies for
+//! their `extern` tasks.
+//!
+//! A cell file declares the nodes of a cell, their tasks and ports, and all times. A task is a script in that file, or
+//! `extern`: then a [`Program`] gives it a body. `imrs check` and `imrs verify` look at the same file before it runs.
+//!
+//! ```
+//! use imrs_client::{Context, Program, TaskEnd, TaskError};
+//! use std::time::Duration;
+//!
+//! const CELL: &str = r#"
+//! cell vision;
+//! tick 1 msec;
+//! node nc at "127.0.0.1" port 7411;
+//! node np at "127.0.0.1" port 7412;
+//! link nc -- np delay 1 msec;
+//!
+//! task camera on nc extern
+//!   port part(x: int16) usage = send user_list = {pick} time_out = 500 msec class = 2;
+//! end camera;
+//!
+//! task pick on np
+//!   use_port part(x: int16) usage = receive;
+//!   var x: int16;
+//! begin
+//!   receive part(x);
+//!   reply();
+//!   run pick_at x takes 20..60 msec;
+//! end pick;
+//! "#;
+//!
+//! /// The body of the task `camera`: tells the robot where a part lies, in millimetres.
+//! fn camera(ctx: &mut Context) -> Result<(), TaskError> {
+//!     let part = ctx.port("part")?;
+//!     // A record is its fields, one after the other, little endian.
+//!     let heard = ctx.send(part, &120_i16.to_le_bytes())?;
+//!     assert!(heard.reply().is_some(), "the robot answers");
+//!     Ok(())
+//! }
+//!
+//! # fn main() -> Result<(), imrs_client::ProgramError> {
+//! let ends = Program::of_text("vision.cell", CELL)?
+//!     .body("camera", camera)
+//!     .action("pick_at", |call| {
+//!         println!("{} picks the part at {} mm", call.task, call.arguments[0]);
+//!         Ok(0)
+//!     })
+//!     .run(Some(Duration::from_secs(60)))?;
+//! assert_eq!(ends[0], ("camera".to_owned(), TaskEnd::Returned));
+//! # assert!(matches!(ends[1].1, TaskEnd::Script(_)), "{ends:?}");
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! Both nodes run as threads of that program. On the robots each program runs one of them:
+//! [`node("nc")`](Program::node), over UDP at the address in the cell. A node of scripts alone needs no program:
+//! `imrs run vision.cell --node np`.
+//!
+//! # Which crate to link
+//!
+//! | a program that | links |
+//! |---|---|
+//! | reads a cell file when it starts | `imrs-client` |
+//! | has its cell compiled in, with types for its messages | `imrs-runtime` and `imrs-macros` |
+//! | checks, shows or replays cells | no crate: it starts the command `imrs` |
+//!
+//! This crate brings the compiler of the cell language and the runtime, and no model checker, terminal or command-line
+//! parser. The package `imrs`, which is the command, re-exports all of it. The types of `imrs-runtime` are the same in both:
+//! a program may link `imrs-runtime` too, for futures, handlers and typed messages.
+//!
+//! # Units
+//!
+//! Lengths of time are [`Duration`](std::time::Duration)s here; in the cell file they have a unit. The arguments and results
+//! of actions are whole numbers in the units of the cell, a `real` is passed as its 32 bits ([`f32::to_bits`]), a `bool` as 0 or
+//! 1. Messages are bytes: the fields of the port's format one after the other, little endian, without padding.
+//!
+//! # Errors
+//!
+//! [`Program::run`] returns a [`ProgramError`] if nothing could be started. Once the nodes run, a task that fails or panics
+//! ends alone, and its [`TaskEnd`] says how. A call of a [`Context`] that cannot be carried out is a [`TaskError`]: pass it on
+//! with `?`. That a message was not answered in time is no error but a value: [`Sent`] or [`Rendezvous`].
+//!
+//! Linux only. It is no safety function.
+
+#![forbid(unsafe_code)]
+
+#[doc(hidden)]
+pub mod cell_file;
+#[doc(hidden)]
+pub mod cells;
+mod error;
+#[doc(hidden)]
+pub mod incarnation;
+#[doc(hidden)]
+pub mod place;
+mod program;
+
+pub use error::{PlaceError, ProgramError};
+pub use program::Program;
+
+/// The argument of a function that a [`Program`] has for an action.
+///
+/// ```
+/// use imrs_client::{Call, Program};
+/// use std::{thread::sleep, time::Duration};
+///
+/// /// Closes the gripper to a width in mm. Gives up if the script does.
+/// fn grip(call: &Call) -> Result<i32, String> {
+///     let [width, force] = call.arguments[..] else { return Err("two arguments are needed".into()) };
+///     assert_eq!((call.task.as_str(), width), ("robot", 40));
+///     // A `real` is passed as its bits.
+///     assert_eq!(u32::try_from(force).map(f32::from_bits), Ok(2.5));
+///     assert_eq!(call.most, Duration::from_millis(500));
+///     for _step in 0..3 {
+///         if call.is_cut_short() {
+///             return Err("stopped".into());
+///         }
+///         sleep(call.least / 3);
+///     }
+///     Ok(0)
+/// }
+///
+/// # fn main() -> Result<(), imrs_client::ProgramError> {
+/// const CELL: &str = "cell lift;
+/// tick 1 msec;
+/// node here;
+/// task robot on here
+/// begin
+///   run grip 40, 2.5 takes 10..500 msec;
+/// end robot;
+/// ";
+/// let ends = Program::of_text("lift.cell", CELL)?.action("grip", grip).run(None)?;
+/// # assert!(matches!(ends[0].1, imrs_client::TaskEnd::Script(imrs_runtime::protocol::script::End::Finished)), "{ends:?}");
+/// # Ok(())
+/// # }
+/// ```
+#[doc(inline)]
+pub use imrs_runtime::script::Call;
+
+/// The argument of a body that a [`Program`] has for an extern task: its ports, and everything that a script can do with
+/// them.
+///
+/// ```
+/// use imrs_client::{Context, Program, TaskError};
+/// use std::time::Duration;
+///
+/// fn left(ctx: &mut Context) -> Result<(), TaskError> {
+///     let news = ctx.port("news")?;
+///     for count in 0..3_i16 {
+///         // Class 1: nobody answers, and what comes too late is dropped.
+///         let _copies = ctx.send(news, &count.to_le_bytes())?;
+///         ctx.delay(Duration::from_millis(1))?;
+///     }
+///     Ok(())
+/// }
+///
+/// fn right(ctx: &mut Context) -> Result<(), TaskError> {
+///     let news = ctx.port("news")?;
+///     // `None`: no message came within the time.
+///     while let Some(message) = ctx.receive(Some(news), Some(Duration::from_millis(100)))? {
+///         println!("{:?}", message.contents.as_bytes());
+///     }
+///     Ok(())
+/// }
+///
+/// # fn main() -> Result<(), imrs_client::ProgramError> {
+/// const CELL: &str = "cell both;
+/// tick 1 msec;
+/// node here;
+/// task left on here extern
+///   port news(count: int16) usage = send user_list = {right} time_out = 50 msec class = 1;
+/// end left;
+/// task right on here extern
+///   use_port news(count: int16) usage = receive;
+/// end right;
+/// ";
+/// let ends = Program::of_text("both.cell", CELL)?.body("left", left).body("right", right).run(None)?;
+/// # assert!(ends.iter().all(|(_, end)| *end == imrs_client::TaskEnd::Returned), "{ends:?}");
+/// # Ok(())
+/// # }
+/// ```
+#[doc(inline)]
+pub use imrs_runtime::Context;
+
+/// What [`Context::waitfor`] returns.
+///
+/// ```
+/// use imrs_client::{Context, Program, Rendezvous, TaskEnd, TaskError};
+///
+/// fn left(ctx: &mut Context) -> Result<(), TaskError> {
+///     let lift = ctx.port("lift")?;
+///     match ctx.waitfor(lift)? {
+///         Rendezvous::Released { .. } => println!("both lift"),
+///         Rendezvous::GaveUp { .. } => println!("the other arm did not come in time: nobody lifts"),
+///     }
+///     Ok(())
+/// }
+///
+/// # fn main() -> Result<(), imrs_client::ProgramError> {
+/// const CELL: &str = "cell carry;
+/// tick 1 msec;
+/// node here;
+/// task left on here extern
+///   port lift() usage = waitfor user_list = {right} time_out = 500 msec;
+/// end left;
+/// task right on here
+///   use_port lift() usage = waitfor;
+/// begin
+///   waitfor lift() on time_out do abort \"the left arm did not come\"; end;
+/// end right;
+/// ";
+/// let ends = Program::of_text("carry.cell", CELL)?.body("left", left).run(None)?;
+/// assert_eq!(ends[0], ("left".to_owned(), TaskEnd::Returned));
+/// # Ok(())
+/// # }
+/// ```
+#[doc(inline)]
+pub use imrs_runtime::Rendezvous;
+
+/// What [`Context::send`] returns.
+///
+/// ```
+/// use imrs_client::{Context, Program, Sent, TaskEnd, TaskError};
+///
+/// fn asker(ctx: &mut Context) -> Result<(), TaskError> {
+///     let width = ctx.port("width")?;
+///     match ctx.send(width, &7_i16.to_le_bytes())? {
+///         Sent::Outcome(outcome) => println!("the only other task: {outcome:?}"),
+///         Sent::Several(outcomes) => println!("each of the others: {outcomes:?}"),
+///         Sent::Copies(number) => println!("class 1: {number} copies left, and nobody answers"),
+///     }
+///     Ok(())
+/// }
+///
+/// # fn main() -> Result<(), imrs_client::ProgramError> {
+/// const CELL: &str = "cell ask;
+/// tick 1 msec;
+/// node here;
+/// task asker on here extern
+///   port width(part: int16) usage = send user_list = {answerer} time_out = 500 msec class = 2;
+/// end asker;
+/// task answerer on here
+///   use_port width(part: int16) usage = receive;
+///   var part: int16;
+/// begin
+///   receive width(part);
+///   reply();
+/// end answerer;
+/// ";
+/// let ends = Program::of_text("ask.cell", CELL)?.body("asker", asker).run(None)?;
+/// assert_eq!(ends[0], ("asker".to_owned(), TaskEnd::Returned));
+/// # Ok(())
+/// # }
+/// ```
+#[doc(inline)]
+pub use imrs_runtime::Sent;
+
+/// What [`Program::run`] returns for each task.
+///
+/// ```
+/// use imrs_client::{Program, TaskEnd};
+///
+/// # fn main() -> Result<(), imrs_client::ProgramError> {
+/// const CELL: &str = "cell ends;
+/// tick 1 msec;
+/// node here;
+/// task lost on here extern
+/// end lost;
+/// task script on here
+/// begin
+///   delay 1 msec;
+/// end script;
+/// ";
+/// let ends = Program::of_text("ends.cell", CELL)?.body("lost", |_| panic!("no camera")).run(None)?;
+/// for (task, end) in &ends {
+///     match end {
+///         TaskEnd::Returned => println!("{task} returned"),
+///         TaskEnd::Script(end) => println!("the script of {task} ended: {end:?}"),
+///         TaskEnd::Failed(error) => println!("{task} failed: {error}"),
+///         TaskEnd::Panicked(message) => println!("{task} panicked: {message}"),
+///         TaskEnd::Unfinished => println!("{task} did not end when the run was stopped"),
+///     }
+/// }
+/// assert_eq!(ends[0], ("lost".to_owned(), TaskEnd::Panicked("no camera".into())));
+/// # Ok(())
+/// # }
+/// ```
+#[doc(inline)]
+pub use imrs_runtime::TaskEnd;
+
+/// Why a call of a [`Context`] was not carried out. Pass each on with `?`: one of them says that the node stops, and counts as
+/// a return.
+///
+/// ```
+/// use imrs_client::{Program, TaskEnd, TaskError};
+///
+/// # fn main() -> Result<(), imrs_client::ProgramError> {
+/// const CELL: &str = "cell alone;
+/// tick 1 msec;
+/// node here;
+/// task camera on here extern
+/// end camera;
+/// ";
+/// let program = Program::of_text("alone.cell", CELL)?.body("camera", |ctx| ctx.port("pose").map(|_| ()));
+/// let ends = program.run(None)?;
+/// let TaskEnd::Failed(error) = &ends[0].1 else { panic!("{ends:?}") };
+/// assert_eq!(*error, TaskError::NoPort("pose".into()));
+/// println!("{error}");
+/// # Ok(())
+/// # }
+/// ```
+#[doc(inline)]
+pub use imrs_runtime::TaskError;

@@ -1,0 +1,115 @@
+//! What a program is refused, and a cell whose two nodes are two programs.
+
+use imrs_client::{Context, Program, ProgramError, TaskEnd, TaskError};
+use std::path::PathBuf;
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+fn cell() -> PathBuf {
+    PathBuf::from(concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/extern_task.cell"))
+}
+
+#[test]
+fn what_does_not_fit_the_cell_is_refused() {
+    let open = || Program::open(cell()).expect("a cell");
+    let soon = Some(Duration::from_millis(1));
+    assert!(matches!(open().run(soon), Err(ProgramError::NoBody(task)) if task == "camera"));
+    let body = |task: &str| open().body(task, |_| Ok(()));
+    assert!(matches!(body("pick").run(soon), Err(ProgramError::NotExtern(task)) if task == "pick"));
+    assert!(matches!(body("pik").run(soon), Err(ProgramError::NoTask(task)) if task == "pik"));
+    let unknown = body("camera").action("pik_at", |_| Ok(0));
+    assert!(matches!(unknown.run(soon), Err(ProgramError::NoAction(name)) if name == "pik_at"));
+    assert!(matches!(body("camera").node("nx").run(soon), Err(ProgramError::NoNode(name)) if name == "nx"));
+    let faulty = Program::of_text("x.cell", "cell x;\nnode a\n");
+    assert!(matches!(faulty, Err(ProgramError::Cell(words)) if words.contains("x.cell:2:")));
+    let missing = Program::open("no.cell");
+    assert!(
+        matches!(missing, Err(ProgramError::Cell(words)) if words.contains("no.cell: there is no such file"))
+    );
+}
+
+#[test]
+fn monitors_of_other_machines_need_a_token() {
+    let watched = |program: Program| program.body("camera", |_| Ok(())).run(Some(Duration::from_millis(1)));
+    let open = || Program::open(cell()).expect("a cell").observe(([0, 0, 0, 0], 0).into());
+    assert!(matches!(watched(open()), Err(ProgramError::Watched(_))));
+    assert!(matches!(watched(open().observe_token("short")), Err(ProgramError::Token(_))));
+}
+
+/// The cell of two programs, at an address that no other process uses.
+const CELL: &str = r#"
+cell apart;
+tick 1 msec;
+node na at "ADDRESS" port 7511;
+node nb at "ADDRESS" port 7512;
+link na -- nb delay 1 msec;
+task left on na extern
+  port ask(x: int16) usage = send user_list = {right} time_out = 500 msec class = 2;
+end left;
+task right on nb extern
+  use_port ask(x: int16) usage = receive;
+end right;
+"#;
+/// The environment variables that name the node of a child process, and the address.
+const NODE: &str = "IMRS_TEST_CLIENT_NODE";
+const ADDRESS: &str = "IMRS_TEST_CLIENT_ADDRESS";
+/// How long the nodes have. It ends the test only if they do not find each other.
+const LENGTH: Duration = Duration::from_secs(300);
+
+/// Asks until it gets an answer: the other program may start later.
+fn left(ctx: &mut Context) -> Result<(), TaskError> {
+    let ask = ctx.port("ask")?;
+    while ctx.send(ask, &7_i16.to_le_bytes())?.reply().is_none() {}
+    Ok(())
+}
+
+/// Answers until nobody has asked for a while: an answer may be lost.
+fn right(ctx: &mut Context) -> Result<(), TaskError> {
+    let ask = ctx.port("ask")?;
+    let mut wait = None;
+    while let Some(question) = ctx.receive(Some(ask), wait)? {
+        assert_eq!(question.contents.as_bytes(), 7_i16.to_le_bytes());
+        // A late answer is an error: the asker asks again.
+        let _ = ctx.reply(&question.from, &[]);
+        wait = Some(Duration::from_secs(2));
+    }
+    Ok(())
+}
+
+/// Run as a child process by the next test.
+#[test]
+fn the_program_of_one_node() {
+    let Ok(node) = std::env::var(NODE) else { return };
+    let (task, body): (_, fn(&mut Context) -> _) =
+        if node == "na" { ("left", left) } else { ("right", right) };
+    let text = CELL.replace("ADDRESS", &std::env::var(ADDRESS).expect("an address"));
+    let program = Program::of_text("apart.cell", &text).expect("a cell").body(task, body).node(&node);
+    let ends = program.run(Some(LENGTH)).expect("it runs");
+    assert_eq!(ends, [(task.to_owned(), TaskEnd::Returned)]);
+}
+
+#[test]
+fn two_programs_run_a_node_each() {
+    let state = tempfile::tempdir().expect("a folder");
+    let [_, a, b, c] = std::process::id().to_be_bytes();
+    // Other programs use 127.0.x.y.
+    let address = format!("127.{}.{b}.{c}", 64 | a);
+    let start = |node: &str| -> Child {
+        let mut program = Command::new(std::env::current_exe().expect("this program"));
+        program.args(["--exact", "program::the_program_of_one_node", "--nocapture", "--test-threads", "1"]);
+        program
+            .env(NODE, node)
+            .env(ADDRESS, &address)
+            .env("XDG_STATE_HOME", state.path())
+            .env("XDG_RUNTIME_DIR", state.path());
+        program.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts")
+    };
+    let programs = ["na", "nb"].map(|node| (node, start(node)));
+    for (node, program) in programs {
+        let said = program.wait_with_output().expect("its end");
+        assert!(said.status.success(), "{node}: {said:?}");
+        let stored = state.path().join(format!("imrs/apart/{node}.life"));
+        let stored = std::fs::read_to_string(stored).expect("its incarnation");
+        assert!(stored.trim().parse::<u8>().is_ok(), "{stored}");
+    }
+}
