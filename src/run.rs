@@ -37,8 +37,8 @@ pub fn run(args: &RunArgs, out: &mut Output) -> Result<Exit, Failure> {
         actions.insert(bound.name.clone(), bound.words.clone());
     }
     let length = args.launch.length;
-    let (args, ramps, tale) = (&args.launch, Vec::new(), None);
-    launch::run(&Run { source, loaded: &loaded, args, length, actions, ramps, only, tale }, out)
+    let (args, ramps, demo) = (&args.launch, Vec::new(), None);
+    launch::run(&Run { source, loaded: &loaded, args, length, actions, ramps, only, demo }, out)
 }
 
 /// Whether the program of a command can be found, by the same rules as when it is executed.

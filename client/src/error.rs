@@ -123,7 +123,7 @@ pub enum PlaceError {
     },
     /// The incarnation of the node cannot be stored.
     #[error("cannot remember in {path} that the node ran: {source}")]
-    Life {
+    Unstored {
         /// The file.
         path: PathBuf,
         /// Why.

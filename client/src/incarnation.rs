@@ -28,7 +28,7 @@ const LOCK_WITHIN: Duration = Duration::from_millis(50);
 /// Interval between attempts to lock.
 const LOCK_EVERY: Duration = Duration::from_millis(5);
 
-/// The stored incarnation of a node: `$XDG_STATE_HOME/imrs/<cell>/<node>.life`. Locked as long as this exists, by the file
+/// The stored incarnation of a node: `$XDG_STATE_HOME/imrs/<cell>/<node>.incarnation`. Locked as long as this exists, by the file
 /// `<node>.lock` beside it, which holds the process id.
 #[derive(Debug)]
 pub struct State {
@@ -144,7 +144,7 @@ impl State {
 
     fn refuse_running_in(folder: &Path, node: &str) -> Result<(), PlaceError> {
         let path = folder.join(format!("{}.lock", file_name(node)));
-        let failed = |source| PlaceError::Life { path: path.clone(), source };
+        let failed = |source| PlaceError::Unstored { path: path.clone(), source };
         let mut lock = match File::open(&path) {
             Ok(lock) => lock,
             // Without a lock file the node has never run.
@@ -162,7 +162,7 @@ impl State {
     fn lock_in(folder: PathBuf, node: &str) -> Result<Self, PlaceError> {
         let file = file_name(node);
         let path = folder.join(format!("{file}.life"));
-        let failed = |source| PlaceError::Life { path: path.clone(), source };
+        let failed = |source| PlaceError::Unstored { path: path.clone(), source };
         fs::create_dir_all(&folder).map_err(failed)?;
         let mut lock = OpenOptions::new()
             .read(true)
@@ -214,7 +214,7 @@ impl State {
     }
 
     fn failed(&self, source: io::Error) -> PlaceError {
-        PlaceError::Life { path: self.path.clone(), source }
+        PlaceError::Unstored { path: self.path.clone(), source }
     }
 }
 

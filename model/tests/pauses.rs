@@ -93,7 +93,7 @@ faults pause a up to 20 msec;
 check soon: a.goes leads a.done within 25 msec;";
 
 #[test]
-fn a_pause_may_come_between_a_decision_and_its_deed() {
+fn a_pause_may_come_between_a_decision_and_its_action() {
     // Another statement may give the same action other times.
     let twice = DECIDED.replace("done := true;", "done := true; run go takes 7 msec;");
     for (text, times) in [Times::Ends, Times::Between, Times::Every]

@@ -1,7 +1,7 @@
 //! Explains the demo `beam-lift`. Forbidden: one arm goes on alone.
 
 use crate::launch::Fault;
-use crate::launch::deed::{Deed, Did};
+use crate::launch::script_event::{Did, ScriptEvent};
 use crate::launch::story::{Outcome, Story};
 use crate::output::{count, span};
 use imrs_protocol::TaskId;
@@ -67,7 +67,7 @@ pub fn explain(story: &Story<'_>) -> Outcome {
 fn movements(story: &Story<'_>, arm: TaskId) -> Vec<Movement> {
     let mut all: Vec<Movement> = Vec::new();
     for did in story.of(arm) {
-        let Deed::Ends { action, .. } = &did.what else { continue };
+        let ScriptEvent::Ends { action, .. } = &did.what else { continue };
         match action.as_str() {
             "start_lift" => all.push(Movement { from: did.at, to: None }),
             "stop_now" => {
@@ -90,10 +90,10 @@ fn movements(story: &Story<'_>, arm: TaskId) -> Vec<Movement> {
 /// Describes why an arm stopped after this instant.
 fn why(story: &Story<'_>, arm: TaskId, at: u64) -> Option<String> {
     let after = || story.of(arm).filter(move |did| did.at >= at);
-    let begins = |did: &&Did| matches!(&did.what, Deed::Begins { action, .. } if action == "stop_now");
+    let begins = |did: &&Did| matches!(&did.what, ScriptEvent::Begins { action, .. } if action == "stop_now");
     let stops = after().find(begins)?;
     let silent = after().take_while(|did| did.at <= stops.at);
-    let unanswered = silent.filter(|did| matches!(did.what, Deed::Unanswered { .. })).last();
+    let unanswered = silent.filter(|did| matches!(did.what, ScriptEvent::Unanswered { .. })).last();
     let (name, when) = (story.name(arm), span(stops.at - at));
     let line = stops.line.map(|line| format!(" (line {line})")).unwrap_or_default();
     Some(match unanswered {
@@ -163,7 +163,8 @@ fn afterwards(story: &Story<'_>, at: u64) -> String {
         story.summary.nodes.iter().flat_map(|node| node.discards.iter()).filter_map(expired).sum();
     let held: u64 = story.summary.nodes.iter().map(|node| node.cut_off).sum();
     let left = story.task("armL");
-    let again = left.map(|left| story.when(left, |deed| matches!(deed, Deed::Met(_)))).unwrap_or_default();
+    let again =
+        left.map(|left| story.when(left, |event| matches!(event, ScriptEvent::Met(_)))).unwrap_or_default();
     let late = match expired {
         0 => "none of them was made up for later".to_owned(),
         n => format!(

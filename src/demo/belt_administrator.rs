@@ -1,6 +1,6 @@
 //! Explains the demo `belt-administrator`. Forbidden: two robots change the speed at once, each from the same old value.
 
-use crate::launch::deed::{Deed, Did};
+use crate::launch::script_event::{Did, ScriptEvent};
 use crate::launch::story::{Outcome, Story};
 use crate::output::count;
 use imrs_protocol::TaskId;
@@ -54,7 +54,7 @@ pub fn explain(story: &Story<'_>) -> Outcome {
 /// The argument of the action `name`, if this event is its beginning.
 fn argument(did: &Did, name: &str) -> Option<i64> {
     match &did.what {
-        Deed::Begins { action, arguments } if action == name => arguments.first()?.parse().ok(),
+        ScriptEvent::Begins { action, arguments } if action == name => arguments.first()?.parse().ok(),
         _ => None,
     }
 }

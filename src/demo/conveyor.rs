@@ -1,6 +1,6 @@
 //! Explains the demo `conveyor`. Forbidden: a pick acts on an old pose, or the belt jams.
 
-use crate::launch::deed::Deed;
+use crate::launch::script_event::ScriptEvent;
 use crate::launch::story::{Outcome, Story};
 use crate::output::{count, span};
 use imrs_protocol::TaskId;
@@ -57,7 +57,7 @@ pub fn explain(story: &Story<'_>) -> Outcome {
 }
 
 fn begins(story: &Story<'_>, task: TaskId, name: &str) -> Vec<u64> {
-    story.when(task, |deed| matches!(deed, Deed::Begins { action, .. } if action == name))
+    story.when(task, |event| matches!(event, ScriptEvent::Begins { action, .. } if action == name))
 }
 
 fn waited(story: &Story<'_>, from: u64, to: u64, next: Option<u64>) -> String {

@@ -2,7 +2,7 @@
 
 use crate::checks::Settled;
 use crate::launch::Fault;
-use crate::launch::deed::{Deed, Lease};
+use crate::launch::script_event::{Lease, ScriptEvent};
 use crate::launch::story::{Outcome, Story};
 use crate::output::span;
 use imrs_protocol::TaskId;
@@ -15,12 +15,12 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     let (first, second) = (story.name(primary), story.name(standby));
     let in_words = |(at, fault): &(u64, Fault)| Some((*at, fault_in_words(story, *at, *fault, primary)?));
     let mut told: Vec<(u64, String)> = story.faults.iter().filter_map(in_words).collect();
-    let fenced = story.when(primary, |deed| *deed == Deed::Lease(Lease::Fenced));
+    let fenced = story.when(primary, |event| *event == ScriptEvent::Lease(Lease::Fenced));
     told.extend(fenced.first().map(|at| {
         let when = story.at(*at);
         (*at, format!("At {when} the lease of {first} ran out, for nobody renewed it: {first} acts no more, whether it can be reached or not."))
     }));
-    let taken = story.when(standby, |deed| *deed == Deed::Lease(Lease::TookOver)).first().copied();
+    let taken = story.when(standby, |event| *event == ScriptEvent::Lease(Lease::TookOver)).first().copied();
     told.extend(taken.map(|at| (at, taking_over(story, &couple, at))));
     told.sort_by_key(|(at, _)| *at);
     let mut words: Vec<String> = told.into_iter().map(|(_, words)| words).collect();
@@ -76,10 +76,16 @@ fn fault_in_words(story: &Story<'_>, at: u64, fault: Fault, primary: TaskId) -> 
 /// The action that a task was executing at an instant: `weld 3`.
 fn under_way(story: &Story<'_>, task: TaskId, at: u64) -> Option<String> {
     let mut last = story.of(task).filter(|did| did.at <= at).filter(|did| {
-        matches!(did.what, Deed::Begins { .. } | Deed::Ends { .. } | Deed::Fails(_) | Deed::CutShort(_))
+        matches!(
+            did.what,
+            ScriptEvent::Begins { .. }
+                | ScriptEvent::Ends { .. }
+                | ScriptEvent::Fails(_)
+                | ScriptEvent::CutShort(_)
+        )
     });
     match &last.next_back()?.what {
-        Deed::Begins { action, arguments } => {
+        ScriptEvent::Begins { action, arguments } => {
             Some(format!("{action} {}", arguments.join(" ")).trim_end().into())
         }
         _ => None,
@@ -102,7 +108,7 @@ fn taking_over(story: &Story<'_>, couple: &imrs_protocol::CoupleDecl, at: u64) -
 fn spot_in_words(story: &Story<'_>, primary: TaskId, standby: TaskId, taken: u64) -> String {
     let open = under_way(story, primary, taken);
     let next = story.of(standby).filter(|did| did.at >= taken).find_map(|did| match &did.what {
-        Deed::Begins { action, arguments } => Some(format!("{action} {}", arguments.join(" "))),
+        ScriptEvent::Begins { action, arguments } => Some(format!("{action} {}", arguments.join(" "))),
         _ => None,
     });
     let (first, second) = (story.name(primary), story.name(standby));
@@ -124,7 +130,7 @@ fn welded_twice(story: &Story<'_>, primary: TaskId, standby: TaskId) -> Option<S
     let done = welded(story, primary);
     let mut looked_at: Vec<String> = Vec::new();
     for did in story.of(standby) {
-        let Deed::Begins { action, arguments } = &did.what else { continue };
+        let ScriptEvent::Begins { action, arguments } = &did.what else { continue };
         let spot = arguments.join(" ");
         match action.as_str() {
             "recheck" => looked_at.push(spot),
@@ -140,9 +146,9 @@ fn welded(story: &Story<'_>, robot: TaskId) -> Vec<String> {
     let (mut done, mut open) = (Vec::new(), None);
     for did in story.of(robot) {
         match &did.what {
-            Deed::Begins { action, arguments } if action == "weld" => open = Some(arguments.join(" ")),
-            Deed::Ends { action, .. } if action == "weld" => done.extend(open.take()),
-            Deed::CutShort(action) | Deed::Fails(action) if action == "weld" => open = None,
+            ScriptEvent::Begins { action, arguments } if action == "weld" => open = Some(arguments.join(" ")),
+            ScriptEvent::Ends { action, .. } if action == "weld" => done.extend(open.take()),
+            ScriptEvent::CutShort(action) | ScriptEvent::Fails(action) if action == "weld" => open = None,
             _ => {}
         }
     }

@@ -12,7 +12,7 @@ use crate::args::DemoArgs;
 use crate::cells::{self, Loaded, Source};
 use crate::exit::Exit;
 use crate::failure::Failure;
-use crate::launch::story::{Moment, Outcome, Planned, Story, Tale};
+use crate::launch::story::{DemoPlan, Moment, Outcome, Planned, Story};
 use crate::launch::{self, Run};
 use crate::output::Output;
 use crate::run::chosen;
@@ -196,7 +196,7 @@ pub fn run(args: &DemoArgs, out: &mut Output) -> Result<Exit, Failure> {
         actions: BTreeMap::new(),
         ramps: args.cell.ramps.iter().map(ramp).collect(),
         only: chosen(&loaded, launch)?,
-        tale: Some(Tale { introduction: args.cell.introduction, moment, explain: args.cell.explain }),
+        demo: Some(DemoPlan { introduction: args.cell.introduction, moment, explain: args.cell.explain }),
     };
     launch::run(&run, out)
 }

@@ -1,7 +1,7 @@
 //! Explains the demo `shared-tool`. Forbidden: two robots have the tool, or it stays with a killed one.
 
 use crate::launch::Fault;
-use crate::launch::deed::Deed;
+use crate::launch::script_event::ScriptEvent;
 use crate::launch::story::{Outcome, Story};
 use crate::output::{count, span};
 use imrs_protocol::TaskId;
@@ -57,10 +57,12 @@ fn holdings(story: &Story<'_>, robot: TaskId) -> Vec<Holding> {
     let uses = |action: &str| action == "dress" || action == "clean";
     for did in story.of(robot) {
         match &did.what {
-            Deed::Begins { action, .. } if uses(action) => {
+            ScriptEvent::Begins { action, .. } if uses(action) => {
                 all.push(Holding { by: robot, from: did.at, to: story.ended });
             }
-            Deed::Ends { action, .. } | Deed::Fails(action) | Deed::CutShort(action) if uses(action) => {
+            ScriptEvent::Ends { action, .. } | ScriptEvent::Fails(action) | ScriptEvent::CutShort(action)
+                if uses(action) =>
+            {
                 if let Some(last) = all.last_mut() {
                     last.to = did.at;
                 }

@@ -41,7 +41,7 @@ struct Process {
     node: NodeId,
     name: String,
     /// The number of its incarnations before this one.
-    life: usize,
+    incarnation: usize,
     body: Body,
     /// The pipe for orders; none once it has failed or been closed.
     orders: Option<Box<dyn Write + Send>>,
@@ -87,12 +87,12 @@ impl Children {
         // The previous incarnation ends first.
         before.orders = None;
         before.end(Instant::now() + BURIAL);
-        let life = before.life + 1;
-        self.processes[at] = self.begin(node, setup, life)?;
+        let incarnation = before.incarnation + 1;
+        self.processes[at] = self.begin(node, setup, incarnation)?;
         Ok(())
     }
 
-    fn begin(&self, node: NodeId, setup: &Setup, life: usize) -> Result<Process, LaunchError> {
+    fn begin(&self, node: NodeId, setup: &Setup, incarnation: usize) -> Result<Process, LaunchError> {
         let (body, mut orders, words) = match &self.network {
             Some(network) => as_thread(setup, network),
             None => as_process(),
@@ -102,8 +102,8 @@ impl Children {
         let _ = say(&mut orders, setup);
         let messages = self.messages.clone();
         let reader = thread::Builder::new().name(format!("imrs {}", setup.node));
-        reader.spawn(move || listen((node, life), words, &messages)).map_err(LaunchError::Start)?;
-        Ok(Process { node, name: setup.node.clone(), life, body, orders: Some(orders), killed: false })
+        reader.spawn(move || listen((node, incarnation), words, &messages)).map_err(LaunchError::Start)?;
+        Ok(Process { node, name: setup.node.clone(), incarnation, body, orders: Some(orders), killed: false })
     }
 
     /// How many there are.
@@ -135,13 +135,13 @@ impl Children {
     }
 
     /// Whether this is the node's current incarnation, and the launcher has not killed it.
-    pub fn lives(&self, node: NodeId, life: usize) -> bool {
-        self.of(node).is_some_and(|process| process.life == life && !process.killed)
+    pub fn runs(&self, node: NodeId, incarnation: usize) -> bool {
+        self.of(node).is_some_and(|process| process.incarnation == incarnation && !process.killed)
     }
 
     /// The number of a node's current incarnation, from 0.
-    pub fn life(&self, node: NodeId) -> usize {
-        self.of(node).map_or(0, |process| process.life)
+    pub fn incarnation(&self, node: NodeId) -> usize {
+        self.of(node).map_or(0, |process| process.incarnation)
     }
 
     fn of(&self, node: NodeId) -> Option<&Process> {
@@ -326,12 +326,12 @@ impl fmt::Display for End {
     }
 }
 
-fn listen((node, life): (NodeId, usize), words: Words, messages: &SyncSender<Message>) {
+fn listen((node, incarnation): (NodeId, usize), words: Words, messages: &SyncSender<Message>) {
     let mut words = BufReader::new(words);
     loop {
         let message = match hear(&mut words) {
             Ok(Some(word)) => Message::Said(node, word),
-            Ok(None) | Err(_) => Message::Gone(node, life),
+            Ok(None) | Err(_) => Message::Gone(node, incarnation),
         };
         let last = matches!(message, Message::Gone(..));
         if messages.send(message).is_err() || last {

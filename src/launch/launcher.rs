@@ -4,15 +4,15 @@ mod follow;
 
 use super::children::{Children, Message};
 use super::clock::now_us;
-use super::deed::Did;
-use super::diary::Diary;
 use super::error::LaunchError;
+use super::event_log::EventLog;
 use super::faults::{Fault, FaultError, Wanted, schedule};
 use super::lines::{Order, Setup, Word};
 use super::noticed::Noticed;
 use super::report::{self, StartedNode};
 use super::rt;
 use super::run::Run;
+use super::script_event::Did;
 use super::setups::setups;
 use super::signals::Interrupts;
 use super::story::{Moment, Story};
@@ -57,7 +57,7 @@ pub(super) struct Launcher<'a> {
     real_time: bool,
     pub(super) cell: &'a Cell,
     pub(super) setups: Vec<(NodeId, Setup)>,
-    pub(super) diary: Diary,
+    pub(super) event_log: EventLog,
     /// Tasks whose scripts have ended by themselves.
     pub(super) ended: Vec<TaskId>,
     pub(super) children: Children,
@@ -81,7 +81,7 @@ pub(super) struct Launcher<'a> {
     /// The fault that a demo injects at a certain action, and how often that action has begun so far.
     pub(super) moment: Option<(&'static Moment, usize)>,
     /// What the scripts did, kept only for a demo's explanation.
-    pub(super) deeds: Vec<Did>,
+    pub(super) events: Vec<Did>,
     pub(super) started: Instant,
     pub(super) trouble: Vec<Trouble>,
     /// Refusals between neighbours that have been shown already.
@@ -140,7 +140,7 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
         real_time: args.rt && refused.is_empty(),
         cell,
         setups,
-        diary: Diary::new(cell, now_us()),
+        event_log: EventLog::new(cell, now_us()),
         ended: Vec::new(),
         children,
         messages,
@@ -153,8 +153,8 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
         observed: BTreeMap::new(),
         faults,
         came: Vec::new(),
-        moment: run.tale.and_then(|tale| tale.moment).map(|moment| (moment, 0)),
-        deeds: Vec::new(),
+        moment: run.demo.and_then(|demo| demo.moment).map(|moment| (moment, 0)),
+        events: Vec::new(),
         started: Instant::now(),
         trouble: Vec::new(),
         refused: BTreeSet::new(),
@@ -176,7 +176,7 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
         launcher.observed.extend(observe.map(|address| (launcher.name(node), address)));
     }
     launcher.tell_observed();
-    launcher.diary.begin(now_us());
+    launcher.event_log.begin(now_us());
     launcher.wait_for_all(|word| matches!(word, Word::Started).then_some(()))?;
 
     launcher.started = Instant::now();
@@ -420,7 +420,7 @@ impl Launcher<'_> {
             self.judge.gone(node);
         }
         self.judge.settle();
-        summary.checks = self.judge.settlement(self.diary.began());
+        summary.checks = self.judge.settlement(self.event_log.began());
         summary.incomplete.extend(summary.checks.unjudged());
         if self.judge.is_missing() && summary.incomplete.is_empty() {
             summary
@@ -429,18 +429,18 @@ impl Launcher<'_> {
         }
         let complaints = summary.checks.complaints();
         self.trouble.extend(complaints.map(|what| Trouble { at_fault: false, what }));
-        if let Some(tale) = self.run.tale {
-            self.deeds.sort_by_key(|did| did.at);
-            let is_missing = tale.moment.is_some() && self.came.is_empty();
+        if let Some(demo) = self.run.demo {
+            self.events.sort_by_key(|did| did.at);
+            let is_missing = demo.moment.is_some() && self.came.is_empty();
             let story = Story {
                 loaded: self.run.loaded,
-                began: self.diary.began(),
+                began: self.event_log.began(),
                 ended: end,
-                deeds: self.deeds,
+                events: self.events,
                 faults: self.came,
                 summary: &summary,
             };
-            let mut outcome = (tale.explain)(&story);
+            let mut outcome = (demo.explain)(&story);
             if is_missing {
                 outcome.words.push(
                     "The fault never came: the run ended before its moment (--for gives more time).".into(),

@@ -1,6 +1,6 @@
 //! The messages between the launcher and its nodes: one JSON document per line, over pipes.
 
-use super::deed::Did;
+use super::script_event::Did;
 use crate::cells::Source;
 use crate::checks::Change;
 use imrs_protocol::{PortCounters, PortId, Round, TaskId};

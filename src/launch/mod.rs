@@ -6,12 +6,12 @@
 
 mod children;
 mod clock;
-pub mod deed;
-mod diary;
 pub mod error;
+mod event_log;
 mod faults;
 mod launcher;
 mod lines;
+mod message_queue;
 mod node;
 mod noticed;
 mod recorder;
@@ -19,6 +19,7 @@ mod report;
 mod rounds;
 mod rt;
 mod run;
+pub mod script_event;
 mod scripted;
 mod settled;
 mod setups;
@@ -27,7 +28,6 @@ mod spread;
 pub mod story;
 mod summary;
 mod tally;
-mod teller;
 mod way;
 
 pub use error::LaunchError;

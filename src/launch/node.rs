@@ -1,11 +1,11 @@
 //! Runs one node of a cell under the orders of its launcher, in a process or a thread of its own.
 
-use super::deed::{Deed, Did, Lease};
 use super::lines::{Event, Figures, Order, RefusalFigures, Setup, What, Word, hear};
+use super::message_queue::MessageQueue;
 use super::recorder::NodeRecording;
 use super::rt;
+use super::script_event::{Did, Lease, ScriptEvent};
 use super::scripted::Narrator;
-use super::teller::Teller;
 use super::way::Way;
 use crate::cells::{self, Loaded};
 use crate::exit::Exit;
@@ -110,7 +110,7 @@ struct Process {
     has_book: bool,
     /// When the next held-back script begins.
     begins: Option<Instant>,
-    out: Teller,
+    out: MessageQueue,
 }
 
 /// Runs the node that standard input describes until the launcher orders a stop, or exits.
@@ -191,14 +191,14 @@ impl Process {
                 (Way::Udp(Box::new(link)), state)
             }
         };
-        let life = Incarnation(setup.incarnation);
+        let incarnation = Incarnation(setup.incarnation);
         // Each node seeds its losses differently, so that no two links lose the same datagrams.
         let link = Arc::new(FaultyLink::new(way, setup.seed.wrapping_add(u64::from(id.0))));
         link.set_loss(setup.loss);
 
         let narrator = Arc::new(Narrator::new(Arc::clone(&loaded)));
         let mut builder = Runtime::builder(Arc::clone(&cell), id)
-            .incarnation(life, setup.restarted)
+            .incarnation(incarnation, setup.restarted)
             .insecure(true)
             .real_time(real_time)
             .link(Arc::clone(&link) as Arc<dyn imrs_runtime::link::Link>)
@@ -254,7 +254,7 @@ impl Process {
             unrecorded: None,
             has_book: false,
             begins: None,
-            out: rt::behind(move || Teller::start(out))?,
+            out: rt::behind(move || MessageQueue::start(out))?,
         })
     }
 
@@ -500,5 +500,5 @@ fn lease(event: &TimedEvent) -> Option<Did> {
         Observed::Fenced => Lease::Fenced,
         _ => return None,
     };
-    Some(Did { at: event.mono_us, task: event.task?, line: None, what: Deed::Lease(lease) })
+    Some(Did { at: event.mono_us, task: event.task?, line: None, what: ScriptEvent::Lease(lease) })
 }

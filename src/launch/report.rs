@@ -57,14 +57,14 @@ pub fn started(
     if real_time {
         out.line("Real time: SCHED_FIFO, memory locked, each node on one core.")?;
     }
-    if let Some(tale) = &run.tale {
+    if let Some(demo) = &run.demo {
         out.line("")?;
-        out.line(tale.introduction)?;
+        out.line(demo.introduction)?;
     }
     for fault in faults(run.args, seed) {
         out.line(format!("{} {fault}", Styled(NOTE, "fault:")))?;
     }
-    if let Some(moment) = run.tale.and_then(|tale| tale.moment) {
+    if let Some(moment) = run.demo.and_then(|demo| demo.moment) {
         out.line(format!("{} {} (--no-fault runs without)", Styled(NOTE, "fault:"), moment.words))?;
     }
     out.line("To watch: `imrs monitor` in another terminal. Ctrl-C ends the run early.")?;
@@ -245,8 +245,8 @@ fn relays(table: &CellTable, name: &str) -> bool {
 
 fn node_line(node: &NodeSummary, relays: bool) -> String {
     let mut parts = vec![node.exit.clone()];
-    if node.lives > 1 {
-        parts.push(format!("{} incarnations", node.lives));
+    if node.incarnations > 1 {
+        parts.push(format!("{} incarnations", node.incarnations));
     }
     if relays && node.forwarded > 0 {
         parts.push(format!("{} sent or passed on", count(node.forwarded, "packet")));
@@ -278,7 +278,7 @@ fn in_words(summary: &Summary, table: &CellTable, run: &Run<'_>) -> Vec<String> 
             Some(_) => "Whether links and nodes were in time, as the cell declares them: `imrs replay` with `--model`.".into(),
             None => "With --record, `imrs replay` with `--model` says whether links and nodes were in time.".into(),
         });
-        if !faults(args, summary.seed).is_empty() || run.tale.is_some_and(|tale| tale.moment.is_some()) {
+        if !faults(args, summary.seed).is_empty() || run.demo.is_some_and(|demo| demo.moment.is_some()) {
             words.push(
                 "Faults came in this run: a cell's checks are promised with those that its `faults` declare."
                     .into(),

@@ -1,6 +1,6 @@
 //! The description of a run: which cell, which nodes, how long, and with what.
 
-use super::story::Tale;
+use super::story::DemoPlan;
 use crate::args::LaunchArgs;
 use crate::cells::{Loaded, Source};
 use imrs_protocol::NodeId;
@@ -25,5 +25,5 @@ pub struct Run<'a> {
     /// The only node that runs here; none: all nodes.
     pub only: Option<NodeId>,
     /// The additions of a demo.
-    pub tale: Option<Tale>,
+    pub demo: Option<DemoPlan>,
 }

@@ -1,7 +1,7 @@
 //! Collects the events of a node's scripts for the launcher, and never waits for the launcher.
 
-use super::deed::{Deed, Did, Unanswered};
 use super::lines::{EndSort, Event, Outcomes, What, Word};
+use super::script_event::{Did, ScriptEvent, Unanswered};
 use crate::cells::Loaded;
 use crate::checks::ValueSampler;
 use imrs_protocol::script::{Address, End};
@@ -101,7 +101,8 @@ impl Narrator {
 
     /// Queues a message about this instant. Only the ends of tasks are never dropped: there is one per task.
     fn tell(&self, at: u64, word: Word) {
-        let is_end = matches!(&word, Word::TaskEnded { .. } | Word::Did(Did { what: Deed::Ended(_), .. }));
+        let is_end =
+            matches!(&word, Word::TaskEnded { .. } | Word::Did(Did { what: ScriptEvent::Ended(_), .. }));
         if self.waiting.load(Ordering::Acquire) >= KEPT && !is_end {
             self.lost.fetch_add(1, Ordering::Relaxed);
             self.lost_since.fetch_min(at, Ordering::AcqRel);
@@ -112,7 +113,7 @@ impl Narrator {
         let _ = self.told.send(word);
     }
 
-    fn did(&self, task: TaskId, at: u64, statement: Option<Address>, what: Deed) {
+    fn did(&self, task: TaskId, at: u64, statement: Option<Address>, what: ScriptEvent) {
         let line = statement.and_then(|statement| self.loaded.line(task, statement));
         self.tell(at, Word::Did(Did { at, task, line, what }));
     }
@@ -128,7 +129,7 @@ impl Narrator {
         match *signal {
             Signal::Released { port, round, .. } => {
                 self.tell(at, Word::Event(Event { at, task, port, round, what: What::Released }));
-                self.did(task, at, asked(port).1, Deed::Met(port));
+                self.did(task, at, asked(port).1, ScriptEvent::Met(port));
             }
             Signal::GaveUp { port, round, missing } => {
                 let (since, statement) = asked(port);
@@ -136,7 +137,7 @@ impl Narrator {
                 let what = What::GaveUp { waited, missing };
                 self.tell(at, Word::Event(Event { at, task, port, round, what }));
                 let missing = self.missing(port, missing);
-                self.did(task, at, statement, Deed::GaveUp { port, missing });
+                self.did(task, at, statement, ScriptEvent::GaveUp { port, missing });
             }
             Signal::Outcome(outcome) => {
                 let (count, how) = match outcome {
@@ -148,7 +149,7 @@ impl Narrator {
                 };
                 *count += 1;
                 if let (Some(how), Some((port, statement))) = (how, progress.sends) {
-                    self.did(task, at, statement, Deed::Unanswered { port, how });
+                    self.did(task, at, statement, ScriptEvent::Unanswered { port, how });
                 }
             }
             _ => {}
@@ -180,7 +181,7 @@ impl Narrator {
             None => words.clone(),
         };
         let line = place.and_then(|place| self.loaded.line(task, place));
-        self.tell(at, Word::Did(Did { at, task, line, what: Deed::Ended(words) }));
+        self.tell(at, Word::Did(Did { at, task, line, what: ScriptEvent::Ended(words) }));
         self.tell(at, Word::TaskEnded { task, how, sort });
     }
 }
@@ -195,14 +196,14 @@ impl Watch for Narrator {
             Note::Statement(statement) => progress.statement = Some(*statement),
             Note::Asked(Request::Arrive { port, .. }) => {
                 progress.asked.insert(*port, (at, progress.statement));
-                self.did(task, at, progress.statement, Deed::Waits(*port));
+                self.did(task, at, progress.statement, ScriptEvent::Waits(*port));
             }
             Note::Asked(Request::Send { port, .. }) => {
                 progress.sends = Some((*port, progress.statement));
                 // Queries are heartbeats and polls: too frequent to report.
                 let usage = self.loaded.table.port(*port).and_then(|port| port.party(task)).map(|p| p.usage);
                 if usage == Some(Usage::Send) {
-                    self.did(task, at, progress.statement, Deed::Sends(*port));
+                    self.did(task, at, progress.statement, ScriptEvent::Sends(*port));
                 }
             }
             Note::Answered(signal) => self.answered(task, at, progress, signal, outcomes),
@@ -213,21 +214,22 @@ impl Watch for Narrator {
                 if !at_once {
                     let arguments = self.loaded.arguments(task, *action, arguments);
                     let action = self.loaded.action(task, *action).to_owned();
-                    self.did(task, at, statement, Deed::Begins { action, arguments });
+                    self.did(task, at, statement, ScriptEvent::Begins { action, arguments });
                 }
             }
             Note::Acted { level, ok, value } => {
                 if let Some(acts) = progress.take(*level).filter(|acts| !(acts.at_once && *ok)) {
                     let value = self.loaded.result(task, acts.action, *value);
                     let action = self.loaded.action(task, acts.action).to_owned();
-                    let what = if *ok { Deed::Ends { action, value } } else { Deed::Fails(action) };
+                    let what =
+                        if *ok { ScriptEvent::Ends { action, value } } else { ScriptEvent::Fails(action) };
                     self.did(task, at, acts.statement, what);
                 }
             }
             Note::CutShort(level) => {
                 if let Some(acts) = progress.take(*level) {
                     let name = self.loaded.action(task, acts.action).to_owned();
-                    self.did(task, at, acts.statement, Deed::CutShort(name));
+                    self.did(task, at, acts.statement, ScriptEvent::CutShort(name));
                 }
             }
             Note::Ended(end) => self.ended(task, at, progress.statement, *end),

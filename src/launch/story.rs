@@ -1,7 +1,7 @@
 //! The interface of a demo to a run: a fault that is injected at a certain action, and an explanation of the outcome.
 
-use super::deed::{Deed, Did};
 use super::faults::Fault;
+use super::script_event::{Did, ScriptEvent};
 pub use super::summary::Outcome;
 use super::summary::Summary;
 use crate::cells::Loaded;
@@ -10,7 +10,7 @@ use std::time::Duration;
 
 /// What a demo adds to a run.
 #[derive(Clone, Copy, Debug)]
-pub struct Tale {
+pub struct DemoPlan {
     /// The text that is printed before the run.
     pub introduction: &'static str,
     /// The fault that is injected, if any.
@@ -56,7 +56,7 @@ pub struct Story<'a> {
     /// When the tasks were stopped, on that clock.
     pub ended: u64,
     /// The events of the scripts, by time.
-    pub deeds: Vec<Did>,
+    pub events: Vec<Did>,
     /// The injected faults, by time.
     pub faults: Vec<(u64, Fault)>,
     /// The summary of the run.
@@ -82,7 +82,7 @@ impl Story<'_> {
 
     /// The events of a task, by time.
     pub fn of(&self, task: TaskId) -> impl DoubleEndedIterator<Item = &Did> {
-        self.deeds.iter().filter(move |did| did.task == task)
+        self.events.iter().filter(move |did| did.task == task)
     }
 
     /// An instant, counted from the beginning of the run: `1.234 s`.
@@ -133,7 +133,7 @@ impl Story<'_> {
     }
 
     /// The times of a task's events that satisfy a predicate.
-    pub fn when(&self, task: TaskId, is: impl Fn(&Deed) -> bool) -> Vec<u64> {
+    pub fn when(&self, task: TaskId, is: impl Fn(&ScriptEvent) -> bool) -> Vec<u64> {
         self.of(task).filter(|did| is(&did.what)).map(|did| did.at).collect()
     }
 }

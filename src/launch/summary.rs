@@ -112,7 +112,8 @@ pub struct NodeSummary {
     /// How its process ended: `clean`, `killed` by the launcher, or what went wrong.
     pub exit: String,
     /// The number of its incarnations in this run: 1 plus one per restart.
-    pub lives: usize,
+    #[serde(rename = "lives")]
+    pub incarnations: usize,
     /// Packets that it sent over links: its own, and those that it relayed.
     pub forwarded: u64,
     /// Packets and messages that its state machines dropped, by reason.
@@ -183,7 +184,9 @@ impl Gatherer {
         if figures.untold > 0 {
             self.for_tasks_on(node, Tally::untold);
         }
-        if let Some(kept) = self.figures.get_mut(node.index()).and_then(|lives| lives.last_mut()) {
+        if let Some(kept) =
+            self.figures.get_mut(node.index()).and_then(|incarnations| incarnations.last_mut())
+        {
             *kept = figures;
         }
     }
@@ -226,13 +229,14 @@ impl Gatherer {
             rounds.start_skew_us = rounds.start_skew_us.filter(|_| all);
             RendezvousSummary { port: self.port_name(port), rounds, false_releases }
         });
-        let figures: Vec<Figures> = self.figures.iter().map(|lives| over_lives(lives)).collect();
+        let figures: Vec<Figures> =
+            self.figures.iter().map(|incarnations| over_incarnations(incarnations)).collect();
         let node = |(node, exit): &(NodeId, String)| {
             let figures = &figures[node.index()];
             NodeSummary {
                 name: self.table.cell().nodes[node.index()].name.clone(),
                 exit: exit.clone(),
-                lives: self.figures[node.index()].len(),
+                incarnations: self.figures[node.index()].len(),
                 forwarded: figures.forwarded,
                 discards: figures.discards.clone(),
                 link_discards: figures.link_discards.clone(),
@@ -265,8 +269,8 @@ impl Gatherer {
 
     /// The nodes that did not report all events, one line each.
     fn untold(&self) -> impl Iterator<Item = String> {
-        self.figures.iter().zip(&self.table.cell().nodes).filter_map(|(lives, node)| {
-            let untold: u64 = lives.iter().map(|figures| figures.untold).sum();
+        self.figures.iter().zip(&self.table.cell().nodes).filter_map(|(incarnations, node)| {
+            let untold: u64 = incarnations.iter().map(|figures| figures.untold).sum();
             let times = count(untold, "happening");
             (untold > 0).then(|| format!("node {} could not tell {times}: it came too fast", node.name))
         })
@@ -337,9 +341,9 @@ impl Gatherer {
     }
 }
 
-fn over_lives(lives: &[Figures]) -> Figures {
+fn over_incarnations(incarnations: &[Figures]) -> Figures {
     let mut sum = Figures::default();
-    lives.iter().for_each(|figures| sum.add(figures));
+    incarnations.iter().for_each(|figures| sum.add(figures));
     sum
 }
 
@@ -407,7 +411,7 @@ mod tests {
         let exits = [(NodeId(0), "clean".into()), (NodeId(1), "clean".into()), (NodeId(2), "killed".into())];
         let summary = gatherer.summary(1.0, 7, 0.0, &exits);
         assert_eq!(summary.ports[1].sent, 10);
-        assert_eq!((summary.nodes[1].lives, summary.nodes[2].lives), (2, 1));
+        assert_eq!((summary.nodes[1].incarnations, summary.nodes[2].incarnations), (2, 1));
         assert_eq!(summary.nodes[2].exit, "killed");
         let json = serde_json::to_value(&summary).unwrap();
         assert_eq!(json["rendezvous"][0]["start_skew_us"], serde_json::Value::Null);

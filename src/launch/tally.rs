@@ -129,9 +129,9 @@ impl Tally {
     fn is_awaited(&self, round: i64, meeting: &Meeting) -> bool {
         let ended = meeting.released | meeting.gave_up;
         self.members.iter().enumerate().any(|(place, member)| {
-            let lives = member.died.is_none_or(|death| death.revived.is_some());
+            let is_alive = member.died.is_none_or(|death| death.revived.is_some());
             let waits = meeting.announced & !ended & 1 << place != 0;
-            waits && lives && member.announced <= round
+            waits && is_alive && member.announced <= round
         })
     }
 

@@ -1,6 +1,6 @@
 //! Tasks and actors on one thread: tokio, kameo, ractor, actix.
 
-use super::posts::{Actix, Kameo, Mail, Post, Ractor, Tokio, Took};
+use super::posts::{Actix, Kameo, Note, Post, Ractor, Tokio, Took};
 use crate::cases::floors::GROUP;
 use crate::cases::urgent::BEHIND;
 use crate::cores::{self, Core};
@@ -121,9 +121,9 @@ impl Work for Behind {
             // All messages wait before any is served: otherwise the runtime would run the receiver in between.
             let fill = async {
                 for _ in 0..BEHIND {
-                    post.tell(Mail::Work).await;
+                    post.tell(Note::Work).await;
                 }
-                post.tell(Mail::Urgent(Instant::now())).await;
+                post.tell(Note::Urgent(Instant::now())).await;
             };
             tokio::task::unconstrained(fill).await;
             nanos.push(post.ask().await);
@@ -151,7 +151,7 @@ impl Work for Stream {
         let begins = Instant::now();
         let send = |post: P| async move {
             for n in 0..u64::from(each) {
-                post.tell(Mail::Plain([n; 4])).await;
+                post.tell(Note::Plain([n; 4])).await;
             }
         };
         let senders: Vec<_> = (0..senders).map(|_| spawn_local(send(post.clone()))).collect();

@@ -12,7 +12,7 @@ const SERVICE: Duration = Duration::from_micros(2);
 
 /// A message without an answer.
 #[derive(Debug)]
-pub enum Mail {
+pub enum Note {
     /// A message of a stream.
     Plain(Message),
     /// One that takes 2 us of work.
@@ -28,18 +28,18 @@ pub struct Clerk {
 }
 
 impl Clerk {
-    fn take(&mut self, mail: Mail) {
-        match mail {
-            Mail::Plain(message) => {
+    fn take(&mut self, note: Note) {
+        match note {
+            Note::Plain(message) => {
                 std::hint::black_box(message);
             }
-            Mail::Work => {
+            Note::Work => {
                 let begins = Instant::now();
                 while begins.elapsed() < SERVICE {
                     std::hint::spin_loop();
                 }
             }
-            Mail::Urgent(sent) => self.took = nanos_of(sent.elapsed()),
+            Note::Urgent(sent) => self.took = nanos_of(sent.elapsed()),
         }
     }
 }
@@ -49,21 +49,21 @@ pub trait Post: Clone + 'static {
     /// Asks how long the last urgent message took until it was served, in nanoseconds.
     fn ask(&self) -> impl Future<Output = u64>;
     /// Sends a message; waits while the mailbox is full.
-    fn tell(&self, mail: Mail) -> impl Future<Output = ()>;
+    fn tell(&self, note: Note) -> impl Future<Output = ()>;
 }
 
 /// A task of tokio with a channel for messages, and a channel for each answer.
 #[derive(Clone)]
-pub struct Tokio(mpsc::Sender<(Option<Mail>, Option<oneshot::Sender<u64>>)>);
+pub struct Tokio(mpsc::Sender<(Option<Note>, Option<oneshot::Sender<u64>>)>);
 
 impl Tokio {
     /// Starts it on the current runtime.
     pub fn start() -> Self {
-        let (tell, mut told) = mpsc::channel::<(Option<Mail>, Option<oneshot::Sender<u64>>)>(ROOM);
+        let (tell, mut told) = mpsc::channel::<(Option<Note>, Option<oneshot::Sender<u64>>)>(ROOM);
         tokio::spawn(async move {
             let mut clerk = Clerk::default();
-            while let Some((mail, answer)) = told.recv().await {
-                mail.into_iter().for_each(|mail| clerk.take(mail));
+            while let Some((note, answer)) = told.recv().await {
+                note.into_iter().for_each(|note| clerk.take(note));
                 if let Some(answer) = answer {
                     let _ = answer.send(clerk.took);
                 }
@@ -79,8 +79,8 @@ impl Post for Tokio {
         self.0.send((None, Some(answer))).await.expect("it listens");
         answered.await.expect("an answer")
     }
-    async fn tell(&self, mail: Mail) {
-        self.0.send((Some(mail), None)).await.expect("it listens");
+    async fn tell(&self, note: Note) {
+        self.0.send((Some(note), None)).await.expect("it listens");
     }
 }
 
@@ -106,10 +106,10 @@ impl kameo::message::Message<Took> for Clerk {
     }
 }
 
-impl kameo::message::Message<Mail> for Clerk {
+impl kameo::message::Message<Note> for Clerk {
     type Reply = ();
-    async fn handle(&mut self, mail: Mail, _: &mut kameo::message::Context<Self, ()>) {
-        self.take(mail);
+    async fn handle(&mut self, note: Note, _: &mut kameo::message::Context<Self, ()>) {
+        self.take(note);
     }
 }
 
@@ -125,43 +125,43 @@ impl Post for Kameo {
     async fn ask(&self) -> u64 {
         self.0.ask(Took).await.expect("an answer")
     }
-    async fn tell(&self, mail: Mail) {
-        self.0.tell(mail).await.expect("it listens");
+    async fn tell(&self, note: Note) {
+        self.0.tell(note).await.expect("it listens");
     }
 }
 
 /// An actor of ractor. Its mailbox has no bound.
 #[derive(Clone)]
-pub struct Ractor(ractor::ActorRef<RactorMail>);
+pub struct Ractor(ractor::ActorRef<RactorNote>);
 
 /// The messages of a ractor actor.
-pub enum RactorMail {
-    Mail(Mail),
+pub enum RactorNote {
+    Note(Note),
     Took(ractor::RpcReplyPort<u64>),
 }
 
 struct RactorClerk;
 
 impl ractor::Actor for RactorClerk {
-    type Msg = RactorMail;
+    type Msg = RactorNote;
     type State = Clerk;
     type Arguments = ();
     async fn pre_start(
         &self,
-        _: ractor::ActorRef<RactorMail>,
+        _: ractor::ActorRef<RactorNote>,
         (): (),
     ) -> Result<Clerk, ractor::ActorProcessingErr> {
         Ok(Clerk::default())
     }
     async fn handle(
         &self,
-        _: ractor::ActorRef<RactorMail>,
-        mail: RactorMail,
+        _: ractor::ActorRef<RactorNote>,
+        note: RactorNote,
         clerk: &mut Clerk,
     ) -> Result<(), ractor::ActorProcessingErr> {
-        match mail {
-            RactorMail::Mail(mail) => clerk.take(mail),
-            RactorMail::Took(answer) => {
+        match note {
+            RactorNote::Note(note) => clerk.take(note),
+            RactorNote::Took(answer) => {
                 let _ = answer.send(clerk.took);
             }
         }
@@ -184,15 +184,15 @@ impl Ractor {
 
 impl Post for Ractor {
     async fn ask(&self) -> u64 {
-        match self.0.call(RactorMail::Took, None).await.expect("it listens") {
+        match self.0.call(RactorNote::Took, None).await.expect("it listens") {
             ractor::rpc::CallResult::Success(took) => took,
             ractor::rpc::CallResult::Timeout | ractor::rpc::CallResult::SenderError => {
                 panic!("no answer")
             }
         }
     }
-    async fn tell(&self, mail: Mail) {
-        self.0.cast(RactorMail::Mail(mail)).expect("it listens");
+    async fn tell(&self, note: Note) {
+        self.0.cast(RactorNote::Note(note)).expect("it listens");
     }
 }
 
@@ -211,7 +211,7 @@ impl actix::Message for Took {
     type Result = u64;
 }
 
-impl actix::Message for Mail {
+impl actix::Message for Note {
     type Result = ();
 }
 
@@ -222,10 +222,10 @@ impl actix::Handler<Took> for Clerk {
     }
 }
 
-impl actix::Handler<Mail> for Clerk {
+impl actix::Handler<Note> for Clerk {
     type Result = ();
-    fn handle(&mut self, mail: Mail, _: &mut Self::Context) {
-        self.take(mail);
+    fn handle(&mut self, note: Note, _: &mut Self::Context) {
+        self.take(note);
     }
 }
 
@@ -240,14 +240,14 @@ impl Post for Actix {
     async fn ask(&self) -> u64 {
         self.0.send(Took).await.expect("an answer")
     }
-    async fn tell(&self, mail: Mail) {
+    async fn tell(&self, note: Note) {
         // `do_send` has no bound; `try_send` reports a full mailbox.
-        let mut mail = mail;
+        let mut note = note;
         loop {
-            match self.0.try_send(mail) {
+            match self.0.try_send(note) {
                 Ok(()) => return,
                 Err(actix::dev::SendError::Full(back)) => {
-                    mail = back;
+                    note = back;
                     tokio::task::yield_now().await;
                 }
                 Err(actix::dev::SendError::Closed(_)) => panic!("it listens no more"),

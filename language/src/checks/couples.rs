@@ -18,7 +18,7 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
                 waits(hir, couple, *standby, found);
                 ends(hir, couple, [*primary, *standby], found);
                 if !mutual {
-                    beats(hir, couple, [*primary, *standby], found);
+                    heartbeats(hir, couple, [*primary, *standby], found);
                 }
             }
         }
@@ -48,7 +48,7 @@ fn reached(hir: &Hir, from: TaskId, among: &[TaskId], like: impl Fn(&Port) -> bo
 
 /// Reports values that no heartbeat carries. In a one-way couple only the primary's answers carry values, and only the
 /// standby reads them (D61, D78).
-fn beats(hir: &Hir, couple: &Couple, [primary, standby]: [TaskId; 2], found: &mut Vec<Diagnostic>) {
+fn heartbeats(hir: &Hir, couple: &Couple, [primary, standby]: [TaskId; 2], found: &mut Vec<Diagnostic>) {
     let (from, to) = (&task(hir, primary).name, &task(hir, standby).name);
     let mut say = |span, message: String, label: &str| {
         found.push(

@@ -20,9 +20,9 @@ pub(super) fn cell(hir: &Hir, clock: &mut Clock) -> Cell {
         module: task.module.clone(),
     });
     let tasks = tasks.collect();
-    let beats: Vec<PortId> = hir.couples.iter().filter_map(|couple| via(&couple.kind)).collect();
+    let heartbeats: Vec<PortId> = hir.couples.iter().filter_map(|couple| via(&couple.kind)).collect();
     let ports = hir.ports.iter().enumerate().map(|(at, port)| {
-        let is_heartbeat = beats.contains(&PortId::from_index(at));
+        let is_heartbeat = heartbeats.contains(&PortId::from_index(at));
         self::port(hir, port, is_heartbeat, clock)
     });
     let ports = ports.collect();

@@ -116,7 +116,7 @@ impl<'a> Resolver<'a> {
             && declared.usage_of(standby) == Some(Usage::Query);
         let (a, b) = (&self.hir.tasks[primary.index()].name, &self.hir.tasks[standby.index()].name);
         let found = if fits {
-            self.beats.push(port);
+            self.heartbeats.push(port);
             let bytes: usize = declared.answer.iter().map(|field| field.of.bytes()).sum();
             (bytes > SHORT).then(|| {
                 let message =

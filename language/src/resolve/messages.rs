@@ -23,7 +23,7 @@ impl<'a> Thread<'_, 'a> {
             self.not_declared(port, name);
             return None;
         };
-        if self.resolver.beats.contains(&port) {
+        if self.resolver.heartbeats.contains(&port) {
             let message = format!("port `{}` carries the beats of a couple", name.text);
             self.report(
                 Diagnostic::error(STATEMENT, name.span, message)

@@ -113,7 +113,7 @@ struct Resolver<'a> {
     /// The shapes of the actions of each task.
     actions: BTreeMap<(TaskId, String), actions::Shape>,
     /// The ports that carry heartbeats.
-    beats: Vec<PortId>,
+    heartbeats: Vec<PortId>,
     /// Whether a couple has no valid heartbeat port.
     heartbeats_unknown: bool,
     /// The parts that could not be parsed.

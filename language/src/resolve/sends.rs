@@ -162,7 +162,8 @@ impl<'a> Thread<'_, 'a> {
         let receives = ports
             .filter(|(_, port)| matches!(port.usage_of(self.task), Some(Usage::Receive | Usage::Response)));
         let ids = receives.map(|(at, _)| PortId::from_index(at));
-        ids.filter(|&port| self.handler_of(port).is_none() && !self.resolver.beats.contains(&port)).collect()
+        ids.filter(|&port| self.handler_of(port).is_none() && !self.resolver.heartbeats.contains(&port))
+            .collect()
     }
 
     pub fn reply(
@@ -270,7 +271,7 @@ impl<'a> Thread<'_, 'a> {
 
     /// `alive := p`: sets what the answers to the heartbeats carry (D61).
     pub fn publish(&mut self, port: PortId, name: &'a Name, value: &'a Written) -> Option<StatementKind> {
-        if !self.resolver.beats.contains(&port) {
+        if !self.resolver.heartbeats.contains(&port) {
             if self.resolver.heartbeats_unknown {
                 return None;
             }
@@ -299,7 +300,7 @@ impl<'a> Thread<'_, 'a> {
         let ast::ExprKind::Path(Place { path, .. }) = &value.kind else { return None };
         let [name] = &path[..] else { return None };
         let port = self.resolver.ports.get(&name.text).filter(|_| !self.scope.has(&name.text));
-        port.map(PortId::from_index).filter(|port| self.resolver.beats.contains(port))
+        port.map(PortId::from_index).filter(|port| self.resolver.heartbeats.contains(port))
     }
 
     /// `p := alive`: reads what the partner published last (D61).

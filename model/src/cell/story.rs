@@ -148,10 +148,10 @@ pub(super) fn walk(
             run_state = before_panic(plan, faults, &moves[..at]);
         }
         let shown = u32::try_from(run_state.passed).unwrap_or(u32::MAX);
-        if let Some((ends, packet, fate)) = arrow {
+        if let Some((ends, packet, outcome)) = arrow {
             let (line, values) = (reader.of_packet(&run_state, &packet), plan.legend.of_packet(&packet));
             explained(&mut recorder, line, values.as_deref(), |recorder| {
-                recorder.arrow(shown, ends, &packet, fate)
+                recorder.arrow(shown, ends, &packet, outcome)
             });
         }
         if let Some((lane, text)) = before {
@@ -221,7 +221,7 @@ type Arrow = ((usize, usize), imrs_protocol::Packet, &'static str);
 
 fn packet(run_state: &RunState, step: CellMove, lanes: &Lanes) -> Option<Arrow> {
     let i = usize::from(step.packet()?);
-    let fate = match step {
+    let outcome = match step {
         CellMove::Deliver(_) if run_state.cell.is_behind(i) => "OVERTAKES",
         CellMove::Lose(_) => "LOST",
         CellMove::Duplicate(_) => "TWICE",
@@ -231,7 +231,7 @@ fn packet(run_state: &RunState, step: CellMove, lanes: &Lanes) -> Option<Arrow> 
     let carried = run_state.cell.in_flight.get(i)?;
     let (from, to, _) = run_state.cell.links[usize::from(carried.link)];
     let packet = carried.packet;
-    Some(((lanes.lane(from, packet.source), lanes.lane(to, packet.destination)), packet, fate))
+    Some(((lanes.lane(from, packet.source), lanes.lane(to, packet.destination)), packet, outcome))
 }
 
 fn describe(run_state: &RunState, step: CellMove) -> Option<(Lane, String)> {

@@ -131,17 +131,17 @@ impl Lanes {
         carried: Option<&InFlight>,
         cell_state: &CellState,
     ) {
-        let fate = match step {
+        let outcome = match step {
             Move::Deliver(_, 0) => Some(""),
             Move::Deliver(..) => Some("OVERCHARGED"),
             Move::Lose(_) => Some("LOST"),
             Move::Duplicate(_) => Some("TWICE"),
             _ => None,
         };
-        if let (Some(fate), Some(carried)) = (fate, carried) {
+        if let (Some(outcome), Some(carried)) = (outcome, carried) {
             let (from, to, _) = self.links[usize::from(carried.link)];
             let ends = (self.lane(from, carried.packet.source), self.lane(to, carried.packet.destination));
-            recorder.arrow(tick, ends, &carried.packet, fate);
+            recorder.arrow(tick, ends, &carried.packet, outcome);
         }
         match step {
             Move::Crash(i) => recorder.event(tick, self.on_node(i), "CRASHES"),

@@ -263,7 +263,7 @@ mod tests {
         ["armL", "armR"].map(str::to_owned).into()
     }
 
-    fn beat(number: u32, tick: u32) -> [Note; 2] {
+    fn heartbeat(number: u32, tick: u32) -> [Note; 2] {
         let label = format!("QUERY beat #{number}");
         let text = format!("takes beat #{number} of armL");
         [
@@ -282,7 +282,7 @@ mod tests {
             outcome: "LOST".into(),
             line: None,
         };
-        let notes = [&beat(0, 3)[..], &[lost]].concat();
+        let notes = [&heartbeat(0, 3)[..], &[lost]].concat();
         let drawn = chart(&names(), &notes, "`small` does not hold: armL.at = 9", Folding::Repeats);
         assert_eq!(
             drawn,
@@ -292,7 +292,7 @@ mod tests {
 
     #[test]
     fn what_happens_again_and_again_is_drawn_once_and_counted() {
-        let mut notes: Vec<Note> = (0..9).flat_map(|i| beat(i, 10 + 5 * i)).collect();
+        let mut notes: Vec<Note> = (0..9).flat_map(|i| heartbeat(i, 10 + 5 * i)).collect();
         notes.push(Note::Event { tick: 60, lane: 0, text: "ends".into(), line: None });
         let folded = chart(&names(), &notes, "so", Folding::Repeats);
         assert!(folded.contains("... the same 8 more times, every 5 ticks, until tick 50"), "{folded}");

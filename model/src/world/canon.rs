@@ -130,9 +130,8 @@ impl World {
         let header = [0, self.loss, self.dup, self.crash, flags, low, high];
         let least = self.spec_states.iter().map(|g| g.releases).min().unwrap_or(0);
         let mut specs = Vec::with_capacity(self.n());
-        for (i, spec) in self.spec_states.iter().enumerate() {
+        for (task, spec) in (0..).map(TaskId::from_index).zip(&self.spec_states) {
             let mut bytes = Vec::with_capacity(4);
-            let task = TaskId::from_index(i);
             spec_state::store(spec, self.scenario.watch, &frame, u32::from(moved), task, least, &mut bytes)?;
             specs.push(bytes);
         }

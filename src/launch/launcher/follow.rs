@@ -5,11 +5,11 @@ use crate::args::Format;
 use crate::failure::Failure;
 use crate::launch::children::Message;
 use crate::launch::clock::now_us;
-use crate::launch::deed::{Deed, Did};
 use crate::launch::error::LaunchError;
 use crate::launch::faults::{Fault, node};
 use crate::launch::lines::{EndSort, Order, Word};
 use crate::launch::noticed::Noticed;
+use crate::launch::script_event::{Did, ScriptEvent};
 use crate::launch::setups::record_file;
 use crate::launch::story::{Moment, Planned};
 use crate::output::{Output, span};
@@ -33,7 +33,7 @@ impl Launcher<'_> {
     pub(in crate::launch) fn follow(&mut self, length: Duration, out: &mut Output) -> Result<(), Failure> {
         let followed = self.follow_until_the_end(length, out);
         out.progress(None);
-        followed.and(self.diary.close(&self.run.loaded.table, out))
+        followed.and(self.event_log.close(&self.run.loaded.table, out))
     }
 
     fn follow_until_the_end(&mut self, length: Duration, out: &mut Output) -> Result<(), Failure> {
@@ -53,12 +53,12 @@ impl Launcher<'_> {
             self.hear_of_commands();
             for broken in self.judge.settle() {
                 if self.run.args.format == Format::Text {
-                    self.diary.broken(broken.at, broken.words(self.run.loaded));
+                    self.event_log.broken(broken.at, broken.words(self.run.loaded));
                 }
             }
-            let shows = !self.diary.is_empty();
+            let shows = !self.event_log.is_empty();
             if shows {
-                self.diary.show(&self.run.loaded.table, now_us(), out)?;
+                self.event_log.show(&self.run.loaded.table, now_us(), out)?;
             }
             if progress_at <= Instant::now() {
                 let of = self.run.length.map(|all| format!(" of {}", humantime::format_duration(all)));
@@ -125,7 +125,7 @@ impl Launcher<'_> {
         let names: Vec<&str> = left.iter().map(|task| &*self.cell.tasks[task.index()].name).collect();
         let names = names.join(", ");
         let end = if self.run.args.until_idle { "" } else { "; Ctrl-C ends the run, or use --until-idle" };
-        self.diary.fault(now_us(), format!("only servers are left: {names}{end}"));
+        self.event_log.fault(now_us(), format!("only servers are left: {names}{end}"));
     }
 
     fn carry_out(&mut self, fault: Fault) -> Result<(), LaunchError> {
@@ -169,7 +169,7 @@ impl Launcher<'_> {
                 }
                 Fault::Resume(node) => format!("node {} goes on", name(node)),
             };
-            self.diary.fault(at, words);
+            self.event_log.fault(at, words);
         }
         self.came.push((at, fault));
         Ok(())
@@ -191,9 +191,9 @@ impl Launcher<'_> {
         let Some((_, setup)) = self.setups.iter_mut().find(|(of, _)| *of == node) else { return Ok(()) };
         setup.incarnation = setup.incarnation.wrapping_add(1);
         setup.restarted = true;
-        let life = self.children.life(node) + 1;
+        let incarnation = self.children.incarnation(node) + 1;
         let record = self.run.args.record.as_ref();
-        setup.record = record.map(|file| record_file(file, &format!("{}-{}", setup.node, life + 1)));
+        setup.record = record.map(|file| record_file(file, &format!("{}-{}", setup.node, incarnation + 1)));
         let setup = setup.clone();
         self.children.restart(node, &setup)?;
         let at = now_us();
@@ -216,7 +216,7 @@ impl Launcher<'_> {
                 let name = self.name(node);
                 for words in figures.refusals.iter().map(|refusal| refusal.words(&name)) {
                     if self.refused.insert(words.clone()) && self.run.args.format == Format::Text {
-                        self.diary.broken(now_us(), words);
+                        self.event_log.broken(now_us(), words);
                     }
                 }
                 self.gatherer.figures(node, *figures);
@@ -239,14 +239,14 @@ impl Launcher<'_> {
                 self.tell_observed();
             }
             Message::Said(_, Word::Bound { address: None, .. } | Word::Started | Word::Done) => {}
-            Message::Gone(node, life) => {
+            Message::Gone(node, incarnation) => {
                 // The launcher did not kill it: something else did, or it failed. Its last messages are missing.
-                if !self.stopping && self.children.lives(node, life) {
+                if !self.stopping && self.children.runs(node, incarnation) {
                     let at = now_us();
                     self.gatherer.killed(node, at);
                     self.judge.killed(node, at);
                 }
-                if self.children.life(node) == life {
+                if self.children.incarnation(node) == incarnation {
                     self.gone.push(node);
                     // First the judge gets the notices that the node wrote about its commands before it died.
                     self.hear_of_commands();
@@ -274,7 +274,7 @@ impl Launcher<'_> {
         }
         if let Some((moment, been)) = &mut self.moment {
             let of = self.cell.tasks[did.task.index()].name == moment.task;
-            if of && matches!(&did.what, Deed::Begins { action, .. } if action == moment.action) {
+            if of && matches!(&did.what, ScriptEvent::Begins { action, .. } if action == moment.action) {
                 *been += 1;
                 if *been == moment.time {
                     let moment = *moment;
@@ -283,11 +283,11 @@ impl Launcher<'_> {
                 }
             }
         }
-        if self.run.tale.is_some() && self.deeds.len() < LONGEST_STORY {
-            self.deeds.push(did.clone());
+        if self.run.demo.is_some() && self.events.len() < LONGEST_STORY {
+            self.events.push(did.clone());
         }
         if self.run.args.format == Format::Text {
-            self.diary.add(did);
+            self.event_log.add(did);
         }
         Ok(())
     }
@@ -335,13 +335,13 @@ impl Launcher<'_> {
                 format!("node {name}: {of}held back {time} more: commands of its earlier incarnation may still arrive")
             })
             .collect();
-        lines.into_iter().for_each(|line| self.diary.fault(now_us(), line));
+        lines.into_iter().for_each(|line| self.event_log.fault(now_us(), line));
     }
 
     fn task_ended(&mut self, task: TaskId, how: String, sort: EndSort) {
         self.ended.push(task);
         // After an injected fault, a task that aborts is judged by the demo's explanation, not here.
-        let expected = sort == EndSort::Aborted && self.run.tale.is_some() && self.is_disturbed();
+        let expected = sort == EndSort::Aborted && self.run.demo.is_some() && self.is_disturbed();
         if sort != EndSort::Well && !expected {
             let what = format!("task `{}` {how}", self.cell.tasks[task.index()].name);
             self.trouble.push(Trouble { at_fault: false, what });

@@ -18,20 +18,20 @@ pub(in crate::cell) struct Spread {
 /// The values that a node shows to a check, one for each term; `None` for a term without a value.
 pub(in crate::cell) type ShownValues = Vec<Option<i64>>;
 
-/// One sight of each node: a combination of values that the check might have read.
+/// Shown values of each node: a combination of values that the check might have read.
 pub(in crate::cell) type Mixture = Vec<(Term, Option<i64>)>;
 
 /// What the nodes of one check showed in this tick.
 #[derive(Clone, Debug, Default)]
 pub(in crate::cell) struct TickValues {
-    /// For each node, its other sights since the tick began, sorted and each once.
+    /// For each node, its other shown values since the tick began, sorted and each once.
     pub earlier: Vec<Vec<ShownValues>>,
     /// For each node, what it shows now. Not packed, because it follows from the rest of the state.
     now: Vec<ShownValues>,
 }
 
 impl TickValues {
-    /// For each node, the number of values in its sight.
+    /// For each node, the number of values that it shows.
     pub fn widths(&self) -> impl Iterator<Item = usize> {
         self.now.iter().map(Vec::len)
     }
@@ -58,14 +58,14 @@ impl RunState {
         (0..plan.checks.len()).filter(|&at| plan.has_check(at)).filter(always).filter_map(of_check).collect()
     }
 
-    /// Forgets the sights of the previous tick. The new tick begins with what the nodes show now.
+    /// Forgets the shown values of the previous tick. The new tick begins with what the nodes show now.
     pub(in crate::cell) fn begin_tick(&mut self) {
         for tick_values in &mut self.tick_values {
             tick_values.earlier.iter_mut().for_each(Vec::clear);
         }
     }
 
-    /// The sights at the start: no node has shown anything else in this tick.
+    /// The shown values at the start: no node has shown anything else in this tick.
     pub(in crate::cell) fn first_tick_values(cell_state: &CellState, spread: &[Spread]) -> Vec<TickValues> {
         let first = |spread: &Spread| TickValues {
             earlier: vec![Vec::new(); spread.nodes.len()],
@@ -74,7 +74,7 @@ impl RunState {
         spread.iter().map(first).collect()
     }
 
-    /// Recomputes the present sights after a state was loaded.
+    /// Recomputes the present shown values after a state was loaded.
     pub(in crate::cell) fn see_anew(&mut self) {
         for (spread, tick_values) in self.spread.iter().zip(&mut self.tick_values) {
             for (terms, now) in spread.nodes.iter().zip(&mut tick_values.now) {
@@ -83,7 +83,7 @@ impl RunState {
         }
     }
 
-    /// Updates the sights after a move, and evaluates the checks for every combination with earlier sights of this tick.
+    /// Updates the shown values after a move, and evaluates the checks for every combination with earlier values of this tick.
     pub(in crate::cell) fn mix(&mut self) {
         self.mixed.clear();
         for (spread, tick_values) in self.spread.iter().zip(&mut self.tick_values) {
@@ -120,7 +120,7 @@ fn shown_values_of(cell_state: &CellState, terms: &[Term]) -> ShownValues {
     terms.iter().map(|&term| cell_state.look_up(term)).collect()
 }
 
-/// The first combination of this tick's sights that breaks the check.
+/// The first combination of this tick's values that breaks the check.
 fn broken_mixture(spread: &Spread, tick_values: &TickValues, holds: &[Term]) -> Option<Mixture> {
     let choices: Vec<Vec<&ShownValues>> = tick_values
         .earlier

@@ -1,6 +1,6 @@
 //! The event log of a run, for people: lines in the order of time, and no faster than they can be read.
 
-use super::deed::Did;
+use super::script_event::Did;
 use crate::failure::Failure;
 use crate::output::{BAD, FAINT, NOTE, Output, Styled, count};
 use imrs_protocol::{Cell, CellTable};
@@ -14,7 +14,7 @@ const PER_SPAN: u32 = 20;
 const SPAN: u64 = 1_000_000;
 
 /// Collects lines until they can be shown.
-pub struct Diary {
+pub struct EventLog {
     /// When the run began.
     began: u64,
     /// Lines by time, then by the order in which they were reported.
@@ -31,7 +31,7 @@ enum Entry {
     Broken(String),
 }
 
-impl Diary {
+impl EventLog {
     /// An empty event log of a run that began at this instant of the clock that all processes of one machine share.
     pub fn new(cell: &Cell, began: u64) -> Self {
         Self { began, waiting: BTreeMap::new(), told: 0, paces: vec![(0, 0); cell.tasks.len()] }
@@ -145,34 +145,34 @@ impl Diary {
 mod tests {
     use super::*;
     use crate::demo::beam_lift;
-    use crate::launch::deed::Deed;
+    use crate::launch::script_event::ScriptEvent;
     use imrs_protocol::TaskId;
 
     fn did(at: u64, task: u16) -> Did {
-        Did { at, task: TaskId(task), line: Some(3), what: Deed::CutShort(format!("{at}")) }
+        Did { at, task: TaskId(task), line: Some(3), what: ScriptEvent::CutShort(format!("{at}")) }
     }
 
     #[test]
     fn a_task_that_is_busy_is_shown_in_part_and_what_is_left_out_is_counted() {
-        let mut diary = Diary::new(beam_lift().cell(), 0);
-        let shown = (0..50).filter(|at| diary.pace(&did(*at, 0)).is_some()).count();
+        let mut event_log = EventLog::new(beam_lift().cell(), 0);
+        let shown = (0..50).filter(|at| event_log.pace(&did(*at, 0)).is_some()).count();
         assert_eq!(shown, usize::try_from(PER_SPAN).unwrap());
-        assert_eq!(diary.pace(&did(7, 1)), Some(0));
-        assert_eq!(diary.pace(&did(SPAN, 0)), Some(50 - PER_SPAN));
-        assert_eq!(diary.pace(&did(SPAN, 0)), Some(0));
+        assert_eq!(event_log.pace(&did(7, 1)), Some(0));
+        assert_eq!(event_log.pace(&did(SPAN, 0)), Some(50 - PER_SPAN));
+        assert_eq!(event_log.pace(&did(SPAN, 0)), Some(0));
     }
 
     #[test]
     fn lines_wait_until_nothing_earlier_can_come() {
         let table = beam_lift();
-        let mut diary = Diary::new(table.cell(), 0);
-        diary.add(did(200_000, 0));
-        diary.add(did(100_000, 1));
+        let mut event_log = EventLog::new(table.cell(), 0);
+        event_log.add(did(200_000, 0));
+        event_log.add(did(100_000, 1));
         let mut out = Output::new(crate::output::Color::Never);
-        diary.show(&table, 200_050, &mut out).unwrap();
-        assert_eq!(diary.waiting.keys().map(|(at, _)| *at).collect::<Vec<_>>(), [200_000]);
-        diary.close(&table, &mut out).unwrap();
-        assert!(diary.is_empty());
-        assert!(diary.line(&table, &did(1_234_000, 2), 4).contains("1.234 s"));
+        event_log.show(&table, 200_050, &mut out).unwrap();
+        assert_eq!(event_log.waiting.keys().map(|(at, _)| *at).collect::<Vec<_>>(), [200_000]);
+        event_log.close(&table, &mut out).unwrap();
+        assert!(event_log.is_empty());
+        assert!(event_log.line(&table, &did(1_234_000, 2), 4).contains("1.234 s"));
     }
 }

@@ -10,7 +10,7 @@ use std::thread::{self, JoinHandle};
 const WAITING: usize = 16_384;
 
 /// An unbounded queue of messages to the launcher, and the thread that writes them in order.
-pub struct Teller {
+pub struct MessageQueue {
     shared: Arc<Shared>,
     thread: Option<JoinHandle<()>>,
 }
@@ -31,7 +31,7 @@ struct Words {
     failed: Option<io::Error>,
 }
 
-impl Teller {
+impl MessageQueue {
     /// Starts the thread.
     ///
     /// # Errors
@@ -81,7 +81,7 @@ impl Teller {
     }
 }
 
-impl Drop for Teller {
+impl Drop for MessageQueue {
     fn drop(&mut self) {
         self.close();
     }
@@ -122,20 +122,20 @@ mod tests {
     #[test]
     fn a_launcher_that_stands_still_keeps_nobody_waiting_and_hears_everything_later() {
         let (words, pipe) = io::pipe().expect("a pipe");
-        let teller = Teller::start(Box::new(pipe)).expect("a thread");
+        let queue = MessageQueue::start(Box::new(pipe)).expect("a thread");
         // More than the pipe holds: writing to it directly would block here for ever.
         let mut told = 0;
-        while teller.has_room() {
-            teller.say(Word::Told(told)).expect("nobody has gone");
+        while queue.has_room() {
+            queue.say(Word::Told(told)).expect("nobody has gone");
             told += 1;
         }
-        teller.say(Word::Done).expect("what cannot wait is told, too");
+        queue.say(Word::Done).expect("what cannot wait is told, too");
         let mut words = BufReader::new(words);
         for until in 0..told {
             assert_eq!(hear(&mut words).expect("a word"), Some(Word::Told(until)));
         }
         assert_eq!(hear(&mut words).expect("a word"), Some(Word::Done));
-        teller.end().expect("everything was heard");
+        queue.end().expect("everything was heard");
         assert_eq!(hear::<Word>(&mut words).expect("the end"), None);
     }
 
@@ -143,8 +143,8 @@ mod tests {
     fn a_launcher_that_has_gone_is_an_error() {
         let (words, pipe) = io::pipe().expect("a pipe");
         drop(words);
-        let teller = Teller::start(Box::new(pipe)).expect("a thread");
-        teller.say(Word::Started).expect("nobody has tried yet");
-        assert_eq!(teller.end().expect_err("nobody reads").kind(), io::ErrorKind::BrokenPipe);
+        let queue = MessageQueue::start(Box::new(pipe)).expect("a thread");
+        queue.say(Word::Started).expect("nobody has tried yet");
+        assert_eq!(queue.end().expect_err("nobody reads").kind(), io::ErrorKind::BrokenPipe);
     }
 }

@@ -13,13 +13,13 @@ pub struct Did {
     /// The line in the cell file.
     pub line: Option<usize>,
     /// What it did.
-    pub what: Deed,
+    pub what: ScriptEvent,
 }
 
 /// What a script did.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Deed {
+pub enum ScriptEvent {
     /// It arrived at a waitfor.
     Waits(PortId),
     /// A waitfor released it: all had arrived.
@@ -90,7 +90,7 @@ pub enum Lease {
     Fenced,
 }
 
-impl Deed {
+impl ScriptEvent {
     /// Whether the event log shows it even if the task does more than fits.
     pub const fn is_rare(&self) -> bool {
         matches!(self, Self::Lease(_) | Self::Ended(_))
