@@ -79,6 +79,17 @@ impl Loaded {
         Some(self.source.position(span.start).0)
     }
 
+    /// The line, from 1, on which the handler begins that has a statement on the given line; none if that is one of the body.
+    pub fn handler(&self, task: TaskId, line: usize) -> Option<usize> {
+        let script = self.scripts.get(task.index())?.as_ref()?;
+        let has_line = |entry: u16| {
+            let code = script.program.code.iter().zip(&script.spans).skip(usize::from(entry));
+            code.take_while(|(op, _)| **op != Op::HandlerEnd).any(|(_, span)| self.line_of(*span) == line)
+        };
+        let mut heads = script.program.handlers.iter().zip(&script.handlers);
+        heads.find_map(|(handler, head)| has_line(handler.entry).then(|| self.line_of(*head)))
+    }
+
     /// Whether a task can reach the end of its script. A task that serves for ever (`loop` without `exit`) cannot, though it
     /// may abort or lose its lease.
     pub fn can_finish(&self, task: TaskId) -> bool {

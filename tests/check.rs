@@ -44,7 +44,7 @@ fn good_warned_and_faulty_cells_end_with_0_0_and_1() {
     assert_eq!((&report["version"], &report["cell"]), (&1.into(), &"beam_lift".into()));
     let faulty = run(&["check", &example("faulty/hoist_never_arrives.cell")]);
     assert_eq!(faulty.code, Some(1), "{faulty:?}");
-    assert!(faulty.out.contains("error[E104]") && faulty.out.contains("hoist_never_arrives.cell:10:58"));
+    assert!(faulty.out.contains("error[E104]") && faulty.out.contains("hoist_never_arrives.cell:20:50"));
     assert_eq!(faulty.err, "");
     let paper = run(&["check", "--paper", &example("beam_lift.cell"), "--format", "json"]);
     assert_eq!(paper.code, Some(1));

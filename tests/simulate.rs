@@ -29,7 +29,7 @@ fn a_faulty_cell_is_found_and_shrunk_to_what_it_takes() {
     assert_eq!(said.code, Some(1), "{said:?}");
     for part in [
         "check: `one_each` does not hold: robot.placed = 2, feeder.parts = 1",
-        &format!("--> {TWICE}:25:7"),
+        &format!("--> {TWICE}:36:7"),
         "is LOST",
         "found with seed 1;",
         "  with: packet 1 of n2 -> n1 is lost\n",
@@ -41,7 +41,7 @@ fn a_faulty_cell_is_found_and_shrunk_to_what_it_takes() {
     }
     let answer = json(&["simulate", TWICE, "--seed", "1", "--seeds", "50"]);
     let (found, ended) = (&answer["findings"][0], &answer["ended"]);
-    assert_eq!((&found["kind"], &found["line"], &found["choices"]), (&"check".into(), &25.into(), &0.into()));
+    assert_eq!((&found["kind"], &found["line"], &found["choices"]), (&"check".into(), &36.into(), &0.into()));
     assert_eq!(found["faults"], serde_json::json!(["packet 1 of n2 -> n1 is lost"]));
     assert_eq!(found["shrunk_from"]["whole"], true);
     assert_eq!((&answer["version"], &answer["seed"], &answer["runs"]), (&1.into(), &1.into(), &50.into()));
@@ -136,7 +136,7 @@ fn where_nothing_is_found_it_is_said_that_nothing_is_saved() {
 
 #[test]
 fn what_cannot_be_saved_is_shown_and_a_file_that_cannot_be_written_is_refused_before_the_runs() {
-    let lost = "--> examples/faulty/part_placed_twice.cell:25:7";
+    let lost = "--> examples/faulty/part_placed_twice.cell:36:7";
     for verb in [&["simulate", TWICE, "--seed", "1", "--seeds", "50"][..], &["verify", TWICE]] {
         // A full disk.
         let full = run(&[verb, &["--save", "/dev/full"]].concat());

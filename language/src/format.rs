@@ -1,8 +1,9 @@
 //! The formatter, `imrs fmt`: one way to write a cell file.
 //!
 //! Like gofmt, it keeps line breaks and comments where they are. It sets the rest: indentation, spaces, at most one empty
-//! line, lower-case keywords, one spelling of each option (D10).
+//! line, lower-case keywords, one spelling of each option (D10). Trailing `//` comments that stand below each other stay so.
 
+mod align;
 mod layout;
 mod space;
 
@@ -54,6 +55,8 @@ struct Piece<'t> {
     text: Cow<'t, str>,
     /// How many line breaks were in front of it.
     breaks: usize,
+    /// The column of a comment in the source, from 1; 0 for a token.
+    column: usize,
 }
 
 /// Merges the tokens and comments into pieces, and sets their spelling.
@@ -90,7 +93,7 @@ impl<'t> Writer<'t> {
             }
             let breaks = self.breaks(last, span.start);
             last = span.end as usize;
-            self.pieces.push(Piece { what, text: self.spelling(what, *span), breaks });
+            self.pieces.push(Piece { what, text: self.spelling(what, *span), breaks, column: 0 });
             let is_operand = what == What::Operand;
             if users == Users::Inside && is_operand && self.another_user(&tokens[index + 1..]) {
                 self.insert(Kind::Comma);
@@ -146,12 +149,14 @@ impl<'t> Writer<'t> {
         let breaks = self.breaks(*last, span.start);
         let what = if text.starts_with("//") { What::LineComment } else { What::BlockComment };
         let trimmed: Vec<&str> = text.split('\n').map(str::trim_end).collect();
-        self.pieces.push(Piece { what, text: Cow::Owned(trimmed.join("\n")), breaks });
+        let (_, column) = self.source.position(span.start);
+        self.pieces.push(Piece { what, text: Cow::Owned(trimmed.join("\n")), breaks, column });
         *last = span.end as usize;
     }
 
     fn insert(&mut self, kind: Kind) {
-        self.pieces.push(Piece { what: What::Sign(kind), text: Cow::Borrowed(kind.describe()), breaks: 0 });
+        let text = Cow::Borrowed(kind.describe());
+        self.pieces.push(Piece { what: What::Sign(kind), text, breaks: 0, column: 0 });
     }
 }
 

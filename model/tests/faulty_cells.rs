@@ -6,7 +6,7 @@
 //! (* finds: W302 10:102 *)                               where there are warnings, what `imrs check` says
 //! (* verify finds: "deadlock" 16:5 "cause", .. *)        kind, line:column, cause if it matters
 //! (* what the engineer got wrong *)
-//! (* right: 29: loop receive next(); reply(); end; *)    what line 29 should be; as many as it takes
+//! (* right: 29: receive next(); reply(); *)              what line 29 should be; as many as it takes
 //! ```
 
 use crate::cells::{Text, is_alike, within};

@@ -58,7 +58,7 @@ fn one_that_polls_for_what_a_dead_one_has_is_told_and_no_fault_free_run() {
     let warning = &verdicts.warnings[0];
     assert!(warning.moves.iter().any(|step| matches!(step, CellMove::Crash(0))));
     assert!(!warning.moves.iter().any(|step| matches!(step, CellMove::Restart(_))), "it stays down");
-    assert_eq!(cell.place(warning).map(|(line, _)| line), Some(53), "where it polls");
+    assert_eq!(cell.place(warning).map(|(line, _)| line), Some(76), "where it polls");
 }
 
 /// A loop that asks for ever.

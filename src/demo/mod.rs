@@ -210,6 +210,7 @@ pub fn beam_lift() -> std::sync::Arc<imrs_protocol::CellTable> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use imrs_protocol::TaskId;
 
     /// The time_out of a waitfor is well above its margin (D65).
     #[test]
@@ -218,6 +219,20 @@ mod tests {
         let lift = table.ports().iter().find(|port| port.decl.name == "lift").expect("the port");
         assert_eq!(lift.parties.len(), 3);
         assert!(lift.decl.time_out.0 > 10 * lift.margin.0, "{:?} on {:?}", lift.decl.time_out, lift.margin);
+    }
+
+    /// The explanation tells by the handler why an arm has stopped.
+    #[test]
+    fn a_statement_of_a_handler_leads_to_its_head() {
+        let (loaded, text) = (SCENES[0].load().expect("a sound cell"), SCENES[0].text);
+        let lines = text.lines().enumerate().filter(|(_, line)| line.contains("run stop_now "));
+        let stops: Vec<usize> = lines.map(|(at, _)| at + 1).collect();
+        let arm = loaded.table.cell().tasks.iter().position(|task| task.name == "armR");
+        let arm = TaskId::from_index(arm.expect("an arm"));
+        let heads = stops.iter().map(|line| loaded.handler(arm, *line).map(|head| loaded.text_of(head)));
+        let expected = ["on receive halt(s) do", "on silence beat 10 msec when me.moving do"].map(Some);
+        // The first one stands in the body of the other arm.
+        assert_eq!(heads.collect::<Vec<_>>(), [&[None][..], &expected].concat());
     }
 
     #[test]

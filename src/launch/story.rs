@@ -127,9 +127,10 @@ impl Story<'_> {
         Some((node, at, on.map_or(self.ended, |(on, _)| *on)))
     }
 
-    /// The text of the line to which an event belongs.
-    pub fn text(&self, did: &Did) -> &str {
-        did.line.map_or("", |line| self.loaded.text_of(line))
+    /// The first line of the handler in which an event happened; empty if it happened in the body of its task.
+    pub fn handler(&self, did: &Did) -> &str {
+        let head = did.line.and_then(|line| self.loaded.handler(did.task, line));
+        head.map_or("", |head| self.loaded.text_of(head))
     }
 
     /// The times of a task's events that satisfy a predicate.

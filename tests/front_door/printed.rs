@@ -104,8 +104,9 @@ fn is_evidence(out: &str) -> bool {
     else {
         return false;
     };
-    let by_itself = line_of(right.2)
-        .is_some_and(|line| cell.lines().nth(line - 1).is_some_and(|l| l.contains("silence")));
+    // The head of the handler in which the arm began to stop.
+    let head = |line| cell.lines().take(line).filter(|text: &&str| text.starts_with("  on ")).last();
+    let by_itself = line_of(right.2).and_then(head).is_some_and(|head| head.contains("silence"));
     let lifts = of("armL").filter(|(_, _, what)| what.ends_with("ends start_lift")).count();
     lifts > 2 && moved("armL") && moved("armR") && unheard.0 <= left.0 && by_itself
 }

@@ -1,5 +1,6 @@
 //! Writes lines with their indentation.
 
+use super::align::Aligner;
 use super::space::Spacing;
 use super::{Piece, What};
 use crate::lexer::Kind;
@@ -25,6 +26,7 @@ pub(super) fn lay_out(pieces: &[Piece<'_>]) -> String {
     let mut out = String::new();
     let mut blocks = Blocks::default();
     let mut spacing = Spacing::default();
+    let mut aligner = Aligner::default();
     for (index, piece) in pieces.iter().enumerate() {
         let is_comment = matches!(piece.what, What::LineComment | What::BlockComment);
         let breaks = if out.is_empty() { 0 } else { piece.breaks.min(2) };
@@ -34,6 +36,8 @@ pub(super) fn lay_out(pieces: &[Piece<'_>]) -> String {
             blocks.level = blocks.level_of(next, is_comment);
             out.extend(std::iter::repeat_n('\n', breaks));
             out.extend(std::iter::repeat_n(' ', blocks.level * STEP));
+        } else if piece.what == What::LineComment {
+            aligner.note(&out, piece.column);
         } else {
             out.extend(std::iter::repeat_n(' ', spacing.before(piece.what)));
         }
@@ -46,7 +50,7 @@ pub(super) fn lay_out(pieces: &[Piece<'_>]) -> String {
     if !out.is_empty() {
         out.push('\n');
     }
-    out
+    aligner.pad(&out)
 }
 
 impl Blocks {

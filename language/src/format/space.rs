@@ -20,7 +20,6 @@ impl Spacing {
     pub(super) fn before(&self, next: What) -> usize {
         let Some(last) = self.last else { return usize::from(self.is_comment) };
         match next {
-            What::LineComment => return 2,
             What::BlockComment => return 1,
             What::Sign(
                 Kind::Semicolon
@@ -32,7 +31,8 @@ impl Spacing {
                 | Kind::BraceClose
                 | Kind::BracketClose,
             ) => return 0,
-            What::Word(_) | What::Operand | What::Sign(_) => {}
+            // The aligner sets the spaces in front of a trailing `//` comment.
+            What::Word(_) | What::Operand | What::Sign(_) | What::LineComment => {}
         }
         if self.is_comment {
             return 1;

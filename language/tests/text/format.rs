@@ -70,6 +70,48 @@ end t;
 }
 
 #[test]
+fn trailing_comments_of_one_column_stay_aligned() {
+    let text = "cell c;// alone
+task t on n
+  var a: bool;     // one column,
+    var bc : int16;// though the indentation changes
+  var d: bool;   // another column
+begin
+a := true;        // the longest line
+bc := 1;          // a shorter line
+d   :=   a;       // a line that loses spaces
+
+d := false;       // behind an empty line
+(* two
+lines *) a := d;  // behind a comment of two lines
+  // a comment without a statement
+d := a; (* \u{e4} *) // one column in characters,
+a := (* x *) d; // though not in bytes
+end t;
+";
+    let expected = "cell c;  // alone
+task t on n
+  var a: bool;    // one column,
+  var bc: int16;  // though the indentation changes
+  var d: bool;  // another column
+begin
+  a := true;  // the longest line
+  bc := 1;    // a shorter line
+  d := a;     // a line that loses spaces
+
+  d := false;  // behind an empty line
+  (* two
+lines *) a := d;  // behind a comment of two lines
+  // a comment without a statement
+  d := a; (* \u{e4} *)  // one column in characters,
+  a := (* x *) d;  // though not in bytes
+end t;
+";
+    assert_eq!(formatted(text), expected);
+    formats(&source(text));
+}
+
+#[test]
 fn texts_with_errors_are_left_alone() {
     let found = format(&source("cell c; node;")).expect_err("an error");
     assert_eq!(found[0].code, "E005");
@@ -87,6 +129,7 @@ fn gap() -> impl Strategy<Value = &'static str> {
         " (* c *) ",
         "\n(* two\n   lines *)\n",
         " // c\n",
+        "   // c\n",
         "\n// c\n",
         "/* c */",
     ])
@@ -113,8 +156,38 @@ fn regapped(text: &'static str) -> impl Strategy<Value = String> {
         .prop_map(move |gaps| words.iter().zip(gaps).flat_map(|(word, gap)| [word.as_str(), gap]).collect())
 }
 
+/// A statement of some length, and the spaces in front of its comment.
+fn commented() -> impl Strategy<Value = (usize, usize)> {
+    (1_usize..5, 0_usize..5)
+}
+
+/// The column of the comment of each line, from 0.
+fn columns(text: &str) -> Vec<usize> {
+    text.lines().filter_map(|line| line.find("// c")).collect()
+}
+
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
+
+    /// Lines that follow each other keep one column for their comments exactly where they had one; each comment has two spaces
+    /// or more in front of it, and exactly two behind the longest line of its group.
+    #[test]
+    fn comments_below_each_other_move_together(lines in proptest::collection::vec(commented(), 2..6)) {
+        let statement = |length: usize| format!("{} := 1;", "x".repeat(length));
+        let written = |(length, spaces): &(usize, usize)| format!("{}{}// c\n", statement(*length), " ".repeat(*spaces));
+        let body: String = lines.iter().map(written).collect();
+        let text = format!("cell c;\ntask t on n\nbegin\n{body}end t;\n");
+        formats(&source(&text));
+        let (before, after) = (columns(&text), columns(&formatted(&text)));
+        let ends: Vec<usize> = lines.iter().map(|(length, _)| 2 + statement(*length).len()).collect();
+        let mut from = 0;
+        for group in before.chunk_by(|a, b| a == b) {
+            let to = from + group.len();
+            let expected = ends[from..to].iter().max().expect("a line") + 2;
+            prop_assert!(after[from..to].iter().all(|column| *column == expected), "{text}");
+            from = to;
+        }
+    }
 
     #[test]
     fn any_blanks_and_comments_are_settled(

@@ -1,0 +1,55 @@
+//! Aligns trailing `//` comments.
+
+/// How many spaces stand between the longest line of a group and its comment.
+const GAP: usize = 2;
+
+/// A `//` comment behind code.
+struct Trailing {
+    /// Where its text begins in the output, as yet without spaces in front of it.
+    at: usize,
+    /// Its line in the output.
+    line: usize,
+    /// How many characters its line has in front of it.
+    width: usize,
+    /// Its column in the source.
+    column: usize,
+}
+
+/// Collects the trailing comments while the lines are written, and then pads them.
+///
+/// Comments of consecutive lines that began in the same column of the source are one group: they begin in the same column of
+/// the output. A comment of another column is a group of its own, even if it happens to end up below the group.
+#[derive(Default)]
+pub(super) struct Aligner {
+    comments: Vec<Trailing>,
+    /// How much of the output was looked at for line breaks, and how many were found there.
+    counted: (usize, usize),
+}
+
+impl Aligner {
+    /// Records that a trailing comment will follow this output.
+    pub(super) fn note(&mut self, out: &str, column: usize) {
+        let (from, lines) = self.counted;
+        let line = lines + out[from..].matches('\n').count();
+        self.counted = (out.len(), line);
+        let begin = out.rfind('\n').map_or(0, |at| at + 1);
+        let width = out[begin..].chars().count();
+        self.comments.push(Trailing { at: out.len(), line, width, column });
+    }
+
+    /// The output with the spaces in front of the recorded comments.
+    pub(super) fn pad(&self, out: &str) -> String {
+        let mut padded = String::with_capacity(out.len() + self.comments.len() * GAP);
+        let mut from = 0;
+        for group in self.comments.chunk_by(|a, b| b.line == a.line + 1 && b.column == a.column) {
+            let widest = group.iter().map(|comment| comment.width).max().unwrap_or_default();
+            for comment in group {
+                padded.push_str(&out[from..comment.at]);
+                padded.extend(std::iter::repeat_n(' ', widest + GAP - comment.width));
+                from = comment.at;
+            }
+        }
+        padded.push_str(&out[from..]);
+        padded
+    }
+}
