@@ -16,7 +16,7 @@
 //! link nc -- np delay 1 msec;
 //!
 //! task camera on nc extern
-//!   port part(x: int16) usage = send user_list = {pick} time_out = 500 msec class = 2;
+//!   port part(x: int16) usage = send user_list = {pick} time_out = 10 sec class = 2;
 //! end camera;
 //!
 //! task pick on np
@@ -110,7 +110,7 @@ pub use program::Program;
 ///     assert_eq!((call.task.as_str(), width), ("robot", 40));
 ///     // A `real` is passed as its bits.
 ///     assert_eq!(u32::try_from(force).map(f32::from_bits), Ok(2.5));
-///     assert_eq!(call.most, Duration::from_millis(500));
+///     assert_eq!(call.most, Duration::from_secs(5));
 ///     for _step in 0..3 {
 ///         if call.is_cut_short() {
 ///             return Err("stopped".into());
@@ -126,7 +126,7 @@ pub use program::Program;
 /// node here;
 /// task robot on here
 /// begin
-///   run grip 40, 2.5 takes 10..500 msec;
+///   run grip 40, 2.5 takes 10..5000 msec;
 /// end robot;
 /// ";
 /// let ends = Program::of_text("lift.cell", CELL)?.action("grip", grip).run(None)?;
@@ -221,6 +221,7 @@ pub use imrs_runtime::Rendezvous;
 ///
 /// ```
 /// use imrs_client::{Context, Program, Sent, TaskEnd, TaskError};
+/// use std::time::Duration;
 ///
 /// fn asker(ctx: &mut Context) -> Result<(), TaskError> {
 ///     let width = ctx.port("width")?;
@@ -237,7 +238,7 @@ pub use imrs_runtime::Rendezvous;
 /// tick 1 msec;
 /// node here;
 /// task asker on here extern
-///   port width(part: int16) usage = send user_list = {answerer} time_out = 500 msec class = 2;
+///   port width(part: int16) usage = send user_list = {answerer} time_out = 10 sec class = 2;
 /// end asker;
 /// task answerer on here
 ///   use_port width(part: int16) usage = receive;
@@ -247,7 +248,7 @@ pub use imrs_runtime::Rendezvous;
 ///   reply();
 /// end answerer;
 /// ";
-/// let ends = Program::of_text("ask.cell", CELL)?.body("asker", asker).run(None)?;
+/// let ends = Program::of_text("ask.cell", CELL)?.body("asker", asker).run(Some(Duration::from_secs(60)))?;
 /// assert_eq!(ends[0], ("asker".to_owned(), TaskEnd::Returned));
 /// # Ok(())
 /// # }

@@ -16,7 +16,7 @@ use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::net::SocketAddr;
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 /// How long the tasks have to end after the run has been stopped.
@@ -47,7 +47,7 @@ type Body = Box<dyn FnOnce(&mut Context) -> Result<(), TaskError> + Send>;
 /// end watch;
 /// task robot on here
 /// begin
-///   run grip 40 takes 10..500 msec;
+///   run grip 40 takes 10..5000 msec;
 ///   run rise takes 10..20 msec;
 /// end robot;
 /// ";
@@ -75,6 +75,9 @@ pub struct Program {
 }
 
 type Function = Box<dyn Fn(&Call) -> Result<i32, String> + Send + Sync>;
+
+/// Says once whether the bodies begin: all nodes of the program have started, or one of them has not.
+type Gate = Arc<OnceLock<bool>>;
 
 /// A running node.
 struct Running {
@@ -126,7 +129,7 @@ impl Program {
         self
     }
 
-    /// The body of an extern task. It runs once, on a thread of its own.
+    /// The body of an extern task. It runs once, on a thread of its own, as soon as all nodes of this program have started.
     pub fn body(
         mut self,
         task: &str,
@@ -180,12 +183,20 @@ impl Program {
         let table = Arc::clone(&self.loaded.table);
         let network = Network::new(table, Faults::default());
         let mut running = Vec::new();
-        for (after, node) in nodes.into_iter().enumerate() {
-            running.push(self.start(node, after, &network, Arc::clone(&actions))?);
+        let gate = Gate::default();
+        let started = nodes.into_iter().enumerate().try_for_each(|(after, node)| {
+            running.push(self.start(node, after, &network, Arc::clone(&actions), &gate)?);
+            Ok(())
+        });
+        if let Err(error) = started {
+            let _ = gate.set(false);
+            return Err(error);
         }
         // Scripts of a restarted node are held back at first (D94). `length` counts from when all have begun.
         let begin = || running.iter().filter_map(|node: &Running| node.runtime.begin()).min();
         let (mut begins, mut end) = (begin(), None);
+        // Bodies begin when all nodes are there: the network drops what is sent to a node that has not joined it.
+        let _ = gate.set(true);
         loop {
             if begins.is_some_and(|at| at <= Instant::now()) {
                 begins = begin();
@@ -251,6 +262,7 @@ impl Program {
         after: usize,
         network: &Arc<Network>,
         actions: Arc<dyn Actions>,
+        gate: &Gate,
     ) -> Result<Running, ProgramError> {
         let table = Arc::clone(&self.loaded.table);
         let mut builder = Runtime::builder(Arc::clone(&table), node)
@@ -272,7 +284,11 @@ impl Program {
             let name = &table.cell().tasks[task.index()].name;
             builder = match (&self.loaded.scripts[task.index()], self.bodies.remove(name)) {
                 (Some(script), _) => builder.script(name, Arc::clone(&script.program)),
-                (None, Some(body)) => builder.task(name, body),
+                (None, Some(body)) => {
+                    let gate = Arc::clone(gate);
+                    builder
+                        .task(name, move |ctx| if *gate.wait() { body(ctx) } else { Err(TaskError::Stopped) })
+                }
                 // `check` has refused this already.
                 (None, None) => return Err(ProgramError::NoBody(name.clone())),
             };

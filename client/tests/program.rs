@@ -113,3 +113,37 @@ fn two_programs_run_a_node_each() {
         assert!(stored.trim().parse::<u8>().is_ok(), "{stored}");
     }
 }
+
+#[test]
+fn a_body_finds_the_other_nodes_when_it_begins() {
+    // The nodes start in this order, and those in between take a while.
+    let between: String = (0..40).map(|i| format!("node n{i};\n")).collect();
+    let cell = format!(
+        r#"
+cell together;
+tick 1 msec;
+node na;
+{between}node nb;
+link na -- nb delay 1 msec;
+task left on na extern
+  port ask(x: int16) usage = send user_list = {{right}} time_out = 20 sec class = 2;
+end left;
+task right on nb
+  use_port ask(x: int16) usage = receive;
+  var x: int16;
+begin
+  receive ask(x);
+  reply();
+end right;
+"#
+    );
+    let program = Program::of_text("together.cell", &cell).expect("a cell").body("left", |ctx| {
+        let ask = ctx.port("ask")?;
+        // Sent once: a copy that finds no node gets no answer.
+        assert!(ctx.send(ask, &[7, 0])?.reply().is_some(), "no answer");
+        Ok(())
+    });
+    let ends = program.run(Some(Duration::from_secs(60))).expect("it runs");
+    assert_eq!(ends[0].1, TaskEnd::Returned);
+    assert!(matches!(ends[1].1, TaskEnd::Script(_)), "{ends:?}");
+}
