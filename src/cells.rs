@@ -1,4 +1,4 @@
-//! Compiles cells of the cell language, and names what is in them for people.
+//! Compiles cells of the cell language, and finds the names and lines that messages to people need.
 
 use crate::cell_file;
 use imrs_client::cells::{self, CellError};
@@ -22,7 +22,7 @@ pub struct Source {
     pub paper: bool,
 }
 
-/// A compiled cell as a robot's program has it, with the words for it that only people need.
+/// A compiled cell, as a robot's program also has it. Its methods add names and line numbers, for messages to people.
 #[derive(Debug)]
 pub struct Loaded(cells::Loaded);
 

@@ -72,7 +72,7 @@ fn as_many_lost_packets_strand_one_of_four() {
         return;
     }
     for ((name, confirmation, rule), least) in RULES.into_iter().zip([1, 2, 4, 4]) {
-        // Quick runs check the decided rule, which is the last one; the one before it takes as long.
+        // Quick runs skip this rule, because it takes as long as `PassOn`, which every run checks.
         if confirmation == Confirmation::EveryComplete && !is_whole() {
             continue;
         }

@@ -23,7 +23,7 @@ begin
 end teller;
 "#;
 
-/// Writes the pair with this answer, followed by more declarations.
+/// Writes `PAIR` to a file, with `answer` as what `teller` answers, and appends the declarations `more`.
 fn cell(answer: &str, more: &str) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("pair.cell");

@@ -89,7 +89,7 @@ pub struct Node {
     pub host: Option<String>,
     /// Its UDP port.
     pub port: Option<u16>,
-    /// The span of its name.
+    /// The span of the node's name.
     pub span: Span,
 }
 
@@ -113,7 +113,7 @@ pub struct Record {
     pub name: String,
     /// Its fields.
     pub fields: Vec<Field>,
-    /// The span of its name.
+    /// The span of the record's name.
     pub span: Span,
 }
 
@@ -168,7 +168,7 @@ pub struct Port {
     /// The work couple whose lease covers this port, by position in [`Hir::couples`] (D61, D88). Only the couple's tasks send
     /// on such a port, and only to tasks outside of the couple.
     pub guard: Option<usize>,
-    /// The span of its name.
+    /// The span of the port's name.
     pub span: Span,
 }
 
@@ -249,7 +249,7 @@ pub struct Task {
     pub takeover: Option<Vec<Statement>>,
     /// The values that its body and its take-over save for later expressions.
     pub captures: Vec<Capture>,
-    /// The span of its name.
+    /// The span of the task's name.
     pub span: Span,
 }
 
@@ -378,13 +378,13 @@ pub enum Recipients {
 pub enum Answered {
     /// The last message that the thread received.
     Last,
-    /// An earlier message of this task that is not answered yet.
+    /// A message that this task sent earlier, and that is not answered yet.
     Of(TaskId),
     /// A message that another task received, answered through a port of usage `reply` (D11).
     Ticket {
-        /// The task that sent it.
+        /// The task that sent the message.
         asker: TaskId,
-        /// Its message number.
+        /// The message's number.
         number: Expr,
     },
 }

@@ -13,9 +13,11 @@ pub(crate) struct SpecState {
     pub left: u8,
     /// The round that the task waits in.
     pub waits_in: Option<Round>,
-    /// Rounds that the task announced, was released from, and left without a release: bit `i` is the base plus `i`.
+    /// Rounds that the task announced: bit `i` stands for round `base + i`, with the base of [`Judge`].
     pub announced: u32,
+    /// Rounds from which the task was released, as bits in the same way.
     pub released: u32,
+    /// Rounds that the task left without a release, as bits in the same way.
     pub gave_up: u32,
     /// Rounds that another member had left when this node restarted: the new incarnation cannot meet it there.
     pub missed: u32,
@@ -309,7 +311,7 @@ pub(crate) fn load(spec_state: &mut SpecState, watch: Watch, incarnations: bool,
             }
         }
         Watch::AllOrNone => {
-            (spec_state.released, spec_state.gave_up) = (u32::from(byte()), u32::from(byte()))
+            (spec_state.released, spec_state.gave_up) = (u32::from(byte()), u32::from(byte()));
         }
         Watch::Pairing => {
             (spec_state.reached, spec_state.releases) = (byte(), byte());
@@ -335,7 +337,7 @@ pub(crate) fn load(spec_state: &mut SpecState, watch: Watch, incarnations: bool,
             }
             match watch {
                 Watch::Resolves | Watch::ResolvesOnce | Watch::Waits => {
-                    spec_state.open = byte().checked_sub(1)
+                    spec_state.open = byte().checked_sub(1);
                 }
                 Watch::AtMostOnce => spec_state.executed = byte(),
                 _ => {

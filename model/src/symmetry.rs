@@ -143,7 +143,7 @@ impl Parts<'_> {
         at += 2;
         at += usize::from(flags & 1 != 0) + usize::from(flags & 2 != 0) + usize::from(flags & 4 != 0);
         at += if flags & 16 != 0 { 2 } else { 0 };
-        // A node that is down has no task.
+        // The block of a node that is down ends before the bytes of a task, because such a node has none.
         let at = at.min(block.len());
         Block {
             len: block[0],

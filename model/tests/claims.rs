@@ -19,7 +19,7 @@ fn settle(claim: &str) -> Report {
 
 #[test]
 fn losses_that_strand_a_member_rule_by_rule() {
-    // None, first, every, pass-on.
+    // For each confirmation rule, in the order of `RULES`, the least number of lost packets that strands a member.
     for (members, expected) in [(2, [1, 2, 2, 2]), (3, [1, 2, 3, 3])] {
         assert_eq!(RULES.map(|rule| least_losses(members, rule)), expected, "{members} members");
     }

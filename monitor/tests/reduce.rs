@@ -198,7 +198,7 @@ proptest! {
     }
 }
 
-/// Half of a few timers is no finding, and neither is lateness of long ago.
+/// The monitor reports late timers only if many timers ended within the last seconds, and most of them late.
 #[test]
 fn timers_are_late_when_most_of_many_are() {
     let mut stage = Stage::new(Theme::ASCII);

@@ -270,7 +270,7 @@ impl<T: Entry> Queue<T> {
         self.named(last)
     }
 
-    /// The instant at which the first entry is due; never for an empty queue, or one that is not watched.
+    /// The instant at which the first entry is due. `NEVER` if the queue is empty, or not watched: then it keeps no such order.
     pub fn next_due(&self) -> Instant {
         let Some(watch) = self.watching() else { return Instant::NEVER };
         watch.due.first_instant(|slot| due(&self.entries, &watch.sides, slot).0)

@@ -140,7 +140,7 @@ fn exercise(pair: &mut Pair, contents: Contents) {
     let get = Request::Get { port: None, source: None, time_out: Some(Ticks(20)) };
     let arrive = Request::Arrive { port: LIFT, arguments: [1; 8], time_out: None };
 
-    // Send, receive, reply; the message is stored first.
+    // Send, receive, reply. The message waits in the bounded buffer, because it arrives before the task receives.
     pair.ask(ARM, command);
     pair.ask(HOIST, get);
     let Signal::Message(message) = pair.told(|s| matches!(s, Signal::Message(_))) else { return };

@@ -205,7 +205,7 @@ fn finish_stopped(runtime: imrs_runtime::Runtime) {
     assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned), "{ends:?}");
 }
 
-/// `a` leads, takes its message and then computes; messages for `b` of the same node still arrive.
+/// `a` leads (waits in the socket for its node), takes its message and then computes. Messages for `b` of that node still arrive.
 fn what_is_for_others_does_not_wait_for_a_task_that_computes() {
     let mut cell = cell(&[0, 0, 1], Ticks(1_000));
     cell.port(PortDecl::new("to-a", C, Usage::Send, &[A], LONG_TICKS).command());
@@ -234,7 +234,7 @@ fn what_is_for_others_does_not_wait_for_a_task_that_computes() {
         });
     let there = there.task("c", move |ctx| {
         let ports = [ctx.port("to-a")?, ctx.port("to-b")?];
-        // `a` most likely sleeps first, and leads.
+        // Meanwhile `a` and `b` go to sleep. Most likely `a` does so first, and becomes the leader: it waits in the socket.
         ctx.delay(Duration::from_millis(20))?;
         ctx.send(ports[0], b"")?.reply().expect("nothing is lost");
         for _ in 0..20 {

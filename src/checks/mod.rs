@@ -26,14 +26,14 @@ use imrs_protocol::{CellTable, PortId, TaskId};
 pub enum Ask {
     /// The value of a variable, by its position.
     Variable(u16),
-    /// Whether it is active: it may act.
+    /// Whether the task is active: it may act.
     Active,
-    /// Whether it has an outstanding request on this port.
+    /// Whether the task has an outstanding request on this port.
     Asked(PortId),
-    /// Whether its last request on this port was answered.
+    /// Whether the task's last request on this port was answered.
     Answered(PortId),
-    /// Its progress at this waitfor: −1 if it has not reached it in this incarnation, else its last round plus 1, or 0 without
-    /// a round.
+    /// How far the task has come at the waitfor of this port. −1: not reached in this incarnation; 0: reached, but no round yet;
+    /// else the number of its last round plus 1.
     Arrived(PortId),
 }
 

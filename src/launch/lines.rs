@@ -101,9 +101,9 @@ pub enum Word {
     Stands(Change),
     /// Everything before this instant has been reported. Microseconds of the clock that all processes share.
     Told(u64),
-    /// Events of the scripts since this instant are missing, because the launcher did not read.
+    /// The node dropped script events, because the launcher did not read its pipe fast enough.
     Untold {
-        /// In microseconds of the clock that all processes share.
+        /// When the first dropped event happened, in microseconds of the clock that all processes share.
         since: u64,
     },
     /// The last message: everything has been reported.
@@ -175,7 +175,7 @@ pub struct Figures {
     pub cut_off: u64,
     /// The neighbours that it refuses, because their cells differ.
     pub refusals: Vec<RefusalFigures>,
-    /// Number of events that were not reported: they came too fast, or the launcher did not read.
+    /// How many events were not reported: they came too fast, or the launcher did not read its pipe fast enough.
     pub untold: u64,
     /// What its recording lacks, for people.
     pub unrecorded: Vec<String>,

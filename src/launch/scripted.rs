@@ -76,7 +76,7 @@ impl Narrator {
         }
     }
 
-    /// Takes the messages since the last call, and since when some were dropped.
+    /// Takes the messages since the last call, and the instant of the first one that was dropped since then.
     pub fn take(&self) -> (Vec<Word>, Option<u64>) {
         let lost = self.lost_since.swap(u64::MAX, Ordering::AcqRel);
         let words: Vec<Word> = self.kept.lock().unwrap_or_else(PoisonError::into_inner).try_iter().collect();
@@ -84,7 +84,7 @@ impl Narrator {
         (words, Some(lost).filter(|&lost| lost < u64::MAX))
     }
 
-    /// How many messages were dropped so far, because the launcher did not read.
+    /// How many messages were dropped so far, because the launcher did not read its pipe fast enough.
     pub fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }

@@ -155,7 +155,7 @@ impl<'a, W: Write> Film<'a, W> {
             digest: self.subject.table.digest(),
             node: cell.nodes[node].name.clone(),
             id: NodeId::from_index(node).0,
-            incarnation: incarnation,
+            incarnation,
             tick_us: self.subject.tick_us,
         };
         let role = Role::Node(identity);

@@ -129,7 +129,7 @@ impl Drop for Struck {
     }
 }
 
-/// The child processes: the guards of a node, the command of a guard.
+/// The child processes of `pid`. A node's children are the guards of its commands; a guard's only child is its command.
 fn children(pid: u32) -> Vec<u32> {
     let all = std::fs::read_dir("/proc").expect("/proc").flatten();
     let all = all.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());

@@ -151,7 +151,7 @@ pub(super) fn walk(
         if let Some((ends, packet, outcome)) = arrow {
             let (line, values) = (reader.of_packet(&run_state, &packet), plan.legend.of_packet(&packet));
             explained(&mut recorder, line, values.as_deref(), |recorder| {
-                recorder.arrow(shown, ends, &packet, outcome)
+                recorder.arrow(shown, ends, &packet, outcome);
             });
         }
         if let Some((lane, text)) = before {
@@ -166,7 +166,7 @@ pub(super) fn walk(
         for effect in &run_state.cell.log {
             let (line, values) = reader.of_effect(&run_state, effect);
             explained(&mut recorder, line, values.as_deref(), |recorder| {
-                lanes.effect(recorder, shown, effect)
+                lanes.effect(recorder, shown, effect);
             });
         }
         let others = recorder.notes.len();
@@ -297,7 +297,7 @@ fn ends(
             Some(End::Fault { fault, .. }) => format!("FAULT: {fault}"),
         };
         explained(recorder, reader.of_end(run_state, turn), None, |recorder| {
-            recorder.event(tick, turn.task, &text)
+            recorder.event(tick, turn.task, &text);
         });
     }
 }

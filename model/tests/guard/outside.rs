@@ -83,7 +83,7 @@ pub fn covers(tape: &[u8], bodies: &[u8], states: u64) -> Result<u32, Disagreeme
     Ok(1)
 }
 
-/// The statements that no search has reached, whatever reason it gives.
+/// The statements that the search did not reach, whatever reason the verdicts give for that.
 fn not_reached(verdicts: &Verdicts) -> BTreeSet<(TaskId, Address)> {
     let unreached = verdicts.of(Kind::Unreached).filter_map(|finding| finding.task.zip(finding.address));
     let others = [&verdicts.not_exercised, &verdicts.not_tried, &verdicts.not_seen];

@@ -285,13 +285,13 @@ impl NodeIncarnation {
         self.rate_of(self.earlier(task), port)
     }
 
-    /// The same task some seconds ago.
+    /// The task's snapshot of some seconds ago, with which rates compare its counters.
     #[must_use]
     pub fn earlier(&self, task: &TaskSnapshot) -> Option<&TaskSnapshot> {
         self.base.as_ref()?.snapshot.tasks.iter().find(|t| t.view.task == task.view.task)
     }
 
-    /// The rate at a port in messages per second, relative to the earlier task.
+    /// The rate at a port since `earlier`, the older snapshot of its task: messages per second that the task sent and took.
     #[must_use]
     pub fn rate_of(&self, earlier: Option<&TaskSnapshot>, port: &PortView) -> Option<f64> {
         let (last, base) = (self.last.as_ref()?, self.base.as_ref()?);

@@ -204,7 +204,7 @@ enum Anew {
     Begin,
     /// At its take-over part.
     TakeOver,
-    /// After the operation that waited for its lease, which is now granted. Handlers that act are registered, too.
+    /// After the operation that waited for the lease. Only handlers that act are registered now: they needed the lease.
     Granted,
     /// Nowhere: it lost its lease and does not act until it gets the lease back or takes over. Handlers that act are
     /// unregistered, so their messages wait in the buffer. The other handlers still run.

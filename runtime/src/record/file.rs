@@ -189,9 +189,9 @@ impl Log for TaskLog {
         self.needs_keyframe && self.pause == 0 && self.fill.is_half_free() && !self.alert.is_over()
     }
 
-    /// Allocates, unlike everything else on the message path: once for each gap.
+    /// Writes the machine's state after a gap of lost steps. Unlike all else on the message path it allocates, once for each gap.
     fn keyframe(&mut self, machine: &CommTask, digest: OutputDigest) {
-        // A state that cannot be serialised counts as none: the gap goes on.
+        // If the state cannot be serialised, no keyframe is written, and steps stay missing until the next keyframe.
         let Ok(state) = postcard::to_allocvec(machine) else { return };
         if state.len() > LONGEST {
             self.pause = state.len();

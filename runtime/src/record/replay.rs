@@ -303,7 +303,7 @@ impl<'t> Replay<'t> {
         self.task
     }
 
-    /// How many steps put out what was recorded.
+    /// How many replayed steps gave the recorded outputs.
     #[must_use]
     pub const fn judged(&self) -> usize {
         self.judged
@@ -321,7 +321,7 @@ impl<'t> Replay<'t> {
         self.lost
     }
 
-    /// What was found so far.
+    /// The verdict on the steps that were replayed so far. A difference from the recording stays in it.
     #[must_use]
     pub const fn verdict(&self) -> Verdict {
         if let Some(broken) = self.broken {

@@ -8,9 +8,9 @@
 use crate::sync::plant::{Plants, Sound};
 use crate::sync::{AtomicBool, Ordering};
 
-/// How a leading thread is called back from its wait in the link.
+/// How another thread wakes the leader from its wait in the link.
 pub(crate) trait Away {
-    /// The thread goes away: from now on the waker wakes it. False if it was called already.
+    /// The thread is about to wait in the link: from now on a call wakes it there. False if it was called already.
     fn go_away(&self) -> bool;
 
     /// The thread is back. False if it was called meanwhile.
@@ -78,7 +78,7 @@ impl<P: Plants<Plant>> Lead<P> {
         let mut led = Led::ToTheEnd;
         while away.go_away() {
             let came = wait();
-            // After this, a thread that brings this thread's answer rings no bell.
+            // From here on, a thread that brings the leader's answer need not wake the leader.
             let called = !away.come_home();
             if called && self.plant.has(Plant::LeavesBlindly) {
                 led = Led::Called;

@@ -71,9 +71,9 @@ pub enum Refusal {
         "the node was built from other frame types (schema {node:08x}, this program {monitor:08x}): use programs of one release"
     )]
     OtherSchema {
-        /// The node's schema.
+        /// The checksum of the node's frame types: its [`SCHEMA`].
         node: u32,
-        /// The monitor's schema.
+        /// The checksum of the monitor's frame types: its [`SCHEMA`].
         monitor: u32,
     },
     /// The node already serves its maximum number of monitors.

@@ -13,18 +13,18 @@ use std::cmp::Reverse;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Inputs between two states that are kept to return to.
+/// Inputs between two kept states, from which another rounding can be tried.
 const KEEP_EVERY: usize = 32;
-/// Inputs to go back for another rounding.
+/// How many of the last inputs may have their times rounded otherwise.
 const BACK: usize = 400;
-/// Inputs that a rounding must lead beyond the place where the model was stuck.
+/// A rounding is adopted at once if the model then follows this many inputs past the one at which it was stuck.
 const BEYOND: usize = 12;
 
-/// The most roundings that are combined to get on, and how many of the best trials are continued with another one.
+/// The most roundings that one search combines, and how many of its best trials it continues with another rounding.
 const DEEP: usize = 4;
 const WIDTH: usize = 3;
 
-/// The result of one rounding.
+/// How far the model follows the run after one time was rounded otherwise.
 struct Trial {
     follower: Follower,
     rounded: (usize, usize),
@@ -92,8 +92,8 @@ impl Guide {
         }
     }
 
-    /// Tries other roundings of earlier times; returns whether one leads on. If none leads far, the best of them may need a
-    /// second one.
+    /// Rounds earlier times otherwise until the model can follow the run past `stuck`; returns whether it can. If no single
+    /// rounding leads [`BEYOND`] inputs further, the best trials are continued with a second one.
     fn round_otherwise(&mut self, stuck: &Unexplained, deep: usize) -> Result<bool, String> {
         let mut better = self.trials(stuck)?;
         if better.first().is_some_and(|trial| trial.led) {
@@ -116,13 +116,13 @@ impl Guide {
         Ok(false)
     }
 
-    /// Goes on from a trial, and drops the kept states that already contain the time that is rounded otherwise.
+    /// Continues from a trial. Drops the kept states that already contain the input whose time is rounded otherwise.
     fn adopt(&mut self, follower: Follower, rounded: (usize, usize)) {
         self.kept.retain(|kept| !kept.done.contains(&rounded));
         self.at = follower;
     }
 
-    /// Tries other roundings. Returns all that get further, or only the first one that gets far.
+    /// Tries other roundings. Returns all trials that follow more inputs, or only the first that follows [`BEYOND`] more.
     fn trials(&self, stuck: &Unexplained) -> Result<Vec<Trial>, String> {
         let reached = self.at.done.len();
         let node = self.at.node_of(stuck.task);

@@ -7,7 +7,7 @@
 //!              the same of it
 //! ```
 //!
-//! What is wider than in [`check_cell`](super::check_cell):
+//! The model allows more here than in [`check_cell`](super::check_cell):
 //! - a packet may arrive at any time after it was sent, again, or never; the caller measures and counts how long packets took;
 //! - an action ends at any tick from its least time on, with any result; later than its most time it counts as
 //!   [`Followed::late`];

@@ -16,12 +16,12 @@ pub struct Run {
     pub whole: Vec<bool>,
 }
 
-/// The result of following a run.
+/// What the model found when it followed a recorded run.
 #[derive(Clone, Debug, Default)]
 pub struct Followed {
     /// Moves that the model made.
     pub moves: u64,
-    /// Inputs of tasks that were followed.
+    /// Recorded inputs that the model could take as the run did.
     pub inputs: u64,
     /// Script steps in which the model and the run agree.
     pub turns: u64,
@@ -35,14 +35,14 @@ pub struct Followed {
     pub late: Vec<Late>,
     /// Guessed moves of killed nodes, which no recording has.
     pub guessed: u64,
-    /// Number of times that were not rounded down to their tick, but otherwise.
+    /// How many recorded times were not rounded down to their tick, but otherwise.
     pub rounded: u64,
     /// Action results that the checker does not try.
     pub other_values: u64,
     /// The first event that the model cannot explain.
     pub unexplained: Option<Unexplained>,
-    /// Whether other roundings of times might explain it, because not all were tried: shortly before, a node acted too late, or
-    /// two inputs came too close together.
+    /// Whether a rounding that was not tried might explain that event: shortly before it a node acted too late, or two inputs
+    /// came too close together.
     pub unsure: bool,
     /// The budget that ended the search for roundings, if one did.
     pub ended_by: Option<String>,

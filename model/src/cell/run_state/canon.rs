@@ -75,7 +75,7 @@ impl RunState {
             // The first byte of the cell state is 0 without a violation, so the marker may replace it.
             out[at] = TICK_VALUES;
             let tick_values = Encode::bytes(&frame, |w| {
-                self.tick_values.iter_mut().for_each(|tick_values| tick_values.walk(w))
+                self.tick_values.iter_mut().for_each(|tick_values| tick_values.walk(w));
             });
             out.splice(at + 1..at + 1, tick_values.map_err(|_| Violation::Overflow)?);
         }

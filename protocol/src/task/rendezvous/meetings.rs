@@ -52,7 +52,7 @@ impl Meetings {
         Some((done, released.map(|finished| left(meeting, finished))))
     }
 
-    /// The task reaches a waitfor. Returns the end of the wait if the task is released at once.
+    /// The task reaches a waitfor. If the task is released at once, returns how its wait ended.
     pub fn reach(
         &mut self,
         step: &mut Step<'_, impl Outbox>,

@@ -82,7 +82,7 @@ fn waiting(inboxes: &[Inbox], form: Form, at: usize) -> Vec<Waiting> {
             held.arrival = queue.iter().filter(|(_, other)| before(other)).count() as u64;
         }
         if retry.rejections > 0 {
-            // Its rank among all waiting messages of the task.
+            // Its place among the waiting messages of the task that were rejected, in the order of their first rejection.
             let queues = inboxes.iter().map(|inbox| &inbox.queue);
             let all = queues.flat_map(|queue| queue.iter().map(|(slot, _)| queue.side(slot)));
             let before =
