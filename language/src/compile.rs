@@ -77,11 +77,10 @@ pub fn compile_with(source: &Source, options: Options) -> Compiled {
     Compiled { hir: None, diagnostics, unchecked: Some(if syntax { NAMES_AND_TIMES } else { TIMES }) }
 }
 
-const NOTHING_ELSE: &str = "names, types, behaviour and times were not checked: mend this first";
-const NAMES_AND_TIMES: &str =
-    "names, types, behaviour and times were checked only where these errors leave no doubt: mend them first";
+const NOTHING_ELSE: &str = "names, types, behaviour and times were not checked: correct this first";
+const NAMES_AND_TIMES: &str = "names, types, behaviour and times were checked only where these errors leave no doubt: correct them first";
 const TIMES: &str =
-    "behaviour and times were checked only where these errors leave no doubt: mend them first";
+    "behaviour and times were checked only where these errors leave no doubt: correct them first";
 
 fn has_error(diagnostics: &[Diagnostic]) -> bool {
     diagnostics.iter().any(|found| found.severity == Severity::Error)

@@ -10,7 +10,7 @@ type Row = (&'static [&'static str], &'static str);
 
 /// The diagnostic for a line that begins with an unknown word, which is told as `shown`. `follows` is the token behind it.
 pub(crate) fn unknown_statement(name: &str, shown: &str, span: Span, follows: Option<Kind>) -> Diagnostic {
-    let found = Diagnostic::error(MISSPELT, span, format!("`{shown}` begins no statement"));
+    let found = Diagnostic::error(MISSPELT, span, format!("`{shown}` does not begin a statement"));
     match follows {
         // `n++;` and `n--;`: what changes a variable is an assignment.
         Some(sign @ (Kind::Plus | Kind::Link)) => {
@@ -24,7 +24,7 @@ pub(crate) fn unknown_statement(name: &str, shown: &str, span: Span, follows: Op
             }
             (None, true) => found.help(format!("an action is carried out by `run {shown}`")),
             (None, false) => {
-                found.help("a statement begins with a word like `send`, or is `variable := value`")
+                found.help("a statement begins with a keyword like `send`, or is `variable := value`")
             }
         },
     }
@@ -38,7 +38,7 @@ fn statement(word: &str) -> Option<&'static str> {
 /// What to write where a declaration is expected, and this word stands there.
 pub(crate) fn declaration(word: &str) -> &'static str {
     find(DECLARATIONS, word).unwrap_or(
-        "begin with the word of a declaration: `node n1;`, `task arm on n1 ..`; statements belong into a task",
+        "begin with the keyword of a declaration: `node n1;`, `task arm on n1 ..`; statements belong into a task",
     )
 }
 
@@ -102,7 +102,7 @@ const STATEMENTS: &[Row] = &[
     (&["idisable", "ienable", "critical", "synchronized"], "`atomic ... end;` keeps handlers out"),
     (
         &["lock", "unlock", "mutex", "semaphore", "acquire", "release"],
-        "one task owns what others need; they ask it: `query p() -> ok on time_out do ... end;`",
+        "one task owns what other tasks need; they ask it: `query p() -> ok on time_out do ... end;`",
     ),
     (
         &["publish", "emit", "put"],
@@ -135,7 +135,7 @@ const DECLARATIONS: &[Row] = &[
     ),
     (
         &["import", "include", "using", "package", "module"],
-        "a cell is one file; a module is said of a task: `task arm on n1 module arms`",
+        "a cell is one file; a module is declared at a task: `task arm on n1 module arms`",
     ),
     (&["struct", "record", "typedef", "dut"], "`type Pose is record x: int16; end;` declares a record"),
     (

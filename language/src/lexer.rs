@@ -287,7 +287,7 @@ fn token(kind: Kind, text: &str, span: Span, report: &mut Report) -> Kind {
         Kind::Foreign if matches!(text, "+=" | "-=" | "*=") => {
             let sign = &text[..1];
             report.push(|| {
-                Diagnostic::error(OPERATOR, span, format!("`{text}` is no assignment here"))
+                Diagnostic::error(OPERATOR, span, format!("`{text}` is not an assignment here"))
                     .help(format!("write `n := n {sign} ..`"))
             });
             Kind::Assign

@@ -351,9 +351,9 @@ fn said(signal: &Signal, ports: &[String], timers: &[String]) -> Option<String> 
     match signal {
         Signal::Outcome(Outcome::Reply(_)) => Some("gets the answer".into()),
         Signal::Outcome(Outcome::Refused) => Some("is refused".into()),
-        Signal::Outcome(Outcome::PeerRestarted) => Some("hears of the restart".into()),
+        Signal::Outcome(Outcome::PeerRestarted) => Some("gets notice of the restart".into()),
         Signal::Interrupt(Call::Message(delivery)) => Some(match ports.get(delivery.from.port.index()) {
-            Some(name) => format!("{name} comes, its handler runs"),
+            Some(name) => format!("{name} arrives, its handler runs"),
             None => "is interrupted".into(),
         }),
         Signal::Interrupt(Call::Timer(timer)) => Some(match timers.get(usize::from(timer.0)) {
@@ -362,7 +362,7 @@ fn said(signal: &Signal, ports: &[String], timers: &[String]) -> Option<String> 
         }),
         // The event before it says that the task is fenced or takes over.
         Signal::Interrupt(Call::Fenced | Call::TakeOver(_)) => Some("is interrupted".into()),
-        Signal::Fault(fault) => Some(format!("is told: {fault}")),
+        Signal::Fault(fault) => Some(format!("gets an error: {fault}")),
         _ => None,
     }
 }

@@ -28,7 +28,7 @@ impl std::fmt::Display for ExplorerError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::NotLoopback(address) => {
-                write!(f, "{address} can be reached by others: serve 127.0.0.1:PORT or [::1]:PORT")
+                write!(f, "other machines can reach {address}: serve 127.0.0.1:PORT or [::1]:PORT")
             }
             Self::NothingToExplore => {
                 f.write_str("this claim is settled without a search: there is nothing to explore")

@@ -36,7 +36,7 @@ fn two_that_poll_for_what_the_other_has_are_told_at_any_times() {
         let (_, verdicts) = checked(ZONES, |cell| cell.plan.times = times);
         assert_eq!(
             causes(&verdicts),
-            ["a and b go on for ever, and nothing comes further any more"],
+            ["a and b go on for ever, and no task makes progress any more"],
             "{times:?}"
         );
         let warning = &verdicts.warnings[0];
@@ -54,7 +54,7 @@ fn one_that_polls_for_what_a_dead_one_has_is_told_and_no_fault_free_run() {
     let (_, verdicts) = checked(&in_order(), |_| ());
     assert_eq!(causes(&verdicts), [""; 0], "each has its turn");
     let (cell, verdicts) = checked(&in_order(), |cell| cell.plan.faults.push(dead()));
-    assert_eq!(causes(&verdicts), ["b goes on for ever, and nothing comes further any more"]);
+    assert_eq!(causes(&verdicts), ["b goes on for ever, and no task makes progress any more"]);
     let warning = &verdicts.warnings[0];
     assert!(warning.moves.iter().any(|step| matches!(step, CellMove::Crash(0))));
     assert!(!warning.moves.iter().any(|step| matches!(step, CellMove::Restart(_))), "it stays down");
@@ -101,7 +101,7 @@ fn what_nobody_waits_for_and_what_still_changes_is_no_standstill() {
     let never = "order ask > self;
   on query ask(k) do response(false); end;";
     let (_, verdicts) = checked(&two(never, ASKS), |_| ());
-    assert_eq!(causes(&verdicts), ["b goes on for ever, and nothing comes further any more"]);
+    assert_eq!(causes(&verdicts), ["b goes on for ever, and no task makes progress any more"]);
 }
 
 /// Members that give up alone for ever overflow their packed state, and an incomplete search reports no standstill.
@@ -153,5 +153,5 @@ fn a_task_is_named_for_what_it_does_there_and_not_for_what_it_did_before() {
     let never = "order ask > self;
   on query ask(k) do response(false); end;";
     let (_, verdicts) = checked(&meet(never), |_| ());
-    assert_eq!(causes(&verdicts), ["b goes on for ever, and nothing comes further any more"]);
+    assert_eq!(causes(&verdicts), ["b goes on for ever, and no task makes progress any more"]);
 }

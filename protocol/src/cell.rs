@@ -495,7 +495,7 @@ impl fmt::Display for CellError {
             }
             Self::CannotBeServed { port, per, least } => write!(
                 f,
-                "port `{port}`: its rate cannot be served: so many messages in {per} ticks keep their sender for {least} (the way there and back each): lower its rate"
+                "port `{port}`: its rate cannot be served: so many messages in {per} ticks block their sender for {least} (the links there and back each): lower its rate"
             ),
             Self::OtherClass(port, task) => {
                 write!(f, "`{task}` uses port `{port}` with another class than its owner: leave it out")
@@ -514,11 +514,11 @@ impl fmt::Display for CellError {
             }
             Self::MarginTooLong { port, time_out, least } => write!(
                 f,
-                "waitfor `{port}`: time_out {time_out} must exceed {least} ticks (safety margin and way), or nobody is ever released"
+                "waitfor `{port}`: time_out {time_out} must exceed {least} ticks (the margin and the links), or no task is ever released"
             ),
             Self::NotForHeartbeats(port) => write!(
                 f,
-                "port `{port}` cannot carry beats: it must join the two tasks of the couple alone, the standby with usage query, the primary with usage response"
+                "port `{port}` cannot carry heartbeats: it must join the two tasks of the couple alone, the standby with usage query, the primary with usage response"
             ),
             Self::CoupledTwice(couple) => {
                 write!(f, "couple `{couple}`: one of its tasks is in another couple already")
@@ -529,11 +529,11 @@ impl fmt::Display for CellError {
             ),
             Self::NoRoomForEpoch(port) => write!(
                 f,
-                "port `{port}` acts under a couple's lease, and its epoch travels in messages of one packet only: not in several, in answers for others or in beats"
+                "port `{port}` acts under a couple's lease, and its epoch travels in messages of one packet only: not in several, in answers for others or in heartbeats"
             ),
             Self::LeaseTooShort { couple, lease, least } => write!(
                 f,
-                "couple `{couple}`: lease {lease} must be at least {least} ticks (two periods of the beats, the way and a tick), or it ends before it is renewed"
+                "couple `{couple}`: lease {lease} must be at least {least} ticks (two heartbeat periods, the link delay and a tick), or it ends before it is renewed"
             ),
             Self::TakeoverTooSoon { couple, takeover, least } => write!(
                 f,

@@ -353,7 +353,7 @@ impl fmt::Display for Fault {
             Self::NotInterrupted => "no handler runs",
             Self::Fenced => "the task does not hold the lease that the port needs",
             Self::NothingToAnswer => "no message waits for an answer",
-            Self::Late => "the execution budget has ended, nobody waits for the answer any more",
+            Self::Late => "the execution budget has ended, and the sender waits no longer",
         })
     }
 }

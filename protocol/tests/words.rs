@@ -102,7 +102,7 @@ fn a_time_out_that_the_way_uses_up_is_told_with_the_least_that_does() {
     let meeting = port("p", Usage::Waitfor).resend(Ticks(6), 0);
     let told = apart(20, meeting).join("; ");
     assert!(told.starts_with("waitfor `p`: time_out 20 must exceed "), "{told}");
-    assert!(told.ends_with(" ticks (safety margin and way), or nobody is ever released"), "{told}");
+    assert!(told.ends_with(" ticks (the margin and the links), or no task is ever released"), "{told}");
     let unreachable = said(|c| {
         c.tasks[1].node = c.node("island");
         c.port(command);
@@ -148,7 +148,7 @@ fn a_couple_that_both_may_act_in_is_told() {
         c.couples[0].via = other;
     });
     assert!(
-        heartbeats.starts_with("port `else` cannot carry beats: it must join the two tasks"),
+        heartbeats.starts_with("port `else` cannot carry heartbeats: it must join the two tasks"),
         "{heartbeats}"
     );
     let guarded = with(|c| {

@@ -68,7 +68,7 @@ fn no_verb_writes_over_a_file_unasked() {
         std::fs::write(&path, "somebody's").expect("written");
         let refused = run(&[]);
         let said =
-            format!("{path}: there is a file of this name: name another one, or say --force to replace it");
+            format!("{path}: there is a file of this name: name another one, or give --force to replace it");
         assert!(refused.code == Some(2) && refused.out.is_empty(), "{refused:?}");
         assert!(refused.err.contains(&said), "{refused:?}");
         assert_eq!(std::fs::read_to_string(&path).expect("text"), "somebody's");

@@ -64,7 +64,7 @@ impl Names<'_> {
                 format!("released from round {}: all arrived", round.0)
             }
             Signal::Released { round, by: ReleasedBy::Confirm(task), .. } => {
-                format!("released from round {}: word of {}", round.0, self.task(task))
+                format!("released from round {}: CONFIRM of {}", round.0, self.task(task))
             }
             Signal::GaveUp { port, round, missing } => {
                 format!("gave up round {}, missing {}", round.0, self.parties(port, missing))

@@ -32,10 +32,10 @@ pub enum FileError {
     #[error("not a text in UTF-8")]
     NotText,
     /// It holds a secret, and users other than its owner can read it.
-    #[error("others can read it (mode {0:03o}): make it yours alone with `chmod 600`")]
+    #[error("other users can read it (mode {0:03o}): make it yours alone with `chmod 600`")]
     NotPrivate(u32),
     /// The name exists, and its contents would be lost.
-    #[error("there is a file of this name: name another one, or say --force to replace it")]
+    #[error("there is a file of this name: name another one, or give --force to replace it")]
     Exists,
     /// The operating system refused.
     #[error(transparent)]

@@ -34,11 +34,11 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
                 );
             } else if unanswered::forgets(&handler.body, &handler.captures, Question::OfHandler) {
                 let message =
-                    format!("a message of `{name}` is not answered on every way through its handler");
+                    format!("a message of `{name}` is not answered on every path through its handler");
                 found.push(
                     Diagnostic::warning(NOT_ALWAYS_ANSWERED, handler.span, message)
                         .label(format!("may end without `{word}(..)`"))
-                        .help("answer on every way, or the sender waits until its time_out"),
+                        .help("answer on every path, or the sender waits until its time_out"),
                 );
             }
         }
@@ -84,9 +84,9 @@ fn unasked(
         let message = format!("nothing is known of `{}` here", port.name);
         found.push(
             Diagnostic::error(STATEMENT, span, message)
-                .label("no statement of this body or handler asks or meets there")
+                .label("no statement of this body or handler asks or waits there")
                 .also(port.span, "the port")
-                .help("keep what was told in a variable, where it was heard, and look at that"),
+                .help("keep the value in a variable where it arrives, and read that variable"),
         );
     }
 }

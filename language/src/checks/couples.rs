@@ -54,18 +54,22 @@ fn heartbeats(hir: &Hir, couple: &Couple, [primary, standby]: [TaskId; 2], found
         found.push(
             Diagnostic::warning(TELLS_NOBODY, span, message)
                 .label(label)
-                .also(couple.span, format!("`{from}` answers the beats, `{to}` only asks"))
+                .also(couple.span, format!("`{from}` answers the heartbeats, `{to}` only asks"))
                 .help("write `<->` if they change roles, or remove this"),
         );
     };
     walk::of_task(task(hir, standby), &mut |statement| {
         if matches!(statement.kind, StatementKind::Publish { .. }) {
-            say(statement.span, format!("nobody hears what `{to}` publishes"), "carried by no beat");
+            say(statement.span, format!("no task reads what `{to}` publishes"), "no heartbeat carries it");
         }
     });
     walk::of_task(task(hir, primary), &mut |statement| {
         if matches!(statement.kind, StatementKind::Published { .. }) {
-            say(statement.span, format!("`{to}` tells `{from}` nothing"), "there is never anything to read");
+            say(
+                statement.span,
+                format!("`{to}` publishes nothing to `{from}`"),
+                "no value ever arrives here",
+            );
         }
     });
 }
@@ -167,7 +171,7 @@ fn ends(hir: &Hir, couple: &Couple, [primary, standby]: [TaskId; 2], found: &mut
     {
         return;
     }
-    let message = format!("`{}` comes to its end: then `{}` loses its lease", standby.name, primary.name);
+    let message = format!("the body of `{}` ends: then `{}` loses its lease", standby.name, primary.name);
     found.push(
         Diagnostic::warning(STANDBY_ENDS, standby.span, message)
             .label("its body ends without an endless `loop`")

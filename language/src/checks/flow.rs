@@ -20,7 +20,7 @@ fn unreachable(statements: &[Statement], found: &mut Vec<Diagnostic>) {
             StatementKind::Abort(_) => "the task ends here",
             StatementKind::Exit => "the loop is left here",
             StatementKind::Loop(_) | StatementKind::While(..) => "this loop has no `exit`",
-            _ => "no way leads out of this",
+            _ => "no path leads out of this",
         };
         found.push(
             Diagnostic::warning(UNREACHABLE, next.span, "this statement is never reached")

@@ -73,12 +73,12 @@ fn on_no_condition(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnosti
     let Some(&one) = always.first() else { return };
     for (member, place) in sometimes {
         let (name, other) = (&task(hir, member).name, &task(hir, one).name);
-        let message = format!("`{name}` meets at `{}` on a condition, `{other}` always", port.name);
+        let message = format!("`{name}` reaches `{}` only under a condition, `{other}` always", port.name);
         found.push(
             Diagnostic::warning(CONDITIONAL, place, message)
                 .label("not reached where the condition is false")
                 .also(port.span, "the port")
-                .help("put the condition behind the meeting, or tell it to all members first"),
+                .help("put the condition behind the `waitfor`, or send it to all members first"),
         );
     }
 }
@@ -94,7 +94,7 @@ fn can_give_up(hir: &Hir, found: &mut Vec<Diagnostic>) {
             let message = format!("`waitfor {name}` without `on time_out`");
             found.push(
                 Diagnostic::error(NO_TIME_OUT, statement.span, message)
-                    .label("what if somebody does not come?")
+                    .label("what if a member does not arrive?")
                     .help("add `on time_out do .. end`"),
             );
         });
@@ -134,5 +134,5 @@ fn crossed(hir: &Hir, orders: &[Order], ring: &[usize], found: &mut Vec<Diagnost
     let Some((last, first)) = steps.split_last() else { return };
     let report = Diagnostic::error(WAITFOR_ORDER, last.2, message).label("here it waits for the others");
     let report = first.iter().fold(report, |report, step| report.also(step.2, "while they wait here"));
-    found.push(report.help("let all come to them in one order"));
+    found.push(report.help("let all members reach them in one order"));
 }

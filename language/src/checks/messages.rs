@@ -127,11 +127,7 @@ fn has_room(hir: &Hir, port: &Port, found: &mut Vec<Diagnostic>) {
         format!("bounded_buffer[{room}] of `{}` with {number} senders may refuse messages", port.name);
     found.push(
         Diagnostic::warning(FULL, port.buffer_span.unwrap_or(port.span), message)
-            .label(if port.buffer_span.is_some() {
-                "too small"
-            } else {
-                "bounded_buffer[1] where none is said"
-            })
+            .label(if port.buffer_span.is_some() { "too small" } else { "bounded_buffer[1] by default" })
             .help(format!("write `bounded_buffer[{number}]`: one place for each sender")),
     );
 }
@@ -161,7 +157,7 @@ fn has_time(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
             time(length)
         );
         let (label, help) = if by_handler {
-            ("no handler comes in between: it is `atomic`", "end the `atomic` in front of it".to_owned())
+            ("no handler interrupts it: it is `atomic`", "end the `atomic` in front of it".to_owned())
         } else {
             (
                 "no message is taken meanwhile",
@@ -197,12 +193,17 @@ fn longest(task: &Task, in_atomic: bool) -> Option<(String, u64, crate::Span)> {
 fn penalty(port: &Port, paper: bool, found: &mut Vec<Diagnostic>) {
     let (Some((length, literal)), Some(ttl)) = (port.penalty, port.time_out) else { return };
     if literal && !paper {
-        let message = format!("`penalty = paper` of `{}` lengthens the life of what is rejected", port.name);
+        let message =
+            format!("`penalty = paper` of `{}` extends the remaining time of rejected messages", port.name);
         found.push(
             Diagnostic::warning(LITERAL_PENALTY, length.span, message)
-                .label(format!("each rejection adds {} to a life of {}", time(length.usec), time(ttl.usec)))
+                .label(format!(
+                    "each rejection adds {} to a time_out of {}",
+                    time(length.usec),
+                    time(ttl.usec)
+                ))
                 .help(format!(
-                    "write `penalty = {}`: what is rejected rises in rank (D4)",
+                    "write `penalty = {}`: rejected messages then rise in rank (D4)",
                     time(length.usec)
                 )),
         );
@@ -211,7 +212,7 @@ fn penalty(port: &Port, paper: bool, found: &mut Vec<Diagnostic>) {
         let message = format!("penalty {penalty} x 1 rejection >= time_out {ttl} of `{}`", port.name);
         found.push(
             Diagnostic::warning(LONG_PENALTY, length.span, message)
-                .label("longer than a message lives: it is cut to half of what is left")
+                .label("longer than the time_out: it is cut to half of the remaining time")
                 .help("write a penalty of a few ticks, far below the time_out"),
         );
     }
@@ -253,7 +254,7 @@ fn asking(hir: &Hir, calls: &[Call], ring: &[usize], found: &mut Vec<Diagnostic>
         text.push_str(&format!(" -{}-> `{}`", hir.ports[port.index()].name, task(hir, *to).name));
     }
     let report = Diagnostic::error(RING, first.3, format!("ring of blocking calls: {text}"))
-        .label("waits for an answer that nobody gives while all ask");
+        .label("waits for an answer that no task gives while all ask");
     let report = others.iter().fold(report, |report, call| report.also(call.3, "waits, too"));
     found.push(report.help("answer with a handler (`on query ..`): it runs while its task waits"));
 }
@@ -296,8 +297,7 @@ fn unprepared(hir: &Hir, id: TaskId, statement: &Statement, found: &mut Vec<Diag
         return;
     }
     let what = if port.usage_of(id) == Some(Usage::Query) { "query" } else { "class-2 send" };
-    let message =
-        format!("{what} `{}` without `on time_out`: the task ends where no answer comes", port.name);
+    let message = format!("{what} `{}` without `on time_out`: the task ends if no answer comes", port.name);
     found.push(
         Diagnostic::warning(UNPREPARED, statement.span, message)
             .label("no branch")

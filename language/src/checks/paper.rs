@@ -22,7 +22,7 @@ pub(crate) fn paper(file: &File, source: &Source) -> Vec<Diagnostic> {
             _ => "remove it, or leave `--paper` out",
         };
         found.push(
-            Diagnostic::error(NOT_IN_THE_PAPER, span, format!("`{word}` is no word of the paper"))
+            Diagnostic::error(NOT_IN_THE_PAPER, span, format!("`{word}` is not a keyword of the paper"))
                 .label("not under `--paper`")
                 .help(help),
         );

@@ -46,11 +46,11 @@ fn busy<'h>(hir: &Hir, task: &'h Task) -> Option<&'h Statement> {
 fn note(hir: &Hir, task: &Task, port: PortId, at: (crate::Span, &Statement)) -> Diagnostic {
     let (head, busy) = at;
     let name = &hir.ports[port.index()].name;
-    let message = format!("`{}` has no `order`: its handlers rank behind what it does itself", task.name);
+    let message = format!("`{}` has no `order`: its handlers rank behind the task itself", task.name);
     let how = if hir.paper {
         "its messages wait until this is over, whatever their time_out"
     } else {
-        "its messages are turned away once before they come in here"
+        "its messages are rejected once before its handler interrupts this"
     };
     Diagnostic::note(UNRANKED, head, message)
         .label(format!("behind `self`, as `order self > {name}` says"))

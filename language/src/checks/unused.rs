@@ -32,11 +32,11 @@ fn nothing(hir: &Hir, id: TaskId, found: &mut Vec<Diagnostic>) {
         joined && port.peers(id).any(|peer| uses(hir, port_id, peer) && !task_is_sender(port, id))
     });
     let Some((_, port)) = asked else { return };
-    let message = format!("`{}` does nothing, but `{}` is used by others", task.name, port.name);
+    let message = format!("`{}` does nothing, but other tasks use `{}`", task.name, port.name);
     found.push(
         Diagnostic::warning(DOES_NOTHING, task.span, message)
             .label("no statement and no handler")
-            .also(port.span, "others count on it here")
+            .also(port.span, "other tasks depend on it here")
             .help("say what it does, or take it out of the `user_list`"),
     );
 }
@@ -67,7 +67,7 @@ fn port(hir: &Hir, id: PortId, found: &mut Vec<Diagnostic>) {
     }
     let what = if port.usage == Usage::Waitfor { "waits at" } else { "sends on" };
     found.push(
-        Diagnostic::warning(UNUSED_PORT, port.span, format!("nobody {what} port `{}`", port.name))
+        Diagnostic::warning(UNUSED_PORT, port.span, format!("no task {what} port `{}`", port.name))
             .label("never used")
             .help("remove it, or use it"),
     );

@@ -39,7 +39,7 @@ impl Mapping<'_> {
             CellError::SequenceWraps(port) => {
                 let at = self.port(port).and_then(|port| port.rate).map(|(_, per)| per.span);
                 let at = at.unwrap_or_else(|| self.port_span(port));
-                let message = format!("message numbers of `{port}` may repeat within its life");
+                let message = format!("message numbers of `{port}` may repeat within its time_out");
                 Diagnostic::error(WRAPS, at, message)
                     .label(self.numbers(port))
                     .also(self.port_span(port), "the port")
@@ -48,7 +48,7 @@ impl Mapping<'_> {
             CellError::Unreachable(port, a, b) => {
                 let message = format!("port `{port}` joins `{a}` and `{b}`, but no links join their nodes");
                 Diagnostic::error(NO_LINK, self.port_span(port), message)
-                    .label("no way of at most 8 links")
+                    .label("no route of at most 8 links")
                     .also(self.task_span(a), "one task")
                     .also(self.task_span(b), "the other")
                     .help("add `link .. -- .. delay ..;`")
@@ -94,15 +94,15 @@ impl Mapping<'_> {
         let (message, label) = if waitfor {
             (
                 format!(
-                    "nobody is ever released from `{name}`: its time_out of {has} is used up by its margin"
+                    "no task is ever released from `{name}`: its time_out of {has} is used up by its margin"
                 ),
-                format!("must exceed {needs}: the margin for lost packets, and the way"),
+                format!("must exceed {needs}: the margin for lost packets, and the link delays"),
             )
         } else {
             // This error comes only in ticks of the model: in microseconds the checks report it first, with more detail.
             (
                 format!("deadline cannot be met: `{name}` takes {needs}, its time_out is {has}"),
-                format!("must exceed {needs}: the links on its way, in ticks"),
+                format!("must exceed {needs}: the links on its route, in ticks"),
             )
         };
         let enough = self.hir.ports.iter().position(|port| port.name == name);
@@ -142,15 +142,15 @@ impl Mapping<'_> {
         Diagnostic::error(RATE, at, message)
             .label(format!("in {}, but there and back they take {}", self.time(per), self.time(least)))
             .also(self.port_span(name), "the port")
-            .help("lower the rate: a class-2 message keeps its sender for the way there and back")
+            .help("lower the rate: a class-2 message blocks its sender for the link delays there and back")
     }
 
     fn lease(&self, couple: &str, lease: Ticks, least: Ticks) -> Diagnostic {
         let (has, needs) = (self.time(lease), self.time(least));
         let at = self.work(couple).map_or_else(|| self.couple_span(couple), |(lease, _)| lease);
         Diagnostic::error(LEASE_TOO_SHORT, at, format!("lease {has} ends before it is renewed"))
-            .label(format!("must reach {needs}: two periods of the beats, the way and a tick"))
-            .help(format!("give it {needs}, or let the beats come more often"))
+            .label(format!("must reach {needs}: two heartbeat periods, the link delay and a tick"))
+            .help(format!("give it {needs}, or shorten the period of the heartbeats"))
     }
 
     fn takeover(&self, couple: &str, takeover: Ticks, least: Ticks) -> Diagnostic {

@@ -171,9 +171,9 @@ impl<'h> Writer<'h, '_> {
         if ranked.len() > ServiceOrder::LEVELS {
             let message =
                 format!("an order of {} levels; at most {} are kept", ranked.len(), ServiceOrder::LEVELS);
-            let found = Diagnostic::error(ORDER, self.emit.at, message).label("too many").help(
-                "a port whose silence is waited for takes two; what is not named comes last, all alike",
-            );
+            let found = Diagnostic::error(ORDER, self.emit.at, message)
+                .label("too many")
+                .help("a port with `on silence` takes two; what is not named ranks last, all equal");
             return self.errors.push(found);
         }
         self.emit.builder.order(&ranked);

@@ -136,11 +136,8 @@ pub(super) fn durations<'t>(text: &'t str) -> impl Part<'t, (Duration, Duration)
 fn length(number: &str, unit: u64, span: Span) -> Result<Duration, Box<Diagnostic>> {
     let number = digits(number);
     let wrong = |message: &str| Diagnostic::error(NUMBER, span, message);
-    let too_long = || {
-        Box::new(
-            wrong("this time is too long to be told").help("write a shorter one: years are never waited for"),
-        )
-    };
+    let too_long =
+        || Box::new(wrong("this time is too long").help("write a shorter one: years are never waited for"));
     if let Ok(whole) = number.parse::<u64>() {
         let usec = whole.checked_mul(unit).ok_or_else(too_long)?;
         return Ok(Duration { usec, span });

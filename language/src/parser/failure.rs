@@ -182,7 +182,7 @@ pub(super) fn misspelt(span: Span, text: &str, word: Word) -> Diagnostic {
 
 /// The diagnostic for a reserved keyword in place of a name.
 pub(super) fn reserved(span: Span, text: &str) -> Diagnostic {
-    let message = format!("`{text}` is a word of the language: choose another name");
+    let message = format!("`{text}` is a keyword: choose another name");
     Diagnostic::error(RESERVED, span, message)
         .label("a name is expected here")
         .help(format!("write another name, such as `{text}_1`"))

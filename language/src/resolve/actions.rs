@@ -51,7 +51,7 @@ impl<'a> Thread<'_, 'a> {
                 self.report(
                     Diagnostic::error(super::ARGUMENTS, second.span, "an action has one result")
                         .label("one too many")
-                        .help("let the others come from actions of their own: `run x -> a; run y -> b;`"),
+                        .help("get the others from actions of their own: `run x -> a; run y -> b;`"),
                 );
                 return None;
             }

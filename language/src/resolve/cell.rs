@@ -98,7 +98,7 @@ impl<'a> Resolver<'a> {
             let fits = u16::try_from(port.value).ok().filter(|&port| port > 0);
             if fits.is_none() {
                 self.report(
-                    Diagnostic::error(OPTION, port.span, format!("{} is no UDP port", port.value))
+                    Diagnostic::error(OPTION, port.span, format!("{} is not a UDP port", port.value))
                         .label("1 to 65535")
                         .help("leave `port` out for one of its own choice, or write a free port"),
                 );
@@ -269,7 +269,7 @@ impl<'a> Resolver<'a> {
             self.report(
                 Diagnostic::error(OPTION, n.span, format!("{} faults are more than are tried", n.value))
                     .label("at most 255")
-                    .help("write how many shall be tried: one or two tell the most"),
+                    .help("write how many are tried: one or two show the most"),
             );
             u8::MAX
         })

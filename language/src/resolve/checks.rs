@@ -97,7 +97,7 @@ impl Cell<'_, '_> {
             let (message, label) = if declared.usage == Usage::Waitfor {
                 (format!("`{}` does not take part in `{}`", task.text, port.text), "never arrives")
             } else {
-                (format!("port `{}` is no waitfor", port.text), "nobody arrives there")
+                (format!("port `{}` is not a waitfor", port.text), "no task arrives there")
             };
             let found = Diagnostic::error(STATEMENT, span, message)
                 .label(label)
@@ -219,7 +219,7 @@ impl Leaves for Cell<'_, '_> {
         let (name, span) = special?;
         self.report(
             Diagnostic::error(TYPES, span, format!("`{name}` means nothing in a check"))
-                .label("a word of statements")
+                .label("a keyword of statements")
                 .help("keep it in a variable of the task, and look at that"),
         );
         Some(None)

@@ -120,15 +120,15 @@ impl<'a> Resolver<'a> {
             let bytes: usize = declared.answer.iter().map(|field| field.of.bytes()).sum();
             (bytes > SHORT).then(|| {
                 let message =
-                    format!("an answer of `{}` is {bytes} bytes; a beat carries {SHORT}", declared.name);
+                    format!("an answer of `{}` is {bytes} bytes; a heartbeat carries {SHORT}", declared.name);
                 Diagnostic::error(TOO_LONG, declared.span, message)
-                    .label("too long for a beat")
+                    .label("too long for a heartbeat")
                     .also(via.span, "its couple")
                     .help("publish less, and send the rest through another port")
             })
         } else {
             self.heartbeats_unknown = true;
-            let message = format!("port `{}` cannot carry the beats of `{a}` and `{b}`", declared.name);
+            let message = format!("port `{}` cannot carry the heartbeats of `{a}` and `{b}`", declared.name);
             Some(
                 Diagnostic::error(COUPLE, via.span, message)
                     .label("does not join these two alone")
@@ -150,13 +150,14 @@ impl<'a> Resolver<'a> {
                 Diagnostic::error(
                     TAKEOVER,
                     name.span,
-                    format!("`{}` takes over from `{primary}`, but does not say so", name.text),
+                    format!("`{}` takes over from `{primary}`, but does not declare it", name.text),
                 )
                 .label("a standby of a couple")
                 .help(format!("write `task {} on {} standby of {primary}`", name.text, declared.on.text)),
             ),
             (Some(of), None) => {
-                let message = format!("`{}` stands by for `{}`, but no couple says so", name.text, of.text);
+                let message =
+                    format!("`{}` stands by for `{}`, but no couple declares it", name.text, of.text);
                 Some(Diagnostic::error(TAKEOVER, of.span, message).label("without a lease").help(format!(
                     "add `couple work {} -> {} lease .. takeover .. every .. via ..;`",
                     of.text, name.text
@@ -164,7 +165,7 @@ impl<'a> Resolver<'a> {
             }
             (Some(of), Some(&(_, primary, _))) if of.text != primary => {
                 let message =
-                    format!("`{}` stands by for `{}`, its couple says `{primary}`", name.text, of.text);
+                    format!("`{}` stands by for `{}`, its couple declares `{primary}`", name.text, of.text);
                 Some(
                     Diagnostic::error(TAKEOVER, of.span, message)
                         .label("another task")
@@ -221,7 +222,7 @@ impl<'a> Resolver<'a> {
             let message =
                 format!("a message of `{}` is {bytes} bytes; under a lease it carries {GUARDED}", port.name);
             let found = Diagnostic::error(TOO_LONG, port.span, message)
-                .label("one packet, with the epoch of who acts")
+                .label("one packet, with the epoch of the active task")
                 .also(self.hir.couples[couple].span, "only this couple sends on it")
                 .help("send less at a time");
             self.report(found);

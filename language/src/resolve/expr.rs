@@ -327,7 +327,7 @@ const fn other_kind(wanted: Type) -> &'static str {
     match wanted {
         Type::Bool => "a number is compared to get a bool: `x <> 0`",
         Type::Int8 | Type::Int16 | Type::Int32 | Type::Word | Type::Real => {
-            "a bool is no number: write `if b then x := 1; else x := 0; end`"
+            "a bool is not a number: write `if b then x := 1; else x := 0; end`"
         }
     }
 }

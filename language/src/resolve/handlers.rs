@@ -69,7 +69,7 @@ impl<'a> Resolver<'a> {
         let right = match usage {
             Usage::Response => "write `on query`",
             Usage::Receive => "write `on receive`",
-            Usage::Send | Usage::Query | Usage::Reply | Usage::Waitfor => "nothing comes to this end",
+            Usage::Send | Usage::Query | Usage::Reply | Usage::Waitfor => "no message arrives at this end",
         };
         let declared = self.hir.ports[port.index()].span;
         let message = format!("`on {said}` of port `{}`, whose usage here is {usage}", name.text);
@@ -77,7 +77,7 @@ impl<'a> Resolver<'a> {
             Diagnostic::error(STATEMENT, name.span, message)
                 .label(right)
                 .also(declared, "the port")
-                .help("what comes is decided by the `usage` of this end of the port"),
+                .help("the `usage` of this end of the port decides which messages arrive"),
         );
         None
     }
@@ -157,7 +157,7 @@ impl<'a> Resolver<'a> {
             let message = format!("`on silence` of port `{}`, whose usage here is {usage}", name.text);
             self.report(
                 Diagnostic::error(STATEMENT, name.span, message)
-                    .label("always silent: nothing comes to this end")
+                    .label("always silent: no message arrives at this end")
                     .also(declared, "the port")
                     .help("name a port on which this task receives or responds"),
             );
@@ -179,7 +179,7 @@ impl<'a> Resolver<'a> {
             Some(Entity::Timer(timer)) => return Some(Trigger::Expiry(timer)),
             Some(Entity::Unknown) => {}
             Some(Entity::Plain(..) | Entity::Record { .. }) => self.report(
-                Diagnostic::error(TYPES, name.span, format!("`{}` is no timer", name.text))
+                Diagnostic::error(TYPES, name.span, format!("`{}` is not a timer", name.text))
                     .label("never expires")
                     .help(format!("declare a timer: `var {}: timer;`", name.text)),
             ),
@@ -213,5 +213,5 @@ fn hides(name: &Name, first: crate::Span) -> Diagnostic {
     Diagnostic::warning(HIDES, name.span, message)
         .label("a new variable, which ends with the handler")
         .also(first, "the task's variable, which keeps its value")
-        .help("choose another name; what the task shall keep is assigned in the handler: `kept := came;`")
+        .help("choose another name; to keep the value, assign it in the handler: `kept := came;`")
 }

@@ -24,11 +24,11 @@ impl<'a> Thread<'_, 'a> {
             return None;
         };
         if self.resolver.heartbeats.contains(&port) {
-            let message = format!("port `{}` carries the beats of a couple", name.text);
+            let message = format!("port `{}` carries the heartbeats of a couple", name.text);
             self.report(
                 Diagnostic::error(STATEMENT, name.span, message)
                     .label("the communication tasks exchange them")
-                    .help(format!("publish what the beats shall tell: `{} := ..`", name.text)),
+                    .help(format!("publish what the heartbeats carry: `{} := ..`", name.text)),
             );
             return None;
         }
@@ -78,7 +78,7 @@ impl<'a> Thread<'_, 'a> {
                 let message = format!("`{}` is not at the other end of port `{}`", name.text, declared.name);
                 let found = Diagnostic::error(STATEMENT, name.span, message)
                     .label("cannot receive this")
-                    .also(declared.user_list.unwrap_or(declared.span), "who can")
+                    .also(declared.user_list.unwrap_or(declared.span), "the tasks that can")
                     .help("name tasks at the other end, or none: then all of them get it");
                 self.report(found);
                 whole = false;
@@ -208,7 +208,7 @@ impl<'a> Thread<'_, 'a> {
         let message = format!("`{}` is not at the other end of port `{}`", name.text, declared.name);
         let found = Diagnostic::error(STATEMENT, name.span, message)
             .label("not there")
-            .also(declared.user_list.unwrap_or(declared.span), "who is")
+            .also(declared.user_list.unwrap_or(declared.span), "the tasks at that end")
             .help("name a task at the other end of the port");
         self.report(found);
         None

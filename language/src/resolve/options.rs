@@ -96,7 +96,7 @@ impl<'a> Resolver<'a> {
                 self.report(
                     Diagnostic::error(OPTION, rate.count.span, format!("a rate of {}", rate.count.value))
                         .label("1 to 65535")
-                        .help("write how many come in which time: `rate = 20/1 sec`"),
+                        .help("write how many messages in which time: `rate = 20/1 sec`"),
                 );
                 None
             }
@@ -110,7 +110,7 @@ impl<'a> Resolver<'a> {
                 self.report(
                     Diagnostic::error(OPTION, number.span, format!("a buffer for {} messages", number.value))
                         .label("1 to 65535")
-                        .help("a message that comes while the task is busy needs a place"),
+                        .help("a message that arrives while the task is busy needs a place"),
                 );
                 1
             }
@@ -171,7 +171,7 @@ impl<'a> Resolver<'a> {
                 Diagnostic::error(
                     OPTION,
                     retry.span,
-                    format!("port `{}` is class 1: nobody knows what to send again", decl.name.text),
+                    format!("port `{}` is class 1: no answer shows what to send again", decl.name.text),
                 )
                 .label("needs an answer that may be missing")
                 .help("write `class = 2`, or leave `retry` out"),

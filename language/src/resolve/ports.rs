@@ -79,8 +79,8 @@ impl<'a> Resolver<'a> {
                     decl.name.span,
                     format!("port `{}` has no time_out", decl.name.text),
                 )
-                .label("for how long does a message live?")
-                .help("add `time_out = 100 msec`: priority, patience and life of its messages in one"),
+                .label("for how long may a message be used?")
+                .help("add `time_out = 100 msec`: it is the priority, patience and TTL of its messages"),
             );
         }
         let buffer = options.buffer.map_or(1, |n| self.buffer(n));
@@ -284,7 +284,7 @@ impl<'a> Resolver<'a> {
         if let (Some(of), Usage::Waitfor | Usage::Reply) = (&decl.answer, usage) {
             self.report(
                 Diagnostic::error(OPTION, span_of(of), format!("a port of usage {usage} has no answer"))
-                    .label("nobody gives one")
+                    .label("no task gives one")
                     .help("remove the `->`"),
             );
         }
@@ -322,8 +322,8 @@ impl<'a> Resolver<'a> {
                     decl.name.span,
                     format!("{what} is {message} bytes; an arrival carries {SHORT}"),
                 )
-                .label("what the others are told is too long")
-                .help("tell them less, or send the rest through another port"),
+                .label("the values for the other members are too long")
+                .help("send them less, or send the rest through another port"),
             )
         } else if message > MAX_MESSAGE {
             let message = format!("{what} is {message} bytes; 16 packets carry {MAX_MESSAGE}");

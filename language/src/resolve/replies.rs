@@ -43,7 +43,7 @@ impl<'a> Thread<'_, 'a> {
             return None;
         }
         if response && usage != Usage::Response {
-            let found = Diagnostic::error(STATEMENT, span, "`response` to a message that is no query")
+            let found = Diagnostic::error(STATEMENT, span, "`response` to a message that is not a query")
                 .label("write `reply`")
                 .also(declared.span, "the port")
                 .help("`response` answers a query, `reply` a message");
@@ -76,7 +76,7 @@ impl<'a> Thread<'_, 'a> {
                 format!("an answer through `{}` needs the ticket of the message", name.text),
                 "which of its messages?",
                 format!(
-                    "write `reply {}(..) for {} ticket n`: who took it knows its `ticket`",
+                    "write `reply {}(..) for {} ticket n`: the task that took it knows its `ticket`",
                     name.text, asker.text
                 ),
             ),
@@ -95,8 +95,8 @@ impl<'a> Thread<'_, 'a> {
             (Usage::Send | Usage::Query | Usage::Waitfor, _) => (
                 name.span,
                 format!("`reply` on port `{}`, whose usage here is {usage}", name.text),
-                "no messages come to this end",
-                String::from("name the port on which the message came"),
+                "no message arrives at this end",
+                String::from("name the port on which the message arrived"),
             ),
         };
         self.report(

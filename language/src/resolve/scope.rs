@@ -99,7 +99,7 @@ impl<'a> Scope<'a> {
                 }
             }
             (Entity::Plain(..) | Entity::Timer(_), [field, ..]) | (Entity::Record { .. }, [_, field, ..]) => {
-                let message = format!("`{}` is no record", path(&place.path[..place.path.len() - 1]));
+                let message = format!("`{}` is not a record", path(&place.path[..place.path.len() - 1]));
                 let found = Diagnostic::error(TYPES, field.span, message)
                     .label("it has no fields")
                     .also(name.span, "a plain value")

@@ -115,7 +115,7 @@ impl<'a> Thread<'_, 'a> {
             let message = format!("`receive` on port `{}`, whose usage here is {usage}", name.text);
             self.report(
                 Diagnostic::error(STATEMENT, name.span, message)
-                    .label("nothing comes to this end")
+                    .label("no message arrives at this end")
                     .also(declared, "the port")
                     .help("receive from a port whose usage here is receive or response"),
             );
@@ -181,7 +181,7 @@ impl<'a> Thread<'_, 'a> {
                 let message =
                     format!("`{word}` through `{}` does not say whose message it answers", name.text);
                 let found = Diagnostic::error(STATEMENT, span, message)
-                    .label("for whom?")
+                    .label("for which task?")
                     .also(declared, "its usage is reply: it answers what another task took")
                     .help(format!("write `reply {}(..) for TASK ticket n`", name.text));
                 self.report(found);
@@ -205,7 +205,7 @@ impl<'a> Thread<'_, 'a> {
             let found = match self.received.first() {
                 None => Diagnostic::error(STATEMENT, span, format!("`{word}` without a message to answer"))
                     .label("nothing was received here")
-.help("answer in an `on query` or `on receive`, or behind a `receive`; what came earlier with `reply p(..) for t`"),
+.help("answer in an `on query` or `on receive`, or behind a `receive`; an earlier message is answered with `reply p(..) for t`"),
                 Some(port) => {
                     let port = &self.resolver.hir.ports[port.index()];
                     Diagnostic::error(STATEMENT, span, format!("`{word}` to a message of class 1"))
@@ -220,7 +220,7 @@ impl<'a> Thread<'_, 'a> {
         if response && !commands.iter().any(queries) {
             let declared = self.resolver.hir.ports[port.index()].span;
             self.report(
-                Diagnostic::error(STATEMENT, span, "`response` to a message that is no query")
+                Diagnostic::error(STATEMENT, span, "`response` to a message that is not a query")
                     .label("write `reply`")
                     .also(declared, "what was received")
                     .help("`response` answers a query, `reply` a message"),
@@ -280,7 +280,7 @@ impl<'a> Thread<'_, 'a> {
                 Diagnostic::error(STATEMENT, name.span, format!("`{}` is a port, not a variable", name.text))
                     .label("cannot be assigned")
                     .also(declared, "the port")
-                    .help("only the port of a couple's beats is assigned: what their answers carry"),
+                    .help("only the port of a couple's heartbeats is assigned: the value that their answers carry"),
             );
             return None;
         }
@@ -290,7 +290,7 @@ impl<'a> Thread<'_, 'a> {
             return None;
         }
         let values = std::slice::from_ref(value);
-        let what = format!("a beat of `{}`", name.text);
+        let what = format!("a heartbeat of `{}`", name.text);
         let values = self.values(values, &declared.answer, (&what, value.span, Some(declared.span)))?;
         Some(StatementKind::Publish { port, values })
     }
@@ -311,7 +311,7 @@ impl<'a> Thread<'_, 'a> {
             return None;
         }
         let places = std::slice::from_ref(place);
-        let what = format!("a beat of `{}`", declared.name);
+        let what = format!("a heartbeat of `{}`", declared.name);
         let into = self.destinations(places, &declared.answer, (&what, declared.span))?;
         Some(StatementKind::Published { port, into })
     }
@@ -329,7 +329,7 @@ impl<'a> Thread<'_, 'a> {
                     Recipients::All => port(*id).peers(self.task).count() > 1,
                     Recipients::These(tasks) => tasks.len() > 1,
                 };
-                (!several, "several are asked: `on time_out` and `p.refused(t)` tell")
+                (!several, "several are asked: use `on time_out` and `p.refused(t)`")
             }
             (StatementKind::Receive { port: id, within, .. }, BranchKind::TimeOut) => {
                 let own = id.and_then(|id| port(id).user(self.task)).and_then(|user| user.time_out);

@@ -251,7 +251,7 @@ impl<'r, 'a> Thread<'r, 'a> {
                 Found::Timer(timer) => Some(timer),
                 Found::One(_) | Found::Whole(_) => {
                     self.report(
-                        Diagnostic::error(TYPES, name.span, format!("`{}` is no timer", name.text))
+                        Diagnostic::error(TYPES, name.span, format!("`{}` is not a timer", name.text))
                             .label("a variable of another type")
                             .help(format!("declare one: `var {}: timer;`", name.text)),
                     );
@@ -282,7 +282,7 @@ impl<'r, 'a> Thread<'r, 'a> {
                 Diagnostic::error(ORDER, extra.span, message)
                     .label("one too many")
                     .also(span, "this order")
-                    .help("what is not named comes last, all alike"),
+                    .help("what is not named ranks last, all equal"),
             );
             return None;
         }

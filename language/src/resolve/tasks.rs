@@ -78,7 +78,7 @@ impl<'a> Resolver<'a> {
                 let message = format!("`{}` is extern, but has a body", task.name.text);
                 self.report(
                     Diagnostic::error(STATEMENT, span, message)
-                        .label("a Rust program says what it does")
+                        .label("a Rust program implements it")
                         .also(word, "declared extern")
                         .help("remove the one or the other"),
                 );
@@ -155,7 +155,7 @@ impl<'a> Resolver<'a> {
                 Diagnostic::error(
                     TAKEOVER,
                     task.name.span,
-                    format!("`{}` has a takeover, but stands by for nobody", task.name.text),
+                    format!("`{}` has a takeover, but stands by for no task", task.name.text),
                 )
                 .label("nothing ever calls it")
                 .help(format!(

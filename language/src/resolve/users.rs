@@ -64,7 +64,7 @@ impl<'a> Resolver<'a> {
         self.ends_agree(id, decl, options);
         let retry = options.retry.filter(|n| n.value > 0);
         if let (Some(retry), Class::Status) = (retry, self.hir.ports[id.index()].class) {
-            let message = format!("port `{}` is class 1: nobody knows what to send again", decl.name.text);
+            let message = format!("port `{}` is class 1: no answer shows what to send again", decl.name.text);
             let found =
                 Diagnostic::error(OPTION, retry.span, message).label("needs an answer that may be missing");
             self.report(found.help("leave `retry` out, or let the owner write `class = 2`"));
@@ -102,7 +102,7 @@ impl<'a> Resolver<'a> {
                 Diagnostic::error(DISAGREE, span, format!("port `{}` is class {owners}", port.name))
                     .label("another class than the owner's")
                     .also(port.span, format!("class {owners} here"))
-                    .help("leave it out here: it is the owner's to say"),
+                    .help("leave it out here: the owner declares it"),
             );
         }
         let message = self.message(decl, options.format);
@@ -130,7 +130,7 @@ impl<'a> Resolver<'a> {
                 Diagnostic::error(DISAGREE, span_of(of), message)
                     .label(format!("({}) here", types(&answer)))
                     .also(port.span, "its owner's declaration")
-                    .help("leave it out here: it is the owner's to say"),
+                    .help("leave it out here: the owner declares it"),
             );
         }
     }
@@ -143,7 +143,7 @@ impl<'a> Resolver<'a> {
         let port = &self.hir.ports[at];
         if port.users.is_empty() && port.user_list.is_none() {
             let found = Diagnostic::error(MISSING, port.span, format!("port `{}` has no users", port.name))
-                .label("nobody is at its other end")
+                .label("no task is at its other end")
                 .help("name them: `user_list = {..}`, and give each a `use_port`");
             return self.report(found);
         }

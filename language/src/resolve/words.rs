@@ -108,7 +108,7 @@ impl Leaves for Thread<'_, '_> {
             let message = format!("`{}` is not at the other end of port `{}`", argument.text, port.text);
             let found = Diagnostic::error(STATEMENT, argument.span, message)
                 .label("was not asked")
-                .also(declared.user_list.unwrap_or(declared.span), "who was")
+                .also(declared.user_list.unwrap_or(declared.span), "the tasks that were asked")
                 .help("name a task at the other end of the port");
             self.report(found);
             return None;

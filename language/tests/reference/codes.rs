@@ -27,8 +27,8 @@ file is larger or deeper than is looked at (E012, E123).
 | a parameter is one word where nothing is said | E112, where it does not fit |
 | where tasks are best placed, from their time_outs | E201, W318, E207, W315 |
 
-What it leaves to the programmer is found, too: calls in a ring (E202), meetings in different orders (E203) or without somebody (E104, W314),
-commands that nobody takes or answers (E204, E209, W308), a bad end of which nothing is said (E208, W301), buffers that are too small (W302),
+What it leaves to the programmer is found, too: calls in a ring (E202), rendezvous in different orders (E203) or without a member (E104, W314),
+commands that no task takes or answers (E204, E209, W308), a bad outcome without a branch (E208, W301), buffers that are too small (W302),
 work that keeps a message waiting too long (W303), a penalty that is too long (W306) or starves (W307), what is not reached or not used
 (W309, W310, W311), time_outs of a few ticks (E206, N201), numbers that may come again (E304), a name
 that means another variable in a handler than in the body (W319), leases (E305, E306), and statements that cannot be where they are (E113).

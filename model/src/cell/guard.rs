@@ -190,7 +190,7 @@ fn shows(
     if last.iter().any(is) {
         return Ok(());
     }
-    let what = format!("the way to {:?} ({}) shows {last:?}", finding.kind, finding.cause);
+    let what = format!("the path to {:?} ({}) shows {last:?}", finding.kind, finding.cause);
     Err(Disagreement { what, moves: finding.moves.clone() })
 }
 

@@ -162,7 +162,7 @@ fn outcome(run_state: &RunState, turn: &ScriptReaction, phase: Phase) -> Option<
             let absent: Vec<usize> = absent.map(|(_, party)| party.task.index()).collect();
             let others = others.insert(absent);
             let absent: Vec<&str> = others.iter().map(|&task| self::name(table, task)).collect();
-            let whom = if absent.is_empty() { "somebody".into() } else { absent.join(", ") };
+            let whom = if absent.is_empty() { "a member".into() } else { absent.join(", ") };
             (Kind::Stranded, format!("{name}: {what} waits in vain for {whom}"))
         }
         Signal::Accepted(_)

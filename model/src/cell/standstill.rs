@@ -131,9 +131,9 @@ pub(super) fn tell(
             idle.extend(seen.known);
             return None;
         }
-        [one] => format!("{one} goes on for ever, and nothing comes further any more"),
+        [one] => format!("{one} goes on for ever, and no task makes progress any more"),
         [all @ .., last] => {
-            format!("{} and {last} go on for ever, and nothing comes further any more", all.join(", "))
+            format!("{} and {last} go on for ever, and no task makes progress any more", all.join(", "))
         }
     };
     let (task, address) = asks.first_key_value().map(|(&task, &at)| (task, at)).unzip();

@@ -208,7 +208,7 @@ fn relays() -> Vec<Claim> {
 /// What senders are told of commands that did not run: full buffers refuse and hold them, or one copy is refused
 /// while another runs.
 fn did_not_run() -> Claim {
-    let about = "a command whose sender is told that it was refused, or never sent, has not run and does not run later";
+    let about = "a command that is reported as refused or never sent has not run and does not run later";
     let copies = Relay {
         room: Some(1),
         transit: 1,
@@ -237,7 +237,7 @@ fn copies() -> Vec<Claim> {
             (
                 "class-2-resolves",
                 "default, relay, copies",
-                "an answer that comes twice ends only the command that it answers (D12)",
+                "an answer that arrives twice ends only the command that it answers (D12)",
             ),
             Outcome::Holds,
             true,
@@ -247,7 +247,7 @@ fn copies() -> Vec<Claim> {
             (
                 "at-most-once",
                 "default, relay, restart",
-                "what an earlier life of a source sent does not run after what the present one sent (D49)",
+                "a command of an earlier incarnation of its source does not run after one of the present incarnation (D49)",
             ),
             Outcome::Holds,
             true,
@@ -258,7 +258,7 @@ fn copies() -> Vec<Claim> {
 
 fn nothing_waits_for_ever() -> Vec<Claim> {
     let name = "nothing-waits-for-ever";
-    let about = "every wait ends by its time_out and no delay before it, a busy neighbour or full buffers or not, and in a tick little happens";
+    let about = "every wait ends by its time_out, no delay ends early, and a tick holds few steps, even with a busy neighbour or full buffers";
     let blocking = Rules { job_request: JobRequest::Blocking, ..Rules::DEFAULT };
     let full = || full_buffers(1, CellProperty::Waits { slack: 0 });
     let stuck = || full_buffers(1, CellProperty::Reach(Goal::BuffersFull));

@@ -46,7 +46,7 @@ fn no_stale_delivery() -> Vec<Claim> {
             (
                 name,
                 "residence-not-charged",
-                "time spent in a buffer must be taken from a message's life (§5.1.1)",
+                "time spent in a buffer must be charged to a message's remaining time (§5.1.1)",
             ),
             Outcome::Fails,
             true,
@@ -126,7 +126,7 @@ fn at_most_once() -> Vec<Claim> {
             (
                 name,
                 "sequence-wrap",
-                "numbers that come again while a copy lives: the copy runs as a new command (D53)",
+                "numbers that repeat while a copy has time left: the copy runs as a new command (D53)",
             ),
             Outcome::Fails,
             true,
@@ -159,7 +159,7 @@ fn no_global_clock() -> Vec<Claim> {
             name,
             rule: "absolute-timestamps",
             parties: 2,
-            about: "a deadline as an instant of the sender's clock revives dead messages (D37)",
+            about: "a deadline as an instant of the sender's clock revives expired messages (D37)",
             expect: Outcome::Fails,
             smoke: true,
             settle: Box::new(move |work| only_apart(work, &absolute)),

@@ -194,7 +194,7 @@ fn heartbeat() -> Claim {
         name: NAME,
         rule: "plain-heartbeats",
         parties: 2,
-        about: "a lease that any beat renews outlasts every take-over, when only the answers are lost (D61)",
+        about: "a lease that any heartbeat renews outlasts every take-over, when only the answers are lost (D61)",
         expect: Outcome::Fails,
         smoke: true,
         settle: Box::new(move |work| {
@@ -220,7 +220,8 @@ fn ordered(margin: u64, heed: bool, watch: CellProperty) -> Orders {
 
 /// Claims about which orders an actuator executes.
 fn orders() -> Vec<Claim> {
-    let about = "an actuator that has heard of an order of an epoch executes none of an older one, on any of its ports";
+    let about =
+        "an actuator that got an order of an epoch executes no order of an older one, on any of its ports";
     let claim = |rule, expect, margin: u64, heed| Claim {
         name: "fenced-orders",
         rule,

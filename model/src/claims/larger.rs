@@ -29,7 +29,7 @@ fn no_false_release() -> Vec<Claim> {
     let row =
         |rule, about, meeting| simple(("no-false-release", rule, about), Outcome::Holds, false, meeting);
     let together =
-        "nobody is released early where all reach the waitfor at once, and again at once after a restart";
+        "no member is released early if all reach the waitfor at once, and again at once after a restart";
     let again =
         |members, time_out, budget| Meeting { budget, ..timed(members, Watch::FalseRelease, 1, 3, time_out) };
     // The least margin: that of meetings that need not bear a loss.
@@ -43,7 +43,7 @@ fn no_false_release() -> Vec<Claim> {
     vec![
         row(
             "default, more faults",
-            "three members that reach the waitfor when they like",
+            "three members that reach the waitfor at any time",
             again(3, 5, faults(2, 1, 0)),
         ),
         row("default, at once", together, at_once(again(3, 5, faults(2, 1, 0)))),
@@ -67,7 +67,7 @@ fn rendezvous_under_loss() -> Vec<Claim> {
     let name = "rendezvous-under-loss";
     // With five members only `no-confirmation` is searched with losses. The other rules fail only after more losses, and so many
     // losses give five members too many states.
-    let about = "five members with nothing lost: nobody waits where all have arrived";
+    let about = "five members with nothing lost: no member waits after all have arrived";
     let lossless = Meeting::new(5, Watch::Stranded);
     vec![
         strand_claim(5, "no-confirmation", Confirmation::None, false),
@@ -95,7 +95,7 @@ fn pairing() -> Vec<Claim> {
 
 fn all_or_none() -> Vec<Claim> {
     let search = |members, losses, dup, time_outs| Search { dup, time_outs, ..Search::of(members, losses) };
-    let apart = "four members that come when they like: without a margin one runs while another has given up";
+    let apart = "four members that arrive at any time: without a margin one runs while another has given up";
     let less = Meeting { resend: None, ..timed(4, Watch::AllOrNone, 0, 0, 2) };
     let about =
         "four members at once, every packet sent once, nothing lost, with the margin of fewer members";

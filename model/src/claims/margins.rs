@@ -52,7 +52,7 @@ impl Search {
             name: "all-or-none",
             rule,
             parties: u32::try_from(self.members).unwrap_or(0),
-            about: "nobody is released while another gives up, while delay and losses keep to their bounds (D2)",
+            about: "no member is released while another gives up, as long as delays and losses keep to their bounds (D2)",
             expect: Outcome::Holds,
             smoke,
             settle: Box::new(move |work| self.margin(work)),

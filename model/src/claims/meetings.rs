@@ -33,7 +33,7 @@ pub(super) fn claims() -> Vec<Claim> {
 
 fn no_false_release() -> Vec<Claim> {
     let name = "no-false-release";
-    let about = "nobody leaves a waitfor before all have arrived in its round";
+    let about = "no member is released from a waitfor before all have arrived in its round";
     let faulty = Meeting {
         attempts: Some(3),
         budget: Budget { loss: 1, dup: 1, crash: 0 },
@@ -84,7 +84,7 @@ fn no_false_release() -> Vec<Claim> {
             (
                 name,
                 "no-quarantine",
-                "a restarted member must not take arrivals meant for its earlier life (D49)",
+                "a restarted member must not take arrivals meant for its earlier incarnation (D49)",
             ),
             Outcome::Fails,
             true,
@@ -137,7 +137,7 @@ fn all_or_none() -> Vec<Claim> {
     claims.extend([
         Search { rules: unconfirmed, ..two }.claim_none(
             "no-confirmation",
-            "without a CONFIRM no margin is enough, even where nothing is lost: who hears of the others later may have no time left",
+            "without a CONFIRM no margin is enough, even where nothing is lost: the member that hears of the others later may have no time left",
         ),
         Search { resend: None, ..two }.claim("default, sent once", true),
         Search { resend: None, losses: 1, ..two }.claim_none(

@@ -33,7 +33,7 @@ fn interrupted(plan: &Interrupted, watches: &[CellProperty]) -> Part {
 fn query_order() -> Vec<Claim> {
     let name = "query-order";
     let about =
-        "a handler runs only when it outranks; the interrupted thread resumes and is told its answer once";
+        "a handler runs only when it outranks; the interrupted thread resumes and gets its answer once";
     let watches = [CellProperty::Order, CellProperty::Waits { slack: 0 }];
     let nested = || Interrupted { watches: vec![CellProperty::Reach(Goal::Nested)], ..INTERRUPTED }.plan();
     let large = Interrupted {
@@ -74,7 +74,7 @@ fn query_sets() -> Vec<Claim> {
             vec![reaches(all), holds(waits)],
         ),
         claim(
-            ("at-most-once", "default, query to all", "nobody that was asked runs the question twice"),
+            ("at-most-once", "default, query to all", "no task that was asked runs the query twice"),
             Outcome::Holds,
             true,
             vec![holds(once)],
@@ -117,7 +117,7 @@ fn workshop(workshop: Workshop) -> Part {
 
 fn penalty_is_fair() -> Vec<Claim> {
     let name = "penalty-is-fair";
-    let passed = "a head is bypassed G + P - 1 times at most, and a message is refused R times at most (D58)";
+    let passed = "a head is bypassed G + P - 1 times at most, a message is rejected R times at most (D58)";
     let rules = |aging| Rules { aging, ..Rules::DEFAULT };
     let literal = Workshop { penalty: (2, true), ..WORKSHOP };
     vec![
@@ -151,13 +151,13 @@ fn penalty_is_fair() -> Vec<Claim> {
             vec![flood(Flood { flooded: 2, rules: rules(Aging::Off), ..FLOOD })],
         ),
         claim(
-            (name, "literal-penalty", "a time_out that grows with every refusal is refused for ever (D4)"),
+            (name, "literal-penalty", "a message whose time_out grows is rejected for ever (D4)"),
             Outcome::Fails,
             true,
             vec![workshop(literal)],
         ),
         claim(
-            (name, "unbounded-rejection", "a refusal that does not raise the rank is repeated for ever"),
+            (name, "unbounded-rejection", "a rejection that does not raise the rank is repeated for ever"),
             Outcome::Fails,
             true,
             vec![workshop(Workshop { rules: rules(Aging::Unbounded), ..WORKSHOP })],
@@ -257,7 +257,7 @@ fn served_claim<L: TtlPlan>(
         name: "penalty-is-fair",
         rule,
         parties: u32::try_from(with(u8::MAX).tasks()).unwrap_or(0),
-        about: "a message that lives K ticks is served: K from the declaration, the least life found beside it (D59)",
+        about: "a message with a TTL of K ticks is served: K from the declaration, the least TTL found beside it (D59)",
         expect: Outcome::Holds,
         smoke,
         settle: Box::new(move |work| least_ttl(work, &with)),
@@ -287,7 +287,7 @@ fn least_ttl<L: TtlPlan>(work: &mut Work<'_>, with: &impl Fn(u8) -> L) -> Settle
     settled.variant = below.map(|(settled, counts)| {
         Box::new(Variant {
             rule: "one-tick-less",
-            about: "a life one tick shorter than the least one found",
+            about: "a TTL one tick shorter than the least one found",
             settled,
             counts,
         })
@@ -296,8 +296,7 @@ fn least_ttl<L: TtlPlan>(work: &mut Work<'_>, with: &impl Fn(u8) -> L) -> Settle
 }
 
 fn literal_penalty() -> Vec<Claim> {
-    let about =
-        "a rejected message lives no longer than its sender waits: urgency, life and back-off are apart (D4)";
+    let about = "a rejected message expires no later than its sender's wait: urgency, TTL and back-off are separate (D4)";
     let name = "no-stale-delivery";
     vec![
         claim((name, "default, time penalty", about), Outcome::Holds, true, vec![holds(|| penalised(false))]),
@@ -305,7 +304,7 @@ fn literal_penalty() -> Vec<Claim> {
             (
                 name,
                 "literal time_penalty",
-                "the Appendix's `save` lengthens the life of a rejected message: it runs after its sender gave up (D4)",
+                "the Appendix's `save` extends the TTL of a rejected message: it runs after its sender gave up (D4)",
             ),
             Outcome::Fails,
             true,
@@ -315,7 +314,7 @@ fn literal_penalty() -> Vec<Claim> {
             (
                 name,
                 "default, refused",
-                "a refused message has no more time than its sender waits, and leaves its buffer by then",
+                "a rejected message has no more time than its sender waits, and leaves its buffer by then",
             ),
             Outcome::Holds,
             true,
@@ -331,7 +330,7 @@ fn literal_penalty() -> Vec<Claim> {
             (
                 name,
                 "literal time_penalty, time to live",
-                "each refusal adds the penalty to the time that is left of a message: soon it is more than its sender waits (D4)",
+                "each rejection adds the penalty to a message's remaining time: soon it is more than its sender waits (D4)",
             ),
             Outcome::Fails,
             true,
@@ -348,7 +347,7 @@ const LITERAL: (u64, bool) = (PENALTY.0, true);
 /// The literal penalty adds to the remaining time what each wait takes, so the message neither expires nor is taken.
 /// The search covers the whole state space of that. A penalty of zero adds nothing.
 fn never_expires() -> Claim {
-    let about = "what a refusal adds is as long as the wait for the next offer: refused again and again, a message never expires (D4)";
+    let about = "each rejection adds as much time as passes until the next offer: rejected again and again, a message never expires (D4)";
     let row = ("no-stale-delivery", "literal time_penalty, for ever", about);
     let explored = || holds(|| refused(LITERAL, Aging::Bounded, CellProperty::Expires));
     let never = || holds(|| refused(LITERAL, Aging::Bounded, CellProperty::Reach(Goal::Left)));

@@ -22,7 +22,7 @@ pub(super) fn off(name: &'static str) -> Vec<Claim> {
     };
     match name {
         "no-false-release" => {
-            let about = "nobody is released early though links are charged more and a timer is late";
+            let about = "no member is released early though links are charged more and a timer is late";
             let meeting =
                 Meeting { timing: OFF, attempts: Some(2), ..timed(2, Watch::FalseRelease, 1, 3, 5) };
             vec![simple((name, RULE, about), Outcome::Holds, true, meeting)]
@@ -53,7 +53,7 @@ pub(super) fn off(name: &'static str) -> Vec<Claim> {
 
 pub(super) fn claims() -> Vec<Claim> {
     let name = "nothing-waits-for-ever";
-    let about = "every wait ends by its time_out, no tick holds more steps than can be, nobody is stuck";
+    let about = "every wait ends by its time_out, no tick holds more steps than possible, no task is stuck";
     let two = Meeting {
         attempts: Some(2),
         budget: Budget { loss: 1, dup: 1, crash: 0 },

@@ -159,7 +159,7 @@ impl fmt::Display for ScriptFault {
             Self::Malformed => "the program is malformed",
             Self::Runaway => "the task runs on and on without waiting",
             Self::TooDeep => "too many handlers interrupt each other",
-            Self::Unexpected => "an answer that nobody asked for",
+            Self::Unexpected => "an answer without a request",
             Self::WrongContents => "a message is not of the declared format",
             Self::NothingReceived => "no message or answer came",
             Self::Request(fault) => return write!(f, "the request is at fault: {fault}"),

@@ -182,7 +182,7 @@ fn faults_are_told_in_words() {
         (ScriptFault::Malformed, "the program is malformed"),
         (ScriptFault::Runaway, "the task runs on and on without waiting"),
         (ScriptFault::TooDeep, "too many handlers interrupt each other"),
-        (ScriptFault::Unexpected, "an answer that nobody asked for"),
+        (ScriptFault::Unexpected, "an answer without a request"),
         (ScriptFault::WrongContents, "a message is not of the declared format"),
         (ScriptFault::NothingReceived, "no message or answer came"),
         (

@@ -35,7 +35,7 @@ pub enum KeyframeError {
     #[error("the state of {0} has {1} bytes too many")]
     Trailing(TaskId, usize),
     /// The state is that of another task, or of another incarnation of the node.
-    #[error("the state given for {0} is that of {1} in life {incarnation}", incarnation = .2.0)]
+    #[error("the state given for {0} is that of {1} in incarnation {incarnation}", incarnation = .2.0)]
     Foreign(TaskId, TaskId, Incarnation),
     /// The state is not one of a machine with the ports of this task: parts are missing, too many or out of bounds.
     #[error("the state of {0} is not one of its machine")]

@@ -108,7 +108,7 @@ pub enum CommandError {
     #[error("killed at the end of its lease")]
     LeaseEnded,
     /// Its guard was killed.
-    #[error("its guard was killed: nobody can say whether all that the command started has ended")]
+    #[error("its guard was killed: processes that the command started may still run")]
     Unguarded,
 }
 

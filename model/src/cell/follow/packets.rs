@@ -38,7 +38,7 @@ impl Follower {
         let more = u64::from(self.roundings.get(&(task, self.next[task])) == Some(&Rounding::Charged));
         match self.carry(&packet, node, Some(more))? {
             true => Ok(()),
-            false => Err(No::Never("a packet arrives that a node on the way drops in the model".into())),
+            false => Err(No::Never("a packet arrives that a node on the route drops in the model".into())),
         }
     }
 

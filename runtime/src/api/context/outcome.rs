@@ -25,7 +25,7 @@ pub enum TaskError {
     #[error("`order` ranks at most 8 ports, not {0}")]
     TooManyLevels(usize),
     /// The bytes that came are no message of the type that the program reads.
-    #[error("{0} bytes came that are no `{1}`: check that both ends use the port's format")]
+    #[error("{0} bytes arrived that are not a `{1}`: check that both ends use the port's format")]
     NotThisType(usize, &'static str),
     /// A field holds a value that no message can hold: a real that is not finite.
     #[error("a `{0}` with a real that is not finite cannot be sent")]
@@ -54,7 +54,7 @@ fn explain(fault: &Fault) -> &'static str {
         Fault::Fenced => "the task does not hold the lease that this port acts under",
         Fault::Busy => "another request is outstanding",
         Fault::NothingToAnswer => "no such message waits for a reply",
-        Fault::Late => "the execution budget has ended: the sender is beyond waiting",
+        Fault::Late => "the execution budget has ended, and the sender waits no longer",
     }
 }
 
