@@ -232,7 +232,7 @@ def dead(cell):
 
 
 def one_life(cell):
-    """The life of a question that the press rejected more than once."""
+    """The history of a query that the press rejected more than once."""
     cell.type(":")
     cell.type("port press.grab", "Enter")
     cell.screen.wait_for("grab at press", "arm")
@@ -242,7 +242,7 @@ def one_life(cell):
             cell.type("Enter")
             break
         time.sleep(0.05)
-    cell.screen.save("monitor-message.svg", "The life of one message: where it was, how often it was rejected, what each step cost",
+    cell.screen.save("monitor-message.svg", "The history of one message: where it was, how often it was rejected, what each step cost",
                      r"(?s)CHARGED.*rejected.*rejected.*sent again.*answered(?!.*now it waits)")
 
 

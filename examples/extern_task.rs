@@ -20,7 +20,7 @@ fn camera(ctx: &mut Context) -> Result<(), TaskError> {
         // A record is its fields, one after the other, little endian.
         let [a, b] = x.to_le_bytes();
         let [c, d] = 40_i16.to_le_bytes();
-        // A status: nobody confirms it, and what comes too late is dropped.
+        // A status: it has no answer, and one that comes too late is dropped.
         let _copies = ctx.send(pose, &[a, b, c, d])?;
         ctx.delay(PERIOD)?;
     }

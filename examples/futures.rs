@@ -75,11 +75,11 @@ fn pendant(ctx: &mut Context) -> Result<(), TaskError> {
         }
         match ctx.query::<(), Hold>(ports::CLOSE, &())? {
             Asked::Reply(Hold { held }) => {
-                println!("{}", if held { "the part is held" } else { "somebody reached in" });
+                println!("{}", if held { "the part is held" } else { "a person reached in" });
                 assert_eq!(held, expected);
             }
             Asked::Refused | Asked::TimedOutUnsent => println!("the gripper was not asked"),
-            Asked::TimedOutUnknown | Asked::PeerRestarted => println!("nobody knows what it holds"),
+            Asked::TimedOutUnknown | Asked::PeerRestarted => println!("it is unknown what it holds"),
         }
     }
     Ok(())

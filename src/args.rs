@@ -57,7 +57,7 @@ pub enum Verb {
     /// Check the protocol's claims, or a cell, by exhausting every schedule within stated bounds.
     ///
     /// With a cell file: its own scripts, first without faults, then with those that it declares. Deadlocks, waits in
-    /// vain, tasks that end badly, checks that do not hold: each on its line, with the shortest way there. A search
+    /// vain, tasks that end badly, checks that do not hold: each on its line, with the shortest path there. A search
     /// that ends before everything was looked at says so.
     ///
     /// Without: every claim has an expectation: the decided rules hold, and each rejected reading of the paper fails with a
@@ -115,13 +115,13 @@ Examples:
     #[command(after_help = "\
 Examples:
   imrs check examples/beam_lift.cell
-  imrs check --paper cell.cell               only the paper's words and its literal rules
+  imrs check --paper cell.cell               only the paper's keywords and its literal rules
   imrs check cell.cell --format json | jq '.diagnostics[].code'
   imrs explain E104                          what a code means, with examples
 
 A cell with warnings ends with 0, one with errors with 1, a file that cannot be read with 2.")]
     Check(CheckArgs),
-    /// Write cell files the one way: indentation, spaces, small letters, one spelling of each option.
+    /// Format cell files: indentation, spaces, small letters, one spelling of each option.
     #[command(after_help = "\
 Examples:
   imrs fmt cell.cell                         rewrites the file in place
@@ -142,30 +142,31 @@ Examples:
     Graph(GraphArgs),
     /// Run a cell, one process per node over loopback UDP.
     ///
-    /// What the cell calls actions is simulated: each takes a time of its interval, the same under the same --seed. An
-    /// action bound by --action is a command to execute: the action's arguments follow the command's own, without a
-    /// shell; exit code 0 is success, the first line of standard output the result. A command is killed, with everything
-    /// that it started, when it ends, when its action is cut short or takes 2 s longer than declared, when the lease of its
-    /// task ends, and when its node ends, however that comes. Its environment has IMRS_DEADLINE_US (by when it must be over,
-    /// in microseconds of CLOCK_BOOTTIME) and, under a lease, IMRS_EPOCH; its standard input has a line `deadline N` at once
-    /// and for each renewal, and its end means: stop now.
+    /// The cell's actions are simulated: each takes a time from its interval, the same under the same --seed. An action
+    /// bound by --action is a command to execute: the action's arguments follow the command's own, without a shell; exit
+    /// code 0 is success, the first line of standard output the result. A command is killed, with everything that it
+    /// started, when it ends, when its action is cut short or takes 2 s longer than declared, when the lease of its task
+    /// ends, and when its node ends, for whatever reason. Its environment has IMRS_DEADLINE_US (by when it must be over,
+    /// in microseconds of CLOCK_BOOTTIME) and, under a lease, IMRS_EPOCH. Its standard input has a line `deadline N` at
+    /// once and for each renewal; its end means: stop now.
     ///
-    /// The cell's checks (`never`, `always`, `leads`) are judged by what the run does; one that does not hold is told with
-    /// its line and values, and ends with exit code 1. With --node those about tasks of that node are. Where evidence is
-    /// missing (a check whose tasks told nothing, a node that could not tell all), the answer is `incomplete`, exit code 5.
+    /// The cell's checks (`never`, `always`, `leads`) are judged by what the run does. One that does not hold is reported
+    /// with its line and values, and ends with exit code 1. With --node only checks about tasks of that node are judged.
+    /// Where evidence is missing (a check whose tasks reported nothing, a node that could not report everything), the
+    /// answer is `incomplete`, exit code 5.
     ///
-    /// A run ends when all of its tasks have. A task that serves for ever (`loop` without `exit`) keeps it going: it is said when
-    /// only such tasks are left, and --until-idle ends the run then.
+    /// A run ends when all of its tasks have. A task that serves for ever (`loop` without `exit`) keeps it going: imrs
+    /// says when only such tasks are left, and --until-idle ends the run then.
     ///
-    /// Nobody waits for a reader: of lines that come faster than they are read some are left out, and counted. The summary
-    /// waits for its reader, for 5 s at most; a second Ctrl-C ends that wait.
+    /// The run does not wait for a slow reader: it leaves out lines that come faster than they are read, and counts them.
+    /// The summary waits for its reader, for 5 s at most; a second Ctrl-C ends that wait.
     ///
     /// With --node one node of the cell runs here, at the address that the cell declares for it (`node n at "10.0.0.11"
-    /// port 7000;`), and sends to the others at theirs. Which of its lives this is it remembers in
-    /// $XDG_STATE_HOME/imrs. Nothing authenticates packets yet: off the loopback that takes --insecure.
+    /// port 7000;`), and sends to the other nodes at theirs. It remembers its incarnation in $XDG_STATE_HOME/imrs.
+    /// Nothing authenticates packets yet: off the loopback that takes --insecure.
     ///
-    /// With --rt the nodes run under SCHED_FIFO with their memory locked, each on one core. What the kernel refuses of that is
-    /// said once and shown in the monitor (`NO RT`); the nodes run without it.
+    /// With --rt the nodes run under SCHED_FIFO with their memory locked, each on one core. What the kernel refuses of
+    /// that is reported once and shown in the monitor (`NO RT`); the nodes run without it.
     #[command(after_help = "\
 Examples:
   imrs run examples/beam_lift.cell                    until Ctrl-C
@@ -181,7 +182,7 @@ Examples:
     Run(RunArgs),
     /// Run a built-in cell with a fault, one process per node over loopback UDP, and explain what happened.
     ///
-    /// Every demo brings a fault of its own, at the moment when it hurts. It ends with what came of it, in words, and
+    /// Every demo brings a fault of its own, at the moment when it hurts. It ends with the outcome, in words, and
     /// with 1 where that is not what is promised. It takes all flags of `run`; faults of your own take the place of
     /// the demo's.
     #[command(after_help = "\
@@ -193,7 +194,7 @@ Examples:
   imrs demo belt-administrator               two want another speed at once: one gives way
   imrs demo beam-lift --no-fault --for 5s    without any fault
   imrs demo beam-lift --loss 20% --for 30s   with every fifth packet lost
-  imrs demo beam-lift --kill hoist@2s        with a node killed: nobody starts without it
+  imrs demo beam-lift --kill hoist@2s        with a node killed: no arm starts without it
   imrs demo failover-weld --cut n1--nt@2s+1s with a link interrupted
 
 While it runs, `imrs monitor` in another terminal shows the nodes.")]
@@ -229,7 +230,7 @@ Examples:
   imrs export run.imrs --to mcap                     Foxglove and PlotJuggler open run.mcap
   imrs export run.imrs --to jsonl -o - | jq 'select(.event == \"timed out\")'
   imrs export run.imrs --to svg --last 200           a sequence chart
-  imrs export run.imrs --to asciicast --keys 3       the meetings, as the screen showed them")]
+  imrs export run.imrs --to asciicast --keys 3       the rendezvous, as the screen showed them")]
     Export(ExportArgs),
     /// Measure the runtime on this machine, side by side with hand-written floors.
     ///
@@ -258,7 +259,7 @@ Examples:
         #[arg(value_name = "VERB")]
         verb: Option<String>,
     },
-    /// Run one node of a cell, as told on standard input. The launcher starts itself with this.
+    /// Run one node of a cell, as ordered on standard input. The launcher starts itself with this.
     #[command(hide = true)]
     Node,
 }

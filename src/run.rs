@@ -78,14 +78,14 @@ pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Fail
     let asks = args.observe_token.is_some() || args.observe_insecure;
     if let Some(address) = args.observe.filter(|address| !asks && !address.ip().is_loopback()) {
         return Err(Failure::Usage(format!(
-            "--observe {address}: whoever reaches this address could watch the nodes, for nothing asks who it is. Add --observe-token FILE and give the monitor the same file (imrs monitor --connect tcp:{address} --token FILE), take a loopback address (an ssh tunnel leads there), or add --observe-insecure"
+            "--observe {address}: any machine that reaches this address could watch the nodes, because no token is asked for. Add --observe-token FILE and give the monitor the same file (imrs monitor --connect tcp:{address} --token FILE), take a loopback address (an ssh tunnel leads there), or add --observe-insecure"
         )));
     }
     if let Some(only) = only {
         let address = place::address(loaded, only).map_err(LaunchError::from)?;
         if !secure(address) {
             return Err(Failure::Usage(format!(
-                "node `{}` at {address}: nothing authenticates its packets, so whoever reaches this address could forge them. On a network of your own add --insecure",
+                "node `{}` at {address}: nothing authenticates its packets, so any machine that reaches this address could forge them. On a network of your own add --insecure",
                 nodes[only.index()].name
             )));
         }

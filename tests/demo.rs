@@ -214,7 +214,7 @@ fn the_tool_of_a_dead_robot_goes_to_another() {
         says(&said, &["At no instant had two of them the tool"]);
         let had_it = said.out.contains("the node of weldA was killed, and weldA had the tool");
         if had_it {
-            says(&said, &["Nobody brought it back", "As promised"]);
+            says(&said, &["It was not brought back", "As promised"]);
         }
         had_it
     });

@@ -62,7 +62,7 @@ fn a_claim_is_walked_through_in_a_browser() {
 #[test]
 fn others_are_kept_out_and_a_claim_is_asked_for() {
     let open = run(&["verify", "--claim", "no-false-release", "--explore", "0.0.0.0:0"]);
-    assert!(open.code == Some(2) && open.err.contains("others can reach it"), "{open:?}");
+    assert!(open.code == Some(2) && open.err.contains("other machines can reach it"), "{open:?}");
     let none = run(&["verify", "--explore", "127.0.0.1:0"]);
     assert_eq!(none.code, Some(2), "{none:?}");
 }

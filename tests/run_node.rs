@@ -65,7 +65,7 @@ fn a_node_without_a_place_to_run_is_told_what_is_missing() {
         (&far, &["--node", "na"], "add --insecure"),
         (&far, &["--node", "na", "--insecure"], "cannot bind UDP address 192.0.2.7"),
         (&far, &["--node", "nb", "--kill", "na@1s"], "`na` is not run here"),
-        (bare, &["--observe", "0.0.0.0:0"], "--observe 0.0.0.0:0: whoever reaches this address"),
+        (bare, &["--observe", "0.0.0.0:0"], "--observe 0.0.0.0:0: any machine that reaches this address"),
         (bare, &["--observe", "0.0.0.0:0"], "--observe-token FILE"),
         (bare, &["--observe", "0.0.0.0:0", "--observe-token", "/no/token"], "the token /no/token: "),
         (bare, &["--restart", "na@1s"], "`na@1s` is not killed before it is started again"),

@@ -212,7 +212,7 @@ fn times_that_were_rounded_are_named() {
     let said = run(&args);
     let note = format!("  note[N101]: {cell}:10:");
     for part in
-        [note.as_str(), "counts 30500 usec as 30000 usec", "not confirmed: these findings may come of"]
+        [note.as_str(), "counts 30500 usec as 30000 usec", "not confirmed: these findings may come from"]
     {
         assert!(said.out.contains(part), "no `{part}`: {said:?}");
     }

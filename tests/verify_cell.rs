@@ -303,7 +303,7 @@ fn the_model_tick_rounds_nothing() {
     let found = verify(odd);
     assert_eq!(found.code, Some(1), "{found:?}");
     assert!(found.out.contains("the model counts 22500 usec as 22000 usec"), "{found:?}");
-    assert!(found.out.contains("not confirmed: these findings may come of the rounding"), "{found:?}");
+    assert!(found.out.contains("not confirmed: these findings may come from the rounding"), "{found:?}");
 }
 
 /// The JSON answer also lists the statements that the search left open.

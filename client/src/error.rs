@@ -59,7 +59,7 @@ pub enum ProgramError {
     Insecure(String, SocketAddr),
     /// The observer address is reachable from other machines, and no token is required of monitors.
     #[error(
-        "monitors at {0}: whoever reaches this address could watch, for nothing asks who it is; call `observe_token(…)`, or take a loopback address"
+        "monitors at {0}: any machine that reaches this address could watch, because no token is asked for; call `observe_token(…)`, or take a loopback address"
     )]
     Watched(SocketAddr),
     /// The text is not a valid token.

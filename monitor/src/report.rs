@@ -498,7 +498,7 @@ fn text_port(
 fn text_meeting(meeting: &Meeting, out: &mut String) {
     let _ = write!(out, "  waitfor {} {}", meeting.name, meeting.round);
     if !meeting.is_waiting() {
-        out.push_str(": nobody waits\n");
+        out.push_str(": none waiting\n");
         return;
     }
     let _ = write!(out, ": {} of {} arrived", meeting.arrived(), meeting.members.len());

@@ -10,7 +10,7 @@ pub struct CheckArgs {
     /// The cell file; `-` is standard input.
     #[arg(value_name = "CELL")]
     pub cell: PathBuf,
-    /// Allow only the words of the paper, and look at its own rules.
+    /// Allow only the keywords of the paper, and look at its own rules.
     #[arg(long)]
     pub paper: bool,
     /// The form of the answer.

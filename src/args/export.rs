@@ -21,7 +21,7 @@ pub struct ExportArgs {
     /// Of an asciicast: columns and rows.
     #[arg(long, value_name = "WxH", default_value = "120x40", value_parser = size)]
     pub size: (u16, u16),
-    /// Of an asciicast: keys that are pressed before it begins, as `3` for the screen of the meetings.
+    /// Of an asciicast: keys that are pressed before it begins, as `3` for the screen of the rendezvous.
     #[arg(long, value_name = "KEYS", default_value = "")]
     pub keys: String,
     /// Of an asciicast: frames a second, at most.

@@ -28,7 +28,7 @@ pub struct RunArgs {
     /// The cell.
     #[arg(value_name = "CELL")]
     pub cell: PathBuf,
-    /// Allow only the words of the paper, and run its own rules.
+    /// Allow only the keywords of the paper, and run its own rules.
     #[arg(long)]
     pub paper: bool,
     /// Execute a command for an action; may be given several times.
@@ -57,7 +57,7 @@ pub struct LaunchArgs {
     /// Over TCP show the nodes only to monitors that have the token in this file (16 to 256 bytes).
     #[arg(long, value_name = "FILE", requires = "observe")]
     pub observe_token: Option<PathBuf>,
-    /// Serve monitors off the loopback though nothing asks who they are.
+    /// Serve monitors off the loopback though no token is asked for.
     #[arg(long, requires = "observe", conflicts_with = "observe_token")]
     pub observe_insecure: bool,
     /// Run the nodes under SCHED_FIFO, with their memory locked, each on one core.
@@ -75,7 +75,7 @@ pub struct LaunchArgs {
     /// Kill a node, or the node of a task, after a while.
     #[arg(long, value_name = "NAME@TIME")]
     pub kill: Vec<Kill>,
-    /// Start a killed node again after a while (counted from the start), in its next life.
+    /// Start a killed node again after a while (counted from the start), in its next incarnation.
     #[arg(long, value_name = "NAME@TIME")]
     pub restart: Vec<Restart>,
     /// Interrupt the link between two nodes after a while, for a while.

@@ -34,7 +34,7 @@ pub struct SimulateArgs {
     /// Show the whole chart of this finding, counted from 1, and save this one.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     pub finding: u16,
-    /// Allow only the words of the paper, and take its own rules.
+    /// Allow only the keywords of the paper, and take its own rules.
     #[arg(long)]
     pub paper: bool,
     /// Number of threads: it does not change the answer [default: 2].

@@ -39,7 +39,7 @@ pub struct CellFaultArgs {
     /// Let any nodes pause so many more times, each until one tick after the longest time_out or take-over of the cell.
     #[arg(long, value_name = "N", requires = "cell", default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=8))]
     pub pause: u8,
-    /// Allow only the words of the paper, and check its own rules.
+    /// Allow only the keywords of the paper, and check its own rules.
     #[arg(long, requires = "cell")]
     pub paper: bool,
     /// Let clocks leave out or count twice so many more ticks.
@@ -108,7 +108,7 @@ fn loopback(text: &str) -> Result<SocketAddr, String> {
     let mut all = text.to_socket_addrs().map_err(|error| format!("{error}: {example}"))?;
     all.next()
         .filter(|first| first.ip().is_loopback() && all.all(|other| other.ip().is_loopback()))
-        .ok_or_else(|| format!("others can reach it, and nobody is asked who they are: {example}"))
+        .ok_or_else(|| format!("other machines can reach it, and no token is asked for: {example}"))
 }
 
 /// A size in bytes: `512M`, `4G`; units are powers of 1024.

@@ -66,9 +66,9 @@ impl Unvouched {
             Doubt::Command(task) => {
                 format!("the command of `{}` was not confirmed to have ended", cell.tasks[task.index()].name)
             }
-            Doubt::Silent(node) => format!("node `{}` told nothing", cell.nodes[node.index()].name),
+            Doubt::Silent(node) => format!("node `{}` reported nothing", cell.nodes[node.index()].name),
             Doubt::Untold(node) => {
-                format!("node `{}` could not tell everything", cell.nodes[node.index()].name)
+                format!("node `{}` could not report everything", cell.nodes[node.index()].name)
             }
             Doubt::Dropped => "changes came faster than they could be judged".into(),
             Doubt::Dead(node) => {
@@ -100,7 +100,8 @@ impl Broken {
     /// The text for people: `check no_early (line 71) does not hold: armL.me.moving = true, armR.gripping = true`.
     pub fn words(&self, loaded: &Loaded) -> String {
         let check = &loaded.checks[self.check];
-        let waited = self.since.map(|since| format!(" {} after its condition came", span(self.at - since)));
+        let waited =
+            self.since.map(|since| format!(" {} after its condition became true", span(self.at - since)));
         format!(
             "check {} (line {}) does not hold{}: {}",
             check.name,
@@ -167,7 +168,7 @@ impl Settlement {
         let unknown = self.0.iter().filter(|settled| settled.outcome == Outcome::Unknown);
         unknown.map(|Settled { name, line, unvouched, .. }| match unvouched {
             Some(unvouched) => format!("check {name} (line {line}) is {}", unvouched.words()),
-            None => format!("check {name} (line {line}) was not judged: one of its tasks told nothing"),
+            None => format!("check {name} (line {line}) was not judged: one of its tasks reported nothing"),
         })
     }
 
@@ -188,11 +189,13 @@ impl Settlement {
     pub fn show(&self, out: &mut Output) -> Result<(), Failure> {
         for settled in &self.0 {
             let Settled { name, line, mattered, times, first, elsewhere, unvouched, .. } = settled;
-            let came = mattered.map(|came| format!(" (its condition came {})", count(came, "time")));
+            let came = mattered.map(|came| format!(" (its condition became true {})", count(came, "time")));
             let what = match settled.outcome {
                 Outcome::Held => Styled(GOOD, format!("held{}", came.unwrap_or_default())),
                 Outcome::Broken => Styled(BAD, format!("DID NOT HOLD, {}", count(*times, "time"))),
-                Outcome::Untested => Styled(NOTE, "not put to the test: its condition never came".into()),
+                Outcome::Untested => {
+                    Styled(NOTE, "not put to the test: its condition never became true".into())
+                }
                 Outcome::Elsewhere => {
                     let task = elsewhere.as_deref().unwrap_or("?");
                     Styled(NOTE, format!("not evaluated here: `{task}` runs elsewhere"))
@@ -200,7 +203,7 @@ impl Settlement {
                 Outcome::Unknown => {
                     let unknown = unvouched.as_ref().map(Unvouched::words);
                     let unknown =
-                        unknown.unwrap_or_else(|| "not evaluated: one of its tasks told nothing".into());
+                        unknown.unwrap_or_else(|| "not evaluated: one of its tasks reported nothing".into());
                     Styled(NOTE, unknown)
                 }
             };

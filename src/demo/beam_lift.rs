@@ -101,7 +101,7 @@ fn why(story: &Story<'_>, arm: TaskId, at: u64) -> Option<String> {
             format!("{name} asked `beat` and got TIME_OUT; it began to stop {when} after the cut{line}.")
         }
         None if story.handler(stops).contains("silence") => {
-            format!("{name} heard no `beat` any more; by itself it began to stop {when} after the cut{line}.")
+            format!("{name} got no `beat` any more; by itself it began to stop {when} after the cut{line}.")
         }
         None => format!("{name} was told to stop, and began to {when} after the cut{line}."),
     })

@@ -76,7 +76,7 @@ fn together(story: &Story<'_>, slower: TaskId, faster: TaskId) -> Option<String>
     let (at, first, second, speed) = pairs.min_by_key(|pair| pair.0)?;
     let (first, second) = (story.name(first), story.name(second));
     Some(format!(
-        "At {} both had asked for another speed, naming the same version: {first} was first, and the belt runs at {speed} mm/s; {second} was told so, and gave way.",
+        "At {} both had asked for another speed, naming the same version: {first} was first, and the belt runs at {speed} mm/s; {second} got this answer, and gave way.",
         story.at(at)
     ))
 }

@@ -79,7 +79,7 @@ fn waited(story: &Story<'_>, from: u64, to: u64, next: Option<u64>) -> String {
 fn expired(story: &Story<'_>) -> String {
     let pose = story.summary.ports.iter().find(|port| port.name == "pose");
     match pose.map_or(0, |port| port.expired) {
-        0 => "No pose became too old on its way.".into(),
+        0 => "No pose became too old in transit.".into(),
         1 => "1 pose became older than 66 ms while pick was busy, and was thrown away.".into(),
         n => format!(
             "{n} poses became older than 66 ms, most of them while pick was busy, and were thrown away."

@@ -18,14 +18,14 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     let fenced = story.when(primary, |event| *event == ScriptEvent::Lease(Lease::Fenced));
     told.extend(fenced.first().map(|at| {
         let when = story.at(*at);
-        (*at, format!("At {when} the lease of {first} ran out, for nobody renewed it: {first} acts no more, whether it can be reached or not."))
+        (*at, format!("At {when} the lease of {first} ran out, because it was not renewed: {first} acts no more, whether it can be reached or not."))
     }));
     let taken = story.when(standby, |event| *event == ScriptEvent::Lease(Lease::TookOver)).first().copied();
     told.extend(taken.map(|at| (at, taking_over(story, &couple, at))));
     told.sort_by_key(|(at, _)| *at);
     let mut words: Vec<String> = told.into_iter().map(|(_, words)| words).collect();
     if taken.is_none() {
-        words.push(format!("{second} never took over: it heard of {first} all the time."));
+        words.push(format!("{second} never took over: it got answers to its heartbeats all the time."));
     }
     if let Some(at) = taken {
         words.push(spot_in_words(story, primary, standby, at));
@@ -42,10 +42,10 @@ pub fn explain(story: &Story<'_>) -> Outcome {
             let at = one_active.and_then(Settled::broke_at).unwrap_or_default();
             format!("At {at:.3} s both robots were active.")
         }
-        None => "Nobody can say whether both robots were active at one instant: see the check.".into(),
+        None => "It is unknown whether both robots were active at one instant: see the check.".into(),
     });
     words.extend(
-        twice.iter().map(|spot| format!("Spot {spot} was welded twice, and nobody looked at it between.")),
+        twice.iter().map(|spot| format!("Spot {spot} was welded twice, without a look at it between.")),
     );
     if stranded {
         words.push(format!("{first} is gone, and {second} did not take over."));
@@ -97,7 +97,7 @@ fn taking_over(story: &Story<'_>, couple: &imrs_protocol::CoupleDecl, at: u64) -
     let since = story.died(couple.primary).filter(|died| *died <= at);
     let since = since.map(|died| format!(", {} after the death", span(at - died))).unwrap_or_default();
     format!(
-        "{second} got no answer to its beats and took over at {}{since}. The cell has it wait {} for the last answer; the lease of {first} ends after {}, so {first} has stopped by then.",
+        "{second} got no answer to its heartbeats and took over at {}{since}. The cell has it wait {} for the last answer; the lease of {first} ends after {}, so {first} has stopped by then.",
         story.at(at),
         span(couple.takeover.0),
         span(couple.lease.0)
@@ -114,7 +114,7 @@ fn spot_in_words(story: &Story<'_>, primary: TaskId, standby: TaskId, taken: u64
     let (first, second) = (story.name(primary), story.name(standby));
     match (open, next) {
         (Some(open), Some(next)) if next.starts_with("recheck") => format!(
-            "{first} had told {second} that it was at work on a spot (`{open}`). So {second} began with `{}`: the spot is looked at, not welded a second time unseen.",
+            "{first} had reported to {second} that it was at work on a spot (`{open}`). So {second} began with `{}`: the spot is looked at, not welded a second time unseen.",
             next.trim_end()
         ),
         (Some(open), Some(next)) => {

@@ -99,7 +99,7 @@ by asking `alive` every few milliseconds. Both reach each other, and the tip dre
         text: include_str!("../../examples/shared_tool.cell"),
         introduction: "\
 Two welding robots and an inspector share a tool. While it is lent, weldA asks again every 50 ms with a
-time_out of 20 ms, the others wait until they hear that it is free. Who is not back after 4 s loses it.",
+time_out of 20 ms, the others wait until they hear that it is free. A robot that is not back after 4 s loses it.",
         length: Duration::from_secs(12),
         moment: Some(Moment {
             task: "weldA",
@@ -118,7 +118,7 @@ time_out of 20 ms, the others wait until they hear that it is free. Who is not b
         file: "conveyor.cell",
         text: include_str!("../../examples/conveyor.cell"),
         introduction: "\
-A camera tells where the parts on a belt are; what it said more than 66 ms ago counts no more. pick takes
+A camera reports where the parts on a belt are; a pose older than 66 ms is not used. pick takes
 a part, meets place at `give`, and lets go when place holds the part.",
         length: Duration::from_secs(6),
         moment: Some(Moment {
@@ -138,7 +138,7 @@ a part, meets place at `give`, and lets go when place holds the part.",
         file: "belt.cell",
         text: include_str!("../../examples/belt.cell"),
         introduction: "\
-The administrator of a belt tells its speed and the version of that 20 times in a second. r1 may want it
+The administrator of a belt reports its speed, with a version number, 20 times a second. r1 may want it
 slower and r2 faster: both look when they hear the status, and so they ask at the same time.",
         length: Duration::from_secs(4),
         moment: None,

@@ -86,7 +86,7 @@ fn asking(story: &Story<'_>) -> String {
     let asked = count(grab.sent, "time");
     match grab.timed_out + grab.refused {
         0 => format!(
-            "The robots asked for the tool {asked}, and were told yes or no each time, before their time_outs."
+            "The robots asked for the tool {asked}, and got yes or no each time, before their time_outs."
         ),
         n => format!("The robots asked for the tool {asked}; {n} of that without an answer."),
     }
@@ -108,7 +108,7 @@ fn after_death(story: &Story<'_>, dead: Holding, held: &[Holding], words: &mut V
     match next {
         Some(next) => {
             words.push(format!(
-                "Nobody brought it back. The cell lends it for 4 s: at {}, {} after the death, {} had it.",
+                "It was not brought back. The cell lends it for 4 s: at {}, {} after the death, {} had it.",
                 story.at(next.from),
                 span(next.from - dead.to),
                 story.name(next.by)
@@ -116,7 +116,7 @@ fn after_death(story: &Story<'_>, dead: Holding, held: &[Holding], words: &mut V
             Some(true)
         }
         None if story.ended > dead.to + allowed + LATE => {
-            words.push("Nobody had it after that.".into());
+            words.push("No robot had it after that.".into());
             Some(false)
         }
         None => {

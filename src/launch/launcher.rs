@@ -466,7 +466,7 @@ mod tests {
         assert_eq!(verdict(&summary(&gatherer), &[]), Exit::Well);
         gatherer.figures(NodeId(0), Figures { untold: 3, ..Figures::default() });
         let summary = summary(&gatherer);
-        assert_eq!(summary.incomplete, ["node nl could not tell 3 happenings: it came too fast"]);
+        assert_eq!(summary.incomplete, ["node nl could not report 3 happenings: too many at once"]);
         assert_eq!(verdict(&summary, &[]), Exit::Incomplete);
         let unrecorded = vec!["the recording run.nr.imrs misses 2 inputs".to_owned()];
         gatherer.figures(NodeId(0), Figures::default());

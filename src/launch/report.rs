@@ -166,7 +166,7 @@ fn wrapped(words: &str, out: &mut Output) -> Result<(), Failure> {
 fn meetings(rendezvous: &RendezvousSummary, out: &mut Output) -> Result<(), Failure> {
     let r = &rendezvous.rounds;
     let mut line = format!(
-        "  waitfor {}: {}; {} released everybody, {} released nobody, {} released some only",
+        "  waitfor {}: {}; {} released all, {} released none, {} released some only",
         rendezvous.port,
         count(r.rounds, "round"),
         Styled(GOOD, grouped(r.released)),
@@ -174,13 +174,13 @@ fn meetings(rendezvous: &RendezvousSummary, out: &mut Output) -> Result<(), Fail
         grouped(r.divergent),
     );
     if r.unknown > 0 {
-        line += &format!(", {} unknown (a killed node's last words are missing)", grouped(r.unknown));
+        line += &format!(", {} unknown (a killed node's last reports are missing)", grouped(r.unknown));
     }
     out.line(line)?;
     match rendezvous.false_releases {
         Some(0) => out.line(format!("    false releases: {}", Styled(GOOD, "0")))?,
         Some(n) => out.line(format!("    false releases: {}", Styled(BAD, grouped(n))))?,
-        None => return out.line("    false releases and start skew: not known of a part of the nodes"),
+        None => return out.line("    false releases and start skew: not known for some of the nodes"),
     }
     match r.start_skew_us {
         Some(skew) => out.line(format!(
@@ -189,7 +189,7 @@ fn meetings(rendezvous: &RendezvousSummary, out: &mut Output) -> Result<(), Fail
             span(skew.p99),
             span(skew.max)
         )),
-        None => out.line("    start skew: nobody started"),
+        None => out.line("    start skew: no task started"),
     }
 }
 
@@ -289,10 +289,11 @@ fn in_words(summary: &Summary, table: &CellTable, run: &Run<'_>) -> Vec<String> 
         let r = &rendezvous.rounds;
         match rendezvous.false_releases {
             Some(0) if r.released > 0 => {
-                words.push(format!("Nobody ever started at `{}` before all had arrived.", rendezvous.port));
+                words.push(format!("No task ever started at `{}` before all had arrived.", rendezvous.port));
             }
             Some(0) => {
-                words.push(format!("Nobody started at `{}`, because not all ever arrived.", rendezvous.port));
+                words
+                    .push(format!("No task started at `{}`, because not all ever arrived.", rendezvous.port));
             }
             Some(n) => {
                 let fault = Styled(BAD, "FAULT");

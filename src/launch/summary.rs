@@ -272,7 +272,7 @@ impl Gatherer {
         self.figures.iter().zip(&self.table.cell().nodes).filter_map(|(incarnations, node)| {
             let untold: u64 = incarnations.iter().map(|figures| figures.untold).sum();
             let times = count(untold, "happening");
-            (untold > 0).then(|| format!("node {} could not tell {times}: it came too fast", node.name))
+            (untold > 0).then(|| format!("node {} could not report {times}: too many at once", node.name))
         })
     }
 

@@ -41,7 +41,7 @@ struct Recorded {
 /// [`Failure`].
 pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     let Some(path) = &args.cell else {
-        return Err(Failure::Usage("say with --cell which cell was run".into()));
+        return Err(Failure::Usage("name the cell that was run with --cell".into()));
     };
     let (_, loaded) = cells::open(path, args.paper)?;
     let plan = plan(path, args)?;

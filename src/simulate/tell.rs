@@ -45,7 +45,7 @@ impl Report<'_> {
         }
         self.unsaved().into_iter().try_for_each(|said| out.line(Styled(NOTE, said)))?;
         self.runs(out)?;
-        let unseen = "not reached in these runs, which says nothing about others";
+        let unseen = "not reached in these runs, which proves nothing about others";
         self.subject.statements(unseen, &self.all.not_reached, out)?;
         let never = match self.what {
             What::Seeds { count: 2.., .. } => "this fault happened in none of these runs",

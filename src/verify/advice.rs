@@ -10,11 +10,13 @@ pub(super) const fn help(kind: Kind) -> &'static str {
         }
         Kind::TimeOut => "let the other side answer sooner, or give the message a longer time_out",
         Kind::Starves => "let it age (`penalty = T` without `paper`), or rank it before what goes first",
-        Kind::Stranded => "let the others come in time, or give the waitfor a longer time_out",
+        Kind::Stranded => "let the others arrive in time, or give the waitfor a longer time_out",
         Kind::Refused => {
             "make the buffer larger (`bounded_buffer[n]`), or let the receiver take its messages sooner"
         }
-        Kind::Ends => "say what then: `on time_out do .. end`, `on refused do .. end`, `on failed do .. end`",
+        Kind::Ends => {
+            "declare what happens then: `on time_out do .. end`, `on refused do .. end`, `on failed do .. end`"
+        }
         Kind::Aborts => "nothing had gone wrong: look at what leads there, or do something else than abort",
         Kind::LeaseLost => {
             "let the standby go on in an endless `loop` until it takes over, or give the couple a longer lease"

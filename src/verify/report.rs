@@ -59,7 +59,7 @@ fn table(report: &Report, out: &mut Output) -> Result<(), Failure> {
     }
     out.line(Styled(
         FAINT,
-        "bounds: L packets lost, U repeated, C crashes, D longest way in ticks, R rounds or messages, - without end",
+        "bounds: L packets lost, U repeated, C crashes, D longest link delay in ticks, R rounds or messages, - without end",
     ))?;
     out.line("")
 }

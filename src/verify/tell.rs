@@ -87,18 +87,18 @@ impl Telling<'_> {
         subject.statements(untried, &verdicts.not_exercised, out)?;
         values_tried(&verdicts.outside, out)?;
         let open = match (self.plan.has_extern(), self.plan.has_open_results()) {
-            (true, false) => "extern tasks may say other things, and at other times",
+            (true, false) => "extern tasks may send other values, and at other times",
             (false, _) => "actions may give other results",
             (true, true) => {
-                "actions may give other results, and extern tasks say other things, and at other times"
+                "actions may give other results, and extern tasks may send other values, and at other times"
             }
         };
         let untold = format!("not reached with what was tried: {open}");
         subject.statements(&untold, &verdicts.not_tried, out)?;
         let unseen = if verdicts.is_complete() {
-            "not reached on the ways up to the findings, which says nothing about them"
+            "not reached on the paths up to the findings, which proves nothing about them"
         } else {
-            "not reached before the search ended, which says nothing about them"
+            "not reached before the search ended, which proves nothing about them"
         };
         subject.statements(unseen, &verdicts.not_seen, out)?;
         for (check, what) in &verdicts.still {
@@ -242,7 +242,7 @@ impl Subject {
             out.line(format!("  and {} more", count(more as u64, "rounded time")))?;
         }
         if !all.is_empty() && found {
-            let text = "  not confirmed: these findings may come of the rounding; write whole ticks, or a finer `tick`";
+            let text = "  not confirmed: these findings may come from the rounding; write whole ticks, or a finer `tick`";
             out.line(Styled(NOTE, text.to_owned()))?;
         }
         Ok(())
@@ -266,7 +266,7 @@ impl Subject {
         let place = other.at.and_then(|at| self.place(other.task, at));
         let Some((line, _, text)) = place else { return format!("{name} {}", other.does) };
         if text == name {
-            return format!("{name} only answers what comes (line {line})");
+            return format!("{name} only answers messages (line {line})");
         }
         if other.does.starts_with("has ") || other.does.starts_with("is ") {
             return format!("{name} {} (last at line {line}: {})", other.does, short(text));

@@ -20,10 +20,10 @@ use std::io::{Seek, Write};
 const PORT: &[(&str, &str)] = &[
     ("len", "messages that wait"),
     ("capacity", "messages that may wait"),
-    ("min_slack_ms", "what is left of the most urgent one, milliseconds; -1: none waits"),
+    ("min_slack_ms", "remaining time of the most urgent one, milliseconds; -1: none waits"),
     ("sent", "messages sent"),
     ("delivered", "messages taken"),
-    ("expired", "messages whose life ended here"),
+    ("expired", "messages that expired here"),
     ("refused", "messages that found no space"),
     ("evicted", "messages dropped for space"),
     ("rejected", "rejections by rank"),

@@ -66,13 +66,13 @@ fields! {
     Len "len" Number "messages that wait";
     Capacity "capacity" Number "messages that may wait";
     Fill "fill" Number "how full the buffer is, in percent";
-    Slack "slack" Time "what is left of the most urgent message";
+    Slack "slack" Time "remaining time of the most urgent message";
     Rate "rate" Number "messages a second, lately";
     Sent "sent" Number "messages sent, or waitfors reached";
     Resent "resent" Number "copies sent again";
-    Enqueued "enqueued" Number "messages that came";
+    Enqueued "enqueued" Number "messages that arrived";
     Delivered "delivered" Number "messages taken, or waitfors released";
-    Expired "expired" Number "messages whose life ended here";
+    Expired "expired" Number "messages that expired here";
     Refused "refused" Number "messages that found no space";
     Evicted "evicted" Number "messages dropped for space";
     Rejected "rejected" Number "times that a message was rejected by rank";

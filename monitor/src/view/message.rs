@@ -34,7 +34,7 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let whole_us = whole(app, &names, key, &stages);
     about(&names, key, whole_us, canvas);
     if stages.is_empty() {
-        let text = " Nothing is known of it any more: it was born before the monitor came, or too long ago.";
+        let text = " Its history is gone: it was sent before the monitor attached, or too long ago.";
         canvas.line(2, &[(text, Ink::Dim)]);
     }
     let rows = u16::try_from(stages.len()).unwrap_or(u16::MAX);
@@ -67,7 +67,7 @@ fn about(names: &Names, key: MessageKey, whole_us: u64, canvas: &mut Canvas<'_>)
         Some(imrs_protocol::Class::Status) => "  class 1",
         None => "",
     };
-    let incarnation = format!("  whole life {}", Span::micros(whole_us));
+    let incarnation = format!("  TTL {}", Span::micros(whole_us));
     canvas
         .line(0, &[(&name, Ink::Head), (&source, Ink::Plain), (class, Ink::Dim), (&incarnation, Ink::Plain)]);
 }

@@ -313,7 +313,7 @@ fn awaited(app: &App, cell: &Name, now: Moment) -> Option<(String, Ink)> {
     let sign = app.theme.glyphs.arrow;
     let everybody = first.by.len() > 1 && first.by.len() + same.len() >= names.tasks.len();
     let text = match (everybody, first.by.len()) {
-        (true, _) => format!(" {sign} EVERYBODY waits for {} ({}): {few}", whom.join(", "), first.why),
+        (true, _) => format!(" {sign} ALL TASKS wait for {} ({}): {few}", whom.join(", "), first.why),
         (false, 1) => format!(" {sign} {few} waits for {} ({})", whom.join(", "), first.why),
         (false, many) => format!(" {sign} {many} tasks wait for {} ({}): {few}", whom.join(", "), first.why),
     };

@@ -47,10 +47,7 @@ pub(super) fn lines(app: &App, now: Moment, width: u16) -> Vec<Line> {
     let (fired, possible) = (whole.fired.len(), whole.fired.len() + whole.never.len());
     let percent = (fired * 100).checked_div(possible).unwrap_or(0);
     let head = format!(" {fired} of {possible} transition kinds seen ({percent}%)");
-    lines.insert(
-        0,
-        vec![(head, Ink::Head), ("  since the monitor came; a count says how often".into(), Ink::Dim)],
-    );
+    lines.insert(0, vec![(head, Ink::Head), ("  since the monitor attached; with counts".into(), Ink::Dim)]);
     lines
 }
 

@@ -117,7 +117,7 @@ fn card(app: &App, meeting: &Meeting, width: u16, lines: &mut Vec<Line>) {
 fn heading(app: &App, meeting: &Meeting, width: u16) -> Line {
     let (arrived, all) = (meeting.arrived(), meeting.members.len());
     let waiting = meeting.is_waiting();
-    let (state, ink) = if waiting { ("GATHERING", Ink::Warn) } else { ("nobody waits", Ink::Dim) };
+    let (state, ink) = if waiting { ("GATHERING", Ink::Warn) } else { ("none waiting", Ink::Dim) };
     let mut line = vec![
         (format!(" {}", meeting.name), Ink::Head),
         (format!(" {}", meeting.round), Ink::Plain),

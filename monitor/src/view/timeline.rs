@@ -60,7 +60,7 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
         }
     }
     if chart.rows.is_empty() {
-        canvas.line(1, &[(" Nothing has happened since the monitor came.", Ink::Dim)]);
+        canvas.line(1, &[(" Nothing has happened since the monitor attached.", Ink::Dim)]);
     }
     corner(app, &chart, canvas);
 }

@@ -182,7 +182,7 @@ fn a_node_that_could_not_tell_everything_answers_for_its_commands_and_is_known_f
     judge.notice(Notice::Began { key: "next".into(), task: "b".into(), at: 600 });
     judge.all_told();
     judge.over(2_000);
-    is_unknown(&settled(&mut judge, 0), 0.0002, "node `m` could not tell everything");
+    is_unknown(&settled(&mut judge, 0), 0.0002, "node `m` could not report everything");
     assert!(judge.is_missing());
 }
 

@@ -46,7 +46,7 @@ pub(super) fn look(store: &Store, incarnation: &NodeIncarnation, now: Moment, fo
     held_back(incarnation, now, found);
     let lost = incarnation.lost_lately();
     if lost > 0 {
-        let text = format!("{lost} events were lost on the way to this monitor");
+        let text = format!("{lost} events were lost between the node and this monitor");
         found.push(Finding::new(&codes::EVENTS_LOST, place, text));
     }
     timers(incarnation, now, found);
@@ -131,7 +131,7 @@ pub(super) fn unlike(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Fi
     if let Some(usual) = most_usual(up.iter().map(|incarnation| incarnation.digest)) {
         for incarnation in up.iter().filter(|incarnation| incarnation.digest != usual) {
             let text = format!(
-                "runs another text of the cell: digest {:08x}, the others have {usual:08x}",
+                "runs another text of the cell: digest {:08x}, the other nodes have {usual:08x}",
                 incarnation.digest
             );
             found.push(Finding::new(&codes::DIGEST_MISMATCH, Place::node(incarnation), text));
@@ -139,7 +139,7 @@ pub(super) fn unlike(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Fi
     }
     if let Some(usual) = most_usual(up.iter().map(|incarnation| incarnation.build.clone())) {
         for incarnation in up.iter().filter(|incarnation| incarnation.build != usual) {
-            let text = format!("is of another release: {}, the others are {usual}", incarnation.build);
+            let text = format!("is of another release: {}, the other nodes are {usual}", incarnation.build);
             found.push(Finding::new(&codes::VERSION_MISMATCH, Place::node(incarnation), text));
         }
     }

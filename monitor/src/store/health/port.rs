@@ -96,5 +96,5 @@ fn waiting(
     let left = incarnation.left_when_seen(port.min_slack?, task.age_us);
     let whole = incarnation.names.port(port.port)?.time_out(task.view.task)?;
     let late = left < whole.0.saturating_mul(incarnation.tick_us) / 10;
-    late.then(|| (&codes::DEADLINE_RISK, "expiring: a message has a tenth of its life left".to_owned()))
+    late.then(|| (&codes::DEADLINE_RISK, "expiring: a message has a tenth of its TTL left".to_owned()))
 }
