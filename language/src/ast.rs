@@ -5,7 +5,7 @@ use crate::span::Span;
 use imrs_protocol::Usage;
 use imrs_protocol::script::{Binary, Type};
 
-/// A name with its span.
+/// A name, and its span: where it stands in the file.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Name {
     /// The name, as written.
@@ -65,9 +65,9 @@ pub enum Item {
 /// How late timers may fire, or the step of the model (D42, D133).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TickDecl {
-    /// Whether it is the `model tick`.
+    /// Whether this declares the `model tick`.
     pub model: bool,
-    /// How long.
+    /// The duration of one tick.
     pub length: Duration,
     /// Its span.
     pub span: Span,
@@ -76,9 +76,9 @@ pub struct TickDecl {
 /// A link between two nodes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LinkDecl {
-    /// One end.
+    /// The node at one end of the link.
     pub a: Name,
-    /// The other.
+    /// The node at the other end.
     pub b: Name,
     /// The longest delay of a packet that is not lost (D20).
     pub delay: Duration,
@@ -135,11 +135,11 @@ pub enum TypeName {
 pub struct TaskDecl {
     /// Its name.
     pub name: Name,
-    /// `on n`.
+    /// `on n`: the node that runs the task.
     pub on: Name,
-    /// `module m` (D32).
+    /// `module m`: the module that the task belongs to (D32).
     pub module: Option<Name>,
-    /// `standby of t` (D30).
+    /// `standby of t`: the primary whose standby this task is (D30).
     pub standby_of: Option<Name>,
     /// `extern`: its behaviour is a Rust program.
     pub is_extern: Option<Span>,
@@ -154,7 +154,7 @@ pub struct TaskDecl {
     /// Its body. Handlers and statements may alternate in the text. An `order` in front of the handlers is the first
     /// statement of the body.
     pub body: Vec<Statement>,
-    /// `takeover ...` (D61).
+    /// `takeover ...`: what the task runs when it takes over from its primary (D61).
     pub takeover: Option<Vec<Statement>>,
     /// The span of its head: `task armL on nl`.
     pub span: Span,
@@ -165,16 +165,16 @@ pub struct TaskDecl {
 /// `n/dur`: at most `n` messages in each `dur` (D53).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Rate {
-    /// `n`.
+    /// `n`: the number of messages.
     pub count: Number,
-    /// `dur`.
+    /// `dur`: the period.
     pub per: Duration,
 }
 
 /// `port` or `use_port` (Figure 1).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PortDecl {
-    /// Whether it is `port`, the owner's.
+    /// Whether the owner declares it with `port`, not a user with `use_port`.
     pub owner: bool,
     /// Its name.
     pub name: Name,
@@ -191,7 +191,7 @@ pub struct PortDecl {
 /// An option of a port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PortOption {
-    /// Which.
+    /// Which option it is, and its value.
     pub kind: PortOptionKind,
     /// Its span.
     pub span: Span,
@@ -218,9 +218,9 @@ pub enum PortOptionKind {
     Resend(Duration),
     /// `penalty = 20 msec`, `penalty = paper 20 msec`
     Penalty {
-        /// Whether the rule is the paper's literal one (D4).
+        /// Whether it is `paper`: each penalty also lengthens the message's time_out, as the paper says literally (D4).
         literal: bool,
-        /// How long.
+        /// How long a rejected message waits until it is offered again.
         length: Duration,
     },
     /// `rate = 20/1 sec`
@@ -245,7 +245,7 @@ pub struct VarDecl {
 pub struct Handler {
     /// The event that runs it.
     pub trigger: Trigger,
-    /// Its statements.
+    /// The handler's statements.
     pub body: Vec<Statement>,
     /// The span of its head.
     pub span: Span,
@@ -267,7 +267,7 @@ pub enum Trigger {
     Silence {
         /// The port.
         port: Name,
-        /// For how long.
+        /// How long no message came.
         length: Duration,
         /// The condition that must hold all the time.
         when: Option<Expr>,
@@ -283,7 +283,7 @@ pub enum Trigger {
 pub struct Statement {
     /// What it does.
     pub kind: StatementKind,
-    /// What runs if it times out, is refused or fails: `on time_out do ... end`.
+    /// What runs if the statement times out, is refused or fails: `on time_out do ... end`.
     pub branches: Vec<Branch>,
     /// Its span, without its branches and inner statements.
     pub span: Span,
@@ -294,7 +294,7 @@ pub struct Statement {
 pub struct Branch {
     /// The end of the statement for which it runs.
     pub when: BranchKind,
-    /// Its statements.
+    /// The branch's statements.
     pub body: Vec<Statement>,
     /// The span of its head.
     pub span: Span,
@@ -342,13 +342,13 @@ pub enum StatementKind {
     /// `reply(args)` and `response(args)` answer the last message. `reply p(args) for t` answers an earlier one.
     /// `reply p(args) for t ticket n` answers a message that another task received, through a port of usage `reply` (D11).
     Reply {
-        /// Whether it is `response`.
+        /// Whether the keyword is `response`.
         response: bool,
         /// The port.
         port: Option<Name>,
         /// The values.
         arguments: Vec<Expr>,
-        /// The task whose message it answers.
+        /// The task whose message the reply answers.
         asker: Option<Name>,
         /// The number of that message.
         ticket: Option<Expr>,
@@ -359,7 +359,7 @@ pub enum StatementKind {
         port: Name,
         /// The values that the other members are told.
         arguments: Vec<Expr>,
-        /// A wait below the port's time_out.
+        /// How long the task waits at most, if less than the port's time_out.
         within: Option<Duration>,
     },
     /// `order a > b > self`
@@ -376,14 +376,14 @@ pub enum StatementKind {
         into: Vec<Place>,
         /// `in 0 .. 1000`: the least and the greatest result.
         range: Option<(Expr, Expr)>,
-        /// Its shortest and its longest duration; it takes no time without one.
+        /// The action's shortest and longest duration; without them, the action takes no time.
         takes: Option<(Duration, Duration)>,
     },
     /// `start held 4 sec`
     Start {
-        /// The timer.
+        /// The timer to start.
         timer: Name,
-        /// How long.
+        /// How long the timer runs until it expires.
         length: Duration,
     },
     /// `stop held`
@@ -465,7 +465,7 @@ pub enum ExprKind {
     Call {
         /// The question: `lift.arrived`.
         of: Place,
-        /// The task or port that it is about.
+        /// The task or port that the question is about.
         argument: Name,
     },
     /// `not x`
@@ -479,7 +479,7 @@ pub enum ExprKind {
 /// `couple ...`
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CoupleDecl {
-    /// The class (Table 1).
+    /// The process class (Table 1), and the coupled tasks.
     pub kind: CoupleKind,
     /// Its span.
     pub span: Span,

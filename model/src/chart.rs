@@ -145,7 +145,7 @@ fn recorder(scenario: &Scenario) -> ChartRecorder {
     ChartRecorder::new((0..scenario.tasks()).map(name).collect())
 }
 
-/// The packet that an action is about.
+/// The packet that a move of the checker delivers, loses, charges too much or duplicates; `None` for other moves.
 fn carried_by(world: &World, action: Action) -> Option<InFlight> {
     match action {
         Action::Deliver(i) | Action::Overcharge(i, _) | Action::Lose(i) | Action::Duplicate(i) => {

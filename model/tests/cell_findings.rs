@@ -168,7 +168,7 @@ fn results_lead_to_every_branch_that_compares_them_and_elsewhere_perhaps() {
     let sum = of("in 0 .. 1000", "if k * 2 = 700 then y := true; end;", leads);
     assert_eq!(all(&sum), []);
     assert_eq!(sum.check().not_tried.len(), 1);
-    // Every result is tried.
+    // Both results of the action, 0 and 1, are tried. So the branch and the check that need 350 and 200 are reported.
     let few = of("in 0 .. 1", "if k * 2 = 700 then y := true; end;", leads);
     let kinds: Vec<Kind> = all(&few).into_iter().map(|(kind, _)| kind).collect();
     assert_eq!(kinds, [Kind::Unreached, Kind::Vacuous]);

@@ -46,13 +46,13 @@ pub enum Action {
     Oldest,
     /// The end of a recording; elsewhere the last row.
     Newest,
-    /// The previous stop of a recording.
+    /// Back to the previous stop: an instant of the recording at which something changed.
     StepBack,
-    /// The next stop of a recording.
+    /// On to the next stop of the recording.
     StepOn,
-    /// The previous stop with an anomaly.
+    /// Back to the previous stop of the recording that has an anomaly.
     PreviousAnomaly,
-    /// The next stop with an anomaly.
+    /// On to the next stop of the recording that has an anomaly.
     NextAnomaly,
     /// Starts or ends a recording.
     Record,

@@ -81,7 +81,7 @@ pub struct LinkDecl {
 /// A task of the cell and where it runs.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskDecl {
-    /// Its name, unique in the cell.
+    /// The task's name, unique in the cell.
     pub name: String,
     /// The node it is assigned to (§5.1).
     pub node: NodeId,

@@ -56,7 +56,7 @@ struct Order<S> {
     watch: Option<Watch<S>>,
 }
 
-/// The second order of a watched queue.
+/// The second order of a watched queue, beside urgency: by the instant at which the caller must look at an entry again.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Watch<S> {
     sides: Box<[S]>,

@@ -24,15 +24,15 @@ pub struct DemoPlan {
 pub struct Moment {
     /// The delay from that beginning to the fault.
     pub after: Duration,
-    /// The task.
+    /// The name of the task that begins the action.
     pub task: &'static str,
-    /// Its action.
+    /// The name of the task's action, as after `run`.
     pub action: &'static str,
     /// Which beginning of the action, counted from 1.
     pub time: usize,
-    /// The fault.
+    /// The fault that is injected.
     pub fault: Planned,
-    /// The text for people.
+    /// The text about the fault that a user reads.
     pub words: &'static str,
 }
 

@@ -324,7 +324,7 @@ impl<'h> Writer<'h, '_> {
         self.store(&[to], |writer| {
             writer.emit.op(Op::Value);
             if to.of == Type::Real {
-                // The bits as an unsigned number.
+                // A real result comes as the 32 bits of a float. Read them as unsigned: a negative number is raised by 2^32.
                 let beyond = i64::from(u32::MAX) + 1;
                 for term in [
                     Term::Push(beyond),

@@ -111,7 +111,7 @@ fn look(plan: &Arc<CellPlan>, phase: (Phase, usize), faults: &CellFaults) -> Don
         let mut done = explore(&Arc::new(short.clone()), phase, faults).with(tried);
         if done.coverage.complete {
             if !done.findings.is_empty() {
-                // A finding that `Times::Ends` shows as well is reported with those times: round times are easier to follow.
+                // Report findings of the coarse times (`Times::Ends`) first: their schedules have declared, thus rounder, times.
                 short.times = Times::Ends;
                 done.findings.splice(0..0, explore(&Arc::new(short), phase, faults).findings);
             }

@@ -79,7 +79,7 @@ impl Kind {
     }
 }
 
-/// The phase of a check.
+/// A phase of checking a cell: one search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Phase {
     /// The search without faults.
@@ -138,7 +138,7 @@ pub struct Finding {
     pub chart: String,
 }
 
-/// What one phase has covered.
+/// What one phase of the check has covered.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Coverage {
     /// The phase.
@@ -198,7 +198,7 @@ pub struct Verdicts {
     /// for each phase and independent part.
     #[serde(default)]
     pub warnings: Vec<Finding>,
-    /// What each phase has covered.
+    /// What each phase of the check has covered: the search without faults, and that of each fault hypothesis.
     pub phases: Vec<Coverage>,
     /// Terms of checks that never changed in any state: the check's position, and the value, such as `r2.active = false`.
     pub still: Vec<(usize, String)>,

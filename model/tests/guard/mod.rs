@@ -232,7 +232,7 @@ fn random_cells_use_the_whole_language() {
     }
 }
 
-/// An action may end right after a packet that arrives meanwhile, even if a cut could drop it unnoticed.
+/// The arrival of a packet lets a running action end, even if the packet changes nothing and a cut link could drop it unnoticed.
 #[test]
 fn a_packet_that_nobody_misses_is_still_an_event() {
     let text = "cell late; tick 1 msec; node n0; node n1; link n0 -- n1 delay 1 msec;

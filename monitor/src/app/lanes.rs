@@ -61,9 +61,9 @@ pub struct Lanes {
 /// A row of the timeline.
 #[derive(Clone, Debug)]
 pub enum Slice {
-    /// Marks.
+    /// Events: their positions in [`Timeline::marks`].
     Marks(Vec<usize>),
-    /// Events were lost here.
+    /// The monitor lost events here.
     Lost(Gap),
     /// Nothing happened for this long.
     Quiet(Duration),
@@ -72,7 +72,7 @@ pub enum Slice {
 /// The timeline in rows.
 #[derive(Clone, Debug, Default)]
 pub struct Chart {
-    /// All marks.
+    /// The marks of all lanes. A mark is an event that the timeline draws.
     pub timeline: Timeline,
     /// The lanes, in the order of the cell.
     pub lanes: Vec<TaskId>,

@@ -21,7 +21,7 @@ pub(super) const ALIVE: PortId = PortId(2);
 pub(super) const A: TaskId = TaskId(0);
 pub(super) const B: TaskId = TaskId(1);
 
-/// The recorded effects of a part.
+/// The recorded effects of one part of a communication task, such as its server or its lease.
 #[derive(Default)]
 pub(super) struct Effects {
     pub packets: Vec<Packet>,

@@ -20,7 +20,7 @@ use std::thread::JoinHandle;
 /// away from the link costs two more syscalls. One wait is too few, because each delay of a future ends one.
 const ELSEWHERE: u32 = 8;
 
-/// Told the place of a program, and how that program ended.
+/// A callback: it gets the position of a program among the node's tasks, and how that program ended.
 type Ended = Arc<dyn Fn(usize, TaskEnd) + Send + Sync>;
 
 pub(crate) struct Executor {
@@ -29,7 +29,7 @@ pub(crate) struct Executor {
     park: Arc<Park>,
 }
 
-/// Decides when the thread ends.
+/// What the executor shares with its thread, which ends when no program is left or the node closes.
 #[derive(Default)]
 struct Shared {
     /// How many programs still run.

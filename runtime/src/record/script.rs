@@ -89,7 +89,7 @@ impl Again {
         }
     }
 
-    /// Whether this input of the communication task may come now: while the script asks, only its request may.
+    /// Whether this input of the communication task may come now: while a request of the script is open, only that request may.
     pub fn expects(&mut self, at: u64, input: &Input) -> bool {
         match (input, self.requests.pop_front()) {
             (Input::Request(asked), Some(request)) => {
@@ -111,7 +111,7 @@ impl Again {
         }
     }
 
-    /// Takes a recorded step of the script. `None` if the script did something else before, or still asks.
+    /// Replays a recorded step. `None` if the script's acts so far differ, or a request to its communication task is still open.
     pub fn take(&mut self, knows: Knows<'_>, step: ScriptStep, done: OutputDigest) -> Option<Vec<Happened>> {
         if self.done != done || (!self.requests.is_empty() && !matches!(step, ScriptStep::Chosen(_))) {
             return None;
@@ -134,7 +134,7 @@ impl Again {
         Some(vec![what, self.run(knows, input)])
     }
 
-    /// The script's next step, with an answer of its communication task; `None` while the script asks.
+    /// The script's next step, with an answer of its communication task; `None` without one, or while a request is open.
     pub fn go_on(&mut self, at: u64, knows: Knows<'_>) -> Option<Happened> {
         if !self.requests.is_empty() {
             return None;

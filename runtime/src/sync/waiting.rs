@@ -36,15 +36,15 @@ const LOOKING: u32 = 5;
 pub(crate) enum Plant {
     /// The lock's holder does not recheck the inbox after unlocking.
     NoSecondLook,
-    /// When an answer comes, the word is read but not changed.
+    /// An answer for the task's thread does not set the futex word to `READY`: the word is only read.
     NoMark,
-    /// The word is marked, but nobody is woken.
+    /// The futex word is set to `READY`, but no thread is woken.
     NoWake,
-    /// A thread that waits elsewhere is not woken.
+    /// A thread that waits in the link, or a future, is not woken by its waker.
     NoWaker,
-    /// Stopping does not wake the thread.
+    /// Stopping a task does not wake the task's thread.
     SilentStop,
-    /// No fence orders the inbox and the lock.
+    /// No fence orders the accesses to the inbox and to the lock.
     NoFence,
     /// Input is dropped if the lock is taken and the inbox is full.
     DropsWhenFull,

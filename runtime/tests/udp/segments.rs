@@ -214,8 +214,8 @@ fn what_came_in_one_need_not_be_of_one() {
     assert_eq!(b.count(UdpCount::ReceivesSaved), 5);
 }
 
-/// What one neighbour sent in one call has one charge and one instant. Otherwise packets of a later datagram would count as older
-/// if the clock advanced between the two.
+/// Datagrams that a neighbour sent in one call, and that arrive in one, share one charge and one instant. Otherwise, if the clock
+/// advanced between two of them, the packets of the later one would count as older, and could be taken first.
 #[test]
 fn what_came_in_one_is_taken_in_the_order_in_which_it_was_sent() {
     const TIMES: u32 = 50;

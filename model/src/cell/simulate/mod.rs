@@ -94,11 +94,11 @@ pub struct Found {
 /// The size of a schedule before shrinking.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shrunk {
-    /// Its faults.
+    /// The number of faults in the schedule.
     pub faults: usize,
-    /// Its choices other than 0.
+    /// The number of choices in the schedule other than 0.
     pub choices: usize,
-    /// The moves to the finding.
+    /// The number of moves from the start to the finding.
     pub moves: usize,
     /// Whether shrinking came to its end. False: it was stopped, or took too many steps.
     pub whole: bool,
@@ -114,7 +114,7 @@ struct Ran {
     reached: Reached,
     /// What the run shows, and after how many moves.
     shown: Vec<(usize, Shown)>,
-    /// Its faults, and its choices if it shows something.
+    /// The faults of the run, and its choices if the run shows a finding.
     schedule: Schedule,
     happened: Vec<bool>,
 }
@@ -129,7 +129,7 @@ struct Group {
     runs: u64,
     /// The first of these runs.
     seed: Option<u64>,
-    /// Its number, from 1, in that run.
+    /// The number of the finding in that run, from 1.
     number: usize,
     schedule: Schedule,
 }

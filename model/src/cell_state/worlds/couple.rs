@@ -1,4 +1,4 @@
-//! Plans of two work-coupled tasks whose communication tasks exchange heartbeats (D30, D61).
+//! Checker scenarios ([`CellScenario`]) of two work-coupled tasks whose communication tasks exchange heartbeats (D30, D61).
 
 use crate::cell_state::plan::{CellProperty, CellScenario, Errand, Faults, TaskPlan, Times};
 use imrs_protocol::rules::{LeaseRule, Rules};
@@ -10,19 +10,19 @@ use std::sync::Arc;
 pub struct Couple {
     /// The longest link delay in ticks.
     pub delay: u64,
-    /// The lease in ticks.
+    /// The length of the lease in ticks.
     pub lease: u64,
-    /// The take-over in ticks.
+    /// How long after the last answer the standby takes over, in ticks.
     pub takeover: u64,
     /// The period of the heartbeats in ticks.
     pub every: u64,
     /// Whether the roles are exchanged at a take-over.
     pub mutual: bool,
-    /// How the lease is kept.
+    /// The rule by which the primary keeps its lease.
     pub rule: LeaseRule,
-    /// The first epoch of both: even.
+    /// The first epoch of both tasks, an even number.
     pub epoch: u8,
-    /// Faults.
+    /// How many faults the scenario may have, and which.
     pub faults: Faults,
     /// The property that is checked.
     pub watch: CellProperty,

@@ -1,4 +1,4 @@
-//! Plans in which messages wait for a busy task: bypassed by GETs, rejected by rank, interrupting each other.
+//! Checker scenarios in which messages wait for a busy task: bypassed by GETs, rejected by rank, interrupting each other.
 
 use crate::cell_state::plan::{CellProperty, CellScenario, Errand, Faults, TaskPlan, Times};
 use imrs_protocol::aging::Service;

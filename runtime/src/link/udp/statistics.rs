@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 macro_rules! counts {
     ($($(#[doc = $doc:literal])+ $variant:ident = $name:literal),* $(,)?) => {
-        /// Something that a UDP link counts. What is dropped on reception goes to the sink by its own reason.
+        /// What a UDP link counts. Of data that it discards on reception, it tells the node the reason instead.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum UdpCount { $($(#[doc = $doc])+ $variant),* }
 
@@ -25,7 +25,7 @@ macro_rules! counts {
 counts! {
     /// Datagrams handed to the kernel.
     DatagramsSent = "datagrams_sent",
-    /// Packets in them.
+    /// Packets in the datagrams that were handed to the kernel.
     PacketsSent = "packets_sent",
     /// Datagrams that left in one call with an earlier one (UDP_SEGMENT): how many calls were saved.
     SendsSaved = "sends_saved",
@@ -35,12 +35,12 @@ counts! {
     DatagramsReceived = "datagrams_received",
     /// Datagrams that the kernel had merged with an earlier one (UDP_GRO): how many calls were saved.
     ReceivesSaved = "receives_saved",
-    /// Packets handed to the sink.
+    /// Packets handed to the sink: the node that the link receives for.
     PacketsReceived = "packets_received",
     /// Datagrams that the kernel dropped because its queue was full (SO_RXQ_OVFL); those that it had merged count as one.
     KernelDropped = "kernel_dropped",
-    /// Those of them that waited in the socket of strangers: from no address that the node knows. A flood from elsewhere shows
-    /// here.
+    /// Of the datagrams that the kernel dropped: those in the socket of strangers, from addresses of no neighbour. A flood from
+    /// outside the cell shows here.
     StrangersDropped = "strangers_dropped",
     /// Sends that found the kernel's send queue full; the packets were kept.
     Busy = "send_busy",
