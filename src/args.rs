@@ -155,7 +155,7 @@ Examples:
     /// Where evidence is missing (a check whose tasks reported nothing, a node that could not report everything), the
     /// answer is `incomplete`, exit code 5.
     ///
-    /// A run ends when all of its tasks have. A task that serves for ever (`loop` without `exit`) keeps it going: imrs
+    /// A run ends when all of its tasks have. A task that serves for ever (`loop` without `exit`, or handlers only) keeps it going: imrs
     /// says when only such tasks are left, and --until-idle ends the run then.
     ///
     /// The run does not wait for a slow reader: it leaves out lines that come faster than they are read, and counts them.

@@ -69,7 +69,7 @@ pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Fail
         if loaded.scripts[at].is_none() && only.is_none_or(|only| only == task.node) {
             let node = &nodes[task.node.index()].name;
             return Err(Failure::Usage(format!(
-                "task `{}` is extern: a Rust program says what it does. Write one that links `imrs` (examples/extern_task.rs) and let it run node `{node}`; run the others here with --node",
+                "task `{}` is extern: a Rust program says what it does. Write one that links `imrs-client` (examples/extern_task.rs) and let it run node `{node}`; run the others here with --node",
                 task.name
             )));
         }

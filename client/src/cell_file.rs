@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, thiserror::Error)]
 pub enum CellFileError {
     /// The file does not exist.
-    #[error("{}: there is no such file: name a cell file, such as examples/beam_lift.cell", .0.display())]
+    #[error("{}: there is no such file: name a cell file, such as first.cell", .0.display())]
     Missing(PathBuf),
     /// It is a folder.
     #[error("{}: this is a folder: name one cell file in it", .0.display())]

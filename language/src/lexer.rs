@@ -217,6 +217,16 @@ pub(crate) fn lex(text: &str, report: &mut Report) -> Lexed {
                 let unit = Word::find(unit).or_else(|| Word::short_unit(unit));
                 lexed.tokens.push((unit.map_or(Kind::Name, Kind::Word), Span::new(middle, end)));
             }
+            Kind::Foreign
+                if lexer.slice() == "!"
+                    && lexed.tokens.last().is_none_or(|(last, _)| ends_statement(*last)) =>
+            {
+                let length = lexer.remainder().find('\n').unwrap_or(lexer.remainder().len());
+                lexer.bump(length);
+                report.push(|| {
+                    Diagnostic::error(OPERATOR, span, "`!` begins no comment here").help("write `// ..`")
+                });
+            }
             // After a number the short units of the command line (`ms`) are accepted, too.
             Kind::Name
                 if let (Some((Kind::Int | Kind::Real, _)), Some(unit)) =
@@ -254,6 +264,12 @@ fn comment(text: &str) -> (usize, bool) {
         }
     }
     (bytes.len(), false)
+}
+
+/// Whether a statement or a declaration may begin behind this token, but no condition.
+const fn ends_statement(token: Kind) -> bool {
+    use Word::{Begin, Do, Else, Is, Loop, Then};
+    matches!(token, Kind::Semicolon | Kind::Word(Begin | Do | Then | Else | Loop | Is))
 }
 
 /// The kind under which the parser sees this token. Reports a token that is wrong.

@@ -293,6 +293,8 @@ impl App {
             Msg::Feed(arrival) => {
                 self.history.take(&arrival, &self.live);
                 self.live.apply(arrival);
+                // The screen stays on the cell that it shows, whichever cells appear later.
+                self.cell = self.cell.take().or_else(|| self.cell());
                 // With reduced motion the screen is redrawn with the countdowns, not with every frame of a node.
                 if self.frozen.is_some() || self.reduced_motion { Effect::Nothing } else { Effect::Draw }
             }

@@ -369,11 +369,11 @@ fn keys_that_end_or_suspend_do_so_everywhere_also_while_typing() {
 #[test]
 fn several_cells_are_shown_one_at_a_time() {
     let mut stage = Stage::cell(Theme::ASCII);
-    let other = NodeIdentity { cell: "weld".into(), digest: 1, ..identity(0, 1) };
+    let other = NodeIdentity { cell: "alpha".into(), digest: 1, ..identity(0, 1) };
     stage.feed(ms(1_000), 9, Feed::Attached { identity: other, pid: 5, build: String::new() });
-    assert!(stage.text(ms(1_000), 120, 24).contains("beam-lift (1/2, C: next)"));
+    assert!(stage.text(ms(1_000), 120, 24).contains("beam-lift (2/2, C: next)"));
     stage.keys(ms(1_000), "C");
-    assert_eq!(stage.app.cell().unwrap().raw(), "weld");
+    assert_eq!(stage.app.cell().unwrap().raw(), "alpha");
     stage.keys(ms(1_000), "C");
     assert_eq!(stage.app.cell(), Some(beam()));
 }

@@ -66,7 +66,7 @@ pub struct LaunchArgs {
     /// How long to run [default: a demo about 10s, a cell until its tasks end or Ctrl-C].
     #[arg(long = "for", value_name = "TIME", value_parser = crate::time::parse)]
     pub length: Option<Duration>,
-    /// End the run when only tasks are left that serve for ever (`loop` without `exit`).
+    /// End the run when only tasks are left that serve for ever (`loop` without `exit`, or handlers only).
     #[arg(long)]
     pub until_idle: bool,
     /// Lose this share of all datagrams.

@@ -39,7 +39,7 @@ pub fn explain(story: &Story<'_>) -> Outcome {
         if hit {
             words.extend([left, right].into_iter().filter_map(|arm| why(story, arm, at)));
         } else {
-            words.push("Nothing moved just then, so nothing had to stop.".into());
+            words.push("Nothing moved just then, so nothing had to stop. On an idle machine the cut comes in the middle of a lift.".into());
         }
     }
     let alone =

@@ -112,7 +112,7 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     }
     if args.until_idle && !finishes(run) {
         return Err(Failure::Usage(
-            "--until-idle: every task here serves for ever (`loop` without `exit`): end the run with --for or Ctrl-C".into(),
+            "--until-idle: every task here serves for ever (`loop` without `exit`, or handlers only): end the run with --for or Ctrl-C".into(),
         ));
     }
     let progress = progress_line(args.format);

@@ -73,7 +73,7 @@ pub fn started(
 
 fn how(run: &Run<'_>) -> &'static str {
     match (run.only, run.args.in_process) {
-        (Some(_), _) => "of all the only one here, over UDP",
+        (Some(_), _) => "the only one of the cell here, over UDP",
         (None, true) => "all in this process",
         (None, false) => "one process each, over loopback UDP",
     }

@@ -28,7 +28,7 @@ pub(super) const fn help(kind: Kind) -> &'static str {
         Kind::Unreached => "remove it, or correct the condition that keeps it from being reached",
         Kind::Vacuous => "correct the left side of the check, or what should make it true",
         Kind::Standstill => {
-            "let one of them give up what it has, or give up for good; where others may well wait for ever, nothing is to be done"
+            "let one of them release what it holds, or end its loop after some tries; if waiting for ever is intended, ignore this"
         }
         Kind::WaitsForEver => {
             "let it wait for a time (`receive .. within T on time_out do ..`), or let the others go on (a standby: in an endless `loop`); where it has nothing left to do then, nothing is to be done"

@@ -9,6 +9,7 @@ use crate::codes::{
 use crate::diagnostic::Diagnostic;
 use crate::hir::{CoupleKind, Duration, Hir, Port};
 use crate::span::Span;
+use imrs_protocol::margin::DRIFT_PPM;
 use imrs_protocol::{CellError, PortId, Ticks};
 
 /// The diagnostics for the errors of [`CellTable::new`](imrs_protocol::CellTable::new) on a lowered cell. `unit` is the unit
@@ -155,10 +156,16 @@ impl Mapping<'_> {
 
     fn takeover(&self, couple: &str, takeover: Ticks, least: Ticks) -> Diagnostic {
         let (has, needs) = (self.time(takeover), self.time(least));
+        // A longer take-over drifts more, and needs a longer one again: four times brings that below a microsecond.
+        let drift = |length: Ticks| Ticks(length.0.saturating_mul(DRIFT_PPM).div_ceil(1_000_000));
+        let enough = (0..4).fold(least, |enough, _| least + drift(enough - takeover));
+        let enough = self.time(Ticks(enough.0.next_multiple_of((1_000 / self.usec).max(1))));
         let at = self.work(couple).map_or_else(|| self.couple_span(couple), |(_, takeover)| takeover);
         Diagnostic::error(TAKEOVER_TOO_SOON, at, format!("takeover {has}: both tasks can act at a time"))
             .label(format!("must reach {needs}: {}", self.parts(couple, least)))
-            .help(format!("give it {needs}, or shorten the lease or the time_outs of what the couple orders"))
+            .help(format!(
+                "give it {enough}, or shorten the lease or the time_outs of what the couple orders"
+            ))
     }
 
     /// `lease 100 msec + 200 msec of grab + 3 msec for the tick and the drift`, if these parts are known.

@@ -345,6 +345,9 @@ fn a_take_over_is_said_with_its_parts() {
     let parts =
         "must reach 301080 usec: lease 100 msec + 200 msec of `grab` + 1080 usec for the tick and the drift";
     assert_eq!((found.code, &found.primary.text[..]), ("E305", parts));
+    // What is advised is accepted, though a longer take-over drifts more.
+    assert!(found.help[0].starts_with("give it 302 msec, or shorten"), "{:?}", found.help);
+    assert!(serious(&WELD.replace("takeover 400 msec", "takeover 302 msec")).is_empty());
 }
 
 #[test]
