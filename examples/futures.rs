@@ -67,7 +67,7 @@ async fn gripper(mut ctx: AsyncContext, parts: [u32; 2]) -> Result<(), TaskError
     Ok(())
 }
 
-/// A thread queries a future like any other task. The second part is too soft to be held, and then somebody reaches in.
+/// A thread queries a future like any other task. The second part is too soft to be held, and then a person reaches in.
 fn pendant(ctx: &mut Context) -> Result<(), TaskError> {
     for expected in [true, false] {
         if !expected {

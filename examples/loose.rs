@@ -17,7 +17,7 @@ const LENT: Duration = Duration::from_secs(4);
 const HELD: TimeId = TimeId(1);
 const SEAMS: u32 = 3;
 
-/// Lends the tool to one welder at a time, until nobody has used it for a second.
+/// Lends the tool to one welder at a time, until no welder has used it for a second.
 fn tool(ctx: &mut Context<Option<TaskId>>) -> Result<(), TaskError> {
     ctx.on_timer(HELD, |ctx| {
         ctx.state = None;

@@ -91,7 +91,7 @@ impl Bench {
         self.0.path().join("relayed.cell")
     }
 
-    /// Runs the cell until it ends by itself: `b` aborts when it waits in vain for `a`.
+    /// Runs the cell until it ends by itself: `b` aborts when `a` does not come.
     fn run(&self, args: &[&str]) -> Said {
         self.run_until(args, |_| false)
     }
@@ -121,7 +121,7 @@ fn scripts_meet_and_ask_through_a_node_that_only_relays() {
         // Long enough for any machine. It is also how long `b` takes to give up at the end.
         let said = Bench::that_waits(10).run(how);
         let summary = said.last_json();
-        // After `a` has ended, `b` waits for it in vain: its abort is the finding.
+        // After `a` has ended, `b` waits for it until its time_out: its abort is the finding.
         assert_eq!(said.code, Some(1), "{said:?}");
         assert!(said.err.contains("task `b` aborted: nobody came (line"), "{said:?}");
         assert!(!said.err.contains("task `a`"), "{said:?}");

@@ -33,7 +33,7 @@ fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_
     for incarnation in 0..2 {
         let (b, a) = (start("nb"), start("na"));
         let a = a.finish();
-        // The other node's task waits in vain from now on, so it is interrupted.
+        // The other node's task waits without a partner from now on, so it is interrupted.
         b.interrupt();
         let b = b.finish();
         let summary = a.last_json();

@@ -197,6 +197,46 @@ fn no_name_of_the_code_has_a_retired_word() {
     assert!(found.is_empty(), "{} names, see specs/glossary.md: {found:#?}", found.len());
 }
 
+/// Constructions that a first reader does not understand: no actor, or a word of this project alone.
+const UNCLEAR: [&str; 11] = [
+    "whoever",
+    "what is left",
+    "turned away",
+    "nobody",
+    "somebody",
+    "told of",
+    "on the way",
+    "on its way",
+    "in vain",
+    "comes in",
+    "rings the bell",
+];
+
+#[test]
+fn comments_name_their_actors() {
+    let mut found = Vec::new();
+    for (path, text) in sources() {
+        // This file lists them.
+        if path.ends_with("tests/tidy.rs") {
+            continue;
+        }
+        for (number, line) in text.lines().enumerate() {
+            let Some(comment) =
+                line.trim_start().strip_prefix("//").or_else(|| line.split_once(" // ").map(|(_, c)| c))
+            else {
+                continue;
+            };
+            let words = format!(" {} ", comment.replace(|c: char| !c.is_alphabetic(), " "));
+            let begins =
+                |phrase: &str| words.contains(&format!(" {}{} ", phrase[..1].to_uppercase(), &phrase[1..]));
+            let unclear =
+                UNCLEAR.iter().filter(|phrase| words.contains(&format!(" {phrase} ")) || begins(phrase));
+            found.extend(unclear.map(|phrase| format!("{}:{}: {phrase}", path.display(), number + 1)));
+        }
+    }
+    assert!(found.is_empty(), "say who does what: {found:#?}");
+}
+
 #[test]
 fn words_of_names_are_told_apart() {
     for name in ["FirstLife", "first_life", "FIRST_LIFE"] {

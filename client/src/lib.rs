@@ -147,7 +147,7 @@ pub use imrs_runtime::script::Call;
 /// fn left(ctx: &mut Context) -> Result<(), TaskError> {
 ///     let news = ctx.port("news")?;
 ///     for count in 0..3_i16 {
-///         // Class 1: nobody answers, and what comes too late is dropped.
+///         // Class 1: no receiver answers, and what arrives too late is dropped.
 ///         let _copies = ctx.send(news, &count.to_le_bytes())?;
 ///         ctx.delay(Duration::from_millis(1))?;
 ///     }
@@ -191,7 +191,7 @@ pub use imrs_runtime::Context;
 ///     let lift = ctx.port("lift")?;
 ///     match ctx.waitfor(lift)? {
 ///         Rendezvous::Released { .. } => println!("both lift"),
-///         Rendezvous::GaveUp { .. } => println!("the other arm did not come in time: nobody lifts"),
+///         Rendezvous::GaveUp { .. } => println!("the other arm did not come in time: neither arm lifts"),
 ///     }
 ///     Ok(())
 /// }
@@ -228,7 +228,7 @@ pub use imrs_runtime::Rendezvous;
 ///     match ctx.send(width, &7_i16.to_le_bytes())? {
 ///         Sent::Outcome(outcome) => println!("the only other task: {outcome:?}"),
 ///         Sent::Several(outcomes) => println!("each of the others: {outcomes:?}"),
-///         Sent::Copies(number) => println!("class 1: {number} copies left, and nobody answers"),
+///         Sent::Copies(number) => println!("class 1: {number} copies left, and no receiver answers"),
 ///     }
 ///     Ok(())
 /// }

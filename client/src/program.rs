@@ -312,7 +312,7 @@ impl Program {
         let address = place::address(&self.loaded, node)?;
         let (link, counted) = incarnation::bind::<ProgramError>(&self.loaded, node, address)?;
         if let Some(notice) = &counted.notice {
-            // Nobody may be reading standard error: the node runs all the same.
+            // Standard error may have no reader: the node runs all the same.
             let _ = writeln!(io::stderr(), "imrs: {}", one_line(notice));
         }
         link.greet();

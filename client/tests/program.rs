@@ -63,7 +63,7 @@ fn left(ctx: &mut Context) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// Answers until nobody has asked for a while: an answer may be lost.
+/// Answers until no task has asked for a while: an answer may be lost.
 fn right(ctx: &mut Context) -> Result<(), TaskError> {
     let ask = ctx.port("ask")?;
     let mut wait = None;

@@ -174,7 +174,7 @@ fn verifiers(world: &World, folder: &Path) -> Vec<Tool> {
             let verifier =
                 spin::build(&folder, &Path::new(spin::MODELS).join(world.model), &definitions, flags);
             let built = start.elapsed().as_secs_f64();
-            // A hash table that fits, as somebody who knows SPIN would choose it: the default one takes 128 MB.
+            // A hash table that fits, as an engineer who knows SPIN would choose it: the default one takes 128 MB.
             let states = verifier.run(&[]).states;
             let size = states.next_power_of_two().ilog2().max(16);
             tools.push(Tool {

@@ -200,7 +200,7 @@ impl World {
                 continue;
             }
             self.arrivals(i, actions);
-            // Nobody can notice a loss before the packet's last tick, unless the faults end first.
+            // No task can notice a loss before the packet's last tick, unless the faults end first.
             let may_heal = matches!(self.scenario.watch, Watch::MeetAgain { .. });
             let last = may_heal || self.scenario.delay.is_none_or(|delay| carried.age == delay);
             if self.loss > 0 && !self.healed && (last || !self.scenario.reductions.lose_last) {

@@ -59,7 +59,7 @@ static HELD: LazyLock<Vec<Held>> = LazyLock::new(|| {
         // Two tests wait for this search, so it may use two cores.
         let (walk, found) = std::thread::scope(|scope| {
             let found = scope.spawn(|| explore(&scenario, Limits::default(), None));
-            // `successors` asserts on the way that every listed action leads somewhere.
+            // `successors` also asserts that every listed action leads somewhere.
             (walk(&scenario), found.join().expect("an exploration"))
         });
         Held { scenario, found, walk }

@@ -268,7 +268,7 @@ fn statements_of_one_action_have_their_own_results() {
     assert_eq!(kinds(&wide), breaks);
 }
 
-/// A state without progress in which no task asks in vain does not hide another one in which a task does.
+/// A state without progress in which every question is answered does not hide another one in which a question is not.
 #[test]
 fn one_standstill_does_not_hide_another() {
     let text = |k: &str| {

@@ -78,7 +78,7 @@ pub fn run(options: &Options) -> Result<Verdict, MonitorError> {
         return replay_on_screen(options, player);
     }
     if !screen || printed {
-        // Without a terminal nobody could end a screen, so print one sample unless the options ask for more.
+        // Without a terminal no key could end a screen, so print one sample unless the options ask for more.
         let once = options.once || !printed;
         return print(&Options { once, ..options.clone() }, &mut io::stdout().lock());
     }

@@ -110,7 +110,7 @@ fn grab(mouse: bool) -> io::Result<()> {
         .inspect_err(|_| give_back())
 }
 
-/// Restores the terminal, once. Errors are ignored, because nobody is left to receive them.
+/// Restores the terminal, once. Errors are ignored, because no caller is left to receive them.
 pub fn give_back() {
     if BORROWED.swap(false, Ordering::SeqCst) {
         let _ = disable_raw_mode();

@@ -58,7 +58,7 @@
 //!
 //! let mut flying: Vec<(Instant, NodeId, NodeId, Packet)> = Vec::new();
 //! let outcome = loop {
-//!     // What was sent is on its way, and whoever was told something goes on.
+//!     // What was sent is in flight, and a task that got a signal goes on.
 //!     for (from, node, out) in &mut nodes {
 //!         for (task, signal) in std::mem::take(&mut out.told) {
 //!             if let Signal::Message(message) = signal {

@@ -222,7 +222,7 @@ pub struct Packet {
     pub port: PortId,
     /// A request's own id; in an answer, the id of the request.
     pub id: MessageId,
-    /// The remaining time: what is left of the time_out, never an instant (§III, D37).
+    /// The remaining time: the rest of the time_out, never an instant (§III, D37).
     pub remaining: Ticks,
     /// The contents of the message.
     pub contents: Contents,

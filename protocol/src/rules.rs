@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// The members of a rendezvous that send CONFIRM. §4.3 can be read in three ways; a fourth is to send none (D1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Confirmation {
-    /// Nobody.
+    /// No member.
     None,
     /// A member that holds all arrivals before it hears of another one that does.
     FirstComplete,

@@ -96,7 +96,7 @@ fn what_a_restart_left_behind_is_stale() {
     let mut y = Solo::new(&table, Y);
     y.hear(old);
     assert_eq!(y.queue(MOVE), [(X, 18)]);
-    // The command of the new incarnation replaces the one that nobody waits for any more.
+    // The command of the new incarnation replaces the one that no task waits for any more.
     assert_eq!(y.hear(new).words(), Vec::<String>::new());
     assert_eq!(y.hear(old).discards(), [Reason::StaleIncarnation]);
     assert_eq!(y.ask(get(0)).words(), ["message [2] from T0 for 18"]);

@@ -152,7 +152,7 @@ fn what_is_held_back_begins_once_and_is_then_told_no_more() {
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
     monitor.say(&ClientFrame::Want(want()));
-    // Before the script begins: a monitor that first asks when nothing is held back any more is told of nothing.
+    // Before the script begins: a monitor that first asks when nothing is held back any more hears nothing.
     let ServerFrame::HeldBack(first) = monitor.next() else { panic!("what is held back comes first") };
     let started = Instant::now();
     while let Some(next) = runtime.begin() {
@@ -249,7 +249,7 @@ fn over_tcp_a_token_keeps_others_out() {
     let other = Token::of("a token of another test").unwrap();
     assert_eq!(denied(&ClientFrame::Token(other)), ServerFrame::Denied(Denied::WrongToken));
     assert_eq!(denied(&ClientFrame::Want(want())), ServerFrame::Denied(Denied::NoToken));
-    // A monitor of version 1.0 cannot show a token, and is told of the versions.
+    // A monitor of version 1.0 cannot show a token, and gets the versions.
     let refused = Handshake::Refused(Refusal::OtherMajor { node: VERSION, monitor: OLD.0 });
     assert_eq!(Monitor::tcp(address).hello(OLD), refused);
 

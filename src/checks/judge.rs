@@ -156,7 +156,7 @@ impl<'a> Judge<'a> {
         self.came += 1;
     }
 
-    /// Drops pending changes to make room. Events of nodes and commands stay, because nobody repeats them. A task that loses a
+    /// Drops pending changes to make room. Events of nodes and commands stay, because they are not repeated. A task that loses a
     /// change is unknown until its next one.
     fn drop_changes(&mut self) {
         let mut tasks = BTreeSet::new();

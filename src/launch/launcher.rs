@@ -202,7 +202,7 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     Ok(if verdict == Exit::Well && !is_written { Exit::Usage } else { verdict })
 }
 
-/// Complains about lines of the answer that nobody read. False if writing failed; a slow or vanished reader is no error.
+/// Complains about lines of the answer that no reader took. False if writing failed; a slow or vanished reader is no error.
 fn told(untaken: &Untaken) -> bool {
     let lines = count(untaken.lines, "line");
     match untaken {

@@ -10,7 +10,7 @@ pub struct Rounds {
     pub rounds: u64,
     /// Rounds that released all members.
     pub released: u64,
-    /// Rounds that released nobody: all waiting members gave up.
+    /// Rounds that released no member: all waiting members gave up.
     pub timed_out: u64,
     /// Rounds that released some members and not others.
     pub divergent: u64,

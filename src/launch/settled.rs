@@ -17,7 +17,7 @@ pub struct Settled {
     pub skews: Spreading,
     /// The settled rounds, as ranges without gaps: first round to last round.
     pub spans: BTreeMap<i64, i64>,
-    /// The last settled round that released somebody.
+    /// The last settled round that released a member.
     pub released: Option<i64>,
     /// Rounds with false releases as far as is known: the members that had not announced the round, and the released ones.
     /// Reports may still show that announcements of an absent member are missing.

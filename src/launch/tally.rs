@@ -40,7 +40,7 @@ struct Death {
     at: u64,
     /// The last round that the member had announced by then.
     announced: i64,
-    /// The last settled round that began before the kill and released somebody.
+    /// The last settled round that began before the kill and released a member.
     released: Option<i64>,
     /// When its node was restarted.
     revived: Option<u64>,
@@ -221,7 +221,7 @@ impl Tally {
     }
 
     /// The last round that a member can have announced before it was killed. It is the successor of the last round that it
-    /// announced, or that began before the kill and released somebody.
+    /// announced, or that began before the kill and released a member.
     fn last_words(&self, death: &Death) -> i64 {
         let spoken = |(round, meeting): (&i64, &Meeting)| {
             (meeting.begun <= death.at && meeting.released != 0).then_some(*round)
@@ -396,7 +396,7 @@ mod tests {
         let both = |at, round, what| [(at, 0, round, what), (at, 1, round, what)];
         let mut events = all_announce(5, 1);
         events.extend((0..3).map(|task| (6, task, 1, What::Released)));
-        // The node is killed at 10. The others wait in vain in round 2, and meet the member again in round 3.
+        // The node is killed at 10. The others give up in round 2, and meet the member again in round 3.
         events.extend(both(20, 2, What::Announced).into_iter().chain(both(220, 2, GAVE_UP)));
         let mut tally = tally(&events);
         tally.died(TaskId(2), 10);

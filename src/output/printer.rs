@@ -1,4 +1,4 @@
-//! Writes lines on a thread of its own, so that a slow or stopped reader blocks nobody else.
+//! Writes lines on a thread of its own, so that a slow or stopped reader blocks no other thread.
 
 use super::count;
 use indicatif::ProgressBar;

@@ -224,7 +224,7 @@ fn recorded(dir: &Path, args: &[&str], said: Said) -> Said {
     said
 }
 
-/// Asserts that the recordings beside `file` replay bit by bit, and that every state on the way is sound. The recording of a
+/// Asserts that the recordings beside `file` replay bit by bit, and that every state in between is sound. The recording of a
 /// killed node is judged as far as it goes.
 pub fn replays(dir: &Path, file: &Path, cell: Option<&str>) {
     let stem = file.file_stem().expect("a name").to_str().expect("UTF-8");

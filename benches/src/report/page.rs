@@ -1,4 +1,4 @@
-//! Writes the table in `specs/performance.md`, between two marks. Nobody edits that part by hand.
+//! Writes the table in `specs/performance.md`, between two marks. Do not edit that part by hand.
 
 use super::{ratio, unit, verdict};
 use crate::cases::floors::LINE;

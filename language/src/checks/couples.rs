@@ -164,7 +164,7 @@ fn waits(hir: &Hir, couple: &Couple, standby: TaskId, found: &mut Vec<Diagnostic
     });
 }
 
-/// Checks that a standby does not come to its end before it takes over: nobody grants the lease after that.
+/// Checks that a standby does not come to its end before it takes over: no task grants the lease after that.
 fn ends(hir: &Hir, couple: &Couple, [primary, standby]: [TaskId; 2], found: &mut Vec<Diagnostic>) {
     let (primary, standby) = (task(hir, primary), task(hir, standby));
     if standby.is_extern || is_draft(standby) || walk::only_serves(standby) || !walk::all_go_on(&standby.body)

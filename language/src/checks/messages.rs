@@ -1,4 +1,4 @@
-//! Checks messages: somebody receives them, no tasks ask each other in a ring, and requests have a branch for a bad end.
+//! Checks messages: a task receives them, no tasks ask each other in a ring, and requests have a branch for a bad end.
 
 use super::{is_draft, ring, task, tasks, time};
 use crate::ast::BranchKind;
@@ -288,7 +288,7 @@ fn calls_first(task: &Task, id: PortId) -> bool {
     first == Some(true)
 }
 
-/// Reports a request without `on time_out`: the task ends if nobody answers.
+/// Reports a request without `on time_out`: the task ends if no answer comes.
 fn unprepared(hir: &Hir, id: TaskId, statement: &Statement, found: &mut Vec<Diagnostic>) {
     let StatementKind::Send { port, .. } = &statement.kind else { return };
     let port = &hir.ports[port.index()];

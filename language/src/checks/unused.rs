@@ -52,7 +52,7 @@ fn uses(hir: &Hir, id: PortId, by: TaskId) -> bool {
     messages::is_sent(hir, id, by) || walk::any(task(hir, by), waits)
 }
 
-/// Reports a port on which nobody sends or waits.
+/// Reports a port on which no task sends or waits.
 fn port(hir: &Hir, id: PortId, found: &mut Vec<Diagnostic>) {
     let port = &hir.ports[id.index()];
     let starts: Vec<TaskId> = match port.usage {

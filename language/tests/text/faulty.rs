@@ -89,7 +89,7 @@ fn bytes_that_are_no_text_are_one_error() {
     assert!(shown.contains("a.cell"), "{shown}");
 }
 
-/// Whoever writes a type of another language is told which one is meant here.
+/// A type of another language gets a diagnostic that names the type to write.
 #[test]
 fn types_of_other_languages_are_explained() {
     let types = [

@@ -215,7 +215,7 @@ impl<'a> Walk<'a> {
         faults: &CellFaults,
         (kept, apart): (&'a Kept, Option<&'a Apart>),
     ) -> Self {
-        // The search omits the loss of a packet that nobody would notice. The state kept instead may allow more than its budgets
+        // The search omits the loss of a packet that no task would notice. The state kept instead may allow more than its budgets
         // tell: an unused cut allows what an open one does, and a packet that arrived at a node that is down may restart it.
         let doubles = faults.dup > 0 || faults.reorder > 0;
         let takes = faults.loss > 0 || !faults.cut.is_empty();

@@ -166,7 +166,7 @@ pub struct CellPlan {
     pub times: Times,
     /// The distance of the ticks that [`Times::Every`] tries, counted back from the most time.
     pub step: u32,
-    /// Switches off all reductions, to check that they change no finding. The search then also covers faults that nobody notices,
+    /// Switches off all reductions, to check that they change no finding. The search then also covers faults that no task sees,
     /// covered states, dead variables, crashes, restarts and pauses at every event, and all independent parts together.
     pub everything: bool,
     /// Packets that a node's transit buffer holds.

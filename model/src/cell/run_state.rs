@@ -55,7 +55,7 @@ pub(super) struct Beside {
     pub held_back: Vec<Option<u32>>,
     /// For each node, the scripts that begin in this tick.
     pub begins: Vec<Begins>,
-    /// Nodes that took a step or crashed in this tick, as a bit set. Only these may crash, or restart at once. Nobody can tell
+    /// Nodes that took a step or crashed in this tick, as a bit set. Only these may crash, or restart at once. No task can tell
     /// a crash before a node's next step from one right after its last step.
     pub acted: u64,
 }

@@ -107,8 +107,8 @@ pub(super) const fn is_outside(step: CellMove) -> bool {
     step.is_fault() || matches!(step, CellMove::Restart(_))
 }
 
-/// Explores a standstill and reports what repeats in it. `None` if nobody waits for others, if some path makes progress after
-/// all, or if it has too many states. `idle` collects the core fingerprints of states from which nobody waits.
+/// Explores a standstill and reports what repeats in it. `None` if no task waits for others, if some path makes progress after
+/// all, or if it has too many states. `idle` collects the core fingerprints of states from which no task waits.
 pub(super) fn tell(
     plan: &Arc<CellPlan>,
     (phase, hypothesis): (Phase, usize),
@@ -178,7 +178,7 @@ impl Round {
                 let next = run_state.store().ok()?;
                 let to = Mark::of(run_state.split(&next)).core();
                 round.leads.entry(from).or_default().push(to);
-                // Outcomes told to a task outside the cell do not count: nobody knows what its real program does next.
+                // Outcomes told to a task outside the cell do not count: what its real program does next is unknown.
                 let told = turns
                     .iter()
                     .filter(|turn| is_answered(turn) && !run_state.plan.outside.contains(&turn.task));

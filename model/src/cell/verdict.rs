@@ -17,7 +17,7 @@ pub enum Kind {
     TimeOut,
     /// A request is rejected or bypassed more often than aging allows, without a fault (D58).
     Starves,
-    /// A member waits at a `waitfor` in vain, without a fault.
+    /// A member waits at a `waitfor` until its time_out, without a fault.
     Stranded,
     /// A message is refused without a fault.
     Refused,

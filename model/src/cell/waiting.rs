@@ -10,7 +10,7 @@ use imrs_protocol::{CellTable, Instant, Packet, PortId, TaskId, Usage};
 /// Tasks that wait for each other, or else one that is left waiting. `goes_on`: other moves are still possible.
 pub(super) fn for_ever(run_state: &RunState, goes_on: bool) -> Option<Shown> {
     let closed = closed(run_state, goes_on);
-    // Of most states nobody is left.
+    // Of most states no task is left.
     if !closed.contains(&true) {
         return None;
     }
@@ -22,7 +22,7 @@ pub(super) fn deadlock(run_state: &RunState, goes_on: bool) -> Option<Shown> {
     ring(run_state, closed(run_state, goes_on), goes_on)
 }
 
-/// The waiting tasks that nobody outside this set can help any more.
+/// The waiting tasks that no task outside this set can help any more.
 fn closed(run_state: &RunState, goes_on: bool) -> Vec<bool> {
     let waits = |task: usize| {
         run_state.is_up(task) && matches!(run_state.activity(task), Some(Activity::Waits | Activity::Acts))
@@ -96,7 +96,7 @@ fn is_coming(run_state: &RunState, task: usize) -> bool {
         })
 }
 
-/// Removes tasks from the set until nobody outside it can help any of its members.
+/// Removes tasks from the set until no task outside it can help any of its members.
 fn keep_closed(run_state: &RunState, closed: &mut [bool]) {
     let has_ended =
         |task: usize| run_state.is_up(task) && matches!(run_state.activity(task), Some(Activity::Ended(_)));

@@ -106,7 +106,7 @@ impl CellState {
         let of_port = |(port, &behind): (usize, &u8)| {
             let moved = bases.rounds[port].steps_from(self.rounds[port]).cast_signed();
             let from_first = i32::from(behind) + i32::from(moved);
-            // If no round is in use, a new incarnation is behind nobody.
+            // If no round is in use, a new incarnation is behind no member.
             let from_first = if bases.used[port] { from_first } else { 0 };
             u8::try_from(from_first.clamp(0, i32::from(FAR_BEHIND))).unwrap_or(FAR_BEHIND)
         };

@@ -1,6 +1,6 @@
 //! The unpacked cell state: whole nodes with several tasks each, relays, links of limited capacity, drift.
 //!
-//! Like a `World`, a [`CellState`] is only a scratch pad over packed states (`canon`). A node is the protocol's own [`Node`].
+//! Like a `World`, a `CellState` is only a scratch pad over packed states (`canon`). A node is the protocol's own [`Node`].
 //! A [`plan::TaskPlan`] says what a task does, and a [`plan::CellProperty`] is a property.
 
 pub(crate) mod body;

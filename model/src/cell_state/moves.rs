@@ -76,7 +76,7 @@ impl CellState {
             if self.faults.over > 0 {
                 moves.push(Move::Deliver(i, 1));
             }
-            // Nobody can notice a loss before the packet's last tick.
+            // No task can notice a loss before the packet's last tick.
             if self.faults.loss > 0 && at_its_end {
                 moves.push(Move::Lose(i));
             }

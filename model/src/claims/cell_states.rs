@@ -205,7 +205,7 @@ fn relays() -> Vec<Claim> {
     claims
 }
 
-/// What senders are told of commands that did not run: full buffers refuse and hold them, or one copy is refused
+/// What senders learn about commands that did not run: full buffers refuse and hold them, or one copy is refused
 /// while another runs.
 fn did_not_run() -> Claim {
     let about = "a command that is reported as refused or never sent has not run and does not run later";

@@ -136,7 +136,7 @@ impl World {
             specs.push(bytes);
         }
         let reduces = self.scenario.reductions.ignores && !self.scenario.incarnations();
-        // A CONFIRM releases a member waiting in its round, whoever sent it: the receiver is packed as its sender.
+        // A CONFIRM releases a member waiting in its round, independent of the sender: the receiver is packed as its sender.
         let anonymous = |carried: &InFlight| {
             let mut carried = *carried;
             if reduces && self.releases(&carried) {
@@ -203,7 +203,7 @@ impl World {
             || (self.knows(from.index(), to.index()) && heard(from, to) && heard(to, from))
     }
 
-    /// Drops CONFIRMs still to be sent that every member would ignore, then packets in flight that nobody can notice.
+    /// Drops CONFIRMs still to be sent that every member would ignore, then packets in flight that no task can notice.
     /// The order matters, because a member that still owes a CONFIRM notices arrivals.
     fn drop_unnoticed(&mut self) {
         let port = PortId(0);

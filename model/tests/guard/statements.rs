@@ -114,7 +114,7 @@ impl Cell<'_> {
         self.put("\n");
     }
 
-    /// A statement that waits for nobody.
+    /// A statement that waits for no other task.
     pub(super) fn takes_time(&mut self) {
         if self.tape.chance(50) { self.put("    delay 2 msec;\n") } else { self.run() }
     }

@@ -72,7 +72,7 @@ impl PartialEq for Reference {
     }
 }
 
-/// What distinguishes packets. Nobody reads the id of a meeting's packet, and the remaining time of a CONFIRM or an
+/// What distinguishes packets. No task reads the id of a meeting's packet. The remaining time of a CONFIRM or an
 /// ABORT is constant.
 fn key(carried: &InFlight) -> (u8, u16, u16, u16, bool, u32, u64, Contents, u8) {
     let p = &carried.packet;

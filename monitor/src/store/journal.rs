@@ -20,7 +20,7 @@ pub enum Severity {
     Note,
     /// Something was lost or late.
     Warn,
-    /// A robot waits in vain, or a node or task died.
+    /// A robot waits until its time_out, or a node or task died.
     Bad,
 }
 

@@ -23,8 +23,8 @@ impl CellTable {
 
     /// How long after its start a restarted node holds back the script of `task` (D94, D157). Until then
     ///
-    /// - commands and arrivals for its earlier incarnation are turned away ([`quarantine`](Self::quarantine)), so the script
-    ///   could only wait in vain;
+    /// - commands and arrivals for its earlier incarnation are rejected ([`quarantine`](Self::quarantine)), so the script
+    ///   could only wait until its time_out;
     /// - commands and arrivals of its earlier incarnation may still arrive, and be carried out after those of the new one;
     /// - or a task of its own node that it asks or meets is held back.
     ///
@@ -67,7 +67,7 @@ impl CellTable {
     }
 
     /// The ports of `task` that carry commands or arrivals. Heartbeat ports are left out: leases have their own rule for restarts
-    /// (D80, D135). So are ports for replies to third parties: nobody carries those out, and they expire as status messages do.
+    /// (D80, D135). So are ports for replies to third parties: no task carries those out, and they expire as status messages do.
     fn lasting(&self, task: TaskId) -> impl Iterator<Item = (&Port, &Party)> {
         let ports = self.ports_of(task).iter().filter_map(|&id| self.port(id));
         let lasts = |port: &&Port| match port.decl.usage {

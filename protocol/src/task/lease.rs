@@ -95,7 +95,7 @@ pub(crate) struct Lease {
     /// The data that this task's answers carry, and that the partner's last answer carried.
     published: Contents,
     said: Contents,
-    /// The pending call: a fence or a take-over that the task has not been told of.
+    /// The pending call: a fence or a take-over of which the task has no signal yet.
     call: Option<Call>,
 }
 

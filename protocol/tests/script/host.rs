@@ -393,7 +393,7 @@ fn a_handler_waits_for_the_end_of_an_atomic_section() {
 }
 
 /// The action ends while the first handler runs. When that handler returns, the second one begins before the communication
-/// task is told of the end of the action.
+/// task hears of the end of the action.
 #[test]
 fn a_handler_that_comes_at_once_after_another_crosses_the_end_of_the_action() {
     let mut cell = triangle();

@@ -203,7 +203,7 @@ impl World {
         }
     }
 
-    /// An answer to a request in flight, whoever it is for.
+    /// An answer to any request in flight.
     fn third_party(&self, port: &Port, a: u16, b: u16) -> Request {
         let asked =
             self.flying.iter().filter(|p| matches!(p.kind, Kind::Send | Kind::Query)).nth(usize::from(a) % 4);

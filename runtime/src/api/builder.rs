@@ -104,7 +104,7 @@ impl Builder {
         self
     }
 
-    /// The recorder, which is told of every input of every communication task.
+    /// The recorder, which gets every input of every communication task.
     pub fn recorder(mut self, recorder: Arc<dyn Recorder>) -> Self {
         self.recorder = Some(recorder);
         self

@@ -83,10 +83,10 @@ pub trait Link: Send + Sync {
     }
 }
 
-/// A link in which a task's thread can wait, one thread at a time. While it waits, what comes in from neighbours is reported to
+/// A link in which a task's thread can wait, one thread at a time. While it waits, what arrives from neighbours is reported to
 /// it alone, and to no polling thread. What comes from elsewhere is reported to the polling thread.
 pub trait Leading: Send + Sync {
-    /// Waits until something comes in, for at most `left`, or until [`call`](Self::call). It takes nothing in, and may end early
+    /// Waits until something arrives, for at most `left`, or until [`call`](Self::call). It takes nothing in, and may end early
     /// (spurious wake-up). It reports [`Came::Time`] only if `left` is zero.
     fn wait(&self, left: Option<Duration>) -> Came;
 

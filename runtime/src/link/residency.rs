@@ -1,6 +1,6 @@
 //! Tells how long a datagram waited in the kernel (D50).
 //!
-//! The kernel stamps a datagram with the *wall clock* when it comes in, and the wall clock may be set at any time. So a stamp
+//! The kernel stamps a datagram with the *wall clock* when it arrives, and the wall clock may be set at any time. So a stamp
 //! counts only if the wall clock and the monotonic clock advanced alike. Otherwise the datagram may have come at any moment since
 //! the socket was last seen empty, and that whole time is charged. No datagram can have waited longer.
 

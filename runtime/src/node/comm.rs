@@ -213,7 +213,7 @@ impl Comm {
     }
 }
 
-/// An answer on its way to the task.
+/// An answer of the machine to its task.
 #[derive(Clone, Copy, Debug)]
 pub struct Completion {
     /// The answer.

@@ -107,7 +107,7 @@ impl Node {
         Detail { mono_us: now, ports: ports.iter().filter_map(one).collect() }
     }
 
-    /// Begins to follow what is observed from now on. Observations are kept only while somebody follows.
+    /// Begins to follow what is observed from now on. Observations are kept only while a monitor follows.
     #[must_use]
     pub fn observe(self: &Arc<Self>) -> Observations {
         let tasks = self.locals.list.iter().map(|local| self.look(local, |comm| comm.ring().subscribe()));

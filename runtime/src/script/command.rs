@@ -69,7 +69,7 @@ pub struct Commands {
     stopping: Arc<Stopping>,
 }
 
-/// Is told of a command that went wrong: the action, and how.
+/// Hears of a command that went wrong: the action, and how.
 type Tell = Arc<dyn Fn(&str, &CommandError) + Send + Sync>;
 
 /// How a command went wrong, other than by an exit code, which means that the action failed.
@@ -130,7 +130,7 @@ impl Commands {
         }
     }
 
-    /// Sets what is told of a command that went wrong: the name of the action, and how. For the script the action has failed.
+    /// Sets what hears of a command that went wrong: the name of the action, and how. For the script the action has failed.
     #[must_use]
     pub fn tell(self, tell: impl Fn(&str, &CommandError) + Send + Sync + 'static) -> Self {
         Self { tell: Arc::new(tell), ..self }

@@ -96,7 +96,7 @@ impl<P: Plants<Plant>> Alarm<P> {
 
     /// Sleeps until something expires that no task's thread waits for, and returns the time then. Only the Timer thread calls
     /// this. It wakes `tail` early and spins from there on. If the first expiry is nearer than that, it sleeps for it, so that it
-    /// gives up its core between any two. `None` as soon as `closing` is true; whoever makes it true rings afterwards.
+    /// gives up its core between any two. `None` as soon as `closing` is true; the thread that makes it true rings afterwards.
     pub fn next(
         &self,
         tail: Micros,

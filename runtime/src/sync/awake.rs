@@ -87,7 +87,7 @@ impl Cores {
         Self { most: if only.is_some() { quota() } else { count.min(quota()) }, only }
     }
 
-    /// Whether nobody else needs the core that the calling thread runs on.
+    /// Whether no other thread needs the core that the calling thread runs on.
     fn free(self) -> bool {
         let bound = self.only.and_then(|core| BOUND.get(usize::from(core)));
         AWAKE.load(Ordering::Relaxed) <= self.most

@@ -1,6 +1,6 @@
 //! Leader and followers (D40). One thread at a time, of a task or of the futures, waits in the link itself and receives for the
 //! node. It finds its own answer without a wake-up; the others sleep on their words. A leader that stops hands nothing on: while
-//! nobody leads, the kernel tells the node's receiving thread of whatever comes.
+//! no thread leads, the kernel tells the node's receiving thread of whatever comes.
 //!
 //! The kernel tells only the leader of what came meanwhile. So the leader takes that in before it checks whether its wait is
 //! over.

@@ -34,7 +34,7 @@ pub(crate) use std::sync::{
 mod real {
     use std::sync::{Mutex, MutexGuard, TryLockError};
 
-    /// Locks if nobody holds the lock.
+    /// Locks if no thread holds the lock.
     pub(crate) fn try_lock<T>(mutex: &Mutex<T>) -> Option<MutexGuard<'_, T>> {
         match mutex.try_lock() {
             Ok(guard) => Some(guard),
@@ -118,7 +118,7 @@ impl Word {
         self.sleeper.1.notify_one();
     }
 
-    /// Plays the kernel's timer: the sleeper returns though nobody changed the word.
+    /// Plays the kernel's timer: the sleeper returns though no thread changed the word.
     pub fn time_out(&self) {
         self.wake();
     }

@@ -6,7 +6,7 @@
 //!      ^  \---- go_away, come_home -------> AWAY --------------- a wake-up ----------> READY
 //!      |   \--- listens ------------------> LISTENING ---------- a wake-up ----------> READY
 //!      |    \-- begins to look, looks no more -> LOOKING ----------------------------> READY
-//!      \-------------------------------------- comes in ----------------------------- READY
+//!      \--------------------------------------- enters ----------------------------- READY
 //! ```
 //!
 //! While the thread spins, others leave all input in the inbox for it. While it runs, they leave only input that may wait. So a

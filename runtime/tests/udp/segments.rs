@@ -147,7 +147,7 @@ fn what_is_said_together_leaves_in_one_call_the_most_urgent_of_each_datagram_fir
     assert_eq!((a.count(UdpCount::DatagramsSent), a.count(UdpCount::SendsSaved)), (4, 3));
 }
 
-/// A leader is told of one event, and takes in all of its datagrams.
+/// A leader hears of one event, and takes in all of its datagrams.
 #[test]
 fn the_leader_takes_in_all_that_came_in_one() {
     let (a, b) = pair();

@@ -120,7 +120,7 @@ impl Follower {
             *self = next;
             self.guessed += 1;
             if let Some(at) = self.like(wanted) {
-                // Nobody knows the results of its actions, nor the contents that follow from them.
+                // Unknown are the results of its actions, and the contents that follow from them.
                 self.run_state.cell.in_flight[at].packet.contents = wanted.contents;
                 return true;
             }

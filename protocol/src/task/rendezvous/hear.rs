@@ -74,7 +74,7 @@ impl Rendezvous {
 
     fn hear_confirm(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, packet: &Packet, round: Round) {
         self.hear_of(round);
-        // A CONFIRM names the incarnation whose arrival it confirms: one for an earlier incarnation releases nobody (D67).
+        // A CONFIRM names the incarnation whose arrival it confirms: one for an earlier incarnation releases no member (D67).
         let mine = round == self.announced && packet.id.incarnation == at.step.own.incarnation;
         if mine {
             self.members[from].confirmed = true;

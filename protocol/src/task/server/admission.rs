@@ -106,7 +106,7 @@ impl Server {
     }
 
     /// Whether a message is from the present incarnation of its source. A new incarnation clears the dedup entries of
-    /// the earlier one, and drops its waiting commands, because nobody waits for their answers.
+    /// the earlier one, and drops its waiting commands, because no task waits for their answers.
     pub(super) fn enter_incarnation(
         &mut self,
         step: &mut Step<'_, impl Outbox>,

@@ -5,13 +5,13 @@
 //! back for company. Several full datagrams leave in one call if the kernel can cut it, and come in one call if the kernel has
 //! merged them. Whatever the socket reports is counted, and never ends the link.
 //!
-//! A packet that comes in is charged the larger of two times: the link's declared bound plus the wait in this node's kernel, and
+//! An arriving packet is charged the larger of two times: the link's declared bound plus the wait in this node's kernel, and
 //! what the clocks in the envelopes show of its whole hop (`delay`). So neither a stopped receiver nor a sender that was stopped
 //! between its clock and `sendto` can make an old packet look young.
 //!
 //! Addresses come only from the address book, never from traffic. A datagram is judged by its content (digests, sender, receiver,
-//! session, counter), not by its source address: a neighbour behind another port is heard, but nobody can draw traffic to itself.
-//! In the envelope's checksum mode this keeps out accidents, not attackers: whoever can reach the socket can forge datagrams.
+//! session, counter), not by its source address: a neighbour behind another port is heard, but no sender draws traffic to itself.
+//! In the envelope's checksum mode this keeps out accidents, not attackers: a process that reaches the socket can forge datagrams.
 
 mod delay;
 mod greet;
@@ -64,7 +64,7 @@ pub struct UdpOptions {
     /// has a script. Nodes with different digests do not talk.
     pub statements: u32,
     /// How many bytes each of the kernel's receive queues holds (SO_RCVBUF; the kernel doubles it for its own needs). There is
-    /// one queue for each neighbour and one for all others. More than comes in within the longest time_out is of no use.
+    /// one queue for each neighbour and one for all others. More than arrives within the longest time_out is of no use.
     pub queue_bytes: usize,
     /// Whether the kernel, if it can, cuts what leaves in one call into datagrams (UDP_SEGMENT, Linux 4.18), and merges datagrams
     /// that come from one neighbour (UDP_GRO, Linux 5.0).

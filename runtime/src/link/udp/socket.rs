@@ -40,7 +40,7 @@ pub(super) fn segments(socket: &UdpSocket) -> bool {
     set_segment(socket, 0).is_ok()
 }
 
-/// Asks the kernel to merge what comes in from one sender at the same time. Returns whether it does.
+/// Asks the kernel to merge what arrives from one sender at the same time. Returns whether it does.
 pub(super) fn merge(socket: &UdpSocket) -> bool {
     setsockopt(socket, sockopt::UdpGroSegment, &true).is_ok()
 }
@@ -115,9 +115,9 @@ fn since_1970(at: TimeSpec) -> Option<Duration> {
 /// The options of a receiving socket.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Asked {
-    /// Whether the kernel merges what comes in from one sender at the same time.
+    /// Whether the kernel merges what arrives from one sender at the same time.
     pub(super) merges: bool,
-    /// Whether the kernel stamps what comes in.
+    /// Whether the kernel stamps what arrives.
     pub(super) stamped: bool,
     /// About how many bytes wait in the kernel, at most.
     pub(super) queue: usize,

@@ -1,4 +1,4 @@
-//! Waits for the sockets, and decides which thread is told of a datagram.
+//! Waits for the sockets, and decides which thread hears of a datagram.
 //!
 //! Two epoll instances watch each socket that is connected to a neighbour, both with EPOLLEXCLUSIVE: the leader's first, then the
 //! polling thread's. The kernel goes through them in this order and ends at the first one in which a thread sleeps. So a datagram

@@ -73,7 +73,7 @@ struct More {
     late: Seen,
     whole: Option<(Duration, Instant)>,
     places: (Places, Instant),
-    /// Whether the monitor was told of held-back scripts, and when they are checked next; `None` for version 1.1.
+    /// Whether the monitor has the list of held-back scripts, and when they are checked next; `None` for version 1.1.
     held_back: Option<(bool, Instant)>,
 }
 

@@ -37,7 +37,7 @@ impl Listener {
                 let (stream, _) = listener.accept()?;
                 Ok(same_user(&stream).then_some(Stream::Unix(stream)))
             }
-            // Whoever reaches the address may look: the program that opened it has decided that.
+            // Every monitor that reaches the address may look: the program that opened it has decided that.
             Self::Tcp(listener) => {
                 let (stream, _) = listener.accept()?;
                 // Without this the connection is only slower.
@@ -57,7 +57,7 @@ impl AsFd for Listener {
     }
 }
 
-/// The folder and the mode keep other users out already. This also holds if somebody has loosened them.
+/// The folder and the mode keep other users out already. This also holds if another program has loosened them.
 fn same_user(stream: &UnixStream) -> bool {
     rustix::net::sockopt::socket_peercred(stream).is_ok_and(|peer| peer.uid == geteuid())
 }
