@@ -37,15 +37,15 @@ fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_
         b.interrupt();
         let b = b.finish();
         let summary = a.last_json();
-        assert_eq!(a.code, Some(0), "life {incarnation}: {a:?} {b:?}");
+        assert_eq!(a.code, Some(0), "incarnation {incarnation}: {a:?} {b:?}");
         assert_eq!(summary["tasks"][0]["end"], "finished", "{summary}");
         assert_eq!(number(&port(&summary, "ask")["sent"]), 5, "{summary}");
         // One node does not know the arrivals at the other one.
         let meet = &summary["rendezvous"][0];
         assert_eq!((&meet["false_releases"], &meet["start_skew_us"]), (&Value::Null, &Value::Null), "{meet}");
         assert_eq!(summary["nodes"].as_array().map(Vec::len), Some(1), "{summary}");
-        let remembered =
-            std::fs::read_to_string(bench.0.path().join("state/imrs/relayed/na.life")).expect("its life");
+        let remembered = std::fs::read_to_string(bench.0.path().join("state/imrs/relayed/na.life"))
+            .expect("its incarnation");
         assert_eq!(remembered.trim(), incarnation.to_string());
     }
 }
@@ -118,11 +118,11 @@ fn failed_starts_count_nothing_and_the_real_one_is_heard() {
         assert!(said.err.contains("cannot bind UDP address"), "{said:?}");
     }
     drop(taken);
-    assert_eq!(std::fs::read_to_string(&incarnation).expect("its life").trim(), "0");
+    assert_eq!(std::fs::read_to_string(&incarnation).expect("its incarnation").trim(), "0");
     // Both nodes restart from their own stored incarnations.
     let (a, b) = meet();
     assert_eq!(a.code, Some(0), "{a:?} {b:?}");
-    assert_eq!(std::fs::read_to_string(&incarnation).expect("its life").trim(), "1");
+    assert_eq!(std::fs::read_to_string(&incarnation).expect("its incarnation").trim(), "1");
 }
 
 #[test]

@@ -28,7 +28,7 @@ const LOCK_WITHIN: Duration = Duration::from_millis(50);
 /// Interval between attempts to lock.
 const LOCK_EVERY: Duration = Duration::from_millis(5);
 
-/// The stored incarnation of a node: `$XDG_STATE_HOME/imrs/<cell>/<node>.incarnation`. Locked as long as this exists, by the file
+/// The stored incarnation of a node: `$XDG_STATE_HOME/imrs/<cell>/<node>.life`. Locked as long as this exists, by the file
 /// `<node>.lock` beside it, which holds the process id.
 #[derive(Debug)]
 pub struct State {

@@ -268,8 +268,8 @@ fn comment(text: &str) -> (usize, bool) {
 
 /// Whether a statement or a declaration may begin behind this token, but no condition.
 const fn ends_statement(token: Kind) -> bool {
-    use Word::{Begin, Do, Else, Is, Loop, Then};
-    matches!(token, Kind::Semicolon | Kind::Word(Begin | Do | Then | Else | Loop | Is))
+    use Word::{Begin, Do, Else, Is, Loop, Record, Takeover, Then};
+    matches!(token, Kind::Semicolon | Kind::Word(Begin | Do | Then | Else | Loop | Is | Record | Takeover))
 }
 
 /// The kind under which the parser sees this token. Reports a token that is wrong.

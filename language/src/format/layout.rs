@@ -29,7 +29,9 @@ pub(super) fn lay_out(pieces: &[Piece<'_>]) -> String {
     let mut aligner = Aligner::default();
     for (index, piece) in pieces.iter().enumerate() {
         let is_comment = matches!(piece.what, What::LineComment | What::BlockComment);
-        let breaks = if out.is_empty() { 0 } else { piece.breaks.min(2) };
+        // What follows a `//` comment must not become a part of it.
+        let least = usize::from(index > 0 && pieces[index - 1].what == What::LineComment);
+        let breaks = if out.is_empty() { 0 } else { piece.breaks.clamp(least, 2) };
         if breaks > 0 || out.is_empty() {
             let rest = pieces[index..].iter().map(|piece| piece.what);
             let next = rest.into_iter().find(|what| !matches!(what, What::LineComment | What::BlockComment));

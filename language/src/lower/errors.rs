@@ -159,7 +159,8 @@ impl Mapping<'_> {
         // A longer take-over drifts more, and needs a longer one again: four times brings that below a microsecond.
         let drift = |length: Ticks| Ticks(length.0.saturating_mul(DRIFT_PPM).div_ceil(1_000_000));
         let enough = (0..4).fold(least, |enough, _| least + drift(enough - takeover));
-        let enough = self.time(Ticks(enough.0.next_multiple_of((1_000 / self.usec).max(1))));
+        let whole = enough.0.checked_next_multiple_of((1_000 / self.usec).max(1));
+        let enough = self.time(whole.map_or(enough, Ticks));
         let at = self.work(couple).map_or_else(|| self.couple_span(couple), |(_, takeover)| takeover);
         Diagnostic::error(TAKEOVER_TOO_SOON, at, format!("takeover {has}: both tasks can act at a time"))
             .label(format!("must reach {needs}: {}", self.parts(couple, least)))

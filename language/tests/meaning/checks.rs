@@ -348,6 +348,9 @@ fn a_take_over_is_said_with_its_parts() {
     // What is advised is accepted, though a longer take-over drifts more.
     assert!(found.help[0].starts_with("give it 302 msec, or shorten"), "{:?}", found.help);
     assert!(serious(&WELD.replace("takeover 400 msec", "takeover 302 msec")).is_empty());
+    // The sum of such times has no number.
+    let endless = serious(&WELD.replace("lease 100 msec", "lease 18446744073709551 msec")).remove(0);
+    assert_eq!(endless.code, "E305");
 }
 
 #[test]

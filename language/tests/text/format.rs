@@ -24,6 +24,13 @@ fn examples_are_formatted_as_recorded() {
 }
 
 #[test]
+fn nothing_becomes_a_part_of_a_comment() {
+    let text = "cell c; task t on n\n  port p() usage = send user_list = {b // one\n  , d} time_out = 10 msec class = 1;\nbegin\nend t;";
+    formats(&source(text));
+    assert!(formatted(text).contains("{b,  // one\n"), "{}", formatted(text));
+}
+
+#[test]
 fn spellings_and_spaces_are_settled() {
     let text = "CELL c ;TASK t ON n\n\n\n\n PORT Rate( a:INT8 ,b )Usage=send user_list=( a,b c )rate = 1 / 2 sec  \
                 bounded_buffer [ 3 ] ;\r\nBEGIN\nRate:=- 1-( - - 2)+NOT.x [";

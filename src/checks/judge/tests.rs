@@ -245,7 +245,7 @@ fn a_task_that_may_no_longer_act_does_not_answer_for_its_command() {
 }
 
 #[test]
-fn a_command_without_its_guard_is_in_doubt_though_its_node_lives() {
+fn a_command_without_its_guard_is_in_doubt_though_its_node_runs() {
     let loaded = loaded();
     let mut judge = judge(&loaded, &[(100, 1, 1), (500, 1, 0), (600, 0, 1)]);
     judge.notice(began("b", 90));
