@@ -32,7 +32,51 @@ pub trait Sink: Send + Sync {
     fn discarded(&self, reason: LinkDiscard);
 }
 
-/// A node's links to its neighbours, shared by all threads of the node.
+/// A node's links to its neighbours, shared by all threads of the node. Two nodes over UDP:
+///
+/// ```
+/// use imrs_protocol::{Cell, CellTable, Incarnation, NodeTable, PortDecl, Ticks, Usage};
+/// use imrs_runtime::{Runtime, link::udp::{UdpLink, UdpOptions}};
+/// use std::{sync::Arc, time::Duration};
+///
+/// let mut cell = Cell::new("pair", Ticks(1_000));
+/// let (na, nb) = (cell.node("na"), cell.node("nb"));
+/// let (a, b) = (cell.task("a", na), cell.task("b", nb));
+/// cell.link(na, nb, Ticks(1_000));
+/// cell.port(PortDecl::new("ask", a, Usage::Send, &[b], Ticks(2_000_000)).command());
+/// let table = Arc::new(CellTable::new(cell).expect("a sound cell"));
+///
+/// let bind = |node| {
+///     let here = NodeTable::new(Arc::clone(&table), node);
+///     let address = "127.0.0.1:0".parse().expect("an address");
+///     Arc::new(UdpLink::bind(here, address, UdpOptions::new(Incarnation(1), false)).expect("a free port"))
+/// };
+/// let (of_a, of_b) = (bind(na), bind(nb));
+/// of_a.set_address(nb, Some(of_b.local_address())).expect("a neighbour");
+/// of_b.set_address(na, Some(of_a.local_address())).expect("a neighbour");
+///
+/// let first = Runtime::builder(Arc::clone(&table), na).incarnation(Incarnation(1), false).insecure(true).link(of_a);
+/// let second = Runtime::builder(table, nb).incarnation(Incarnation(1), false).insecure(true).link(of_b);
+/// let second = second
+///     .task("b", |ctx| {
+///         while let Some(question) = ctx.receive(None, None)? {
+///             ctx.reply(&question.from, b"two")?;
+///         }
+///         Ok(())
+///     })
+///     .start()
+///     .expect("a node that starts");
+/// let first = first
+///     .task("a", |ctx| {
+///         let ask = ctx.port("ask")?;
+///         println!("{:?}", ctx.send(ask, b"how many?")?.reply());
+///         Ok(())
+///     })
+///     .start()
+///     .expect("a node that starts");
+/// assert!(first.wait(Duration::from_secs(10)));
+/// second.stop(Duration::from_secs(10));
+/// ```
 pub trait Link: Send + Sync {
     /// Whether the link would take a send to this neighbour now.
     fn ready(&self, next: NodeId) -> bool;

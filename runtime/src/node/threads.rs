@@ -25,6 +25,26 @@ pub const SPIN_TAIL: Duration = Duration::from_micros(8);
 
 /// A running node.
 ///
+/// ```
+/// use imrs_protocol::{Cell, CellTable, Ticks};
+/// use imrs_runtime::{Runtime, TaskEnd};
+/// use std::{sync::Arc, time::Duration};
+///
+/// let mut cell = Cell::new("two", Ticks(1_000));
+/// let here = cell.node("here");
+/// let (_quick, _endless) = (cell.task("quick", here), cell.task("endless", here));
+/// let table = Arc::new(CellTable::new(cell).expect("a sound cell"));
+/// let node = Runtime::builder(table, here)
+///     .task("quick", |_ctx| Ok(()))
+///     // Every call fails once the node stops, so that this loop ends.
+///     .task("endless", |ctx| loop { ctx.delay(Duration::from_millis(10))? })
+///     .start()
+///     .expect("a node that starts");
+/// assert!(!node.wait(Duration::from_millis(50)), "one task goes on");
+/// let ends = node.stop(Duration::from_secs(10));
+/// assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned), "{ends:?}");
+/// ```
+///
 /// Dropping it asks its threads to end without waiting for them; [`stop`](Self::stop) waits.
 pub struct Runtime {
     node: Arc<Node>,

@@ -66,6 +66,23 @@ pub enum ObserverError {
 }
 
 /// Serves monitors until it is dropped.
+///
+/// ```
+/// use imrs_protocol::{Cell, CellTable, Ticks};
+/// use imrs_runtime::{Runtime, observer::Observer};
+/// use std::sync::Arc;
+///
+/// let mut cell = Cell::new("one", Ticks(1_000));
+/// let here = cell.node("here");
+/// let _task = cell.task("idle", here);
+/// let table = Arc::new(CellTable::new(cell).expect("a sound cell"));
+/// let node = Runtime::builder(table, here).task("idle", |_ctx| Ok(())).start().expect("a node that starts");
+/// // `Observer::start` takes the place where `imrs monitor` looks by itself.
+/// let path = std::env::temp_dir().join(format!("imrs-example-{}.sock", std::process::id()));
+/// let observer = Observer::start_at(Arc::clone(node.node()), &path).expect("a socket");
+/// println!("imrs monitor --connect {}", path.display());
+/// drop(observer);
+/// ```
 #[derive(Debug)]
 pub struct Observer {
     place: Place,

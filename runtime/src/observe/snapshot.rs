@@ -140,8 +140,36 @@ fn named(name: &str, count: u64) -> Count {
     Count { name: name.into(), count }
 }
 
-/// Follows the observations of a node. A reader that reads too seldom loses the oldest, and is told how many; the node never
+/// Follows the observations of a node. A reader that reads too seldom loses the oldest, and learns how many; the node never
 /// waits.
+///
+/// ```
+/// use imrs_protocol::{Cell, CellTable, Event, PortDecl, Ticks, Usage};
+/// use imrs_runtime::Runtime;
+/// use std::{sync::Arc, time::Duration};
+///
+/// let mut cell = Cell::new("news", Ticks(1_000));
+/// let here = cell.node("here");
+/// let (a, b) = (cell.task("a", here), cell.task("b", here));
+/// cell.port(PortDecl::new("news", a, Usage::Send, &[b], Ticks(1_000_000)));
+/// let table = Arc::new(CellTable::new(cell).expect("a sound cell"));
+/// let node = Runtime::builder(table, here)
+///     .task("a", |ctx| {
+///         ctx.delay(Duration::from_millis(50))?;
+///         let news = ctx.port("news")?;
+///         ctx.send(news, b"part")?;
+///         Ok(())
+///     })
+///     .task("b", |ctx| ctx.receive(None, None).map(drop))
+///     .start()
+///     .expect("a node that starts");
+/// let mut observations = node.node().observe();
+/// assert!(node.wait(Duration::from_secs(10)));
+/// let mut events = Vec::new();
+/// let lost = observations.drain(100, &mut events);
+/// assert_eq!(lost, 0);
+/// assert!(events.iter().any(|event| event.what.event == Event::Sent));
+/// ```
 pub struct Observations {
     node: Arc<Node>,
     /// Where to go on: in the order of the tasks, the transit buffer last.

@@ -21,6 +21,31 @@ const SLOTS: usize = 1 << 18;
 const OF_A_TASK: (usize, usize) = (1 << 6, 1 << 15);
 
 /// Records the inputs of a node's communication tasks as an [`imrs_wire::recording`].
+///
+/// ```
+/// use imrs_protocol::{Cell, CellTable, Incarnation, NodeTable, Ticks};
+/// use imrs_runtime::{Runtime, record::{About, FileRecorder}};
+/// use std::{sync::Arc, time::Duration};
+///
+/// let mut cell = Cell::new("one", Ticks(1_000));
+/// let here = cell.node("here");
+/// let _sleeper = cell.task("sleeper", here);
+/// let table = Arc::new(CellTable::new(cell).expect("a sound cell"));
+/// let about = About { incarnation: (Incarnation(0), false), insecure: false, build: "an example", statements: 0 };
+/// // A program gives a file here.
+/// let sink = std::io::sink();
+/// let of_node = NodeTable::new(Arc::clone(&table), here);
+/// let recorder = FileRecorder::start(sink, &of_node, &about, |error| eprintln!("{error}")).expect("a beginning");
+/// let node = Runtime::builder(table, here)
+///     .recorder(recorder.clone())
+///     .task("sleeper", |ctx| ctx.delay(Duration::from_millis(1)).map(drop))
+///     .start()
+///     .expect("a node that starts");
+/// assert!(node.wait(Duration::from_secs(10)));
+/// node.stop(Duration::from_secs(10));
+/// let status = recorder.stop(Duration::from_secs(10)).expect("the first stop");
+/// assert!(status.ended && status.lost == 0 && status.records > 1, "{status:?}");
+/// ```
 pub struct FileRecorder {
     recording: Mutex<Option<Recording>>,
     aside: Box<[Arc<Aside>]>,

@@ -59,6 +59,22 @@ fn explain(fault: &Fault) -> &'static str {
 }
 
 /// How a `send` ended.
+///
+/// ```
+/// use imrs_protocol::Outcome;
+/// use imrs_runtime::Sent;
+///
+/// /// What a program does next: after a time_out the command may have run, so it asks before it tries again.
+/// fn next(sent: Sent) -> &'static str {
+///     match sent {
+///         Sent::Copies(_) | Sent::Outcome(Outcome::Reply(_)) => "go on",
+///         Sent::Outcome(Outcome::Refused | Outcome::TimedOutUnsent) => "try again: it did not run",
+///         Sent::Outcome(Outcome::TimedOutUnknown | Outcome::PeerRestarted) => "ask first: it may have run",
+///         Sent::Several(answers) => if answers.answered == answers.asked { "go on" } else { "ask the others" },
+///     }
+/// }
+/// assert_eq!(next(Sent::Outcome(Outcome::Refused)), "try again: it did not run");
+/// ```
 #[must_use = "a command that was not answered may or may not have run"]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Sent {
@@ -137,6 +153,29 @@ pub struct Received<M> {
 }
 
 /// How a `waitfor` ended (§4.3). Both ends are normal: every program says what it does on time_out.
+///
+/// ```
+/// use imrs_protocol::{Cell, CellTable, PortDecl, Ticks, Usage};
+/// use imrs_runtime::{Context, Rendezvous, Runtime, TaskError};
+/// use std::{sync::Arc, time::Duration};
+///
+/// fn lift(ctx: &mut Context) -> Result<(), TaskError> {
+///     let port = ctx.port("lift")?;
+///     match ctx.waitfor(port)? {
+///         Rendezvous::Released { .. } => println!("{} lifts", ctx.name()),
+///         Rendezvous::GaveUp { missing, .. } => println!("{} puts down: {missing:b} did not come", ctx.name()),
+///     }
+///     Ok(())
+/// }
+///
+/// let mut cell = Cell::new("beam", Ticks(1_000));
+/// let here = cell.node("here");
+/// let (left, right) = (cell.task("left", here), cell.task("right", here));
+/// cell.port(PortDecl::new("lift", left, Usage::Waitfor, &[right], Ticks(2_000_000)));
+/// let table = Arc::new(CellTable::new(cell).expect("a sound cell"));
+/// let node = Runtime::builder(table, here).task("left", lift).task("right", lift).start().expect("a node that starts");
+/// assert!(node.wait(Duration::from_secs(10)));
+/// ```
 #[must_use = "a task that gave up must not act as if all had arrived"]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rendezvous {
