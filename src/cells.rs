@@ -6,7 +6,6 @@ use imrs_language::Span;
 use imrs_language::lower::{Action, CheckKind};
 use imrs_protocol::script::{Op, Predicate, Program, Term, Type, Variable};
 use imrs_protocol::{NodeId, PortId, TaskId};
-use imrs_runtime::record::statements;
 use serde::{Deserialize, Serialize};
 use std::ops::Deref;
 use std::path::Path;
@@ -74,14 +73,13 @@ fn reaches_end(program: &Program) -> bool {
 impl Loaded {
     /// The line, from 1, of the statement that an operation of a task's script belongs to.
     pub fn line(&self, task: TaskId, at: u16) -> Option<usize> {
-        let script = self.scripts.get(task.index())?.as_ref()?;
-        let span = script.spans.get(usize::from(at))?;
-        Some(self.source.position(span.start).0)
+        let script = self.script(task)?;
+        Some(self.line_of(*script.spans.get(usize::from(at))?))
     }
 
     /// The line, from 1, on which the handler begins that has a statement on the given line; none if that is one of the body.
     pub fn handler(&self, task: TaskId, line: usize) -> Option<usize> {
-        let script = self.scripts.get(task.index())?.as_ref()?;
+        let script = self.script(task)?;
         let has_line = |entry: u16| {
             let code = script.program.code.iter().zip(&script.spans).skip(usize::from(entry));
             code.take_while(|(op, _)| **op != Op::HandlerEnd).any(|(_, span)| self.line_of(*span) == line)
@@ -98,8 +96,7 @@ impl Loaded {
 
     /// The digest of the scripts of a node; zero if it has none.
     pub fn statements(&self, node: NodeId) -> u32 {
-        let tasks = self.table.tasks_on(node);
-        statements(tasks.filter_map(|task| Some((task, &**self.program(task)?))))
+        self.statements_of(self.table.tasks_on(node))
     }
 
     /// The name of an action of a task.
@@ -181,7 +178,7 @@ impl Loaded {
     }
 
     fn one_action(&self, task: TaskId, action: u16) -> Option<&Action> {
-        self.scripts.get(task.index())?.as_ref()?.actions.get(usize::from(action))
+        self.script(task)?.actions.get(usize::from(action))
     }
 }
 

@@ -80,18 +80,28 @@ fn said(found: &[Diagnostic], name: &str, source: Option<&Source>) -> CellError 
 }
 
 impl Loaded {
+    /// The script of a task; `None` for an extern task.
+    #[must_use]
+    pub fn script(&self, task: TaskId) -> Option<&Script> {
+        self.scripts.get(task.index())?.as_deref()
+    }
+
     /// The program of a task's script.
     #[must_use]
     pub fn program(&self, task: TaskId) -> Option<&Arc<Program>> {
-        Some(&self.scripts.get(task.index())?.as_ref()?.program)
+        Some(&self.script(task)?.program)
+    }
+
+    /// The digest of the scripts of these tasks; zero if there are none.
+    pub fn statements_of(&self, tasks: impl Iterator<Item = TaskId>) -> u32 {
+        statements(tasks.filter_map(|task| Some((task, &**self.program(task)?))))
     }
 
     /// The digest of the scripts of all nodes; zero if there are none. Nodes with different digests refuse each other. An
     /// extern task has no part in it, so both nodes must declare the task `extern`.
     #[must_use]
     pub fn all_statements(&self) -> u32 {
-        let tasks = (0..self.scripts.len()).map(TaskId::from_index);
-        statements(tasks.filter_map(|task| Some((task, &**self.program(task)?))))
+        self.statements_of((0..self.scripts.len()).map(TaskId::from_index))
     }
 
     /// The names of all actions.

@@ -157,7 +157,7 @@ impl Narrator {
     }
 
     fn ended(&self, task: TaskId, at: u64, statement: Option<Address>, end: End) {
-        let script = self.loaded.scripts.get(task.index()).and_then(Option::as_ref);
+        let script = self.loaded.script(task);
         let at_line = |address: Option<Address>| {
             let line = address.and_then(|address| self.loaded.line(task, address));
             line.map(|line| format!("line {line}"))

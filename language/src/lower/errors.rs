@@ -9,7 +9,7 @@ use crate::codes::{
 use crate::diagnostic::Diagnostic;
 use crate::hir::{CoupleKind, Duration, Hir, Port};
 use crate::span::Span;
-use imrs_protocol::margin::DRIFT_PPM;
+use imrs_protocol::margin::{DRIFT_PPM, takeover_margin};
 use imrs_protocol::{CellError, PortId, Ticks};
 
 /// The diagnostics for the errors of [`CellTable::new`](imrs_protocol::CellTable::new) on a lowered cell. `unit` is the unit
@@ -157,7 +157,7 @@ impl Mapping<'_> {
     fn takeover(&self, couple: &str, takeover: Ticks, least: Ticks) -> Diagnostic {
         let (has, needs) = (self.time(takeover), self.time(least));
         // A longer take-over drifts more, and needs a longer one again: four times brings that below a microsecond.
-        let drift = |length: Ticks| Ticks(length.0.saturating_mul(DRIFT_PPM).div_ceil(1_000_000));
+        let drift = |length| takeover_margin(Ticks::ZERO, length, DRIFT_PPM, Ticks::ZERO, Ticks::ZERO);
         let enough = (0..4).fold(least, |enough, _| least + drift(enough - takeover));
         let whole = enough.0.checked_next_multiple_of((1_000 / self.usec).max(1));
         let enough = self.time(whole.map_or(enough, Ticks));

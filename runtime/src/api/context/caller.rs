@@ -181,7 +181,8 @@ impl Caller {
         // Set again by what the link brings, whichever thread takes it in.
         let leading = leading.filter(|_| local.by_link.swap(false, Ordering::Relaxed));
         let handoff = &local.handoff;
-        if leading.is_some() && (handoff.is_called() || handoff.has_left()) {
+        let is_there = || handoff.is_called() || handoff.has_left();
+        if leading.is_some() && is_there() {
             // The link may have brought this before the wait began.
             return local.by_link.store(true, Ordering::Relaxed);
         }
@@ -216,7 +217,7 @@ impl Caller {
             handoff.sleep(clock::nanos_of(until));
             return;
         }
-        while !handoff.is_called() && !handoff.has_left() && clock::now() < until {
+        while !is_there() && clock::now() < until {
             std::hint::spin_loop();
         }
     }
