@@ -231,6 +231,11 @@ impl PortDecl {
         self.penalty.is_some_and(|penalty| penalty.literal)
     }
 
+    /// Whether every message and every answer takes one packet (D28).
+    pub(crate) fn takes_one_packet(&self) -> bool {
+        self.fragments <= 1 && self.answer_fragments <= 1
+    }
+
     /// Makes this a class-2 port: its sender waits for the answer.
     #[must_use]
     pub fn command(mut self) -> Self {

@@ -41,11 +41,15 @@ pub(crate) fn destinations(
     Ok(Peers::Several(port.peers(from).filter(move |&peer| to == Target::All || wanted & bit(peer) != 0)))
 }
 
-/// The only destination of a message on a port with two parties: found without a scan of the parties.
+/// The only destination of a message, if the port and the target leave only one: found without a scan of the parties.
 pub(crate) fn only_peer(port: &Port, from: TaskId, to: Target) -> Option<TaskId> {
     match (&*port.parties, to) {
         ([owner, user], Target::All) => Some(if owner.task == from { user.task } else { owner.task }),
-        (_, Target::All | Target::One(_) | Target::Some(_)) => None,
+        ([owner, ..], Target::All) if owner.task != from && port.decl.usage != Usage::Waitfor => {
+            Some(owner.task)
+        }
+        (_, Target::One(task)) => port.admits(from, task).then_some(task),
+        (_, Target::All | Target::Some(_)) => None,
     }
 }
 

@@ -3,6 +3,7 @@
 //! Single-threaded drivers call [`Node::step`]; the threaded runtime takes a node apart and puts every part behind its
 //! own lock. Both call the same pure functions of [`route`](crate::route).
 
+mod fused;
 #[cfg(feature = "checker")]
 mod orders;
 #[cfg(feature = "checker")]
@@ -145,6 +146,23 @@ impl Node {
     /// Takes one input at `now` and carries out all its effects within the node. What is due by `now` happens first. A `now`
     /// before the last one counts as no elapsed time (D42).
     pub fn step(&mut self, now: Instant, input: NodeInput, out: &mut impl NodeOutbox) {
+        if let NodeInput::Request(task, request) = &input {
+            if now > self.now {
+                self.step(now, NodeInput::Time, out);
+            }
+            if self.fuse(*task, request, out) {
+                // Its packets never come to the transit buffer, but a link may take others by now.
+                if !self.parts.transit.is_empty() {
+                    self.flush(out);
+                }
+                return;
+            }
+        }
+        self.small_steps(now, input, out);
+    }
+
+    /// [`step`](Self::step) without fused steps: the steps that a checker explores one by one.
+    pub fn small_steps(&mut self, now: Instant, input: NodeInput, out: &mut impl NodeOutbox) {
         self.begin(now, input, out);
         while let Some(work) = self.work.pop_front() {
             // A packet that is alone in the queue goes straight to its task: nothing observes the steps in between.

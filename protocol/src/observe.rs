@@ -159,6 +159,19 @@ pub struct Observation {
     pub remaining: Ticks,
 }
 
+impl Observation {
+    /// What happened to a message, or to a packet of it.
+    pub(crate) const fn of(
+        event: Event,
+        port: PortId,
+        peer: TaskId,
+        id: MessageId,
+        remaining: Ticks,
+    ) -> Self {
+        Self { event, port, peer, number: id.sequence.get(), remaining }
+    }
+}
+
 /// Counters of one port at one task. They only grow during an incarnation of the node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct PortCounters {

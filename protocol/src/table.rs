@@ -34,6 +34,8 @@ pub struct CellTable {
     locations: Box<[NodeId]>,
     /// How long each task's script is held back after its node restarts.
     held_back: Box<[Ticks]>,
+    /// Whether the cell runs the decided rules.
+    decided: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -87,9 +89,15 @@ impl CellTable {
         let ports_of = ports_of.into_iter().map(Vec::into_boxed_slice).collect();
         let digest = digest::of_cell(&cell, &ports);
         let locations = cell.tasks.iter().map(|task| task.node).collect();
-        let mut table = Self { cell, ports, digest, routes, ports_of, locations, held_back: Box::default() };
+        let (held_back, decided) = (Box::default(), cell.rules == Rules::DEFAULT);
+        let mut table = Self { cell, ports, digest, routes, ports_of, locations, held_back, decided };
         table.held_back = table.hold_back();
         Ok(table)
+    }
+
+    /// Whether the cell runs [`Rules::DEFAULT`]. Fused steps know no others.
+    pub(crate) const fn is_decided(&self) -> bool {
+        self.decided
     }
 
     /// The declarations.

@@ -8,6 +8,7 @@ mod buffers;
 mod clocks;
 mod copies;
 mod fragments;
+mod fused;
 mod fuzzing;
 mod laws;
 mod lease;

@@ -2,6 +2,7 @@
 
 use crate::failure::Failure;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped};
+use imrs_model::cell_state::compared;
 use imrs_model::{Outcome, Report, Verdict};
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -220,5 +221,11 @@ fn last_line(report: &Report, took: Duration, out: &mut Output) -> Result<(), Fa
     let states: u64 = report.claims.iter().map(|v| v.states).sum();
     let style = if good == all { GOOD } else { BAD };
     let what = Styled(style, format!("{good} of {all} as expected"));
+    let [messages, answers] = compared();
+    if messages + answers > 0 {
+        let messages = count(messages, "message");
+        let answers = count(answers, "answer");
+        out.line(format!("{messages} and {answers} in one fused step did the same as in small steps"))?;
+    }
     out.line(format!("{what}, {} in {:.1} s", count(states, "state"), took.as_secs_f64()))
 }

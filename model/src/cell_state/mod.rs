@@ -6,6 +6,7 @@
 pub(crate) mod body;
 pub(crate) mod canon;
 pub(crate) mod chart;
+mod fused;
 mod history;
 mod judge;
 mod moves;
@@ -21,6 +22,7 @@ mod walk;
 pub mod worlds;
 
 pub use chart::draw_cell_state;
+pub use fused::compared;
 pub use search::{CellModel, LiveCellState, explore_cell_state};
 
 use crate::state::Violation;
@@ -127,7 +129,7 @@ pub(crate) struct CellState {
 }
 
 /// What a node did in one step, in order.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Effect {
     Sent(NodeId, Packet),
     Signalled(TaskId, Signal),
@@ -450,10 +452,13 @@ impl CellState {
         if owed > 0 {
             self.drive_on(i, Ticks(u64::from(owed)))?;
         }
+        if let NodeInput::Request(task, request) = &input {
+            self.compare_fused(i, *task, request)?;
+        }
         if self.orders {
             return self.step_in_order(i, input);
         }
-        self.drive(i, |node, out| node.step(node.now(), input, out))
+        self.drive(i, |node, out| node.small_steps(node.now(), input, out))
     }
 
     fn drive(&mut self, i: usize, work: impl FnOnce(&mut Node, &mut Wires<'_>)) -> Result<(), Violation> {

@@ -9,6 +9,7 @@ use crate::cells::{Text, within};
 use crate::support::walk::Dice;
 use imrs_language::{Source, Unit, compile};
 use imrs_model::cell::{Agreement, Disagreement, Effort, Times, compare_with_walks};
+use imrs_model::cell_state::compared;
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
@@ -176,6 +177,9 @@ fn random_cells_run_as_they_are_searched() {
     assert!(all.complete * 10 >= all.searches * 8, "{all:?}");
     assert!(meets * 10 >= walked * 3, "{meets} of {walked}");
     assert!(all.pauses * 4 >= walked && all.wakes * 2 >= all.pauses, "{all:?}");
+    let [messages, answers] = compared();
+    println!("{messages} messages and {answers} answers in a fused step, each compared with its small steps");
+    assert!(!word.is_empty() || messages * 300 >= 1_000 * cells && answers * 300 >= 1_000 * cells);
 }
 
 /// Only walks a crowd, because a search of one state says nothing.

@@ -124,6 +124,42 @@ impl Client {
         }
     }
 
+    /// Whether no request is outstanding or has ended unheard at a request.
+    pub fn is_closed(&self, request: u16) -> bool {
+        self.requests[usize::from(request)].phase == Phase::Closed
+    }
+
+    /// [`send`](Self::send) in a fused step: the message to one task has been taken already.
+    pub fn open_fused(
+        &mut self,
+        request: u16,
+        (peer, id): (TaskId, MessageId),
+        retry: u8,
+        message: Message<'_>,
+        now: Instant,
+    ) {
+        let request = &mut self.requests[usize::from(request)];
+        request.forget();
+        request.sent(peer, id, 1);
+        request.open_for(false, retry, message, now);
+    }
+
+    /// Whether a request waits for exactly this answer.
+    pub fn waits_only_for(&self, request: u16, from: TaskId, id: MessageId) -> bool {
+        let request = &self.requests[usize::from(request)];
+        let asked = request.find(from).map(|at| &request.recipients[at]);
+        !request.set && request.phase == Phase::Open && asked.is_some_and(|asked| asked.waits_for(id))
+    }
+
+    /// [`answer`](Self::answer) in a fused step, for the answer that [`waits_only_for`](Self::waits_only_for) allows. Returns
+    /// the deadline that the request had.
+    pub fn close_fused(&mut self, request: u16) -> Instant {
+        let request = &mut self.requests[usize::from(request)];
+        let deadline = request.deadline;
+        request.close();
+        deadline
+    }
+
     /// The next instant at which time alone makes a request act.
     pub fn due(&self, request: u16) -> Instant {
         self.requests[usize::from(request)].due()
@@ -239,10 +275,7 @@ fn ask(
 ) {
     let packets = step.own.endpoints[place].staged.fragments().unwrap_or(1);
     let id = send_packets(step, place, peer, message);
-    if let Some(recipient) = request.find(peer) {
-        let recipient = &mut request.recipients[recipient];
-        (recipient.id, recipient.answer, recipient.packets_out) = (id, Answer::Open, u16::from(packets));
-    }
+    request.sent(peer, id, packets);
 }
 
 /// Sends a message with its staged fragments to one task.

@@ -87,6 +87,11 @@ impl Interrupts {
         self.running.pending
     }
 
+    /// Whether the running activation does not wait.
+    pub const fn waits_for_nothing(&self) -> bool {
+        matches!(self.running.pending, Pending::Nothing)
+    }
+
     /// The running activation waits from here on.
     pub const fn wait(&mut self, pending: Pending) {
         self.running.pending = pending;

@@ -250,7 +250,7 @@ impl Machines {
     /// If the running activation waits, offers it everything that is due. O(1) while nothing is due; otherwise visits
     /// each port and each due message.
     pub fn offer_to_waiting(&mut self, step: &mut Step<'_, impl Outbox>) {
-        if matches!(self.interrupts.pending(), Pending::Nothing) {
+        if self.interrupts.waits_for_nothing() {
             return;
         }
         let due_by = self.interrupts.due_by(step.now());

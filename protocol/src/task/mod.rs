@@ -23,6 +23,7 @@ mod counts;
 #[cfg(test)]
 mod fixture;
 mod fragments;
+mod fused;
 #[cfg(feature = "checker")]
 mod ignores;
 mod interrupts;
@@ -188,7 +189,7 @@ impl CommTask {
     /// Whether the running activation, the task's own thread or a handler, has no outstanding request.
     #[must_use]
     pub fn is_idle(&self) -> bool {
-        matches!(self.machines.interrupts.pending(), Pending::Nothing)
+        self.machines.interrupts.waits_for_nothing()
     }
 
     /// The number of running handlers: each has interrupted the one before, or the task's own thread.

@@ -6,7 +6,7 @@ mod walk;
 use super::counts::Counts;
 use super::fragments::Parts;
 use crate::cell::{CoupleDecl, Usage};
-use crate::ids::{Incarnation, PortId, Seq24, TaskId};
+use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
 use crate::packet::{Class, Contents};
 use crate::request::{Fault, ServiceOrder, Signal};
 use crate::table::{NodeTable, Port};
@@ -112,6 +112,11 @@ impl Own {
             order: ServiceOrder::default(),
             endpoints: endpoints.into(),
         }
+    }
+
+    /// The id of the task's next message.
+    pub const fn coming_id(&self) -> MessageId {
+        MessageId { incarnation: self.incarnation, sequence: self.next_sequence }
     }
 
     /// The ports that the task has in a role for which `has` is true, each with its endpoint's position.

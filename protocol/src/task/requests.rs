@@ -25,7 +25,7 @@ impl Machines {
             Request::Abandon => Ok(Some(self.abandon(step))),
             Request::Reply { to, contents } => self.reply(step, to, contents),
             Request::Done => self.interrupts.done().map(|()| ACCEPTED),
-            _ if self.interrupts.pending() != Pending::Nothing => Err(Fault::Busy),
+            _ if !self.interrupts.waits_for_nothing() => Err(Fault::Busy),
             Request::Order(order) => {
                 let old = core::mem::replace(&mut step.own.order, order);
                 self.server.reorder(step.own, &old);

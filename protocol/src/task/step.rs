@@ -41,7 +41,7 @@ impl<O: Outbox> Step<'_, O> {
 
     /// Emits an observation about a message.
     pub fn note(&mut self, event: Event, port: PortId, peer: TaskId, id: MessageId, remaining: Ticks) {
-        self.out.observe(Observation { event, port, peer, number: id.sequence.get(), remaining });
+        self.out.observe(Observation::of(event, port, peer, id, remaining));
     }
 
     pub fn count(&mut self, port: PortId, count: impl FnOnce(&mut Counts)) {
@@ -59,7 +59,7 @@ impl<O: Outbox> Step<'_, O> {
 
     /// Takes the id for the task's next message.
     pub fn next_id(&mut self) -> MessageId {
-        let id = MessageId { incarnation: self.own.incarnation, sequence: self.own.next_sequence };
+        let id = self.own.coming_id();
         self.own.next_sequence = id.sequence.next();
         id
     }

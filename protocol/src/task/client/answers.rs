@@ -61,10 +61,9 @@ impl Client {
     pub fn answer(&mut self, step: &mut Step<'_, impl Outbox>, at: u16, packet: &Packet) -> Option<Ended> {
         let at = usize::from(at);
         let request = &self.requests[at];
-        let open = |recipient: &Recipient| recipient.answer == Answer::Open && recipient.id == packet.id;
         let from = request
             .find(packet.source)
-            .filter(|&from| request.phase == Phase::Open && open(&request.recipients[from]));
+            .filter(|&from| request.phase == Phase::Open && request.recipients[from].waits_for(packet.id));
         match from {
             Some(recipient) => self.answered(step, (at, recipient), packet),
             None => self.late(step, packet),

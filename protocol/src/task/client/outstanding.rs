@@ -71,6 +71,11 @@ pub(super) struct Outstanding {
 }
 
 impl Recipient {
+    /// Whether its answer to this message is missing.
+    pub fn waits_for(&self, id: MessageId) -> bool {
+        self.answer == Answer::Open && self.id == id
+    }
+
     /// Takes a packet of the task's answer, or returns the reason to drop it.
     pub fn take(&mut self, packet: &Packet) -> Result<Progress, Reason> {
         let index = packet.fragment.saturating_add(u8::from(packet.more));
@@ -138,9 +143,15 @@ impl Outstanding {
     /// The position of the asked task whose open request has this id.
     pub fn waits_for(&self, id: MessageId) -> Option<usize> {
         let open = self.phase == Phase::Open;
-        self.recipients
-            .iter()
-            .position(|recipient| open && recipient.answer == Answer::Open && recipient.id == id)
+        self.recipients.iter().position(|recipient| open && recipient.waits_for(id))
+    }
+
+    /// A task was asked, by a message of so many packets.
+    pub fn sent(&mut self, to: TaskId, id: MessageId, packets: u8) {
+        if let Some(at) = self.find(to) {
+            let recipient = &mut self.recipients[at];
+            (recipient.id, recipient.answer, recipient.packets_out) = (id, Answer::Open, packets.into());
+        }
     }
 
     /// The outcome was reported. The answers stay readable until the next request.

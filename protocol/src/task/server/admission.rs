@@ -105,6 +105,12 @@ impl Server {
         step.out.transmit(mapping::control(to, step.own.task, Control::Refused, ttl));
     }
 
+    /// Whether this is the incarnation in which a source was last heard.
+    pub(super) fn knows(&self, source: TaskId, incarnation: Incarnation) -> bool {
+        let at = self.incarnations.binary_search_by_key(&source, |known| known.task);
+        at.is_ok_and(|at| self.incarnations[at].incarnation == Some(incarnation))
+    }
+
     /// Whether a message is from the present incarnation of its source. A new incarnation clears the dedup entries of
     /// the earlier one, and drops its waiting commands, because no task waits for their answers.
     pub(super) fn enter_incarnation(

@@ -1,16 +1,16 @@
 //! From a waiting message to its answer: GET, delivery with the execution budget, and REPLY (§5.2.1).
 
 use super::inbox::Inbox;
-use super::memory::CommandStatus;
+use super::memory::{CommandStatus, DedupEntry, Memory, Seen};
 use super::{Held, Origin, Server, rest_of};
-use crate::ids::TaskId;
+use crate::ids::{MessageId, TaskId};
 use crate::mapping;
 use crate::observe::Event;
-use crate::packet::Contents;
+use crate::packet::{Class, Contents};
 use crate::queue::Slot;
 use crate::request::{Delivery, Fault, ReplyTo};
-use crate::rules::{Aging, Memory};
-use crate::table::Port;
+use crate::rules::{self, Aging};
+use crate::table::{Party, Port};
 use crate::task::own::Own;
 use crate::task::step::{Outbox, Step};
 use crate::ticks::{Instant, Ticks};
@@ -119,10 +119,70 @@ impl Server {
         if let Some(answer) = entry.answer_mut(source) {
             answer.copy(&step.own.endpoints[place].staged);
         }
-        if step.table.rules().memory == Memory::UntilAnswered {
+        if step.table.rules().memory == rules::Memory::UntilAnswered {
             entry.sources[source].remember(None);
         }
         Ok(left)
+    }
+
+    /// [`reply`](Self::reply) in a fused step. `None`, and nothing has changed, if the message cannot be answered.
+    pub fn answer_fused(
+        &mut self,
+        inbox: u16,
+        to: ReplyTo,
+        contents: Contents,
+        now: Instant,
+    ) -> Option<Ticks> {
+        let entry = &mut self.inboxes[usize::from(inbox)];
+        let source = entry.source(to.source)?;
+        let left = entry.answerable(source, to, now).ok()?;
+        entry.sources[source].command_mut()?.status = CommandStatus::Answered(contents);
+        Some(left)
+    }
+
+    /// Whether [`hear`](Self::hear) would hand this message to the task at once if the task waited for it: whole, new, and
+    /// with no earlier one of its source in the way.
+    pub fn takes_fused(&self, inbox: u16, source: TaskId, id: MessageId, now: Instant) -> bool {
+        let inbox = &self.inboxes[usize::from(inbox)];
+        let Some(at) = inbox.source(source) else { return false };
+        let known = &inbox.sources[at];
+        let waits = known.command().is_some_and(|c| c.status == CommandStatus::Held && c.until > now);
+        !waits && !inbox.latest && known.look_up(id, now) == Seen::New && self.knows(source, id.incarnation)
+    }
+
+    /// [`hear`](Self::hear) and [`deliver`](Self::deliver) in a fused step, for a message that
+    /// [`takes_fused`](Self::takes_fused) allows.
+    pub fn take_fused(
+        &mut self,
+        inbox: u16,
+        (source, id): (TaskId, MessageId),
+        (from, ttl, contents): (&Party, Ticks, Contents),
+        now: Instant,
+    ) -> Delivery {
+        let inbox = &mut self.inboxes[usize::from(inbox)];
+        let (expires, until) = (now + ttl, now + from.time_out.max(ttl));
+        let mut class = Class::Status;
+        if let Some(at) = inbox.source(source) {
+            match &mut inbox.sources[at].memory {
+                Memory::Command(entry) => {
+                    let status = CommandStatus::Delivered(expires);
+                    *entry = Some(DedupEntry { id, status, sender_until: expires, until });
+                    class = Class::Command;
+                }
+                Memory::Status(window) => {
+                    window.admit(id.sequence, now, until);
+                }
+            }
+        }
+        self.taken.0 = Some(contents);
+        self.taken.1.clear();
+        let from = ReplyTo { port: inbox.port, source, id };
+        Delivery { from, class, budget: expires - now, contents, fragments: 1 }
+    }
+
+    /// Whether the task has a handler for messages of an inbox.
+    pub fn is_handled(&self, inbox: u16) -> bool {
+        self.inboxes[usize::from(inbox)].handled
     }
 
     /// Whether a reply to this message would still be sent.

@@ -1,0 +1,124 @@
+//! Fused steps: two tasks of one node exchange a message in one step (D176).
+//!
+//! A message to a task that waits for it, and the answer to a task that waits for that, take several small steps otherwise:
+//! a request, a packet, the route, and the input of the other task. Each function here first checks that nothing unusual
+//! is involved, and then makes the same changes as those steps, with the same signals and observations in the same order.
+//! If anything is unusual it returns false and has changed nothing; then the caller takes the small steps.
+//!
+//! The checker explores the small steps, and compares both wherever a fused step applies.
+
+use super::CommTask;
+use super::machines::Machines;
+use super::own::Role;
+use super::wait::Pending;
+use crate::ids::PortId;
+use crate::node::NodeOutbox;
+use crate::observe::{Event, Observation};
+use crate::packet::Contents;
+use crate::request::{Outcome, ReplyTo, Signal};
+use crate::table::NodeTable;
+use crate::ticks::Ticks;
+
+impl Machines {
+    /// Whether nothing could interrupt the task's own thread once it waits.
+    fn is_plain(&self) -> bool {
+        self.lease.is_none()
+            && self.interrupts.depth() == 0
+            && !self.interrupts.has_ended_timer()
+            && !self.server.has_offers()
+    }
+}
+
+impl CommTask {
+    /// Sends a message to `other`, which waits for it in a GET.
+    pub(crate) fn send_fused(
+        &mut self,
+        other: &mut Self,
+        table: &NodeTable,
+        (id, contents, time_out): (PortId, Contents, Option<Ticks>),
+        out: &mut impl NodeOutbox,
+    ) -> bool {
+        let (Self { own, machines, .. }, Self { own: their, machines: theirs, .. }) =
+            (&mut *self, &mut *other);
+        let Some(port) = table.port(id) else { return false };
+        let Some((from, to)) = port.admitted(own.task, their.task) else { return false };
+        let (place, there) = (usize::from(from.place), usize::from(to.place));
+        let (role, Role::Receives(inbox)) = (own.endpoints[place].role, their.endpoints[there].role) else {
+            return false;
+        };
+        let asks = match role {
+            Role::Asks(request) => Some(request),
+            Role::Sends => None,
+            _ => return false,
+        };
+        let ttl = time_out.map_or(from.time_out, |wanted| wanted.min(from.time_out));
+        let message = own.coming_id();
+        let is_usual = port.decl.takes_one_packet()
+            && port.decl.guard.is_none()
+            && !ttl.is_zero()
+            && machines.interrupts.waits_for_nothing()
+            && asks.is_none_or(|request| machines.is_plain() && machines.client.is_closed(request))
+            && theirs.server.takes_fused(inbox, own.task, message, their.now)
+            && theirs.interrupts.gets(id, own.task, theirs.server.is_handled(inbox));
+        if !is_usual {
+            return false;
+        }
+        own.next_sequence = message.sequence.next();
+        own.endpoints[place].counters.sent += 1;
+        out.observe(Some(own.task), Observation::of(Event::Sent, id, their.task, message, ttl));
+        if let Some(request) = asks {
+            let retry = from.retry;
+            machines.client.open_fused(request, (their.task, message), retry, (port, ttl, contents), own.now);
+            machines.interrupts.wait(Pending::Reply(request));
+        } else {
+            out.signal(own.task, Signal::Accepted(1));
+        }
+        let delivery = theirs.server.take_fused(inbox, (own.task, message), (from, ttl, contents), their.now);
+        theirs.interrupts.end_wait();
+        let counters = &mut their.endpoints[there].counters;
+        counters.enqueued += 1;
+        counters.delivered += 1;
+        let delivered = Observation::of(Event::Delivered, id, own.task, message, delivery.budget);
+        out.observe(Some(their.task), delivered);
+        out.signal(their.task, Signal::Message(delivery));
+        (self.due, other.due) = (None, None);
+        true
+    }
+
+    /// Answers a command of `other`, which waits for the answer.
+    pub(crate) fn reply_fused(
+        &mut self,
+        other: &mut Self,
+        table: &NodeTable,
+        (to, contents): (ReplyTo, Contents),
+        out: &mut impl NodeOutbox,
+    ) -> bool {
+        let (Self { own, machines, .. }, Self { own: their, machines: theirs, .. }) =
+            (&mut *self, &mut *other);
+        let Some(port) = table.port(to.port) else { return false };
+        let Some((from, there)) = port.admitted(own.task, their.task) else { return false };
+        let there = usize::from(there.place);
+        let (Role::Receives(inbox), Role::Asks(request)) =
+            (own.endpoints[usize::from(from.place)].role, their.endpoints[there].role)
+        else {
+            return false;
+        };
+        let is_usual = port.decl.takes_one_packet()
+            && machines.interrupts.waits_for_nothing()
+            && matches!(theirs.interrupts.pending(), Pending::Reply(at) if at == request)
+            && theirs.client.waits_only_for(request, own.task, to.id);
+        if !is_usual {
+            return false;
+        }
+        let Some(left) = machines.server.answer_fused(inbox, to, contents, own.now) else { return false };
+        out.observe(Some(own.task), Observation::of(Event::Replied, to.port, to.source, to.id, left));
+        out.signal(own.task, Signal::Accepted(1));
+        let left = theirs.client.close_fused(request) - their.now;
+        theirs.interrupts.end_wait();
+        their.endpoints[there].counters.delivered += 1;
+        out.observe(Some(their.task), Observation::of(Event::Answered, to.port, own.task, to.id, left));
+        out.signal(their.task, Signal::Outcome(Outcome::Reply(contents)));
+        (self.due, other.due) = (None, None);
+        true
+    }
+}

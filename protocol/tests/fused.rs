@@ -1,0 +1,249 @@
+//! Fused steps against the small steps that they stand for, on random cells: the same state, signals and observations
+//! after every input (D176).
+
+use crate::support::plan::{Plan, plans};
+use imrs_protocol::*;
+use proptest::prelude::*;
+use proptest::strategy::ValueTree;
+use proptest::test_runner::TestRunner;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// Everything that a node did, in order.
+#[derive(Debug, Default, PartialEq, Eq)]
+struct Did(Vec<Effect>);
+
+#[derive(Debug, PartialEq, Eq)]
+enum Effect {
+    Sent(NodeId, Packet),
+    Told(TaskId, Signal),
+    Seen(Option<TaskId>, Observation),
+}
+
+impl NodeOutbox for Did {
+    fn link(&mut self, next: NodeId, packet: Packet) {
+        self.0.push(Effect::Sent(next, packet));
+    }
+    fn signal(&mut self, task: TaskId, signal: Signal) {
+        self.0.push(Effect::Told(task, signal));
+    }
+    fn observe(&mut self, at: Option<TaskId>, observation: Observation) {
+        self.0.push(Effect::Seen(at, observation));
+    }
+}
+
+/// The whole state as text, counters included, without the deadlines that a task keeps or not.
+fn state(node: &Node) -> String {
+    let text = format!("{:?}", node.parts());
+    let mut pieces = text.split(", due: ");
+    let first = pieces.next().unwrap_or_default().to_owned();
+    pieces.fold(first, |all, piece| all + piece.split_once(" }").map_or("", |(_, rest)| rest))
+}
+
+/// The nodes of a cell, and the packets between them.
+struct Run {
+    table: Arc<CellTable>,
+    nodes: Vec<Node>,
+    flying: Vec<(NodeId, NodeId, Packet)>,
+    /// For each task, the commands that it took.
+    got: Vec<Vec<ReplyTo>>,
+    now: Instant,
+    inputs: u32,
+}
+
+type Op = (u8, u8, u16, u16);
+type Counts = BTreeMap<&'static str, u32>;
+
+impl Run {
+    fn new(plan: &Plan) -> Self {
+        let table = plan.build();
+        let node = |i| {
+            let table = NodeTable::new(Arc::clone(&table), NodeId::from_index(i));
+            Node::new(table, Incarnation(0), false, 2)
+        };
+        let nodes = (0..table.cell().nodes.len()).map(node).collect();
+        let got = vec![Vec::new(); table.cell().tasks.len()];
+        Self { table, nodes, flying: Vec::new(), got, now: Instant::START, inputs: 0 }
+    }
+
+    fn step(&mut self, (what, which, a, b): Op, counts: &mut Counts) {
+        let task = self.actor(usize::from(which), b % 8 == 0);
+        match what % 16 {
+            0 => self.now += Ticks(u64::from(a % 7)),
+            1 if b % 8 == 0 => self.now += Ticks(u64::from(a % 90)),
+            2..=4 => return self.deliver(a, counts),
+            5..=7 => return self.answer(task, a, b, counts),
+            8..=11 => return self.request(task, a, b, counts),
+            12..=15 => return self.exchange(a, b, counts),
+            _ => {}
+        }
+        for node in 0..self.nodes.len() {
+            self.both(node, NodeInput::Time, counts);
+        }
+    }
+
+    /// A task that is free to ask; now and then one that is not.
+    fn actor(&self, from: usize, any: bool) -> TaskId {
+        let tasks = self.got.len();
+        let mut tasks = (0..tasks).map(|i| TaskId::from_index((from + i) % tasks));
+        let first = TaskId::from_index(from % self.got.len());
+        let is_idle = |task: &TaskId| {
+            let at = self.table.location(*task).expect("located");
+            self.nodes[at.index()].task(*task).is_some_and(CommTask::is_idle)
+        };
+        if any { first } else { tasks.find(is_idle).unwrap_or(first) }
+    }
+
+    fn deliver(&mut self, a: u16, counts: &mut Counts) {
+        if self.flying.is_empty() {
+            return;
+        }
+        let (from, to, packet) = self.flying.remove(usize::from(a) % self.flying.len());
+        let charge = self.table.link_bound(from, to).expect("a link");
+        self.both(to.index(), NodeInput::Packet { from, packet, charge }, counts);
+    }
+
+    fn answer(&mut self, task: TaskId, a: u16, b: u16, counts: &mut Counts) {
+        let got = &self.got[task.index()];
+        // Usually the latest one, sometimes an earlier one.
+        let back = if b.is_multiple_of(8) { usize::from(a) } else { 0 };
+        let Some(&to) = got.iter().rev().nth(back % got.len().max(1)) else { return };
+        let contents = Contents::new(&b.to_le_bytes()).expect("short");
+        self.ask(task, Request::Reply { to, contents }, counts);
+    }
+
+    fn request(&mut self, task: TaskId, a: u16, b: u16, counts: &mut Counts) {
+        let own = self.table.ports_of(task);
+        let Some(&id) = own.get(usize::from(a) % own.len().max(1)) else { return };
+        let port = self.table.port(id).expect("an own port");
+        let time_out = (b & 0x300 == 0).then(|| Ticks(u64::from(b % 70)));
+        let contents = Contents::new(&a.to_le_bytes()).expect("short");
+        let peers: Vec<TaskId> = port.peers(task).collect();
+        let request = match port.party(task).expect("a party").usage {
+            _ if b & 0xf000 == 0 => Request::Handle { port: id, handled: b & 0x80 != 0 },
+            _ if b & 0xf000 == 0x1000 => {
+                [Request::Cancel, Request::Return, Request::Boundary][usize::from(b % 3)]
+            }
+            Usage::Send | Usage::Query if b & 0xf000 == 0x2000 => {
+                Request::Part { port: id, index: 1, contents }
+            }
+            Usage::Send | Usage::Query => {
+                let one = Target::One(peers[usize::from(a / 8) % peers.len()]);
+                let to = if b & 0x400 == 0 { one } else { Target::All };
+                Request::Send { port: id, to, contents, time_out }
+            }
+            Usage::Receive | Usage::Response | Usage::Reply => {
+                let source = (b & 0x800 == 0).then(|| peers[usize::from(a / 8) % peers.len()]);
+                Request::Get { port: (b & 0xc00 != 0).then_some(id), source, time_out }
+            }
+            Usage::Waitfor => Request::Arrive { port: id, arguments: [0; 8], time_out },
+        };
+        self.ask(task, request, counts);
+    }
+
+    /// One task waits for a message on a port, another one sends it, and the first mostly answers.
+    fn exchange(&mut self, a: u16, b: u16, counts: &mut Counts) {
+        let ports = self.table.ports();
+        let Some(port) = ports.get(usize::from(a) % ports.len().max(1)) else { return };
+        let (id, owner) = (port.id, port.decl.owner);
+        let user = port.parties[1 + usize::from(b) % (port.parties.len() - 1)].task;
+        let (sender, receiver) = match port.decl.usage {
+            Usage::Send | Usage::Query => (owner, user),
+            Usage::Receive | Usage::Response => (user, owner),
+            Usage::Reply | Usage::Waitfor => return,
+        };
+        let time_out = (b & 0x300 == 0).then(|| Ticks(u64::from(b % 70)));
+        let source = (b & 0x800 == 0).then_some(sender);
+        let get = Request::Get { port: (b & 0xc00 != 0).then_some(id), source, time_out };
+        let contents = Contents::new(&a.to_le_bytes()).expect("short");
+        let to = if b & 0x1000 == 0 { Target::One(receiver) } else { Target::All };
+        self.ask(receiver, get, counts);
+        self.ask(sender, Request::Send { port: id, to, contents, time_out }, counts);
+        if b & 0x6000 != 0 {
+            self.answer(receiver, a, b, counts);
+        }
+    }
+
+    fn ask(&mut self, task: TaskId, request: Request, counts: &mut Counts) {
+        let at = self.table.location(task).expect("located");
+        self.both(at.index(), NodeInput::Request(task, request), counts);
+    }
+
+    /// Takes the input on a copy by small steps, and then as the node does by itself.
+    fn both(&mut self, at: usize, input: NodeInput, counts: &mut Counts) {
+        let node = &mut self.nodes[at];
+        node.step(self.now, NodeInput::Time, &mut Did::default());
+        let mut small = node.clone();
+        let (mut expected, mut found) = (Did::default(), Did::default());
+        small.small_steps(self.now, input, &mut expected);
+        if let NodeInput::Request(task, request) = &input {
+            let before = (self.inputs % 16 == 0).then(|| state(node));
+            if node.clone().fuse(*task, request, &mut Did::default()) {
+                *counts.entry(name(&self.table, request)).or_default() += 1;
+                node.step(self.now, input, &mut found);
+                assert_eq!(state(node), state(&small), "{input:?}");
+                assert_eq!(node.time_left(), small.time_left(), "{input:?}");
+            } else {
+                if let Some(before) = before {
+                    let mut same = node.clone();
+                    same.fuse(*task, request, &mut Did::default());
+                    assert_eq!(state(&same), before, "{input:?} was not fused, and has changed the state");
+                }
+                node.step(self.now, input, &mut found);
+            }
+            self.inputs += 1;
+        } else {
+            node.step(self.now, input, &mut found);
+        }
+        assert_eq!(found, expected, "{input:?}");
+        let from = NodeId::from_index(at);
+        for effect in found.0 {
+            match effect {
+                Effect::Sent(next, packet) => self.flying.push((from, next, packet)),
+                Effect::Told(task, Signal::Message(message) | Signal::Interrupt(Call::Message(message))) => {
+                    self.got[task.index()].push(message.from);
+                }
+                Effect::Told(..) | Effect::Seen(..) => {}
+            }
+        }
+    }
+}
+
+/// What the request is about.
+fn name(table: &CellTable, request: &Request) -> &'static str {
+    let of = |port: PortId| table.port(port).map(|port| (port.decl.usage, port.decl.class));
+    let queries = |usage| matches!(usage, Usage::Query | Usage::Response);
+    match *request {
+        Request::Send { port, .. } => match of(port) {
+            Some((usage, _)) if queries(usage) => "query",
+            Some((_, Class::Status)) => "status",
+            _ => "command",
+        },
+        Request::Reply { to, .. } if of(to.port).is_some_and(|(usage, _)| queries(usage)) => "response",
+        _ => "reply",
+    }
+}
+
+#[test]
+fn a_fused_step_equals_the_small_steps() {
+    let (mut runner, mut counts) = (TestRunner::deterministic(), Counts::new());
+    let ops = proptest::collection::vec(any::<Op>(), 200);
+    let shapes = proptest::collection::vec(any::<[u8; 6]>(), 1..5);
+    for round in 0..1200_u32 {
+        // Mostly cells of one node under the decided rules; else any cell.
+        let plan = if round % 4 == 0 {
+            plans().new_tree(&mut runner).expect("a plan").current()
+        } else {
+            let shapes = shapes.new_tree(&mut runner).expect("ports").current();
+            Plan::new([(round % 4) as u8, 0, 0], shapes, [0; 4], 0)
+        };
+        let mut run = Run::new(&plan);
+        for op in ops.new_tree(&mut runner).expect("operations").current() {
+            run.step(op, &mut counts);
+        }
+    }
+    for kind in ["command", "status", "query", "reply", "response"] {
+        let times = counts.get(kind).copied().unwrap_or_default();
+        assert!(times >= 1000, "{kind}: only {times} of {counts:?}");
+    }
+}
