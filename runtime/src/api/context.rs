@@ -2,6 +2,7 @@
 
 mod asynchronous;
 mod caller;
+mod calls;
 mod handlers;
 mod many;
 mod outcome;
@@ -15,16 +16,11 @@ pub(crate) use caller::Caller;
 
 use crate::clock::{self, Micros};
 use crate::node::{More, Node};
+use calls::{Calls, at_once};
 use handlers::Handlers;
-use imrs_protocol::{
-    CONTENTS_BYTES, Contents, Delivery, PUBLISHED_BYTES, PortId, Ranked, ReplyTo, Request, ServiceOrder,
-    Signal, Target, TaskId, Ticks, TimeId,
-};
+use imrs_protocol::{Contents, Delivery, PortId, Ranked, ReplyTo, Request, Signal, Target, TaskId, Ticks};
 use std::sync::Arc;
 use std::time::Duration;
-
-/// How many bytes one packet carries.
-const PACKET: usize = CONTENTS_BYTES;
 
 /// A task's access to its communication task. Every call that waits ends by its time_out, or with [`TaskError::Stopped`] when the
 /// node stops.
@@ -78,7 +74,7 @@ impl<S> Context<S> {
     /// # Errors
     /// [`TaskError`].
     pub fn send(&mut self, port: PortId, contents: &[u8]) -> Result<Sent, TaskError> {
-        self.send_with(port, Target::All, contents, None)
+        at_once(self.sent(port, Target::All, contents, None))
     }
 
     /// Sends to one of the tasks at the other end of the port.
@@ -86,7 +82,7 @@ impl<S> Context<S> {
     /// # Errors
     /// [`TaskError`].
     pub fn send_to(&mut self, port: PortId, to: TaskId, contents: &[u8]) -> Result<Sent, TaskError> {
-        self.send_with(port, Target::One(to), contents, None)
+        at_once(self.sent(port, Target::One(to), contents, None))
     }
 
     /// Sends with another TTL than the port's time_out.
@@ -100,15 +96,7 @@ impl<S> Context<S> {
         contents: &[u8],
         time_out: Option<Duration>,
     ) -> Result<Sent, TaskError> {
-        let packets = self.caller.node.table.port(port).map_or(1, |port| port.decl.fragments);
-        let (contents, time_out) = (self.staged(port, contents, packets)?, time_out.map(ticks));
-        let request = Request::Send { port, to, contents, time_out };
-        match self.call(request)? {
-            Signal::Accepted(copies) => Ok(Sent::Copies(copies)),
-            Signal::Outcome(outcome) => Ok(Sent::Outcome(outcome)),
-            Signal::Answers { answers, .. } => Ok(Sent::Several(answers)),
-            other => mismatch(&request, &other),
-        }
+        at_once(self.sent(port, to, contents, time_out))
     }
 
     /// What `work` sends leaves together: all packets for one neighbour in one datagram, the most urgent first, or in one call
@@ -141,7 +129,7 @@ impl<S> Context<S> {
         port: Option<PortId>,
         time_out: Option<Duration>,
     ) -> Result<Option<Delivery>, TaskError> {
-        self.get(port, None, time_out)
+        at_once(self.received(port, None, time_out))
     }
 
     /// As [`receive`](Self::receive), from one source only.
@@ -154,7 +142,7 @@ impl<S> Context<S> {
         source: TaskId,
         time_out: Option<Duration>,
     ) -> Result<Option<Delivery>, TaskError> {
-        self.get(port, Some(source), time_out)
+        at_once(self.received(port, Some(source), time_out))
     }
 
     /// Takes the most urgent message if there is one, without waiting.
@@ -162,7 +150,7 @@ impl<S> Context<S> {
     /// # Errors
     /// [`TaskError`].
     pub fn poll(&mut self, port: Option<PortId>) -> Result<Option<Delivery>, TaskError> {
-        self.get(port, None, Some(Duration::ZERO))
+        at_once(self.received(port, None, Some(Duration::ZERO)))
     }
 
     /// Answers a received class-2 message. Does not wait.
@@ -170,9 +158,7 @@ impl<S> Context<S> {
     /// # Errors
     /// `Fault::Late` if the sender no longer waits: it will not hear this answer.
     pub fn reply(&mut self, to: &ReplyTo, contents: &[u8]) -> Result<(), TaskError> {
-        let packets = self.caller.node.table.port(to.port).map_or(1, |port| port.decl.answer_fragments);
-        let contents = self.staged(to.port, contents, packets)?;
-        self.accepted(Request::Reply { to: *to, contents })
+        at_once(self.replied(to, contents))
     }
 
     /// Waits until all tasks of the port have reached this point (§4.3), at most for the port's time_out.
@@ -180,7 +166,7 @@ impl<S> Context<S> {
     /// # Errors
     /// [`TaskError`].
     pub fn waitfor(&mut self, port: PortId) -> Result<Rendezvous, TaskError> {
-        self.waitfor_with(port, [0; 8], None)
+        at_once(self.met(port, [0; 8], None))
     }
 
     /// As [`waitfor`](Self::waitfor), with arguments for the others, or with a shorter time_out than the port's.
@@ -193,12 +179,7 @@ impl<S> Context<S> {
         arguments: [u8; 8],
         time_out: Option<Duration>,
     ) -> Result<Rendezvous, TaskError> {
-        let request = Request::Arrive { port, arguments, time_out: time_out.map(ticks) };
-        match self.call(request)? {
-            Signal::Released { round, by, .. } => Ok(Rendezvous::Released { round, by }),
-            Signal::GaveUp { round, missing, .. } => Ok(Rendezvous::GaveUp { round, missing }),
-            other => mismatch(&request, &other),
-        }
+        at_once(self.met(port, arguments, time_out))
     }
 
     /// Ranks ports, sources, timers and the current thread from here on (§5.1.1). Of equal time_outs the first ranked goes first;
@@ -207,8 +188,7 @@ impl<S> Context<S> {
     /// # Errors
     /// [`TaskError::TooManyLevels`].
     pub fn order(&mut self, named: &[Ranked]) -> Result<(), TaskError> {
-        let order = ServiceOrder::new(named).ok_or(TaskError::TooManyLevels(named.len()))?;
-        self.accepted(Request::Order(order))
+        at_once(self.ordered(named))
     }
 
     /// Waits for at least `length` (§5.1.2).
@@ -216,12 +196,7 @@ impl<S> Context<S> {
     /// # Errors
     /// [`TaskError::Stopped`].
     pub fn delay(&mut self, length: Duration) -> Result<(), TaskError> {
-        // A handler may delay above a thread that delays: each depth has an id of its own, above those of timers.
-        let request = Request::Delay { id: TimeId(u8::MAX - self.caller.depth), length: ticks(length) };
-        match self.call(request)? {
-            Signal::TimeOut(_) => Ok(()),
-            other => mismatch(&request, &other),
-        }
+        at_once(self.delayed(length))
     }
 
     /// Waits until the task holds the lease of its couple. Returns the epoch under which it acts.
@@ -229,10 +204,7 @@ impl<S> Context<S> {
     /// # Errors
     /// [`Fault::WrongUsage`](imrs_protocol::Fault::WrongUsage) if the task is not the primary of a couple.
     pub fn lease(&mut self) -> Result<u8, TaskError> {
-        match self.call(Request::Lease)? {
-            Signal::Granted(epoch) => Ok(epoch),
-            other => mismatch(&Request::Lease, &other),
-        }
+        at_once(self.leased())
     }
 
     /// Sets what the answers to the partner's heartbeats carry from here on: at most 8 bytes.
@@ -240,50 +212,13 @@ impl<S> Context<S> {
     /// # Errors
     /// [`TaskError::TooLong`].
     pub fn publish(&mut self, bytes: &[u8]) -> Result<(), TaskError> {
-        let few = Some(bytes).filter(|bytes| bytes.len() <= PUBLISHED_BYTES);
-        let contents = few.and_then(Contents::new).ok_or(TaskError::TooLong(bytes.len()))?;
-        self.accepted(Request::Publish(contents))
+        at_once(self.publishes(bytes))
     }
 
     /// What the partner's last answer to a heartbeat carried; `None` before the first one.
     #[must_use]
     pub fn published(&mut self) -> Option<Contents> {
         self.caller.look(|comm| comm.machine().partner_published().copied())
-    }
-
-    fn get(
-        &mut self,
-        port: Option<PortId>,
-        source: Option<TaskId>,
-        time_out: Option<Duration>,
-    ) -> Result<Option<Delivery>, TaskError> {
-        let until = time_out.map(|time_out| clock::now().saturating_add(clock::micros(time_out)));
-        let mut left = time_out.map(ticks);
-        loop {
-            let request = Request::Get { port, source, time_out: left };
-            let (signal, waited) = self.call_and_age(request)?;
-            match signal {
-                Signal::Message(message) => {
-                    self.caller.taken = Some(message.from);
-                    if message.budget > waited {
-                        return Ok(Some(Delivery { budget: message.budget - waited, ..message }));
-                    }
-                    // The thread or its whole process stood still with the message in hand: it has expired meanwhile.
-                    self.caller.expired_in_hand(&message);
-                }
-                Signal::Nothing => return Ok(None),
-                other => mismatch(&request, &other),
-            }
-            left = until.map(|until| Ticks(until.saturating_sub(clock::now())));
-        }
-    }
-
-    fn call(&mut self, request: Request) -> Result<Signal, TaskError> {
-        self.call_and_age(request).map(|(signal, _)| signal)
-    }
-
-    fn call_and_age(&mut self, request: Request) -> Result<(Signal, Ticks), TaskError> {
-        self.call_with(request, &mut |_| None)
     }
 
     /// Asks and waits for the answer; handlers run meanwhile. Also returns the answer's age. Each answer is passed to `more`.
@@ -300,35 +235,14 @@ impl<S> Context<S> {
         }
         Ok((signal, age))
     }
-
-    fn accepted(&mut self, request: Request) -> Result<(), TaskError> {
-        match self.call(request)? {
-            Signal::Accepted(_) => Ok(()),
-            other => mismatch(&request, &other),
-        }
-    }
-
-    /// Hands all fragments of a message but the first to the communication task, and returns the first (D28).
-    fn staged(&mut self, port: PortId, bytes: &[u8], packets: u8) -> Result<Contents, TaskError> {
-        let too_long = || TaskError::TooLong(bytes.len());
-        if bytes.len() > PACKET * usize::from(packets.max(1)) {
-            return Err(too_long());
-        }
-        let (first, rest) = bytes.split_at(bytes.len().min(PACKET));
-        for (index, part) in (1..).zip(rest.chunks(PACKET)) {
-            let contents = Contents::new(part).ok_or_else(too_long)?;
-            self.accepted(Request::Part { port, index, contents })?;
-        }
-        Contents::new(first).ok_or_else(too_long)
-    }
 }
 
-fn ticks(length: Duration) -> Ticks {
-    Ticks(clock::micros(length))
-}
+impl<S> Calls for Context<S> {
+    fn caller(&mut self) -> &mut Caller {
+        &mut self.caller
+    }
 
-/// Only a fault in the machine leads here.
-#[cold]
-fn mismatch(request: &Request, signal: &Signal) -> ! {
-    panic!("the communication task answered {request:?} with {signal:?}")
+    async fn ask(&mut self, request: Request) -> Result<(Signal, Ticks), TaskError> {
+        self.call_with(request, &mut |_| None)
+    }
 }

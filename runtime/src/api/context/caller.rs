@@ -245,9 +245,20 @@ impl Caller {
         let _answered = self.node.ask(self.place, clock::next(), request, &mut |_| None, &mut self.effects);
     }
 
-    /// The message expired before the task got it.
-    pub fn expired_in_hand(&mut self, message: &Delivery) {
+    /// A message that the task takes now, `age` after its communication task gave it out, with its remaining time. `None` if it
+    /// expired in between, because the thread or its whole process stood still.
+    pub fn in_hand(&mut self, message: &Delivery, age: Ticks) -> Option<Delivery> {
+        self.taken = Some(message.from);
+        self.still_alive(message, age)
+    }
+
+    /// As [`in_hand`](Self::in_hand), for a message taken earlier: the fragments kept by now may be another message's.
+    pub fn still_alive(&mut self, message: &Delivery, age: Ticks) -> Option<Delivery> {
+        if message.budget > age {
+            return Some(Delivery { budget: message.budget - age, ..*message });
+        }
         self.look(|comm| comm.expired_in_hand(message));
+        None
     }
 
     /// A taken message with all its fragments (D28).

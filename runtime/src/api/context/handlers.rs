@@ -1,7 +1,8 @@
 //! Handlers, which interrupt a task's waits (D15, D46).
 
+use super::Context;
+use super::calls::{Calls, at_once, ticks};
 use super::outcome::{RequestFault, TaskError};
-use super::{Context, ticks};
 use crate::api::message::Message;
 use imrs_protocol::{Call, Delivery, Fault, PortId, Request, Ticks, TimeId};
 use std::rc::Rc;
@@ -84,7 +85,7 @@ impl<S> Context<S> {
         port: PortId,
         handler: impl Fn(&mut Self, Delivery) -> Result<(), TaskError> + 'static,
     ) -> Result<(), TaskError> {
-        self.accepted(Request::Handle { port, handled: true })?;
+        at_once(self.accepted(Request::Handle { port, handled: true }))?;
         self.handlers.messages.retain(|(of, _)| *of != port);
         self.handlers.messages.push((port, Rc::new(handler)));
         Ok(())
@@ -115,7 +116,7 @@ impl<S> Context<S> {
     /// # Errors
     /// As [`on_message`](Self::on_message).
     pub fn unhandle(&mut self, port: PortId) -> Result<(), TaskError> {
-        self.accepted(Request::Handle { port, handled: false })?;
+        at_once(self.accepted(Request::Handle { port, handled: false }))?;
         self.handlers.messages.retain(|(of, _)| *of != port);
         Ok(())
     }
@@ -138,7 +139,7 @@ impl<S> Context<S> {
         if !self.handlers.timers.iter().any(|(of, _)| *of == timer) {
             return Err(TaskError::NoHandler(timer));
         }
-        self.accepted(Request::Start { id: timer, length: ticks(length) })
+        at_once(self.accepted(Request::Start { id: timer, length: ticks(length) })).map(|_| ())
     }
 
     /// Stops a timer; its handler does not run any more.
@@ -146,7 +147,7 @@ impl<S> Context<S> {
     /// # Errors
     /// [`TaskError`].
     pub fn stop_timer(&mut self, timer: TimeId) -> Result<(), TaskError> {
-        self.accepted(Request::Stop { id: timer })
+        at_once(self.accepted(Request::Stop { id: timer })).map(|_| ())
     }
 
     /// Sets what is done when the task loses its lease. The handler outranks everything, `atomic` sections too. Whatever the
@@ -165,7 +166,7 @@ impl<S> Context<S> {
     /// # Errors
     /// [`TaskError`].
     pub fn boundary(&mut self) -> Result<(), TaskError> {
-        self.accepted(Request::Boundary)
+        at_once(self.accepted(Request::Boundary)).map(|_| ())
     }
 
     /// Runs a section that no handler interrupts, even while it waits; only the loss of the lease does.
@@ -179,11 +180,11 @@ impl<S> Context<S> {
         if self.caller.atomic {
             return section(self);
         }
-        self.accepted(Request::Atomic(true))?;
+        at_once(self.accepted(Request::Atomic(true)))?;
         self.caller.atomic = true;
         let done = section(self);
         self.caller.atomic = false;
-        self.accepted(Request::Atomic(false))?;
+        at_once(self.accepted(Request::Atomic(false)))?;
         done
     }
 
@@ -203,15 +204,9 @@ impl<S> Context<S> {
     fn handle(&mut self, call: Call, age: Ticks) -> Result<(), TaskError> {
         match call {
             Call::Message(message) => {
-                self.caller.taken = Some(message.from);
-                // The thread or its whole process stood still with the message in hand: an expired message is not handed over.
-                if message.budget <= age {
-                    self.caller.expired_in_hand(&message);
-                    return Ok(());
-                }
+                let Some(message) = self.caller.in_hand(&message, age) else { return Ok(()) };
                 let of_port = self.handlers.messages.iter().find(|(port, _)| *port == message.from.port);
                 let handler = of_port.map(|(_, handler)| Rc::clone(handler));
-                let message = Delivery { budget: message.budget - age, ..message };
                 handler.map_or(Ok(()), |handler| handler(self, message))
             }
             Call::Timer(timer) => {

@@ -1,6 +1,7 @@
 //! Taking several messages under one lock (D111).
 
-use super::{Context, TaskError, mismatch, ticks};
+use super::calls::{mismatch, ticks};
+use super::{Context, TaskError};
 use crate::clock::{self, Micros};
 use crate::node::comm::Completion;
 use imrs_protocol::{Delivery, PortId, Request, Signal, Ticks};
@@ -63,14 +64,7 @@ impl<S> Context<S> {
     fn hand_over(&mut self, taken: &[(Micros, Delivery)], messages: &mut Vec<Delivery>) {
         let now = if taken.is_empty() { 0 } else { clock::now() };
         for (at, message) in taken {
-            self.caller.taken = Some(message.from);
-            let waited = Ticks(now.saturating_sub(*at));
-            if message.budget > waited {
-                messages.push(Delivery { budget: message.budget - waited, ..*message });
-            } else {
-                // Expired in hand, as in `get`.
-                self.caller.expired_in_hand(message);
-            }
+            messages.extend(self.caller.in_hand(message, Ticks(now.saturating_sub(*at))));
         }
     }
 }

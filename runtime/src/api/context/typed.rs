@@ -1,6 +1,7 @@
 //! Calls with typed messages: what is sent, asked and answered is a [`Message`].
 
-use super::outcome::{Asked, Received, RequestFault, Sent, TaskError};
+use super::calls::{Calls, at_once};
+use super::outcome::{Asked, Received, RequestFault, TaskError};
 use super::{Caller, Context};
 use crate::api::message::{Bytes, LONGEST, Message};
 use imrs_protocol::{Answers, Class, Delivery, Fault, Outcome, PortId, ReplyTo, Target, TaskId};
@@ -14,11 +15,7 @@ impl<S> Context<S> {
     /// # Errors
     /// [`TaskError`].
     pub fn tell<M: Message>(&mut self, port: PortId, message: &M) -> Result<u16, TaskError> {
-        self.caller.expect_class(port, Class::Status)?;
-        match self.send_message(port, Target::All, message, None)? {
-            Sent::Copies(copies) => Ok(copies),
-            Sent::Outcome(_) | Sent::Several(_) => Err(wrong_usage()),
-        }
+        at_once(self.told(port, message))
     }
 
     /// Asks the task at the other end of a port: a query, or a command if the port's usage is `send` and its class is 2.
@@ -31,7 +28,7 @@ impl<S> Context<S> {
         port: PortId,
         question: &M,
     ) -> Result<Asked<R>, TaskError> {
-        self.query_with(port, Target::All, question, None)
+        at_once(self.asked(port, Target::All, question, None))
     }
 
     /// As [`query`](Self::query), to one of several tasks at the other end, or with a shorter TTL than the port's.
@@ -45,12 +42,7 @@ impl<S> Context<S> {
         question: &M,
         time_out: Option<Duration>,
     ) -> Result<Asked<R>, TaskError> {
-        self.caller.expect_class(port, Class::Command)?;
-        let peer = self.caller.peer(port, to)?;
-        let Sent::Outcome(outcome) = self.send_message(port, Target::One(peer), question, time_out)? else {
-            return Err(wrong_usage());
-        };
-        self.caller.asked(port, peer, outcome)
+        at_once(self.asked(port, to, question, time_out))
     }
 
     /// Asks several tasks at once, and calls `each` with the outcome of every asked task. Waits until all have answered or
@@ -63,18 +55,9 @@ impl<S> Context<S> {
         port: PortId,
         to: Target,
         question: &M,
-        mut each: impl FnMut(TaskId, Asked<R>),
+        each: impl FnMut(TaskId, Asked<R>),
     ) -> Result<(), TaskError> {
-        self.caller.expect_class(port, Class::Command)?;
-        match self.send_message(port, to, question, None)? {
-            Sent::Copies(_) => Err(wrong_usage()),
-            Sent::Outcome(outcome) => {
-                let peer = self.caller.peer(port, to)?;
-                each(peer, self.caller.asked(port, peer, outcome)?);
-                Ok(())
-            }
-            Sent::Several(answers) => self.caller.each_answer(port, &answers, each),
-        }
+        at_once(self.asked_all(port, to, question, each))
     }
 
     /// Waits for the most urgent message of a port and reads it. `None` says that the time_out ended first.
@@ -86,9 +69,7 @@ impl<S> Context<S> {
         port: PortId,
         time_out: Option<Duration>,
     ) -> Result<Option<Received<M>>, TaskError> {
-        let Some(delivery) = self.receive(Some(port), time_out)? else { return Ok(None) };
-        let message = self.read(&delivery)?;
-        Ok(Some(Received { message, from: delivery.from, budget: delivery.budget }))
+        at_once(self.taken(port, time_out))
     }
 
     /// Reads the message that was taken last, with all its fragments.
@@ -96,8 +77,7 @@ impl<S> Context<S> {
     /// # Errors
     /// [`TaskError::NotThisType`]; [`TaskError::Gone`] if a message of several packets is read after another was taken.
     pub fn read<M: Message>(&mut self, delivery: &Delivery) -> Result<M, TaskError> {
-        let whole = self.caller.whole(delivery)?;
-        decoded(&whole)
+        decoded(&self.caller.whole(delivery)?)
     }
 
     /// Answers a received query or command. Does not wait.
@@ -105,21 +85,7 @@ impl<S> Context<S> {
     /// # Errors
     /// As [`reply`](Self::reply).
     pub fn answer<R: Message>(&mut self, to: &ReplyTo, answer: &R) -> Result<(), TaskError> {
-        let mut room = [0; LONGEST];
-        let bytes = encoded(answer, &mut room)?;
-        self.reply(to, bytes)
-    }
-
-    fn send_message<M: Message>(
-        &mut self,
-        port: PortId,
-        to: Target,
-        message: &M,
-        time_out: Option<Duration>,
-    ) -> Result<Sent, TaskError> {
-        let mut room = [0; LONGEST];
-        let bytes = encoded(message, &mut room)?;
-        self.send_with(port, to, bytes, time_out)
+        at_once(self.answered(to, answer))
     }
 }
 

@@ -1,8 +1,8 @@
 //! Handlers of a task that is a future: they interrupt its waits, run at once, and wait for nothing themselves.
 
 use super::AsyncContext;
+use crate::api::context::calls::{Calls, at_once, ticks};
 use crate::api::context::outcome::{RequestFault, TaskError};
-use crate::api::context::ticks;
 use crate::api::message::Message;
 use imrs_protocol::{Call, Delivery, Fault, PortId, Request, Ticks, TimeId};
 use std::rc::Rc;
@@ -49,7 +49,7 @@ impl<S> AsyncContext<S> {
     /// # Errors
     /// As [`on_message`](Self::on_message).
     pub fn unhandle(&mut self, port: PortId) -> Result<(), TaskError> {
-        self.at_once(Request::Handle { port, handled: false })?;
+        at_once(self.accepted(Request::Handle { port, handled: false }))?;
         self.messages.retain(|(of, _)| *of != port);
         Ok(())
     }
@@ -68,7 +68,7 @@ impl<S> AsyncContext<S> {
         if !self.timers.iter().any(|(of, _)| *of == timer) {
             return Err(TaskError::NoHandler(timer));
         }
-        self.at_once(Request::Start { id: timer, length: ticks(length) }).map(|_| ())
+        at_once(self.accepted(Request::Start { id: timer, length: ticks(length) })).map(|_| ())
     }
 
     /// Stops a timer; its handler does not run any more.
@@ -76,7 +76,7 @@ impl<S> AsyncContext<S> {
     /// # Errors
     /// [`TaskError`].
     pub fn stop_timer(&mut self, timer: TimeId) -> Result<(), TaskError> {
-        self.at_once(Request::Stop { id: timer }).map(|_| ())
+        at_once(self.accepted(Request::Stop { id: timer })).map(|_| ())
     }
 
     fn handle(
@@ -84,7 +84,7 @@ impl<S> AsyncContext<S> {
         port: PortId,
         handler: impl Fn(&mut Self, &Delivery) -> Result<(), TaskError> + 'static,
     ) -> Result<(), TaskError> {
-        self.at_once(Request::Handle { port, handled: true })?;
+        at_once(self.accepted(Request::Handle { port, handled: true }))?;
         self.messages.retain(|(of, _)| *of != port);
         self.messages.push((port, Rc::new(handler)));
         Ok(())
@@ -96,7 +96,7 @@ impl<S> AsyncContext<S> {
             Call::Message(message) => {
                 let of_port = self.messages.iter().find(|(port, _)| *port == message.from.port);
                 let handler = of_port.map(|(_, handler)| Rc::clone(handler));
-                match (handler, self.in_hand(message, age)) {
+                match (handler, self.caller.in_hand(&message, age)) {
                     (Some(handler), Some(message)) => handler(self, &message),
                     (None, _) | (_, None) => Ok(()),
                 }

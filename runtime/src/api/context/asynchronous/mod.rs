@@ -4,15 +4,14 @@ mod asking;
 mod handlers;
 mod typed;
 
+use super::Caller;
+use super::calls::{Calls, at_once};
 use super::outcome::{Rendezvous, Sent, TaskError};
-use super::typed::wrong_usage;
-use super::{Caller, PACKET, mismatch, ticks};
 use crate::clock::{self, Micros};
 use crate::node::Node;
 use asking::Asking;
 use imrs_protocol::{
-    Contents, Delivery, PUBLISHED_BYTES, PortId, Ranked, ReplyTo, Request, ServiceOrder, Signal, Target,
-    TaskId, Ticks, TimeId,
+    Contents, Delivery, PortId, Ranked, ReplyTo, Request, Signal, Target, TaskId, Ticks, TimeId,
 };
 use std::rc::Rc;
 use std::sync::Arc;
@@ -27,7 +26,7 @@ type OnTimer<S> = Rc<dyn Fn(&mut S) -> Result<(), TaskError>>;
 ///
 /// # Dropped futures
 ///
-/// The future of a call that waits may be dropped before it is ready, as `select!` does. The communication task then cancels the
+/// A call makes its request when its future is first polled. The future of a call that waits may be dropped before it is ready, as `select!` does. The communication task then cancels the
 /// wait ([`Request::Cancel`]):
 ///
 /// - a `receive` is taken back. A message that had come by then is kept for the next `receive` that it suits, unless it expires
@@ -90,7 +89,7 @@ impl<S> AsyncContext<S> {
     /// # Errors
     /// [`TaskError`].
     pub async fn send(&mut self, port: PortId, contents: &[u8]) -> Result<Sent, TaskError> {
-        self.send_with(port, Target::All, contents, None).await
+        self.sent(port, Target::All, contents, None).await
     }
 
     /// Sends to one of the tasks at the other end of the port.
@@ -98,7 +97,7 @@ impl<S> AsyncContext<S> {
     /// # Errors
     /// [`TaskError`].
     pub async fn send_to(&mut self, port: PortId, to: TaskId, contents: &[u8]) -> Result<Sent, TaskError> {
-        self.send_with(port, Target::One(to), contents, None).await
+        self.sent(port, Target::One(to), contents, None).await
     }
 
     /// Sends with another TTL than the port's time_out.
@@ -112,15 +111,7 @@ impl<S> AsyncContext<S> {
         contents: &[u8],
         time_out: Option<Duration>,
     ) -> Result<Sent, TaskError> {
-        let packets = self.caller.node.table.port(port).map_or(1, |port| port.decl.fragments);
-        let (contents, time_out) = (self.staged(port, contents, packets)?, time_out.map(ticks));
-        let request = Request::Send { port, to, contents, time_out };
-        match self.ask(request).await?.0 {
-            Signal::Accepted(copies) => Ok(Sent::Copies(copies)),
-            Signal::Outcome(outcome) => Ok(Sent::Outcome(outcome)),
-            Signal::Answers { answers, .. } => Ok(Sent::Several(answers)),
-            other => mismatch(&request, &other),
-        }
+        self.sent(port, to, contents, time_out).await
     }
 
     /// Waits for the most urgent message of a port or, without a port, of all the task's ports. `None` says that the time_out
@@ -133,7 +124,7 @@ impl<S> AsyncContext<S> {
         port: Option<PortId>,
         time_out: Option<Duration>,
     ) -> Result<Option<Delivery>, TaskError> {
-        self.get(port, None, time_out).await
+        self.received(port, None, time_out).await
     }
 
     /// As [`receive`](Self::receive), from one source only.
@@ -146,7 +137,7 @@ impl<S> AsyncContext<S> {
         source: TaskId,
         time_out: Option<Duration>,
     ) -> Result<Option<Delivery>, TaskError> {
-        self.get(port, Some(source), time_out).await
+        self.received(port, Some(source), time_out).await
     }
 
     /// Takes the most urgent message if there is one. Only handlers that are due run before that.
@@ -154,7 +145,7 @@ impl<S> AsyncContext<S> {
     /// # Errors
     /// [`TaskError`].
     pub async fn poll(&mut self, port: Option<PortId>) -> Result<Option<Delivery>, TaskError> {
-        self.get(port, None, Some(Duration::ZERO)).await
+        self.received(port, None, Some(Duration::ZERO)).await
     }
 
     /// What `work` sends leaves together: see [`Context::together`](crate::Context::together). `work` is no future, so it cannot
@@ -171,9 +162,7 @@ impl<S> AsyncContext<S> {
     /// # Errors
     /// `Fault::Late` if the sender no longer waits: it will not hear this answer.
     pub fn reply(&mut self, to: &ReplyTo, contents: &[u8]) -> Result<(), TaskError> {
-        let packets = self.caller.node.table.port(to.port).map_or(1, |port| port.decl.answer_fragments);
-        let contents = self.staged(to.port, contents, packets)?;
-        self.at_once(Request::Reply { to: *to, contents }).map(|_| ())
+        at_once(self.replied(to, contents))
     }
 
     /// Waits until all tasks of the port have reached this point (§4.3), at most for the port's time_out.
@@ -181,7 +170,7 @@ impl<S> AsyncContext<S> {
     /// # Errors
     /// [`TaskError`].
     pub async fn waitfor(&mut self, port: PortId) -> Result<Rendezvous, TaskError> {
-        self.waitfor_with(port, [0; 8], None).await
+        self.met(port, [0; 8], None).await
     }
 
     /// As [`waitfor`](Self::waitfor), with arguments for the others, or with a shorter time_out than the port's.
@@ -194,12 +183,7 @@ impl<S> AsyncContext<S> {
         arguments: [u8; 8],
         time_out: Option<Duration>,
     ) -> Result<Rendezvous, TaskError> {
-        let request = Request::Arrive { port, arguments, time_out: time_out.map(ticks) };
-        match self.ask(request).await?.0 {
-            Signal::Released { round, by, .. } => Ok(Rendezvous::Released { round, by }),
-            Signal::GaveUp { round, missing, .. } => Ok(Rendezvous::GaveUp { round, missing }),
-            other => mismatch(&request, &other),
-        }
+        self.met(port, arguments, time_out).await
     }
 
     /// Ranks ports, sources, timers and the task's own thread from here on (§5.1.1).
@@ -207,8 +191,7 @@ impl<S> AsyncContext<S> {
     /// # Errors
     /// [`TaskError::TooManyLevels`].
     pub fn order(&mut self, named: &[Ranked]) -> Result<(), TaskError> {
-        let order = ServiceOrder::new(named).ok_or(TaskError::TooManyLevels(named.len()))?;
-        self.at_once(Request::Order(order)).map(|_| ())
+        at_once(self.ordered(named))
     }
 
     /// Waits for at least `length` (§5.1.2).
@@ -216,11 +199,7 @@ impl<S> AsyncContext<S> {
     /// # Errors
     /// [`TaskError::Stopped`].
     pub async fn delay(&mut self, length: Duration) -> Result<(), TaskError> {
-        let request = Request::Delay { id: TimeId(u8::MAX), length: ticks(length) };
-        match self.ask(request).await?.0 {
-            Signal::TimeOut(_) => Ok(()),
-            other => mismatch(&request, &other),
-        }
+        self.delayed(length).await
     }
 
     /// Waits until the task holds the lease of its couple. Returns the epoch under which it acts.
@@ -228,10 +207,7 @@ impl<S> AsyncContext<S> {
     /// # Errors
     /// [`WrongUsage`](imrs_protocol::Fault::WrongUsage) if the task is not the primary of a couple.
     pub async fn lease(&mut self) -> Result<u8, TaskError> {
-        match self.ask(Request::Lease).await?.0 {
-            Signal::Granted(epoch) => Ok(epoch),
-            other => mismatch(&Request::Lease, &other),
-        }
+        self.leased().await
     }
 
     /// Sets what the answers to the partner's heartbeats carry from here on: at most 8 bytes.
@@ -239,9 +215,7 @@ impl<S> AsyncContext<S> {
     /// # Errors
     /// [`TaskError::TooLong`].
     pub fn publish(&mut self, bytes: &[u8]) -> Result<(), TaskError> {
-        let few = Some(bytes).filter(|bytes| bytes.len() <= PUBLISHED_BYTES);
-        let contents = few.and_then(Contents::new).ok_or(TaskError::TooLong(bytes.len()))?;
-        self.at_once(Request::Publish(contents)).map(|_| ())
+        at_once(self.publishes(bytes))
     }
 
     /// What the partner's last answer to a heartbeat carried; `None` before the first one.
@@ -255,11 +229,7 @@ impl<S> AsyncContext<S> {
     /// # Errors
     /// [`TaskError`], of the handlers too.
     pub async fn boundary(&mut self) -> Result<(), TaskError> {
-        let request = Request::Boundary;
-        match self.ask(request).await?.0 {
-            Signal::Accepted(_) => Ok(()),
-            other => mismatch(&request, &other),
-        }
+        self.accepted(Request::Boundary).await.map(|_| ())
     }
 
     /// Runs a section that no handler interrupts, even while it waits. Dropping the section's future ends it.
@@ -273,97 +243,12 @@ impl<S> AsyncContext<S> {
         if self.caller.atomic {
             return section(self).await;
         }
-        self.at_once(Request::Atomic(true))?;
+        at_once(self.accepted(Request::Atomic(true)))?;
         self.caller.atomic = true;
         let open = Section(self);
         let done = section(&mut *open.0).await;
         drop(open);
         done
-    }
-
-    async fn get(
-        &mut self,
-        port: Option<PortId>,
-        source: Option<TaskId>,
-        time_out: Option<Duration>,
-    ) -> Result<Option<Delivery>, TaskError> {
-        if let Some(kept) = self.kept(port, source) {
-            return Ok(Some(kept));
-        }
-        let until = time_out.map(|time_out| clock::now().saturating_add(clock::micros(time_out)));
-        let mut left = time_out.map(ticks);
-        loop {
-            let request = Request::Get { port, source, time_out: left };
-            let (signal, waited) = self.ask(request).await?;
-            match signal {
-                Signal::Message(message) => {
-                    if let Some(message) = self.in_hand(message, waited) {
-                        return Ok(Some(message));
-                    }
-                }
-                Signal::Nothing => return Ok(None),
-                other => mismatch(&request, &other),
-            }
-            left = until.map(|until| Ticks(until.saturating_sub(clock::now())));
-        }
-    }
-
-    /// A message that came for a dropped call and has not expired.
-    fn kept(&mut self, port: Option<PortId>, source: Option<TaskId>) -> Option<Delivery> {
-        let suits = |delivery: &Delivery| {
-            port.is_none_or(|port| port == delivery.from.port)
-                && source.is_none_or(|source| source == delivery.from.source)
-        };
-        while let Some(at) = self.kept.iter().position(|(delivery, _)| suits(delivery)) {
-            let (delivery, since) = self.kept.remove(at);
-            let message = self.still_alive(delivery, Ticks(clock::now().saturating_sub(since)));
-            if message.is_some() {
-                return message;
-            }
-        }
-        None
-    }
-
-    /// The message with its remaining time, `waited` after its communication task gave it out; `None` if it has expired.
-    fn in_hand(&mut self, message: Delivery, waited: Ticks) -> Option<Delivery> {
-        self.caller.taken = Some(message.from);
-        self.still_alive(message, waited)
-    }
-
-    /// As [`in_hand`](Self::in_hand), for a message taken earlier: the fragments kept by now may be another message's.
-    fn still_alive(&mut self, message: Delivery, waited: Ticks) -> Option<Delivery> {
-        if message.budget > waited {
-            return Some(Delivery { budget: message.budget - waited, ..message });
-        }
-        self.caller.expired_in_hand(&message);
-        None
-    }
-
-    fn ask(&mut self, request: Request) -> Asking<'_, S> {
-        Asking::new(self, request)
-    }
-
-    /// Makes a request that is answered without waiting. Returns how many copies were accepted, if it sends copies.
-    fn at_once(&mut self, request: Request) -> Result<u16, TaskError> {
-        match self.caller.call_now(Some(request))? {
-            Some((Signal::Accepted(copies), _)) => Ok(copies),
-            Some((other, _)) => mismatch(&request, &other),
-            None => Err(wrong_usage()),
-        }
-    }
-
-    /// Hands all fragments of a message but the first to the communication task, and returns the first (D28).
-    fn staged(&mut self, port: PortId, bytes: &[u8], packets: u8) -> Result<Contents, TaskError> {
-        let too_long = || TaskError::TooLong(bytes.len());
-        if bytes.len() > PACKET * usize::from(packets.max(1)) {
-            return Err(too_long());
-        }
-        let (first, rest) = bytes.split_at(bytes.len().min(PACKET));
-        for (index, part) in (1..).zip(rest.chunks(PACKET)) {
-            let contents = Contents::new(part).ok_or_else(too_long)?;
-            self.at_once(Request::Part { port, index, contents })?;
-        }
-        Contents::new(first).ok_or_else(too_long)
     }
 
     /// Cancels the wait. Handlers that are due run first; a message that has come is kept.
@@ -388,6 +273,32 @@ impl<S> AsyncContext<S> {
     }
 }
 
+impl<S> Calls for AsyncContext<S> {
+    fn caller(&mut self) -> &mut Caller {
+        &mut self.caller
+    }
+
+    async fn ask(&mut self, request: Request) -> Result<(Signal, Ticks), TaskError> {
+        Asking::new(self, request).await
+    }
+
+    /// A message that came for a dropped call and has not expired.
+    fn kept(&mut self, port: Option<PortId>, source: Option<TaskId>) -> Option<Delivery> {
+        let suits = |delivery: &Delivery| {
+            port.is_none_or(|port| port == delivery.from.port)
+                && source.is_none_or(|source| source == delivery.from.source)
+        };
+        while let Some(at) = self.kept.iter().position(|(delivery, _)| suits(delivery)) {
+            let (delivery, since) = self.kept.remove(at);
+            let message = self.caller.still_alive(&delivery, Ticks(clock::now().saturating_sub(since)));
+            if message.is_some() {
+                return message;
+            }
+        }
+        None
+    }
+}
+
 /// An open atomic section. Dropping it closes it.
 struct Section<'a, S>(&'a mut AsyncContext<S>);
 
@@ -395,6 +306,6 @@ impl<S> Drop for Section<'_, S> {
     fn drop(&mut self) {
         self.0.caller.atomic = false;
         // Refused only if the task is at its end; then nothing interrupts it any more.
-        let _ = self.0.at_once(Request::Atomic(false));
+        let _ = at_once(self.0.accepted(Request::Atomic(false)));
     }
 }

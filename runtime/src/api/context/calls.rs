@@ -1,0 +1,227 @@
+//! The calls of a program, each written once: a thread waits in [`Calls::ask`], and a future awaits it.
+
+use super::caller::Caller;
+use super::outcome::{Asked, Received, Rendezvous, Sent, TaskError};
+use super::typed::{decoded, encoded, wrong_usage};
+use crate::api::message::{LONGEST, Message};
+use crate::clock;
+use imrs_protocol::{
+    CONTENTS_BYTES, Class, Contents, Delivery, PUBLISHED_BYTES, PortId, Ranked, ReplyTo, Request,
+    ServiceOrder, Signal, Target, TaskId, Ticks, TimeId,
+};
+use std::future::Future;
+use std::pin::pin;
+use std::task::{Context as Poller, Poll, Waker};
+use std::time::Duration;
+
+/// How many bytes one packet carries.
+const PACKET: usize = CONTENTS_BYTES;
+
+/// The result of a call that does not wait, or whose wait is that of the calling thread.
+pub(super) fn at_once<T>(call: impl Future<Output = Result<T, TaskError>>) -> Result<T, TaskError> {
+    match pin!(call).poll(&mut Poller::from_waker(Waker::noop())) {
+        Poll::Ready(result) => result,
+        // Only a request that the communication task answers later leads here, from a call that must not wait.
+        Poll::Pending => Err(wrong_usage()),
+    }
+}
+
+/// What a program asks of its communication task. A [`Context`](super::Context) and an
+/// [`AsyncContext`](super::AsyncContext) differ in [`ask`](Self::ask) alone.
+pub(super) trait Calls {
+    fn caller(&mut self) -> &mut Caller;
+
+    /// Makes a request and waits for its answer; handlers run meanwhile. Also returns the age of the answer.
+    async fn ask(&mut self, request: Request) -> Result<(Signal, Ticks), TaskError>;
+
+    /// A message that came for a call that was dropped.
+    fn kept(&mut self, port: Option<PortId>, source: Option<TaskId>) -> Option<Delivery> {
+        let _ = (port, source);
+        None
+    }
+
+    /// A request that is answered at once. Returns how many copies were sent, if it sends any.
+    async fn accepted(&mut self, request: Request) -> Result<u16, TaskError> {
+        match self.ask(request).await?.0 {
+            Signal::Accepted(copies) => Ok(copies),
+            other => mismatch(&request, &other),
+        }
+    }
+
+    /// Hands all fragments of a message but the first to the communication task, and returns the first (D28).
+    async fn staged(&mut self, port: PortId, bytes: &[u8], packets: u8) -> Result<Contents, TaskError> {
+        let too_long = || TaskError::TooLong(bytes.len());
+        if bytes.len() > PACKET * usize::from(packets.max(1)) {
+            return Err(too_long());
+        }
+        let (first, rest) = bytes.split_at(bytes.len().min(PACKET));
+        for (index, part) in (1..).zip(rest.chunks(PACKET)) {
+            let contents = Contents::new(part).ok_or_else(too_long)?;
+            self.accepted(Request::Part { port, index, contents }).await?;
+        }
+        Contents::new(first).ok_or_else(too_long)
+    }
+
+    async fn sent(
+        &mut self,
+        port: PortId,
+        to: Target,
+        contents: &[u8],
+        time_out: Option<Duration>,
+    ) -> Result<Sent, TaskError> {
+        let packets = self.caller().node.table.port(port).map_or(1, |port| port.decl.fragments);
+        let (contents, time_out) = (self.staged(port, contents, packets).await?, time_out.map(ticks));
+        let request = Request::Send { port, to, contents, time_out };
+        match self.ask(request).await?.0 {
+            Signal::Accepted(copies) => Ok(Sent::Copies(copies)),
+            Signal::Outcome(outcome) => Ok(Sent::Outcome(outcome)),
+            Signal::Answers { answers, .. } => Ok(Sent::Several(answers)),
+            other => mismatch(&request, &other),
+        }
+    }
+
+    async fn replied(&mut self, to: &ReplyTo, contents: &[u8]) -> Result<(), TaskError> {
+        let packets = self.caller().node.table.port(to.port).map_or(1, |port| port.decl.answer_fragments);
+        let contents = self.staged(to.port, contents, packets).await?;
+        self.accepted(Request::Reply { to: *to, contents }).await.map(|_| ())
+    }
+
+    async fn received(
+        &mut self,
+        port: Option<PortId>,
+        source: Option<TaskId>,
+        time_out: Option<Duration>,
+    ) -> Result<Option<Delivery>, TaskError> {
+        if let Some(kept) = self.kept(port, source) {
+            return Ok(Some(kept));
+        }
+        let until = time_out.map(|time_out| clock::now().saturating_add(clock::micros(time_out)));
+        let mut left = time_out.map(ticks);
+        loop {
+            let request = Request::Get { port, source, time_out: left };
+            match self.ask(request).await? {
+                (Signal::Message(message), age) => {
+                    if let Some(message) = self.caller().in_hand(&message, age) {
+                        return Ok(Some(message));
+                    }
+                }
+                (Signal::Nothing, _) => return Ok(None),
+                (other, _) => mismatch(&request, &other),
+            }
+            left = until.map(|until| Ticks(until.saturating_sub(clock::now())));
+        }
+    }
+
+    async fn met(
+        &mut self,
+        port: PortId,
+        arguments: [u8; 8],
+        time_out: Option<Duration>,
+    ) -> Result<Rendezvous, TaskError> {
+        let request = Request::Arrive { port, arguments, time_out: time_out.map(ticks) };
+        match self.ask(request).await?.0 {
+            Signal::Released { round, by, .. } => Ok(Rendezvous::Released { round, by }),
+            Signal::GaveUp { round, missing, .. } => Ok(Rendezvous::GaveUp { round, missing }),
+            other => mismatch(&request, &other),
+        }
+    }
+
+    async fn ordered(&mut self, named: &[Ranked]) -> Result<(), TaskError> {
+        let order = ServiceOrder::new(named).ok_or(TaskError::TooManyLevels(named.len()))?;
+        self.accepted(Request::Order(order)).await.map(|_| ())
+    }
+
+    async fn delayed(&mut self, length: Duration) -> Result<(), TaskError> {
+        // A handler may delay above a thread that delays: each depth has an id of its own, above those of timers.
+        let request = Request::Delay { id: TimeId(u8::MAX - self.caller().depth), length: ticks(length) };
+        match self.ask(request).await?.0 {
+            Signal::TimeOut(_) => Ok(()),
+            other => mismatch(&request, &other),
+        }
+    }
+
+    async fn leased(&mut self) -> Result<u8, TaskError> {
+        match self.ask(Request::Lease).await?.0 {
+            Signal::Granted(epoch) => Ok(epoch),
+            other => mismatch(&Request::Lease, &other),
+        }
+    }
+
+    async fn publishes(&mut self, bytes: &[u8]) -> Result<(), TaskError> {
+        let few = Some(bytes).filter(|bytes| bytes.len() <= PUBLISHED_BYTES);
+        let contents = few.and_then(Contents::new).ok_or(TaskError::TooLong(bytes.len()))?;
+        self.accepted(Request::Publish(contents)).await.map(|_| ())
+    }
+
+    async fn told<M: Message>(&mut self, port: PortId, message: &M) -> Result<u16, TaskError> {
+        self.caller().expect_class(port, Class::Status)?;
+        let mut room = [0; LONGEST];
+        match self.sent(port, Target::All, encoded(message, &mut room)?, None).await? {
+            Sent::Copies(copies) => Ok(copies),
+            Sent::Outcome(_) | Sent::Several(_) => Err(wrong_usage()),
+        }
+    }
+
+    async fn asked<M: Message, R: Message>(
+        &mut self,
+        port: PortId,
+        to: Target,
+        question: &M,
+        time_out: Option<Duration>,
+    ) -> Result<Asked<R>, TaskError> {
+        self.caller().expect_class(port, Class::Command)?;
+        let peer = self.caller().peer(port, to)?;
+        let mut room = [0; LONGEST];
+        let bytes = encoded(question, &mut room)?;
+        match self.sent(port, Target::One(peer), bytes, time_out).await? {
+            Sent::Outcome(outcome) => self.caller().asked(port, peer, outcome),
+            Sent::Copies(_) | Sent::Several(_) => Err(wrong_usage()),
+        }
+    }
+
+    async fn asked_all<M: Message, R: Message>(
+        &mut self,
+        port: PortId,
+        to: Target,
+        question: &M,
+        mut each: impl FnMut(TaskId, Asked<R>),
+    ) -> Result<(), TaskError> {
+        self.caller().expect_class(port, Class::Command)?;
+        let mut room = [0; LONGEST];
+        let bytes = encoded(question, &mut room)?;
+        match self.sent(port, to, bytes, None).await? {
+            Sent::Copies(_) => Err(wrong_usage()),
+            Sent::Outcome(outcome) => {
+                let peer = self.caller().peer(port, to)?;
+                each(peer, self.caller().asked(port, peer, outcome)?);
+                Ok(())
+            }
+            Sent::Several(answers) => self.caller().each_answer(port, &answers, each),
+        }
+    }
+
+    async fn taken<M: Message>(
+        &mut self,
+        port: PortId,
+        time_out: Option<Duration>,
+    ) -> Result<Option<Received<M>>, TaskError> {
+        let Some(delivery) = self.received(Some(port), None, time_out).await? else { return Ok(None) };
+        let message = decoded(&self.caller().whole(&delivery)?)?;
+        Ok(Some(Received { message, from: delivery.from, budget: delivery.budget }))
+    }
+
+    async fn answered<R: Message>(&mut self, to: &ReplyTo, answer: &R) -> Result<(), TaskError> {
+        let mut room = [0; LONGEST];
+        self.replied(to, encoded(answer, &mut room)?).await
+    }
+}
+
+pub(super) fn ticks(length: Duration) -> Ticks {
+    Ticks(clock::micros(length))
+}
+
+/// Only a fault in the machine leads here.
+#[cold]
+pub(super) fn mismatch(request: &Request, signal: &Signal) -> ! {
+    panic!("the communication task answered {request:?} with {signal:?}")
+}
