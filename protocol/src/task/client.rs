@@ -32,7 +32,7 @@ use alloc::boxed::Box;
 use outstanding::{Answer, Outstanding, Phase};
 use serde::{Deserialize, Serialize};
 
-/// The requests of the task's requests, with the answers to the last request on each port.
+/// The task's outstanding requests, one for each port on which it asks, with the answers to the last request on the port.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Client {
     requests: Box<[Outstanding]>,
@@ -51,7 +51,7 @@ struct Overdue {
 pub(crate) enum Sent {
     /// This many copies of a class-1 message were sent.
     Copies(u16),
-    /// The task waits for the answers at this request.
+    /// The task waits for the answers to the request at this position.
     Request(u16),
 }
 
@@ -59,7 +59,7 @@ pub(crate) enum Sent {
 type Message<'a> = (&'a Port, Ticks, Contents);
 
 impl Client {
-    /// A client with a request for each port on which the task asks.
+    /// A client with room for one request on each port on which the task asks.
     pub fn new(table: &NodeTable, own: &Own) -> Self {
         let ports = own.ports(table, |role| matches!(role, Role::Asks(_)));
         let requests = ports.map(|(endpoint, port)| Outstanding::new(port, own.task, endpoint)).collect();
@@ -124,7 +124,7 @@ impl Client {
         }
     }
 
-    /// Whether no request is outstanding or has ended unheard at a request.
+    /// Whether the request at a position has ended, and the task knows it.
     pub fn is_closed(&self, request: u16) -> bool {
         self.requests[usize::from(request)].phase == Phase::Closed
     }
@@ -165,7 +165,7 @@ impl Client {
         self.requests[usize::from(request)].due()
     }
 
-    /// Cancels the request at a request.
+    /// Cancels the request at a position.
     pub fn close(&mut self, request: u16) {
         self.requests[usize::from(request)].close();
     }
@@ -209,7 +209,7 @@ impl Client {
         (request.port, request.open().next().map(|recipient| recipient.task), request.deadline)
     }
 
-    /// Does what is [`due`](Self::due) at a request: times the request out, or retransmits it.
+    /// Does what is [`due`](Self::due) for the request at a position: times it out, or retransmits it.
     pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>, request: u16) -> Option<Ended> {
         let at = usize::from(request);
         let request = &self.requests[at];

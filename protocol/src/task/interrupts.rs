@@ -112,7 +112,7 @@ impl Interrupts {
         self.threads().any(|activation| activation.pending == wait)
     }
 
-    /// The requests at which activations wait.
+    /// The positions of the requests for whose answers activations wait.
     pub fn open_requests(&self) -> impl Iterator<Item = u16> {
         self.threads().filter_map(|activation| {
             if let Pending::Reply(request) = activation.pending { Some(request) } else { None }

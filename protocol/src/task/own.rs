@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 pub(crate) enum Role {
     /// Sends class-1 messages, which are not answered.
     Sends,
-    /// Sends class-2 messages, tracked at this request of the client.
+    /// Sends class-2 messages. The client keeps the outstanding one at this position.
     Asks(u16),
     /// Receives messages into this inbox of the server.
     Receives(u16),

@@ -12,8 +12,8 @@ use crate::packet::Contents;
 use crate::request::{Fault, ReplyTo, Request, Signal, Target};
 use crate::ticks::{Instant, Ticks};
 
-/// The signal to give at once, or `None` if it comes later.
-type Done = Result<Option<Signal>, Fault>;
+/// The signal that answers a request, or `None` if it was given already or comes later.
+type Answer = Result<Option<Signal>, Fault>;
 
 const ACCEPTED: Option<Signal> = Some(Signal::Accepted(0));
 
@@ -25,6 +25,7 @@ impl Machines {
             Request::Abandon => Ok(Some(self.abandon(step))),
             Request::Reply { to, contents } => self.reply(step, to, contents),
             Request::Done => self.interrupts.done().map(|()| ACCEPTED),
+            // The requests above are allowed while another one is outstanding; those below are not (R93).
             _ if !self.interrupts.waits_for_nothing() => Err(Fault::Busy),
             Request::Order(order) => {
                 let old = core::mem::replace(&mut step.own.order, order);
@@ -87,7 +88,7 @@ impl Machines {
         id: PortId,
         to: Target,
         (contents, time_out): (Contents, Option<Ticks>),
-    ) -> Done {
+    ) -> Answer {
         let (port, party) = mapping::own_end(step.table, id, step.own.task)?;
         // Receivers and a restarted node rely on the declared TTL: a request may only shorten it.
         let ttl = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
@@ -110,7 +111,7 @@ impl Machines {
         step: &mut Step<'_, impl Outbox>,
         (port, source): (Option<PortId>, Option<TaskId>),
         time_out: Option<Ticks>,
-    ) -> Done {
+    ) -> Answer {
         let inbox = port.map(|port| step.own.receiving(port)).transpose()?;
         if self.serve(step, inbox, source) {
             return Ok(None);
@@ -123,7 +124,7 @@ impl Machines {
         Ok(None)
     }
 
-    fn reply(&mut self, step: &mut Step<'_, impl Outbox>, to: ReplyTo, contents: Contents) -> Done {
+    fn reply(&mut self, step: &mut Step<'_, impl Outbox>, to: ReplyTo, contents: Contents) -> Answer {
         let (port, party) = mapping::own_end(step.table, to.port, step.own.task)?;
         let place = usize::from(party.place);
         let left = match step.own.endpoints[place].role {
@@ -150,7 +151,7 @@ impl Machines {
         id: PortId,
         arguments: [u8; 8],
         time_out: Option<Ticks>,
-    ) -> Done {
+    ) -> Answer {
         let (_, party) = mapping::own_end(step.table, id, step.own.task)?;
         let meeting = step.own.meeting(id).ok_or(Fault::WrongUsage)?;
         if self.meetings.at(meeting).is_waiting() {
@@ -164,13 +165,13 @@ impl Machines {
         Ok(None)
     }
 
-    fn set_handled(&mut self, step: &Step<'_, impl Outbox>, port: PortId, handled: bool) -> Done {
+    fn set_handled(&mut self, step: &Step<'_, impl Outbox>, port: PortId, handled: bool) -> Answer {
         let inbox = step.own.receiving(port)?;
         self.server.set_handled(step.own, inbox, handled);
         Ok(ACCEPTED)
     }
 
-    fn await_lease(&mut self) -> Done {
+    fn await_lease(&mut self) -> Answer {
         let Some(lease) = &mut self.lease else { return Err(Fault::WrongUsage) };
         if self.interrupts.waits(Pending::Lease) {
             return Err(Fault::Busy);

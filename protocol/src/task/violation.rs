@@ -20,7 +20,7 @@ pub enum Violation {
     MemoryTooShort(TaskId, MessageId),
     /// The task waits past its deadline.
     Overdue(Instant),
-    /// The task waits at a request without an open request, or the other way round; or a request has a foreign id.
+    /// The task waits for an answer though no request is open, or the other way round; or a request has a foreign id.
     WaitsForNothing(PortId),
     /// The task waits at a `waitfor` that has no deadline, or the other way round.
     MeetingAndWaitDiffer(PortId),

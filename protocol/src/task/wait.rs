@@ -14,7 +14,7 @@ pub(crate) enum Pending {
         source: Option<TaskId>,
         deadline: Instant,
     },
-    /// For the answers to the request at this request, which has the deadline.
+    /// For the answers to the outstanding request at this position, which has the deadline.
     Reply(u16),
     /// At the rendezvous at this position, which has the deadline.
     Meeting(u16),
@@ -32,9 +32,9 @@ pub(crate) enum Pending {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) enum Finished {
     Outcome(Outcome),
-    /// The request at this request to several tasks has ended.
+    /// The request to several tasks at this position has ended.
     Answers(u16),
-    /// The request at this request has ended with an answer of several packets.
+    /// The request at this position has ended with an answer of several packets.
     Long(u16),
     Released {
         port: PortId,

@@ -12,7 +12,7 @@
 //! in the near cache of one core (D128). To a running thread they leave what may wait until it enters (D130).
 //!
 //! The shared part knows nothing of messages: it is generic over the [`Protected`], so that tests can explore its interleavings
-//! with a protected state of two states.
+//! with a state machine of two states.
 
 use crate::sync::awake::ThreadState;
 use crate::sync::inbox::Inbox;
