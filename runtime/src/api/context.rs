@@ -19,6 +19,7 @@ use crate::node::{More, Node};
 use calls::{Calls, at_once};
 use handlers::Handlers;
 use imrs_protocol::{Contents, Delivery, PortId, Ranked, ReplyTo, Request, Signal, Target, TaskId, Ticks};
+use std::future::{Future, ready};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -242,7 +243,7 @@ impl<S> Calls for Context<S> {
         &mut self.caller
     }
 
-    async fn ask(&mut self, request: Request) -> Result<(Signal, Ticks), TaskError> {
-        self.call_with(request, &mut |_| None)
+    fn ask(&mut self, request: Request) -> impl Future<Output = Result<(Signal, Ticks), TaskError>> {
+        ready(self.call_with(request, &mut |_| None))
     }
 }

@@ -5,7 +5,7 @@ use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
 use crate::packet::{CONTENTS_BYTES, Contents};
 use crate::request::{ReplyTo, Request};
 use crate::script::program::{Format, MAX_MESSAGE, Op, StatementOutcome};
-use crate::script::{ScriptFault, ScriptOutbox, Wait};
+use crate::script::{Inbound, ScriptFault, ScriptOutbox, Wait};
 
 impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
     /// Sends the operands of a SEND or REPLY: the fragments from `part` on, one by one, and then fragment 0 with the request
@@ -33,10 +33,11 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
                 return Ok(Flow::Next);
             }
         };
-        if usize::from(part) < self.format(format)?.fragments() {
+        let format = self.format(format)?;
+        if usize::from(part) < format.fragments() {
             let contents = self.part(format, part)?;
             self.out.request(Request::Part { port, index: part, contents });
-            return Ok(Flow::Wait(Wait::Part(part)));
+            return Ok(self.wait(Wait::Part(part)));
         }
         let contents = self.part(format, 0)?;
         self.drop_fields(op)?;
@@ -51,7 +52,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
             }
             (_, None) => return Err(ScriptFault::Malformed),
         }
-        Ok(Flow::Wait(Wait::Signal))
+        Ok(self.wait(Wait::Signal))
     }
 
     /// The message whose source and id are the two operands below the fields.
@@ -71,14 +72,13 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         self.program.formats.get(usize::from(format)).ok_or(ScriptFault::Malformed)
     }
 
-    /// The bytes of a message whose fields are the topmost operands.
-    pub(super) fn pack(&self, format: u16) -> Result<([u8; MAX_MESSAGE], usize), ScriptFault> {
-        let fields = &self.format(format)?.fields;
+    /// Writes a message whose fields are the topmost operands. Returns its length.
+    pub(super) fn pack(&self, format: &Format, bytes: &mut [u8]) -> Result<usize, ScriptFault> {
         let script = &*self.script;
-        let first = script.held.checked_sub(fields.len()).ok_or(ScriptFault::Malformed)?;
+        let first = script.held.checked_sub(format.fields.len()).ok_or(ScriptFault::Malformed)?;
         let operands = script.operands.get(first..script.held).ok_or(ScriptFault::Malformed)?;
-        let (mut bytes, mut len) = ([0; MAX_MESSAGE], 0);
-        for (&field, &value) in fields.iter().zip(operands) {
+        let mut len = 0;
+        for (&field, &value) in format.fields.iter().zip(operands) {
             if !field.holds(value) {
                 return Err(ScriptFault::Overflow);
             }
@@ -86,12 +86,18 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
             field.write(value, room).ok_or(ScriptFault::Malformed)?;
             len += field.bytes();
         }
-        Ok((bytes, len))
+        Ok(len)
     }
 
     /// One fragment of that message.
-    pub(super) fn part(&self, format: u16, index: u8) -> Result<Contents, ScriptFault> {
-        let (bytes, len) = self.pack(format)?;
+    pub(super) fn part(&self, format: &Format, index: u8) -> Result<Contents, ScriptFault> {
+        if format.fragments() == 1 {
+            let mut bytes = [0; CONTENTS_BYTES];
+            let len = self.pack(format, &mut bytes)?;
+            return Contents::new(&bytes[..len]).filter(|_| index == 0).ok_or(ScriptFault::Malformed);
+        }
+        let mut bytes = [0; MAX_MESSAGE];
+        let len = self.pack(format, &mut bytes)?;
         let from = usize::from(index) * CONTENTS_BYTES;
         let bytes = bytes.get(from.min(len)..len.min(from + CONTENTS_BYTES)).ok_or(ScriptFault::Malformed)?;
         Contents::new(bytes).ok_or(ScriptFault::Malformed)
@@ -126,19 +132,15 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         let inbound = self.inbound.ok_or(ScriptFault::NothingReceived)?;
         let format = self.format(format)?;
         let total = format.bytes();
-        let mut bytes = [0; MAX_MESSAGE];
-        let parts = bytes.get_mut(..total).ok_or(ScriptFault::Malformed)?.chunks_mut(CONTENTS_BYTES);
-        for (index, room) in (0..).zip(parts) {
-            let part = match index {
-                0 => Some(inbound.contents),
-                _ if inbound.is_answer => self.out.answer(inbound.port, inbound.task, index),
-                _ => self.out.fragment(index),
-            };
-            let part = part.ok_or(ScriptFault::WrongContents)?;
-            if part.as_bytes().len() != room.len() {
-                return Err(ScriptFault::WrongContents);
-            }
-            room.copy_from_slice(part.as_bytes());
+        let mut whole = [0; MAX_MESSAGE];
+        let bytes = if total <= CONTENTS_BYTES {
+            inbound.contents.as_bytes()
+        } else {
+            self.gather(&inbound, whole.get_mut(..total).ok_or(ScriptFault::Malformed)?)?;
+            &whole[..total]
+        };
+        if bytes.len() != total {
+            return Err(ScriptFault::WrongContents);
         }
         let places = self.program.places.get(usize::from(into)..).ok_or(ScriptFault::Malformed)?;
         if places.len() < format.fields.len() {
@@ -150,6 +152,23 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
                 bytes.get(at..).and_then(|bytes| field.read(bytes)).ok_or(ScriptFault::WrongContents)?;
             self.set(place, value)?;
             at += field.bytes();
+        }
+        Ok(())
+    }
+
+    /// Copies all fragments of a message or answer into `bytes`.
+    fn gather(&mut self, inbound: &Inbound, bytes: &mut [u8]) -> Result<(), ScriptFault> {
+        for (index, room) in (0..).zip(bytes.chunks_mut(CONTENTS_BYTES)) {
+            let part = match index {
+                0 => Some(inbound.contents),
+                _ if inbound.is_answer => self.out.answer(inbound.port, inbound.task, index),
+                _ => self.out.fragment(index),
+            };
+            let part = part.ok_or(ScriptFault::WrongContents)?;
+            if part.as_bytes().len() != room.len() {
+                return Err(ScriptFault::WrongContents);
+            }
+            room.copy_from_slice(part.as_bytes());
         }
         Ok(())
     }

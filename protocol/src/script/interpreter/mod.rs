@@ -29,8 +29,8 @@ pub(super) struct Interpreter<'a, O> {
 enum Flow {
     Next,
     To(Address),
-    Wait(Wait),
-    Over,
+    /// It does not: the activation waits, or has ended.
+    Stop,
 }
 
 type Step = Result<Flow, ScriptFault>;
@@ -345,43 +345,43 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         Ok(())
     }
 
-    /// Ends the wait of the running activation and continues as `step` says.
+    /// Ends the wait of the running activation and continues as `step` says, unless that waits for something else.
     fn resume(&mut self, step: impl FnOnce(&mut Self) -> Step) {
         let flow = step(self);
-        self.frame().wait = Wait::Nothing;
-        if self.go_on(flow) {
-            self.run();
-        }
+        let frame = self.frame();
+        frame.at = match flow {
+            Ok(Flow::Next) => frame.at.saturating_add(1),
+            Ok(Flow::To(at)) => at,
+            Ok(Flow::Stop) => return,
+            Err(fault) => return self.fault(fault),
+        };
+        frame.wait = Wait::Nothing;
+        self.run();
     }
 
     /// Runs operations until one waits or the script ends.
     fn run(&mut self) {
+        let level = usize::from(self.script.level);
         for _ in 0..STEP_LIMIT {
-            let flow = self.op().and_then(|op| self.execute(op));
-            if !self.go_on(flow) {
-                return;
-            }
+            let at = self.script.frames[level].at;
+            let flow = match self.program.code.get(usize::from(at)) {
+                Some(op) => self.execute(op),
+                None => Err(ScriptFault::Malformed),
+            };
+            self.script.frames[level].at = match flow {
+                Ok(Flow::Next) => at.saturating_add(1),
+                Ok(Flow::To(at)) => at,
+                Ok(Flow::Stop) => return,
+                Err(fault) => return self.fault(fault),
+            };
         }
         self.fault(ScriptFault::Runaway);
     }
 
-    /// Moves the program counter; false if the step ends.
-    fn go_on(&mut self, flow: Step) -> bool {
-        let frame = self.frame();
-        match flow {
-            Ok(Flow::Next) => frame.at = frame.at.saturating_add(1),
-            Ok(Flow::To(at)) => frame.at = at,
-            Ok(Flow::Wait(wait)) => {
-                frame.wait = wait;
-                return false;
-            }
-            Ok(Flow::Over) => return false,
-            Err(fault) => {
-                self.fault(fault);
-                return false;
-            }
-        }
-        true
+    /// The running activation waits, so the step ends.
+    fn wait(&mut self, wait: Wait) -> Flow {
+        self.frame().wait = wait;
+        Flow::Stop
     }
 
     fn op(&mut self) -> Result<&'a Op, ScriptFault> {

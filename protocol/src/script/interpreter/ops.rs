@@ -80,16 +80,16 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
                 if self.operands().pop()? == 0 {
                     let at = self.frame().at;
                     self.finish(End::Assertion(at));
-                    return Ok(Flow::Over);
+                    return Ok(Flow::Stop);
                 }
             }
             Op::Abort(reason) => {
                 self.finish(End::Aborted(reason));
-                return Ok(Flow::Over);
+                return Ok(Flow::Stop);
             }
             Op::End => {
                 self.finish(End::Finished);
-                return Ok(Flow::Over);
+                return Ok(Flow::Stop);
             }
             Op::HandlerEnd => return self.handler_end(),
             Op::Choose(alternatives) => return self.choose(alternatives),
@@ -108,7 +108,7 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
             | Op::Lease => {
                 let request = self.request(op)?;
                 self.out.request(request);
-                return Ok(Flow::Wait(Wait::Signal));
+                return Ok(self.wait(Wait::Signal));
             }
         }
         Ok(Flow::Next)
@@ -140,7 +140,7 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
         self.out.request(Request::Work);
         self.out.run(Action { level, action, arguments, least, most });
         self.drop_operands(first);
-        Ok(Flow::Wait(Wait::Working))
+        Ok(self.wait(Wait::Working))
     }
 
     /// Whether the task's own thread waits to get its lease, for the first time or again.
@@ -155,13 +155,13 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
         Ok(match *op {
             Op::Get { port, source, time_out } => Request::Get { port, source, time_out },
             Op::Arrive { port, format, time_out } => {
-                let (bytes, _) = self.pack(format)?;
+                let mut arguments = [0; 8];
+                self.pack(self.format(format)?, &mut arguments)?;
                 self.drop_fields(op)?;
-                let arguments = *bytes.first_chunk().ok_or(ScriptFault::Malformed)?;
                 Request::Arrive { port, arguments, time_out }
             }
             Op::Publish { format } => {
-                let contents = self.part(format, 0)?;
+                let contents = self.part(self.format(format)?, 0)?;
                 self.drop_fields(op)?;
                 Request::Publish(contents)
             }
@@ -200,7 +200,7 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
             return Flow::Next;
         }
         self.out.request(Request::Boundary);
-        Flow::Wait(Wait::Boundary)
+        self.wait(Wait::Boundary)
     }
 
     fn forget_answer(&mut self) {
@@ -211,7 +211,7 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
     fn choose(&mut self, alternatives: u16) -> Step {
         self.forget_answer();
         match self.out.choose(alternatives) {
-            None if alternatives > 0 => Ok(Flow::Wait(Wait::Choice(alternatives))),
+            None if alternatives > 0 => Ok(self.wait(Wait::Choice(alternatives))),
             Some(choice) if choice < alternatives => {
                 self.operands().push(i64::from(choice))?;
                 Ok(Flow::Next)
@@ -236,14 +236,14 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
         script.level = script.level.saturating_sub(1);
         if trigger == Some(Trigger::Fenced) {
             self.fenced();
-            return Ok(Flow::Over);
+            return Ok(Flow::Stop);
         }
         self.out.request(Request::Return);
         if let Wait::Kept(acted) = self.frame().wait {
             self.frame().wait = Wait::Done(acted);
             self.out.request(Request::Done);
         }
-        Ok(Flow::Over)
+        Ok(Flow::Stop)
     }
 
     fn term(&mut self, term: Term) -> Result<(), ScriptFault> {

@@ -32,7 +32,7 @@ pub(super) trait Calls {
     fn caller(&mut self) -> &mut Caller;
 
     /// Makes a request and waits for its answer; handlers run meanwhile. Also returns the age of the answer.
-    async fn ask(&mut self, request: Request) -> Result<(Signal, Ticks), TaskError>;
+    fn ask(&mut self, request: Request) -> impl Future<Output = Result<(Signal, Ticks), TaskError>>;
 
     /// A message that came for a call that was dropped.
     fn kept(&mut self, port: Option<PortId>, source: Option<TaskId>) -> Option<Delivery> {
@@ -50,6 +50,9 @@ pub(super) trait Calls {
 
     /// Hands all fragments of a message but the first to the communication task, and returns the first (D28).
     async fn staged(&mut self, port: PortId, bytes: &[u8], packets: u8) -> Result<Contents, TaskError> {
+        if let Some(short) = Contents::new(bytes) {
+            return Ok(short);
+        }
         let too_long = || TaskError::TooLong(bytes.len());
         if bytes.len() > PACKET * usize::from(packets.max(1)) {
             return Err(too_long());

@@ -13,6 +13,7 @@ use asking::Asking;
 use imrs_protocol::{
     Contents, Delivery, PortId, Ranked, ReplyTo, Request, Signal, Target, TaskId, Ticks, TimeId,
 };
+use std::future::Future;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::time::Duration;
@@ -278,8 +279,8 @@ impl<S> Calls for AsyncContext<S> {
         &mut self.caller
     }
 
-    async fn ask(&mut self, request: Request) -> Result<(Signal, Ticks), TaskError> {
-        Asking::new(self, request).await
+    fn ask(&mut self, request: Request) -> impl Future<Output = Result<(Signal, Ticks), TaskError>> {
+        Asking::new(self, request)
     }
 
     /// A message that came for a dropped call and has not expired.
