@@ -177,7 +177,7 @@ impl Run {
         let (mut expected, mut found) = (Did::default(), Did::default());
         small.small_steps(self.now, input, &mut expected);
         if let NodeInput::Request(task, request) = &input {
-            let before = (self.inputs % 16 == 0).then(|| state(node));
+            let before = (self.inputs.is_multiple_of(16)).then(|| state(node));
             if node.clone().fuse(*task, request, &mut Did::default()) {
                 *counts.entry(name(&self.table, request)).or_default() += 1;
                 node.step(self.now, input, &mut found);

@@ -3,7 +3,8 @@
 //! The search takes the small steps. Wherever a fused step applies, both are made on copies, which must then be equal: the
 //! packed state, and everything that the node does, in its order.
 
-use super::{CellState, Effect, Wires, small};
+use super::wires::Wires;
+use super::{CellState, Effect, small};
 use crate::state::Violation;
 use imrs_protocol::{Node, NodeInput, Request, TaskId};
 use std::sync::atomic::{AtomicU64, Ordering};

@@ -19,6 +19,7 @@ pub(crate) mod script;
 mod search;
 mod time;
 mod walk;
+mod wires;
 pub mod worlds;
 
 pub use chart::draw_cell_state;
@@ -30,12 +31,13 @@ use body::{Body, Does};
 use history::History;
 use imrs_protocol::script::ScriptInput;
 use imrs_protocol::{
-    CommTask, Contents, Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation, Packet,
-    Request, Round, Rules, Seq24, Signal, TaskId, Ticks, invariants,
+    CommTask, Contents, Incarnation, Node, NodeId, NodeInput, NodeTable, Observation, Packet, Request, Round,
+    Rules, Seq24, Signal, TaskId, Ticks, invariants,
 };
 use plan::{CellScenario, Errand};
 use std::collections::VecDeque;
 use std::sync::Arc;
+use wires::Wires;
 
 /// A transition of a cell state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -135,34 +137,6 @@ pub(crate) enum Effect {
     Signalled(TaskId, Signal),
     /// An observation at a node, by a task or (`None`) by the transit buffer.
     Seen(u8, Option<TaskId>, Observation),
-}
-
-/// Where the effects of one node go. `open` says how many packets each of its links still takes.
-struct Wires<'a> {
-    effects: &'a mut Vec<Effect>,
-    open: &'a mut [(NodeId, u8)],
-    node: u8,
-}
-
-impl NodeOutbox for Wires<'_> {
-    fn ready(&mut self, next: NodeId) -> bool {
-        self.open.iter().any(|&(to, left)| to == next && left > 0)
-    }
-
-    fn link(&mut self, next: NodeId, packet: Packet) {
-        if let Some((_, left)) = self.open.iter_mut().find(|(to, _)| *to == next) {
-            *left = left.saturating_sub(1);
-        }
-        self.effects.push(Effect::Sent(next, packet));
-    }
-
-    fn signal(&mut self, task: TaskId, signal: Signal) {
-        self.effects.push(Effect::Signalled(task, signal));
-    }
-
-    fn observe(&mut self, at: Option<TaskId>, observation: Observation) {
-        self.effects.push(Effect::Seen(self.node, at, observation));
-    }
 }
 
 /// A new incarnation this many rounds behind behaves like one farther behind: the machine only compares rounds.

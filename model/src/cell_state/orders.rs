@@ -1,7 +1,8 @@
 //! Interleavings within a node: the inputs of its tasks queue until the search takes them, in every order (D170).
 
+use super::CellState;
 use super::plan::CellScenario;
-use super::{CellState, Wires};
+use super::wires::Wires;
 use crate::state::Violation;
 use imrs_protocol::{Node, NodeInput, TaskId, Ticks};
 use std::sync::Arc;

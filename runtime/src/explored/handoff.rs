@@ -3,16 +3,14 @@
 use super::{DEADLOCK, must_fail, must_fail_large};
 use crate::clock::FAR;
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
-use crate::sync::combining_lock::{self, CombiningLock};
 use crate::sync::handoff::{Handoff, Plant, Protected, Rest};
-use crate::sync::{Mutex, lock};
 
 /// A machine of two states: its task has asked, or not. It keeps an answer that comes before the question.
 #[derive(Default)]
 pub(super) struct Toy {
     asked: bool,
-    kept: u32,
-    fed: u32,
+    pub kept: u32,
+    pub fed: u32,
 }
 
 #[derive(Clone, Copy)]
@@ -76,11 +74,11 @@ impl Protected for Toy {
     }
 }
 
-fn toy(plant: Option<Plant>) -> Arc<Handoff<Toy, Option<Plant>>> {
+pub(super) fn toy(plant: Option<Plant>) -> Arc<Handoff<Toy, Option<Plant>>> {
     Arc::new(Handoff::planted(Toy::default(), None, plant))
 }
 
-fn bring(handoff: &Arc<Handoff<Toy, Option<Plant>>>, input: Brought) -> thread::JoinHandle<u32> {
+pub(super) fn bring(handoff: &Arc<Handoff<Toy, Option<Plant>>>, input: Brought) -> thread::JoinHandle<u32> {
     let handoff = Arc::clone(handoff);
     thread::spawn(move || {
         let mut worked = 0;
@@ -290,142 +288,6 @@ fn what_is_left_to_a_program_that_does_not_say_that_it_ended_stays_behind() {
     must_fail("news stayed behind", || end_with_news(false));
 }
 
-/// A thread brings two answers. The task waits for one and takes what else is there, until it has both. Returns the most answers
-/// taken at once.
-fn take_several(plant: Option<Plant>) -> u32 {
-    let handoff = toy(plant);
-    let bringing = Arc::clone(&handoff);
-    let other = thread::spawn(move || (0..2).for_each(|_| bringing.deliver(Brought::Answer, &mut 0)));
-    let (mut taken, mut most, mut worked) = (0, 0, 0);
-    while taken < 2 {
-        let (mut at_once, mut input) = (0, Brought::Question);
-        while at_once == 0 {
-            let more = |_: &Got| {
-                at_once += 1;
-                Some(Brought::Poll)
-            };
-            handoff.enter_and(input, more, &mut worked);
-            if at_once == 0 {
-                handoff.sleep(None);
-                input = Brought::Nothing;
-            }
-        }
-        (taken, most) = (taken + at_once, most.max(at_once));
-    }
-    other.join().unwrap();
-    assert_eq!((taken, handoff.look_at(|toy| toy.kept)), (2, 0), "an answer was taken twice");
-    most
-}
-
-#[test]
-fn several_are_taken_under_one_lock_and_none_is_lost() {
-    let seen = explore_large(|| take_several(None));
-    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1, 2], "{seen:?}");
-}
-
-#[test]
-fn taking_several_without_a_second_look_waits_for_what_was_left() {
-    must_fail_large(DEADLOCK, || take_several(Some(Plant::NoSecondLook)));
-}
-
-/// Two threads bring input at once. Returns the larger number of inputs that one of them worked off.
-fn two_bring(plant: Option<Plant>) -> u32 {
-    let handoff = toy(plant);
-    let other = bring(&handoff, Brought::Answer);
-    let mut own = 0;
-    handoff.deliver(Brought::Answer, &mut own);
-    let others = other.join().unwrap();
-    assert_eq!(handoff.look_at(|toy| toy.fed), 2, "input stayed behind");
-    own.max(others)
-}
-
-#[test]
-fn whoever_holds_the_lock_works_for_all() {
-    let seen = explore(|| two_bring(None));
-    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1, 2], "{seen:?}");
-}
-
-#[test]
-fn without_a_second_look_input_stays_behind() {
-    must_fail("input stayed behind", || two_bring(Some(Plant::NoSecondLook)));
-}
-
-#[test]
-fn without_its_fence_the_second_look_is_in_vain() {
-    if SEES_OLD_VALUES {
-        must_fail("input stayed behind", || two_bring(Some(Plant::NoFence)));
-    }
-}
-
-/// Three threads bring input at once, and the inbox has room for one. Returns whether a thread found it full.
-fn three_bring(plant: Option<Plant>) -> bool {
-    let mut handoff = Handoff::planted(Toy::default(), None, plant);
-    handoff.inbox.room.0 = 1;
-    let handoff = Arc::new(handoff);
-    let others = [bring(&handoff, Brought::Answer), bring(&handoff, Brought::Answer)];
-    let mut own = 0;
-    handoff.deliver(Brought::Answer, &mut own);
-    for other in others {
-        other.join().unwrap();
-    }
-    assert_eq!(handoff.look_at(|toy| toy.fed), 3, "input stayed behind");
-    handoff.inbox.room.1.load(std::sync::atomic::Ordering::Relaxed)
-}
-
-#[test]
-fn whoever_finds_the_inbox_full_waits_for_the_lock() {
-    let seen = explore_large(|| three_bring(None));
-    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [false, true], "{seen:?}");
-}
-
-#[test]
-fn input_that_a_full_inbox_drops_is_missed() {
-    must_fail_large("input stayed behind", || three_bring(Some(Plant::DropsWhenFull)));
-}
-
-/// One thread looks at the protected state while another brings input. Returns how many inputs the looking thread worked off.
-fn one_looks(plant: Option<Plant>) -> u32 {
-    let handoff = toy(plant);
-    let other = bring(&handoff, Brought::Answer);
-    let mut worked = 0;
-    handoff.with(|_| (), &mut worked);
-    assert_eq!(worked + other.join().unwrap(), 1, "input stayed behind");
-    worked
-}
-
-#[test]
-fn whoever_only_looks_still_works_off_what_was_left() {
-    let seen = explore(|| one_looks(None));
-    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [0, 1], "{seen:?}");
-}
-
-#[test]
-fn looking_without_a_second_look_leaves_input_behind() {
-    must_fail("input stayed behind", || one_looks(Some(Plant::NoSecondLook)));
-}
-
-/// One thread leaves input and nudges while another brings some. Returns how many inputs the first one worked off.
-fn one_leaves(plant: Option<Plant>) -> u32 {
-    let handoff = toy(plant);
-    let other = bring(&handoff, Brought::Answer);
-    let mut worked = 0;
-    assert!(handoff.leave(Brought::Answer).is_ok(), "the inbox has room");
-    handoff.wake(&mut worked);
-    assert_eq!(worked + other.join().unwrap(), 2, "input stayed behind");
-    worked
-}
-
-#[test]
-fn what_was_left_is_worked_off() {
-    let seen = explore(|| one_leaves(None));
-    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [0, 1, 2], "{seen:?}");
-}
-
-#[test]
-fn a_wake_up_without_a_look_leaves_input_behind() {
-    must_fail("input stayed behind", || one_leaves(Some(Plant::NoSecondLook)));
-}
-
 /// The answer comes while the time runs out. The outcome is decided once, under the lock: never both, never neither. If
 /// `under_lock` is false, the bug is there: the task assumes that its time is over without looking.
 fn race_with_time(under_lock: bool) -> Got {
@@ -492,77 +354,4 @@ fn stopping_ends_every_wait() {
 #[test]
 fn stopping_silently_leaves_a_sleeper_behind() {
     must_fail_large(DEADLOCK, || stop_while_waiting(Some(Plant::SilentStop), false));
-}
-
-/// Two threads put something down and take a turn to carry it away. Returns the most that one of them carried.
-fn two_take_turns(plant: Option<combining_lock::Plant>) -> u32 {
-    fn put_and_take(turn: &CombiningLock<(), Option<combining_lock::Plant>>, pile: &Mutex<u32>) -> u32 {
-        *lock(pile) += 1;
-        turn.want();
-        let mut carried = 0;
-        turn.take(|()| carried += std::mem::take(&mut *lock(pile)));
-        carried
-    }
-    let shared = Arc::new((CombiningLock::planted((), plant), Mutex::new(0)));
-    let theirs = Arc::clone(&shared);
-    let other = thread::spawn(move || put_and_take(&theirs.0, &theirs.1));
-    let own = put_and_take(&shared.0, &shared.1);
-    let others = other.join().unwrap();
-    assert_eq!(own + others, 2, "something was left lying");
-    own.max(others)
-}
-
-/// As [`two_take_turns`], but a thread that gets the turn at once carries its own without putting it down.
-fn two_enter(blindly: bool) -> u32 {
-    fn carry_or_put(turn: &CombiningLock<()>, pile: &Mutex<u32>, blindly: bool) -> u32 {
-        let mut carried = 0;
-        if let Some(own) = turn.enter() {
-            carried += 1 + std::mem::take(&mut *lock(pile));
-            drop(own);
-            if blindly {
-                return carried;
-            }
-        } else {
-            *lock(pile) += 1;
-            turn.want();
-        }
-        turn.take(|()| carried += std::mem::take(&mut *lock(pile)));
-        carried
-    }
-    let shared = Arc::new((CombiningLock::new(()), Mutex::new(0)));
-    let theirs = Arc::clone(&shared);
-    let other = thread::spawn(move || carry_or_put(&theirs.0, &theirs.1, blindly));
-    let own = carry_or_put(&shared.0, &shared.1, blindly);
-    let others = other.join().unwrap();
-    assert_eq!(own + others, 2, "something was left lying");
-    own.max(others)
-}
-
-#[test]
-fn what_was_not_put_down_is_carried_with_what_was() {
-    let seen = explore(|| two_enter(false));
-    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1, 2], "{seen:?}");
-}
-
-#[test]
-fn who_enters_and_does_not_look_again_leaves_something_lying() {
-    must_fail("something was left lying", || two_enter(true));
-}
-
-#[test]
-fn nothing_is_left_lying_by_those_who_found_another_at_work() {
-    let seen = explore(|| two_take_turns(None));
-    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1, 2], "{seen:?}");
-}
-
-#[test]
-fn leaving_without_another_look_leaves_something_lying() {
-    must_fail("something was left lying", || two_take_turns(Some(combining_lock::Plant::LeavesBlindly)));
-}
-
-#[test]
-fn without_its_fence_the_turn_leaves_something_lying() {
-    if SEES_OLD_VALUES {
-        must_fail("something was left lying", || two_take_turns(Some(combining_lock::Plant::NoFence)));
-    }
 }

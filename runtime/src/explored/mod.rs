@@ -7,8 +7,10 @@
 //! A scene returns its outcome. Each test asserts the whole set of outcomes, and has twins with a planted bug that must be found:
 //! an exploration that sees one outcome or misses the bug proves nothing.
 
+mod combining;
 mod futures;
 mod handoff;
+mod inbox;
 mod lane;
 mod lead;
 mod looks;

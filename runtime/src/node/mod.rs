@@ -8,14 +8,17 @@ pub(crate) mod comm;
 pub(crate) mod effects;
 pub(crate) mod executor;
 pub(crate) mod failstop;
+mod inlet;
 pub(crate) mod local_task;
 pub(crate) mod program;
 pub(crate) mod threads;
 pub(crate) mod timers;
 pub(crate) mod transit;
 
+pub(crate) use inlet::Inlet;
+
 use crate::clock::{self, Micros};
-use crate::link::{Leading, Link, LinkDiscard, Sink};
+use crate::link::{Leading, Link, LinkDiscard};
 use crate::node::comm::{Comm, Completion};
 use crate::node::effects::{Effect, Effects, Stamped};
 use crate::node::failstop::guarded;
@@ -28,7 +31,7 @@ use crate::script::Stage;
 use crate::sync::alarm::Alarm;
 use crate::sync::handoff::{Entry, ThreadWaker};
 use crate::sync::lead::Lead;
-use crate::sync::{AtomicU64, Mutex, Ordering, lock};
+use crate::sync::{AtomicU64, Mutex, Ordering};
 use imrs_protocol::route::{Arrival, Departure, arrived, departing};
 use imrs_protocol::{
     CommTask, Incarnation, Input, NodeId, NodeTable, Packet, Reason, Request, TaskId, Ticks, discarded,
@@ -36,7 +39,6 @@ use imrs_protocol::{
 use imrs_wire::obs::RealTime;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
-use std::time::Instant;
 
 /// What a node is made from.
 pub(crate) struct Plan {
@@ -410,54 +412,5 @@ struct LinkWaker(Arc<dyn Link>);
 impl ThreadWaker for LinkWaker {
     fn wake(&self) {
         self.0.leading().into_iter().for_each(Leading::call);
-    }
-}
-
-/// What one thread receives with: the node and the thread's effects.
-pub(crate) struct Inlet {
-    node: Arc<Node>,
-    effects: Mutex<Effects>,
-}
-
-impl Inlet {
-    pub fn new(node: Arc<Node>) -> Self {
-        let effects = Effects::of_a_receiver(node.locals.list.len());
-        Self { node, effects: Mutex::new(effects) }
-    }
-
-    /// A neighbour takes packets again: sends those that waited for it.
-    pub fn ready(&self) {
-        self.node.dispatch.ready();
-        let mut effects = lock(&self.effects);
-        self.node.dispatch.pump(clock::now(), &mut effects);
-        self.node.carry_out(&mut effects);
-    }
-}
-
-impl Sink for Inlet {
-    fn packets(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Instant) {
-        // In this order, a preemption between the two readings makes the packets too old, never too young. A later one does so,
-        // too, because the machines are told this instant, not when they take the packets.
-        let now = clock::now();
-        let charge = charge + Ticks(clock::micros(at.elapsed()));
-        if let Some(peer) = self.node.peer(from) {
-            peer.received.fetch_add(packets.len() as u64, Ordering::Relaxed);
-            peer.heard.store(now, Ordering::Relaxed);
-        }
-        self.node.receive(from, packets, charge, now, &mut lock(&self.effects));
-    }
-
-    fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool) {
-        let Some(peer) = self.node.peer(node) else { return };
-        let before = lock(&peer.incarnation).replace(incarnation);
-        // Requests to an earlier incarnation may have run or not; no answer will tell. A request may also have gone there before
-        // anything was heard from it. A node that lost its state may start again with an earlier incarnation's number.
-        if before.is_some() || restarted {
-            self.node.restarted(node, clock::now(), &mut lock(&self.effects));
-        }
-    }
-
-    fn discarded(&self, reason: LinkDiscard) {
-        self.node.link_discards[reason.index()].fetch_add(1, Ordering::Relaxed);
     }
 }

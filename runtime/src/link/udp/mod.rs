@@ -16,6 +16,7 @@
 mod delay;
 mod greet;
 mod inbound;
+mod options;
 mod peer;
 mod receive;
 mod send;
@@ -24,6 +25,7 @@ mod socket;
 mod statistics;
 mod watch;
 
+pub use options::{NotANeighbour, UdpError, UdpOptions};
 pub use peer::Refusal;
 pub use statistics::UdpCount;
 
@@ -44,69 +46,10 @@ use std::net::{SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU16, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
-use thiserror::Error;
 use watch::{ReadySockets, Seen, Watch};
-
-/// The size of a kernel receive queue, by default: some 200 full datagrams.
-const DEFAULT_QUEUE_BYTES: usize = 256 * 1024;
 
 /// More than the number of threads that receive at once.
 const ROOMS: usize = 16;
-
-/// How a node takes part in UDP traffic.
-#[derive(Clone, Copy, Debug)]
-pub struct UdpOptions {
-    /// Which incarnation of the node this is.
-    pub incarnation: Incarnation,
-    /// Whether an earlier incarnation of the node may have taken requests. Neighbours are told.
-    pub restarted: bool,
-    /// The digest of the statements of all tasks of the cell ([`record::statements`](crate::record::statements)), zero if no task
-    /// has a script. Nodes with different digests do not talk.
-    pub statements: u32,
-    /// How many bytes each of the kernel's receive queues holds (SO_RCVBUF; the kernel doubles it for its own needs). There is
-    /// one queue for each neighbour and one for all others. More than arrives within the longest time_out is of no use.
-    pub queue_bytes: usize,
-    /// Whether the kernel, if it can, cuts what leaves in one call into datagrams (UDP_SEGMENT, Linux 4.18), and merges datagrams
-    /// that come from one neighbour (UDP_GRO, Linux 5.0).
-    pub segments: bool,
-}
-
-impl UdpOptions {
-    /// The default options for this incarnation of a node.
-    #[must_use]
-    pub const fn new(incarnation: Incarnation, restarted: bool) -> Self {
-        Self { incarnation, restarted, statements: 0, queue_bytes: DEFAULT_QUEUE_BYTES, segments: true }
-    }
-}
-
-/// Why a UDP link could not be made.
-#[derive(Debug, Error)]
-pub enum UdpError {
-    /// The address cannot be bound.
-    #[error("cannot bind UDP address {address}: {source}")]
-    Bind {
-        /// The address.
-        address: SocketAddr,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// The socket does not take an option.
-    #[error("cannot set {option} on a UDP socket: {source}")]
-    Option {
-        /// The option.
-        option: &'static str,
-        /// What the system said.
-        source: io::Error,
-    },
-    /// The means to wait in the socket and to end such waits (epoll, eventfd) cannot be made.
-    #[error("cannot make an epoll or an eventfd: {0}")]
-    Wake(io::Error),
-}
-
-/// The node is not a neighbour: the cell declares no link to it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-#[error("node {0} is not a neighbour")]
-pub struct NotANeighbour(pub NodeId);
 
 /// A UDP link of one node to all its neighbours.
 ///

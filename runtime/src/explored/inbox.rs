@@ -1,0 +1,142 @@
+//! The inbox of a hand-off, full or left by others: the scenes of several threads that bring input at once.
+
+use super::handoff::{Brought, Got, Toy, bring, toy};
+use super::{DEADLOCK, must_fail, must_fail_large};
+use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
+use crate::sync::handoff::{Handoff, Plant};
+
+/// A thread brings two answers. The task waits for one and takes what else is there, until it has both. Returns the most answers
+/// taken at once.
+fn take_several(plant: Option<Plant>) -> u32 {
+    let handoff = toy(plant);
+    let bringing = Arc::clone(&handoff);
+    let other = thread::spawn(move || (0..2).for_each(|_| bringing.deliver(Brought::Answer, &mut 0)));
+    let (mut taken, mut most, mut worked) = (0, 0, 0);
+    while taken < 2 {
+        let (mut at_once, mut input) = (0, Brought::Question);
+        while at_once == 0 {
+            let more = |_: &Got| {
+                at_once += 1;
+                Some(Brought::Poll)
+            };
+            handoff.enter_and(input, more, &mut worked);
+            if at_once == 0 {
+                handoff.sleep(None);
+                input = Brought::Nothing;
+            }
+        }
+        (taken, most) = (taken + at_once, most.max(at_once));
+    }
+    other.join().unwrap();
+    assert_eq!((taken, handoff.look_at(|toy| toy.kept)), (2, 0), "an answer was taken twice");
+    most
+}
+
+#[test]
+fn several_are_taken_under_one_lock_and_none_is_lost() {
+    let seen = explore_large(|| take_several(None));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1, 2], "{seen:?}");
+}
+
+#[test]
+fn taking_several_without_a_second_look_waits_for_what_was_left() {
+    must_fail_large(DEADLOCK, || take_several(Some(Plant::NoSecondLook)));
+}
+
+/// Two threads bring input at once. Returns the larger number of inputs that one of them worked off.
+fn two_bring(plant: Option<Plant>) -> u32 {
+    let handoff = toy(plant);
+    let other = bring(&handoff, Brought::Answer);
+    let mut own = 0;
+    handoff.deliver(Brought::Answer, &mut own);
+    let others = other.join().unwrap();
+    assert_eq!(handoff.look_at(|toy| toy.fed), 2, "input stayed behind");
+    own.max(others)
+}
+
+#[test]
+fn whoever_holds_the_lock_works_for_all() {
+    let seen = explore(|| two_bring(None));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1, 2], "{seen:?}");
+}
+
+#[test]
+fn without_a_second_look_input_stays_behind() {
+    must_fail("input stayed behind", || two_bring(Some(Plant::NoSecondLook)));
+}
+
+#[test]
+fn without_its_fence_the_second_look_is_in_vain() {
+    if SEES_OLD_VALUES {
+        must_fail("input stayed behind", || two_bring(Some(Plant::NoFence)));
+    }
+}
+
+/// Three threads bring input at once, and the inbox has room for one. Returns whether a thread found it full.
+fn three_bring(plant: Option<Plant>) -> bool {
+    let mut handoff = Handoff::planted(Toy::default(), None, plant);
+    handoff.inbox.room.0 = 1;
+    let handoff = Arc::new(handoff);
+    let others = [bring(&handoff, Brought::Answer), bring(&handoff, Brought::Answer)];
+    let mut own = 0;
+    handoff.deliver(Brought::Answer, &mut own);
+    for other in others {
+        other.join().unwrap();
+    }
+    assert_eq!(handoff.look_at(|toy| toy.fed), 3, "input stayed behind");
+    handoff.inbox.room.1.load(std::sync::atomic::Ordering::Relaxed)
+}
+
+#[test]
+fn whoever_finds_the_inbox_full_waits_for_the_lock() {
+    let seen = explore_large(|| three_bring(None));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [false, true], "{seen:?}");
+}
+
+#[test]
+fn input_that_a_full_inbox_drops_is_missed() {
+    must_fail_large("input stayed behind", || three_bring(Some(Plant::DropsWhenFull)));
+}
+
+/// One thread looks at the protected state while another brings input. Returns how many inputs the looking thread worked off.
+fn one_looks(plant: Option<Plant>) -> u32 {
+    let handoff = toy(plant);
+    let other = bring(&handoff, Brought::Answer);
+    let mut worked = 0;
+    handoff.with(|_| (), &mut worked);
+    assert_eq!(worked + other.join().unwrap(), 1, "input stayed behind");
+    worked
+}
+
+#[test]
+fn whoever_only_looks_still_works_off_what_was_left() {
+    let seen = explore(|| one_looks(None));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [0, 1], "{seen:?}");
+}
+
+#[test]
+fn looking_without_a_second_look_leaves_input_behind() {
+    must_fail("input stayed behind", || one_looks(Some(Plant::NoSecondLook)));
+}
+
+/// One thread leaves input and nudges while another brings some. Returns how many inputs the first one worked off.
+fn one_leaves(plant: Option<Plant>) -> u32 {
+    let handoff = toy(plant);
+    let other = bring(&handoff, Brought::Answer);
+    let mut worked = 0;
+    assert!(handoff.leave(Brought::Answer).is_ok(), "the inbox has room");
+    handoff.wake(&mut worked);
+    assert_eq!(worked + other.join().unwrap(), 2, "input stayed behind");
+    worked
+}
+
+#[test]
+fn what_was_left_is_worked_off() {
+    let seen = explore(|| one_leaves(None));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [0, 1, 2], "{seen:?}");
+}
+
+#[test]
+fn a_wake_up_without_a_look_leaves_input_behind() {
+    must_fail("input stayed behind", || one_leaves(Some(Plant::NoSecondLook)));
+}

@@ -1,0 +1,59 @@
+//! Where packets from other nodes come in.
+
+use super::Node;
+use crate::clock;
+use crate::link::{LinkDiscard, Sink};
+use crate::node::effects::Effects;
+use crate::sync::{Mutex, Ordering, lock};
+use imrs_protocol::{Incarnation, NodeId, Packet, Ticks};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// What one thread receives with: the node and the thread's effects.
+pub(crate) struct Inlet {
+    node: Arc<Node>,
+    effects: Mutex<Effects>,
+}
+
+impl Inlet {
+    pub fn new(node: Arc<Node>) -> Self {
+        let effects = Effects::of_a_receiver(node.locals.list.len());
+        Self { node, effects: Mutex::new(effects) }
+    }
+
+    /// A neighbour takes packets again: sends those that waited for it.
+    pub fn ready(&self) {
+        self.node.dispatch.ready();
+        let mut effects = lock(&self.effects);
+        self.node.dispatch.pump(clock::now(), &mut effects);
+        self.node.carry_out(&mut effects);
+    }
+}
+
+impl Sink for Inlet {
+    fn packets(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Instant) {
+        // In this order, a preemption between the two readings makes the packets too old, never too young. A later one does so,
+        // too, because the machines are told this instant, not when they take the packets.
+        let now = clock::now();
+        let charge = charge + Ticks(clock::micros(at.elapsed()));
+        if let Some(peer) = self.node.peer(from) {
+            peer.received.fetch_add(packets.len() as u64, Ordering::Relaxed);
+            peer.heard.store(now, Ordering::Relaxed);
+        }
+        self.node.receive(from, packets, charge, now, &mut lock(&self.effects));
+    }
+
+    fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool) {
+        let Some(peer) = self.node.peer(node) else { return };
+        let before = lock(&peer.incarnation).replace(incarnation);
+        // Requests to an earlier incarnation may have run or not; no answer will tell. A request may also have gone there before
+        // anything was heard from it. A node that lost its state may start again with an earlier incarnation's number.
+        if before.is_some() || restarted {
+            self.node.restarted(node, clock::now(), &mut lock(&self.effects));
+        }
+    }
+
+    fn discarded(&self, reason: LinkDiscard) {
+        self.node.link_discards[reason.index()].fetch_add(1, Ordering::Relaxed);
+    }
+}
