@@ -220,7 +220,6 @@ impl Template for Solo {
             class: Class::Status,
             more: false,
             resent: false,
-            urgent: false,
             hops: MAX_HOPS,
             fragment: 0,
             destination: ARM,

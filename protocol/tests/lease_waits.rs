@@ -235,7 +235,6 @@ fn an_actuator_that_is_packed_knows_the_newest_epoch_still() {
         class: Class::Status,
         more: false,
         resent: false,
-        urgent: false,
         hops: MAX_HOPS,
         fragment: 0,
         destination: arm,

@@ -38,7 +38,6 @@ fn packet() -> Packet {
         class: Class::Status,
         more: false,
         resent: false,
-        urgent: false,
         hops: MAX_HOPS,
         fragment: 0,
         destination: Z,
