@@ -171,11 +171,9 @@ fn tool(work: u64, honest: bool, every: bool) -> VirtualCell {
     let mut cell = triangle();
     cell.port(PortDecl::new("grab", A, Usage::Response, &[B, C], Ticks(20)).bounded_buffer(2));
     cell.port(PortDecl::new("free", A, Usage::Receive, &[B, C], Ticks(20)).command());
-    let as_told = |b: ProgramBuilder| finish(if every { b.every_statement() } else { b });
-    let robots = [(B, robot(work, honest)), (C, robot(1, true))];
-    let mut scripts: Vec<_> = robots.into_iter().map(|(task, b)| (task, as_told(b))).collect();
-    scripts.push((A, as_told(dresser())));
-    VirtualCell::new(cell).begin(scripts)
+    let fusing = if every { Fusing::EveryStatement } else { Fusing::Fused };
+    let scripts = [(A, dresser()), (B, robot(work, honest)), (C, robot(1, true))];
+    VirtualCell::new(cell).begin(scripts.map(|(task, b)| (task, Program { fusing, ..finish(b) })))
 }
 
 #[test]
