@@ -50,7 +50,7 @@ class Built:
         self.manifest = self.bin / "manifest.json"
         edits = {entry.number: entry.edit for entry in chosen}
         digest = hashlib.sha256(repr(edits).encode())
-        for name in tracked("protocol", "model", "language", "runtime", "client", "src", "tests", "examples", ".ci/schemata.py"):
+        for name in tracked("protocol", "model", "language", "runtime", "client", "testkit", "src", "tests", "examples", ".ci/schemata.py"):
             digest.update((ROOT / name).read_bytes())
         with self.alone():
             if self.known.get("stamp") != digest.hexdigest():

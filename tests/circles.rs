@@ -7,7 +7,7 @@ use std::iter::Peekable;
 use std::path::Path;
 use std::str::Chars;
 
-const ROOMS: [&str; 9] = [
+const ROOMS: [&str; 10] = [
     "src",
     "protocol/src",
     "language/src",
@@ -17,6 +17,7 @@ const ROOMS: [&str; 9] = [
     "client/src",
     "monitor/src",
     "macros/src",
+    "testkit/src",
 ];
 
 /// The path of a module below `crate`.

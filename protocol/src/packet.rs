@@ -2,7 +2,7 @@
 //!
 //! ```text
 //!  0      version 2 | kind 3 | class 1 | more fragments 1 | re-sent 1      (high bits first)
-//!  1      length 4 | hops left 3 | urgent 1
+//!  1      length 4 | hops left 3 | zero 1
 //!  2..4   destination task        4..6  source task        6..8  port          (little endian)
 //!  8      incarnation             9..12 sequence
 //! 12..15  remaining: mantissa     15    fragment index 4 | exponent 4
@@ -206,8 +206,6 @@ pub struct Packet {
     pub more: bool,
     /// Whether this is a retransmission (D5, D55).
     pub resent: bool,
-    /// Asks links not to delay the packet for batching. Nothing sets it, and no link reads it.
-    pub urgent: bool,
     /// How many more relays the packet may pass.
     #[serde(deserialize_with = "at_most::<_, MAX_HOPS>")]
     pub hops: u8,
@@ -279,7 +277,7 @@ pub enum PacketError {
     UnknownPort(PortId),
     /// The end-to-end checksum is wrong: damaged, or made for another cell or another declaration of the port.
     Checksum,
-    /// A length field beyond the contents, or nonzero padding.
+    /// A length field beyond the contents, or a bit that must be zero is set.
     Malformed,
 }
 
@@ -340,7 +338,7 @@ impl Packet {
             | (u8::from(self.class == Class::Command) << 2)
             | (u8::from(self.more) << 1)
             | u8::from(self.resent);
-        b[1] = (self.contents.len << 4) | ((self.hops & 7) << 1) | u8::from(self.urgent);
+        b[1] = (self.contents.len << 4) | ((self.hops & 7) << 1);
         b[2..4].copy_from_slice(&self.destination.0.to_le_bytes());
         b[4..6].copy_from_slice(&self.source.0.to_le_bytes());
         b[6..8].copy_from_slice(&self.port.0.to_le_bytes());
@@ -378,7 +376,7 @@ impl Packet {
         let mut bytes = [0; CONTENTS_BYTES];
         bytes.copy_from_slice(&b[16..28]);
         let padding = bytes.get(usize::from(len)..).ok_or(PacketError::Malformed)?;
-        if padding.iter().any(|&byte| byte != 0) {
+        if b[1] & 1 != 0 || padding.iter().any(|&byte| byte != 0) {
             return Err(PacketError::Malformed);
         }
         Ok(Self {
@@ -386,7 +384,6 @@ impl Packet {
             class: if b[0] & 4 != 0 { Class::Command } else { Class::Status },
             more: b[0] & 2 != 0,
             resent: b[0] & 1 != 0,
-            urgent: b[1] & 1 != 0,
             hops: (b[1] & HOP_BITS) >> 1,
             fragment: b[15] >> 4,
             destination: TaskId(u16::from_le_bytes([b[2], b[3]])),

@@ -1,8 +1,8 @@
 //! Messages and answers of several packets (D28): complete before their one deadline, or dropped.
 
-use crate::support::net::Net;
 use crate::support::{Effects, NextExpiry, Solo, contents, get, reply, send, send_for};
 use imrs_protocol::*;
+use imrs_testkit::VirtualCell;
 use std::sync::Arc;
 
 const X: TaskId = TaskId(0);
@@ -49,7 +49,7 @@ fn bytes(solo: &Solo, fragments: u8) -> Vec<u8> {
 
 #[test]
 fn a_long_message_and_its_long_answer_arrive_whole() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(Y, get(50));
     net.ask(X, part(TEACH, 1, 11));
     net.ask(X, part(TEACH, 2, 12));
@@ -57,14 +57,14 @@ fn a_long_message_and_its_long_answer_arrive_whole() {
     net.run(3);
     let message = net.message(Y);
     assert_eq!((message.fragments, message.budget, message.contents), (3, Ticks(16), contents(10)));
-    let receiver = net.nodes[1].task(Y).expect("Y");
+    let receiver = net.task(Y);
     let taken: Vec<_> = (0..4).map(|i| receiver.fragment(i).map(|c| c.as_bytes()[0])).collect();
     assert_eq!(taken, [Some(10), Some(11), Some(12), None]);
     net.ask(Y, part(TEACH, 1, 21));
     net.ask(Y, reply(&message, 20));
     net.run(2);
     assert_eq!(net.heard(X), ["accepted 0", "accepted 0", "reply [20]"]);
-    let sender = net.nodes[0].task(X).expect("X");
+    let sender = net.task(X);
     assert_eq!(sender.answer_fragment(TEACH, Y, 1), Some(&contents(21)));
     assert_eq!(sender.answer_fragment(TEACH, Y, 2), None);
     // The answer came before 8 ticks, so nothing was retransmitted.

@@ -1,9 +1,9 @@
 //! Work-coupled tasks (R8; D30, D61): the echoed lease, the fence, the take-over, epochs.
 
-use crate::support::net::Net;
 use crate::support::{self, NextExpiry, Solo, get_on, send};
 use imrs_protocol::rules::{LeaseRule, Rules};
 use imrs_protocol::*;
+use imrs_testkit::{ScriptedNode, VirtualCell};
 use std::sync::Arc;
 
 const P: TaskId = TaskId(0);
@@ -42,30 +42,27 @@ fn cell(mutual: bool) -> Cell {
     cell
 }
 
-fn acting(net: &Net) -> [bool; 2] {
-    [P, S].map(|task| {
-        let node = net.table.location(task).expect("a task");
-        net.nodes[node.index()].task(task).expect("a task").is_active()
-    })
+fn acting(net: &VirtualCell) -> [bool; 2] {
+    [P, S].map(|task| net.task(task).is_active())
 }
 
 /// Runs tick by tick and returns when each robot began or stopped acting. Both must never act at the same time.
-fn changes(net: &mut Net, ticks: u64) -> Vec<(u64, [bool; 2])> {
-    let mut seen = vec![(net.now, acting(net))];
+fn changes(net: &mut VirtualCell, ticks: u64) -> Vec<(u64, [bool; 2])> {
+    let mut seen = vec![(net.now(), acting(net))];
     for _ in 0..ticks {
         net.run(1);
         let now = acting(net);
-        assert_ne!(now, [true, true], "both act at {}", net.now);
+        assert_ne!(now, [true, true], "both act at {}", net.now());
         if now != seen[seen.len() - 1].1 {
-            seen.push((net.now, now));
+            seen.push((net.now(), now));
         }
     }
     seen
 }
 
 /// A net in which the primary holds the lease.
-fn leased(mutual: bool) -> Net {
-    let mut net = Net::new(cell(mutual));
+fn leased(mutual: bool) -> VirtualCell {
+    let mut net = VirtualCell::new(cell(mutual));
     net.ask(P, Request::Lease);
     net.run(12);
     assert_eq!(net.heard(P), ["granted 3"]);
@@ -73,17 +70,9 @@ fn leased(mutual: bool) -> Net {
     net
 }
 
-fn cut(net: &mut Net) {
-    net.lose(|from, to, _| (from == NP && to == NS) || (from == NS && to == NP));
-}
-
-fn heal(net: &mut Net) {
-    net.lose(|_, _, _| false);
-}
-
 #[test]
 fn the_primary_acts_once_a_heartbeat_has_echoed_its_answer_and_the_lease_is_renewed() {
-    let mut net = Net::new(cell(false));
+    let mut net = VirtualCell::new(cell(false));
     net.ask(P, Request::Lease);
     assert_eq!(changes(&mut net, 100), [(0, [false, false]), (5, [true, false])]);
     // A heartbeat at 1, its answer at 3, and the heartbeat that echoes the answer at 4.
@@ -96,14 +85,14 @@ fn with_the_link_cut_the_primary_is_fenced_and_the_standby_takes_over_later() {
     let mut net = leased(false);
     net.ask(S, Request::Work);
     net.ask(P, Request::Work);
-    cut(&mut net);
+    net.cut(NP, NS);
     let seen = changes(&mut net, 60);
     let [(_, _), (fenced, [false, false]), (taken, [false, true])] = seen[..] else { panic!("{seen:?}") };
     assert!(taken >= fenced + (TAKEOVER - LEASE), "fenced at {fenced}, taken over at {taken}");
     assert_eq!(net.heard(P), ["interrupt Fenced"]);
     assert_eq!(net.heard(S), ["interrupt TakeOver(4)"]);
     // Roles are not exchanged here: the old primary does not act again in this incarnation.
-    heal(&mut net);
+    net.mend();
     assert_eq!(changes(&mut net, 100).len(), 1);
     net.ask(P, send(MOVE, ARM, 1));
     assert_eq!(net.heard(P), ["fault Fenced"]);
@@ -112,9 +101,9 @@ fn with_the_link_cut_the_primary_is_fenced_and_the_standby_takes_over_later() {
 #[test]
 fn a_short_cut_changes_nothing() {
     let mut net = leased(false);
-    cut(&mut net);
+    net.cut(NP, NS);
     assert_eq!(changes(&mut net, 2).len(), 1);
-    heal(&mut net);
+    net.mend();
     assert_eq!(changes(&mut net, 60).len(), 1);
 }
 
@@ -130,7 +119,7 @@ fn a_standby_that_waits_for_the_lease_is_granted_it_by_the_take_over() {
 
 #[test]
 fn a_restarted_standby_waits_for_the_whole_take_over() {
-    let mut net = Net::new(cell(false));
+    let mut net = VirtualCell::new(cell(false));
     net.run(3);
     net.lose(|_, _, _| true);
     net.restart(NS, 1);
@@ -145,7 +134,7 @@ fn a_restarted_primary_is_granted_a_fresh_lease_in_a_new_epoch() {
     assert_eq!(acting(&net), [false, false]);
     changes(&mut net, 20);
     assert_eq!(acting(&net), [true, false]);
-    assert_eq!(net.nodes[0].task(P).and_then(CommTask::epoch), Some(7));
+    assert_eq!(net.task(P).epoch(), Some(7));
 }
 
 #[test]
@@ -154,7 +143,7 @@ fn what_was_published_comes_with_the_answers() {
     let said = Contents::new(&[12, 1]).expect("short");
     net.ask(P, Request::Publish(said));
     net.run(10);
-    let standby = net.nodes[1].task(S).expect("the standby");
+    let standby = net.task(S);
     assert_eq!(standby.partner_published(), Some(&said));
     net.ask(P, Request::Publish(Contents::new(&[0; 9]).expect("nine bytes")));
     net.ask(ARM, Request::Publish(said));
@@ -162,36 +151,36 @@ fn what_was_published_comes_with_the_answers() {
     assert_eq!(net.heard(P), ["accepted 0", "fault WrongLength"]);
     assert_eq!(net.heard(ARM), ["fault WrongUsage", "fault WrongUsage"]);
     // The arm is in no couple.
-    assert!(net.nodes[2].task(ARM).expect("the arm").is_active());
-    assert_eq!(net.nodes[2].task(ARM).and_then(CommTask::epoch), None);
+    assert!(net.task(ARM).is_active());
+    assert_eq!(net.task(ARM).epoch(), None);
 }
 
 #[test]
 fn with_exchanged_roles_the_former_primary_is_the_standby_of_the_one_that_took_over() {
     let mut net = leased(true);
-    cut(&mut net);
+    net.cut(NP, NS);
     let seen = changes(&mut net, 60);
     assert_eq!(seen[seen.len() - 1].1, [false, true]);
-    heal(&mut net);
+    net.mend();
     assert_eq!(changes(&mut net, 40).len(), 1, "nobody gives up what it has");
-    cut(&mut net);
+    net.cut(NP, NS);
     let seen = changes(&mut net, 80);
     let [_, (_, [false, false]), (_, [true, false])] = seen[..] else { panic!("{seen:?}") };
-    assert_eq!(net.nodes[0].task(P).and_then(CommTask::epoch), Some(5));
+    assert_eq!(net.task(P).epoch(), Some(5));
 }
 
 #[test]
 fn with_exchanged_roles_one_that_was_away_takes_over_from_nobody_it_never_heard() {
     let mut net = leased(true);
-    cut(&mut net);
+    net.cut(NP, NS);
     changes(&mut net, 60);
     assert_eq!(acting(&net), [false, true]);
     // The standby acts alone. Its partner's new incarnation cannot know whether it does.
     net.restart(NP, 1);
     assert_eq!(changes(&mut net, 200).len(), 1);
     // The same holds for a standby that never heard from its primary.
-    let mut alone = Net::new(cell(true));
-    cut(&mut alone);
+    let mut alone = VirtualCell::new(cell(true));
+    alone.cut(NP, NS);
     assert_eq!(changes(&mut alone, 200).len(), 1);
 }
 
@@ -199,7 +188,7 @@ fn with_exchanged_roles_one_that_was_away_takes_over_from_nobody_it_never_heard(
 fn plain_heartbeats_let_both_act_when_only_the_answers_are_lost() {
     let mut cell = cell(false);
     cell.rules = Rules { lease: LeaseRule::Heartbeat, ..Rules::DEFAULT };
-    let mut net = Net::new(cell);
+    let mut net = VirtualCell::new(cell);
     net.run(12);
     assert_eq!(acting(&net), [true, false]);
     net.lose(|from, to, _| from == NP && to == NS);
@@ -231,7 +220,6 @@ impl Template for Solo {
             class: Class::Status,
             more: false,
             resent: false,
-            urgent: false,
             hops: MAX_HOPS,
             fragment: 0,
             destination: ARM,
@@ -403,16 +391,16 @@ fn an_order_carries_its_epoch_to_the_arm_and_room_for_it_is_kept() {
 fn a_lease_survives_packing_at_any_moment() {
     for ticks in 0..80 {
         for mutual in [false, true] {
-            let mut net = Net::new(cell(mutual));
+            let mut net = VirtualCell::new(cell(mutual));
             net.run(ticks.min(20));
             if ticks > 20 {
-                cut(&mut net);
+                net.cut(NP, NS);
                 net.run(ticks - 20);
             }
             let sequences: Vec<Seq24> =
-                net.nodes.iter().map(|node| node.parts().tasks[0].next_sequence()).collect();
+                net.nodes.iter().map(|node| node.node.parts().tasks[0].next_sequence()).collect();
             let frame = Frame { rounds: &[Frame::ROUND; 2], sequences: &sequences, incarnations: true };
-            for node in &mut net.nodes {
+            for ScriptedNode { node, .. } in &mut net.nodes {
                 let table = node.parts().table.clone();
                 let task = &mut node.parts_mut().tasks[0];
                 task.bury();
@@ -505,7 +493,7 @@ fn an_atomic_section_does_not_put_off_a_fence() {
     net.ask(P, Request::Atomic(true));
     net.ask(P, Request::Work);
     assert_eq!(net.heard(P), ["accepted 0"]);
-    cut(&mut net);
+    net.cut(NP, NS);
     net.run(LEASE + 1);
     assert_eq!(net.heard(P), ["interrupt Fenced"]);
 }

@@ -1,8 +1,8 @@
 //! Work-coupled tasks whose partners restart, and tasks that wait for the lease (R8; D30, D49, D61).
 
-use crate::support::net::Net;
 use crate::support::{self, NextExpiry, Solo, order};
 use imrs_protocol::*;
+use imrs_testkit::VirtualCell;
 use std::sync::Arc;
 
 const P: TaskId = TaskId(0);
@@ -101,7 +101,7 @@ fn a_heartbeat_of_an_earlier_incarnation_is_not_answered_once_the_new_one_is_hea
 
 #[test]
 fn a_standby_that_restarts_goes_on_renewing_the_lease() {
-    let mut net = Net::new(cell(false));
+    let mut net = VirtualCell::new(cell(false));
     net.ask(P, Request::Lease);
     // Run so long that the sequence numbers of the new incarnation stay far from the earlier ones.
     net.run(400);
@@ -109,7 +109,7 @@ fn a_standby_that_restarts_goes_on_renewing_the_lease() {
     net.restart(NS, 1);
     for _ in 0..200 {
         net.run(1);
-        assert!(net.nodes[0].task(P).is_some_and(CommTask::is_active), "fenced at {}", net.now);
+        assert!(net.task(P).is_active(), "fenced at {}", net.now());
     }
 }
 
@@ -235,7 +235,6 @@ fn an_actuator_that_is_packed_knows_the_newest_epoch_still() {
         class: Class::Status,
         more: false,
         resent: false,
-        urgent: false,
         hops: MAX_HOPS,
         fragment: 0,
         destination: arm,

@@ -1,8 +1,8 @@
 //! The node (§5.1, D38): routing through relays, the insertion rule, charges, and the parts' common time.
 
-use crate::support::net::Net;
 use crate::support::{NextExpiry, get, reply, send, send_for};
 use imrs_protocol::*;
+use imrs_testkit::VirtualCell;
 use std::sync::Arc;
 
 const X: TaskId = TaskId(0);
@@ -38,7 +38,6 @@ fn packet() -> Packet {
         class: Class::Status,
         more: false,
         resent: false,
-        urgent: false,
         hops: MAX_HOPS,
         fragment: 0,
         destination: Z,
@@ -53,7 +52,7 @@ fn packet() -> Packet {
 
 #[test]
 fn a_relay_passes_packets_on_and_every_hop_is_charged() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(Z, get(20));
     net.ask(X, send(MOVE, Z, 1));
     net.run(6);
@@ -76,11 +75,11 @@ fn a_relay_passes_packets_on_and_every_hop_is_charged() {
 
 #[test]
 fn residence_in_a_relay_is_charged() {
-    let mut net = Net::new(cell());
-    net.busy = vec![N2];
+    let mut net = VirtualCell::new(cell());
+    net.block(&[N2]);
     net.ask(X, send(HEARTBEAT, Z, 1));
     net.run(12);
-    net.busy.clear();
+    net.block(&[]);
     net.pass(N1, 0);
     let left = net.transcript().pop().expect("the packet leaves the relay");
     assert_eq!(left, "12 N1>N2 SEND T0>T2 #0 [1] for 18");
@@ -88,8 +87,8 @@ fn residence_in_a_relay_is_charged() {
 
 #[test]
 fn a_relay_drops_what_expires_in_it_and_the_source_cannot_tell() {
-    let mut net = Net::new(cell());
-    net.busy = vec![N2];
+    let mut net = VirtualCell::new(cell());
+    net.block(&[N2]);
     net.ask(X, send(MOVE, Z, 1));
     net.run(30);
     assert_eq!(net.count(Event::Discarded(Reason::ExpiredInTransit)), 1);
@@ -98,16 +97,16 @@ fn a_relay_drops_what_expires_in_it_and_the_source_cannot_tell() {
 
 #[test]
 fn a_full_transit_buffer_refuses_at_once_at_home_only() {
-    let mut net = Net::with_transit(cell(), 1);
-    net.busy = vec![N1];
+    let mut net = VirtualCell::with_transit(cell(), 1);
+    net.block(&[N1]);
     net.ask(X, send_for(MOVE, Z, 1, 20));
     net.ask(Y, send(MOVE, Z, 2));
     assert_eq!(net.heard(Y), ["Refused"], "no copy left this node");
     net.ask(Y, send_for(MOVE, Z, 3, 15));
     assert_eq!(net.heard(X), ["Refused"], "a more urgent one took its place");
 
-    let mut net = Net::with_transit(cell(), 1);
-    net.busy = vec![N2];
+    let mut net = VirtualCell::with_transit(cell(), 1);
+    net.block(&[N2]);
     net.ask(X, send_for(MOVE, Z, 1, 20));
     net.run(1);
     net.ask(Y, send(MOVE, Z, 2));
@@ -166,48 +165,47 @@ fn what_comes_over_a_link_is_sorted_by_the_table_alone() {
 
 #[test]
 fn a_dropped_packet_is_seen_with_its_reason() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     let from = |from, packet, charge| NodeInput::Packet { from, packet, charge: Ticks(charge) };
     net.step(N2, from(N1, Packet { source: Y, ..packet() }, 3));
     net.step(N2, from(N1, packet(), 30));
-    let seen: Vec<_> = net.observations.iter().map(|(at, o)| (*at, o.event)).collect();
     let dropped = |at, reason| (at, Event::Discarded(reason));
-    assert_eq!(seen, [dropped(None, Reason::NotAllowed), dropped(Some(Z), Reason::ExpiredOnTheWay)]);
-    net.observations.clear();
+    assert_eq!(
+        net.observed(),
+        [dropped(None, Reason::NotAllowed), dropped(Some(Z), Reason::ExpiredOnTheWay)]
+    );
     net.step(N1, from(N0, packet(), 30));
-    let seen: Vec<_> = net.observations.iter().map(|(at, o)| (*at, o.event)).collect();
-    assert_eq!(seen, [dropped(None, Reason::ExpiredOnTheWay)], "no task of a relay counts it");
-    assert!(net.log.is_empty());
-    let z = net.nodes[2].task(Z).expect("it runs there");
-    let ports = z.view(&net.nodes[2].parts().table, 0).ports;
+    assert_eq!(net.observed(), [dropped(None, Reason::ExpiredOnTheWay)], "no task of a relay counts it");
+    assert!(net.transcript().is_empty());
+    let ports = net.task(Z).view(&net.nodes[2].node.parts().table, 0).ports;
     let expired: Vec<_> = ports.iter().map(|port| port.counters.expired).collect();
     assert_eq!(expired, [0, 1], "counted at the port it was for");
 }
 
 #[test]
 fn all_parts_of_a_node_have_one_time() {
-    let mut net = Net::new(cell());
-    net.busy = vec![N1];
+    let mut net = VirtualCell::new(cell());
+    net.block(&[N1]);
     // The route to Z takes 5 ticks.
     net.ask(X, send_for(HEARTBEAT, Z, 1, 14));
     net.ask(X, Request::Delay { id: TimeId(1), length: Ticks(7) });
     net.ask(Y, get(8));
-    assert_eq!(net.nodes[0].next_expiry(), Some(Ticks(7)));
+    assert_eq!(net.nodes[0].node.next_expiry(), Some(Ticks(7)));
     net.pass(N0, 7);
     assert_eq!(net.heard(X), ["accepted 1", "time_out 1"]);
-    assert_eq!(net.nodes[0].next_expiry(), Some(Ticks(1)));
+    assert_eq!(net.nodes[0].node.next_expiry(), Some(Ticks(1)));
     net.pass(N0, 1);
     assert_eq!(net.heard(Y), ["nothing"]);
-    assert_eq!(net.nodes[0].next_expiry(), Some(Ticks(1)));
+    assert_eq!(net.nodes[0].node.next_expiry(), Some(Ticks(1)));
     net.pass(N0, 1);
     assert_eq!(net.count(Event::Discarded(Reason::ExpiredInTransit)), 1);
-    assert_eq!(net.nodes[0].next_expiry(), None);
+    assert_eq!(net.nodes[0].node.next_expiry(), None);
 }
 
 #[test]
 fn a_late_node_still_knows_that_a_command_never_left() {
-    let mut net = Net::new(cell());
-    net.busy = vec![N1];
+    let mut net = VirtualCell::new(cell());
+    net.block(&[N1]);
     net.ask(X, send(MOVE, Z, 1));
     net.pass(N0, 500);
     assert_eq!(net.heard(X), ["TimedOutUnsent"]);
@@ -215,7 +213,7 @@ fn a_late_node_still_knows_that_a_command_never_left() {
 
 #[test]
 fn news_of_a_restart_reaches_every_task_of_a_node() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(X, send(MOVE, Z, 1));
     net.ask(Y, send(MOVE, Z, 2));
     net.step(N0, NodeInput::PeerRestarted(N1));
@@ -226,17 +224,17 @@ fn news_of_a_restart_reaches_every_task_of_a_node() {
 
 #[test]
 fn a_node_ignores_requests_of_tasks_it_does_not_run() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.step(N0, NodeInput::Request(Z, get(0)));
     net.step(N0, NodeInput::Request(TaskId(9), get(0)));
-    assert!(net.log.is_empty() && net.nodes[0].task(Z).is_none());
+    assert!(net.transcript().is_empty() && net.nodes[0].node.task(Z).is_none());
 }
 
 #[test]
 fn a_node_comes_apart_into_what_a_threaded_driver_locks() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(X, get(9));
-    let Parts { table, tasks, transit, timer } = net.nodes.swap_remove(0).into_parts();
+    let Parts { table, tasks, transit, timer } = net.nodes.swap_remove(0).node.into_parts();
     assert_eq!(table.node, N0);
     assert_eq!(tasks.iter().map(CommTask::task).collect::<Vec<_>>(), [X, Y]);
     assert_eq!(tasks[0].state(), TaskState::Receiving { port: None, remaining: Some(Ticks(9)) });

@@ -1,8 +1,8 @@
 //! Query and response (§4.2), replies of third parties (D11), and the dedup entry of each source on each port (D75).
 
-use crate::support::net::Net;
 use crate::support::{Solo, contents, get, get_on, handle, reply, send, send_for};
 use imrs_protocol::*;
+use imrs_testkit::VirtualCell;
 use std::sync::Arc;
 
 const X: TaskId = TaskId(0);
@@ -36,7 +36,7 @@ fn table() -> Arc<CellTable> {
 
 #[test]
 fn a_query_interrupts_a_plain_receive_and_its_response_ends_it() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(Y, handle(ASK));
     net.ask(Y, get(50));
     net.ask(X, send(ASK, Y, 3));
@@ -115,7 +115,7 @@ fn what_one_port_remembers_another_does_not_forget() {
 
 #[test]
 fn another_task_may_answer_in_place_of_the_one_that_was_asked() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(Y, get(90));
     net.ask(X, send(MOVE, Y, 3));
     net.run(2);

@@ -1,8 +1,8 @@
 //! Restarts of a node (D6, D49): it does not pretend to know what it lost.
 
-use crate::support::net::Net;
 use crate::support::{Solo, arrive, get, reply, send};
 use imrs_protocol::*;
+use imrs_testkit::VirtualCell;
 use std::sync::Arc;
 
 const X: TaskId = TaskId(0);
@@ -34,7 +34,7 @@ const QUARANTINE: u64 = 40 + 2;
 
 #[test]
 fn a_restarted_peer_ends_the_wait() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(X, send(MOVE, Y, 3));
     net.run(1);
     net.restart(B, 1);
@@ -105,7 +105,7 @@ fn what_a_restart_left_behind_is_stale() {
 
 #[test]
 fn members_meet_again_after_one_of_them_restarted() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     for _ in 0..3 {
         net.ask(X, arrive(LIFT));
         net.ask(Y, arrive(LIFT));
@@ -118,7 +118,8 @@ fn members_meet_again_after_one_of_them_restarted() {
     net.transcript();
     let mut rounds = Vec::new();
     for _ in 0..3 {
-        net.signals.clear();
+        net.told(X);
+        net.told(Y);
         net.ask(X, arrive(LIFT));
         net.ask(Y, arrive(LIFT));
         net.run(40);

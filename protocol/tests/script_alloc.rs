@@ -3,6 +3,7 @@
 use crate::allocations;
 use imrs_protocol::script::*;
 use imrs_protocol::*;
+use imrs_testkit::{HostInput, HostOutbox, ScriptedNode};
 use std::sync::Arc;
 
 const ROBOT: TaskId = TaskId(0);
@@ -77,7 +78,7 @@ fn scripts_allocate_nothing() {
     let before = allocations();
     for tick in 0..500 {
         now += Ticks(1);
-        node.step(now, HostInput::Node(NodeInput::Time), &mut room);
+        node.step(now, NodeInput::Time, &mut room);
         for (task, level) in std::mem::take(&mut room.actions).into_iter().flatten() {
             node.step(now, HostInput::Acted { task, level, ok: true, value: tick }, &mut room);
         }

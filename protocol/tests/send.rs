@@ -1,8 +1,8 @@
 //! SEND, GET and REPLY between tasks (§4.1, §4.2, §5.2.1): class 1, and class 2 with each of its outcomes.
 
-use crate::support::net::Net;
 use crate::support::{self, NextExpiry, Solo, arrive, contents, get, reply, send, send_all, send_for};
 use imrs_protocol::*;
+use imrs_testkit::VirtualCell;
 use std::sync::Arc;
 
 const X: TaskId = TaskId(0);
@@ -36,7 +36,7 @@ fn table() -> Arc<CellTable> {
 
 #[test]
 fn status_to_all_is_a_copy_for_each_and_returns_at_once() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(X, send_all(HALT, 7));
     assert_eq!(net.heard(X), ["accepted 2"]);
     net.ask(Y, get(9));
@@ -56,7 +56,7 @@ fn status_to_all_is_a_copy_for_each_and_returns_at_once() {
 
 #[test]
 fn status_to_one_reaches_only_that_one() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(X, send(HALT, Z, 1));
     net.run(2);
     net.ask(Y, get(0));
@@ -68,7 +68,7 @@ fn status_to_one_reaches_only_that_one() {
 
 #[test]
 fn a_command_is_answered_with_the_way_back_reserved() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(Y, get(9));
     net.ask(X, send(MOVE, Y, 3));
     net.run(5);
@@ -91,7 +91,7 @@ fn a_command_is_answered_with_the_way_back_reserved() {
 
 #[test]
 fn a_reply_in_the_last_tick_of_the_budget_still_arrives_in_time() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(Y, get(9));
     net.ask(X, send(MOVE, Y, 3));
     net.run(17);
@@ -99,12 +99,12 @@ fn a_reply_in_the_last_tick_of_the_budget_still_arrives_in_time() {
     net.ask(Y, reply(&message, 4));
     net.run(2);
     assert_eq!(net.heard(X), ["reply [4]"]);
-    assert_eq!(net.now, 19);
+    assert_eq!(net.now(), 19);
 }
 
 #[test]
 fn a_reply_after_the_budget_is_late_and_sends_nothing() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(Y, get(9));
     net.ask(X, send(MOVE, Y, 3));
     net.run(18);
@@ -112,7 +112,7 @@ fn a_reply_after_the_budget_is_late_and_sends_nothing() {
     net.transcript();
     for _ in 0..2 {
         net.ask(Y, reply(&message, 4));
-        assert_eq!(net.transcript(), [format!("{} T1: fault Late", net.now)]);
+        assert_eq!(net.transcript(), [format!("{} T1: fault Late", net.now())]);
         // Long after, when the dedup entry of the message is gone too, the answer is the same.
         net.run(50);
         net.transcript();
@@ -122,7 +122,7 @@ fn a_reply_after_the_budget_is_late_and_sends_nothing() {
 
 #[test]
 fn a_command_without_space_is_refused_at_once() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(X, send_for(MOVE, Y, 1, 10));
     net.run(2);
     net.ask(Z, send(MOVE, Y, 2));
@@ -134,8 +134,8 @@ fn a_command_without_space_is_refused_at_once() {
 
 #[test]
 fn a_command_whose_node_never_left_is_known_not_to_have_run() {
-    let mut net = Net::new(cell());
-    net.busy = vec![B];
+    let mut net = VirtualCell::new(cell());
+    net.block(&[B]);
     net.ask(X, send(MOVE, Y, 3));
     net.run(19);
     assert_eq!(net.heard(X), Vec::<String>::new());
@@ -145,7 +145,7 @@ fn a_command_whose_node_never_left_is_known_not_to_have_run() {
 
 #[test]
 fn a_lost_command_may_have_run() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.lose(|_, _, _| true);
     net.ask(X, send(MOVE, Y, 3));
     net.run(20);
@@ -154,7 +154,7 @@ fn a_lost_command_may_have_run() {
 
 #[test]
 fn a_retried_command_keeps_its_id_and_its_one_budget() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.lose(|_, _, packet| packet.kind == Kind::Send && !packet.resent);
     net.ask(Y, get(90));
     net.ask(X, send(GRIP, Y, 3));
@@ -178,7 +178,7 @@ fn a_retried_command_keeps_its_id_and_its_one_budget() {
 
 #[test]
 fn a_command_is_sent_again_no_more_often_than_declared() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.lose(|_, _, _| true);
     net.ask(X, send(GRIP, Y, 3));
     net.run(40);
@@ -341,7 +341,7 @@ fn requests_that_do_not_fit_are_faults_and_do_nothing() {
 
 #[test]
 fn tasks_of_one_node_exchange_messages_without_a_link() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(Y, get(9));
     net.ask(Z, send(MOVE, Y, 1));
     let message = net.message(Y);
@@ -349,7 +349,7 @@ fn tasks_of_one_node_exchange_messages_without_a_link() {
     net.ask(Y, reply(&message, 2));
     assert_eq!(net.heard(Z), ["reply [2]"]);
     assert!(net.transcript().iter().all(|line| !line.contains("N1>")));
-    assert_eq!(net.table.path_bound(A, A), Some(Ticks::ZERO));
+    assert_eq!(net.table().path_bound(A, A), Some(Ticks::ZERO));
 }
 
 #[test]
@@ -362,7 +362,7 @@ fn a_user_re_sends_as_often_as_it_says_itself() {
     port.resend = Ticks(4);
     port.users[0].retry = Some(2);
     cell.port(port);
-    let mut net = Net::new(cell);
+    let mut net = VirtualCell::new(cell);
     net.lose(|_, _, _| true);
     net.ask(user, send(PortId(0), owner, 1));
     net.run(20);

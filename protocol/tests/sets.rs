@@ -1,8 +1,8 @@
 //! Class-2 messages to several tasks at once (R26, R40, D12): one set of answers, with a mark for each.
 
-use crate::support::net::Net;
 use crate::support::{NextExpiry, Solo, contents, get, handle, reply, send, send_all};
 use imrs_protocol::*;
+use imrs_testkit::VirtualCell;
 use std::sync::Arc;
 
 const P: TaskId = TaskId(0);
@@ -36,7 +36,7 @@ fn some(mask: u64) -> Request {
 
 #[test]
 fn all_children_are_asked_and_each_has_its_mark() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     for child in [A, B] {
         net.ask(child, handle(CHECK));
         net.ask(child, get(90));
@@ -57,7 +57,7 @@ fn all_children_are_asked_and_each_has_its_mark() {
     );
     net.run(20);
     assert_eq!(net.heard(P), ["answers of 0b1110: answered 0b110"]);
-    let parent = net.nodes[0].task(P).expect("P");
+    let parent = net.task(P);
     let answer = |task| parent.answer_of(CHECK, task).map(|contents| contents.as_bytes()[0]);
     assert_eq!([A, B, C, P].map(answer), [Some(1), Some(2), None, None]);
 }

@@ -1,8 +1,8 @@
 //! The Timer of a node (Figure 3, §5.1.2) and the delays of its tasks.
 
-use crate::support::net::Net;
 use crate::support::{self, NextExpiry, Solo, get};
 use imrs_protocol::*;
+use imrs_testkit::VirtualCell;
 use proptest::prelude::*;
 
 const X: TaskId = TaskId(0);
@@ -22,39 +22,39 @@ fn delay(id: u8, length: u64) -> Request {
 
 #[test]
 fn delays_of_tasks_end_each_at_its_time() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(X, delay(1, 7));
     net.ask(Y, delay(1, 3));
     net.run(10);
     assert_eq!(net.transcript(), ["3 T1: time_out 1", "7 T0: time_out 1"]);
-    assert_eq!(net.nodes[0].next_expiry(), None);
+    assert_eq!(net.nodes[0].node.next_expiry(), None);
 }
 
 #[test]
 fn what_is_over_by_then_comes_before_what_comes_then() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(X, delay(1, 5));
-    net.step_after(NodeId(0), 6, NodeInput::Request(Y, Request::Order(ServiceOrder::default())));
+    net.step_after(6, NodeId(0), NodeInput::Request(Y, Request::Order(ServiceOrder::default())));
     assert_eq!(net.transcript(), ["0 T0: time_out 1", "0 T1: accepted 0"]);
 }
 
 #[test]
 fn a_task_asks_for_nothing_else_while_it_delays() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(X, delay(1, 5));
     net.ask(X, get(3));
     assert_eq!(net.heard(X), ["fault Busy"]);
-    assert_eq!(net.nodes[0].task(X).map(CommTask::state), Some(TaskState::Delaying));
+    assert_eq!(net.task(X).state(), TaskState::Delaying);
     net.run(5);
     assert_eq!(net.heard(X), ["time_out 1"]);
 }
 
 #[test]
 fn a_cancelled_delay_never_ends() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(X, delay(1, 5));
     net.ask(X, Request::Cancel);
-    assert_eq!(net.nodes[0].next_expiry(), None);
+    assert_eq!(net.nodes[0].node.next_expiry(), None);
     net.ask(X, delay(2, 9));
     net.run(20);
     assert_eq!(net.transcript(), ["0 T0: cancelled", "9 T0: time_out 2"]);
@@ -62,9 +62,9 @@ fn a_cancelled_delay_never_ends() {
 
 #[test]
 fn a_delay_of_no_length_ends_with_the_next_look_at_the_clock() {
-    let mut net = Net::new(cell());
+    let mut net = VirtualCell::new(cell());
     net.ask(X, delay(1, 0));
-    assert_eq!(net.nodes[0].next_expiry(), Some(Ticks::ZERO));
+    assert_eq!(net.nodes[0].node.next_expiry(), Some(Ticks::ZERO));
     net.pass(NodeId(0), 0);
     assert_eq!(net.heard(X), ["time_out 1"]);
 }
@@ -167,8 +167,8 @@ fn start(id: u8, length: u64) -> Request {
 }
 
 /// A net in which the timers of X outrank its thread.
-fn working() -> Net {
-    let mut net = Net::new(cell());
+fn working() -> VirtualCell {
+    let mut net = VirtualCell::new(cell());
     net.ask(X, support::order(&[Ranked::Timers, Ranked::Own]));
     net
 }
@@ -191,7 +191,7 @@ fn a_stopped_timer_never_interrupts_and_leaves_nothing_behind() {
     net.ask(X, start(1, 5));
     net.ask(X, start(2, 9));
     net.ask(X, Request::Stop { id: TimeId(1) });
-    let entries = net.nodes[0].parts().timer.entries();
+    let entries = net.nodes[0].node.parts().timer.entries();
     assert_eq!(entries, [(X, TimeId(2), Ticks(9))]);
     // A timer that has ended, but whose handler has not begun, is taken back, too.
     net.run(9);
@@ -200,7 +200,7 @@ fn a_stopped_timer_never_interrupts_and_leaves_nothing_behind() {
     net.transcript();
     net.run(9);
     assert_eq!(net.transcript(), Vec::<String>::new());
-    assert_eq!(net.nodes[0].next_expiry(), None);
+    assert_eq!(net.nodes[0].node.next_expiry(), None);
 }
 
 #[test]

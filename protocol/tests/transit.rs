@@ -54,7 +54,6 @@ fn packet(class: Class, number: u32, to: NodeId, ttl: u64) -> Packet {
         class,
         more: false,
         resent: false,
-        urgent: false,
         hops: MAX_HOPS,
         fragment: 0,
         destination: TaskId(to.0 + 1),

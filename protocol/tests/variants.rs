@@ -1,9 +1,9 @@
 //! Variants of the rules, the literal and naive readings of the paper: each still has the fault that it exists to show.
 
-use crate::support::net::Net;
 use crate::support::{NextExpiry, Solo, arrive, get, reply, send};
 use imrs_protocol::rules::{JobRequest, Memory, TimeStamp};
 use imrs_protocol::*;
+use imrs_testkit::VirtualCell;
 use std::sync::Arc;
 
 const X: TaskId = TaskId(0);
@@ -38,11 +38,11 @@ fn table(change: impl FnOnce(&mut Rules)) -> Arc<CellTable> {
 
 /// The remaining time of a message that waited ten ticks for a link, and ten in a receiver's buffer.
 fn left_after_waiting(charged: bool) -> (Option<String>, Vec<String>) {
-    let mut net = Net::new(cell(|rules| rules.charge_residence = charged));
-    net.busy = vec![N1];
+    let mut net = VirtualCell::new(cell(|rules| rules.charge_residence = charged));
+    net.block(&[N1]);
     net.ask(X, send(HEARTBEAT, Z, 1));
     net.run(10);
-    net.busy.clear();
+    net.block(&[]);
     net.pass(N0, 0);
     let sent = net.transcript().pop();
     net.run(12);
@@ -102,11 +102,11 @@ fn an_instant_on_the_senders_clock_is_wrong_on_any_other() {
 #[test]
 fn a_timer_that_waits_for_a_busy_task_stops_the_clock_of_its_node() {
     let delayed = |job_request| {
-        let mut net = Net::new(cell(|rules| rules.job_request = job_request));
+        let mut net = VirtualCell::new(cell(|rules| rules.job_request = job_request));
         net.ask(Y, Request::Delay { id: TimeId(1), length: Ticks(5) });
         net.ask(X, Request::Work);
         net.run(20);
-        assert_eq!(net.nodes[0].now(), Instant(20), "what its parts did not count is over for good");
+        assert_eq!(net.nodes[0].node.now(), Instant(20), "what its parts did not count is over for good");
         let while_x_works = net.heard(Y);
         net.ask(X, Request::Done);
         net.ask(X, get(9));

@@ -1,9 +1,9 @@
 //! `waitfor`: the n-way rendezvous with confirmation (§4.3; D1 to D3, D54, D55).
 
-use crate::support::net::Net;
 use crate::support::{Effects, NextExpiry, Solo, arrive};
 use imrs_protocol::rules::Confirmation;
 use imrs_protocol::*;
+use imrs_testkit::VirtualCell;
 use std::sync::Arc;
 
 const X: TaskId = TaskId(0);
@@ -46,7 +46,7 @@ fn to(effects: &Effects, task: TaskId) -> Packet {
 
 #[test]
 fn two_meet() {
-    let mut net = Net::new(plain(2));
+    let mut net = VirtualCell::new(plain(2));
     net.ask(X, arrive(LIFT));
     net.run(3);
     net.ask(Y, arrive(LIFT));
@@ -69,7 +69,7 @@ fn two_meet() {
 #[test]
 fn three_and_four_meet_in_the_same_round_again_and_again() {
     for n in [3, 4] {
-        let mut net = Net::new(plain(n));
+        let mut net = VirtualCell::new(plain(n));
         for round in 1..=5 {
             for i in 0..n {
                 net.ask(TaskId::from_index(i), arrive(LIFT));
@@ -90,7 +90,7 @@ fn three_and_four_meet_in_the_same_round_again_and_again() {
 
 #[test]
 fn nobody_is_released_while_one_is_missing_and_all_say_who() {
-    let mut net = Net::new(plain(3));
+    let mut net = VirtualCell::new(plain(3));
     net.ask(X, arrive(LIFT));
     net.run(3);
     net.ask(Y, arrive(LIFT));
@@ -103,7 +103,7 @@ fn nobody_is_released_while_one_is_missing_and_all_say_who() {
 /// X and Y hold all arrivals; Z has X's CONFIRM but not Y's arrival. Returns who is released, and who confirms.
 fn confirmations(rule: Confirmation) -> (Vec<String>, Vec<&'static str>) {
     let rules = Rules { confirmation: rule, ..Rules::DEFAULT };
-    let mut net = Net::new(cell_with(3, 0, rules));
+    let mut net = VirtualCell::new(cell_with(3, 0, rules));
     // Y's arrivals never reach Z.
     net.lose(|from, to, p| (from, to) == (NodeId(1), NodeId(2)) && p.kind == Kind::Arrive);
     for task in [X, Y, Z] {
@@ -111,8 +111,8 @@ fn confirmations(rule: Confirmation) -> (Vec<String>, Vec<&'static str>) {
     }
     net.run(12);
     let released = [X, Y, Z].iter().flat_map(|&t| net.heard(t)).collect();
-    let confirms = net.log.iter().filter(|l| l.contains("CONFIRM") && !l.contains("again"));
-    let who = |l: &String| ["T0>", "T1>", "T2>"].into_iter().find(|w| l.contains(w)).expect("a task");
+    let confirms = net.transcript().into_iter().filter(|l| l.contains("CONFIRM") && !l.contains("again"));
+    let who = |l: String| ["T0>", "T1>", "T2>"].into_iter().find(|w| l.contains(w)).expect("a task");
     let mut from: Vec<&'static str> = confirms.map(who).collect();
     from.dedup();
     (released, from)
@@ -185,7 +185,7 @@ fn a_late_arrival_is_confirmed_in_the_released_round_and_aborted_in_older_ones()
 
 #[test]
 fn after_a_give_up_the_members_go_on_in_a_fresher_round_and_meet() {
-    let mut net = Net::new(plain(3));
+    let mut net = VirtualCell::new(plain(3));
     net.ask(X, arrive(LIFT));
     net.run(30);
     net.ask(Y, arrive(LIFT));
@@ -395,9 +395,9 @@ fn what_members_tell_each_other_reaches_them() {
 
 #[test]
 fn a_monitor_sees_how_far_a_meeting_has_come() {
-    let mut net = Net::new(plain(3));
-    let look = |net: &Net| {
-        let node = &net.nodes[0];
+    let mut net = VirtualCell::new(plain(3));
+    let look = |net: &VirtualCell| {
+        let node = &net.nodes[0].node;
         let view = node.task(X).expect("X").view(&node.parts().table, 0);
         let meeting = &view.meetings[0];
         let arrived: Vec<bool> = meeting.members.iter().map(|member| member.arrived).collect();

@@ -362,7 +362,6 @@ fn a_state_of_a_machine_with_other_buffers_is_refused() {
             class: imrs_protocol::Class::Status,
             more: false,
             resent: false,
-            urgent: false,
             hops: 0,
             fragment: 0,
             destination: B,

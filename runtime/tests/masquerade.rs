@@ -49,7 +49,6 @@ fn news(source: TaskId, number: u8) -> Packet {
         class: Class::Status,
         more: false,
         resent: false,
-        urgent: false,
         hops: MAX_HOPS,
         fragment: 0,
         destination: C,

@@ -260,7 +260,6 @@ fn charge_of_a_late_packet(links: [impl Link + 'static; 2]) -> Ticks {
         class: imrs_protocol::Class::Status,
         more: false,
         resent: false,
-        urgent: false,
         hops: imrs_protocol::MAX_HOPS,
         fragment: 0,
         destination: B,

@@ -55,7 +55,6 @@ fn sending_and_receiving_allocate_nothing() {
         class: Class::Status,
         more: false,
         resent: false,
-        urgent: false,
         hops: MAX_HOPS,
         fragment: 0,
         destination: TaskId(1),

@@ -1,14 +1,9 @@
 //! Values from other tasks, in meetings, answers and heartbeats, and replies that come later or from a third task (D93).
 
-use super::virtual_cell::VirtualCell;
-use super::{all_found, found, whole};
+use super::{all_found, begun, found, virtual_cell, whole};
 use imrs_language::lower::Behaviour;
 use imrs_language::{Options, Source, Unit, compile_with};
 use imrs_protocol::{Rules, Ticks};
-
-fn virtual_cell(text: &str) -> VirtualCell {
-    VirtualCell::new(&whole(text).lower(Unit::Ticks).expect("a whole cell"))
-}
 
 const HEAD: &str = "cell c; tick 1 msec; node na; node nb; node nd; link na -- nb delay 1 msec;
 link na -- nd delay 1 msec; link nb -- nd delay 1 msec;\n";
@@ -147,7 +142,7 @@ begin loop receive pass(n); reply(); reply back(42) for asker ticket n; end; end
     let lowered = compiled.lower(Unit::Ticks).expect("a whole cell");
     let Behaviour::Script(clerk) = &lowered.tasks[1] else { panic!("a script") };
     assert!(clerk.program.names_messages());
-    let mut virtual_cell = VirtualCell::new(&lowered);
+    let mut virtual_cell = begun(&lowered);
     virtual_cell.run(100);
     assert_eq!(virtual_cell.var("asker", "got"), 42);
     for (from, to, code) in [
@@ -206,7 +201,7 @@ couple work r1 -> r2 lease 100 msec takeover 400 msec every 20 msec via alive;
     let read = virtual_cell.var("r2", "p.spot");
     assert!(read == spot || read == spot - 1, "{read} of {spot}");
     assert_eq!(virtual_cell.var("r2", "p.phase"), 7);
-    virtual_cell.crash("na");
+    virtual_cell.crash(virtual_cell.node("na"));
     virtual_cell.run(1_000);
     assert_eq!(virtual_cell.var("r2", "now.phase"), 7, "and after the take-over");
 }
@@ -285,7 +280,7 @@ task b on nb use_port m() usage = waitfor; begin waitfor m(); end b;
     let lowered = compile_with(&source, Options { paper: true }).lower(Unit::Ticks).expect("a whole cell");
     let port = &lowered.cell.ports[0];
     assert_eq!((port.margin, port.resend, port.losses), (Some(Ticks::ZERO), Ticks::FAR, 0));
-    let mut virtual_cell = VirtualCell::new(&lowered);
+    let mut virtual_cell = begun(&lowered);
     virtual_cell.run(30);
     assert!(virtual_cell.log().iter().all(|line| line.ends_with("Finished")), "both met");
 }

@@ -1,7 +1,6 @@
 //! The end of a task without a branch for a bad outcome: the reason names the statement and its line.
 
-use super::virtual_cell::VirtualCell;
-use super::whole;
+use super::{begun, whole};
 use imrs_language::Unit;
 use imrs_language::lower::Behaviour;
 
@@ -22,7 +21,7 @@ task b on nb use_port q() usage = response; begin delay 1 sec; receive q(); resp
         script.program.reasons,
         ["failure of `grip`, line 5", "time_out of `q`, line 6", "refusal of `q`, line 6"]
     );
-    let mut virtual_cell = VirtualCell::new(&lowered);
+    let mut virtual_cell = begun(&lowered);
     virtual_cell.run(30);
     assert_eq!(virtual_cell.log(), ["0 a: grip", "21 a: ended Aborted(1)"]);
 }

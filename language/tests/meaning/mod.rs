@@ -8,10 +8,13 @@ mod faults;
 mod lowered;
 mod random;
 mod runs;
-mod virtual_cell;
 
 use crate::support::source;
-use imrs_language::{Compiled, Diagnostic, compile, render};
+use imrs_language::lower::Behaviour;
+use imrs_language::{Compiled, Diagnostic, Lowered, Unit, compile, render};
+use imrs_protocol::TaskId;
+use imrs_testkit::VirtualCell;
+use std::sync::Arc;
 
 const BEAM_LIFT: &str = include_str!("cells/beam_lift.cell");
 const WELD: &str = include_str!("cells/weld_cell.cell");
@@ -23,6 +26,20 @@ fn whole(text: &str) -> Compiled {
     let shown = render::text(&compiled.diagnostics, "test.cell", Some(&source), render::Style::Plain);
     assert!(compiled.hir.is_some(), "{shown}");
     compiled
+}
+
+/// The cell of a text in virtual time, at its start.
+fn virtual_cell(text: &str) -> VirtualCell {
+    begun(&whole(text).lower(Unit::Ticks).expect("a whole cell"))
+}
+
+/// A cell in virtual time, at its start. Its scripts choose the first alternative.
+fn begun(lowered: &Lowered) -> VirtualCell {
+    let scripts = lowered.tasks.iter().enumerate().map(|(at, behaviour)| {
+        let Behaviour::Script(script) = behaviour else { panic!("T{at} is extern") };
+        (TaskId::from_index(at), Arc::clone(&script.program))
+    });
+    VirtualCell::new(lowered.cell.clone()).choosing(0).begin(scripts)
 }
 
 /// The errors of names, types and tables, each as "E101 `source text`". Other checks are left out, because these cells do

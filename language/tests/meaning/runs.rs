@@ -1,12 +1,6 @@
 //! Runs the examples.
 
-use super::virtual_cell::VirtualCell;
-use super::{BEAM_LIFT, WELD, whole};
-use imrs_language::Unit;
-
-fn virtual_cell(text: &str) -> VirtualCell {
-    VirtualCell::new(&whole(text).lower(Unit::Ticks).expect("a whole cell"))
-}
+use super::{BEAM_LIFT, WELD, virtual_cell};
 
 /// The entries of the log that contain one of these words, without their times.
 fn only(log: &[String], words: &[&str]) -> Vec<String> {
@@ -40,7 +34,7 @@ fn both_arms_stop_when_the_link_between_them_is_cut() {
     let mut virtual_cell = virtual_cell(BEAM_LIFT);
     virtual_cell.run(400);
     virtual_cell.log();
-    virtual_cell.cut("nl", "nr");
+    virtual_cell.cut(virtual_cell.node("nl"), virtual_cell.node("nr"));
     let cut = virtual_cell.now();
     virtual_cell.run(25);
     let log = virtual_cell.log();
@@ -54,7 +48,7 @@ fn both_arms_stop_when_the_link_between_them_is_cut() {
 #[test]
 fn a_crashed_hoist_leaves_both_arms_on_the_ground() {
     let mut virtual_cell = virtual_cell(&BEAM_LIFT.replace("ready takes 0", "ready takes 500"));
-    virtual_cell.crash("nh");
+    virtual_cell.crash(virtual_cell.node("nh"));
     virtual_cell.run(2_310);
     let log = virtual_cell.log();
     assert_eq!(only(&log, &["start_lift", "open_grip"]), ["armL: open_grip", "armR: open_grip"]);
@@ -77,7 +71,7 @@ fn the_tool_is_granted_and_freed_and_the_work_is_done() {
 fn the_standby_goes_on_where_a_crashed_primary_stopped() {
     let mut virtual_cell = virtual_cell(WELD);
     virtual_cell.run(5_000);
-    virtual_cell.crash("n1");
+    virtual_cell.crash(virtual_cell.node("n1"));
     let crashed = virtual_cell.now();
     virtual_cell.run(40_000);
     let log = virtual_cell.log();
@@ -94,7 +88,7 @@ fn a_standby_can_read_what_its_partner_published() {
     let text = WELD.replace("takeover  ", "takeover p.spot := 0; p := alive; ");
     let mut virtual_cell = virtual_cell(&text);
     virtual_cell.run(5_000);
-    virtual_cell.crash("n1");
+    virtual_cell.crash(virtual_cell.node("n1"));
     virtual_cell.run(1_000);
     let log = virtual_cell.log();
     let last = only(&log, &["r1: weld"]).pop().expect("a weld");

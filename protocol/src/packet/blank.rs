@@ -11,7 +11,6 @@ impl Packet {
         class: Class::Command,
         more: false,
         resent: false,
-        urgent: false,
         hops: MAX_HOPS,
         fragment: 0,
         destination: TaskId(0),

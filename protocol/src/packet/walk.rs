@@ -38,9 +38,8 @@ impl Packet {
             kind,
             class,
             more,
-            // Only observers read these two.
+            // Only observers read it.
             resent: _,
-            urgent: _,
             // Routes are static: a packet's position determines how many relays it has passed.
             hops: _,
             fragment,

@@ -1,7 +1,7 @@
 //! A builder of programs, for the compiler of the cell language, for tests and for the checker's worlds.
 
 use super::check::ProgramError;
-use super::program::{Address, Format, Fusing, Handler, Op, Outcomes, Program, Trigger, Variable};
+use super::program::{Address, Format, Handler, Op, Outcomes, Program, Trigger, Variable};
 use super::value::{Binary, Slot, Term, Type};
 use crate::ids::{PortId, TaskId};
 use crate::request::{Ranked, ServiceOrder, Target, TimeId};
@@ -25,13 +25,6 @@ impl ProgramBuilder {
     #[must_use]
     pub fn new(name: &str) -> Self {
         Self { program: Program { name: name.into(), ..Program::default() }, ..Self::default() }
-    }
-
-    /// Makes every statement ask for handlers.
-    #[must_use]
-    pub fn every_statement(mut self) -> Self {
-        self.program.fusing = Fusing::EveryStatement;
-        self
     }
 
     /// Adds a variable of the task that begins with zero.

@@ -10,7 +10,6 @@
 
 mod builder;
 mod check;
-mod host;
 mod interpreter;
 mod program;
 mod value;
@@ -19,7 +18,6 @@ mod walk;
 
 pub use builder::{Label, ProgramBuilder};
 pub use check::ProgramError;
-pub use host::{HOST_LIMIT, HostInput, HostOutbox, Hosted, ScriptedNode};
 pub use program::{
     Address, Format, Fusing, Handler, MAX_FRAGMENTS, MAX_MESSAGE, Mark, Op, Outcomes, Program,
     StatementOutcome, Trigger, Variable,
@@ -40,6 +38,8 @@ use serde::{Deserialize, Serialize};
 pub const MAX_OPERANDS: usize = MAX_MESSAGE + CHECK_DEPTH;
 /// How many operations a script may run from one input to the next operation that waits.
 pub const STEP_LIMIT: u32 = 4096;
+/// How many steps a script may take for one input since its last message (D95). The driver ends a script that takes more.
+pub const HOST_LIMIT: u32 = 10_000;
 /// How many activations a script may have: the task's own thread, and the handlers that the communication task nests (D15).
 pub const MAX_THREADS: usize = ServiceOrder::LEVELS + 3;
 

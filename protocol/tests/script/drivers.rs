@@ -2,9 +2,9 @@
 
 use super::arm;
 use super::host::{A, B, HALT, beam_lift, bytes, finish, triangle};
-use super::virtual_cell::VirtualCell;
 use imrs_protocol::script::*;
 use imrs_protocol::*;
+use imrs_testkit::{HostInput, HostOutbox, Hosted, ScriptedNode, VirtualCell};
 use std::sync::Arc;
 
 /// A driver that ignores the optional callbacks of scripts.
@@ -48,12 +48,12 @@ fn a_driver_may_ignore_what_scripts_say_of_themselves() {
     let mut out = Quiet::default();
     node.step(Instant::START, HostInput::Begin, &mut out);
     assert_eq!(out.ended, [B], "it ends, and leaves the command unanswered");
-    assert_eq!(node.node().time_left(), Some(Ticks(9)), "the sender waits for the answer");
-    node.step(Instant(9), HostInput::Node(NodeInput::Time), &mut out);
-    assert_eq!(node.node().time_left(), Some(Ticks(4)), "then it delays");
-    node.step(Instant(13), HostInput::Node(NodeInput::Time), &mut out);
+    assert_eq!(node.node.time_left(), Some(Ticks(9)), "the sender waits for the answer");
+    node.step(Instant(9), NodeInput::Time, &mut out);
+    assert_eq!(node.node.time_left(), Some(Ticks(4)), "then it delays");
+    node.step(Instant(13), NodeInput::Time, &mut out);
     assert_eq!((out.ended, out.cut), (vec![B, A], 0));
-    assert_eq!(node.node().time_left(), None);
+    assert_eq!(node.node.time_left(), None);
 }
 
 #[test]
@@ -77,15 +77,14 @@ fn the_end_of_a_couples_script_ends_its_heartbeats_and_a_fence_its_action() {
     primary.statement().op(Op::Lease).run("weld", Ticks(500), Ticks(500)).end();
     let mut standby = ProgramBuilder::new("s");
     standby.delay(Ticks(40)).end();
-    let mut virtual_cell = VirtualCell::new(cell, vec![(p, finish(primary)), (s, finish(standby))]);
-    virtual_cell.begin();
+    let mut virtual_cell = VirtualCell::new(cell).begin([(p, finish(primary)), (s, finish(standby))]);
     virtual_cell.run(70);
     let log = virtual_cell.log();
-    assert_eq!(log[0], "5 T0: run 0 [] at 0", "granted at the second beat");
-    assert_eq!(log[1], "40 T1: ended Finished");
+    assert_eq!(log[0], "5 p: weld", "granted at the second beat");
+    assert_eq!(log[1], "40 s: ended Finished");
     // No heartbeat came after that, so the lease ended and the action with it.
     let fenced: Vec<&String> = log[2..].iter().collect();
-    assert!(fenced[0].ends_with("T0: cut short 0") && fenced[1].ends_with("T0: ended Fenced"), "{log:?}");
+    assert!(fenced[0].ends_with("p: cut short") && fenced[1].ends_with("p: ended Fenced"), "{log:?}");
 }
 
 #[test]
@@ -103,7 +102,7 @@ fn scripts_packed_at_every_tick_do_the_same() {
             for node in virtual_cell.nodes.iter_mut().filter(|_| packed) {
                 let next: Vec<Seq24> = (0..3).map(|_| Frame::SEQUENCE).collect();
                 let frame = Frame { rounds: &[], sequences: &next, incarnations: true };
-                for Hosted { program, script, .. } in node.scripts_mut() {
+                for Hosted { program, script, .. } in &mut node.scripts {
                     let bytes = Encode::bytes(&frame, |w| script.walk(program, w)).expect("it fits");
                     let mut read = Script::new(program);
                     assert_eq!(Decode::read(&bytes, true, |r| read.walk(program, r)), bytes.len());
@@ -111,7 +110,7 @@ fn scripts_packed_at_every_tick_do_the_same() {
                 }
             }
         }
-        (virtual_cell.log(), virtual_cell.activities(), virtual_cell.var(B, arm::MOVING))
+        (virtual_cell.log(), virtual_cell.activities(), virtual_cell.var_at(B, arm::MOVING))
     };
     assert_eq!(run(true), run(false));
 }

@@ -10,9 +10,6 @@ const HELD: TimeId = TimeId(0);
 /// Handlers for `ASK` (keeps what it is sent, and answers with it after a delay), for a timer and for `SECOND`.
 fn with_handlers(fusing: Fusing, body: impl FnOnce(&mut ProgramBuilder)) -> Rig {
     let mut b = ProgramBuilder::new("test");
-    if fusing == Fusing::EveryStatement {
-        b = b.every_statement();
-    }
     let heard = b.variable("heard", Type::Int8);
     b.timer("held");
     body(&mut b);
@@ -26,7 +23,7 @@ fn with_handlers(fusing: Fusing, body: impl FnOnce(&mut ProgramBuilder)) -> Rig 
     b.on_message(SECOND, &[("x", Type::Int16), ("y", Type::Bool)], |b, _| {
         b.run("stop_now", Ticks(1), Ticks(8));
     });
-    Rig::of(b.finish().expect("a checked program"))
+    Rig::of(Program { fusing, ..b.finish().expect("a checked program") })
 }
 
 fn fused(body: impl FnOnce(&mut ProgramBuilder)) -> Rig {

@@ -1,10 +1,10 @@
 //! Scripts on whole nodes, with their communication tasks.
 
 use super::arm;
-use super::virtual_cell::VirtualCell;
 use super::written::{Ends, written};
 use imrs_protocol::script::*;
 use imrs_protocol::*;
+use imrs_testkit::{HostInput, ScriptedNode, VirtualCell};
 use proptest::prelude::*;
 use std::sync::Arc;
 
@@ -40,23 +40,19 @@ pub fn beam_lift() -> VirtualCell {
     let heartbeat = cell.port(PortDecl::new("beat", A, Usage::Query, &[B], Ticks(5)));
     let halt = cell.port(PortDecl::new("halt", A, Usage::Send, &[B], Ticks(10)).bounded_buffer(2));
     let mut virtual_cell =
-        VirtualCell::new(cell, vec![(B, arm::right(arm::Ports { lift, heartbeat, halt }))]);
-    virtual_cell.begin();
+        VirtualCell::new(cell).begin([(B, arm::right(arm::Ports { lift, heartbeat, halt }))]);
     for task in [A, C] {
         virtual_cell.ask(task, Request::Arrive { port: lift, arguments: [0; 8], time_out: None });
     }
-    assert_eq!(virtual_cell.log(), ["0 T1: run 0 [] at 0"], "grip");
+    virtual_cell.results = |_, _| 40;
+    assert_eq!(virtual_cell.log(), ["0 b: grip"]);
     virtual_cell.run(299);
     assert_eq!(virtual_cell.told(A), []);
     virtual_cell.run(3);
     assert!(matches!(virtual_cell.told(A)[..], [Signal::Released { .. }]));
     assert!(matches!(virtual_cell.told(C)[..], [Signal::Released { .. }]));
-    assert_eq!(
-        virtual_cell.log(),
-        ["300 T1: run 2 [] at 0", "301 T1: run 3 [] at 0"],
-        "start_lift, read_height"
-    );
-    assert_eq!(virtual_cell.var(B, arm::MOVING), 1);
+    assert_eq!(virtual_cell.log(), ["300 b: start_lift", "301 b: read_height"]);
+    assert_eq!(virtual_cell.var_at(B, arm::MOVING), 1);
     virtual_cell
 }
 
@@ -82,13 +78,9 @@ fn the_right_arm_answers_heartbeats_while_it_lifts_and_stops_when_they_end() {
     let last = virtual_cell.now() - 5;
     virtual_cell.log();
     virtual_cell.run(5);
-    assert_eq!(
-        virtual_cell.log(),
-        [format!("{} T1: run 4 [] at 1", last + 10)],
-        "10 ticks of silence, then stop_now"
-    );
+    assert_eq!(virtual_cell.log(), [format!("{} b: stop_now at 1", last + 10)], "10 ticks of silence");
     virtual_cell.run(1);
-    assert_eq!(virtual_cell.var(B, arm::MOVING), 0);
+    assert_eq!(virtual_cell.var_at(B, arm::MOVING), 0);
 }
 
 #[test]
@@ -97,14 +89,10 @@ fn a_halt_interrupts_the_right_arm_at_once() {
     virtual_cell.ask(A, Request::Send { port: HALT, to: Target::All, contents: bytes(&[1]), time_out: None });
     assert_eq!(virtual_cell.told(A), [Signal::Accepted(1)]);
     virtual_cell.run(2);
-    assert_eq!(virtual_cell.var(B, arm::MOVING), 0);
-    assert_eq!(virtual_cell.log(), ["303 T1: run 4 [] at 1"]);
+    assert_eq!(virtual_cell.var_at(B, arm::MOVING), 0);
+    assert_eq!(virtual_cell.log(), ["303 b: stop_now at 1"]);
     virtual_cell.run(30);
-    assert_eq!(
-        virtual_cell.log(),
-        ["321 T1: run 0 [] at 0"],
-        "the delay ended in its time, and the arm grips again"
-    );
+    assert_eq!(virtual_cell.log(), ["321 b: grip"], "the delay ended in its time, and the arm grips again");
 }
 
 #[test]
@@ -114,12 +102,11 @@ fn an_arm_whose_partners_never_come_gives_up() {
     let heartbeat = cell.port(PortDecl::new("beat", A, Usage::Query, &[B], Ticks(5)));
     let halt = cell.port(PortDecl::new("halt", A, Usage::Send, &[B], Ticks(10)).bounded_buffer(2));
     let mut virtual_cell =
-        VirtualCell::new(cell, vec![(B, arm::right(arm::Ports { lift, heartbeat, halt }))]);
-    virtual_cell.begin();
+        VirtualCell::new(cell).begin([(B, arm::right(arm::Ports { lift, heartbeat, halt }))]);
     virtual_cell.run(2299);
-    assert_eq!(virtual_cell.log(), ["0 T1: run 0 [] at 0"]);
+    assert_eq!(virtual_cell.log(), ["0 b: grip"]);
     virtual_cell.run(1);
-    assert_eq!(virtual_cell.log(), ["2300 T1: run 1 [] at 0", "2300 T1: ended Aborted(0)"]);
+    assert_eq!(virtual_cell.log(), ["2300 b: open_grip", "2300 b: ended Aborted(0)"]);
 }
 
 const GRAB: PortId = PortId(0);
@@ -184,13 +171,9 @@ fn tool(work: u64, honest: bool, every: bool) -> VirtualCell {
     let mut cell = triangle();
     cell.port(PortDecl::new("grab", A, Usage::Response, &[B, C], Ticks(20)).bounded_buffer(2));
     cell.port(PortDecl::new("free", A, Usage::Receive, &[B, C], Ticks(20)).command());
-    let as_told = |b: ProgramBuilder| finish(if every { b.every_statement() } else { b });
-    let robots = [(B, robot(work, honest)), (C, robot(1, true))];
-    let mut scripts: Vec<_> = robots.into_iter().map(|(task, b)| (task, as_told(b))).collect();
-    scripts.push((A, as_told(dresser())));
-    let mut virtual_cell = VirtualCell::new(cell, scripts);
-    virtual_cell.begin();
-    virtual_cell
+    let fusing = if every { Fusing::EveryStatement } else { Fusing::Fused };
+    let scripts = [(A, dresser()), (B, robot(work, honest)), (C, robot(1, true))];
+    VirtualCell::new(cell).begin(scripts.map(|(task, b)| (task, Program { fusing, ..finish(b) })))
 }
 
 #[test]
@@ -198,11 +181,8 @@ fn a_shared_tool_goes_to_one_at_a_time() {
     let mut virtual_cell = tool(10, true, false);
     virtual_cell.run(60);
     let log = virtual_cell.log();
-    assert_eq!(
-        log,
-        ["2 T1: run 0 [] at 0", "14 T1: ended Finished", "20 T2: run 0 [] at 0", "23 T2: ended Finished",]
-    );
-    assert_eq!((virtual_cell.var(B, 2), virtual_cell.var(C, 2)), (1, 3), "so often each asked");
+    assert_eq!(log, ["2 b: dress", "14 b: ended Finished", "20 c: dress", "23 c: ended Finished"]);
+    assert_eq!((virtual_cell.var_at(B, 2), virtual_cell.var_at(C, 2)), (1, 3), "so often each asked");
     assert_eq!(virtual_cell.counts().2, 0, "all commands were answered");
 }
 
@@ -210,9 +190,9 @@ fn a_shared_tool_goes_to_one_at_a_time() {
 fn a_timer_frees_the_tool_of_a_dead_holder() {
     let mut virtual_cell = tool(1, false, false);
     virtual_cell.run(41);
-    assert_eq!((virtual_cell.var(A, 0), virtual_cell.now()), (0, 41), "40 ticks after the grant at 1");
+    assert_eq!((virtual_cell.var_at(A, 0), virtual_cell.now()), (0, 41), "40 ticks after the grant at 1");
     virtual_cell.run(20);
-    assert!(virtual_cell.log().iter().any(|line| line == "47 T2: run 0 [] at 0"));
+    assert!(virtual_cell.log().iter().any(|line| line == "47 c: dress"));
 }
 
 #[test]
@@ -221,7 +201,7 @@ fn fused_and_unfused_statements_do_the_same_in_a_cell() {
         let mut virtual_cell = tool(9, honest, every);
         virtual_cell.run(80);
         let (requests, statements, unanswered) = virtual_cell.counts();
-        (virtual_cell.log(), requests, statements, unanswered, virtual_cell.var(A, 0))
+        (virtual_cell.log(), requests, statements, unanswered, virtual_cell.var_at(A, 0))
     };
     for honest in [false, true] {
         assert_eq!(run(honest, false), run(honest, true));
@@ -251,14 +231,13 @@ fn long_messages_and_answers_travel_whole() {
         }
         b.reply(&kept[3..]);
     });
-    let mut virtual_cell = VirtualCell::new(cell, vec![(A, finish(asker)), (B, finish(answerer))]);
-    virtual_cell.begin();
+    let mut virtual_cell = VirtualCell::new(cell).begin([(A, finish(asker)), (B, finish(answerer))]);
     virtual_cell.run(10);
     assert_eq!(
-        (0..7).map(|i| virtual_cell.var(B, i)).collect::<Vec<_>>(),
+        (0..7).map(|i| virtual_cell.var_at(B, i)).collect::<Vec<_>>(),
         [1001, 2001, 3001, 4001, 5001, 6001, 7001]
     );
-    assert_eq!((7..11).map(|i| virtual_cell.var(A, i)).collect::<Vec<_>>(), [4001, 5001, 6001, 7001]);
+    assert_eq!((7..11).map(|i| virtual_cell.var_at(A, i)).collect::<Vec<_>>(), [4001, 5001, 6001, 7001]);
 }
 
 /// A asks B, B passes the question on to C, and C answers A in B's place (D11).
@@ -282,10 +261,9 @@ fn a_third_task_answers() {
     c.statement().load(source).load(id).push(7).op(Op::ReplyFor { port: back, format }).end();
     let names = finish(b);
     assert!(names.names_messages());
-    let mut virtual_cell = VirtualCell::new(cell, vec![(A, finish(a)), (B, names), (C, finish(c))]);
-    virtual_cell.begin();
+    let mut virtual_cell = VirtualCell::new(cell).begin([(A, finish(a)), (B, names), (C, finish(c))]);
     virtual_cell.run(5);
-    assert_eq!([0, 1].map(|i| virtual_cell.var(A, i)), [7, StatementOutcome::Reply as i64]);
+    assert_eq!([0, 1].map(|i| virtual_cell.var_at(A, i)), [7, StatementOutcome::Reply as i64]);
     assert!(virtual_cell.activities().iter().all(|activity| *activity == Activity::Ended(End::Finished)));
 }
 
@@ -311,12 +289,12 @@ fn an_answer_may_come_later() {
     b.op(Op::Outcome).store(again).end();
     let answers = finish(b);
     assert!(!answers.names_messages(), "a checker can look at it");
-    let mut virtual_cell = VirtualCell::new(cell, vec![(A, asker("a", 1)), (B, answers), (C, asker("c", 3))]);
-    virtual_cell.begin();
+    let mut virtual_cell =
+        VirtualCell::new(cell).begin([(A, asker("a", 1)), (B, answers), (C, asker("c", 3))]);
     virtual_cell.run(20);
-    assert_eq!([A, C].map(|task| virtual_cell.var(task, 0)), [1, 3]);
-    assert_eq!([A, C].map(|task| virtual_cell.var(task, 1)), [StatementOutcome::Reply as i64; 2]);
-    assert_eq!(virtual_cell.var(B, 0), StatementOutcome::Unanswerable as i64, "A is answered already");
+    assert_eq!([A, C].map(|task| virtual_cell.var_at(task, 0)), [1, 3]);
+    assert_eq!([A, C].map(|task| virtual_cell.var_at(task, 1)), [StatementOutcome::Reply as i64; 2]);
+    assert_eq!(virtual_cell.var_at(B, 0), StatementOutcome::Unanswerable as i64, "A is answered already");
 }
 
 #[test]
@@ -330,10 +308,9 @@ fn who_arrives_tells_the_others() {
         b.arrival(lift, other, &[(Type::Int16, heard)]).end();
         finish(b)
     };
-    let mut virtual_cell = VirtualCell::new(cell, vec![(A, member("a", -3, B)), (B, member("b", 900, A))]);
-    virtual_cell.begin();
+    let mut virtual_cell = VirtualCell::new(cell).begin([(A, member("a", -3, B)), (B, member("b", 900, A))]);
     virtual_cell.run(5);
-    assert_eq!([virtual_cell.var(A, 1), virtual_cell.var(B, 1)], [900, -3]);
+    assert_eq!([virtual_cell.var_at(A, 1), virtual_cell.var_at(B, 1)], [900, -3]);
 }
 
 #[test]
@@ -356,11 +333,10 @@ fn a_query_to_all_brings_the_answer_of_each() {
     let mut answerer = ProgramBuilder::new("b");
     let five = answerer.variable("five", Type::Int8);
     answerer.set(five, 5).receive(port, None, &[]).reply(&[(Type::Int8, five)]).end();
-    let mut virtual_cell = VirtualCell::new(cell, vec![(A, finish(asker)), (B, finish(answerer))]);
-    virtual_cell.begin();
+    let mut virtual_cell = VirtualCell::new(cell).begin([(A, finish(asker)), (B, finish(answerer))]);
     virtual_cell.run(9);
-    assert_eq!([0, 1, 2].map(|i| virtual_cell.var(A, i)), [5, 0, 0b10], "C never answers");
-    assert_eq!(virtual_cell.var(A, 3), StatementOutcome::Incomplete as i64);
+    assert_eq!([0, 1, 2].map(|i| virtual_cell.var_at(A, i)), [5, 0, 0b10], "C never answers");
+    assert_eq!(virtual_cell.var_at(A, 3), StatementOutcome::Incomplete as i64);
 }
 
 #[test]
@@ -379,8 +355,7 @@ fn a_handler_waits_for_the_end_of_an_atomic_section() {
     b.on_message(port, &[], |b, _| {
         b.reply(&[]);
     });
-    let mut virtual_cell = VirtualCell::new(cell, vec![(B, finish(b))]);
-    virtual_cell.begin();
+    let mut virtual_cell = VirtualCell::new(cell).begin([(B, finish(b))]);
     virtual_cell.ask(A, Request::Send { port, to: Target::All, contents: Contents::EMPTY, time_out: None });
     virtual_cell.run(6);
     assert_eq!(virtual_cell.told(A), []);
@@ -409,8 +384,8 @@ fn a_handler_that_comes_at_once_after_another_crosses_the_end_of_the_action() {
     b.handler(Trigger::Timer(timer), |b| {
         b.delay(Ticks(5)).set(heard, 9);
     });
-    let mut virtual_cell = VirtualCell::new(cell, vec![(B, finish(b))]);
-    virtual_cell.begin();
+    let mut virtual_cell = VirtualCell::new(cell).begin([(B, finish(b))]);
+    virtual_cell.results = |_, _| 40;
     virtual_cell.ask(A, Request::Send { port, to: Target::All, contents: bytes(&[7]), time_out: None });
     virtual_cell.run(7);
     assert_eq!(
@@ -419,13 +394,13 @@ fn a_handler_that_comes_at_once_after_another_crosses_the_end_of_the_action() {
         "at 1 + 5, and one tick back"
     );
     assert_eq!(
-        [0, 1].map(|i| virtual_cell.var(B, i)),
+        [0, 1].map(|i| virtual_cell.var_at(B, i)),
         [0, 7],
         "the action ended at 3, but the timer's handler runs"
     );
     virtual_cell.run(4);
-    assert_eq!([0, 1].map(|i| virtual_cell.var(B, i)), [40, 9]);
-    assert_eq!(virtual_cell.log(), ["0 T1: run 0 [] at 0", "11 T1: ended Finished"]);
+    assert_eq!([0, 1].map(|i| virtual_cell.var_at(B, i)), [40, 9]);
+    assert_eq!(virtual_cell.log(), ["0 b: weld", "11 b: ended Finished"]);
 }
 
 #[test]
@@ -439,22 +414,23 @@ fn what_can_be_answered_no_more_is_forgotten() {
         finish(b)
     };
     let run = |bury: bool| {
-        let mut virtual_cell = VirtualCell::new(cell.clone(), vec![(B, program())]);
-        virtual_cell.begin();
+        let mut virtual_cell = VirtualCell::new(cell.clone()).begin([(B, program())]);
         virtual_cell
             .ask(A, Request::Send { port, to: Target::All, contents: Contents::EMPTY, time_out: None });
         let mut forgotten = None;
         for _ in 0..30 {
             virtual_cell.run(1);
             if bury {
-                let before = virtual_cell.nodes[1].scripts()[0].script.clone();
-                virtual_cell.nodes[1].bury();
-                if virtual_cell.nodes[1].scripts()[0].script != before {
+                let ScriptedNode { node, scripts, .. } = &mut virtual_cell.nodes[1];
+                let (script, task) = (&mut scripts[0].script, node.task(B).expect("B"));
+                let before = script.clone();
+                script.bury(|to| task.can_answer(to));
+                if *script != before {
                     forgotten = Some(virtual_cell.now());
                 }
             }
         }
-        (virtual_cell.var(B, 0), virtual_cell.told(A), virtual_cell.log(), forgotten)
+        (virtual_cell.var_at(B, 0), virtual_cell.told(A), virtual_cell.log(), forgotten)
     };
     let (outcome, told, log, forgotten) = run(true);
     assert_eq!(outcome, StatementOutcome::Unanswerable as i64);
@@ -470,9 +446,8 @@ fn a_task_that_never_waits_is_stopped_and_the_node_goes_on() {
     b.forever(|b| {
         b.send(port, Target::All, &[]);
     });
-    let mut virtual_cell = VirtualCell::new(cell, vec![(A, finish(b))]);
-    virtual_cell.begin();
-    assert_eq!(virtual_cell.log(), ["0 T0: ended Fault { fault: Runaway, at: 1 }"]);
+    let mut virtual_cell = VirtualCell::new(cell).begin([(A, finish(b))]);
+    assert_eq!(virtual_cell.log(), ["0 a: ended Fault { fault: Runaway, at: 1 }"]);
     assert_eq!(
         virtual_cell.counts().0,
         HOST_LIMIT as usize + 1,
@@ -491,16 +466,16 @@ fn a_node_says_who_waits_for_a_choice() {
     };
     let mut cell = triangle();
     cell.port(PortDecl::new("news", A, Usage::Send, &[B], Ticks(9)));
-    let mut virtual_cell = VirtualCell::new(cell.clone(), vec![(A, program())]);
-    virtual_cell.begin();
-    assert_eq!(virtual_cell.nodes[0].chooses(), Some((A, 4)));
+    let mut virtual_cell = VirtualCell::new(cell.clone()).begin([(A, program())]);
+    assert_eq!(virtual_cell.activities(), [Activity::Chooses(4)]);
     virtual_cell.step(NodeId(0), HostInput::Chosen { task: A, choice: 3 });
     virtual_cell.step(NodeId(0), HostInput::Chosen { task: B, choice: 3 });
-    assert_eq!((virtual_cell.var(A, 0), virtual_cell.nodes[0].chooses()), (3, None));
-    let mut virtual_cell = VirtualCell::new(cell.clone(), vec![(A, program())]);
-    virtual_cell.choose_at_once(2);
-    virtual_cell.begin();
-    assert_eq!(virtual_cell.var(A, 0), 2);
+    assert_eq!(
+        (virtual_cell.var_at(A, 0), virtual_cell.activities()),
+        (3, vec![Activity::Ended(End::Finished)])
+    );
+    let virtual_cell = VirtualCell::new(cell.clone()).choosing(2).begin([(A, program())]);
+    assert_eq!(virtual_cell.var_at(A, 0), 2);
 
     let table = NodeTable::new(Arc::new(CellTable::new(cell).expect("a checked cell")), NodeId(0));
     let node = Node::new(table, Incarnation(0), false, 4);
@@ -530,10 +505,9 @@ fn random_pair(genes: [&[u8]; 2], together: bool) -> VirtualCell {
     ];
     let programs =
         [a, b].into_iter().zip(genes).zip(ends).map(|((task, genes), ends)| (task, written(genes, ends)));
-    let mut virtual_cell = VirtualCell::new(cell, programs.collect());
-    virtual_cell.choose_at_once(1);
-    virtual_cell.begin();
-    virtual_cell
+    let mut virtual_cell = VirtualCell::new(cell).choosing(1);
+    virtual_cell.results = |_, _| 40;
+    virtual_cell.begin(programs)
 }
 
 fn ended_well(activity: Activity) -> bool {
@@ -578,9 +552,8 @@ fn random_tasks_come_far() {
         let mut virtual_cell = random_pair([&genes(), &genes()], i % 2 == 0);
         for _ in 0..120 {
             virtual_cell.run(1);
-            let depths =
-                virtual_cell.nodes.iter().flat_map(ScriptedNode::scripts).map(|hosted| hosted.script.depth());
-            let depth = depths.max().unwrap_or(0);
+            let scripts = virtual_cell.nodes.iter().flat_map(|node| &node.scripts);
+            let depth = scripts.map(|hosted| hosted.script.depth()).max().unwrap_or(0);
             deepest = deepest.max(depth);
             interrupted += u32::from(depth > 0);
         }

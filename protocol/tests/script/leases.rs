@@ -1,9 +1,9 @@
 //! Fences and take-overs (D61).
 
 use super::fake::*;
-use super::virtual_cell::VirtualCell;
 use imrs_protocol::script::*;
 use imrs_protocol::*;
+use imrs_testkit::VirtualCell;
 
 const FENCED: Signal = Signal::Interrupt(Call::Fenced);
 const TAKE_OVER: Signal = Signal::Interrupt(Call::TakeOver(3));
@@ -244,43 +244,40 @@ fn robots() -> VirtualCell {
         });
         b.finish().expect("a checked program")
     };
-    let mut virtual_cell = VirtualCell::new(cell, vec![(A, welder("a", true)), (B, welder("b", false))]);
-    virtual_cell.begin();
+    let mut virtual_cell = VirtualCell::new(cell).begin([(A, welder("a", true)), (B, welder("b", false))]);
     virtual_cell.run(40);
-    assert_eq!([A, B].map(|task| virtual_cell.is_active(task)), [true, false]);
+    assert_eq!([A, B].map(|task| virtual_cell.task(task).is_active()), [true, false]);
     virtual_cell
 }
-
-const BOTH_WAYS: [(NodeId, NodeId); 2] = [(NodeId(0), NodeId(1)), (NodeId(1), NodeId(0))];
 
 #[test]
 fn who_gets_its_lease_back_before_the_other_took_over_goes_on() {
     let mut virtual_cell = robots();
-    virtual_cell.cut(&BOTH_WAYS);
+    virtual_cell.cut(NodeId(0), NodeId(1));
     virtual_cell.run(20);
-    assert_eq!([A, B].map(|task| virtual_cell.is_active(task)), [false, false]);
-    virtual_cell.cut(&[]);
+    assert_eq!([A, B].map(|task| virtual_cell.task(task).is_active()), [false, false]);
+    virtual_cell.mend();
     virtual_cell.log();
     virtual_cell.run(30);
-    assert_eq!([A, B].map(|task| virtual_cell.is_active(task)), [true, false]);
+    assert_eq!([A, B].map(|task| virtual_cell.task(task).is_active()), [true, false]);
     let log = virtual_cell.log();
-    assert!(log.iter().any(|line| line.ends_with("T0: run 1 [] at 0")), "who holds the lease works: {log:?}");
+    assert!(log.iter().any(|line| line.ends_with("a: weld on")), "who holds the lease works: {log:?}");
 }
 
 #[test]
 fn the_roles_go_back_and_forth() {
     let mut virtual_cell = robots();
-    for (acts, round) in [(B, 1), (A, 2), (B, 3)] {
-        virtual_cell.cut(&BOTH_WAYS);
+    for (acts, name, round) in [(B, "b", 1), (A, "a", 2), (B, "b", 3)] {
+        virtual_cell.cut(NodeId(0), NodeId(1));
         virtual_cell.run(60);
         virtual_cell.log();
         virtual_cell.run(10);
         let log = virtual_cell.log();
-        assert!(log.iter().all(|line| line.contains(&format!("{acts}: run 1"))), "round {round}: {log:?}");
+        assert!(log.iter().all(|line| line.contains(&format!("{name}: weld on"))), "round {round}: {log:?}");
         assert!(!log.is_empty(), "round {round}");
-        assert_eq!(virtual_cell.var(B, 1), 4, "what A published last");
-        virtual_cell.cut(&[]);
+        assert_eq!(virtual_cell.var_at(B, 1), 4, "what A published last");
+        virtual_cell.mend();
         virtual_cell.run(60);
-        assert!(virtual_cell.is_active(acts), "round {round}");
+        assert!(virtual_cell.task(acts).is_active(), "round {round}");
     }
 }

@@ -13,6 +13,5 @@ mod ops;
 mod packs;
 mod random;
 mod runaway;
-mod virtual_cell;
 mod waits;
 mod written;

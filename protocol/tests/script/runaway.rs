@@ -1,8 +1,8 @@
 //! Scripts that never wait, beside others on one node.
 
-use super::virtual_cell::VirtualCell;
 use imrs_protocol::script::*;
 use imrs_protocol::*;
+use imrs_testkit::VirtualCell;
 
 const A: TaskId = TaskId(0);
 const B: TaskId = TaskId(1);
@@ -42,8 +42,7 @@ fn a_task_that_never_waits_stops_no_other_one() {
     c.forever(|b| {
         b.delay(Ticks(1));
     });
-    let mut virtual_cell = VirtualCell::new(cell, vec![(A, finish(a)), (B, finish(b)), (C, finish(c))]);
-    virtual_cell.begin();
+    let mut virtual_cell = VirtualCell::new(cell).begin([(A, finish(a)), (B, finish(b)), (C, finish(c))]);
     virtual_cell.run(3);
     assert_eq!(
         virtual_cell.activities().into_iter().map(ran_on).collect::<Vec<_>>(),
@@ -65,8 +64,7 @@ fn who_answers_one_that_never_waits_is_not_the_one_that_is_stopped() {
     b.forever(|b| {
         b.receive(ask, None, &[]).statement().reply(&[]);
     });
-    let mut virtual_cell = VirtualCell::new(cell, vec![(A, finish(a)), (B, finish(b))]);
-    virtual_cell.begin();
+    let mut virtual_cell = VirtualCell::new(cell).begin([(A, finish(a)), (B, finish(b))]);
     virtual_cell.run(3);
     assert_eq!(
         virtual_cell.activities().into_iter().map(ran_on).collect::<Vec<_>>(),
@@ -92,8 +90,7 @@ fn of_two_that_keep_each_other_going_one_is_stopped() {
         finish(b)
     };
     let mut virtual_cell =
-        VirtualCell::new(cell, vec![(A, turns(pong, ping, true)), (B, turns(ping, pong, false))]);
-    virtual_cell.begin();
+        VirtualCell::new(cell).begin([(A, turns(pong, ping, true)), (B, turns(ping, pong, false))]);
     virtual_cell.run(3);
     let stopped = virtual_cell.activities().into_iter().map(ran_on).collect::<Vec<_>>();
     assert_eq!(stopped.iter().filter(|&&ran| ran).count(), 1, "{:?}", virtual_cell.activities());

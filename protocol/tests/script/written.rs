@@ -281,9 +281,6 @@ pub fn written(genes: &[u8], ends: Ends) -> Program {
     let variables = of_each_type(|name, of| b.variable(name, of));
     let mut writer = Writer { genes: genes.iter(), variables, ends };
     let features = writer.gene(16);
-    if features & 8 != 0 {
-        b = b.every_statement();
-    }
     b.timer("held");
     writer.block(&mut b, 0);
     b.forever(|b| writer.turn(b, 0));
@@ -303,7 +300,8 @@ pub fn written(genes: &[u8], ends: Ends) -> Program {
     if features & 2 != 0 {
         b.takeover(|b| writer.block(b, 0));
     }
-    b.finish().expect("well formed")
+    let fusing = if features & 8 == 0 { Fusing::Fused } else { Fusing::EveryStatement };
+    Program { fusing, ..b.finish().expect("well formed") }
 }
 
 pub fn well_formed() -> impl Strategy<Value = Program> {

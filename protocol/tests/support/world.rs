@@ -257,7 +257,6 @@ impl World {
             class: if bytes[1] & 1 == 0 { Class::Command } else { Class::Status },
             more: bytes[3] & 7 == 0,
             resent: bytes[1] & 2 != 0,
-            urgent: false,
             hops: 7,
             fragment: if bytes[3] & 0x38 == 0 { bytes[3] >> 6 } else { 0 },
             destination: TaskId(u16::from(bytes[2] % 4)),

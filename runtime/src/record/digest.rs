@@ -42,9 +42,9 @@ impl OutputDigest {
     pub const START: Self = Self(0xcbf2_9ce4_8422_2325);
 
     pub(crate) fn transmitted(&mut self, packet: &Packet) {
-        let Packet { kind, class, more, resent, urgent, hops, fragment, .. } = *packet;
+        let Packet { kind, class, more, resent, hops, fragment, .. } = *packet;
         let Packet { destination, source, port, id, remaining, ref contents, .. } = *packet;
-        let flags = u64::from(more) | u64::from(resent) << 1 | u64::from(urgent) << 2 | (class as u64) << 3;
+        let flags = u64::from(more) | u64::from(resent) << 1 | (class as u64) << 2;
         let how = (kind as u64) << 24 | flags << 16 | u64::from(hops) << 8 | u64::from(fragment);
         self.mix(Mark::Packet.over(how));
         self.mix(u64::from(destination.0) << 32 | u64::from(source.0) << 16 | u64::from(port.0));
@@ -167,7 +167,6 @@ mod tests {
             class: Class::Command,
             more: true,
             resent: true,
-            urgent: true,
             hops: 5,
             fragment: 3,
             destination: TaskId(0x102),
@@ -187,7 +186,7 @@ mod tests {
         let yes = Contents::new(b"yes and more").unwrap();
         digest.transmitted(&Packet { contents: yes, ..packet() });
         let class = Class::Command as u64;
-        let how = (Kind::Control as u64) << 24 | (7 | class << 3) << 16 | 5 << 8 | 3;
+        let how = (Kind::Control as u64) << 24 | (3 | class << 2) << 16 | 5 << 8 | 3;
         let contents = [u64::from_le_bytes(*b"yes and "), u64::from_le_bytes(*b"more\0\0\0\x0c")];
         let mut lanes = vec![0x80 << 56 | how, 0x0102_0304_0506, 7 << 32 | 0x08_090a, 1 << 40];
         lanes.extend(contents);
@@ -204,7 +203,7 @@ mod tests {
         digest.passed(77);
         lanes.extend([0x83 << 56 | 2, 0x84 << 56 | 77]);
         assert_eq!(digest, by_hand(&lanes));
-        assert_eq!(digest, OutputDigest(0xeb83_5e0b_7564_577f));
+        assert_eq!(digest, OutputDigest(0xc713_19c4_dc3b_783b));
     }
 
     #[test]
@@ -237,7 +236,6 @@ mod tests {
             Packet { class: Class::Status, ..p },
             Packet { more: false, ..p },
             Packet { resent: false, ..p },
-            Packet { urgent: false, ..p },
             Packet { hops: 4, ..p },
             Packet { fragment: 2, ..p },
             Packet { destination: TaskId(1), ..p },

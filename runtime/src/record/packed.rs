@@ -65,9 +65,9 @@ pub(super) fn step(fill: &mut Fill, step: &Step, outputs: u64, crowded: impl FnO
     match step.input {
         Input::Time => one(fill, [head(TIME, 0), outputs, 0, 0, 0, 0, 0, 0], crowded),
         Input::Packet(ref packet) => {
-            let Packet { kind, class, more, resent, urgent, hops, fragment, .. } = *packet;
+            let Packet { kind, class, more, resent, hops, fragment, .. } = *packet;
             let Packet { destination, source, port, id, remaining, ref contents, .. } = *packet;
-            let flags = u64::from(more) << 4 | u64::from(resent) << 5 | u64::from(urgent) << 6;
+            let flags = u64::from(more) << 4 | u64::from(resent) << 5;
             let status = u64::from(class == Class::Status) << 3;
             let how = kind as u64 | status | flags;
             let how = head(PACKET, how | u64::from(hops) << 8 | u64::from(fragment) << 16);
@@ -217,7 +217,6 @@ fn packet(how: u64, ends: u64, number: u64, remaining: u64, contents: Contents) 
         class: if flags & 8 == 0 { Class::Command } else { Class::Status },
         more: flags & 16 != 0,
         resent: flags & 32 != 0,
-        urgent: flags & 64 != 0,
         hops,
         fragment,
         destination: TaskId(half(ends)),

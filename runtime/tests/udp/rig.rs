@@ -99,7 +99,6 @@ pub fn packet(number: u32) -> Packet {
         class: Class::Status,
         more: false,
         resent: false,
-        urgent: false,
         hops: MAX_HOPS,
         fragment: 0,
         destination: TaskId(1),

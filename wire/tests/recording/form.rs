@@ -72,8 +72,8 @@ fn hex(bytes: &[u8]) -> String {
 
 /// The bytes of a version never change. `IMRS_WRITE_GOLDEN=1` writes those of a new version.
 #[test]
-fn version_10_is_these_bytes() {
-    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/recording_golden/10.hex");
+fn version_11_is_these_bytes() {
+    let path = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/recording_golden/11.hex");
     if std::env::var_os("IMRS_WRITE_GOLDEN").is_some() {
         std::fs::write(&path, hex(&written(&records()))).unwrap();
     }
@@ -84,7 +84,7 @@ fn version_10_is_these_bytes() {
 /// before they acted in it. Version 3: no checksum of the lengths, and no script inputs. Version 4: no digest of the
 /// statements, and no number of inputs. Version 5: other digests. Version 6: keyframes with equal space for every port.
 /// Version 7: no arrivals for a finished meeting. Version 8: one state machine per task (D167). Version 9: a time input
-/// carries its length (D168).
+/// carries its length (D168). Version 10: a packet has a mark that no program set.
 #[test]
 fn older_versions_are_refused_by_their_numbers() {
     let kept = [
@@ -97,13 +97,14 @@ fn older_versions_are_refused_by_their_numbers() {
         include_str!("../recording_golden/7.hex"),
         include_str!("../recording_golden/8.hex"),
         include_str!("../recording_golden/9.hex"),
+        include_str!("../recording_golden/10.hex"),
     ];
     for (version, text) in (1..).zip(kept) {
         let digits: Vec<u8> = text.bytes().filter(u8::is_ascii_hexdigit).collect();
         let digit = |d: u8| u8::try_from(char::from(d).to_digit(16).unwrap()).unwrap();
         let bytes: Vec<u8> = digits.chunks(2).map(|d| digit(d[0]) << 4 | digit(d[1])).collect();
         let refusal = RecordingReader::new(bytes.as_slice()).unwrap_err().to_string();
-        assert_eq!(refusal, format!("at byte 0: a recording of version {version}, this program reads 10"));
+        assert_eq!(refusal, format!("at byte 0: a recording of version {version}, this program reads 11"));
     }
 }
 

@@ -239,7 +239,6 @@ fn a_packet_that_leaves_is_the_same_after_its_bytes() {
         class: Class::Command,
         more: false,
         resent: true,
-        urgent: false,
         hops: 7,
         fragment: 0,
         destination: READER,

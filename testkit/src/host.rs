@@ -1,24 +1,18 @@
-//! A node with the scripts of its tasks, for drivers that run everything in one thread (D38, D45). The tests of the protocol
-//! and of the language are such drivers.
+//! A node with the scripts of its tasks, for drivers that run everything in one thread (D38, D45, D91).
 
-use super::{
-    Action, Activity, Address, End, Program, ProgramError, Script, ScriptFault, ScriptInput, ScriptOutbox,
+use imrs_protocol::script::{
+    Action, Activity, Address, End, HOST_LIMIT, Program, ProgramError, Script, ScriptFault, ScriptInput,
+    ScriptOutbox,
 };
-use crate::ids::{NodeId, PortId, TaskId};
-use crate::node::{Node, NodeInput, NodeOutbox};
-use crate::observe::Observation;
-use crate::packet::{Contents, Packet};
-use crate::request::{Call, ReplyTo, Request, Signal};
-use crate::ticks::Instant;
-use alloc::boxed::Box;
-use alloc::collections::VecDeque;
-use alloc::sync::Arc;
-use alloc::vec;
-use alloc::vec::Vec;
-use serde::{Deserialize, Serialize};
+use imrs_protocol::{
+    Call, Contents, Instant, Node, NodeId, NodeInput, NodeOutbox, Observation, Packet, PortId, ReplyTo,
+    Request, Signal, TaskId,
+};
+use std::collections::VecDeque;
+use std::sync::Arc;
 
 /// An input of a node with scripts.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum HostInput {
     /// All scripts that have not begun begin, in the order of their tasks.
     Begin,
@@ -42,6 +36,12 @@ pub enum HostInput {
         /// The chosen alternative.
         choice: u16,
     },
+}
+
+impl From<NodeInput> for HostInput {
+    fn from(input: NodeInput) -> Self {
+        Self::Node(input)
+    }
 }
 
 /// Where the effects of a node with scripts go. [`NodeOutbox::signal`] gets the signals of tasks without a script only.
@@ -86,8 +86,10 @@ pub struct Hosted {
 /// A node with the scripts of its tasks.
 #[derive(Clone, Debug)]
 pub struct ScriptedNode {
-    node: Node,
-    scripts: Box<[Hosted]>,
+    /// The node.
+    pub node: Node,
+    /// The scripts, ascending by task.
+    pub scripts: Box<[Hosted]>,
     /// Inputs that the scripts have not taken yet. Empty between steps.
     inputs: VecDeque<(TaskId, ScriptInput)>,
     /// The requests that a script made in its last step.
@@ -96,10 +98,6 @@ pub struct ScriptedNode {
     steps: Box<[u32]>,
 }
 
-/// How many steps a script may take for one input without receiving a message. A script that takes more never waits, and is
-/// ended. Scripts that keep each other going with messages may take this many steps per script of the node. Then the
-/// script with the most steps since its last message is ended, and the others may go on.
-pub const HOST_LIMIT: u32 = 10_000;
 /// Preallocated room for the signals of one input.
 const SIGNALS: usize = 256;
 
@@ -123,62 +121,12 @@ impl ScriptedNode {
         Ok(Self { node, scripts: scripts.into(), inputs, requests: VecDeque::with_capacity(8), steps })
     }
 
-    /// The node.
-    #[must_use]
-    pub const fn node(&self) -> &Node {
-        &self.node
-    }
-
-    /// The node, for code that packs or reads states.
-    pub const fn node_mut(&mut self) -> &mut Node {
-        &mut self.node
-    }
-
-    /// The scripts, ascending by task.
-    #[must_use]
-    pub fn scripts(&self) -> &[Hosted] {
-        &self.scripts
-    }
-
-    /// The scripts, for code that packs or reads states.
-    pub fn scripts_mut(&mut self) -> &mut [Hosted] {
-        &mut self.scripts
-    }
-
-    /// The script of a task.
-    #[must_use]
-    pub fn script(&self, task: TaskId) -> Option<&Script> {
-        let at = self.scripts.binary_search_by_key(&task, |hosted| hosted.task).ok()?;
-        self.scripts.get(at).map(|hosted| &hosted.script)
-    }
-
-    /// Makes every script drop the messages that it can no longer answer, so that states with equal futures are equal. The
-    /// behaviour of the scripts does not change.
-    #[cfg(feature = "checker")]
-    pub fn bury(&mut self) {
-        for Hosted { task, script, .. } in &mut self.scripts {
-            let communication = self.node.task(*task);
-            script.bury(|to| communication.is_some_and(|communication| communication.can_answer(to)));
-        }
-    }
-
-    /// A task whose script waits for the driver's choice, and the number of alternatives.
-    #[must_use]
-    pub fn chooses(&self) -> Option<(TaskId, u16)> {
-        self.scripts.iter().find_map(|hosted| match hosted.script.activity() {
-            Activity::Chooses(alternatives) => Some((hosted.task, alternatives)),
-            Activity::NotBegun
-            | Activity::Waits
-            | Activity::Acts
-            | Activity::Passive
-            | Activity::Ended(_) => None,
-        })
-    }
-
     /// Takes one input at `now` and runs the node and its scripts until every script waits. What is due by `now` happens
     /// first.
-    pub fn step(&mut self, now: Instant, input: HostInput, out: &mut impl HostOutbox) {
-        if now > self.node.now() && input != HostInput::Node(NodeInput::Time) {
+    pub fn step(&mut self, now: Instant, input: impl Into<HostInput>, out: &mut impl HostOutbox) {
+        let input = input.into();
+        // A node without scripts does this itself.
+        if now > self.node.now() && !self.scripts.is_empty() && input != HostInput::Node(NodeInput::Time) {
             self.go_on(now, HostInput::Node(NodeInput::Time), out);
         }
         self.go_on(now, input, out);
