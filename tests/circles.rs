@@ -7,7 +7,7 @@ use std::iter::Peekable;
 use std::path::Path;
 use std::str::Chars;
 
-const ROOMS: [&str; 9] = [
+const ROOMS: [&str; 10] = [
     "src",
     "protocol/src",
     "language/src",
@@ -15,6 +15,7 @@ const ROOMS: [&str; 9] = [
     "model/src",
     "runtime/src",
     "client/src",
+    "launch/src",
     "monitor/src",
     "macros/src",
 ];
