@@ -1,7 +1,9 @@
 //! The exit codes of the command.
 
 use imrs_language::Diagnostic;
+use imrs_launch::Verdict;
 use rustix::io::Errno;
+use std::error::Error;
 use std::io;
 use std::process::ExitCode;
 
@@ -32,9 +34,22 @@ impl From<Exit> for ExitCode {
     }
 }
 
+impl From<Verdict> for Exit {
+    fn from(verdict: Verdict) -> Self {
+        match verdict {
+            Verdict::Well => Self::Well,
+            Verdict::Finding => Self::Finding,
+            Verdict::Incomplete => Self::Incomplete,
+            Verdict::Fault => Self::Internal,
+        }
+    }
+}
+
 /// Whether an error says that the operating system has run out of memory, descriptors or threads.
-pub fn is_exhausted(error: &io::Error) -> bool {
-    error.raw_os_error().is_some_and(|code| EXHAUSTED.contains(&code))
+pub fn is_exhausted(error: &(dyn Error + 'static)) -> bool {
+    let of_system = |error: &io::Error| error.raw_os_error().is_some_and(|code| EXHAUSTED.contains(&code));
+    std::iter::successors(Some(error), |error| (*error).source())
+        .any(|error| error.downcast_ref().is_some_and(of_system))
 }
 
 /// The error codes for that: no memory, no descriptors (of this process, of the system), no thread or process.

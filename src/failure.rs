@@ -1,7 +1,7 @@
 //! The errors of the command, and their exit codes.
 
 use crate::exit::{Exit, is_exhausted};
-use std::error::Error;
+use imrs_launch::{LaunchError, NodeError};
 use std::io;
 
 /// Why the command cannot do what was asked.
@@ -27,10 +27,13 @@ pub enum Failure {
     Output(#[source] io::Error),
     /// The cell could not be run.
     #[error(transparent)]
-    Launch(#[from] crate::launch::error::LaunchError),
+    Launch(#[from] LaunchError),
+    /// The requested faults do not fit the cell or the run.
+    #[error(transparent)]
+    Fault(#[from] crate::faults::FaultError),
     /// A node failed.
     #[error(transparent)]
-    Node(#[from] crate::launch::NodeError),
+    Node(#[from] NodeError),
     /// The recording cannot be replayed.
     #[error(transparent)]
     Replay(#[from] crate::replay::error::ReplayError),
@@ -50,12 +53,8 @@ impl Failure {
         if matches!(self, Self::Output(error) if error.kind() == io::ErrorKind::WouldBlock) {
             return Exit::Usage;
         }
-        let mut cause: Option<&(dyn Error + 'static)> = Some(self);
-        while let Some(error) = cause {
-            if error.downcast_ref().is_some_and(is_exhausted) {
-                return Exit::System;
-            }
-            cause = error.source();
+        if is_exhausted(self) {
+            return Exit::System;
         }
         match self {
             Self::Usage(_)
@@ -63,12 +62,17 @@ impl Failure {
             | Self::Unwritable(_)
             | Self::Kept(_)
             | Self::Cell(_)
+            | Self::Fault(_)
             | Self::Output(_)
             | Self::Replay(_) => Exit::Usage,
             #[cfg(feature = "bench")]
             Self::Bench(_) => Exit::Usage,
-            Self::Launch(error) => error.exit(),
-            Self::Node(error) => error.exit(),
+            Self::Launch(error) => match error {
+                LaunchError::Place(_) | LaunchError::NotReady { refused: true, .. } => Exit::Usage,
+                LaunchError::Interrupted(_) => Exit::Incomplete,
+                LaunchError::Start(_) | LaunchError::NotReady { refused: false, .. } => Exit::Internal,
+            },
+            Self::Node(error) => exit_of_node(error),
             Self::Monitor(error) => match error.exit_code() {
                 2 => Exit::Usage,
                 3 => Exit::Nothing,
@@ -78,11 +82,22 @@ impl Failure {
     }
 }
 
+/// The exit code that the error of a node leads to.
+pub fn exit_of_node(error: &NodeError) -> Exit {
+    match error {
+        _ if is_exhausted(error) => Exit::System,
+        // This machine cannot provide what the command line asked for.
+        NodeError::Link(_) | NodeError::Place(_) | NodeError::Record(_) | NodeError::Observe(_) => {
+            Exit::Usage
+        }
+        NodeError::Pipe(_) | NodeError::Setup(_) | NodeError::Start(_) => Exit::Internal,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::exit::{EXHAUSTED, says_exhausted};
-    use crate::launch::error::LaunchError;
     use rustix::io::Errno;
 
     #[test]

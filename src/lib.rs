@@ -9,7 +9,6 @@
 mod args;
 mod bench;
 mod cell_file;
-mod cells;
 mod check;
 mod checks;
 mod demo;
@@ -17,12 +16,13 @@ mod exit;
 mod explain;
 mod export;
 mod failure;
+mod faults;
 mod fmt;
 mod graph;
 mod kept;
-mod launch;
 mod monitor;
 mod names;
+mod node;
 mod output;
 mod panics;
 mod replay;
@@ -148,7 +148,7 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
         }
         Verb::Man { verb } => manual(verb.as_deref(), &mut out),
         Verb::Node => {
-            launch::run_node()?;
+            imrs_launch::run_node(&node::NodeProgram)?;
             Ok(Exit::Well)
         }
     }

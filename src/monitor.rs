@@ -1,13 +1,13 @@
 //! `imrs monitor`: merges the command line with the user's configuration file, and starts nodes for `--demo`.
 
 use crate::args::{Format, MonitorArgs};
-use crate::cells;
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::output::Color;
 use crate::output::Output;
 use crate::token;
 use crate::{cell_file, demo, replay};
+use imrs_launch::cells;
 use imrs_monitor::config::{Config, EXAMPLE};
 use imrs_monitor::judge::{FollowSession, Judge};
 use imrs_monitor::query::Filter;

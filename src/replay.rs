@@ -11,12 +11,12 @@ pub use follow::Cells;
 
 use crate::args::{Format, ReplayArgs};
 use crate::cell_file;
-use crate::cells::{self, Loaded};
 use crate::demo;
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
 use error::ReplayError;
+use imrs_launch::cells::{self, Loaded};
 use imrs_protocol::{NodeId, NodeTable};
 use imrs_runtime::record::{
     Divergence, InvariantBroken, Miscount, ScriptDivergence, Verdict, replay_scripts,

@@ -1,13 +1,21 @@
 //! `imrs run`: runs a cell of the cell language on real nodes.
 
+mod asked;
+mod drive;
+mod lines;
+mod report;
+
+pub use asked::{Asked, DemoPlan, Moment, Planned};
+pub use drive::run as launch;
+
 use crate::args::{LaunchArgs, RunArgs};
-use crate::cells::{self, Loaded};
 use crate::exit::Exit;
 use crate::failure::Failure;
-use crate::launch::{self, LaunchError, Run, record_file};
 use crate::names::did_you_mean;
 use crate::output::Output;
 use imrs_client::place;
+use imrs_launch::cells::{self, Loaded};
+use imrs_launch::{LaunchError, record_file};
 use imrs_protocol::NodeId;
 use imrs_wire::files;
 use std::collections::BTreeMap;
@@ -38,7 +46,7 @@ pub fn run(args: &RunArgs, out: &mut Output) -> Result<Exit, Failure> {
     }
     let length = args.launch.length;
     let (args, ramps, demo) = (&args.launch, Vec::new(), None);
-    launch::run(&Run { source, loaded: &loaded, args, length, actions, ramps, only, demo }, out)
+    launch(&Asked { source, loaded: &loaded, args, length, actions, ramps, only, demo }, out)
 }
 
 /// Whether the program of a command can be found, by the same rules as when it is executed.

@@ -15,6 +15,7 @@ const ROOMS: [&str; 10] = [
     "model/src",
     "runtime/src",
     "client/src",
+    "launch/src",
     "monitor/src",
     "macros/src",
     "testkit/src",

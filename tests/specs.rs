@@ -239,7 +239,7 @@ fn the_index_has_every_decision_once() {
 fn decisions_that_code_and_documents_cite_are_written_down() {
     let written = decisions();
     let mut folders: Vec<PathBuf> =
-        ["src", "protocol", "wire", "model", "runtime", "client", "monitor", "tests", "examples"]
+        ["src", "protocol", "wire", "model", "runtime", "client", "launch", "monitor", "tests", "examples"]
             .map(|room| Path::new(ROOT).join(room))
             .into();
     let mut files: Vec<PathBuf> = documents().iter().map(|path| Path::new(ROOT).join(path)).collect();
@@ -345,6 +345,7 @@ fn files_that_documents_name_exist() {
         "model/",
         "runtime/",
         "client/",
+        "launch/",
         "monitor/",
         "tests/",
         "specs/",

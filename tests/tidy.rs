@@ -5,9 +5,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
-const ROOMS: [&str; 14] = [
-    "src", "tests", "examples", "protocol", "language", "wire", "model", "runtime", "client", "macros",
-    "monitor", "benches", "fuzz", "testkit",
+const ROOMS: [&str; 15] = [
+    "src", "tests", "examples", "protocol", "language", "wire", "model", "runtime", "client", "launch",
+    "macros", "monitor", "benches", "fuzz", "testkit",
 ];
 /// Most lines of a file, and of a function.
 const LONGEST: (usize, usize) = (400, 70);

@@ -2,7 +2,7 @@
 
 use super::Format;
 use crate::demo::Scene;
-use crate::launch::{ActionCommand, Cut, Kill, Rate, Restart};
+use crate::faults::{ActionCommand, Cut, Kill, Rate, Restart};
 use clap::Args;
 use std::net::SocketAddr;
 use std::path::PathBuf;

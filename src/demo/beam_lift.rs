@@ -1,9 +1,9 @@
 //! Explains the demo `beam-lift`. Forbidden: one arm goes on alone.
 
-use crate::launch::Fault;
-use crate::launch::script_event::{Did, ScriptEvent};
-use crate::launch::story::{Outcome, Story};
 use crate::output::{count, span};
+use imrs_launch::Fault;
+use imrs_launch::script_event::{Did, ScriptEvent};
+use imrs_launch::{Outcome, Story};
 use imrs_protocol::TaskId;
 
 /// Longest delay in microseconds from the stop of one arm to that of the other, even on a busy machine. An arm that moves

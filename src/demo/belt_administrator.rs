@@ -1,8 +1,8 @@
 //! Explains the demo `belt-administrator`. Forbidden: two robots change the speed at once, each from the same old value.
 
-use crate::launch::script_event::{Did, ScriptEvent};
-use crate::launch::story::{Outcome, Story};
 use crate::output::count;
+use imrs_launch::script_event::{Did, ScriptEvent};
+use imrs_launch::{Outcome, Story};
 use imrs_protocol::TaskId;
 
 /// The most that one change may alter the speed, in mm/s.

@@ -1,8 +1,8 @@
 //! Explains the demo `conveyor`. Forbidden: a pick acts on an old pose, or the belt jams.
 
-use crate::launch::script_event::ScriptEvent;
-use crate::launch::story::{Outcome, Story};
 use crate::output::{count, span};
+use imrs_launch::script_event::ScriptEvent;
+use imrs_launch::{Outcome, Story};
 use imrs_protocol::TaskId;
 
 /// Longest time in microseconds from the end of the pause to the next grip, even on a busy machine.

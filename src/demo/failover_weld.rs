@@ -1,10 +1,10 @@
 //! Explains the demo `failover-weld`. Forbidden: both robots are active, or a spot is welded twice without a look.
 
-use crate::checks::Settled;
-use crate::launch::Fault;
-use crate::launch::script_event::{Lease, ScriptEvent};
-use crate::launch::story::{Outcome, Story};
 use crate::output::span;
+use imrs_launch::Fault;
+use imrs_launch::checks::Settled;
+use imrs_launch::script_event::{Lease, ScriptEvent};
+use imrs_launch::{Outcome, Story};
 use imrs_protocol::TaskId;
 
 /// Explains which robot was active when, and what happened to the interrupted spot.

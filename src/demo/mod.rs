@@ -9,15 +9,14 @@ mod failover_weld;
 mod shared_tool;
 
 use crate::args::DemoArgs;
-use crate::cells::{self, Loaded, Source};
 use crate::exit::Exit;
 use crate::failure::Failure;
-use crate::launch::story::{DemoPlan, Moment, Outcome, Planned, Story};
-use crate::launch::{self, Run};
 use crate::output::Output;
-use crate::run::chosen;
+use crate::run::{Asked, DemoPlan, Moment, Planned, chosen, launch};
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
+use imrs_launch::cells::{self, Loaded, Source};
+use imrs_launch::{Outcome, Story};
 use imrs_runtime::script::Ramp;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -177,28 +176,28 @@ pub fn cells() -> impl Iterator<Item = Loaded> {
 /// # Errors
 /// [`Failure`].
 pub fn run(args: &DemoArgs, out: &mut Output) -> Result<Exit, Failure> {
-    let (launch, loaded) = (&args.launch, args.cell.load()?);
+    let (options, loaded) = (&args.launch, args.cell.load()?);
     // The scene in `SCENES` is static, and so its moment is, too.
     let scene = SCENES.iter().find(|scene| scene.name == args.cell.name);
     let own_faults =
-        launch.loss.0 > 0.0 || !launch.kill.is_empty() || !launch.cut.is_empty() || launch.node.is_some();
+        options.loss.0 > 0.0 || !options.kill.is_empty() || !options.cut.is_empty() || options.node.is_some();
     let moment = scene.and_then(|scene| scene.moment.as_ref()).filter(|_| !args.no_fault && !own_faults);
     let ramp = |&(action, since, over): &(&str, &str, Duration)| Ramp {
         action: action.into(),
         since: since.into(),
         over,
     };
-    let run = Run {
+    let asked = Asked {
         source: args.cell.source(),
         loaded: &loaded,
-        args: launch,
-        length: Some(launch.length.unwrap_or(args.cell.length)),
+        args: options,
+        length: Some(options.length.unwrap_or(args.cell.length)),
         actions: BTreeMap::new(),
         ramps: args.cell.ramps.iter().map(ramp).collect(),
-        only: chosen(&loaded, launch)?,
+        only: chosen(&loaded, options)?,
         demo: Some(DemoPlan { introduction: args.cell.introduction, moment, explain: args.cell.explain }),
     };
-    launch::run(&run, out)
+    launch(&asked, out)
 }
 
 /// The cell of the beam lift.

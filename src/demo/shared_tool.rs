@@ -1,9 +1,9 @@
 //! Explains the demo `shared-tool`. Forbidden: two robots have the tool, or it stays with a killed one.
 
-use crate::launch::Fault;
-use crate::launch::script_event::ScriptEvent;
-use crate::launch::story::{Outcome, Story};
 use crate::output::{count, span};
+use imrs_launch::Fault;
+use imrs_launch::script_event::ScriptEvent;
+use imrs_launch::{Outcome, Story};
 use imrs_protocol::TaskId;
 
 /// Tolerance in microseconds, for a busy machine, beyond the time that the cell allows until the tool of a killed robot is

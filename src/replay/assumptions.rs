@@ -1,8 +1,8 @@
 //! Finds the assumptions of the checks that a run did not keep.
 
 use super::surroundings::{LinkHistory, Surroundings};
-use crate::cells::Loaded;
 use crate::output::count;
+use imrs_launch::cells::Loaded;
 use imrs_model::cell::{CellFaults, Late};
 use imrs_protocol::{NodeId, TaskId};
 use serde::Serialize;

@@ -3,7 +3,7 @@
 //! The state machines and the reader keep their state between two looks, so a look costs only what is new.
 
 use super::{Opened, divergence, open};
-use crate::cells::Loaded;
+use imrs_launch::cells::Loaded;
 use imrs_monitor::judge::{FollowSession, Judgement};
 use imrs_monitor::store::conformance::{self, Conformance};
 use imrs_protocol::{Cell, NodeId, NodeTable};

@@ -7,13 +7,13 @@ use super::told::{ReplayAnswer, WALKS};
 use super::{Opened, open};
 use crate::args::{Format, ReplayArgs};
 use crate::cell_file;
-use crate::cells::{self, Loaded};
-use crate::checks::{Change, Judge, ReplaySampler, Settlement};
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::verify::{conduct, faults};
 use imrs_language::{Unit, compile};
+use imrs_launch::cells::{self, Loaded};
+use imrs_launch::checks::{Change, Judge, ReplaySampler, Settlement};
 use imrs_model::cell::{
     Budget, CellPlan, Conduct, Happened, Happening, Run, Steps, follow_run, steps_in_model,
 };

@@ -1,11 +1,12 @@
 //! The result of `imrs replay --model`, for people and for programs.
 
 use super::assumptions::Breach;
-use crate::cells::Loaded;
-use crate::checks::Settlement;
+use crate::checks;
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
+use imrs_launch::cells::Loaded;
+use imrs_launch::checks::Settlement;
 use imrs_model::cell::{Followed, Steps, Unexplained};
 use imrs_protocol::TaskId;
 use serde::Serialize;
@@ -216,7 +217,7 @@ impl ReplayAnswer {
                 self.compare(out)
             }
         }?;
-        self.checks.show(out)
+        checks::show(&self.checks, out)
     }
 
     /// Prints in which ways the run went beyond what `imrs verify` explores.

@@ -1,0 +1,85 @@
+//! Judges the checks of a cell (`never`, `always`, `leads … within`) by what happened in a run (D101).
+//!
+//! ```text
+//!   node:      after every step of a script, the values of its task that checks read; sent when they change    Sight
+//!   launcher:  all changes in the order of their times, up to where every node has reported everything         Judge
+//! ```
+//!
+//! Replaying a recording gives the same changes, so `imrs replay --model` judges as the run did.
+
+mod judge;
+mod sampler;
+mod told;
+mod vouch;
+
+pub use judge::{Broken, Judge};
+pub use sampler::{Change, ReplaySampler, ValueSampler};
+pub use told::{First, Outcome, Settled, Settlement, Unvouched};
+
+use crate::cells::Loaded;
+use imrs_language::lower::{Check, CheckKind};
+use imrs_protocol::script::{Predicate, Term};
+use imrs_protocol::{CellTable, PortId, TaskId};
+
+/// A value of one task that a check reads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ask {
+    /// The value of a variable, by its position.
+    Variable(u16),
+    /// Whether the task is active: it may act.
+    Active,
+    /// Whether the task has an outstanding request on this port.
+    Asked(PortId),
+    /// Whether the task's last request on this port was answered.
+    Answered(PortId),
+    /// How far the task has come at the waitfor of this port. −1: not reached in this incarnation; 0: reached, but no round yet;
+    /// else the number of its last round plus 1.
+    Arrived(PortId),
+}
+
+/// For each task, the values that the checks of the cell read.
+pub fn asks(loaded: &Loaded) -> Vec<Vec<Ask>> {
+    let mut asks = vec![Vec::new(); loaded.table.cell().tasks.len()];
+    for term in loaded.checks.iter().flat_map(terms) {
+        for (task, ask) in of(&loaded.table, *term) {
+            if let Some(asks) = asks.get_mut(task.index()).filter(|asks: &&mut Vec<Ask>| !asks.contains(&ask))
+            {
+                asks.push(ask);
+            }
+        }
+    }
+    asks
+}
+
+/// All terms of a check.
+fn terms(check: &Check) -> impl Iterator<Item = &Term> {
+    let (one, other) = match &check.kind {
+        CheckKind::Always(terms) => (terms.as_slice(), &[][..]),
+        CheckKind::Leads { when, then, .. } => (when.as_slice(), then.as_slice()),
+    };
+    one.iter().chain(other)
+}
+
+/// The values that a term reads, each with its task.
+fn of(table: &CellTable, term: Term) -> Vec<(TaskId, Ask)> {
+    match term {
+        Term::Of { task, variable } => vec![(task, Ask::Variable(variable))],
+        Term::Is(Predicate::Active(task)) => vec![(task, Ask::Active)],
+        Term::Is(Predicate::Asked { task, port }) => vec![(task, Ask::Asked(port))],
+        Term::Is(Predicate::Answered { task, port }) => vec![(task, Ask::Answered(port))],
+        // Whether a task has arrived depends on the rounds of all parties (D85).
+        Term::Is(Predicate::Arrived { port, .. }) => {
+            let parties = table.port(port).map_or(&[][..], |port| &port.parties);
+            parties.iter().map(|party| (party.task, Ask::Arrived(port))).collect()
+        }
+        Term::Push(_)
+        | Term::Load(_)
+        | Term::Int(_)
+        | Term::Real(_)
+        | Term::Negate
+        | Term::NegateReal
+        | Term::Not
+        | Term::ToReal
+        | Term::ToInt => Vec::new(),
+    }
+}

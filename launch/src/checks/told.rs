@@ -1,0 +1,207 @@
+//! The verdicts on the checks after a run, with their words for people and their form for programs.
+
+use super::Broken;
+use super::vouch::Doubt;
+use crate::cells::Loaded;
+use crate::words::{count, span};
+use serde::Serialize;
+
+/// The verdict on a check.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// It held.
+    Held,
+    /// It did not.
+    Broken,
+    /// The condition of a `leads` never came.
+    Untested,
+    /// One of its tasks runs on a node that does not run here.
+    Elsewhere,
+    /// One of its tasks reported nothing, or for some time its values were not known.
+    Unknown,
+}
+
+/// The verdicts on all checks of a cell.
+#[derive(Clone, Debug, Default, Serialize)]
+#[serde(transparent)]
+pub struct Settlement(pub Vec<Settled>);
+
+/// The verdict on one check, with its details.
+#[derive(Clone, Debug, Serialize)]
+pub struct Settled {
+    /// The name of the check.
+    pub name: String,
+    /// Its line in the cell file.
+    pub line: usize,
+    /// The verdict.
+    pub outcome: Outcome,
+    /// For `leads`: how often its condition came.
+    mattered: Option<u64>,
+    /// How often it was broken.
+    times: u64,
+    /// The first time at which it was broken.
+    pub first: Option<First>,
+    /// The name of its first task that runs elsewhere.
+    elsewhere: Option<String>,
+    /// For how long it is unknown whether it held.
+    unvouched: Option<Unvouched>,
+    /// The text of that line.
+    #[serde(skip)]
+    text: String,
+}
+
+/// For how long it is unknown whether a check held.
+#[derive(Clone, Debug, Serialize)]
+pub struct Unvouched {
+    /// The total, in seconds.
+    seconds: f64,
+    /// The reason for the largest part.
+    why: String,
+}
+
+impl Unvouched {
+    /// From a total of microseconds and the main reason.
+    pub(super) fn new(loaded: &Loaded, doubt: Doubt, length: u64) -> Self {
+        let cell = loaded.table.cell();
+        let why = match doubt {
+            Doubt::Command(task) => {
+                format!("the command of `{}` was not confirmed to have ended", cell.tasks[task.index()].name)
+            }
+            Doubt::Silent(node) => format!("node `{}` reported nothing", cell.nodes[node.index()].name),
+            Doubt::Untold(node) => {
+                format!("node `{}` could not report everything", cell.nodes[node.index()].name)
+            }
+            Doubt::Dropped => "changes came faster than they could be judged".into(),
+            Doubt::Dead(node) => {
+                format!("node `{}` was dead, and a value depended on it", cell.nodes[node.index()].name)
+            }
+        };
+        Self { seconds: length as f64 / 1e6, why }
+    }
+
+    /// ``unknown for 0.250 s: node `m` told nothing``.
+    fn words(&self) -> String {
+        let Self { seconds, why } = self;
+        let length = if *seconds > 0.0 { format!(" for {seconds:.3} s") } else { String::new() };
+        format!("unknown{length}: {why}")
+    }
+}
+
+/// The first time at which a check was broken.
+#[derive(Clone, Debug, Serialize)]
+pub struct First {
+    /// Seconds since the run began.
+    pub seconds: f64,
+    /// The values that it reads: `armL.me.moving = true`.
+    pub values: Vec<String>,
+    #[serde(skip)]
+    words: String,
+}
+
+impl Broken {
+    /// The text for people: `check no_early (line 71) does not hold: armL.me.moving = true, armR.gripping = true`.
+    pub fn words(&self, loaded: &Loaded) -> String {
+        let check = &loaded.checks[self.check];
+        let waited =
+            self.since.map(|since| format!(" {} after its condition became true", span(self.at - since)));
+        format!(
+            "check {} (line {}) does not hold{}: {}",
+            check.name,
+            loaded.line_of(check.span),
+            waited.unwrap_or_default(),
+            self.values.join(", ")
+        )
+    }
+}
+
+impl Settled {
+    /// The verdict on the check at this position. `counts`: how often it mattered, and how often it was broken. `why`: why it
+    /// was never judged, and why not all the time.
+    pub(super) fn new(
+        loaded: &Loaded,
+        at: usize,
+        outcome: Outcome,
+        counts: (Option<u64>, u64),
+        first: Option<&Broken>,
+        why: (Option<String>, Option<Unvouched>),
+        began: u64,
+    ) -> Self {
+        let check = &loaded.checks[at];
+        let line = loaded.line_of(check.span);
+        let first = first.map(|first| First {
+            seconds: first.at.saturating_sub(began) as f64 / 1e6,
+            values: first.values.clone(),
+            words: first.words(loaded),
+        });
+        let ((mattered, times), (elsewhere, unvouched)) = (counts, why);
+        let (name, text) = (check.name.clone(), loaded.text_of(line).to_owned());
+        Self { name, line, outcome, mattered, times, first, elsewhere, unvouched, text }
+    }
+
+    /// Whether it held; `None` if that is unknown.
+    #[must_use]
+    pub const fn held(&self) -> Option<bool> {
+        match self.outcome {
+            Outcome::Held | Outcome::Untested => Some(true),
+            Outcome::Broken => Some(false),
+            Outcome::Elsewhere | Outcome::Unknown => None,
+        }
+    }
+
+    /// When it was first broken, in seconds since the run began.
+    pub fn broke_at(&self) -> Option<f64> {
+        self.first.as_ref().map(|first| first.seconds)
+    }
+
+    /// The verdict for people: `held`.
+    #[must_use]
+    pub fn words(&self) -> String {
+        let came = self.mattered.map(|came| format!(" (its condition became true {})", count(came, "time")));
+        match self.outcome {
+            Outcome::Held => format!("held{}", came.unwrap_or_default()),
+            Outcome::Broken => format!("DID NOT HOLD, {}", count(self.times, "time")),
+            Outcome::Untested => "not put to the test: its condition never became true".into(),
+            Outcome::Elsewhere => {
+                let task = self.elsewhere.as_deref().unwrap_or("?");
+                format!("not evaluated here: `{task}` runs elsewhere")
+            }
+            Outcome::Unknown => match &self.unvouched {
+                Some(unvouched) => unvouched.words(),
+                None => "not evaluated: one of its tasks reported nothing".into(),
+            },
+        }
+    }
+
+    /// The complaint about a broken check, in one line.
+    fn complaint(&self) -> Option<String> {
+        let First { seconds, words, .. } = self.first.as_ref()?;
+        Some(format!("{words}, at {seconds:.3} s (`{}`)", self.text))
+    }
+}
+
+impl Settlement {
+    /// The complaints about broken checks, one line each.
+    pub fn complaints(&self) -> impl Iterator<Item = String> {
+        self.0.iter().filter_map(Settled::complaint)
+    }
+
+    /// The checks that could not be judged all the time, one line each with the reason.
+    pub fn unjudged(&self) -> impl Iterator<Item = String> {
+        let unknown = self.0.iter().filter(|settled| settled.outcome == Outcome::Unknown);
+        unknown.map(|Settled { name, line, unvouched, .. }| match unvouched {
+            Some(unvouched) => format!("check {name} (line {line}) is {}", unvouched.words()),
+            None => format!("check {name} (line {line}) was not judged: one of its tasks reported nothing"),
+        })
+    }
+
+    /// The verdict on the check of this name.
+    pub fn named(&self, name: &str) -> Option<&Settled> {
+        self.0.iter().find(|settled| settled.name == name)
+    }
+
+    /// Whether any check was broken.
+    pub fn is_broken(&self) -> bool {
+        self.0.iter().any(|settled| settled.outcome == Outcome::Broken)
+    }
+}

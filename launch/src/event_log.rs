@@ -1,0 +1,94 @@
+//! The event log of a run: every fact passes through it once, to all folds.
+
+use crate::checks::Judge;
+use crate::fact::{Fact, Fold};
+use crate::faults::Fault;
+use crate::folds::gatherer::Gatherer;
+use crate::folds::standing::Standing;
+use crate::folds::story::Events;
+use crate::folds::timeline::Timeline;
+use crate::folds::trouble::TaskTrouble;
+use crate::pipe::Word;
+use crate::run::Run;
+use imrs_protocol::NodeId;
+use std::sync::Arc;
+
+/// The folds of a run. The facts themselves are not kept: a run may last for months.
+pub struct EventLog<'a> {
+    /// The summary.
+    pub gatherer: Gatherer,
+    /// The verdicts on the checks.
+    pub judge: Judge<'a>,
+    /// The tasks that still run.
+    pub standing: Standing<'a>,
+    /// The trouble with tasks.
+    pub trouble: TaskTrouble,
+    /// The lines for people, if they are shown.
+    pub timeline: Option<Timeline<'a>>,
+    /// What an explanation needs, if there is one.
+    pub events: Option<Events>,
+    /// When the run began.
+    pub began: u64,
+    /// Whether the run is over.
+    pub is_over: bool,
+}
+
+impl<'a> EventLog<'a> {
+    /// A run in which these nodes report, without any facts yet.
+    pub fn new(run: &Run<'a>, here: Vec<NodeId>) -> Self {
+        let (loaded, table) = (run.loaded, &run.loaded.table);
+        Self {
+            gatherer: Gatherer::new(Arc::clone(table), here.clone()),
+            judge: Judge::new(loaded, &here),
+            standing: Standing::new(loaded, here),
+            trouble: TaskTrouble::new(Arc::clone(table), run.is_explained, run.loss > 0.0),
+            timeline: run.has_lines.then(|| Timeline::new(loaded, run.in_process)),
+            events: run.is_explained.then(Events::default),
+            began: 0,
+            is_over: false,
+        }
+    }
+
+    /// Passes a fact of this instant, in microseconds of the clock that all processes of one machine share, to all folds.
+    pub fn note(&mut self, at: u64, fact: &Fact) {
+        match fact {
+            Fact::Began => self.began = at,
+            Fact::Over => self.is_over = true,
+            _ => {}
+        }
+        let always: [&mut dyn Fold; 4] =
+            [&mut self.gatherer, &mut self.judge, &mut self.standing, &mut self.trouble];
+        always.into_iter().for_each(|fold| fold.take(at, fact));
+        if let Some(timeline) = &mut self.timeline {
+            timeline.take(at, fact);
+        }
+        if let Some(events) = &mut self.events {
+            events.take(at, fact);
+        }
+    }
+
+    /// Judges the checks as far as everything is reported. Each new break is a fact, too.
+    pub fn judge(&mut self) {
+        for broken in self.judge.settle() {
+            let at = broken.at;
+            self.note(at, &Fact::Broken(broken));
+        }
+    }
+}
+
+/// The judge also judges recordings, which have no launcher: it knows no facts.
+impl Fold for Judge<'_> {
+    fn take(&mut self, at: u64, fact: &Fact) {
+        match fact {
+            Fact::Said(_, Word::Stands(change)) => self.change(change.clone()),
+            Fact::Said(node, Word::Told(until)) => self.told(*node, *until),
+            Fact::Said(node, Word::Untold { since }) => self.untold(*node, *since),
+            Fact::Fault(Fault::Kill(node)) | Fact::Died(node) => self.killed(*node, at),
+            Fact::Fault(Fault::Restart(node)) => self.revived(*node, at),
+            Fact::Gone(node) => self.gone(*node),
+            Fact::Noticed(notice) => self.notice(notice.clone()),
+            Fact::Over => self.over(at),
+            _ => {}
+        }
+    }
+}

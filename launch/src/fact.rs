@@ -1,0 +1,37 @@
+//! The facts of a run, and what takes them.
+
+use crate::checks::Broken;
+use crate::faults::Fault;
+use crate::pipe::Word;
+use imrs_protocol::{NodeId, TaskId};
+use imrs_runtime::guard::Notice;
+
+/// Something that the launcher did or learnt. What a node reported keeps the form in which it came.
+#[derive(Debug)]
+pub enum Fact {
+    /// The nodes get their addresses: the run begins.
+    Began,
+    /// A node has reported something.
+    Said(NodeId, Word),
+    /// A fault was injected.
+    Fault(Fault),
+    /// A node is dead, and the launcher did not kill it.
+    Died(NodeId),
+    /// The pipe of a node's current incarnation has ended: it reports nothing more.
+    Gone(NodeId),
+    /// A node or a guard has reported something about the command of an action.
+    Noticed(Notice),
+    /// A check of the cell does not hold.
+    Broken(Broken),
+    /// Only tasks are left that serve for ever.
+    Idle(Vec<TaskId>),
+    /// The run is over. The nodes are stopped from now on.
+    Over,
+}
+
+/// A fold over the facts of a run: it takes each one, in the order in which the launcher learnt them, and keeps what its result
+/// needs.
+pub trait Fold {
+    /// Takes a fact of this instant, in microseconds of the clock that all processes of one machine share.
+    fn take(&mut self, at: u64, fact: &Fact);
+}

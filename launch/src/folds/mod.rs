@@ -1,0 +1,12 @@
+//! What is made of the facts of a run: each fold takes them one by one, and keeps no more than its result needs.
+
+pub mod gatherer;
+pub mod rounds;
+pub mod settled;
+pub mod spread;
+pub mod standing;
+pub mod story;
+pub mod summary;
+pub mod tally;
+pub mod timeline;
+pub mod trouble;

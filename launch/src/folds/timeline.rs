@@ -1,0 +1,241 @@
+//! The lines of a run for people: in the order of time, and no faster than they can be read.
+
+use crate::cells::Loaded;
+use crate::fact::{Fact, Fold};
+use crate::faults::Fault;
+use crate::pipe::{Figures, Word};
+use crate::script_event::Did;
+use crate::words::span;
+use imrs_protocol::{NodeId, TaskId};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Nodes report events every few milliseconds. Events this old, in microseconds, are shown: no earlier ones can still come.
+const SETTLED: u64 = 100_000;
+/// Most lines of one task that are shown within one `SPAN`.
+const PER_SPAN: u32 = 20;
+/// The interval for `PER_SPAN`, in microseconds.
+const SPAN: u64 = 1_000_000;
+
+/// Collects lines until they can be shown.
+pub struct Timeline<'a> {
+    loaded: &'a Loaded,
+    /// Whether the nodes share this process.
+    in_process: bool,
+    /// When the run began.
+    began: u64,
+    /// Lines by time, then by the order in which they were reported.
+    waiting: BTreeMap<(u64, u64), Entry>,
+    told: u64,
+    /// For each task, the span of its last line, and how many lines it has had in that span.
+    paces: Vec<(u64, u32)>,
+    /// Refusals between neighbours that have a line already.
+    refused: BTreeSet<String>,
+}
+
+/// A line that waits.
+enum Entry {
+    Did(Did),
+    Fault(String),
+    Broken(String),
+    Idle(String),
+}
+
+/// A line of a run, for people.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Line {
+    /// When, in microseconds since the run began.
+    pub at: u64,
+    /// What it tells.
+    pub what: Telling,
+}
+
+/// What a line tells.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Telling {
+    /// A script did something.
+    Did {
+        /// Its task.
+        task: TaskId,
+        /// The line in the cell file.
+        line: Option<usize>,
+        /// How many lines of the task were left out before this one.
+        left_out: u32,
+        /// What it did.
+        words: String,
+    },
+    /// Something about a fault or the nodes. There are few of these.
+    Fault(String),
+    /// Something does not hold, or nodes refuse each other. There are few of these.
+    Broken(String),
+    /// Only tasks are left that serve for ever. Told once.
+    Idle(String),
+}
+
+impl Fold for Timeline<'_> {
+    fn take(&mut self, at: u64, fact: &Fact) {
+        match fact {
+            Fact::Began => self.began = at,
+            Fact::Said(_, Word::Did(did)) => self.add(did.at, Entry::Did(did.clone())),
+            Fact::Said(node, Word::Figures(figures)) => self.refusals(at, *node, figures),
+            Fact::Said(node, Word::HeldBack(held)) => self.held_back(at, *node, held),
+            Fact::Fault(fault) => self.add(at, Entry::Fault(self.fault(*fault))),
+            Fact::Broken(broken) => self.add(broken.at, Entry::Broken(broken.words(self.loaded))),
+            Fact::Idle(left) => {
+                let names: Vec<&str> = left.iter().map(|task| self.task(*task)).collect();
+                self.add(at, Entry::Idle(format!("only servers are left: {}", names.join(", "))));
+            }
+            _ => {}
+        }
+    }
+}
+
+impl<'a> Timeline<'a> {
+    /// A run without any lines yet.
+    pub fn new(loaded: &'a Loaded, in_process: bool) -> Self {
+        Self {
+            loaded,
+            in_process,
+            began: 0,
+            waiting: BTreeMap::new(),
+            told: 0,
+            paces: vec![(0, 0); loaded.table.cell().tasks.len()],
+            refused: BTreeSet::new(),
+        }
+    }
+
+    fn add(&mut self, at: u64, entry: Entry) {
+        self.waiting.insert((at, self.told), entry);
+        self.told += 1;
+    }
+
+    /// Whether no line is pending.
+    pub fn is_empty(&self) -> bool {
+        self.waiting.is_empty()
+    }
+
+    /// Takes all lines that are older than `SETTLED` at `now`.
+    pub fn settled(&mut self, now: u64) -> Vec<Line> {
+        let later = self.waiting.split_off(&(now.saturating_sub(SETTLED), 0));
+        let settled = std::mem::replace(&mut self.waiting, later);
+        let mut lines = Vec::new();
+        for ((at, _), entry) in settled {
+            let what = match entry {
+                Entry::Did(did) => {
+                    let left_out = self.pace(&did);
+                    if left_out.is_none() && !did.what.is_rare() {
+                        continue;
+                    }
+                    let (task, line, words) = (did.task, did.line, did.what.words(&self.loaded.table));
+                    Telling::Did { task, line, left_out: left_out.unwrap_or_default(), words }
+                }
+                Entry::Fault(words) => Telling::Fault(words),
+                Entry::Broken(words) => Telling::Broken(words),
+                Entry::Idle(words) => Telling::Idle(words),
+            };
+            lines.push(Line { at: at.saturating_sub(self.began), what });
+        }
+        lines
+    }
+
+    /// If this line is shown, how many were left out before it; `None` if it is left out.
+    fn pace(&mut self, did: &Did) -> Option<u32> {
+        let span = did.at.saturating_sub(self.began) / SPAN;
+        let pace = self.paces.get_mut(did.task.index())?;
+        let left_out = if pace.0 == span { 0 } else { pace.1.saturating_sub(PER_SPAN) };
+        *pace = if pace.0 == span { (span, pace.1 + 1) } else { (span, 1) };
+        (pace.1 <= PER_SPAN).then_some(left_out)
+    }
+
+    fn name(&self, node: NodeId) -> &str {
+        &self.loaded.table.cell().nodes[node.index()].name
+    }
+
+    fn task(&self, task: TaskId) -> &str {
+        &self.loaded.table.cell().tasks[task.index()].name
+    }
+
+    fn fault(&self, fault: Fault) -> String {
+        let name = |node| self.name(node);
+        match fault {
+            Fault::Kill(node) => format!("fault: node {} is killed", name(node)),
+            Fault::Restart(node) => format!("node {} is started again", name(node)),
+            Fault::Cut(a, b) => format!("fault: nothing passes between {} and {}", name(a), name(b)),
+            Fault::Heal(a, b) => format!("{} and {} reach each other again", name(a), name(b)),
+            Fault::Pause(node) if self.in_process => {
+                format!("fault: nothing passes between {} and the others", name(node))
+            }
+            Fault::Pause(node) => format!("fault: node {} stands still", name(node)),
+            Fault::Resume(node) if self.in_process => {
+                format!("{} and the others reach each other again", name(node))
+            }
+            Fault::Resume(node) => format!("node {} goes on", name(node)),
+        }
+    }
+
+    /// Tells once of each neighbour that a node refuses.
+    fn refusals(&mut self, at: u64, node: NodeId, figures: &Figures) {
+        for refusal in &figures.refusals {
+            let words = refusal.words(self.name(node));
+            if self.refused.insert(words.clone()) {
+                self.add(at, Entry::Broken(words));
+            }
+        }
+    }
+
+    /// Tells how long each script of a restarted node is held back.
+    fn held_back(&mut self, at: u64, node: NodeId, held: &[(TaskId, u64)]) {
+        let all = self.loaded.table.tasks_on(node).count() == held.len();
+        let mut by_time: BTreeMap<u64, Vec<&str>> = BTreeMap::new();
+        for (task, time) in held {
+            by_time.entry(*time).or_default().push(self.task(*task));
+        }
+        let of = |names: &[&str]| match names {
+            _ if all && names.len() == held.len() => String::new(),
+            [name] => format!("task {name} "),
+            names => format!("tasks {} ", names.join(", ")),
+        };
+        let lines: Vec<String> = by_time
+            .iter()
+            .map(|(time, names)| {
+                let (name, of, time) = (self.name(node), of(names), span(*time));
+                format!("node {name}: {of}held back {time} more: commands of its earlier incarnation may still arrive")
+            })
+            .collect();
+        lines.into_iter().for_each(|line| self.add(at, Entry::Fault(line)));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cells::tests::beam_lift;
+    use crate::script_event::ScriptEvent;
+
+    fn did(at: u64, task: u16) -> Did {
+        Did { at, task: TaskId(task), line: Some(3), what: ScriptEvent::CutShort(format!("{at}")) }
+    }
+
+    #[test]
+    fn a_task_that_is_busy_is_shown_in_part_and_what_is_left_out_is_counted() {
+        let loaded = beam_lift();
+        let mut timeline = Timeline::new(&loaded, false);
+        let shown = (0..50).filter(|at| timeline.pace(&did(*at, 0)).is_some()).count();
+        assert_eq!(shown, usize::try_from(PER_SPAN).unwrap());
+        assert_eq!(timeline.pace(&did(7, 1)), Some(0));
+        assert_eq!(timeline.pace(&did(SPAN, 0)), Some(50 - PER_SPAN));
+        assert_eq!(timeline.pace(&did(SPAN, 0)), Some(0));
+    }
+
+    #[test]
+    fn lines_wait_until_nothing_earlier_can_come() {
+        let loaded = beam_lift();
+        let mut timeline = Timeline::new(&loaded, false);
+        for did in [did(200_000, 0), did(100_000, 1)] {
+            timeline.take(did.at, &Fact::Said(NodeId(0), Word::Did(did)));
+        }
+        let times = |lines: Vec<Line>| lines.iter().map(|line| line.at).collect::<Vec<_>>();
+        assert_eq!(times(timeline.settled(200_050)), [100_000]);
+        assert_eq!(times(timeline.settled(u64::MAX)), [200_000]);
+        assert!(timeline.is_empty());
+    }
+}

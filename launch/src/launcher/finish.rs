@@ -1,0 +1,164 @@
+//! The end of a run: stops the nodes, takes their remaining messages, and sums up.
+
+use super::{EXIT_WITHIN, Launcher};
+use crate::cells::Loaded;
+use crate::children::End;
+use crate::clock::now_us;
+use crate::fact::Fact;
+use crate::faults::Fault;
+use crate::folds::story::{Events, Story};
+use crate::folds::summary::{Outcome, Summary};
+use crate::folds::trouble::Trouble;
+use crate::pipe::Order;
+use imrs_protocol::NodeId;
+use std::sync::mpsc::RecvTimeoutError;
+use std::time::{Duration, Instant};
+
+/// Time limit for the nodes to stop.
+const STOP_WITHIN: Duration = Duration::from_secs(5);
+
+/// A run that has ended.
+pub struct Ended<'a> {
+    loaded: &'a Loaded,
+    /// Its summary.
+    pub summary: Summary,
+    /// Its trouble, beyond the summary.
+    pub trouble: Vec<Trouble>,
+    events: Option<Events>,
+}
+
+/// How a run is judged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Nothing is wrong, and everything was judged.
+    Well,
+    /// A promise was broken, or something else than the launcher killed a node.
+    Finding,
+    /// Without a finding, some evidence is missing.
+    Incomplete,
+    /// This program is at fault.
+    Fault,
+}
+
+impl Ended<'_> {
+    /// Puts an explanation of the run into its summary, if its events were kept for one.
+    pub fn explain(&mut self, explain: impl FnOnce(&Story<'_>) -> Outcome) {
+        let story = self.events.take().map(|events| events.story(self.loaded, &self.summary));
+        self.summary.outcome = story.map(|story| explain(&story));
+    }
+
+    /// Broken promises are a finding, and so is a node that something else killed. The effects of injected faults are not.
+    #[must_use]
+    pub fn verdict(&self) -> Verdict {
+        let summary = &self.summary;
+        let false_release = summary.rendezvous.iter().any(|r| r.false_releases.is_some_and(|n| n > 0));
+        let broken = summary.outcome.as_ref().is_some_and(|outcome| outcome.held == Some(false))
+            || summary.checks.is_broken();
+        if self.trouble.iter().any(|trouble| trouble.at_fault) {
+            Verdict::Fault
+        } else if false_release || broken || !self.trouble.is_empty() {
+            Verdict::Finding
+        } else if summary.incomplete.is_empty() {
+            Verdict::Well
+        } else {
+            Verdict::Incomplete
+        }
+    }
+}
+
+impl<'a> Launcher<'a> {
+    /// Stops the nodes, takes their remaining messages, and sums up.
+    #[must_use]
+    pub fn finish(mut self) -> Ended<'a> {
+        let seconds = self.elapsed().as_secs_f64();
+        self.log.note(now_us(), &Fact::Over);
+        let ends = self.stop();
+        self.hear_of_commands();
+        for node in self.children.nodes() {
+            self.log.judge.gone(node);
+        }
+        self.log.judge.settle();
+        let Self { run, cell, log, .. } = self;
+        let exits: Vec<(NodeId, String)> = ends.iter().map(|(node, end)| (*node, end.to_string())).collect();
+        let mut summary = log.gatherer.summary(seconds, run.seed, run.loss, &exits);
+        summary.rt = run.rt && !run.rt_refused;
+        summary.checks = log.judge.settlement(log.began);
+        summary.incomplete.extend(summary.checks.unjudged());
+        if log.judge.is_missing() && summary.incomplete.is_empty() {
+            summary
+                .incomplete
+                .push("changes that checks look at came faster than they could be judged".into());
+        }
+        let mut trouble = log.trouble.found();
+        trouble.extend(ends.iter().filter_map(|(node, end)| {
+            let what = format!("node `{}`: {end}", cell.nodes[node.index()].name);
+            Some(Trouble { at_fault: end.at_fault()?, what })
+        }));
+        let refusals = summary
+            .nodes
+            .iter()
+            .flat_map(|node| node.refusals.iter().map(|refusal| refusal.words(&node.name)));
+        let outside = refusals.chain(summary.checks.complaints());
+        trouble.extend(outside.map(|what| Trouble { at_fault: false, what }));
+        Ended { loaded: run.loaded, summary, trouble, events: log.events }
+    }
+
+    /// Stops the nodes. Returns how each ended.
+    fn stop(&mut self) -> Vec<(NodeId, End)> {
+        // A process that is stopped by SIGSTOP cannot read the order.
+        for (_, fault) in std::mem::take(&mut self.faults) {
+            if let Fault::Resume(node) = fault {
+                self.children.stand_still(node, false);
+            }
+        }
+        self.children.order_all(&Order::Stop);
+        let interrupts = self.interrupts.count();
+        let mut deadline = Instant::now() + STOP_WITHIN;
+        while !self.log.standing.is_gone() {
+            if self.interrupts.count() > interrupts {
+                deadline = Instant::now();
+                break;
+            }
+            match self.messages.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
+                Ok(message) => self.take(message),
+                Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => break,
+            }
+        }
+        self.children.wait(deadline.saturating_duration_since(Instant::now()) + EXIT_WITHIN)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cells::tests::beam_lift;
+    use crate::fact::Fold;
+    use crate::folds::gatherer::Gatherer;
+    use crate::pipe::{Figures, Word};
+    use std::sync::Arc;
+
+    #[test]
+    fn a_node_that_could_not_tell_everything_leaves_the_verdict_open() {
+        let loaded = beam_lift();
+        let mut gatherer = Gatherer::new(Arc::clone(&loaded.table), [0, 1, 2].map(NodeId).to_vec());
+        let ended = |gatherer: &Gatherer, trouble: &[Trouble]| Ended {
+            loaded: &loaded,
+            summary: gatherer.summary(1.0, 7, 0.0, &[]),
+            trouble: trouble.to_vec(),
+            events: None,
+        };
+        assert_eq!(ended(&gatherer, &[]).verdict(), Verdict::Well);
+        let figures = |node, figures| Fact::Said(NodeId(node), Word::Figures(Box::new(figures)));
+        gatherer.take(1, &figures(0, Figures { untold: 3, ..Figures::default() }));
+        let open = ended(&gatherer, &[]);
+        assert_eq!(open.summary.incomplete, ["node nl could not report 3 happenings: too many at once"]);
+        assert_eq!(open.verdict(), Verdict::Incomplete);
+        // A finding outranks missing evidence.
+        let trouble = Trouble { at_fault: false, what: "a task failed".into() };
+        assert_eq!(ended(&gatherer, &[trouble]).verdict(), Verdict::Finding);
+        let unrecorded = vec!["the recording run.nr.imrs misses 2 inputs".to_owned()];
+        gatherer.take(2, &figures(0, Figures::default()));
+        gatherer.take(3, &figures(1, Figures { unrecorded: unrecorded.clone(), ..Figures::default() }));
+        assert_eq!(ended(&gatherer, &[]).summary.incomplete, unrecorded);
+    }
+}

@@ -1,0 +1,55 @@
+//! Runs a cell: one process per node over loopback UDP, or all nodes in one process.
+//!
+//! The launcher starts this executable again for every node and collects the addresses of their sockets over pipes. It then
+//! distributes the address book, injects the faults on time, and takes what the nodes report. It is not part of the cell:
+//! no message between nodes passes through it.
+//!
+//! Every fact of a run passes once through the event log to its folds: the summary with the tallies of the rounds, the judge of
+//! the checks, the lines for people, the story for an explanation, the tasks that still run and the trouble.
+//!
+//! ```text
+//!   node processes --> Word --.
+//!   faults, deaths, notices --+--> Fact --> event log --> folds --> Launcher::lines while it runs, Ended at its end
+//! ```
+//!
+//! This crate prints nothing and knows no command line: the command `imrs` asks it for lines and results ([`Launcher`]), and
+//! gives it the few things that a node needs of its program ([`Host`]).
+#![forbid(unsafe_code)]
+
+pub mod cells;
+pub mod checks;
+mod children;
+mod clock;
+mod error;
+mod event_log;
+mod fact;
+mod faults;
+mod folds;
+mod host;
+mod launcher;
+mod node;
+mod noticed;
+mod pipe;
+mod run;
+pub mod script_event;
+mod setups;
+mod signals;
+pub mod words;
+
+pub use error::LaunchError;
+pub use faults::Fault;
+pub use folds::rounds::Rounds;
+pub use folds::spread::Spread;
+pub use folds::story::Story;
+pub use folds::summary::{
+    AfterKill, NodeSummary, Outcome, PortSummary, RendezvousSummary, Summary, TaskSummary,
+};
+pub use folds::timeline::{Line, Telling};
+pub use folds::trouble::Trouble;
+pub use host::Host;
+pub use launcher::{Ended, Launcher, StartedNode, Verdict};
+pub use node::{NodeError, rt, run_process as run_node};
+pub use pipe::{Outcomes, RefusalFigures};
+pub use run::{Moment, Run};
+pub use setups::record_file;
+pub use signals::Interrupts;

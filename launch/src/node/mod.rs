@@ -1,0 +1,399 @@
+//! Runs one node of a cell under the orders of its launcher, in a process or a thread of its own.
+
+pub mod error;
+mod message_queue;
+mod recorder;
+mod reports;
+pub mod rt;
+mod scripted;
+mod way;
+
+pub use error::NodeError;
+
+use crate::cells::{self, Loaded};
+use crate::host::Host;
+use crate::pipe::{Order, Setup, Word, hear};
+use imrs_client::incarnation;
+use imrs_protocol::{Incarnation, NodeId, NodeTable};
+use imrs_runtime::guard::{GuardProgram, Notices};
+use imrs_runtime::link::faulty::FaultyLink;
+use imrs_runtime::link::in_process::Network;
+use imrs_runtime::link::udp::{UdpLink, UdpOptions};
+use imrs_runtime::observer::{AddressBook, Observer, Place, Showing};
+use imrs_runtime::script::{Actions, Commands, Give, Simulated};
+use imrs_runtime::{Builder, Observations, Runtime};
+use imrs_wire::obs::RealTime;
+use message_queue::MessageQueue;
+use recorder::NodeRecording;
+use rustix::process::{Signal, set_parent_process_death_signal};
+use scripted::Narrator;
+use std::collections::BTreeMap;
+use std::io::{self, BufRead, BufReader, Write};
+use std::net::{Ipv4Addr, SocketAddr};
+use std::sync::Arc;
+use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
+use std::thread;
+use std::time::{Duration, Instant};
+use way::Way;
+
+/// How often the node reports events to the launcher.
+const TELL_EVERY: Duration = Duration::from_millis(20);
+/// How often the node reports its counters. The counters of a killed node are at most this old.
+const COUNT_EVERY: Duration = Duration::from_millis(200);
+/// How often a neighbour that does not answer is greeted again: with each report of the counters, for two seconds.
+const GREETINGS: u32 = 10;
+/// How long the tasks have to end when the node stops.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+type FaultyWay = FaultyLink<Way>;
+/// The pipe to the launcher.
+type Words = Box<dyn Write + Send>;
+
+struct Process {
+    table: NodeTable,
+    link: Arc<FaultyWay>,
+    /// The lock on the node's stored incarnation, if the node runs on its own.
+    _state: Option<incarnation::State>,
+    /// How many more times silent neighbours are greeted.
+    greetings: u32,
+    /// None once it has been stopped.
+    runtime: Option<Runtime>,
+    node: Arc<imrs_runtime::Node>,
+    /// Monitors are served until these two are dropped. A node also runs without the first one, at the Unix socket.
+    _observer: Option<Observer>,
+    over_tcp: Option<Observer>,
+    /// The TCP addresses at which the other nodes serve monitors.
+    observed_at: AddressBook,
+    observations: Observations,
+    recording: Option<NodeRecording>,
+    /// Collects the events of the scripts.
+    narrator: Arc<Narrator>,
+    untold: u64,
+    /// What the recording lacks, known once it has ended.
+    unrecorded: Option<String>,
+    /// Whether the address book has come. The scripts then begin, unless they are held back.
+    has_book: bool,
+    /// When the next held-back script begins.
+    begins: Option<Instant>,
+    out: MessageQueue,
+}
+
+/// Runs the node that standard input describes until the launcher orders a stop, or exits.
+///
+/// # Errors
+/// [`NodeError`].
+pub fn run_process(host: &'static dyn Host) -> Result<(), NodeError> {
+    // A killed launcher cannot stop its nodes, so the kernel kills them. If this call fails, the end of the pipe stops them.
+    let _ = set_parent_process_death_signal(Some(Signal::KILL));
+    run(host, BufReader::new(io::stdin()), Box::new(io::stdout()), None)
+}
+
+/// Runs the node that `input` describes until the launcher orders a stop, or exits. If several nodes share this process,
+/// `network` joins them.
+///
+/// # Errors
+/// [`NodeError`].
+pub fn run(
+    host: &'static dyn Host,
+    mut input: impl BufRead + Send + 'static,
+    out: Words,
+    network: Option<&Arc<Network>>,
+) -> Result<(), NodeError> {
+    let Some(setup) = hear::<Setup>(&mut input)? else { return Ok(()) };
+    let (orders, ordered) = mpsc::channel();
+    let mut node = Process::start(host, &setup, out, network)?;
+    let address = node.link.inner().udp().map(UdpLink::local_address);
+    let observe = node.over_tcp.as_ref().and_then(|observer| match observer.place() {
+        Place::Tcp(address) => Some(*address),
+        Place::Unix(_) => None,
+    });
+    node.out.say(Word::Bound { address, observe })?;
+    thread::Builder::new().name("imrs orders".into()).spawn(move || listen(input, &orders))?;
+    match node.serve(&ordered)? {
+        Leave::InOrder => node.end(),
+        Leave::AtOnce => {
+            node.die();
+            Ok(())
+        }
+    }
+}
+
+/// How a node ends its run.
+enum Leave {
+    InOrder,
+    AtOnce,
+}
+
+/// Reads the launcher's orders until the pipe ends.
+fn listen(mut input: impl BufRead, orders: &Sender<Order>) {
+    while let Ok(Some(order)) = hear(&mut input) {
+        if orders.send(order).is_err() {
+            return;
+        }
+    }
+}
+
+impl Process {
+    fn start(
+        host: &'static dyn Host,
+        setup: &Setup,
+        out: Words,
+        network: Option<&Arc<Network>>,
+    ) -> Result<Self, NodeError> {
+        let loaded = cells::load(&setup.cell).map_err(|error| NodeError::Setup(error.to_string()))?;
+        let (cell, loaded) = (Arc::clone(&loaded.table), Arc::new(loaded));
+        let id = cell.cell().nodes.iter().position(|n| n.name == setup.node).map(NodeId::from_index);
+        let id = id.ok_or_else(|| NodeError::Setup(format!("the node `{}`", setup.node)))?;
+        let table = NodeTable::new(Arc::clone(&cell), id);
+        // Set before any other thread of the node starts: threads inherit the scheduling.
+        let real_time = if setup.rt { rt::begin(id.index()) } else { RealTime::NotAsked };
+        if network.is_none() {
+            // A slow reader of standard error must not block the node. For nodes in its own process the launcher has done this.
+            rt::behind(|| host.complain_aside())?;
+        }
+
+        let setup = &mut setup.clone();
+        let (link, state) = joined(host, setup, network, &loaded, &table)?;
+        let narrator = Arc::new(Narrator::new(Arc::clone(&loaded)));
+        let builder = Runtime::builder(Arc::clone(&cell), id)
+            .incarnation(Incarnation(setup.incarnation), setup.restarted)
+            .insecure(true)
+            .real_time(real_time)
+            .link(Arc::clone(&link) as Arc<dyn imrs_runtime::link::Link>)
+            .actions(actions(host, setup, &loaded)?)
+            .watch(Arc::clone(&narrator) as Arc<dyn imrs_runtime::script::Watch>)
+            .seed(setup.seed)
+            .hold_scripts();
+        let mut builder = with_scripts(builder, &loaded, id)?;
+        let recording = match &setup.record {
+            // The recorder's thread runs below the tasks, like the observer's.
+            Some(path) => Some(rt::behind(|| NodeRecording::start(host, path, setup, &loaded, &table))?),
+            None => None,
+        };
+        if let Some(recording) = &recording {
+            builder = builder.recorder(recording.recorder());
+        }
+        let runtime = builder.start()?;
+        let node = Arc::clone(runtime.node());
+        let observations = node.observe();
+        let observed_at = AddressBook::default();
+        let mut showing = Showing::new(Arc::clone(&node)).book(observed_at.clone());
+        if let (Some(recording), Some(path)) = (&recording, &setup.record) {
+            showing = showing.recording(recording.watch(path));
+        }
+        let (_observer, over_tcp) = observers(host, setup, showing)?;
+        Ok(Self {
+            table,
+            link,
+            _state: state,
+            greetings: 0,
+            runtime: Some(runtime),
+            node,
+            _observer,
+            over_tcp,
+            observed_at,
+            observations,
+            recording,
+            narrator,
+            untold: 0,
+            unrecorded: None,
+            has_book: false,
+            begins: None,
+            out: rt::behind(move || MessageQueue::start(out))?,
+        })
+    }
+
+    /// Carries out the launcher's orders, and reports events and counters.
+    fn serve(&mut self, orders: &Receiver<Order>) -> Result<Leave, NodeError> {
+        let mut counted = Instant::now();
+        let mut tell_at = Instant::now() + TELL_EVERY;
+        loop {
+            let wake = self.begins.map_or(tell_at, |begins| begins.min(tell_at));
+            let order = orders.recv_timeout(wake.saturating_duration_since(Instant::now()));
+            if self.begins.is_some_and(|begins| begins <= Instant::now()) {
+                self.begins = self.runtime.as_ref().and_then(Runtime::begin);
+            }
+            match order {
+                Ok(Order::Book(book)) => self.begin(&book)?,
+                Ok(Order::Observed(places)) => self.observed(&places),
+                Ok(Order::Cut(name)) => self.set_cut(&name, true),
+                Ok(Order::Heal(name)) => self.set_cut(&name, false),
+                Ok(Order::Stop) | Err(RecvTimeoutError::Disconnected) => return Ok(Leave::InOrder),
+                Ok(Order::Die) => return Ok(Leave::AtOnce),
+                Err(RecvTimeoutError::Timeout) if tell_at > Instant::now() => {}
+                Err(RecvTimeoutError::Timeout) => {
+                    tell_at = Instant::now() + TELL_EVERY;
+                    // A stopped launcher must not block the node. While its queue is full, events stay in bounded buffers,
+                    // which count what they drop.
+                    if !self.out.has_room() {
+                        continue;
+                    }
+                    self.tell()?;
+                    if counted.elapsed() >= COUNT_EVERY {
+                        counted = Instant::now();
+                        self.count()?;
+                        self.greet();
+                    }
+                }
+            }
+        }
+    }
+
+    fn begin(&mut self, book: &BTreeMap<String, SocketAddr>) -> Result<(), NodeError> {
+        for (name, &address) in book {
+            if let Some(node) = self.node_named(name).filter(|&node| node != self.table.node) {
+                // A node without a link to this one needs no address here, so that error is ignored.
+                let _ = self.link.inner().udp().map(|udp| udp.set_address(node, Some(address)));
+            }
+        }
+        self.greetings = GREETINGS;
+        self.greet();
+        if !std::mem::replace(&mut self.has_book, true) {
+            self.begins = self.runtime.as_ref().and_then(Runtime::begin);
+            let held = self.node.held_back().tasks;
+            if !held.is_empty() {
+                let held = held.into_iter().map(|held| (held.task, held.remaining.0)).collect();
+                self.out.say(Word::HeldBack(held))?;
+            }
+        }
+        Ok(self.out.say(Word::Started)?)
+    }
+
+    /// Greets the neighbours that have not been heard yet, so that both sides learn early whether they can communicate.
+    fn greet(&mut self) {
+        if self.greetings > 0 {
+            self.greetings -= 1;
+            self.link.inner().udp().map(UdpLink::greet);
+        }
+    }
+
+    /// Stores the TCP addresses of the other nodes' observers, for monitors.
+    fn observed(&self, places: &BTreeMap<String, SocketAddr>) {
+        for (name, &address) in places {
+            if let Some(node) = self.node_named(name).filter(|&node| node != self.table.node) {
+                self.observed_at.put(node, address);
+            }
+        }
+    }
+
+    fn set_cut(&self, name: &str, cut: bool) {
+        if let Some(node) = self.node_named(name) {
+            self.link.set_cut(node, cut);
+        }
+    }
+
+    fn node_named(&self, name: &str) -> Option<NodeId> {
+        self.table.cell().nodes.iter().position(|n| n.name == name).map(NodeId::from_index)
+    }
+
+    /// Stops as after a power cut: all links are cut first, so that nothing more leaves the node.
+    fn die(mut self) {
+        for neighbour in self.table.neighbours(self.table.node) {
+            self.link.set_cut(neighbour, true);
+        }
+        drop(self.runtime.take().map(|runtime| runtime.stop(PATIENCE)));
+    }
+
+    /// Stops the tasks, reports all remaining events, and ends the recording.
+    fn end(mut self) -> Result<(), NodeError> {
+        // The ends of scripts have been reported already, so the returned ends are not needed.
+        drop(self.runtime.take().map(|runtime| runtime.stop(PATIENCE)));
+        self.tell()?;
+        self.count()?;
+        // The counters above reach the launcher even if the disk takes longer than the launcher waits.
+        self.unrecorded = self.recording.take().and_then(|recording| recording.stop(PATIENCE));
+        if self.unrecorded.is_some() {
+            self.count()?;
+        }
+        self.out.say(Word::Done)?;
+        Ok(self.out.end()?)
+    }
+}
+
+/// The link of a node to its neighbours, and the lock on its stored incarnation if it runs on its own.
+fn joined(
+    host: &'static dyn Host,
+    setup: &mut Setup,
+    network: Option<&Arc<Network>>,
+    loaded: &Loaded,
+    table: &NodeTable,
+) -> Result<(Arc<FaultyWay>, Option<incarnation::State>), NodeError> {
+    let (way, state) = match network {
+        Some(network) => {
+            let joined = network.join(table.node, Incarnation(setup.incarnation), setup.restarted);
+            (Way::InProcess(joined), None)
+        }
+        None => {
+            let (link, state) = socket(host, setup, loaded, table)?;
+            (Way::Udp(Box::new(link)), state)
+        }
+    };
+    // Each node seeds its losses differently, so that no two links lose the same datagrams.
+    let link = Arc::new(FaultyLink::new(way, setup.seed.wrapping_add(u64::from(table.node.0))));
+    link.set_loss(setup.loss);
+    Ok((link, state))
+}
+
+/// Adds the scripts of the node's tasks.
+fn with_scripts(mut builder: Builder, loaded: &Loaded, node: NodeId) -> Result<Builder, NodeError> {
+    for task in loaded.table.tasks_on(node) {
+        let name = &loaded.table.cell().tasks[task.index()].name;
+        let program = loaded.program(task);
+        let program = program.ok_or_else(|| NodeError::Setup(format!("the extern task `{name}`")))?;
+        builder = builder.script(name, Arc::clone(program));
+    }
+    Ok(builder)
+}
+
+/// Serves monitors at the Unix socket, without which the node runs as well, and over TCP if that is asked for.
+fn observers(
+    host: &'static dyn Host,
+    setup: &Setup,
+    showing: Showing,
+) -> Result<(Option<Observer>, Option<Observer>), NodeError> {
+    let showing = showing.token(setup.observe_token.clone());
+    let (observer, over_tcp) = rt::behind(|| {
+        let over_tcp = setup.observe.map(|address| showing.clone().start_tcp(address));
+        (showing.start(), over_tcp)
+    });
+    if let Err(error) = &observer {
+        host.complain(&format_args!("node {} runs, but no monitor can see it: {error}", setup.node));
+    }
+    Ok((observer.ok(), over_tcp.transpose()?))
+}
+
+/// Binds the socket of a node. A node that runs on its own also counts its incarnation.
+fn socket(
+    host: &'static dyn Host,
+    setup: &mut Setup,
+    loaded: &Loaded,
+    table: &NodeTable,
+) -> Result<(UdpLink, Option<incarnation::State>), NodeError> {
+    let address = setup.bind.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
+    if !setup.counts {
+        let statements = loaded.all_statements();
+        let options =
+            UdpOptions { statements, ..UdpOptions::new(Incarnation(setup.incarnation), setup.restarted) };
+        return Ok((UdpLink::bind(table.clone(), address, options)?, None));
+    }
+    let (link, counted) = incarnation::bind::<NodeError>(loaded, table.node, address)?;
+    counted.notice.iter().for_each(|notice| host.complain(notice));
+    (setup.incarnation, setup.restarted) = (counted.incarnation.0, counted.restarted);
+    Ok((link, Some(counted.state)))
+}
+
+/// The executor of the scripts' actions: commands where they are given, simulation otherwise.
+fn actions(host: &'static dyn Host, setup: &Setup, loaded: &Loaded) -> Result<Arc<dyn Actions>, NodeError> {
+    let results = loaded.results();
+    let reals = results.iter().filter(|result| matches!(result.give, Give::Real(..)));
+    let reals: Vec<String> = reals.map(|result| result.name.clone()).collect();
+    let simulated = Simulated::start(setup.seed, results, setup.ramps.clone())?;
+    let commands = Commands::new(setup.actions.clone(), simulated).guard(GuardProgram::This);
+    let mut commands = commands.cores(rt::cores()).reals(reals);
+    if let Some(path) = &setup.notices {
+        let of = format!("{}-{}", setup.node, setup.incarnation);
+        commands = commands.notices(Notices::open(path)?, &of);
+    }
+    let failed = |action: &str, error: &_| host.complain(&format_args!("action `{action}`: {error}"));
+    Ok(Arc::new(commands.tell(failed)))
+}

@@ -1,0 +1,299 @@
+//! The messages between the launcher and its nodes: one JSON document per line, over pipes.
+
+use crate::cells::Source;
+use crate::checks::Change;
+use crate::script_event::Did;
+use imrs_protocol::{PortCounters, PortId, Round, TaskId};
+use imrs_runtime::script::Ramp;
+use imrs_wire::obs::Token;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::io::{self, BufRead, Write};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+/// The first line to a node: its identity and how it runs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Setup {
+    /// The cell.
+    pub cell: Source,
+    /// The name of the node.
+    pub node: String,
+    /// The incarnation that starts.
+    pub incarnation: u8,
+    /// Whether an earlier incarnation may have taken requests (D49).
+    pub restarted: bool,
+    /// Whether the node counts its incarnations itself, because it is the only one that this launcher runs.
+    pub counts: bool,
+    /// The address of its socket; none: any free port of the loopback.
+    pub bind: Option<SocketAddr>,
+    /// The TCP address at which it serves monitors.
+    pub observe: Option<SocketAddr>,
+    /// The token that monitors must present there.
+    pub observe_token: Option<Token>,
+    /// Whether it runs under the real-time scheduler.
+    pub rt: bool,
+    /// The seed of the injected losses and of the durations of simulated actions.
+    pub seed: u64,
+    /// The share of outgoing datagrams that the node drops on purpose.
+    pub loss: f64,
+    /// The file in which the inputs of the node's communication tasks are recorded.
+    pub record: Option<PathBuf>,
+    /// Whether that file may replace an existing one.
+    pub force: bool,
+    /// The command to execute for each action.
+    pub actions: BTreeMap<String, Vec<String>>,
+    /// The pipe for notices to the launcher about commands, if there are any.
+    pub notices: Option<PathBuf>,
+    /// How results of simulated actions change with time.
+    pub ramps: Vec<Ramp>,
+}
+
+/// Every later line to a node. When the pipe ends, the launcher has exited, and the node stops.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Order {
+    /// The addresses of nodes by name. The first book starts the node; a later one holds changed addresses.
+    Book(BTreeMap<String, SocketAddr>),
+    /// The TCP addresses at which nodes serve monitors, by node name.
+    Observed(BTreeMap<String, SocketAddr>),
+    /// Stop sending to this node.
+    Cut(String),
+    /// Send to this node again.
+    Heal(String),
+    /// Stop in order, and report the final counters.
+    Stop,
+    /// Stop as after a power cut. Only for a node that shares its process with others.
+    Die,
+}
+
+/// A line from a node.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Word {
+    /// The node has bound its link.
+    Bound {
+        /// The address of its socket, if it has one.
+        address: Option<SocketAddr>,
+        /// The TCP address at which it serves monitors.
+        observe: Option<SocketAddr>,
+    },
+    /// The node was restarted: the scripts of these tasks are held back for so many microseconds.
+    HeldBack(Vec<(TaskId, u64)>),
+    /// The node's tasks run.
+    Started,
+    /// Something happened at a waitfor.
+    Event(Event),
+    /// The node's counters since its start.
+    Figures(Box<Figures>),
+    /// A script did something that the event log shows.
+    Did(Did),
+    /// A script ended by itself.
+    TaskEnded {
+        /// Its task.
+        task: TaskId,
+        /// How it ended, for people.
+        how: String,
+        /// How that counts for the verdict.
+        sort: EndSort,
+    },
+    /// Values of a task that checks read have changed.
+    Stands(Change),
+    /// Everything before this instant has been reported. Microseconds of the clock that all processes share.
+    Told(u64),
+    /// The node dropped script events, because the launcher did not read its pipe fast enough.
+    Untold {
+        /// When the first dropped event happened, in microseconds of the clock that all processes share.
+        since: u64,
+    },
+    /// The last message: everything has been reported.
+    Done,
+}
+
+/// How the end of a script counts for the verdict.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EndSort {
+    /// It finished, or lost its lease.
+    Well,
+    /// It aborted.
+    Aborted,
+    /// An assertion failed, or a statement could not be executed.
+    Failed,
+}
+
+/// Something that happened at a waitfor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Event {
+    /// When, in microseconds of the boot-time clock that all processes of one machine share.
+    pub at: u64,
+    /// The task.
+    pub task: TaskId,
+    /// The port of the waitfor.
+    pub port: PortId,
+    /// The round.
+    pub round: Round,
+    /// What happened.
+    pub what: What,
+}
+
+/// What happened at a waitfor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum What {
+    /// The task's arrival in this round was announced.
+    Announced,
+    /// All have arrived: the task runs on.
+    Released,
+    /// The task's time_out ended before all had arrived.
+    GaveUp {
+        /// Time waited, in microseconds.
+        waited: u64,
+        /// Bit `i`: party `i` of the port (owner first) had not arrived.
+        missing: u64,
+    },
+}
+
+/// Counters of a node since its start.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Figures {
+    /// Counters of each port of each task.
+    pub ports: Vec<(TaskId, PortId, PortCounters)>,
+    /// How the class-2 messages of its tasks ended.
+    pub outcomes: Outcomes,
+    /// Packets and messages that its state machines dropped, by reason.
+    pub discards: BTreeMap<String, u64>,
+    /// Packets that its link dropped, by reason.
+    pub link_discards: BTreeMap<String, u64>,
+    /// Other counters of its link.
+    pub link: BTreeMap<String, u64>,
+    /// Packets that left through its transit buffer: its own, and those that it relayed.
+    pub forwarded: u64,
+    /// Packets that its link lost on purpose.
+    pub lost_on_purpose: u64,
+    /// Packets that its link dropped because of a cut.
+    pub cut_off: u64,
+    /// The neighbours that it refuses, because their cells differ.
+    pub refusals: Vec<RefusalFigures>,
+    /// How many events were not reported: they came too fast, or the launcher did not read its pipe fast enough.
+    pub untold: u64,
+    /// What its recording lacks, for people.
+    pub unrecorded: Vec<String>,
+}
+
+/// A neighbour whose cell differs, so that the two nodes do not communicate. Digests are hexadecimal.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RefusalFigures {
+    /// The neighbour.
+    pub neighbour: String,
+    /// `other_cell` or `other_statements`.
+    pub reason: String,
+    /// This node's digest, which differs.
+    pub ours: String,
+    /// The neighbour's digest.
+    pub theirs: String,
+}
+
+impl RefusalFigures {
+    /// The message for people.
+    pub fn words(&self, node: &str) -> String {
+        let Self { neighbour, reason, ours, theirs } = self;
+        let what = if reason == "other_cell" { "declarations" } else { "statements" };
+        format!(
+            "node {node} and node {neighbour} do not talk: their {what} differ (digest {ours} here, {theirs} there); run the same cell file on both"
+        )
+    }
+}
+
+/// How class-2 messages ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Outcomes {
+    /// Answered.
+    pub replies: u64,
+    /// Refused, because there was no space.
+    pub refused: u64,
+    /// Timed out before any copy left.
+    pub timed_out_unsent: u64,
+    /// Timed out after a copy left: they may have run.
+    pub timed_out_unknown: u64,
+    /// The peer restarted before the answer: they may have run.
+    pub peer_restarted: u64,
+}
+
+impl std::ops::AddAssign for Outcomes {
+    fn add_assign(&mut self, other: Self) {
+        self.replies += other.replies;
+        self.refused += other.refused;
+        self.timed_out_unsent += other.timed_out_unsent;
+        self.timed_out_unknown += other.timed_out_unknown;
+        self.peer_restarted += other.peer_restarted;
+    }
+}
+
+impl Figures {
+    /// Adds the counters of another incarnation of the node.
+    pub fn add(&mut self, other: &Self) {
+        self.ports.extend_from_slice(&other.ports);
+        self.outcomes += other.outcomes;
+        let maps = [
+            (&mut self.discards, &other.discards),
+            (&mut self.link_discards, &other.link_discards),
+            (&mut self.link, &other.link),
+        ];
+        for (sum, more) in maps {
+            for (name, count) in more {
+                *sum.entry(name.clone()).or_default() += count;
+            }
+        }
+        self.forwarded += other.forwarded;
+        self.lost_on_purpose += other.lost_on_purpose;
+        self.cut_off += other.cut_off;
+        self.untold += other.untold;
+        self.unrecorded.extend_from_slice(&other.unrecorded);
+        self.refusals.clone_from(&other.refusals);
+    }
+}
+
+/// Writes a value as one line.
+///
+/// # Errors
+/// The pipe failed: most likely the other process has exited.
+pub fn say(pipe: &mut impl Write, line: &impl Serialize) -> io::Result<()> {
+    let mut text = serde_json::to_vec(line)?;
+    text.push(b'\n');
+    pipe.write_all(&text)?;
+    pipe.flush()
+}
+
+/// Reads one line; `None` at the end of the pipe. An unfinished last line comes from a killed process, and counts as the end.
+///
+/// # Errors
+/// The pipe failed, or the line does not parse.
+pub fn hear<T: for<'de> Deserialize<'de>>(pipe: &mut impl BufRead) -> io::Result<Option<T>> {
+    let mut text = String::new();
+    pipe.read_line(&mut text)?;
+    if !text.ends_with('\n') {
+        return Ok(None);
+    }
+    Ok(Some(serde_json::from_str(&text)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_that_a_killed_process_left_unfinished_is_the_end() {
+        let mut pipe = Vec::new();
+        let event = Event { at: 7, task: TaskId(1), port: PortId(0), round: Round(3), what: What::Released };
+        say(&mut pipe, &Word::Event(event)).unwrap();
+        let whole = pipe.len();
+        say(&mut pipe, &Word::Started).unwrap();
+        for cut in whole..pipe.len() - 1 {
+            let mut reader = &pipe[..cut];
+            assert_eq!(hear(&mut reader).unwrap(), Some(Word::Event(event)));
+            assert_eq!(hear::<Word>(&mut reader).unwrap(), None);
+        }
+        assert!(hear::<Word>(&mut &b"garbage\n"[..]).is_err());
+    }
+}

@@ -1,0 +1,71 @@
+//! The description of a run: which cell, which nodes, how long, and with what.
+
+use crate::cells::{Loaded, Source};
+use crate::faults::Fault;
+use imrs_protocol::{NodeId, TaskId};
+use imrs_runtime::script::Ramp;
+use imrs_wire::obs::Token;
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// A cell that is run, and how.
+pub struct Run<'a> {
+    /// The text of the cell.
+    pub source: Source,
+    /// The cell.
+    pub loaded: &'a Loaded,
+    /// How long it runs; none: without end.
+    pub length: Option<Duration>,
+    /// Whether the run ends when only tasks are left that serve for ever.
+    pub until_idle: bool,
+    /// The only node that runs here; none: all nodes.
+    pub only: Option<NodeId>,
+    /// Whether all nodes run in this process, joined without sockets.
+    pub in_process: bool,
+    /// The command to execute for each action.
+    pub actions: BTreeMap<String, Vec<String>>,
+    /// How results of simulated actions change with time.
+    pub ramps: Vec<Ramp>,
+    /// The TCP address at which the first node serves monitors; the others take the next ports.
+    pub observe: Option<SocketAddr>,
+    /// The token that monitors must present there.
+    pub observe_token: Option<Token>,
+    /// Whether the nodes are to run under the real-time scheduler.
+    pub rt: bool,
+    /// Whether the kernel refuses a part of that ([`rt::refused`](crate::rt::refused)).
+    pub rt_refused: bool,
+    /// Seeds the lost packets and the lengths of the tasks' work.
+    pub seed: u64,
+    /// The share of datagrams that are dropped on purpose.
+    pub loss: f64,
+    /// The faults, by time since the start.
+    pub faults: Vec<(Duration, Fault)>,
+    /// A fault that waits for an action.
+    pub moment: Option<Moment>,
+    /// The file beside which each node writes its recording.
+    pub record: Option<PathBuf>,
+    /// Whether a recording may replace an existing file.
+    pub force: bool,
+    /// Whether lines for people are kept ([`Launcher::lines`](crate::Launcher::lines)).
+    pub has_lines: bool,
+    /// Whether the run gets an explanation: events are kept for its [`Story`](crate::Story), and it judges the tasks that abort
+    /// after a fault.
+    pub is_explained: bool,
+}
+
+/// A fault that is injected when a task has begun an action for the given time.
+#[derive(Clone, Debug)]
+pub struct Moment {
+    /// The task that begins the action.
+    pub task: TaskId,
+    /// The name of the task's action, as after `run`.
+    pub action: String,
+    /// Which beginning of the action, counted from 1.
+    pub time: usize,
+    /// The delay from that beginning to the fault.
+    pub after: Duration,
+    /// The fault and its end, by the time since the fault.
+    pub faults: Vec<(Duration, Fault)>,
+}

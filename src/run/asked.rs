@@ -1,0 +1,156 @@
+//! A run as the command line or a demo asks for it, with the names of the cell.
+
+use crate::args::{Format, LaunchArgs};
+use crate::failure::Failure;
+use crate::faults::{FaultError, Wanted, here, node, schedule};
+use imrs_launch::cells::{Loaded, Source};
+use imrs_launch::{Fault, Outcome, Run, Story};
+use imrs_protocol::{Cell, NodeId, TaskId};
+use imrs_runtime::script::Ramp;
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// A cell that is to be run, and how.
+pub struct Asked<'a> {
+    /// The text of the cell.
+    pub source: Source,
+    /// The cell.
+    pub loaded: &'a Loaded,
+    /// The options of the command line.
+    pub args: &'a LaunchArgs,
+    /// How long it runs; none: without end.
+    pub length: Option<Duration>,
+    /// The command to execute for each action.
+    pub actions: BTreeMap<String, Vec<String>>,
+    /// How results of simulated actions change with time.
+    pub ramps: Vec<Ramp>,
+    /// The only node that runs here; none: all nodes.
+    pub only: Option<NodeId>,
+    /// The additions of a demo.
+    pub demo: Option<DemoPlan>,
+}
+
+/// What a demo adds to a run.
+#[derive(Clone, Copy, Debug)]
+pub struct DemoPlan {
+    /// The text that is printed before the run.
+    pub introduction: &'static str,
+    /// The fault that is injected, if any.
+    pub moment: Option<&'static Moment>,
+    /// Explains what happened, and says whether the promise was kept.
+    pub explain: fn(&Story<'_>) -> Outcome,
+}
+
+/// A fault that is injected when a task has begun an action for the given time.
+#[derive(Clone, Copy, Debug)]
+pub struct Moment {
+    /// The delay from that beginning to the fault.
+    pub after: Duration,
+    /// The name of the task that begins the action.
+    pub task: &'static str,
+    /// The name of the task's action, as after `run`.
+    pub action: &'static str,
+    /// Which beginning of the action, counted from 1.
+    pub time: usize,
+    /// The fault that is injected.
+    pub fault: Planned,
+    /// The text about the fault that a user reads.
+    pub words: &'static str,
+}
+
+/// A fault, with the names of the cell.
+#[derive(Clone, Copy, Debug)]
+pub enum Planned {
+    /// The link between two nodes is cut for so long.
+    Cut([&'static str; 2], Duration),
+    /// The node is killed.
+    Kill(&'static str),
+    /// The node is suspended (SIGSTOP) for so long. A node that shares its process with others is cut off from them instead.
+    Pause(&'static str, Duration),
+}
+
+impl DemoPlan {
+    /// The outcome of a finished run.
+    pub fn outcome(&self, story: &Story<'_>) -> Outcome {
+        let mut outcome = (self.explain)(story);
+        if self.moment.is_some() && story.faults.is_empty() {
+            outcome.words.push(
+                "The fault never came: the run ended before its moment (--for gives more time).".into(),
+            );
+        }
+        outcome
+    }
+}
+
+impl<'a> Asked<'a> {
+    /// The run, without what depends on the machine. Checks that faults and options fit the cell and each other.
+    ///
+    /// # Errors
+    /// [`Failure::Fault`], [`Failure::Usage`].
+    pub fn run(&self) -> Result<Run<'a>, Failure> {
+        let (args, cell) = (self.args, self.loaded.table.cell());
+        let wanted = Wanted { kill: &args.kill, restart: &args.restart, cut: &args.cut };
+        let faults = schedule(cell, self.length.unwrap_or(Duration::MAX), &wanted)?;
+        if let Some(only) = self.only {
+            here(cell, only, &faults)?;
+        }
+        if args.until_idle && !self.finishes() {
+            return Err(Failure::Usage(
+                "--until-idle: every task here serves for ever (`loop` without `exit`, or handlers only): end the run with --for or Ctrl-C".into(),
+            ));
+        }
+        let moment = self.demo.and_then(|demo| demo.moment);
+        Ok(Run {
+            source: self.source.clone(),
+            loaded: self.loaded,
+            length: self.length,
+            until_idle: args.until_idle,
+            only: self.only,
+            in_process: args.in_process,
+            actions: self.actions.clone(),
+            ramps: self.ramps.clone(),
+            observe: args.observe,
+            observe_token: None,
+            rt: args.rt,
+            rt_refused: false,
+            seed: args.seed.unwrap_or_else(|| fastrand::u64(..1_000_000)),
+            loss: args.loss.0,
+            faults,
+            moment: moment.map(|moment| moment.of(cell)).transpose()?.flatten(),
+            record: args.record.clone(),
+            force: args.force,
+            has_lines: args.format == Format::Text,
+            is_explained: self.demo.is_some(),
+        })
+    }
+
+    /// Whether any task that runs here can reach the end of its script.
+    fn finishes(&self) -> bool {
+        let tasks = self.loaded.table.cell().tasks.iter().enumerate();
+        let here = tasks.filter(|(_, task)| self.only.is_none_or(|only| task.node == only));
+        here.map(|(at, _)| TaskId::from_index(at)).any(|task| self.loaded.can_finish(task))
+    }
+}
+
+impl Moment {
+    /// The moment with the tasks and nodes of a cell; none if the cell has no such task.
+    ///
+    /// # Errors
+    /// The cell has no such node.
+    fn of(&self, cell: &Cell) -> Result<Option<imrs_launch::Moment>, FaultError> {
+        let task = cell.tasks.iter().position(|task| task.name == self.task).map(TaskId::from_index);
+        let faults = match self.fault {
+            Planned::Kill(name) => vec![(Duration::ZERO, Fault::Kill(node(cell, name)?))],
+            Planned::Pause(name, length) => {
+                let node = node(cell, name)?;
+                vec![(Duration::ZERO, Fault::Pause(node)), (length, Fault::Resume(node))]
+            }
+            Planned::Cut([a, b], length) => {
+                let (a, b) = (node(cell, a)?, node(cell, b)?);
+                vec![(Duration::ZERO, Fault::Cut(a, b)), (length, Fault::Heal(a, b))]
+            }
+        };
+        let (action, time, after) = (self.action.to_owned(), self.time, self.after);
+        Ok(task.map(|task| imrs_launch::Moment { task, action, time, after, faults }))
+    }
+}
