@@ -7,7 +7,7 @@ use std::iter::Peekable;
 use std::path::Path;
 use std::str::Chars;
 
-const ROOMS: [&str; 10] = [
+const ROOMS: [&str; 11] = [
     "src",
     "protocol/src",
     "language/src",
