@@ -25,7 +25,10 @@ fn the_beam_is_lifted_and_both_arms_stop_at_the_top() {
     virtual_cell.run(60);
     let log = virtual_cell.log();
     let stops = only(&log, &["stop"]);
-    assert!(stops.contains(&"armL: stop_now".into()) && stops.contains(&"armR: stop_now".into()), "{log:?}");
+    assert!(
+        stops.contains(&"armL: stop_now".into()) && stops.contains(&"armR: stop_now at 1".into()),
+        "{log:?}"
+    );
     assert_eq!((virtual_cell.var("armL", "me.moving"), virtual_cell.var("armR", "me.moving")), (0, 0));
 }
 
@@ -39,7 +42,7 @@ fn both_arms_stop_when_the_link_between_them_is_cut() {
     virtual_cell.run(25);
     let log = virtual_cell.log();
     let stops = only(&log, &["stop_now"]);
-    assert!(stops.len() == 2 && stops.contains(&"armR: stop_now".into()), "{log:?}");
+    assert!(stops.len() == 2 && stops.contains(&"armR: stop_now at 1".into()), "{log:?}");
     let time = |line: &String| line.split_once(' ').expect("a time").0.parse::<u64>().expect("a number");
     let last = log.iter().filter(|line| line.contains("stop_now")).map(time).max().expect("two stops");
     assert!(last <= cut + 12, "stopped by the silence of 10 ticks: {log:?}");
