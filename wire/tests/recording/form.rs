@@ -186,8 +186,8 @@ fn other_files_and_versions_are_refused() {
     let refusal = |bytes: &[u8]| RecordingReader::new(bytes).unwrap_err().to_string();
     assert_eq!(refusal(b"\x7fELF and a lot more"), "at byte 0: not a recording");
     let mut newer = written(&[]);
-    newer[8] = 11;
-    assert_eq!(refusal(&newer), "at byte 0: a recording of version 11, this program reads 10");
+    newer[8] = 12;
+    assert_eq!(refusal(&newer), "at byte 0: a recording of version 12, this program reads 11");
 }
 
 #[test]
