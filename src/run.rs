@@ -1,12 +1,12 @@
 //! `imrs run`: runs a cell of the cell language on real nodes.
 
-mod asked;
 mod drive;
 mod lines;
+mod plan;
 mod report;
 
-pub use asked::{Asked, DemoPlan, Moment, Planned};
 pub use drive::run as launch;
+pub use plan::{DemoPlan, Moment, Planned, plan};
 
 use crate::args::{LaunchArgs, RunArgs};
 use crate::exit::Exit;
@@ -15,7 +15,7 @@ use crate::names::did_you_mean;
 use crate::output::Output;
 use imrs_client::place;
 use imrs_launch::cells::{self, Loaded};
-use imrs_launch::{LaunchError, record_file};
+use imrs_launch::{LaunchError, Run, record_file};
 use imrs_protocol::NodeId;
 use imrs_wire::files;
 use std::collections::BTreeMap;
@@ -44,9 +44,9 @@ pub fn run(args: &RunArgs, out: &mut Output) -> Result<Exit, Failure> {
         }
         actions.insert(bound.name.clone(), bound.words.clone());
     }
-    let length = args.launch.length;
-    let (args, ramps, demo) = (&args.launch, Vec::new(), None);
-    launch(&Asked { source, loaded: &loaded, args, length, actions, ramps, only, demo }, out)
+    let args = &args.launch;
+    let run = plan(source, &loaded, args, (args.length, only), None)?;
+    launch(Run { actions, ..run }, args, None, out)
 }
 
 /// Whether the program of a command can be found, by the same rules as when it is executed.

@@ -12,13 +12,12 @@ use crate::args::DemoArgs;
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::output::Output;
-use crate::run::{Asked, DemoPlan, Moment, Planned, chosen, launch};
+use crate::run::{DemoPlan, Moment, Planned, chosen, launch, plan};
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
 use imrs_launch::cells::{self, Loaded, Source};
-use imrs_launch::{Outcome, Story};
+use imrs_launch::{Outcome, Run, Story};
 use imrs_runtime::script::Ramp;
-use std::collections::BTreeMap;
 use std::time::Duration;
 
 /// A demo: a cell, a fault, and an explanation.
@@ -187,17 +186,12 @@ pub fn run(args: &DemoArgs, out: &mut Output) -> Result<Exit, Failure> {
         since: since.into(),
         over,
     };
-    let asked = Asked {
-        source: args.cell.source(),
-        loaded: &loaded,
-        args: options,
-        length: Some(options.length.unwrap_or(args.cell.length)),
-        actions: BTreeMap::new(),
-        ramps: args.cell.ramps.iter().map(ramp).collect(),
-        only: chosen(&loaded, options)?,
-        demo: Some(DemoPlan { introduction: args.cell.introduction, moment, explain: args.cell.explain }),
-    };
-    launch(&asked, out)
+    let demo = Some(DemoPlan { introduction: args.cell.introduction, moment, explain: args.cell.explain });
+    let length = Some(options.length.unwrap_or(args.cell.length));
+    let only = chosen(&loaded, options)?;
+    let run = plan(args.cell.source(), &loaded, options, (length, only), demo)?;
+    let ramps = args.cell.ramps.iter().map(ramp).collect();
+    launch(Run { ramps, ..run }, options, demo, out)
 }
 
 /// The cell of the beam lift.

@@ -1,9 +1,9 @@
 //! Drives a run from its start to its exit code, and shows it meanwhile.
 
-use super::asked::Asked;
 use super::lines::show;
+use super::plan::DemoPlan;
 use super::report;
-use crate::args::Format;
+use crate::args::{Format, LaunchArgs};
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::node::NodeProgram;
@@ -27,13 +27,16 @@ struct Started<'a> {
     started: Vec<StartedNode<'a>>,
 }
 
-/// Runs a cell.
+/// Runs a cell as planned.
 ///
 /// # Errors
 /// [`Failure`].
-pub fn run(asked: &Asked<'_>, out: &mut Output) -> Result<Exit, Failure> {
-    let args = asked.args;
-    let mut run = asked.run()?;
+pub fn run(
+    mut run: Run<'_>,
+    args: &LaunchArgs,
+    demo: Option<DemoPlan>,
+    out: &mut Output,
+) -> Result<Exit, Failure> {
     let notice = if args.format == Format::Json { json_notice } else { notice };
     out.step_aside(notice, progress_line(args.format))?;
     let refused = if args.rt { rt::refused() } else { Vec::new() };
@@ -45,16 +48,16 @@ pub fn run(asked: &Asked<'_>, out: &mut Output) -> Result<Exit, Failure> {
 
     let mut launcher = Launcher::start(&run, &NodeProgram)?;
     // Even if following the run fails, its nodes are stopped in order and its summary is shown.
-    let followed = announce(asked, &run, &launcher, out).and_then(|()| follow(asked, &mut launcher, out));
+    let followed = announce(&run, args, demo, &launcher, out).and_then(|()| follow(&run, &mut launcher, out));
     let interrupts = launcher.interrupts();
     let mut ended = launcher.finish();
-    if let Some(demo) = asked.demo {
+    if let Some(demo) = demo {
         ended.explain(|story| demo.outcome(story));
     }
     let summary = &ended.summary;
     let shown = match args.format {
         Format::Json => out.json(summary),
-        Format::Text => report::summary(summary, asked, out),
+        Format::Text => report::summary(summary, &run, args, demo, out),
     };
     let interrupted = interrupts.count();
     let untaken = out.settle(READ_WITHIN, || interrupts.count() > interrupted);
@@ -101,36 +104,33 @@ fn progress_line(format: Format) -> ProgressBar {
 }
 
 fn announce(
-    asked: &Asked<'_>,
     run: &Run<'_>,
+    args: &LaunchArgs,
+    demo: Option<DemoPlan>,
     launcher: &Launcher<'_>,
     out: &mut Output,
 ) -> Result<(), Failure> {
     let started: Vec<StartedNode<'_>> = launcher.nodes().collect();
-    match asked.args.format {
+    match args.format {
         Format::Json => out.json(&Started { version: 1, started }),
-        Format::Text => report::started(asked, run, &started, out),
+        Format::Text => report::started(run, args, demo, &started, out),
     }
 }
 
 /// Follows the run until its end. Shows every pending line, however the run ends.
-fn follow(asked: &Asked<'_>, launcher: &mut Launcher<'_>, out: &mut Output) -> Result<(), Failure> {
-    let followed = follow_until_the_end(asked, launcher, out);
+fn follow(run: &Run<'_>, launcher: &mut Launcher<'_>, out: &mut Output) -> Result<(), Failure> {
+    let followed = follow_until_the_end(run, launcher, out);
     out.progress(None);
-    followed.and(show(&launcher.last_lines(), asked, out))
+    followed.and(show(&launcher.last_lines(), run, out))
 }
 
-fn follow_until_the_end(
-    asked: &Asked<'_>,
-    launcher: &mut Launcher<'_>,
-    out: &mut Output,
-) -> Result<(), Failure> {
-    let of = asked.length.map(|all| format!(" of {}", humantime::format_duration(all))).unwrap_or_default();
+fn follow_until_the_end(run: &Run<'_>, launcher: &mut Launcher<'_>, out: &mut Output) -> Result<(), Failure> {
+    let of = run.length.map(|all| format!(" of {}", humantime::format_duration(all))).unwrap_or_default();
     let mut progress_at = Instant::now();
     while launcher.advance()? {
         let shows = launcher.has_lines();
         if shows {
-            show(&launcher.lines(), asked, out)?;
+            show(&launcher.lines(), run, out)?;
         }
         if progress_at <= Instant::now() {
             let met = launcher.released().map(|met| format!(": {met} rounds")).unwrap_or_default();

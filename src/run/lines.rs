@@ -1,16 +1,15 @@
 //! Shows the lines of a run while it lasts.
 
-use super::asked::Asked;
 use crate::failure::Failure;
 use crate::output::{BAD, FAINT, NOTE, Output, Styled, count};
-use imrs_launch::{Line, Telling};
+use imrs_launch::{Line, Run, Telling};
 
 /// Shows lines. Those about faults and broken checks are few, and never dropped for a slow reader.
 ///
 /// # Errors
 /// [`Failure::Output`].
-pub fn show(lines: &[Line], asked: &Asked<'_>, out: &mut Output) -> Result<(), Failure> {
-    let cell = asked.loaded.table.cell();
+pub fn show(lines: &[Line], run: &Run<'_>, out: &mut Output) -> Result<(), Failure> {
+    let cell = run.loaded.table.cell();
     let width = cell.tasks.iter().map(|task| task.name.len()).max().unwrap_or(0);
     for Line { at, what } in lines {
         let ms = at / 1_000;
@@ -29,8 +28,7 @@ pub fn show(lines: &[Line], asked: &Asked<'_>, out: &mut Output) -> Result<(), F
             Telling::Fault(words) => out.line(format!("{at} {}", Styled(NOTE, words)))?,
             Telling::Broken(words) => out.line(format!("{at} {}", Styled(BAD, words)))?,
             Telling::Idle(words) => {
-                let end =
-                    if asked.args.until_idle { "" } else { "; Ctrl-C ends the run, or use --until-idle" };
+                let end = if run.until_idle { "" } else { "; Ctrl-C ends the run, or use --until-idle" };
                 out.line(format!("{at} {}", Styled(NOTE, format_args!("{words}{end}"))))?;
             }
         }

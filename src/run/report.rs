@@ -1,6 +1,6 @@
 //! Prints the start and the summary of a run, for people.
 
-use super::asked::Asked;
+use super::plan::DemoPlan;
 use crate::args::LaunchArgs;
 use crate::checks;
 use crate::failure::Failure;
@@ -15,8 +15,9 @@ use std::collections::BTreeMap;
 /// # Errors
 /// [`Failure::Output`].
 pub fn started(
-    asked: &Asked<'_>,
     run: &Run<'_>,
+    args: &LaunchArgs,
+    demo: Option<DemoPlan>,
     nodes: &[StartedNode<'_>],
     out: &mut Output,
 ) -> Result<(), Failure> {
@@ -24,7 +25,7 @@ pub fn started(
         "{}: {}, {} (checksummed, not authenticated)",
         Styled(HEAD, &run.loaded.table.cell().name),
         count(nodes.len() as u64, "node"),
-        how(asked),
+        how(run),
     ))?;
     let tasks = |node: &StartedNode<'_>| match &node.tasks[..] {
         [] => "nothing: it relays".to_owned(),
@@ -41,22 +42,22 @@ pub fn started(
     if run.rt && !run.rt_refused {
         out.line("Real time: SCHED_FIFO, memory locked, each node on one core.")?;
     }
-    if let Some(demo) = &asked.demo {
+    if let Some(demo) = demo {
         out.line("")?;
         out.line(demo.introduction)?;
     }
-    for fault in faults(asked.args, run.seed) {
+    for fault in faults(args, run.seed) {
         out.line(format!("{} {fault}", Styled(NOTE, "fault:")))?;
     }
-    if let Some(moment) = asked.demo.and_then(|demo| demo.moment) {
+    if let Some(moment) = demo.and_then(|demo| demo.moment) {
         out.line(format!("{} {} (--no-fault runs without)", Styled(NOTE, "fault:"), moment.words))?;
     }
     out.line("To watch: `imrs monitor` in another terminal. Ctrl-C ends the run early.")?;
     out.line("")
 }
 
-fn how(asked: &Asked<'_>) -> &'static str {
-    match (asked.only, asked.args.in_process) {
+fn how(run: &Run<'_>) -> &'static str {
+    match (run.only, run.in_process) {
         (Some(_), _) => "the only one of the cell here, over UDP",
         (None, true) => "all in this process",
         (None, false) => "one process each, over loopback UDP",
@@ -93,8 +94,14 @@ fn faults(args: &LaunchArgs, seed: u64) -> Vec<String> {
 ///
 /// # Errors
 /// [`Failure::Output`].
-pub fn summary(summary: &Summary, asked: &Asked<'_>, out: &mut Output) -> Result<(), Failure> {
-    let table = &asked.loaded.table;
+pub fn summary(
+    summary: &Summary,
+    run: &Run<'_>,
+    args: &LaunchArgs,
+    demo: Option<DemoPlan>,
+    out: &mut Output,
+) -> Result<(), Failure> {
+    let table = &run.loaded.table;
     out.line(Styled(HEAD, format!("After {:.1} s", summary.seconds)))?;
     for rendezvous in &summary.rendezvous {
         meetings(rendezvous, out)?;
@@ -114,7 +121,7 @@ pub fn summary(summary: &Summary, asked: &Asked<'_>, out: &mut Output) -> Result
     for missing in &summary.incomplete {
         out.line(Styled(NOTE, format!("  incomplete: {missing}")))?;
     }
-    let words = in_words(summary, table, asked);
+    let words = in_words(summary, table, args, demo);
     if !words.is_empty() {
         out.line("")?;
     }
@@ -256,14 +263,14 @@ fn listed(counts: &BTreeMap<String, u64>) -> String {
 }
 
 /// What happened, in sentences.
-fn in_words(summary: &Summary, table: &CellTable, asked: &Asked<'_>) -> Vec<String> {
-    let (args, mut words) = (asked.args, Vec::new());
+fn in_words(summary: &Summary, table: &CellTable, args: &LaunchArgs, demo: Option<DemoPlan>) -> Vec<String> {
+    let mut words = Vec::new();
     if summary.checks.is_broken() {
         words.push(match &args.record {
             Some(_) => "Whether links and nodes were in time, as the cell declares them: `imrs replay` with `--model`.".into(),
             None => "With --record, `imrs replay` with `--model` says whether links and nodes were in time.".into(),
         });
-        if !faults(args, summary.seed).is_empty() || asked.demo.is_some_and(|demo| demo.moment.is_some()) {
+        if !faults(args, summary.seed).is_empty() || demo.is_some_and(|demo| demo.moment.is_some()) {
             words.push(
                 "Faults came in this run: a cell's checks are promised with those that its `faults` declare."
                     .into(),

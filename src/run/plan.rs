@@ -1,4 +1,4 @@
-//! A run as the command line or a demo asks for it, with the names of the cell.
+//! Plans a run as the command line or a demo asks for it, and resolves the names of the cell.
 
 use crate::args::{Format, LaunchArgs};
 use crate::failure::Failure;
@@ -6,29 +6,8 @@ use crate::faults::{FaultError, Wanted, here, node, schedule};
 use imrs_launch::cells::{Loaded, Source};
 use imrs_launch::{Fault, Outcome, Run, Story};
 use imrs_protocol::{Cell, NodeId, TaskId};
-use imrs_runtime::script::Ramp;
 use std::collections::BTreeMap;
 use std::time::Duration;
-
-/// A cell that is to be run, and how.
-pub struct Asked<'a> {
-    /// The text of the cell.
-    pub source: Source,
-    /// The cell.
-    pub loaded: &'a Loaded,
-    /// The options of the command line.
-    pub args: &'a LaunchArgs,
-    /// How long it runs; none: without end.
-    pub length: Option<Duration>,
-    /// The command to execute for each action.
-    pub actions: BTreeMap<String, Vec<String>>,
-    /// How results of simulated actions change with time.
-    pub ramps: Vec<Ramp>,
-    /// The only node that runs here; none: all nodes.
-    pub only: Option<NodeId>,
-    /// The additions of a demo.
-    pub demo: Option<DemoPlan>,
-}
 
 /// What a demo adds to a run.
 #[derive(Clone, Copy, Debug)]
@@ -82,54 +61,59 @@ impl DemoPlan {
     }
 }
 
-impl<'a> Asked<'a> {
-    /// The run, without what depends on the machine. Checks that faults and options fit the cell and each other.
-    ///
-    /// # Errors
-    /// [`Failure::Fault`], [`Failure::Usage`].
-    pub fn run(&self) -> Result<Run<'a>, Failure> {
-        let (args, cell) = (self.args, self.loaded.table.cell());
-        let wanted = Wanted { kill: &args.kill, restart: &args.restart, cut: &args.cut };
-        let faults = schedule(cell, self.length.unwrap_or(Duration::MAX), &wanted)?;
-        if let Some(only) = self.only {
-            here(cell, only, &faults)?;
-        }
-        if args.until_idle && !self.finishes() {
-            return Err(Failure::Usage(
-                "--until-idle: every task here serves for ever (`loop` without `exit`, or handlers only): end the run with --for or Ctrl-C".into(),
-            ));
-        }
-        let moment = self.demo.and_then(|demo| demo.moment);
-        Ok(Run {
-            source: self.source.clone(),
-            loaded: self.loaded,
-            length: self.length,
-            until_idle: args.until_idle,
-            only: self.only,
-            in_process: args.in_process,
-            actions: self.actions.clone(),
-            ramps: self.ramps.clone(),
-            observe: args.observe,
-            observe_token: None,
-            rt: args.rt,
-            rt_refused: false,
-            seed: args.seed.unwrap_or_else(|| fastrand::u64(..1_000_000)),
-            loss: args.loss.0,
-            faults,
-            moment: moment.map(|moment| moment.of(cell)).transpose()?.flatten(),
-            record: args.record.clone(),
-            force: args.force,
-            has_lines: args.format == Format::Text,
-            is_explained: self.demo.is_some(),
-        })
+/// The run of a cell with these options, without what depends on the machine. Checks that faults and options fit the cell and
+/// each other.
+///
+/// # Errors
+/// [`Failure::Fault`], [`Failure::Usage`].
+pub fn plan<'a>(
+    source: Source,
+    loaded: &'a Loaded,
+    args: &LaunchArgs,
+    (length, only): (Option<Duration>, Option<NodeId>),
+    demo: Option<DemoPlan>,
+) -> Result<Run<'a>, Failure> {
+    let cell = loaded.table.cell();
+    let wanted = Wanted { kill: &args.kill, restart: &args.restart, cut: &args.cut };
+    let faults = schedule(cell, length.unwrap_or(Duration::MAX), &wanted)?;
+    if let Some(only) = only {
+        here(cell, only, &faults)?;
     }
+    if args.until_idle && !finishes(loaded, only) {
+        return Err(Failure::Usage(
+            "--until-idle: every task here serves for ever (`loop` without `exit`, or handlers only): end the run with --for or Ctrl-C".into(),
+        ));
+    }
+    let moment = demo.and_then(|demo| demo.moment);
+    Ok(Run {
+        source,
+        loaded,
+        length,
+        until_idle: args.until_idle,
+        only,
+        in_process: args.in_process,
+        actions: BTreeMap::new(),
+        ramps: Vec::new(),
+        observe: args.observe,
+        observe_token: None,
+        rt: args.rt,
+        rt_refused: false,
+        seed: args.seed.unwrap_or_else(|| fastrand::u64(..1_000_000)),
+        loss: args.loss.0,
+        faults,
+        moment: moment.map(|moment| moment.of(cell)).transpose()?.flatten(),
+        record: args.record.clone(),
+        force: args.force,
+        has_lines: args.format == Format::Text,
+        is_explained: demo.is_some(),
+    })
+}
 
-    /// Whether any task that runs here can reach the end of its script.
-    fn finishes(&self) -> bool {
-        let tasks = self.loaded.table.cell().tasks.iter().enumerate();
-        let here = tasks.filter(|(_, task)| self.only.is_none_or(|only| task.node == only));
-        here.map(|(at, _)| TaskId::from_index(at)).any(|task| self.loaded.can_finish(task))
-    }
+/// Whether any task that runs here can reach the end of its script.
+fn finishes(loaded: &Loaded, only: Option<NodeId>) -> bool {
+    let tasks = loaded.table.cell().tasks.iter().enumerate();
+    let here = tasks.filter(|(_, task)| only.is_none_or(|only| task.node == only));
+    here.map(|(at, _)| TaskId::from_index(at)).any(|task| loaded.can_finish(task))
 }
 
 impl Moment {
