@@ -148,28 +148,24 @@ fn reply_to() -> impl Strategy<Value = ReplyTo> {
 }
 
 fn packet() -> impl Strategy<Value = Packet> {
-    let how = (0..8_usize, any::<[bool; 4]>(), (0..8_u8, 0..16_u8), any::<[u16; 3]>());
+    let how = (0..8_usize, any::<[bool; 3]>(), (0..8_u8, 0..16_u8), any::<[u16; 3]>());
     (how, id(), ticks(), contents()).prop_map(
-        |(
-            (kind, [status, more, resent, urgent], (hops, fragment), [to, from, port]),
-            id,
-            remaining,
-            contents,
-        )| Packet {
-            kind: Kind::ALL[kind],
-            class: if status { Class::Status } else { Class::Command },
-            more,
-            resent,
-            urgent,
-            hops,
-            fragment,
-            destination: TaskId(to),
-            source: TaskId(from),
-            port: PortId(port),
-            id,
-            remaining,
-            contents,
-            seal: Seal::NONE,
+        |((kind, [status, more, resent], (hops, fragment), [to, from, port]), id, remaining, contents)| {
+            Packet {
+                kind: Kind::ALL[kind],
+                class: if status { Class::Status } else { Class::Command },
+                more,
+                resent,
+                hops,
+                fragment,
+                destination: TaskId(to),
+                source: TaskId(from),
+                port: PortId(port),
+                id,
+                remaining,
+                contents,
+                seal: Seal::NONE,
+            }
         },
     )
 }
