@@ -1,5 +1,6 @@
 //! The calls that a task's program makes to its communication task (§II, §5.2.1).
 
+mod answers;
 mod asynchronous;
 mod caller;
 mod calls;

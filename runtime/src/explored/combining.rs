@@ -1,4 +1,4 @@
-//! The combining lock: whoever holds it works for those that found it taken.
+//! The combining lock: its holder works for the threads that found it taken.
 
 use super::must_fail;
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, thread};

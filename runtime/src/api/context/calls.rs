@@ -1,8 +1,8 @@
 //! The calls of a program, each written once: a thread waits in [`Calls::ask`], and a future awaits it.
 
+use super::answers::{decoded, encoded, wrong_usage};
 use super::caller::Caller;
 use super::outcome::{Asked, Received, Rendezvous, Sent, TaskError};
-use super::typed::{decoded, encoded, wrong_usage};
 use crate::api::message::{LONGEST, Message};
 use crate::clock;
 use imrs_protocol::{

@@ -1,9 +1,9 @@
 //! Calls with typed messages, awaited by a future.
 
 use super::AsyncContext;
+use crate::api::context::answers::decoded;
 use crate::api::context::calls::{Calls, at_once};
 use crate::api::context::outcome::{Asked, Received, TaskError};
-use crate::api::context::typed::decoded;
 use crate::api::message::Message;
 use imrs_protocol::{Delivery, PortId, ReplyTo, Target, TaskId};
 use std::time::Duration;
