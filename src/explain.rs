@@ -1,4 +1,6 @@
-//! `imrs explain`: shows the pages about the codes of diagnostics and of the monitor's warnings.
+//! `imrs explain`: shows the pages about the codes of diagnostics, of the monitor's warnings, and of reasons for a drop.
+
+mod reasons;
 
 use crate::args::{ExplainArgs, Format};
 use crate::exit::Exit;
@@ -10,19 +12,20 @@ use imrs_monitor::store::health::codes as lints;
 use serde_json::json;
 
 /// A code and its page.
+#[derive(Clone, Copy)]
 struct Entry {
     code: &'static str,
     title: &'static str,
     explanation: &'static str,
 }
 
-/// All entries: those of `imrs check`, then those of `imrs monitor`.
+/// All entries: those of `imrs check`, then those of `imrs monitor`, then the reasons for which a message is dropped.
 fn entries() -> impl Iterator<Item = Entry> {
     let diagnostics =
         codes::ALL.iter().map(|of| Entry { code: of.code, title: of.title, explanation: of.explanation });
     let lints =
         lints::ALL.iter().map(|of| Entry { code: of.code, title: of.title, explanation: of.explanation });
-    diagnostics.chain(lints)
+    diagnostics.chain(lints).chain(reasons::ALL.iter().copied())
 }
 
 /// Explains one code, or lists all.
@@ -46,8 +49,8 @@ pub fn run(args: &ExplainArgs, out: &mut Output) -> Result<Exit, Failure> {
                 out.line(format!("{}  {}", Styled(HEAD, entry.code), entry.title))?;
             }
             out.line(
-                "\nE is an error, W a warning, N a note of `imrs check`; those in words come from `imrs monitor`.\n\
-                 `imrs explain E104` shows one.",
+                "\nE is an error, W a warning, N a note of `imrs check`; those in words come from `imrs monitor`. Words with `_` are\n\
+                 reasons for which a message is dropped. `imrs explain E104` shows one.",
             )?;
         }
         Format::Text => entries.iter().try_for_each(|entry| out.text(&shown(entry.explanation)))?,
@@ -57,7 +60,10 @@ pub fn run(args: &ExplainArgs, out: &mut Output) -> Result<Exit, Failure> {
 
 fn page(code: &str) -> Result<Entry, Failure> {
     let upper = code.to_ascii_uppercase();
-    if let Some(found) = entries().find(|entry| entry.code.eq_ignore_ascii_case(code)) {
+    let is_asked = |entry: &Entry| {
+        entry.code.eq_ignore_ascii_case(code) || entry.code.eq_ignore_ascii_case(&code.replace('-', "_"))
+    };
+    if let Some(found) = entries().find(is_asked) {
         return Ok(found);
     }
     // The likeliest misspelling is an O for a zero.
@@ -67,7 +73,7 @@ fn page(code: &str) -> Result<Entry, Failure> {
     let near = if near.starts_with(": did") {
         near
     } else {
-        did_you_mean(&lower, lints::ALL.iter().map(|l| l.code))
+        did_you_mean(&lower, lints::ALL.iter().map(|l| l.code).chain(reasons::ALL.iter().map(|of| of.code)))
     };
     // The list of all codes is too long for an error message.
     let hint = if near.starts_with(": did") { near } else { ": `imrs explain` lists them".to_owned() };
