@@ -225,7 +225,7 @@ fn last_line(report: &Report, took: Duration, out: &mut Output) -> Result<(), Fa
     if messages + answers > 0 {
         let messages = count(messages, "message");
         let answers = count(answers, "answer");
-        out.line(format!("{messages} and {answers} in one fused step did the same as in small steps"))?;
+        out.line(format!("fused steps: {messages} and {answers} had the same effects as their small steps"))?;
     }
     out.line(format!("{what}, {} in {:.1} s", count(states, "state"), took.as_secs_f64()))
 }
