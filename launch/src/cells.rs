@@ -4,7 +4,7 @@ use imrs_client::cell_file;
 use imrs_client::cells::{self, CellError};
 use imrs_language::Span;
 use imrs_language::lower::{Action, CheckKind};
-use imrs_protocol::script::{Op, Predicate, Program, Term, Type, Variable};
+use imrs_protocol::script::{Op, Predicate, Program, Reading, Term, Type, Variable};
 use imrs_protocol::{NodeId, PortId, TaskId};
 use serde::{Deserialize, Serialize};
 use std::ops::Deref;
@@ -133,28 +133,19 @@ impl Loaded {
     pub fn term(&self, term: Term) -> Option<String> {
         let task = |task: TaskId| self.table.cell().tasks.get(task.index()).map(|task| task.name.as_str());
         let port = |port: PortId| self.table.port(port).map(|port| port.decl.name.as_str());
-        match term {
-            Term::Of { task: of, .. } => Some(format!("{}.{}", task(of)?, self.variable(term)?.name)),
-            Term::Is(Predicate::Active(of)) => Some(format!("{}.active", task(of)?)),
-            Term::Is(Predicate::Asked { task: of, port: at }) => {
-                Some(format!("{}.asked({})", task(of)?, port(at)?))
+        Some(match term.reads()? {
+            Reading::Variable(of, _) => format!("{}.{}", task(of)?, self.variable(term)?.name),
+            Reading::Predicate(Predicate::Active(of)) => format!("{}.active", task(of)?),
+            Reading::Predicate(Predicate::Asked { task: of, port: at }) => {
+                format!("{}.asked({})", task(of)?, port(at)?)
             }
-            Term::Is(Predicate::Answered { task: of, port: at }) => {
-                Some(format!("{}.answered({})", task(of)?, port(at)?))
+            Reading::Predicate(Predicate::Answered { task: of, port: at }) => {
+                format!("{}.answered({})", task(of)?, port(at)?)
             }
-            Term::Is(Predicate::Arrived { port: at, task: of }) => {
-                Some(format!("{}.arrived({})", port(at)?, task(of)?))
+            Reading::Predicate(Predicate::Arrived { port: at, task: of }) => {
+                format!("{}.arrived({})", port(at)?, task(of)?)
             }
-            Term::Push(_)
-            | Term::Load(_)
-            | Term::Int(_)
-            | Term::Real(_)
-            | Term::Negate
-            | Term::NegateReal
-            | Term::Not
-            | Term::ToReal
-            | Term::ToInt => None,
-        }
+        })
     }
 
     /// A value of a term, as text for people.

@@ -15,30 +15,28 @@ pub(crate) fn own_end(table: &NodeTable, port: PortId, task: TaskId) -> Result<(
     Ok((port, party))
 }
 
-/// The tasks a message goes to: a copy each (§4.3, R39, R40).
+/// The tasks a message goes to, a copy each, if there is not [only one](only_peer) (§4.3, R39, R40).
 pub(crate) fn destinations(
     port: &Port,
     from: TaskId,
     to: Target,
 ) -> Result<impl Iterator<Item = TaskId> + '_, Fault> {
     let wanted = match to {
-        Target::All => u64::MAX,
-        Target::One(task) => {
-            let known = port.peers(from).any(|peer| peer == task);
-            return if known { Ok(Peers::One(Some(task))) } else { Err(Fault::NotAPeer) };
-        }
-        Target::Some(named) => named,
+        Target::All => None,
+        // A peer would be the only destination.
+        Target::One(_) => return Err(Fault::NotAPeer),
+        Target::Some(named) => Some(named),
     };
     let bit = |task: TaskId| {
         port.party_index(task).and_then(|i| 1_u64.checked_shl(u32::try_from(i).ok()?)).unwrap_or(0)
     };
-    if to != Target::All {
+    if let Some(wanted) = wanted {
         let peers = port.peers(from).fold(0, |mask, peer| mask | bit(peer));
         if wanted == 0 || wanted & !peers != 0 {
             return Err(Fault::NotAPeer);
         }
     }
-    Ok(Peers::Several(port.peers(from).filter(move |&peer| to == Target::All || wanted & bit(peer) != 0)))
+    Ok(port.peers(from).filter(move |&peer| wanted.is_none_or(|wanted| wanted & bit(peer) != 0)))
 }
 
 /// The only destination of a message, if the port and the target leave only one: found without a scan of the parties.
@@ -50,22 +48,6 @@ pub(crate) fn only_peer(port: &Port, from: TaskId, to: Target) -> Option<TaskId>
         }
         (_, Target::One(task)) => port.admits(from, task).then_some(task),
         (_, Target::All | Target::Some(_)) => None,
-    }
-}
-
-/// One task, or those of an iterator.
-enum Peers<I> {
-    One(Option<TaskId>),
-    Several(I),
-}
-
-impl<I: Iterator<Item = TaskId>> Iterator for Peers<I> {
-    type Item = TaskId;
-    fn next(&mut self) -> Option<TaskId> {
-        match self {
-            Self::One(task) => task.take(),
-            Self::Several(tasks) => tasks.next(),
-        }
     }
 }
 

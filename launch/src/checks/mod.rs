@@ -18,7 +18,7 @@ pub use told::{First, Outcome, Settled, Settlement, Unvouched};
 
 use crate::cells::Loaded;
 use imrs_language::lower::{Check, CheckKind};
-use imrs_protocol::script::{Predicate, Term};
+use imrs_protocol::script::{Predicate, Reading, Term};
 use imrs_protocol::{CellTable, PortId, TaskId};
 
 /// A value of one task that a check reads.
@@ -62,24 +62,16 @@ fn terms(check: &Check) -> impl Iterator<Item = &Term> {
 
 /// The values that a term reads, each with its task.
 fn of(table: &CellTable, term: Term) -> Vec<(TaskId, Ask)> {
-    match term {
-        Term::Of { task, variable } => vec![(task, Ask::Variable(variable))],
-        Term::Is(Predicate::Active(task)) => vec![(task, Ask::Active)],
-        Term::Is(Predicate::Asked { task, port }) => vec![(task, Ask::Asked(port))],
-        Term::Is(Predicate::Answered { task, port }) => vec![(task, Ask::Answered(port))],
+    match term.reads() {
+        None => Vec::new(),
+        Some(Reading::Variable(task, variable)) => vec![(task, Ask::Variable(variable))],
+        Some(Reading::Predicate(Predicate::Active(task))) => vec![(task, Ask::Active)],
+        Some(Reading::Predicate(Predicate::Asked { task, port })) => vec![(task, Ask::Asked(port))],
+        Some(Reading::Predicate(Predicate::Answered { task, port })) => vec![(task, Ask::Answered(port))],
         // Whether a task has arrived depends on the rounds of all parties (D85).
-        Term::Is(Predicate::Arrived { port, .. }) => {
+        Some(Reading::Predicate(Predicate::Arrived { port, .. })) => {
             let parties = table.port(port).map_or(&[][..], |port| &port.parties);
             parties.iter().map(|party| (party.task, Ask::Arrived(port))).collect()
         }
-        Term::Push(_)
-        | Term::Load(_)
-        | Term::Int(_)
-        | Term::Real(_)
-        | Term::Negate
-        | Term::NegateReal
-        | Term::Not
-        | Term::ToReal
-        | Term::ToInt => Vec::new(),
     }
 }

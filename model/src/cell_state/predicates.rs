@@ -2,7 +2,7 @@
 
 use super::CellState;
 use super::plan::CellScenario;
-use imrs_protocol::script::{Activity, Predicate, Term};
+use imrs_protocol::script::{Activity, Predicate, Reading, Term};
 use imrs_protocol::{CommTask, PortId, Request, Round, TaskId};
 
 /// The specification state of predicates. Empty if no check asks for it.
@@ -103,20 +103,11 @@ impl CellState {
     }
 
     pub(crate) fn look_up(&self, term: Term) -> Option<i64> {
-        match term {
-            Term::Of { task, variable } => {
+        match term.reads()? {
+            Reading::Variable(task, variable) => {
                 self.bodies.get(task.index())?.actor.as_ref()?.script.var(variable)
             }
-            Term::Is(predicate) => self.holds(predicate).map(i64::from),
-            Term::Push(_)
-            | Term::Load(_)
-            | Term::Int(_)
-            | Term::Real(_)
-            | Term::Negate
-            | Term::NegateReal
-            | Term::Not
-            | Term::ToReal
-            | Term::ToInt => None,
+            Reading::Predicate(predicate) => self.holds(predicate).map(i64::from),
         }
     }
 

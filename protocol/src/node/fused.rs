@@ -1,4 +1,4 @@
-//! Fused steps within a node: which two tasks a request concerns. See [`fused`](crate::task).
+//! Fused steps within a node: which two tasks a request concerns. `task/fused.rs` says what they do.
 
 use super::{Node, NodeOutbox, Parts};
 use crate::ids::TaskId;

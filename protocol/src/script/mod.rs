@@ -22,7 +22,7 @@ pub use program::{
     Address, Format, Fusing, Handler, MAX_FRAGMENTS, MAX_MESSAGE, Mark, Op, Outcomes, Program,
     StatementOutcome, Trigger, Variable,
 };
-pub use value::{Binary, CHECK_DEPTH, Predicate, Slot, Term, Type, eval, real};
+pub use value::{Binary, CHECK_DEPTH, Predicate, Reading, Slot, Term, Type, eval, real};
 
 use crate::ids::{PortId, TaskId};
 use crate::packet::Contents;

@@ -22,6 +22,13 @@ pub struct Party {
     pub place: u16,
 }
 
+impl Party {
+    /// The time_out of a request of the task. The others at the port rely on the declared one, so a request may only shorten it.
+    pub(crate) fn time_out_of(&self, wanted: Option<Ticks>) -> Ticks {
+        wanted.map_or(self.time_out, |wanted| wanted.min(self.time_out))
+    }
+}
+
 /// A checked port.
 #[derive(Clone, Debug)]
 pub struct Port {

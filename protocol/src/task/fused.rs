@@ -51,7 +51,7 @@ impl CommTask {
             Role::Sends => None,
             _ => return false,
         };
-        let ttl = time_out.map_or(from.time_out, |wanted| wanted.min(from.time_out));
+        let ttl = from.time_out_of(time_out);
         let message = own.coming_id();
         let is_usual = port.decl.takes_one_packet()
             && port.decl.guard.is_none()

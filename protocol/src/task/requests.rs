@@ -90,8 +90,7 @@ impl Machines {
         (contents, time_out): (Contents, Option<Ticks>),
     ) -> Answer {
         let (port, party) = mapping::own_end(step.table, id, step.own.task)?;
-        // Receivers and a restarted node rely on the declared TTL: a request may only shorten it.
-        let ttl = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
+        let ttl = party.time_out_of(time_out);
         let contents = match port.decl.guard {
             None => contents,
             Some(couple) => self.lease.as_ref().ok_or(Fault::Fenced)?.with_epoch(couple, contents)?,
@@ -157,8 +156,7 @@ impl Machines {
         if self.meetings.at(meeting).is_waiting() {
             return Err(Fault::Busy);
         }
-        // A restarted partner relies on the declared patience: a request may only shorten it.
-        let patience = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
+        let patience = party.time_out_of(time_out);
         self.interrupts.wait(Pending::Meeting(meeting));
         let ended = self.meetings.reach(step, meeting, (arguments, patience));
         self.end(step, ended);

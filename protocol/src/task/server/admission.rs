@@ -144,11 +144,7 @@ impl Server {
     pub(super) fn withdraw_superseded(&mut self, step: &mut Step<'_, impl Outbox>, (inbox, source): Origin) {
         let entry = &self.inboxes[inbox].sources[source];
         let task = entry.task;
-        let Some(old) = entry.command() else { return };
-        if !matches!(old.status, CommandStatus::Held) || old.until <= step.now() {
-            return;
-        }
-        let id = old.id;
+        let Some(id) = entry.command().filter(|old| old.waits(step.now())).map(|old| old.id) else { return };
         if let Some(withdrawn) = self.inboxes[inbox].withdraw(task, id) {
             discard(step, self.inboxes[inbox].port, &withdrawn, Reason::Superseded);
         }

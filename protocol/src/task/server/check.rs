@@ -64,7 +64,7 @@ impl Inbox {
 
     fn remembers(&self, held: &Held, now: Instant) -> bool {
         let command = self.source(held.source).and_then(|at| self.sources[at].command());
-        command.is_some_and(|c| c.id == held.id() && c.status == CommandStatus::Held && c.until > now)
+        command.is_some_and(|c| c.id == held.id() && c.waits(now))
     }
 }
 

@@ -146,7 +146,7 @@ impl Server {
         let inbox = &self.inboxes[usize::from(inbox)];
         let Some(at) = inbox.source(source) else { return false };
         let known = &inbox.sources[at];
-        let waits = known.command().is_some_and(|c| c.status == CommandStatus::Held && c.until > now);
+        let waits = known.command().is_some_and(|command| command.waits(now));
         !waits && !inbox.latest && known.look_up(id, now) == Seen::New && self.knows(source, id.incarnation)
     }
 

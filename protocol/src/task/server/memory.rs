@@ -34,6 +34,13 @@ pub(super) struct DedupEntry {
     pub until: Instant,
 }
 
+impl DedupEntry {
+    /// Whether its command waits in the port's buffer.
+    pub fn waits(&self, now: Instant) -> bool {
+        self.status == CommandStatus::Held && self.until > now
+    }
+}
+
 /// A sliding window over the received class-1 messages of one source: the newest number and the 64 before it.
 ///
 /// A source numbers all its messages in one sequence, on all ports and to all receivers; a send to `n` tasks takes
