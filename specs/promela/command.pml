@@ -9,7 +9,7 @@
  *   at most one of   NO_MEMORY             the receiver remembers no ids
  *                    FORGET_WHEN_ANSWERED  it forgets an id when it has answered it
  *                    FORGET_OLDER          the slot is emptied though a copy of an older id can still come
- *                    NO_QUARANTINE         restarted, it takes what was sent to its earlier life
+ *                    NO_QUARANTINE         restarted, it takes what was sent to its earlier incarnation
  *   SINGLE           another question, see below
  *   PROMPT           the receiver takes and answers each command in the step in which it arrives
  *
