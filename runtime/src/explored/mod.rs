@@ -15,6 +15,7 @@ mod lane;
 mod lead;
 mod looks;
 mod park;
+mod ready;
 mod time;
 mod visit;
 

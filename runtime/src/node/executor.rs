@@ -7,13 +7,15 @@ use crate::node::program::{AsyncBody, StartError, TaskEnd, message, spawn};
 use crate::node::{Inlet, Node};
 use crate::sync::lead::Led;
 use crate::sync::park::Park;
-use futures_util::stream::FuturesUnordered;
-use futures_util::{FutureExt, StreamExt};
+use crate::sync::ready::ReadyFutures;
+use futures_util::FutureExt;
 use imrs_wire::obs::Liveness;
+use std::future::Future;
 use std::panic::AssertUnwindSafe;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::task::{Poll, Wake, Waker};
+use std::task::{Context, Wake, Waker};
 use std::thread::JoinHandle;
 
 /// After so many waits in a row that the link did not end, the thread stops leading until the link brings something: being called
@@ -26,15 +28,14 @@ type Ended = Arc<dyn Fn(usize, TaskEnd) + Send + Sync>;
 pub(crate) struct Executor {
     thread: JoinHandle<()>,
     shared: Arc<Shared>,
-    park: Arc<Park>,
 }
 
 /// What the executor shares with its thread, which ends when no program is left or the node closes.
-#[derive(Default)]
 struct Shared {
     /// How many programs still run.
     left: AtomicUsize,
     closing: AtomicBool,
+    ready: ReadyFutures,
 }
 
 impl Executor {
@@ -44,21 +45,22 @@ impl Executor {
         bodies: Vec<(usize, AsyncBody)>,
         ended: impl Fn(usize, TaskEnd) + Send + Sync + 'static,
     ) -> Result<Self, StartError> {
-        let shared = Arc::new(Shared { left: AtomicUsize::new(bodies.len()), ..Shared::default() });
-        let park = Arc::new(Park::new(node.waker()));
+        let ready = ReadyFutures::new(bodies.len(), Park::new(node.waker()));
+        let left = AtomicUsize::new(bodies.len());
+        let shared = Arc::new(Shared { left, closing: AtomicBool::new(false), ready });
         for (place, _) in &bodies {
             node.locals.list[*place].listens.store(true, Ordering::Relaxed);
         }
-        let (node, own, waits) = (Arc::clone(node), Arc::clone(&shared), Arc::clone(&park));
+        let (node, own) = (Arc::clone(node), Arc::clone(&shared));
         let ended: Ended = Arc::new(ended);
-        let thread = spawn("imrs async", move || run(&node, bodies, &ended, &own, &waits))?;
-        Ok(Self { thread, shared, park })
+        let thread = spawn("imrs async", move || run(&node, bodies, &ended, &own))?;
+        Ok(Self { thread, shared })
     }
 
     /// Tells the thread to end. It drops programs that still run as soon as all of them wait.
     pub fn close(&self) {
         self.shared.closing.store(true, Ordering::Release);
-        self.park.call();
+        self.shared.ready.park.call();
     }
 
     /// Waits for the thread to end, unless a program may keep it busy.
@@ -70,49 +72,62 @@ impl Executor {
     }
 }
 
-fn run(
-    node: &Arc<Node>,
-    bodies: Vec<(usize, AsyncBody)>,
-    ended: &Ended,
-    shared: &Arc<Shared>,
-    park: &Arc<Park>,
-) {
+/// A program on this thread, and the waker that marks it as ready.
+struct Polled {
+    program: Pin<Box<dyn Future<Output = ()>>>,
+    waker: Waker,
+}
+
+fn run(node: &Arc<Node>, bodies: Vec<(usize, AsyncBody)>, ended: &Ended, shared: &Arc<Shared>) {
     clock::sleep_exactly();
-    let program = |(place, body)| {
-        let (node, ended, shared) = (Arc::clone(node), Arc::clone(ended), Arc::clone(shared));
-        async move {
+    let program = |(index, (place, body))| {
+        let (node, ended, own) = (Arc::clone(node), Arc::clone(ended), Arc::clone(shared));
+        let program = Box::pin(async move {
             let end = to_its_end(&node, place, body).await;
             let crashed = matches!(end, TaskEnd::Panicked(_));
             node.locals.list[place].set_liveness(if crashed { Liveness::Crashed } else { Liveness::Ended });
             Caller::of_a_future(node, place).end();
             ended(place, end);
-            shared.left.fetch_sub(1, Ordering::Release);
-        }
+            own.left.fetch_sub(1, Ordering::Release);
+        });
+        let waker = Waker::from(Arc::new(Marking { shared: Arc::clone(shared), index }));
+        Some(Polled { program, waker })
     };
-    let mut programs: FuturesUnordered<_> = bodies.into_iter().map(program).collect();
-    let waker = Waker::from(Arc::new(Calling(Arc::clone(park))));
-    let mut poller = std::task::Context::from_waker(&waker);
-    let mut waits = Waits { node, park, inlet: None, elsewhere: 0 };
+    let mut programs: Vec<Option<Polled>> = bodies.into_iter().enumerate().map(program).collect();
+    let mut waits = Waits { node, park: &shared.ready.park, inlet: None, elsewhere: 0 };
     loop {
-        park.begins();
-        while let Poll::Ready(Some(())) = programs.poll_next_unpin(&mut poller) {}
-        if programs.is_empty() || shared.closing.load(Ordering::Acquire) {
+        shared.ready.poll_ready(|index| poll(&mut programs[index]));
+        if shared.left.load(Ordering::Acquire) == 0 || shared.closing.load(Ordering::Acquire) {
             return;
         }
-        waits.wait();
+        if !shared.ready.any() {
+            waits.wait();
+        }
     }
 }
 
-/// The waker of all futures: it calls the thread.
-struct Calling(Arc<Park>);
+/// Polls a program, unless it has ended: a waker may outlive it.
+fn poll(place: &mut Option<Polled>) {
+    if let Some(Polled { program, waker }) = place
+        && program.as_mut().poll(&mut Context::from_waker(waker)).is_ready()
+    {
+        *place = None;
+    }
+}
 
-impl Wake for Calling {
+/// The waker of a future: it marks the future as ready, and calls the thread.
+struct Marking {
+    shared: Arc<Shared>,
+    index: usize,
+}
+
+impl Wake for Marking {
     fn wake(self: Arc<Self>) {
-        self.0.call();
+        self.wake_by_ref();
     }
 
     fn wake_by_ref(self: &Arc<Self>) {
-        self.0.call();
+        self.shared.ready.wake(self.index);
     }
 }
 

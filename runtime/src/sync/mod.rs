@@ -11,6 +11,7 @@ pub(crate) mod lead;
 pub(crate) mod park;
 pub(crate) mod plant;
 pub(crate) mod protected;
+pub(crate) mod ready;
 pub(crate) mod waiting;
 
 #[cfg(test)]

@@ -1,0 +1,88 @@
+//! Scenes of futures that are marked as ready: two of them, woken by two threads, are polled by a third.
+
+use super::{DEADLOCK, must_fail};
+use crate::explorer::{Arc, explore, thread};
+use crate::sync::park::{Park, Plant as ParkPlant};
+use crate::sync::ready::{Plant, ReadyFutures};
+use crate::sync::{AtomicBool, Ordering};
+
+type Ready = ReadyFutures<Option<Plant>, Option<ParkPlant>>;
+
+struct Scene {
+    ready: Ready,
+    /// What each future waits for: it ends when it finds this set. Relaxed, so that only the wake orders it.
+    came: [AtomicBool; 2],
+}
+
+impl Scene {
+    fn new(plant: Option<Plant>) -> Arc<Self> {
+        let ready = ReadyFutures::planted(2, Park::planted(None, None), plant);
+        Arc::new(Self { ready, came: [AtomicBool::new(false), AtomicBool::new(false)] })
+    }
+
+    fn bring(self: &Arc<Self>, place: usize) -> thread::JoinHandle<()> {
+        let scene = Arc::clone(self);
+        thread::spawn(move || {
+            scene.came[place].store(true, Ordering::Relaxed);
+            scene.ready.wake(place);
+        })
+    }
+
+    /// The thread of the futures, until those in `waits` have ended. Returns how often each was polled before it ended.
+    fn run(&self, mut waits: [bool; 2]) -> [u32; 2] {
+        let mut polls = [0; 2];
+        loop {
+            self.ready.poll_ready(|place| {
+                polls[place] += u32::from(waits[place]);
+                waits[place] &= !self.came[place].load(Ordering::Relaxed);
+            });
+            if waits == [false; 2] {
+                return polls;
+            }
+            // The executor asks `any` first, which only saves time: here a call alone keeps the thread awake.
+            self.ready.park.sleep();
+        }
+    }
+}
+
+/// Two threads, each of which wakes a future of its own.
+fn each_wakes_one(plant: Option<Plant>) -> [u32; 2] {
+    let scene = Scene::new(plant);
+    let others = [scene.bring(0), scene.bring(1)];
+    let polls = scene.run([true; 2]);
+    others.into_iter().for_each(|other| other.join().unwrap());
+    polls
+}
+
+/// Two threads wake the same future; the one that finds it marked calls nobody.
+fn both_wake_one(plant: Option<Plant>) -> [u32; 2] {
+    let scene = Scene::new(plant);
+    let first = scene.bring(0);
+    let other = Arc::clone(&scene);
+    let second = thread::spawn(move || other.ready.wake(0));
+    let polls = scene.run([true, false]);
+    first.join().unwrap();
+    second.join().unwrap();
+    polls
+}
+
+#[test]
+fn each_future_that_was_woken_is_polled_again() {
+    let seen = explore(|| each_wakes_one(None));
+    let outcomes: Vec<_> = seen.keys().copied().collect();
+    assert_eq!(outcomes, [[1, 1], [1, 2], [2, 1], [2, 2]], "{seen:?}");
+}
+
+#[test]
+fn a_future_that_two_threads_wake_is_polled_again() {
+    let seen = explore(|| both_wake_one(None));
+    let outcomes: Vec<_> = seen.keys().copied().collect();
+    assert_eq!(outcomes, [[1, 0], [2, 0], [3, 0]], "{seen:?}");
+}
+
+#[test]
+fn a_mark_that_is_made_late_or_cleared_unseen_is_a_future_that_waits_for_ever() {
+    for plant in [Plant::CallsFirst, Plant::TakesInTwoSteps, Plant::BeginsLate] {
+        must_fail(DEADLOCK, move || each_wakes_one(Some(plant)));
+    }
+}

@@ -1,0 +1,90 @@
+//! Which futures of a thread are ready to be polled: a bit for each (D178). A waker marks its future and calls the thread; the
+//! thread takes all marks of a word at once.
+
+use crate::sync::park::Park;
+use crate::sync::plant::{Plants, Sound};
+use crate::sync::{AtomicU64, Ordering};
+
+const BITS: usize = u64::BITS as usize;
+
+pub(crate) struct ReadyFutures<P = Sound, Q = Sound> {
+    words: Box<[AtomicU64]>,
+    /// Where the thread waits while no future is ready.
+    pub park: Park<Q>,
+    plant: P,
+}
+
+/// The bugs that the explorers must find.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Plant {
+    /// The thread is called before the future is marked.
+    CallsFirst,
+    /// A word is read and then cleared, in two steps.
+    TakesInTwoSteps,
+    /// The thread says that it begins after it has taken the marks.
+    BeginsLate,
+}
+
+impl ReadyFutures {
+    /// `count` futures, all of them ready: each is polled once at the start.
+    pub fn new(count: usize, park: Park) -> Self {
+        Self::planted(count, park, Sound)
+    }
+}
+
+impl<P: Plants<Plant>, Q: Plants<crate::sync::park::Plant>> ReadyFutures<P, Q> {
+    /// As [`new`](ReadyFutures::new), with a bug.
+    pub fn planted(count: usize, park: Park<Q>, plant: P) -> Self {
+        let of_word = |first: usize| match count - first {
+            left if left < BITS => (1 << left) - 1,
+            _full => u64::MAX,
+        };
+        let words = (0..count).step_by(BITS).map(|first| AtomicU64::new(of_word(first))).collect();
+        Self { words, park, plant }
+    }
+
+    /// The future at `place` is ready. Whoever marked it before has called the thread, or is about to.
+    pub fn wake(&self, place: usize) {
+        if self.plant.has(Plant::CallsFirst) {
+            self.park.call();
+        }
+        let bit = 1 << (place % BITS);
+        // With `AcqRel` on both sides, a waker that finds the bit set still hands on what it wrote before.
+        let before = self.words[place / BITS].fetch_or(bit, Ordering::AcqRel);
+        if before & bit == 0 && !self.plant.has(Plant::CallsFirst) {
+            self.park.call();
+        }
+    }
+
+    /// Polls each future that is ready, once, by `poll`.
+    pub fn poll_ready(&self, mut poll: impl FnMut(usize)) {
+        // First, so that a call after any of the takes keeps the thread from waiting.
+        if !self.plant.has(Plant::BeginsLate) {
+            self.park.begins();
+        }
+        for (index, word) in self.words.iter().enumerate() {
+            let mut ready = self.take(word);
+            while ready != 0 {
+                poll(index * BITS + ready.trailing_zeros() as usize);
+                ready &= ready - 1;
+            }
+        }
+        if self.plant.has(Plant::BeginsLate) {
+            self.park.begins();
+        }
+    }
+
+    /// Whether a future is ready already, so that the thread need not try to wait.
+    pub fn any(&self) -> bool {
+        self.words.iter().any(|word| word.load(Ordering::Relaxed) != 0)
+    }
+
+    fn take(&self, word: &AtomicU64) -> u64 {
+        if self.plant.has(Plant::TakesInTwoSteps) {
+            let ready = word.load(Ordering::Acquire);
+            word.store(0, Ordering::Release);
+            return ready;
+        }
+        word.swap(0, Ordering::AcqRel)
+    }
+}
