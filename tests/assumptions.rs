@@ -110,7 +110,7 @@ impl Run {
         all
     }
 
-    /// The breach of this kind, if there is one.
+    /// The assumption of this kind that a run with these faults broke, and how often; none if it held.
     fn breach(&self, faults: &str, kind: &str) -> Option<(String, u64)> {
         let all = self.breaches(faults);
         all.into_iter().find(|breach| breach.0 == kind).map(|(_, what, times)| (what, times))

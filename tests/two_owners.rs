@@ -147,7 +147,7 @@ fn a_machine_that_was_suspended_keeps_its_times() {
     let stat = std::fs::read_to_string(seen).expect("what the guard used");
     let (_, rest) = stat.rsplit_once(')').expect("a name");
     let spent = rest.split_whitespace().skip(11).take(2).map(|ticks| ticks.parse::<u64>().expect("ticks"));
-    // In hundredths of a second. A guard whose timer expires before the deadline must not spin.
+    // The guard's processor time, in hundredths of a second: it must not spin if its timer expires before the deadline.
     assert!(spent.sum::<u64>() < 30, "{stat}");
 }
 

@@ -17,7 +17,7 @@ pub struct Name {
 /// A duration such as `20 msec`, in microseconds, the unit of the runtime (D34, D42).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Duration {
-    /// Its length in microseconds.
+    /// The duration in microseconds.
     pub usec: u64,
     /// Its span.
     pub span: Span,
@@ -566,11 +566,11 @@ pub enum CheckKind {
     Always(Expr),
     /// `expr leads expr within 25 msec`
     Leads {
-        /// The premise: whenever it is true,
+        /// The premise.
         when: Expr,
-        /// the consequence must be true, at the same time or later,
+        /// The consequence: whenever the premise is true, it must be true then or later.
         then: Expr,
-        /// within this time.
+        /// The longest time from the premise to the consequence.
         within: Duration,
     },
 }

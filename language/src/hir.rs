@@ -159,7 +159,7 @@ pub struct Port {
     pub retry: u8,
     /// `resend`.
     pub resend: Option<Duration>,
-    /// `penalty`, and whether it is the paper's literal rule (D4).
+    /// `penalty`: the time, and whether the paper's literal rule applies (D4).
     pub penalty: Option<(Duration, bool)>,
     /// `rate`.
     pub rate: Option<(u16, Duration)>,
@@ -356,7 +356,7 @@ pub struct Statement {
 /// A branch of a statement.
 #[derive(Clone, Debug)]
 pub struct Branch {
-    /// The end of the statement for which it runs.
+    /// How the statement must have ended for this branch to run.
     pub when: BranchKind,
     /// Its statements.
     pub body: Vec<Statement>,

@@ -353,7 +353,7 @@ fn who_waits_for_ever_for_one_that_has_ended_is_told() {
             told("send p(); send p();", "while n < 2 do receive p(); reply(); n := n + 1; end;", other),
             []
         );
-        // A loop that nothing leaves is a server's, however it is written and wherever a round begins to wait.
+        // A task whose loop has no exit serves for ever: that it waits at the end is no finding, however the loop is written.
         for serves in [
             "while true do receive p(); reply(); end;",
             "loop if n > 0 then receive p(); reply(); else receive p(); reply(); n := 1; end; end;",

@@ -24,7 +24,7 @@ fn damaged(which: usize, damage: &[(usize, u8)]) -> Option<ServerFrame> {
     ServerFrame::decode(&bytes).ok()
 }
 
-/// The source, the kind of frame, and the changed bytes.
+/// A damaged frame that a source sends: the source, the kind of frame, and the changed bytes with their positions.
 type Sent = (usize, usize, Vec<(usize, u8)>);
 
 fn frames() -> impl Strategy<Value = Vec<Sent>> {

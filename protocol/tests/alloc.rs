@@ -160,7 +160,7 @@ fn exercise(pair: &mut Pair, contents: Contents) {
     pair.told(|s| matches!(s, Signal::Released { .. }));
     pair.pass(4);
     pair.pass(4);
-    // A rendezvous that is given up.
+    // The arm waits for the hoist, which does not come, and gives up.
     pair.ask(ARM, arrive);
     pair.pass(50);
     pair.told(|s| matches!(s, Signal::GaveUp { .. }));

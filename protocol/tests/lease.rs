@@ -200,7 +200,7 @@ fn table(mutual: bool) -> Arc<CellTable> {
     Arc::new(CellTable::new(cell(mutual)).expect("a checked cell"))
 }
 
-/// A status message of P or S to the arm, sent in this epoch.
+/// A status message of the primary or the standby (`from`) to the arm, sent in this epoch.
 fn order(from: TaskId, sequence: u32, epoch: u8, what: u8) -> Packet {
     let mut packet = Solo::new(&table(false), ARM).nothing();
     packet.source = from;

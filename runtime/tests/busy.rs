@@ -21,7 +21,7 @@ fn two_ports() -> Arc<imrs_protocol::CellTable> {
     table(cell)
 }
 
-/// The task enters and finds nothing: from here on its thread runs, and is known to enter.
+/// The task calls its communication task once and finds no message. From then on the node knows that the task's thread runs.
 fn runs(ctx: &mut Context) -> Result<(), TaskError> {
     assert_eq!(ctx.poll(None)?, None);
     Ok(())

@@ -57,7 +57,7 @@ fn tells(records: &[Record], at: usize) -> bool {
     digests(records, at).is_some_and(|(after, before)| after != before)
 }
 
-/// Of all fitting inputs with outputs, the one in the middle.
+/// The position of an input that fits and has outputs: of all of them, the one in the middle.
 fn place(records: &[Record], fits: impl Fn(&Input) -> bool) -> Option<usize> {
     places(records, |records, at| {
         matches!(&records[at], Record::Input { input, .. } if fits(input)) && tells(records, at)

@@ -137,7 +137,7 @@ impl Search<'_> {
         left
     }
 
-    /// Follows paths through the body of a loop, whose beginning is also reached from its end.
+    /// Follows the paths through the body of a loop. They may begin where the loop is entered, or come from the end of its body.
     fn turned(self, body: &[Statement], from: Open, receives: Option<PortId>) -> Left {
         let once = self.statements(body, from, receives);
         let head = quicker(from, once.next);
@@ -164,7 +164,7 @@ impl Search<'_> {
                     matches!(declared.usage_of(task), Some(Usage::Receive | Usage::Response))
                 });
                 let deeper = Self { depth: self.depth + 1, ..self };
-                // The recipients are ignored: the quickest possible answer counts.
+                // Whoever the recipients are, the receiver that can answer most quickly counts.
                 answers.map(|task| deeper.answer(task, *port).unwrap_or_default()).min().unwrap_or_default()
             }
             _ => 0,

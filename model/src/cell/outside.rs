@@ -112,7 +112,7 @@ fn targets(plan: &CellPlan, task: TaskId, port: PortId) -> Vec<Target> {
     std::iter::once(Target::All).chain(alone).collect()
 }
 
-/// One use of a port, as operations: `value` gives the value of each field by its type.
+/// The operations of one statement that uses a port. `value` gives the value of each field by its type.
 fn once(
     plan: &CellPlan,
     task: TaskId,

@@ -167,7 +167,9 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
     let walker = || Walker::new(phase, RunState::new(plan, faults));
     let mut walkers: Vec<Walker> = (0..plan.jobs.max(1)).map(|_| walker()).collect();
     let ended_by = search.run(plan, &mut walkers, start);
-    let outgrown = || search.outgrown.then(|| "some states do not fit the checker's packed form".to_string());
+    let outgrown = || {
+        search.outgrown.then(|| "a number in some states is too large for the checker to store".to_string())
+    };
     let mut ended_by = ended_by.or_else(outgrown);
     let tell = |hit: &Hit| search.tell(plan, (phase, hypothesis), faults, hit);
     let (mut warnings, findings): (Vec<Finding>, Vec<Finding>) =

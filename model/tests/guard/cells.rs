@@ -37,7 +37,7 @@ impl<'a> Tape<'a> {
 pub(super) enum Use {
     /// The owner sends messages of class 1.
     Status,
-    /// The owner sends commands, of class 2.
+    /// The owner sends messages of class 2.
     Order,
     /// The owner receives messages of this class.
     Told(u8),

@@ -149,7 +149,7 @@ impl History {
     }
 }
 
-/// The history of a rendezvous of a cell.
+/// The rounds that were seen of the rendezvous on a port.
 #[must_use]
 pub fn history<'s>(store: &'s Store, cell: &Name, port: PortId) -> Option<&'s History> {
     store.histories.of.get(&(cell.clone(), port)).map(AsRef::as_ref)

@@ -16,7 +16,7 @@ pub enum Violation {
     HoldsForeign(PortId, TaskId, MessageId),
     /// A buffer holds a command without a dedup entry that says so: a copy of it would run twice (D52).
     NotRemembered(PortId, TaskId, MessageId),
-    /// A dedup entry ends before its sender's wait, or the execution budget ends after it (D6, D18).
+    /// A dedup entry is forgotten while the sender still waits, or the execution budget ends after the entry (D6, D18).
     MemoryTooShort(TaskId, MessageId),
     /// The task waits past its deadline.
     Overdue(Instant),

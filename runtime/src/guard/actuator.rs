@@ -342,7 +342,7 @@ impl Deadline {
         let _ = self.0.fetch_update(Ordering::AcqRel, Ordering::Acquire, later);
     }
 
-    /// Ends the deadline, for good.
+    /// Puts the deadline into the past, for good.
     pub fn stop(&self) {
         self.0.store(STOPPED, Ordering::Release);
     }

@@ -41,7 +41,7 @@ impl Timers {
     ) {
         let mut state = lock(&self.state);
         state.advance(at, effects);
-        // The time since the task asked is not added to its delay.
+        // The delay counts from the instant at which the task asked, not from now.
         let length = length - (state.now() - Instant(at));
         state.disarm(owner, id);
         let timer = if effects.waiter == Some(owner) { &mut state.attended } else { &mut state.unattended };

@@ -73,7 +73,7 @@ impl Rounding {
     pub const ALL: [Self; 5] = [Self::First, Self::Up, Self::Down, Self::Otherwise, Self::Charged];
 }
 
-/// The roundings of inputs, by task and position among its groups.
+/// How the time of an input is rounded to ticks, by task and position of the input's group among the task's groups.
 pub(super) type Roundings = BTreeMap<(usize, usize), Rounding>;
 
 /// A run, followed up to some input.

@@ -146,7 +146,7 @@ pub struct Simulator {
 }
 
 impl Simulator {
-    /// A cell, and the most steps of a run.
+    /// A simulator of this cell, whose runs have at most `steps` steps.
     ///
     /// # Errors
     /// [`Refused`] for a cell that is too large.
