@@ -88,7 +88,7 @@ pub fn main() {
         assert!(gone == (task == "first") && (gone || end == TaskEnd::Returned), "{task}: {end:?}");
     }
     let mut spots: Vec<i8> = welded.iter().collect();
-    // The spot at which the first robot failed may be there twice: the second robot knows of no spot that it was not told of.
+    // The spot at which the first robot failed may be there twice: the second robot knows only of spots that a message named.
     spots.sort_unstable();
     spots.dedup();
     assert_eq!(spots, [0, 1, 2, 3, 4, 5], "every spot");

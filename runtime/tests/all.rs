@@ -15,6 +15,7 @@ mod nodes;
 mod observer;
 mod old_packets;
 mod primitives;
+mod ready;
 mod recorder;
 mod replay;
 mod scripts;

@@ -6,8 +6,7 @@ use crate::common::{
 };
 use futures_util::future::{Either, select};
 use imrs_protocol::{
-    Cell, Class, Fault, Incarnation, NodeId, NodeTable, Outcome, PortDecl, Ranked, Target, Ticks, TimeId,
-    Usage,
+    Class, Fault, Incarnation, NodeId, NodeTable, Outcome, PortDecl, Ranked, Target, Ticks, TimeId, Usage,
 };
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::record::{Recorder, replay};
@@ -55,10 +54,10 @@ async fn give_way() {
 
 /// A flag with which another thread tells a future something.
 #[derive(Default)]
-struct Told(Mutex<(bool, Option<Waker>)>);
+pub struct Told(Mutex<(bool, Option<Waker>)>);
 
 impl Told {
-    fn tell(&self) {
+    pub fn tell(&self) {
         let mut told = self.0.lock().unwrap();
         told.0 = true;
         if let Some(waker) = told.1.take() {
@@ -66,7 +65,7 @@ impl Told {
         }
     }
 
-    fn hear(&self) -> impl Future<Output = ()> {
+    pub fn hear(&self) -> impl Future<Output = ()> {
         poll_fn(|poller| {
             let mut told = self.0.lock().unwrap();
             if told.0 {
@@ -105,33 +104,6 @@ fn a_future_and_a_thread_ask_each_other_between_nodes() {
     let (first, second) = (first.start().unwrap(), second.start().unwrap());
     finish(first);
     finish(second);
-}
-
-/// More than the 64 bits of a word say which is ready. Only one is told at a time, and it tells the next.
-#[test]
-fn each_of_seventy_futures_is_polled_when_it_is_told() {
-    const COUNT: usize = 70;
-    let mut cell = Cell::new("test", Ticks(1_000));
-    let node = cell.node("n0");
-    for task in 0..COUNT {
-        cell.task(&format!("t{task}"), node);
-    }
-    let told: Arc<[Told]> = (0..=COUNT).map(|_| Told::default()).collect();
-    let order = Arc::new(Mutex::new(Vec::new()));
-    let mut node = one_node(&table(cell));
-    for task in 0..COUNT {
-        let (told, order) = (Arc::clone(&told), Arc::clone(&order));
-        node = node.async_task(&format!("t{task}"), move |_ctx| async move {
-            told[task + 1].hear().await;
-            order.lock().unwrap().push(task);
-            told[task].tell();
-            Ok(())
-        });
-    }
-    let node = node.start().unwrap();
-    told[COUNT].tell();
-    finish(node);
-    assert_eq!(*order.lock().unwrap(), (0..COUNT).rev().collect::<Vec<_>>());
 }
 
 #[test]

@@ -91,7 +91,7 @@ fn wait_for(what: &str, mut done: impl FnMut() -> bool) {
     }
 }
 
-/// Nobody but the node holds the recorder: so the recording ends when the node does, not before.
+/// Only the node holds the recorder, so the recording ends when the node does, not before.
 #[test]
 fn a_recording_lasts_as_long_as_its_node() {
     const TIMES: usize = 50;

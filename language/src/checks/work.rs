@@ -164,7 +164,7 @@ impl Search<'_> {
                     matches!(declared.usage_of(task), Some(Usage::Receive | Usage::Response))
                 });
                 let deeper = Self { depth: self.depth + 1, ..self };
-                // Whoever the recipients are, the receiver that can answer most quickly counts.
+                // For any recipients, the receiver that can answer most quickly counts.
                 answers.map(|task| deeper.answer(task, *port).unwrap_or_default()).min().unwrap_or_default()
             }
             _ => 0,

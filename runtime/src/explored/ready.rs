@@ -54,7 +54,7 @@ fn each_wakes_one(plant: Option<Plant>) -> [u32; 2] {
     polls
 }
 
-/// Two threads wake the same future; the one that finds it marked calls nobody.
+/// Two threads wake the same future; the one that finds it marked does not call the thread.
 fn both_wake_one(plant: Option<Plant>) -> [u32; 2] {
     let scene = Scene::new(plant);
     let first = scene.bring(0);

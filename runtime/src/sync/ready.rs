@@ -43,7 +43,7 @@ impl<P: Plants<Plant>, Q: Plants<crate::sync::park::Plant>> ReadyFutures<P, Q> {
         Self { words, park, plant }
     }
 
-    /// The future at `place` is ready. Whoever marked it before has called the thread, or is about to.
+    /// The future at `place` is ready. A waker that marked it before has called the thread, or is about to.
     pub fn wake(&self, place: usize) {
         if self.plant.has(Plant::CallsFirst) {
             self.park.call();
