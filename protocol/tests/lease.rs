@@ -355,7 +355,7 @@ fn a_node_that_started_again_takes_the_epoch_of_one_that_knows_it() {
     for reached in [0, 100, 130, 132, 200] {
         let mut primary = Solo::incarnation(&table(true), P, 1, true);
         assert_eq!(said(&primary.hear(guess(1, 2))), [[0, 7]], "two that guess: the newer, and counted up");
-        assert_eq!(said(&primary.hear(heartbeat(2, 0, reached, 0))), [[0; 2]; 0], "of an earlier run");
+        assert_eq!(said(&primary.hear(heartbeat(2, 0, reached, 0))), [[0; 2]; 0], "earlier incarnation");
         let mut knows = guess(3, reached);
         knows.contents = Contents::new(&[0, 0, reached, 0, 0]).expect("short");
         assert_eq!(said(&primary.hear(knows)), [[0, reached + 1]]);

@@ -1,11 +1,11 @@
-//! A node with more futures than one word of their marks has bits (D178).
+//! A node with more futures than a word of marks has bits (D178).
 
 use crate::common::{finish, one_node, table};
 use crate::futures::Told;
 use imrs_protocol::{Cell, Ticks};
 use std::sync::{Arc, Mutex};
 
-/// More than the 64 bits of a word say which is ready. Only one is told at a time, and it tells the next.
+/// Seventy marks take two words. One future is told at a time, and tells the one before it.
 #[test]
 fn each_of_seventy_futures_is_polled_when_it_is_told() {
     const COUNT: usize = 70;

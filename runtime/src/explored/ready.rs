@@ -1,22 +1,20 @@
 //! Scenes of futures that are marked as ready: two of them, woken by two threads, are polled by a third.
 
 use super::{DEADLOCK, must_fail};
-use crate::explorer::{Arc, explore, thread};
-use crate::sync::park::{Park, Plant as ParkPlant};
+use crate::explorer::{Arc, SEES_OLD_VALUES, explore, thread};
+use crate::sync::park::Park;
 use crate::sync::ready::{Plant, ReadyFutures};
 use crate::sync::{AtomicBool, Ordering};
 
-type Ready = ReadyFutures<Option<Plant>, Option<ParkPlant>>;
-
 struct Scene {
-    ready: Ready,
+    ready: ReadyFutures<Option<Plant>>,
     /// What each future waits for: it ends when it finds this set. Relaxed, so that only the wake orders it.
     came: [AtomicBool; 2],
 }
 
 impl Scene {
     fn new(plant: Option<Plant>) -> Arc<Self> {
-        let ready = ReadyFutures::planted(2, Park::planted(None, None), plant);
+        let ready = ReadyFutures::planted(2, Park::new(None), plant);
         Arc::new(Self { ready, came: [AtomicBool::new(false), AtomicBool::new(false)] })
     }
 
@@ -84,5 +82,12 @@ fn a_future_that_two_threads_wake_is_polled_again() {
 fn a_mark_that_is_made_late_or_cleared_unseen_is_a_future_that_waits_for_ever() {
     for plant in [Plant::CallsFirst, Plant::TakesInTwoSteps, Plant::BeginsLate] {
         must_fail(DEADLOCK, move || each_wakes_one(Some(plant)));
+    }
+}
+
+#[test]
+fn a_waker_that_only_reads_the_mark_hands_on_nothing() {
+    if SEES_OLD_VALUES {
+        must_fail(DEADLOCK, || both_wake_one(Some(Plant::OnlyReads)));
     }
 }

@@ -7,10 +7,10 @@ use crate::sync::{AtomicU64, Ordering};
 
 const BITS: usize = u64::BITS as usize;
 
-pub(crate) struct ReadyFutures<P = Sound, Q = Sound> {
+pub(crate) struct ReadyFutures<P = Sound> {
     words: Box<[AtomicU64]>,
     /// Where the thread waits while no future is ready.
-    pub park: Park<Q>,
+    pub park: Park,
     plant: P,
 }
 
@@ -19,6 +19,8 @@ pub(crate) struct ReadyFutures<P = Sound, Q = Sound> {
 pub(crate) enum Plant {
     /// The thread is called before the future is marked.
     CallsFirst,
+    /// A waker that finds the mark set only reads it.
+    OnlyReads,
     /// A word is read and then cleared, in two steps.
     TakesInTwoSteps,
     /// The thread says that it begins after it has taken the marks.
@@ -32,14 +34,11 @@ impl ReadyFutures {
     }
 }
 
-impl<P: Plants<Plant>, Q: Plants<crate::sync::park::Plant>> ReadyFutures<P, Q> {
+impl<P: Plants<Plant>> ReadyFutures<P> {
     /// As [`new`](ReadyFutures::new), with a bug.
-    pub fn planted(count: usize, park: Park<Q>, plant: P) -> Self {
-        let of_word = |first: usize| match count - first {
-            left if left < BITS => (1 << left) - 1,
-            _full => u64::MAX,
-        };
-        let words = (0..count).step_by(BITS).map(|first| AtomicU64::new(of_word(first))).collect();
+    pub fn planted(count: usize, park: Park, plant: P) -> Self {
+        let marks = |first: usize| u64::MAX >> BITS.saturating_sub(count - first);
+        let words = (0..count).step_by(BITS).map(|first| AtomicU64::new(marks(first))).collect();
         Self { words, park, plant }
     }
 
@@ -48,9 +47,12 @@ impl<P: Plants<Plant>, Q: Plants<crate::sync::park::Plant>> ReadyFutures<P, Q> {
         if self.plant.has(Plant::CallsFirst) {
             self.park.call();
         }
-        let bit = 1 << (place % BITS);
-        // With `AcqRel` on both sides, a waker that finds the bit set still hands on what it wrote before.
-        let before = self.words[place / BITS].fetch_or(bit, Ordering::AcqRel);
+        let (word, bit) = (&self.words[place / BITS], 1 << (place % BITS));
+        if self.plant.has(Plant::OnlyReads) && word.load(Ordering::Acquire) & bit != 0 {
+            return;
+        }
+        // Written even if the bit is set: so the thread that takes it sees what this waker wrote before.
+        let before = word.fetch_or(bit, Ordering::AcqRel);
         if before & bit == 0 && !self.plant.has(Plant::CallsFirst) {
             self.park.call();
         }
