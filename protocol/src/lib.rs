@@ -94,6 +94,8 @@
 #![forbid(unsafe_code)]
 
 extern crate alloc;
+#[cfg(feature = "checker")]
+extern crate std;
 
 pub mod aging;
 pub mod cell;
@@ -141,6 +143,8 @@ pub use table::{CellTable, NodeTable, Party, Port};
 #[cfg(feature = "checker")]
 pub use task::Coming;
 pub use task::{CommTask, Input, Outbox, invariants};
+#[cfg(feature = "checker")]
+pub use ticks::symbolic;
 pub use ticks::{Instant, Ticks};
 pub use timer::Timer;
 pub use transit::{RouteOutbox, Transit};

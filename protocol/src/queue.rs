@@ -20,13 +20,21 @@ pub type Slot = u16;
 /// No slot: a queue has at most 65,535 entries.
 const NONE: Slot = Slot::MAX;
 
+/// An instant, and what decides between entries of the same instant.
+///
+/// Not one packed number: a checker's instants may be symbols, which only compare ([`Instant`]).
+pub type Key = (Instant, u64);
+
+/// The key of an empty slot.
+const LAST: Key = (Instant::NEVER, u64::MAX);
+
 /// What the queue orders its entries by.
 pub trait Entry {
     /// Data stored beside each entry of a watched queue. It decides when the entry is due.
     type Side: Copy + Default;
 
-    /// The urgency, with an instant in the upper half: the least key is served first. Keys are unique within a queue.
-    fn key(&self) -> u128;
+    /// The urgency: the least key is served first. Keys are unique within a queue.
+    fn key(&self) -> Key;
     /// The instant at which the caller must look at the entry again.
     fn due(&self, side: &Self::Side) -> Instant;
     /// Whether the entry is evicted before those that do not yield, however urgent it is.
@@ -70,18 +78,13 @@ impl<T: Entry> Default for Queue<T> {
     }
 }
 
-fn urgency<T: Entry>(entries: &[Option<T>], slot: Slot) -> u128 {
-    entries[usize::from(slot)].as_ref().map_or(u128::MAX, Entry::key)
+fn urgency<T: Entry>(entries: &[Option<T>], slot: Slot) -> Key {
+    entries[usize::from(slot)].as_ref().map_or(LAST, Entry::key)
 }
 
-fn due<T: Entry>(entries: &[Option<T>], sides: &[T::Side], slot: Slot) -> (Instant, u128) {
+fn due<T: Entry>(entries: &[Option<T>], sides: &[T::Side], slot: Slot) -> (Instant, Key) {
     let (entry, side) = (entries[usize::from(slot)].as_ref(), &sides[usize::from(slot)]);
-    entry.map_or((Instant::NEVER, u128::MAX), |entry| (entry.due(side), entry.key()))
-}
-
-/// The instant in the upper half of a key.
-fn instant(key: u128) -> Instant {
-    Instant((key >> 64) as u64)
+    entry.map_or((Instant::NEVER, LAST), |entry| (entry.due(side), entry.key()))
 }
 
 impl<S: Copy + Default> Order<S> {
@@ -106,9 +109,9 @@ impl<S: Copy + Default> Order<S> {
 
     /// Takes the first free slot for an entry that was just stored there.
     #[inline]
-    fn put<T: Entry<Side = S>>(&mut self, entries: &[Option<T>], slot: Slot, key: u128, side: S) {
+    fn put<T: Entry<Side = S>>(&mut self, entries: &[Option<T>], slot: Slot, key: Key, side: S) {
         self.free = self.urgent.kept(slot);
-        self.urgent.push(slot, instant(key), |slot| urgency(entries, slot));
+        self.urgent.push(slot, key.0, |slot| urgency(entries, slot));
         if let Some(Watch { sides, due: order }) = &mut self.watch {
             sides[usize::from(slot)] = side;
             let key = |slot| due(entries, sides, slot);
@@ -144,7 +147,7 @@ impl<S: Copy + Default> Order<S> {
     /// Rebuilds all orders, after any keys and due instants may have changed.
     fn renew<T: Entry<Side = S>>(&mut self, entries: &[Option<T>]) {
         let key = |slot| urgency(entries, slot);
-        self.urgent.order(|slot| instant(key(slot)), key);
+        self.urgent.order(|slot| key(slot).0, key);
         if let Some(Watch { sides, due: order }) = &mut self.watch {
             let key = |slot| due(entries, sides, slot);
             order.order(|slot| key(slot).0, key);
@@ -154,7 +157,7 @@ impl<S: Copy + Default> Order<S> {
 
     fn is_right<T: Entry<Side = S>>(&self, entries: &[Option<T>]) -> bool {
         let key = |slot| urgency(entries, slot);
-        let urgent = self.urgent.is_in_order(|slot| instant(key(slot)), key);
+        let urgent = self.urgent.is_in_order(|slot| key(slot).0, key);
         let dues = self.watch.as_ref().is_none_or(|watch| {
             let key = |slot| due(entries, &watch.sides, slot);
             watch.due.len() == self.urgent.len() && watch.due.is_in_order(|slot| key(slot).0, key)
@@ -337,7 +340,7 @@ impl<T: Entry> Queue<T> {
         let key = entry.key();
         let entries = &self.entries;
         let Some(order) = self.order.as_deref_mut() else { return };
-        order.urgent.moved(slot, instant(key), |slot| urgency(entries, slot));
+        order.urgent.moved(slot, key.0, |slot| urgency(entries, slot));
         if let Some(Watch { sides, due: order }) = &mut order.watch {
             sides[usize::from(slot)] = side;
             let key = |slot| due(entries, sides, slot);

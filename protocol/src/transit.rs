@@ -13,7 +13,7 @@ use crate::ids::{MessageId, NodeId, TaskId};
 use crate::mapping;
 use crate::observe::{Event, Observation, Reason, TransitView};
 use crate::packet::{Class, Control, Kind, Packet};
-use crate::queue::{Entry, Queue, Slot};
+use crate::queue::{Entry, Key, Queue, Slot};
 use crate::route::{self, Departure};
 use crate::rules::{Eviction, TimeStamp};
 use crate::table::NodeTable;
@@ -46,9 +46,9 @@ struct Waiting {
 impl Entry for Waiting {
     type Side = ();
 
-    fn key(&self) -> u128 {
-        let class = u128::from(self.packet.class == Class::Status);
-        (u128::from(self.expires.0) << 64) | (class << 63) | u128::from(self.arrival & (u64::MAX >> 1))
+    fn key(&self) -> Key {
+        let class = u64::from(self.packet.class == Class::Status);
+        (self.expires, (class << 63) | (self.arrival & (u64::MAX >> 1)))
     }
 
     fn due(&self, (): &()) -> Instant {

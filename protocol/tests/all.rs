@@ -22,6 +22,7 @@ mod send;
 mod sets;
 mod steps;
 mod support;
+mod symbolic;
 mod timer;
 mod transit;
 mod variants;

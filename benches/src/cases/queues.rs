@@ -5,7 +5,7 @@ use super::floors::GROUP;
 use crate::cores;
 use crate::sample::{Sample, each, nanos_of};
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
-use imrs_protocol::queue::{Entry, Queue};
+use imrs_protocol::queue::{Entry, Key, Queue};
 use imrs_protocol::{NodeId, TaskId, Ticks, TimeId, Timer};
 use imrs_runtime::Runtime;
 use rustix::time::{ClockId, Timespec, clock_gettime};
@@ -27,8 +27,8 @@ struct Waiting {
 
 impl Entry for Waiting {
     type Side = ();
-    fn key(&self) -> u128 {
-        u128::from(self.deadline) << 64 | u128::from(self.number)
+    fn key(&self) -> Key {
+        (imrs_protocol::Instant(self.deadline), self.number)
     }
     fn due(&self, (): &()) -> imrs_protocol::Instant {
         imrs_protocol::Instant(self.deadline)

@@ -6,13 +6,13 @@ use proptest::prelude::*;
 /// The side data are the instant at which the item is due.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Item {
-    key: u128,
+    key: Key,
     yields: bool,
 }
 
 impl Entry for Item {
     type Side = Instant;
-    fn key(&self) -> u128 {
+    fn key(&self) -> Key {
         self.key
     }
     fn due(&self, side: &Instant) -> Instant {
@@ -57,7 +57,7 @@ proptest! {
         for (n, (what, a, at, yields)) in steps.into_iter().enumerate() {
             // Some instants are equal, and some do not fit into a heap word.
             let instant = u64::from(a % 8) << if a & 8 == 0 { 0 } else { 61 };
-            let item = Item { key: (u128::from(instant) << 64) | n as u128, yields };
+            let item = Item { key: (Instant(instant), n as u64), yields };
             let nth = model.get(usize::from(a) % 20).copied();
             match (what, nth) {
                 (0..=3, _) => match queue.push_with(item, Instant(at)) {
@@ -77,8 +77,8 @@ proptest! {
                     model.retain(|&(_, item, _)| Some(item) != popped);
                 }
                 (6, _) => {
-                    queue.change_all(|item, due| (item.key, *due) = (item.key ^ (0xff << 64), Instant(due.0 ^ 3)));
-                    model.iter_mut().for_each(|(_, item, due)| (item.key, *due) = (item.key ^ (0xff << 64), *due ^ 3));
+                    queue.change_all(|item, due| (item.key, *due) = ((Instant(item.key.0.0 ^ 0xff), item.key.1), Instant(due.0 ^ 3)));
+                    model.iter_mut().for_each(|(_, item, due)| (item.key, *due) = ((Instant(item.key.0.0 ^ 0xff), item.key.1), *due ^ 3));
                 }
                 (7, Some((slot, old, _))) => {
                     prop_assert_eq!(queue.remove(slot), Some(old));
@@ -96,7 +96,7 @@ proptest! {
         }
         queue.clear();
         agrees(&mut queue, &[])?;
-        let again = Item { key: 1, yields: false };
+        let again = Item { key: (Instant(0), 1), yields: false };
         prop_assert_eq!((queue.push(again), queue.push(again)), (Ok(0), Ok(1)));
     }
 }

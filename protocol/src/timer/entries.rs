@@ -18,8 +18,8 @@ pub(super) struct Entry {
 impl queue::Entry for Entry {
     type Side = ();
 
-    fn key(&self) -> u128 {
-        (u128::from(self.expires.0) << 64) | u128::from(self.armed)
+    fn key(&self) -> queue::Key {
+        (self.expires, self.armed)
     }
 
     fn due(&self, (): &()) -> Instant {

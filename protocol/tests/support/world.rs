@@ -41,6 +41,9 @@ pub struct World {
     pub splits: bool,
     /// Whether every deadline is checked after time has passed, due or not.
     pub looks_around: bool,
+    /// The time of the next input, if all clocks run alike; then a packet in flight has its deadline in place of its remaining
+    /// time. Otherwise each task has a clock of its own.
+    pub at: Option<Instant>,
 }
 
 impl World {
@@ -62,6 +65,7 @@ impl World {
             lag: 0,
             splits: false,
             looks_around: false,
+            at: None,
         }
     }
 
@@ -111,9 +115,9 @@ impl World {
     /// An input, `ticks` after the last one.
     fn input_after(&mut self, ticks: u64, task: usize, input: Input) -> Effects {
         let mut out = Effects::default();
-        let now = self.tasks[task].now() + Ticks(ticks);
-        let most = if ticks > 0 { 2 } else { 1 };
-        let passes = ticks > 0 || matches!(input, Input::Time);
+        let now = self.at.unwrap_or_else(|| self.tasks[task].now() + Ticks(ticks));
+        let most = if ticks > 0 || self.at.is_some() { 2 } else { 1 };
+        let passes = ticks > 0 || self.at.is_some() || matches!(input, Input::Time);
         if passes && (self.splits || self.looks_around) {
             self.tasks[task].handle(&self.tables[task], now, &Input::Time, &mut out);
         }
@@ -127,6 +131,10 @@ impl World {
         }
         assert!(out.signals.len() <= most, "T{task} gets {:?} for {input:?}", out.signals);
         self.flying.extend(&out.packets);
+        if let Some(now) = self.at {
+            let left = self.flying.iter_mut().rev().take(out.packets.len());
+            left.for_each(|packet| packet.remaining += now - Instant::START);
+        }
         for &(id, turn) in &out.turns {
             self.turns[task].retain(|t| t.0 != id);
             self.turns[task].push((id, turn));
@@ -146,12 +154,16 @@ impl World {
             return Effects::default();
         }
         let at = usize::from(a) % self.flying.len();
-        let packet = self.flying[at];
+        let mut packet = self.flying[at];
         if !b.is_multiple_of(4) {
             self.flying.remove(at);
         }
         if b % 16 == 15 {
             return Effects::default();
+        }
+        if let Some(now) = self.at {
+            packet.remaining = packet.remaining - (now - Instant::START);
+            return self.hear(packet, 0);
         }
         self.hear(packet, u64::from(b / 16 % 5))
     }
@@ -165,7 +177,8 @@ impl World {
         }
     }
 
-    fn request(&self, task: usize, a: u16, b: u16) -> Request {
+    /// A request that fits the cell.
+    pub fn request(&self, task: usize, a: u16, b: u16) -> Request {
         let table = &self.tables[task];
         let own = table.ports_of(TaskId::from_index(task));
         if own.is_empty() {

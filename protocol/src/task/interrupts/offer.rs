@@ -8,7 +8,7 @@ use crate::ticks::Instant;
 /// A candidate for interrupting the running activation: the lesser key goes first.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Offer {
-    pub key: (Turn, u8, Instant, Class, PortId, u128),
+    pub key: (Turn, u8, Instant, Class, PortId, u64),
     pub what: What,
 }
 

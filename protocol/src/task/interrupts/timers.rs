@@ -127,7 +127,7 @@ impl Interrupts {
     pub fn first_timer(&self, table: &NodeTable, own: &Own) -> Option<Offer> {
         let offers = self.timers.ended().filter_map(|(id, at)| {
             let rank = own.order.timer(id);
-            let key = (Turn::InOrder, rank, Instant::START, Class::Command, PortId(0), u128::from(id.0));
+            let key = (Turn::InOrder, rank, Instant::START, Class::Command, PortId(0), u64::from(id.0));
             self.outranks(table, own, rank, false).then_some(Offer { key, what: What::Timer(at) })
         });
         offers.min()

@@ -65,8 +65,7 @@ impl Rendezvous {
 
     /// When the next ARRIVE is sent: the first instant after `now` that is whole periods before the deadline (D55).
     pub(super) fn resend_instant(deadline: Instant, now: Instant, period: Ticks) -> Instant {
-        let period = period.0.max(1);
-        let more = (deadline - now).0.saturating_sub(1) / period;
-        if more == 0 { Instant::NEVER } else { deadline - Ticks(more * period) }
+        let more = (deadline - now - Ticks(1)).whole(period);
+        if more == 0 { Instant::NEVER } else { deadline - Ticks(more * period.0.max(1)) }
     }
 }

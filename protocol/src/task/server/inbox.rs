@@ -4,7 +4,7 @@ use super::memory::{CommandStatus, Memory, Source};
 use crate::cell::PortDecl;
 use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
 use crate::packet::{Class, Contents};
-use crate::queue::{Entry, Queue, Slot};
+use crate::queue::{Entry, Key, Queue, Slot};
 use crate::table::Port;
 use crate::task::fragments::{Assembly, Parts};
 use crate::task::own::are_alike;
@@ -52,11 +52,11 @@ pub(crate) struct RetryState {
 impl Entry for Held {
     type Side = RetryState;
 
-    fn key(&self) -> u128 {
-        let class = u128::from(self.class == Class::Status);
-        let source = u128::from(self.source.0);
-        let arrival = u128::from(self.arrival & ((1 << 47) - 1));
-        (u128::from(self.expires.0) << 64) | (class << 63) | (source << 47) | arrival
+    fn key(&self) -> Key {
+        let class = u64::from(self.class == Class::Status);
+        let source = u64::from(self.source.0);
+        let arrival = self.arrival & ((1 << 47) - 1);
+        (self.expires, (class << 63) | (source << 47) | arrival)
     }
 
     fn due(&self, retry: &RetryState) -> Instant {

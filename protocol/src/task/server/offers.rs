@@ -47,7 +47,7 @@ impl Server {
                     Turn::InOrder
                 };
                 let rank = base.saturating_sub(retry.rejections);
-                let key = (turn, rank, held.expires, held.class, inbox.port, held.key());
+                let key = (turn, rank, held.expires, held.class, inbox.port, held.key().1);
                 Offer { key, what: What::Message(i, slot) }
             })
         });
@@ -141,7 +141,7 @@ fn reject(
         retry.not_before = now + length.max(Ticks(1));
         return;
     }
-    retry.not_before = now + length.min(Ticks(left.0 / 2)).max(Ticks(1));
+    retry.not_before = now + length.min(Ticks(left.whole(Ticks(2)))).max(Ticks(1));
     if step.table.rules().aging == Aging::Bounded {
         if retry.rejections == 0 {
             retry.rejected_first = round;

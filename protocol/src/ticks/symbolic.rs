@@ -1,0 +1,229 @@
+//! Times without values: a checker runs the machine once for all values that take the same way.
+//!
+//! A symbol is the difference of two variables and an offset, within the 64 bits of an [`Instant`] or of [`Ticks`]. To compare
+//! symbols, the machine asks the [`Zone`] of its thread, which holds what is known of the variables. Where both answers are
+//! possible, the zone gives one of them and remembers the other: the checker then runs the step again. So the same compiled code
+//! runs on numbers and on symbols (D179).
+//!
+//! ```
+//! use imrs_protocol::symbolic::{self, Symbol, Zone};
+//! use imrs_protocol::{Instant, Ticks};
+//! use std::{cell::RefCell, rc::Rc};
+//!
+//! /// Every variable is at most 10.
+//! struct Ten;
+//! impl Zone for Ten {
+//!     fn is_negative(&mut self, symbol: Symbol) -> bool {
+//!         symbol.offset < -10
+//!     }
+//!     fn sum(&mut self, _: Symbol, _: Symbol) -> Symbol {
+//!         unreachable!("one variable alone is compared")
+//!     }
+//! }
+//!
+//! let at: Instant = symbolic::instant(1);
+//! symbolic::within(Rc::new(RefCell::new(Ten)), || {
+//!     assert!(at < Instant(11));
+//!     assert!(at + Ticks(5) < Instant(16));
+//!     assert_eq!((at + Ticks(5)) - at, Ticks(5));
+//! });
+//! ```
+
+use super::{Instant, Ticks};
+use core::cmp::Ordering;
+use std::cell::RefCell;
+use std::rc::Rc;
+use std::thread_local;
+
+/// The first variable: the start of all clocks, zero.
+pub const START: u8 = 0;
+
+/// `first - second + offset`, or zero if that is negative: as [`Instant`] and [`Ticks`] saturate. Variables are numbered by the
+/// checker.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Symbol {
+    /// The variable that is added.
+    pub first: u8,
+    /// The variable that is subtracted.
+    pub second: u8,
+    /// What is added to their difference, in ticks.
+    pub offset: i64,
+}
+
+/// What is known of the variables on the path that the machine takes.
+pub trait Zone {
+    /// Whether `first - second + offset` is less than zero. If both are possible, the zone decides, and assumes its answer from
+    /// then on.
+    fn is_negative(&mut self, symbol: Symbol) -> bool;
+
+    /// The sum of two symbols without their offsets, where more than two variables meet in one time. Variables that are equal on
+    /// this path cancel each other. Otherwise the zone makes a new variable, which may stand for more values than the sum has:
+    /// the checker then explores more than can happen.
+    fn sum(&mut self, one: Symbol, other: Symbol) -> Symbol;
+}
+
+thread_local! {
+    static ZONE: RefCell<Option<Rc<RefCell<dyn Zone>>>> = const { RefCell::new(None) };
+}
+
+/// Runs `run` with symbols that mean what `zone` knows of them.
+pub fn within<R>(zone: Rc<RefCell<dyn Zone>>, run: impl FnOnce() -> R) -> R {
+    /// Puts the zone before this one back, also when `run` panics.
+    struct Restore(Option<Rc<RefCell<dyn Zone>>>);
+    impl Drop for Restore {
+        fn drop(&mut self) {
+            ZONE.set(self.0.take());
+        }
+    }
+    let _restore = Restore(ZONE.replace(Some(zone)));
+    run()
+}
+
+/// The instant of a variable.
+#[must_use]
+pub fn instant(variable: u8) -> Instant {
+    Instant(Symbol { first: variable, second: START, offset: 0 }.to_number())
+}
+
+/// The duration between two variables, zero if the first is earlier.
+#[must_use]
+pub fn between(first: u8, second: u8) -> Ticks {
+    Ticks(Symbol { first, second, offset: 0 }.to_number())
+}
+
+/// What the number of an [`Instant`] or of [`Ticks`] stands for; `None` for a plain number.
+#[must_use]
+pub fn symbol(number: u64) -> Option<Symbol> {
+    is_symbol(number).then(|| Symbol::of(number))
+}
+
+/// Symbols have the two highest bits `10`, plain numbers have no high bit, and "never" has all bits.
+const SYMBOL: u64 = 0b10 << 62;
+/// Below this, as signed numbers, are the symbols.
+const END: i64 = i64::MIN + (1 << 62);
+const OFFSET_BITS: u32 = 46;
+const NEVER: u64 = u64::MAX;
+
+const fn is_symbol(number: u64) -> bool {
+    number.cast_signed() < END
+}
+
+/// Whether one of the two is a symbol.
+#[inline]
+pub(super) fn is_any(a: u64, b: u64) -> bool {
+    (is_symbol(a) || is_symbol(b)) && has_zone()
+}
+
+/// Without a zone all numbers are plain, whatever a damaged recording says.
+#[cold]
+fn has_zone() -> bool {
+    ZONE.with_borrow(Option::is_some)
+}
+
+impl Symbol {
+    /// The number itself, which is the start moved by an offset.
+    const fn plain(number: u64) -> Self {
+        Self { first: START, second: START, offset: number.cast_signed() }
+    }
+
+    fn of(number: u64) -> Self {
+        if !is_symbol(number) {
+            return Self::plain(number);
+        }
+        let [first, second] = [54, 46].map(|at| (number >> at).to_le_bytes()[0]);
+        // The sign of the offset is its highest bit.
+        let offset = (number << (64 - OFFSET_BITS)).cast_signed() >> (64 - OFFSET_BITS);
+        Self { first, second, offset }
+    }
+
+    /// # Panics
+    /// If the offset exceeds 2^45 ticks: more than a year of microseconds.
+    fn to_number(self) -> u64 {
+        let Self { first, second, offset } = self;
+        if first == second {
+            return u64::try_from(offset).unwrap_or(0);
+        }
+        assert!(offset.unsigned_abs() >> (OFFSET_BITS - 1) == 0, "an offset of {offset} ticks is too large");
+        let low = (offset << (64 - OFFSET_BITS)).cast_unsigned() >> (64 - OFFSET_BITS);
+        SYMBOL | u64::from(first) << 54 | u64::from(second) << 46 | low
+    }
+
+    const fn negated(self) -> Self {
+        Self { first: self.second, second: self.first, offset: -self.offset }
+    }
+
+    /// The sum, without saturation.
+    fn plus(self, other: Self) -> Self {
+        let offset = self.offset + other.offset;
+        match (self, other) {
+            (a, b) if a.second == b.first => Self { first: a.first, second: b.second, offset },
+            (a, b) if a.first == b.second => Self { first: b.first, second: a.second, offset },
+            (a, b) if a.first == a.second => Self { offset, ..b },
+            (a, b) if b.first == b.second => Self { offset, ..a },
+            (a, b) => Self { offset, ..ask(|zone| zone.sum(a, b)) },
+        }
+    }
+
+    fn is_negative(self) -> bool {
+        if self.first == self.second { self.offset < 0 } else { ask(|zone| zone.is_negative(self)) }
+    }
+
+    /// The symbol, or zero if that is greater.
+    fn saturated(self) -> Self {
+        if self.is_negative() { Self::plain(0) } else { self }
+    }
+}
+
+/// # Panics
+/// Without a zone: callers have seen that there is one.
+fn ask<R>(question: impl FnOnce(&mut dyn Zone) -> R) -> R {
+    ZONE.with_borrow(|zone| question(&mut *zone.as_ref().expect("a zone").borrow_mut()))
+}
+
+#[cold]
+pub(super) fn is_same(a: u64, b: u64) -> bool {
+    a == b || order(a, b) == Ordering::Equal
+}
+
+#[cold]
+pub(super) fn is_less(a: u64, b: u64) -> bool {
+    if a == b || a == NEVER || b == NEVER {
+        return a != b && b == NEVER;
+    }
+    let (a, b) = (Symbol::of(a), Symbol::of(b));
+    // Of two times that saturate at zero, the greater one is positive and exceeds the other before that saturates.
+    b.negated().is_negative() && a.plus(b.negated()).is_negative()
+}
+
+#[cold]
+pub(super) fn order(a: u64, b: u64) -> Ordering {
+    match () {
+        () if is_less(a, b) => Ordering::Less,
+        () if is_less(b, a) => Ordering::Greater,
+        () => Ordering::Equal,
+    }
+}
+
+#[cold]
+pub(super) fn sum(a: u64, b: u64) -> u64 {
+    if a == NEVER || b == NEVER {
+        return NEVER;
+    }
+    Symbol::of(a).saturated().plus(Symbol::of(b).saturated()).to_number()
+}
+
+#[cold]
+pub(super) fn difference(a: u64, b: u64) -> u64 {
+    match () {
+        () if a == NEVER => NEVER,
+        () if a == b || b == NEVER => 0,
+        // `a` need not be saturated first: what is subtracted is not negative.
+        () => Symbol::of(a).plus(Symbol::of(b).saturated().negated()).to_number(),
+    }
+}
+
+/// Compares multiples of `b` with `a`, so that the quotient is a plain number.
+#[cold]
+pub(super) fn quotient(a: u64, b: u64) -> u64 {
+    (1..).find(|times| is_less(a, times * b)).map_or(0, |times| times - 1)
+}

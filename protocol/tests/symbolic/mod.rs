@@ -1,0 +1,220 @@
+//! Symbolic times: what runs on symbols does what it does on all numbers that take the same way.
+//!
+//! Each random run is made twice, on numbers and on symbols. The symbols take the way that the numbers take, and the zone writes down
+//! each question and its answer. Any other numbers for which all answers are the same must then run alike.
+
+mod nodes;
+mod numbers;
+mod tasks;
+
+use crate::support::Effects;
+use imrs_protocol::symbolic::{self, Symbol, Zone};
+use imrs_protocol::*;
+use proptest::test_runner::TestCaseError;
+use proptest::{prop_assert, prop_assert_eq};
+use std::cell::RefCell;
+use std::rc::Rc;
+
+/// Steps of a run: more would need more variables than symbols can name.
+const MOST: usize = 100;
+
+/// Runs `run` on the symbols of these times. It takes the way that the times take.
+fn on_symbols<R>(times: &[i64], run: impl FnOnce() -> R) -> (R, Example) {
+    let zone = Rc::new(RefCell::new(Example::new(times)));
+    let result = symbolic::within(Rc::<RefCell<Example>>::clone(&zone), run);
+    (result, zone.take())
+}
+
+/// The instant of a step, which is the number of its variable: symbolic, or the time itself.
+type Clock<'a> = &'a dyn Fn(u8) -> Instant;
+
+/// The clock that shows these times at the steps.
+fn showing(times: &[i64]) -> impl Fn(u8) -> Instant {
+    |step| Instant(times[usize::from(step) - 1].unsigned_abs())
+}
+
+/// Instants that never run backwards, from these gaps.
+fn times(gaps: &[u8], count: usize) -> Vec<i64> {
+    let gaps = gaps.iter().cycle().take(count);
+    gaps.scan(1_000, |at, &gap| {
+        *at += i64::from(gap);
+        Some(*at)
+    })
+    .collect()
+}
+
+/// Other times: from each of these steps on all are later or earlier, unless the order of the steps would change.
+fn moved<'a>(times: &'a [i64], by: &'a [(usize, i64)]) -> impl Iterator<Item = Vec<i64>> + 'a {
+    let moved = |&(from, more): &(usize, i64)| {
+        let from = from % times.len().max(1);
+        times
+            .iter()
+            .enumerate()
+            .map(|(step, &at)| if step >= from { at + more } else { at })
+            .collect::<Vec<_>>()
+    };
+    by.iter().map(moved).filter(|times| times.is_sorted())
+}
+
+/// A zone that knows a value of each variable, answers by these, and notes what it was asked.
+#[derive(Debug, Default)]
+struct Example {
+    values: Vec<i64>,
+    /// What had to be negative, or not.
+    asked: Vec<(Symbol, bool)>,
+    /// How many variables had to be made where three met.
+    named: usize,
+}
+
+impl Example {
+    fn new(values: &[i64]) -> Self {
+        let values = [0].iter().chain(values).copied().collect();
+        Self { values, ..Self::default() }
+    }
+
+    fn value(&self, symbol: Symbol) -> i64 {
+        let of = |variable: u8| self.values[usize::from(variable)];
+        of(symbol.first) - of(symbol.second) + symbol.offset
+    }
+
+    /// Whether both variables have the same value.
+    fn is_zero(&mut self, symbol: Symbol) -> bool {
+        let symbol = Symbol { offset: 0, ..symbol };
+        let is_zero = self.value(symbol) == 0;
+        if is_zero {
+            let back = Symbol { first: symbol.second, second: symbol.first, offset: 0 };
+            self.asked.extend([(symbol, false), (back, false)]);
+        }
+        is_zero
+    }
+
+    /// Whether other values would have been answered alike.
+    fn covers(&self, values: &[i64]) -> bool {
+        let other = Self::new(values);
+        self.asked.iter().all(|&(symbol, answer)| (other.value(symbol) < 0) == answer)
+    }
+}
+
+impl Zone for Example {
+    fn is_negative(&mut self, symbol: Symbol) -> bool {
+        let answer = self.value(symbol) < 0;
+        self.asked.push((symbol, answer));
+        answer
+    }
+
+    fn sum(&mut self, one: Symbol, other: Symbol) -> Symbol {
+        // Of two inputs at the same time, the later one leaves a clock as it is: both variables then stand for one instant.
+        for (one, other) in [(one, other), (other, one)] {
+            let same = Symbol { second: other.second, ..one };
+            if self.is_zero(same) {
+                return Symbol { first: other.first, second: one.second, offset: 0 };
+            }
+            if self.is_zero(one) {
+                return Symbol { offset: 0, ..other };
+            }
+        }
+        self.named += 1;
+        let value = [one, other].map(|symbol| self.value(Symbol { offset: 0, ..symbol })).iter().sum();
+        let variable = self.values.iter().position(|&known| known == value).unwrap_or(self.values.len());
+        if variable == self.values.len() {
+            self.values.push(value);
+        }
+        let first = u8::try_from(variable).expect("few variables");
+        Symbol { first, second: symbolic::START, offset: 0 }
+    }
+}
+
+/// Reads symbols as the numbers of an example.
+struct Evaluate<'a>(&'a Example);
+
+impl Evaluate<'_> {
+    fn value_of(&self, number: u64) -> u64 {
+        symbolic::symbol(number).map_or(number, |symbol| u64::try_from(self.0.value(symbol)).unwrap_or(0))
+    }
+
+    fn ticks(&self, ticks: &mut Ticks) {
+        *ticks = Ticks(self.value_of(ticks.0));
+    }
+
+    fn effects(&self, effects: &Effects) -> Effects {
+        let mut effects = effects.clone();
+        effects.packets.iter_mut().for_each(|packet| self.ticks(&mut packet.remaining));
+        effects
+            .timers
+            .iter_mut()
+            .filter_map(|(_, length)| length.as_mut())
+            .for_each(|ticks| self.ticks(ticks));
+        effects.observations.iter_mut().for_each(|seen| self.ticks(&mut seen.remaining));
+        for signal in &mut effects.signals {
+            if let Signal::Message(delivery) | Signal::Interrupt(Call::Message(delivery)) = signal {
+                self.ticks(&mut delivery.budget);
+            }
+        }
+        effects
+    }
+}
+
+impl Walk for Evaluate<'_> {
+    const PASS: Pass = Pass::Change;
+
+    fn clock(&mut self, now: &mut Instant) {
+        *now = Instant(self.value_of(now.0));
+    }
+
+    fn instant(&mut self, instant: &mut Instant) {
+        *instant = Instant(self.value_of(instant.0));
+    }
+
+    fn length(&mut self, length: &mut Ticks) {
+        self.ticks(length);
+    }
+}
+
+/// The state at the end of a run.
+trait State: Clone {
+    /// Its packed form, with its symbols replaced.
+    fn bytes(self, evaluate: &mut Evaluate<'_>) -> Vec<Result<Vec<u8>, Overflow>>;
+}
+
+/// The effects of each step of a run, and its end.
+struct Run<S> {
+    effects: Vec<Effects>,
+    end: S,
+}
+
+/// What two runs are compared by.
+type Outcome = (Vec<Effects>, Vec<Result<Vec<u8>, Overflow>>);
+
+impl<S: State> Run<S> {
+    /// The run at the times of an example. A run on numbers does not change.
+    fn at(&self, example: &Example) -> Outcome {
+        let mut evaluate = Evaluate(example);
+        let effects = self.effects.iter().map(|effects| evaluate.effects(effects)).collect();
+        (effects, self.end.clone().bytes(&mut evaluate))
+    }
+}
+
+/// Compares a run on symbols, which follow `first`, with the runs at these times and at each of the others that were answered
+/// alike. Returns how many of those there were. `exact`: no time may be made of three instants.
+fn runs_alike<S: State>(
+    (first, others): (&[i64], &[(usize, i64)]),
+    exact: bool,
+    run: impl Fn(Clock<'_>) -> Run<S>,
+) -> Result<usize, TestCaseError> {
+    let (symbols, zone) = on_symbols(first, || run(&symbolic::instant));
+    prop_assert!(zone.named == 0 || !exact, "{} times are made of three instants", zone.named);
+    let on_numbers = |times: &[i64]| run(&showing(times)).at(&zone);
+    prop_assert_eq!(symbols.at(&zone), on_numbers(first), "at {:?}", first);
+    let mut alike = 0;
+    for other in moved(first, others).filter(|other| zone.named == 0 && zone.covers(other)) {
+        prop_assert_eq!(
+            symbols.at(&Example::new(&other)),
+            on_numbers(&other),
+            "at {:?}, as at {:?}",
+            &other,
+            first
+        );
+        alike += 1;
+    }
+    Ok(alike)
+}
