@@ -62,6 +62,9 @@ struct Order<S> {
     #[serde(skip)]
     last: Option<Slot>,
     watch: Option<Watch<S>>,
+    /// Whether no entry came since all slots were free in their first order.
+    #[serde(skip)]
+    is_as_new: bool,
 }
 
 /// The second order of a watched queue, beside urgency: by the instant at which the caller must look at an entry again.
@@ -90,13 +93,14 @@ fn due<T: Entry>(entries: &[Option<T>], sides: &[T::Side], slot: Slot) -> (Insta
 impl<S: Copy + Default> Order<S> {
     /// All slots are free, and the lowest is taken first.
     fn new(capacity: u16) -> Self {
-        let mut new = Self { urgent: Heap::new(capacity), free: NONE, last: None, watch: None };
+        let urgent = Heap::new(capacity);
+        let mut new = Self { urgent, free: NONE, last: None, watch: None, is_as_new: true };
         new.free_all();
         new
     }
 
     fn free_all(&mut self) {
-        self.free = NONE;
+        (self.free, self.is_as_new) = (NONE, true);
         for slot in (0..narrow(self.urgent.capacity())).rev() {
             self.give_back(slot);
         }
@@ -111,6 +115,7 @@ impl<S: Copy + Default> Order<S> {
     #[inline]
     fn put<T: Entry<Side = S>>(&mut self, entries: &[Option<T>], slot: Slot, key: Key, side: S) {
         self.free = self.urgent.kept(slot);
+        self.is_as_new = false;
         self.urgent.push(slot, key.0, |slot| urgency(entries, slot));
         if let Some(Watch { sides, due: order }) = &mut self.watch {
             sides[usize::from(slot)] = side;
@@ -375,6 +380,9 @@ impl<T: Entry> Queue<T> {
 
     /// Removes all entries.
     pub fn clear(&mut self) {
+        if self.is_as_new() {
+            return;
+        }
         self.entries.fill_with(|| None);
         let Some(order) = &mut self.order else { return };
         order.urgent.clear();
@@ -384,6 +392,14 @@ impl<T: Entry> Queue<T> {
         // Resets the free list, so that equal queues hand out the same slots from here on, whatever went before.
         order.free_all();
         order.last = None;
+    }
+
+    /// Whether no entry came since the queue was made or cleared. In a queue of one slot this is whether it is empty.
+    fn is_as_new(&self) -> bool {
+        match &self.order {
+            Some(order) => order.is_as_new,
+            None => self.len() == 0,
+        }
     }
 
     /// Validates a deserialised queue: it has room for `capacity` entries, and its orders name each entry exactly

@@ -63,7 +63,7 @@ impl Reached {
 
     fn note(&mut self, run_state: &RunState) {
         for still in &mut self.still {
-            still.retain(|&(term, first)| run_state.cell.look_up(term) == first);
+            still.retain(|&(term, first)| !run_state.touches(term) || run_state.cell.look_up(term) == first);
         }
     }
 }

@@ -2,11 +2,13 @@
 
 mod between;
 pub(super) mod canon;
+mod checks;
 mod held;
 mod liveness;
 mod moves;
 mod order;
 mod pause;
+mod progress;
 mod step;
 
 pub use step::CellMove;
@@ -15,12 +17,14 @@ use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use crate::cell_state::CellState;
 use crate::cell_state::plan::{CellScenario, Errand, Faults, TaskPlan, Transfer};
 use crate::state::{Packed, Violation};
+use checks::Evaluated;
 use held::Begins;
 use imrs_protocol::TaskId;
-use imrs_protocol::script::{Activity, ScriptInput, eval};
+use imrs_protocol::script::{Activity, ScriptInput, Term};
 use liveness::Dead;
 use order::{Mixture, Spread, TickValues};
 use pause::Asleep;
+use progress::Before;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
@@ -75,6 +79,7 @@ pub(super) struct RunState {
     pub passed: u64,
     /// For each check, whether its left side ever held.
     pub mattered: Vec<bool>,
+    checks: Evaluated,
     /// The checks that read several nodes.
     pub spread: Vec<Spread>,
     pub tick_values: Vec<TickValues>,
@@ -84,8 +89,10 @@ pub(super) struct RunState {
     pub both_active: bool,
     /// For each task the dead variables, by operation.
     dead: Vec<Dead>,
-    /// Scratch buffer for the variables before a move.
-    pub before: Vec<Option<i64>>,
+    /// Scratch buffer for the variables before a move: those of each task, and which of them are dead.
+    before: Before,
+    /// What was packed last: room that is used again.
+    packed: Vec<u8>,
 }
 
 impl RunState {
@@ -145,12 +152,14 @@ impl RunState {
             broken: Vec::new(),
             passed: 0,
             mattered: vec![false; plan.checks.len()],
+            checks: Evaluated::new(plan),
             spread: Self::spread(plan),
             tick_values: Vec::new(),
             mixed: Vec::new(),
             both_active: false,
             dead: if plan.everything { Vec::new() } else { liveness::dead(plan) },
-            before: Vec::new(),
+            before: Before::default(),
+            packed: Vec::new(),
         };
         run_state.cell.in_flight.sort_by_key(|carried| carried.link);
         run_state.tick_values = Self::first_tick_values(&run_state.cell, &run_state.spread);
@@ -176,7 +185,7 @@ impl RunState {
         }
     }
 
-    /// The packed run state after a move; `None` if the move breaks a check, an invariant or the rule of one owner.
+    /// The packed cell state after a move; `None` if the move breaks a check, an invariant or the rule of one owner.
     pub fn after(&mut self, state: &[u8], step: CellMove) -> Option<Packed> {
         self.load(state);
         self.apply(step);
@@ -185,9 +194,8 @@ impl RunState {
         sound.then(|| self.cell.store())
     }
 
-    /// The packed run state without one of its packets in flight.
-    pub fn without(&mut self, state: &[u8], packet: u8) -> Packed {
-        self.load(state);
+    /// The packed cell state without one of its packets in flight.
+    pub fn without(&mut self, packet: u8) -> Packed {
         self.cell.in_flight.remove(usize::from(packet));
         self.cell.store()
     }
@@ -210,6 +218,7 @@ impl RunState {
         self.cell.in_flight.sort_by_key(|carried| carried.link);
         self.cell.sort_inputs();
         self.settle();
+        self.checks.note(&self.plan, step, self.cell.turns.as_deref().unwrap_or_default());
         self.look();
     }
 
@@ -392,26 +401,24 @@ impl RunState {
         Ok(())
     }
 
-    /// Evaluates the checks, and whether both tasks of a couple act.
+    /// Evaluates the checks whose values may have changed, and whether both tasks of a couple act.
     fn look(&mut self) {
-        let is = |cell_state: &CellState, terms: &[_]| {
-            eval(terms, |term| cell_state.look_up(term)).is_ok_and(|value| value != 0)
-        };
-        for (at, check) in self.plan.checks.iter().enumerate() {
+        for at in 0..self.plan.checks.len() {
             if !self.plan.has_check(at) {
                 continue;
             }
+            let check = &self.plan.checks[at];
+            let Some([when, then]) = self.checks.values(at, &check.holds, &self.cell) else { continue };
             match &check.holds {
-                Holds::Always(terms) => {
-                    if !is(&self.cell, terms) {
+                Holds::Always(_) => {
+                    if !then {
                         self.broken.push(at);
                     }
                 }
-                Holds::Leads { when, then, within } => {
+                Holds::Leads { within, .. } => {
                     let due = &mut self.beside.due[at];
-                    let when = is(&self.cell, when);
                     self.mattered[at] |= when;
-                    if is(&self.cell, then) {
+                    if then {
                         *due = None;
                     } else if when && due.is_none() && !self.broken.contains(&at) {
                         *due = Some(u32::try_from(within.0).unwrap_or(u32::MAX - 1));
@@ -423,6 +430,11 @@ impl RunState {
         let couples = &self.plan.table.cell().couples;
         self.both_active =
             couples.iter().any(|couple| self.acts(couple.primary) && self.acts(couple.standby));
+    }
+
+    /// Whether the last move may have changed the value of a term.
+    pub fn touches(&self, term: Term) -> bool {
+        self.checks.touches(term)
     }
 
     /// Whether a task of a couple is active: holds its lease or took over (D61).

@@ -239,38 +239,6 @@ const fn is_answered(turn: &ScriptReaction) -> bool {
     }
 }
 
-impl RunState {
-    /// Makes a move; returns whether it was progress, `None` if it panics.
-    pub fn progresses(&mut self, step: CellMove) -> Option<bool> {
-        let mut before = std::mem::take(&mut self.before);
-        before.clear();
-        self.live_variables(&mut |value| before.push(value));
-        let survived = self.survives(step);
-        let is_met =
-            |turn: &ScriptReaction| matches!(turn.input, ScriptInput::Signal(Signal::Released { .. }));
-        let mut further = matches!(step, CellMove::Acted(_, _, true, _));
-        further |= self.cell.turns.iter().flatten().any(is_met);
-        let mut at = 0;
-        self.live_variables(&mut |value| {
-            further |= matches!((before.get(at), value), (Some(&Some(before)), Some(now)) if before != now);
-            at += 1;
-        });
-        self.before = before;
-        survived.then_some(further)
-    }
-
-    /// Passes the variables of all tasks to `each`, `None` for a dead one: packing resets it, so its old value means nothing.
-    fn live_variables(&self, each: &mut impl FnMut(Option<i64>)) {
-        for (task, body) in self.cell.bodies.iter().enumerate() {
-            let Some(actor) = &body.actor else { continue };
-            let dead = self.dead_variables(task);
-            for (at, value) in (0..).map_while(|at| actor.script.var(at)).enumerate() {
-                each((at >= 64 || dead >> at & 1 == 0).then_some(value));
-            }
-        }
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -126,12 +126,16 @@ impl Walker {
         let waits = !beside.stays.is_empty() || beside.slow != 0 || !beside.crashed.is_empty();
         let mut taken: Vec<u8> = moves.iter().filter_map(|&(_, step)| takes_away(step)).collect();
         taken.dedup();
+        let mut fresh = true;
         for &i in &taken {
             let comes = |&&(_, step): &&(u16, CellMove)| matches!(step, CellMove::Deliver(at) | CellMove::Mend(at, _) if at == i);
             let Some(&(_, arrives)) = moves.iter().find(comes) else { continue };
             let run_state = &mut self.run_state;
+            if !std::mem::take(&mut fresh) {
+                run_state.load(state);
+            }
+            let without = run_state.without(i);
             let with = catch_unwind(AssertUnwindSafe(|| run_state.after(state, arrives)));
-            let without = run_state.without(state, i);
             if !matches!(with, Ok(Some(with)) if with == without) {
                 continue;
             }
@@ -142,7 +146,7 @@ impl Walker {
                 _ => true,
             });
         }
-        !taken.is_empty()
+        !fresh
     }
 
     /// Makes the first move, and goes on as long as only one move is possible.
@@ -191,11 +195,12 @@ impl Walker {
             }
         }
         self.note_ring(origin);
-        match self.run_state.store() {
-            Ok(state) => {
-                let mark = Mark::of(self.run_state.split(&state));
+        match self.run_state.pack() {
+            Ok(()) => {
+                let mark = self.mark();
                 self.lead(path, Some(mark));
                 if !seen.covers(mark) {
+                    let state = self.run_state.packed().into();
                     self.walks.stops.push(Stop { origin, mark, state });
                 }
             }
@@ -239,15 +244,22 @@ impl Walker {
         if !matches!(moves, [CellMove::Deliver(_) | CellMove::Vanish(_)]) {
             return Known::No;
         }
-        let Ok(state) = self.run_state.store() else { return Known::No };
-        let mark = Mark::of(self.run_state.split(&state));
+        if self.run_state.pack().is_err() {
+            return Known::No;
+        }
+        let mark = self.mark();
         if seen.covers(mark) {
             Known::Covered(mark)
         } else if mark.is_post() {
-            Known::Post(mark, state)
+            Known::Post(mark, self.run_state.packed().into())
         } else {
             Known::No
         }
+    }
+
+    /// The mark of the state that was packed last.
+    fn mark(&self) -> Mark {
+        Mark::of(self.run_state.split(self.run_state.packed()))
     }
 
     /// Judges the last move; returns whether the search stops here.

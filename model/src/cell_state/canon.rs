@@ -2,11 +2,12 @@
 
 use super::judge::Name;
 use super::plan::Transfer;
-use super::{CellState, FAR_BEHIND, InFlight};
+use super::{CellState, FAR_BEHIND, InFlight, SAMPLED};
 use crate::state::{Packed, Violation};
 use imrs_protocol::{
-    Coming, CommTask, Decode, Encode, Frame, Kind, Overflow, Packet, Pass, PortId, Round, Seq24, Walk,
+    Coming, CommTask, Decode, Encode, Frame, Kind, Overflow, Packet, Pass, PortId, Round, Seq24, Usage, Walk,
 };
+use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// The numbers that packed numbers are relative to.
 struct Bases {
@@ -31,17 +32,24 @@ impl Bases {
 impl CellState {
     /// Packs the state in its canonical form.
     pub fn store(&mut self) -> Packed {
-        match self.try_store() {
-            Ok(bytes) => Packed(bytes.into_boxed_slice()),
-            // A relative number outgrew its field: an absorbing, visible failure, never a saturated value.
-            Err(Overflow) => Packed(Box::new([Violation::Overflow.code(), 0, 0, 0, 0])),
+        let mut out = Vec::with_capacity(128);
+        self.append_to(&mut out);
+        Packed(out.into_boxed_slice())
+    }
+
+    /// Appends the packed state.
+    pub fn append_to(&mut self, out: &mut Vec<u8>) {
+        let from = out.len();
+        // A relative number outgrew its field: an absorbing, visible failure, never a saturated value.
+        let violation =
+            self.violation.or_else(|| self.try_append(out).err().map(|Overflow| Violation::Overflow));
+        if let Some(violation) = violation {
+            out.truncate(from);
+            out.extend([violation.code(), 0, 0, 0, 0]);
         }
     }
 
-    fn try_store(&mut self) -> Result<Vec<u8>, Overflow> {
-        if let Some(violation) = self.violation {
-            return Ok(vec![violation.code(), 0, 0, 0, 0]);
-        }
+    fn try_append(&mut self, out: &mut Vec<u8>) -> Result<(), Overflow> {
         for node_state in self.nodes.iter_mut().filter(|s| s.up) {
             node_state.node.parts_mut().tasks.iter_mut().for_each(CommTask::bury);
         }
@@ -60,20 +68,26 @@ impl CellState {
             .refused
             .sort_unstable_by_key(|(task, port, name, _)| (*task, *port, name.source, bases.back(name)));
         let mut behind = if self.counts_behind() { self.behind_from(&bases) } else { Vec::new() };
-        let mut out = Vec::with_capacity(128);
         out.push(0);
-        Encode::append(&mut out, &frame, |w| self.walk(&mut behind, w))?;
+        Encode::append(out, &frame, |w| self.walk(&mut behind, w))?;
+        // Packets arrive in the order in which they left. Those of a cell are sorted by their links already.
+        let is_in_order =
+            self.plan.transfer == Transfer::Exact && self.in_flight.is_sorted_by_key(|carried| carried.link);
+        if is_in_order {
+            return Encode::append(out, &frame, |w| {
+                self.in_flight.iter_mut().for_each(|carried| carried.walk(w))
+            });
+        }
         let mut in_flight = Vec::with_capacity(self.in_flight.len());
         for carried in &mut self.in_flight {
             in_flight.push((carried.link, Encode::bytes(&frame, |w| carried.walk(w))?));
         }
         match self.plan.transfer {
             Transfer::Any => in_flight.sort_unstable(),
-            // Packets arrive in the order in which they left.
             Transfer::Exact => in_flight.sort_by_key(|(link, _)| *link),
         }
         in_flight.iter().for_each(|(_, bytes)| out.extend(bytes));
-        Ok(out)
+        Ok(())
     }
 
     /// Unpacks a state.
@@ -84,6 +98,7 @@ impl CellState {
 
     /// Unpacks the bytes of a state without a violation.
     pub fn load_bytes(&mut self, bytes: &[u8]) {
+        self.checks_invariants = self.turns.is_none() || self.plan.keeps_seen || is_sampled(bytes);
         // A run that ended in a violation may have left inputs.
         self.inputs.clear();
         self.rounds.fill(Frame::ROUND);
@@ -145,17 +160,27 @@ impl CellState {
             return Bases { rounds: self.rounds.clone(), used, sequences, incarnations };
         }
         let mut least = Least(vec![None; self.rounds.len()]);
-        for node_state in self.nodes.iter_mut().filter(|s| s.up) {
-            let parts = node_state.node.parts_mut();
-            parts.tasks.iter_mut().for_each(|task| task.walk(&node_state.table, &mut least));
-            parts.transit.walk(&node_state.table, &mut least);
-            node_state.node.walk_work(&mut least);
+        // Only rendezvous have rounds.
+        if self.plan.cell.ports().iter().any(|port| port.decl.usage == Usage::Waitfor) {
+            for node_state in self.nodes.iter_mut().filter(|s| s.up) {
+                let parts = node_state.node.parts_mut();
+                parts.tasks.iter_mut().for_each(|task| task.walk(&node_state.table, &mut least));
+                parts.transit.walk(&node_state.table, &mut least);
+                node_state.node.walk_work(&mut least);
+            }
+            self.in_flight.iter_mut().for_each(|carried| carried.packet.walk(&mut least));
         }
-        self.in_flight.iter_mut().for_each(|carried| carried.packet.walk(&mut least));
         let used = least.0.iter().map(Option::is_some).collect();
         let rounds = least.0.iter().zip(&self.rounds).map(|(least, old)| least.unwrap_or(*old)).collect();
         Bases { rounds, used, sequences, incarnations }
     }
+}
+
+/// Whether the invariants are checked in the steps from this kept state of a cell.
+fn is_sampled(state: &[u8]) -> bool {
+    let mut hasher = DefaultHasher::new();
+    state.hash(&mut hasher);
+    hasher.finish().is_multiple_of(SAMPLED)
 }
 
 /// A pass that finds the least round in use of each port.

@@ -49,6 +49,8 @@ impl CellState {
             inputs: _,
             turns,
             orders,
+            // Decides what is checked, and nothing that happens.
+            checks_invariants: _,
         } = self;
         faults.walk(&plan.faults, w);
         if plan.room.is_some() {

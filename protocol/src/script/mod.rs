@@ -412,6 +412,12 @@ impl Script {
         self.variables.get(usize::from(index)).copied()
     }
 
+    /// The values of all variables of the task, by position.
+    #[must_use]
+    pub fn variables(&self) -> &[i64] {
+        &self.variables
+    }
+
     fn top(&self) -> Frame {
         self.frames.get(usize::from(self.level)).copied().unwrap_or_default()
     }

@@ -263,25 +263,31 @@ fn walk_variables<W: Walk>(of: &[Variable], values: &mut [i64], w: &mut W) {
     if !W::PACKS {
         return;
     }
-    let mut truths = of.iter().zip(values.iter_mut()).filter(|(variable, _)| variable.of == Type::Bool);
-    loop {
-        let mut eight: [Option<&mut i64>; 8] = core::array::from_fn(|_| Some(truths.next()?.1));
-        if eight[0].is_none() {
-            break;
+    // Eight truth values a byte, the first one in the lowest bit.
+    let (mut bits, mut count) = (0, 0);
+    for (_, truth) in of.iter().zip(values.iter_mut()).filter(|(variable, _)| variable.of == Type::Bool) {
+        if W::READS && count == 0 {
+            bits = w.put(0);
         }
-        let flags = w.flags(eight.each_ref().map(|truth| truth.as_ref().is_some_and(|truth| **truth != 0)));
         if W::READS {
-            eight.iter_mut().flatten().zip(flags).for_each(|(truth, flag)| **truth = i64::from(flag));
+            *truth = i64::from(bits >> count & 1);
+        } else {
+            bits |= u8::from(*truth != 0) << count;
+        }
+        count = (count + 1) % 8;
+        if !W::READS && count == 0 {
+            w.put(core::mem::take(&mut bits));
         }
     }
+    if !W::READS && count > 0 {
+        w.put(bits);
+    }
     for (variable, value) in of.iter().zip(values).filter(|(variable, _)| variable.of != Type::Bool) {
-        let mut room = [0; 4];
-        if !W::READS && variable.of.write(*value, &mut room).is_none() {
-            w.overflows();
-        }
-        w.raw(&mut room[..variable.of.bytes()]);
+        let mut room = value.to_le_bytes();
+        let room = &mut room[..variable.of.bytes()];
+        w.raw(room);
         if W::READS {
-            *value = variable.of.read(&room).unwrap_or(0);
+            *value = variable.of.read(room).unwrap_or(0);
         }
     }
 }

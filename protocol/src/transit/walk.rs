@@ -41,7 +41,7 @@ impl Transit {
             *arrivals = 0;
             queue.clear();
             words.clear();
-        } else {
+        } else if queue.len() + words.len() > 0 {
             let both = queue.sorted().into_iter().chain(words.sorted());
             waiting.extend(both.map(|(_, waiting)| waiting.left(*now)));
         }

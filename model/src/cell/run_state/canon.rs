@@ -41,16 +41,34 @@ impl RunState {
         (left, core)
     }
 
+    /// The packed form, as [`pack`](Self::pack) writes it.
+    ///
+    /// # Errors
+    /// As of `pack`.
+    pub fn store(&mut self) -> Result<Box<[u8]>, Violation> {
+        self.pack()?;
+        Ok(self.packed().into())
+    }
+
+    /// What [`pack`](Self::pack) wrote last.
+    pub fn packed(&self) -> &[u8] {
+        &self.packed
+    }
+
     /// Packs the canonical state, the remaining faults first ([`RunState::split`]).
     ///
     /// # Errors
     /// The violation of the cell state, or [`Violation::Overflow`] if some value has no packed form.
-    pub fn store(&mut self) -> Result<Box<[u8]>, Violation> {
+    pub fn pack(&mut self) -> Result<(), Violation> {
+        let mut out = std::mem::take(&mut self.packed);
+        out.clear();
+        let result = self.pack_into(&mut out);
+        self.packed = out;
+        result
+    }
+
+    fn pack_into(&mut self, out: &mut Vec<u8>) -> Result<(), Violation> {
         self.bury();
-        let cell_state = self.cell.store();
-        if let Some(violation) = cell_state.violation() {
-            return Err(violation);
-        }
         // Keep only the `acted` bits of nodes that may still crash or restart: no move depends on the others.
         let may = self.faults.crash.iter().zip(&self.beside.crashed).filter(|(_, crashed)| **crashed == 0);
         let may = may.fold(0_u64, |mask, (node, _)| mask | bit(node.index()));
@@ -60,12 +78,14 @@ impl RunState {
         self.beside.acted &= may;
         // These fields hold no rounds and no message numbers, so nothing is relative.
         let frame = Frame { rounds: &[], sequences: &[], incarnations: true };
-        let mut out = Vec::with_capacity(cell_state.len() + 16);
-        let beside = Encode::append(&mut out, &frame, |w| self.walk_beside(w));
+        let beside = Encode::append(out, &frame, |w| self.walk_beside(w));
         self.beside.acted = acted;
         beside.map_err(|_| Violation::Overflow)?;
         let at = out.len();
-        out.extend_from_slice(&cell_state.0);
+        self.cell.append_to(out);
+        if let Some(violation) = Violation::from_code(out[at]) {
+            return Err(violation);
+        }
         if self
             .tick_values
             .iter()
@@ -79,7 +99,7 @@ impl RunState {
             });
             out.splice(at + 1..at + 1, tick_values.map_err(|_| Violation::Overflow)?);
         }
-        Ok(out.into_boxed_slice())
+        Ok(())
     }
 
     /// Loads a packed state.
@@ -96,6 +116,7 @@ impl RunState {
         self.cell.violation = None;
         self.cell.load_bytes(state.get(at..).unwrap_or_default());
         self.see_anew();
+        self.checks.forget();
     }
 
     fn walk_beside<W: Walk>(&mut self, w: &mut W) {

@@ -91,7 +91,10 @@ impl RunState {
             for ((terms, now), earlier) in
                 spread.nodes.iter().zip(&mut tick_values.now).zip(&mut tick_values.earlier)
             {
-                if terms.iter().zip(&*now).all(|(&term, value)| self.cell.look_up(term) == *value) {
+                let differs = |(&term, value): (&Term, &Option<i64>)| {
+                    self.checks.touches(term) && self.cell.look_up(term) != *value
+                };
+                if !terms.iter().zip(&*now).any(differs) {
                     continue;
                 }
                 is_new = true;

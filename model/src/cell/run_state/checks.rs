@@ -1,0 +1,74 @@
+//! Which checks a move may have changed: only these are evaluated.
+//!
+//! A variable changes only in a step of its task's script, or when its node crashes or restarts. So a check that reads variables
+//! of other tasks keeps its value. A predicate may change with any move. The search of everything evaluates all checks after every
+//! move: the tests compare it with this one.
+
+use super::{CellMove, bit};
+use crate::cell::plan::{CellPlan, Holds};
+use crate::cell_state::CellState;
+use crate::cell_state::script::ScriptReaction;
+use imrs_protocol::script::{Reading, Term, eval};
+
+/// All tasks, as a bit set.
+const ALL: u64 = u64::MAX;
+
+/// The last values of the checks, and what the last move may have changed.
+#[derive(Clone, Debug)]
+pub(super) struct Evaluated {
+    /// For each check, the tasks whose variables it reads, as a bit set.
+    reads: Vec<u64>,
+    /// For each check, the last values of its two sides; `None` after a state was loaded. An `always` has one side, the right one.
+    values: Vec<Option<[bool; 2]>>,
+    /// The tasks whose variables the last move may have changed, as a bit set.
+    touched: u64,
+}
+
+impl Evaluated {
+    pub fn new(plan: &CellPlan) -> Self {
+        let reads = |check| plan.terms(check).into_iter().fold(0, |all, term| all | tasks_of(term));
+        let count = plan.checks.len();
+        Self { reads: (0..count).map(reads).collect(), values: vec![None; count], touched: ALL }
+    }
+
+    /// A kept state was loaded. No check is broken in it, and its obligations are part of it.
+    pub fn forget(&mut self) {
+        self.values.fill(None);
+    }
+
+    /// Notes what a move may have changed.
+    pub fn note(&mut self, plan: &CellPlan, step: CellMove, turns: &[ScriptReaction]) {
+        let anew = matches!(step, CellMove::Crash(_) | CellMove::Restart(_));
+        self.touched = if anew || plan.everything {
+            ALL
+        } else {
+            turns.iter().fold(0, |touched, turn| touched | bit(turn.task))
+        };
+    }
+
+    /// Whether the last move may have changed the value of a term.
+    pub fn touches(&self, term: Term) -> bool {
+        self.touched & tasks_of(term) != 0 || tasks_of(term) == ALL
+    }
+
+    /// The values of both sides of a check; `None` if they are as they were when the state was kept.
+    pub fn values(&mut self, at: usize, holds: &Holds, cell: &CellState) -> Option<[bool; 2]> {
+        if self.reads[at] == ALL || self.reads[at] & self.touched != 0 || self.touched == ALL {
+            let is = |terms: &[Term]| eval(terms, |term| cell.look_up(term)).is_ok_and(|value| value != 0);
+            self.values[at] = Some(match holds {
+                Holds::Always(terms) => [false, is(terms)],
+                Holds::Leads { when, then, .. } => [is(when), is(then)],
+            });
+        }
+        self.values[at]
+    }
+}
+
+/// The tasks on which the value of a term depends, as a bit set.
+fn tasks_of(term: Term) -> u64 {
+    match term.reads() {
+        Some(Reading::Variable(task, _)) => bit(task.index()),
+        Some(Reading::Predicate(_)) => ALL,
+        None => 0,
+    }
+}
