@@ -4,23 +4,25 @@ use crate::cell::Usage;
 use crate::ids::{MessageId, PortId, TaskId};
 use crate::packet::{Class, Contents, Control, Kind, Packet};
 use crate::request::{Fault, ReplyTo, Target};
-use crate::table::{NodeTable, Party, Port};
+use crate::table::{NodeTable, Party, Peer, Port};
 use crate::task::Parts;
 use crate::ticks::Ticks;
 
 /// The end of a port that `task` has.
+#[inline]
 pub(crate) fn own_end(table: &NodeTable, port: PortId, task: TaskId) -> Result<(&Port, &Party), Fault> {
     let port = table.port(port).ok_or(Fault::NotYourPort)?;
     let party = port.party(task).ok_or(Fault::NotYourPort)?;
     Ok((port, party))
 }
 
-/// The tasks a message goes to, a copy each, if there is not [only one](only_peer) (§4.3, R39, R40).
+/// The tasks a message goes to, a copy each, if there is not [only one](only_peer), each with its position among the
+/// recipients (§4.3, R39, R40).
 pub(crate) fn destinations(
     port: &Port,
     from: TaskId,
     to: Target,
-) -> Result<impl Iterator<Item = TaskId> + '_, Fault> {
+) -> Result<impl Iterator<Item = (usize, TaskId)> + '_, Fault> {
     let wanted = match to {
         Target::All => None,
         // A peer would be the only destination.
@@ -36,17 +38,16 @@ pub(crate) fn destinations(
             return Err(Fault::NotAPeer);
         }
     }
-    Ok(port.peers(from).filter(move |&peer| wanted.is_none_or(|wanted| wanted & bit(peer) != 0)))
+    let is_wanted = move |&(_, peer): &(usize, TaskId)| wanted.is_none_or(|wanted| wanted & bit(peer) != 0);
+    Ok(port.peers(from).enumerate().filter(is_wanted))
 }
 
 /// The only destination of a message, if the port and the target leave only one: found without a scan of the parties.
-pub(crate) fn only_peer(port: &Port, from: TaskId, to: Target) -> Option<TaskId> {
-    match (&*port.parties, to) {
-        ([owner, user], Target::All) => Some(if owner.task == from { user.task } else { owner.task }),
-        ([owner, ..], Target::All) if owner.task != from && port.decl.usage != Usage::Waitfor => {
-            Some(owner.task)
-        }
-        (_, Target::One(task)) => port.admits(from, task).then_some(task),
+#[inline]
+pub(crate) fn only_peer(own: &Party, to: Target) -> Option<&Peer> {
+    match (&*own.peers, to) {
+        ([only], Target::All) => Some(only),
+        (_, Target::One(task)) => own.peer(task),
         (_, Target::All | Target::Some(_)) => None,
     }
 }

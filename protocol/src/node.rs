@@ -14,7 +14,7 @@ use crate::ids::{Incarnation, MessageId, NodeId, TaskId};
 use crate::observe::{Event, Observation, Reason};
 use crate::packet::Packet;
 use crate::request::{Request, Signal, TimeId};
-use crate::route::{self, Arrival, Departure};
+use crate::route::{self, Arrival};
 use crate::rules::JobRequest;
 use crate::table::NodeTable;
 use crate::task::{CommTask, Input, Outbox};
@@ -83,17 +83,12 @@ pub struct Node {
     /// The time of the last input. The parts have clocks of their own, which may differ: they stand still unless
     /// [`counts`](Self::counts) holds.
     now: Instant,
-    /// For each task of the cell: its position among the tasks of this node, or [`ELSEWHERE`].
-    places: Box<[u16]>,
     /// Pending effects within the node, in order. Empty after each [`step`](Self::step).
     work: VecDeque<Work>,
 }
 
 /// Preallocated room for the effects of one input: every copy of a message to 64 members, and their answers.
 const WORK: usize = 256;
-
-/// Marks a task of another node. No position is as large: a node has at most 65,535 tasks.
-const ELSEWHERE: u16 = u16::MAX;
 
 impl Node {
     /// The node of `table` in this incarnation. `restarted`: whether an earlier incarnation may have run.
@@ -107,11 +102,7 @@ impl Node {
         let room = WORK + tasks.len();
         let parts =
             Parts { table, tasks, transit: Transit::new(transit_capacity), timer: Timer::new(timers) };
-        let mut places = alloc::vec![ELSEWHERE; parts.table.cell().tasks.len()].into_boxed_slice();
-        for (place, task) in (0_u16..).zip(&parts.tasks) {
-            places[task.task().index()] = place;
-        }
-        Self { parts, now: Instant::START, places, work: VecDeque::with_capacity(room) }
+        Self { parts, now: Instant::START, work: VecDeque::with_capacity(room) }
     }
 
     /// Its parts.
@@ -134,7 +125,7 @@ impl Node {
     /// A communication task of this node.
     #[must_use]
     pub fn task(&self, task: TaskId) -> Option<&CommTask> {
-        self.parts.tasks.get(usize::from(*self.places.get(task.index())?))
+        self.parts.tasks.get(self.parts.table.place(task)?)
     }
 
     /// The time of the last input that the node has taken.
@@ -168,9 +159,9 @@ impl Node {
             // A packet that is alone in the queue goes straight to its task: nothing observes the steps in between.
             if let Work::Route(packet) = work
                 && self.work.is_empty()
-                && let Departure::Local(task) = route::departing(&self.parts.table, &packet)
+                && let Some(place) = self.parts.table.place(packet.destination)
             {
-                self.hand_to(task, &Input::Packet(packet), out);
+                self.hand_at(place, Ticks::ZERO, &Input::Packet(packet), out);
             } else {
                 self.carry_out(work, out);
             }
@@ -289,14 +280,15 @@ impl Node {
     }
 
     fn hand_to(&mut self, task: TaskId, input: &Input, out: &mut impl NodeOutbox) {
-        self.hand_after(Ticks::ZERO, task, input, out);
+        if let Some(place) = self.parts.table.place(task) {
+            self.hand_at(place, Ticks::ZERO, input, out);
+        }
     }
 
-    /// Advances the task's own clock by `elapsed`, then hands it the input.
-    fn hand_after(&mut self, elapsed: Ticks, task: TaskId, input: &Input, out: &mut impl NodeOutbox) {
-        let Some(&place) = self.places.get(task.index()) else { return };
-        let Some(comm_task) = self.parts.tasks.get_mut(usize::from(place)) else { return };
-        let effects = &mut TaskEffects { task, work: &mut self.work, out };
+    /// Advances the own clock of the task at a position by `elapsed`, then hands it the input.
+    fn hand_at(&mut self, place: usize, elapsed: Ticks, input: &Input, out: &mut impl NodeOutbox) {
+        let comm_task = &mut self.parts.tasks[place];
+        let effects = &mut TaskEffects { task: comm_task.task(), work: &mut self.work, out };
         comm_task.handle(&self.parts.table, comm_task.now() + elapsed, input, effects);
     }
 
@@ -304,13 +296,17 @@ impl Node {
         match work {
             Work::Task(task, input) => self.hand_to(task, &input, out),
             #[cfg(feature = "checker")]
-            Work::Pass(task, elapsed) => self.hand_after(elapsed, task, &Input::Time, out),
-            Work::Route(packet) => match route::departing(&self.parts.table, &packet) {
-                Departure::Local(task) => self.work.push_back(Work::Task(task, Input::Packet(packet))),
-                Departure::Link(_) | Departure::Unroutable => {
-                    self.with_transit(out, |transit, table, effects| transit.offer(table, packet, effects));
+            Work::Pass(task, elapsed) => {
+                if let Some(place) = self.parts.table.place(task) {
+                    self.hand_at(place, elapsed, &Input::Time, out);
                 }
-            },
+            }
+            Work::Route(packet) if self.parts.table.place(packet.destination).is_some() => {
+                self.work.push_back(Work::Task(packet.destination, Input::Packet(packet)));
+            }
+            Work::Route(packet) => {
+                self.with_transit(out, |transit, table, effects| transit.offer(table, packet, effects));
+            }
             Work::Arm(task, id, turn, length) => {
                 // A full Timer ends the delay at once rather than never.
                 if !self.parts.timer.arm(task, id, turn, length) {

@@ -41,8 +41,10 @@ pub fn arrived(table: &NodeTable, from: NodeId, mut packet: Packet, charge: Tick
     };
     // The insertion rule: only the declared parties of a port send on it, only to each other, and only along the route that
     // the table gives.
-    let admitted = table.port(packet.port).is_some_and(|port| port.admits(packet.source, packet.destination));
-    if !admitted || !reverse_path::can_come(table, from, &packet) {
+    let ends = table.port(packet.port).and_then(|port| port.ends(packet.destination, packet.source));
+    let Some(ends) = ends else { return Arrival::Discard(Reason::NotAllowed, packet) };
+    let is_here = location == table.node;
+    if !(is_here && ends.peer.ingress == Some(from) || reverse_path::can_come(table, from, &packet)) {
         return Arrival::Discard(Reason::NotAllowed, packet);
     }
     if table.rules().time_stamp == TimeStamp::Remaining {
@@ -51,12 +53,12 @@ pub fn arrived(table: &NodeTable, from: NodeId, mut packet: Packet, charge: Tick
         let outlives =
             matches!(packet.kind, Kind::Reply | Kind::Response) && !table.rules().refuse_late_replies;
         // At its destination node an expired message goes to its task, which drops it and counts it at the port.
-        let message = matches!(packet.kind, Kind::Send | Kind::Query) && location == table.node;
+        let message = matches!(packet.kind, Kind::Send | Kind::Query) && is_here;
         if packet.remaining.is_zero() && !outlives && !message {
             return Arrival::Discard(Reason::ExpiredOnTheWay, packet);
         }
     }
-    if location == table.node {
+    if is_here {
         return Arrival::Local(packet.destination, packet);
     }
     let Some(hops) = packet.hops.checked_sub(1) else {

@@ -4,19 +4,23 @@
 mod check;
 mod couples;
 mod digest;
+mod ends;
+mod node;
 mod port;
 mod restart;
 
+pub use node::NodeTable;
+pub(crate) use port::{Ends, Peer};
 pub use port::{Party, Port};
 
 use crate::cell::{Cell, CellError, PortDecl, TaskDecl, Usage, UserDecl};
 use crate::ids::{NodeId, PortId, TaskId};
 use crate::margin;
+use crate::packet::MAX_HOPS;
 use crate::rules::Rules;
 use crate::ticks::Ticks;
 use alloc::boxed::Box;
 use alloc::collections::BTreeSet;
-use alloc::sync::Arc;
 use alloc::vec;
 use alloc::vec::Vec;
 
@@ -30,18 +34,19 @@ pub struct CellTable {
     routes: Box<[Option<Hop>]>,
     /// For each task, the ports it owns or uses, ascending.
     ports_of: Box<[Box<[PortId]>]>,
-    /// The node of each task.
-    locations: Box<[NodeId]>,
+    /// The node of each task, and the position of the task among those of the node.
+    locations: Box<[(NodeId, u16)]>,
     /// How long each task's script is held back after its node restarts.
     held_back: Box<[Ticks]>,
     /// Whether the cell runs the decided rules.
     decided: bool,
 }
 
+/// The way from one node to another.
 #[derive(Clone, Copy, Debug)]
-struct Hop {
-    next: NodeId,
-    bound: Ticks,
+pub(crate) struct Hop {
+    pub next: NodeId,
+    pub bound: Ticks,
     links: u8,
 }
 
@@ -88,9 +93,19 @@ impl CellTable {
         }
         let ports_of = ports_of.into_iter().map(Vec::into_boxed_slice).collect();
         let digest = digest::of_cell(&cell, &ports);
-        let locations = cell.tasks.iter().map(|task| task.node).collect();
+        let mut beside = vec![0_u16; n];
+        let place = |task: &TaskDecl| {
+            let place = &mut beside[task.node.index()];
+            *place += 1;
+            (task.node, *place - 1)
+        };
+        let locations = cell.tasks.iter().map(place).collect();
         let (held_back, decided) = (Box::default(), cell.rules == Rules::DEFAULT);
-        let mut table = Self { cell, ports, digest, routes, ports_of, locations, held_back, decided };
+        let compiled = Box::default();
+        let mut table =
+            Self { cell, ports: compiled, digest, routes, ports_of, locations, held_back, decided };
+        ports.iter_mut().for_each(|port| table.compile_ends(port));
+        table.ports = ports;
         table.held_back = table.hold_back();
         Ok(table)
     }
@@ -133,7 +148,7 @@ impl CellTable {
     /// The node that `task` runs on.
     #[must_use]
     pub fn location(&self, task: TaskId) -> Option<NodeId> {
-        self.locations.get(task.index()).copied()
+        self.locations.get(task.index()).map(|&(node, _)| node)
     }
 
     /// The tasks that run on `node`.
@@ -146,6 +161,12 @@ impl CellTable {
     #[must_use]
     pub fn next_hop(&self, from: NodeId, to: NodeId) -> Option<NodeId> {
         self.hop(from, to).map(|h| h.next)
+    }
+
+    /// The nodes that packets from one node to another pass, both included.
+    pub(crate) fn path(&self, from: NodeId, to: NodeId) -> impl Iterator<Item = NodeId> + '_ {
+        let next = move |&node: &NodeId| self.next_hop(node, to).filter(|_| node != to);
+        core::iter::successors(Some(from), next).take(usize::from(MAX_HOPS) + 2)
     }
 
     /// The summed bounds of the links between two nodes; zero within one node.
@@ -193,42 +214,6 @@ impl CellTable {
     }
 }
 
-/// The table as one node sees it.
-#[derive(Clone, Debug)]
-pub struct NodeTable {
-    /// The cell's table.
-    pub cell: Arc<CellTable>,
-    /// This node.
-    pub node: NodeId,
-}
-
-impl NodeTable {
-    /// The table of `node`.
-    #[must_use]
-    pub const fn new(cell: Arc<CellTable>, node: NodeId) -> Self {
-        Self { cell, node }
-    }
-
-    /// The rules that this cell runs.
-    #[must_use]
-    pub fn rules(&self) -> &Rules {
-        &self.cell.cell().rules
-    }
-
-    /// Whether `task` runs on this node.
-    #[must_use]
-    pub fn is_here(&self, task: TaskId) -> bool {
-        self.location(task) == Some(self.node)
-    }
-}
-
-impl core::ops::Deref for NodeTable {
-    type Target = CellTable;
-    fn deref(&self) -> &CellTable {
-        &self.cell
-    }
-}
-
 /// All shortest routes by summed link bound, then by number of links, then by the lower next node: a total order, so
 /// every node computes the same table (§5.2.3: static routing, established a priori).
 fn shortest_routes(cell: &Cell) -> Box<[Option<Hop>]> {
@@ -268,14 +253,19 @@ fn shortest_routes(cell: &Cell) -> Box<[Option<Hop>]> {
 
 fn compile_port(cell: &Cell, id: PortId, decl: &PortDecl, routes: &[Option<Hop>]) -> Port {
     let (retry, rate) = (decl.retry, decl.rate);
-    let owner = Party { task: decl.owner, usage: decl.usage, time_out: decl.time_out, retry, rate, place: 0 };
-    let user = |user: &UserDecl| Party {
-        task: user.task,
-        usage: decl.usage.counterpart(),
-        time_out: user.time_out.unwrap_or(decl.time_out),
-        retry: user.retry.unwrap_or(retry),
-        rate: user.rate.or(rate),
+    let party = |task, usage, time_out, (retry, rate)| Party {
+        task,
+        usage,
+        time_out,
+        retry,
+        rate,
         place: 0,
+        peers: Box::default(),
+    };
+    let owner = party(decl.owner, decl.usage, decl.time_out, (retry, rate));
+    let user = |user: &UserDecl| {
+        let sends = (user.retry.unwrap_or(retry), user.rate.or(rate));
+        party(user.task, decl.usage.counterpart(), user.time_out.unwrap_or(decl.time_out), sends)
     };
     let users = decl.users.iter().map(user);
     // A module stands for all its tasks, except the owner of the port and the users that are named already (D32).

@@ -14,10 +14,9 @@ use crate::mapping;
 use crate::observe::{Event, Observation, Reason, TransitView};
 use crate::packet::{Class, Control, Kind, Packet};
 use crate::queue::{Entry, Key, Queue, Slot};
-use crate::route::{self, Departure};
 use crate::rules::{Eviction, TimeStamp};
-use crate::table::NodeTable;
-use crate::ticks::{Instant, Ticks};
+use crate::table::{Hop, NodeTable};
+use crate::ticks::Instant;
 use alloc::vec::Vec;
 
 /// Where the effects of the transit buffer go.
@@ -111,10 +110,10 @@ impl Transit {
     /// with most time left. Otherwise a newcomer evicts the least urgent packet of its own class if it is more urgent, and is
     /// refused if not (D60).
     pub fn offer(&mut self, table: &NodeTable, packet: Packet, out: &mut impl RouteOutbox) {
-        let Departure::Link(next) = route::departing(table, &packet) else {
+        let Some(way) = table.way_to(packet.destination) else {
             return self.discard(table, &packet, Reason::Unroutable, out);
         };
-        let waiting = self.waits(table, packet, next);
+        let waiting = self.waits(table, packet, way);
         if waiting.leave_by <= self.now {
             return self.discard(table, &packet, Reason::ExpiredInTransit, out);
         }
@@ -146,20 +145,18 @@ impl Transit {
         ready: impl FnOnce(NodeId) -> bool,
         out: &mut impl RouteOutbox,
     ) -> Option<(NodeId, Packet)> {
-        let next = match route::departing(table, &packet) {
-            Departure::Link(next) if self.is_empty() && ready(next) => next,
-            Departure::Link(_) | Departure::Local(_) | Departure::Unroutable => {
-                self.offer(table, packet, out);
-                return None;
-            }
+        let way = table.way_to(packet.destination).filter(|way| self.is_empty() && ready(way.next));
+        let Some(way) = way else {
+            self.offer(table, packet, out);
+            return None;
         };
-        let waiting = self.waits(table, packet, next);
+        let waiting = self.waits(table, packet, way);
         if waiting.leave_by <= self.now {
             self.discard(table, &packet, Reason::ExpiredInTransit, out);
             return None;
         }
         self.forwarded += 1;
-        Some((next, waiting.left(self.now)))
+        Some((way.next, waiting.left(self.now)))
     }
 
     /// The held packet to evict for a newcomer; `None` if the newcomer is refused.
@@ -178,18 +175,16 @@ impl Transit {
         goes.then_some(slot)
     }
 
-    fn waits(&mut self, table: &NodeTable, packet: Packet, next: NodeId) -> Waiting {
+    fn waits(&mut self, table: &NodeTable, packet: Packet, way: Hop) -> Waiting {
         let expires = self.now + packet.remaining;
-        let to = table.location(packet.destination);
-        let delay = to.and_then(|to| table.path_bound(table.node, to)).unwrap_or(Ticks::ZERO);
         // Variants: links charge nothing, or a late reply is still accepted.
         let answers = matches!(packet.kind, Kind::Reply | Kind::Response);
         let late = (answers && !table.rules().refuse_late_replies)
             || table.rules().time_stamp == TimeStamp::Absolute;
-        let leave_by = if late || expires == Instant::NEVER { expires } else { expires - delay };
+        let leave_by = if late || expires == Instant::NEVER { expires } else { expires - way.bound };
         let arrival = self.arrivals;
         self.arrivals += 1;
-        Waiting { packet, expires, leave_by, arrival, next }
+        Waiting { packet, expires, leave_by, arrival, next: way.next }
     }
 
     /// Advances the clock to `now`, never back, and drops the packets that can no longer arrive in time.

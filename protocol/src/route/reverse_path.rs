@@ -5,8 +5,8 @@
 //! packets come.
 
 use crate::ids::NodeId;
-use crate::packet::{Control, Kind, MAX_HOPS, Packet};
-use crate::table::{CellTable, NodeTable};
+use crate::packet::{Control, Kind, Packet};
+use crate::table::NodeTable;
 
 /// Whether `packet`, delivered by the neighbour `from`, is on its path. Packets of tasks that the cell does not have pass
 /// the check.
@@ -21,7 +21,7 @@ pub(super) fn can_come(table: &NodeTable, from: NodeId, packet: &Packet) -> bool
     // A relay without space refuses a command in the name of the command's destination (D19). The relay's path back may
     // differ from the destination's, where two paths have the same length.
     let of_a_relay = packet.kind == Kind::Control && packet.control() == Some(Control::RefusedOnTheWay);
-    of_a_relay && route(table, destination, source).any(|relay| enters_from(table, from, relay, destination))
+    of_a_relay && table.path(destination, source).any(|relay| enters_from(table, from, relay, destination))
 }
 
 /// Whether packets that `source` sends to `destination` come to this node from `from`.
@@ -30,7 +30,7 @@ pub(super) fn can_come(table: &NodeTable, from: NodeId, packet: &Packet) -> bool
 /// may take a different one.
 fn enters_from(table: &NodeTable, from: NodeId, source: NodeId, destination: NodeId) -> bool {
     let mut last = None;
-    for node in route(table, source, destination) {
+    for node in table.path(source, destination) {
         if node == table.node {
             return last == Some(from);
         }
@@ -39,17 +39,12 @@ fn enters_from(table: &NodeTable, from: NodeId, source: NodeId, destination: Nod
     false
 }
 
-/// The nodes that packets from `source` to `destination` pass, both included.
-fn route(table: &CellTable, source: NodeId, destination: NodeId) -> impl Iterator<Item = NodeId> + '_ {
-    let next = move |&node: &NodeId| table.next_hop(node, destination).filter(|_| node != destination);
-    core::iter::successors(Some(source), next).take(usize::from(MAX_HOPS) + 2)
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::cell::{Cell, PortDecl, Usage};
     use crate::ids::{Incarnation, MessageId, Seq24, TaskId};
+    use crate::table::CellTable;
     use crate::ticks::Ticks;
     use alloc::format;
     use alloc::sync::Arc;
@@ -128,7 +123,7 @@ mod tests {
             let table = table(7, &links);
             let passes = |start: NodeId, packet: &Packet| {
                 let end = table.location(packet.destination).unwrap();
-                let nodes: Vec<NodeId> = route(&table, start, end).collect();
+                let nodes: Vec<NodeId> = table.path(start, end).collect();
                 nodes.windows(2).all(|hop| can_come(&at(&table, hop[1].0), hop[0], packet))
             };
             for (a, b) in (0..7).flat_map(|a| (0..7).map(move |b| (a, b))) {
@@ -138,7 +133,7 @@ mod tests {
                     contents: Control::RefusedOnTheWay.to_contents(),
                     ..packet(b, a)
                 };
-                for relay in route(&table, NodeId(a), NodeId(b)) {
+                for relay in table.path(NodeId(a), NodeId(b)) {
                     prop_assert!(passes(relay, &word), "refused by {} between {} and {}", relay, a, b);
                 }
             }

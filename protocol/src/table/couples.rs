@@ -47,7 +47,7 @@ fn name(cell: &Cell, couple: &CoupleDecl) -> String {
 
 /// Heartbeats need a port that joins only the two tasks: the standby queries, the primary responds.
 fn check_via(couple: &CoupleDecl, via: &Port, errors: &mut Vec<CellError>) {
-    let usage = |task| via.party(task).map(|party| party.usage);
+    let usage = |task| via.parties.iter().find(|party| party.task == task).map(|party| party.usage);
     let fits = via.parties.len() == 2
         && usage(couple.primary) == Some(Usage::Response)
         && usage(couple.standby) == Some(Usage::Query);

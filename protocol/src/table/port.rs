@@ -1,11 +1,11 @@
 //! A checked port and its ends.
 
 use crate::cell::{PortDecl, Rate, Usage};
-use crate::ids::{PortId, TaskId};
+use crate::ids::{NodeId, PortId, TaskId};
 use crate::ticks::Ticks;
 use alloc::boxed::Box;
 
-/// One end of a port: a task that owns or uses it.
+/// One end of a port: a task that owns or uses it, with what a step of that task looks up there.
 #[derive(Clone, Debug)]
 pub struct Party {
     /// The task.
@@ -20,12 +20,63 @@ pub struct Party {
     pub rate: Option<Rate>,
     /// The position of the port among those of the task, by which the communication task finds its state without a search.
     pub place: u16,
+    /// The other ends to which it sends and from which it hears, ascending by task.
+    pub(crate) peers: Box<[Peer]>,
+}
+
+/// What an end of a port knows of another end: how their tasks reach each other, and where each keeps what concerns the other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Peer {
+    pub task: TaskId,
+    /// Its position among the parties.
+    pub party: u16,
+    /// Its position among the [`peers`](Party::peers): that of the source in an inbox.
+    pub slot: u16,
+    /// The same among the peers in the order of the parties: that of the recipient in an outstanding request.
+    pub recipient: u16,
+    /// The slot of this end among the peers of the other.
+    pub back: u16,
+    /// The neighbour that hands its packets to this node; `None` if both tasks run on one node.
+    pub ingress: Option<NodeId>,
+    /// The summed bounds of the links between the two nodes, which are the same in both directions.
+    pub bound: Ticks,
+}
+
+/// A port as one of its tasks meets another one there: the answer to the one look-up of a step.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Ends<'a> {
+    pub port: &'a Port,
+    /// The end of the task that makes the step.
+    pub own: &'a Party,
+    pub peer: &'a Peer,
+}
+
+impl<'a> Ends<'a> {
+    /// The end of the other task.
+    pub fn other(&self) -> &'a Party {
+        &self.port.parties[usize::from(self.peer.party)]
+    }
 }
 
 impl Party {
     /// The time_out of a request of the task. The others at the port rely on the declared one, so a request may only shorten it.
     pub(crate) fn time_out_of(&self, wanted: Option<Ticks>) -> Ticks {
         wanted.map_or(self.time_out, |wanted| wanted.min(self.time_out))
+    }
+
+    /// The other end that `task` has, if this one hears from it.
+    #[inline]
+    pub(crate) fn peer(&self, task: TaskId) -> Option<&Peer> {
+        if let [only] = &*self.peers {
+            Some(only).filter(|only| only.task == task)
+        } else {
+            self.one_of_many(task)
+        }
+    }
+
+    #[inline(never)]
+    fn one_of_many(&self, task: TaskId) -> Option<&Peer> {
+        self.peers.get(self.peers.binary_search_by_key(&task, |peer| peer.task).ok()?)
     }
 }
 
@@ -48,13 +99,22 @@ impl Port {
     /// The position of `task` among the parties.
     #[must_use]
     pub fn party_index(&self, task: TaskId) -> Option<usize> {
-        self.parties.iter().position(|p| p.task == task)
+        let owner = self.parties.first()?;
+        if owner.task == task { Some(0) } else { owner.peer(task).map(|peer| peer.party.into()) }
     }
 
     /// The end of the port that `task` has.
     #[must_use]
+    #[inline]
     pub fn party(&self, task: TaskId) -> Option<&Party> {
-        self.parties.iter().find(|p| p.task == task)
+        let (owner, users) = self.parties.split_first()?;
+        let party = match users {
+            _ if owner.task == task => owner,
+            // Most ports have two ends.
+            [user] => user,
+            _ => &self.parties[usize::from(owner.one_of_many(task)?.party)],
+        };
+        (party.task == task).then_some(party)
     }
 
     /// The tasks at the other end from `task`: the owner for a user, the users for the owner, all others in a `waitfor`.
@@ -70,17 +130,12 @@ impl Port {
     /// Whether `source` may send `task` messages through this port (the insertion rule of a black channel).
     #[must_use]
     pub fn admits(&self, source: TaskId, task: TaskId) -> bool {
-        self.admitted(source, task).is_some()
+        self.ends(task, source).is_some()
     }
 
-    /// The ends of both tasks, if `source` may send to `task`.
-    pub(crate) fn admitted(&self, source: TaskId, task: TaskId) -> Option<(&Party, &Party)> {
-        if let [owner, user] = &*self.parties {
-            let ends = if source == owner.task { (owner, user) } else { (user, owner) };
-            return ((ends.0.task, ends.1.task) == (source, task)).then_some(ends);
-        }
-        let of_owner = source == self.decl.owner || task == self.decl.owner;
-        let may = source != task && (of_owner || self.decl.usage == Usage::Waitfor);
-        if may { Some((self.party(source)?, self.party(task)?)) } else { None }
+    /// The port as `own` meets `other` there, if they may send to each other.
+    pub(crate) fn ends(&self, own: TaskId, other: TaskId) -> Option<Ends<'_>> {
+        let own = self.party(own)?;
+        Some(Ends { port: self, own, peer: own.peer(other)? })
     }
 }

@@ -75,18 +75,18 @@ impl Client {
     ) -> Result<Sent, Fault> {
         let place = usize::from(party.place);
         let (port, own) = (message.0, step.own.task);
-        let only = mapping::only_peer(port, own, to);
+        let only = mapping::only_peer(party, to).map(|peer| (peer.recipient.into(), peer.task));
         match step.own.endpoints[place].role {
             Role::Sends => {
                 let mut copies = 0;
-                if let Some(peer) = only {
+                if let Some((_, peer)) = only {
                     step.own.staged(place)?;
                     send_packets(step, place, peer, message);
                     copies = 1;
                 } else {
                     let peers = mapping::destinations(port, own, to)?;
                     step.own.staged(place)?;
-                    for peer in peers {
+                    for (_, peer) in peers {
                         send_packets(step, place, peer, message);
                         copies += 1;
                     }
@@ -133,22 +133,22 @@ impl Client {
     pub fn open_fused(
         &mut self,
         request: u16,
-        (peer, id): (TaskId, MessageId),
+        (recipient, id): (u16, MessageId),
         retry: u8,
         message: Message<'_>,
         now: Instant,
     ) {
         let request = &mut self.requests[usize::from(request)];
         request.forget();
-        request.sent(peer, id, 1);
+        request.sent(recipient.into(), id, 1);
         request.open_for(false, retry, message, now);
     }
 
     /// Whether a request waits for exactly this answer.
-    pub fn waits_only_for(&self, request: u16, from: TaskId, id: MessageId) -> bool {
+    pub fn waits_only_for(&self, request: u16, recipient: u16, id: MessageId) -> bool {
         let request = &self.requests[usize::from(request)];
-        let asked = request.find(from).map(|at| &request.recipients[at]);
-        !request.set && request.phase == Phase::Open && asked.is_some_and(|asked| asked.waits_for(id))
+        let asked = &request.recipients[usize::from(recipient)];
+        !request.set && request.phase == Phase::Open && asked.waits_for(id)
     }
 
     /// [`answer`](Self::answer) in a fused step, for the answer that [`waits_only_for`](Self::waits_only_for) allows. Returns
@@ -218,7 +218,7 @@ impl Client {
             return None;
         }
         let port = request.port;
-        step.count(port, |c| c.timed_out += 1);
+        step.count(request.endpoint, |c| c.timed_out += 1);
         let mut outcome = Outcome::TimedOutUnknown;
         for recipient in self.requests[at].open() {
             let unsent = recipient.packets_out == 0;
@@ -244,11 +244,11 @@ impl Client {
         let left = request.deadline - step.now();
         let fragments = request.parts.fragments().unwrap_or(1);
         let stamp = step.stamp(left);
-        let Outstanding { recipients, contents, parts, .. } = request;
+        let Outstanding { recipients, contents, parts, endpoint, .. } = request;
         for recipient in recipients.iter_mut().filter(|recipient| recipient.answer == Answer::Open) {
             recipient.packets_out = recipient.packets_out.saturating_add(u16::from(fragments));
             let (to, id) = (recipient.task, recipient.id);
-            step.count(port.id, |c| c.resent += 1);
+            step.count(*endpoint, |c| c.resent += 1);
             step.note(Event::Resent, port.id, to, id, left);
             let first = mapping::message(port, step.own.task, to, id, stamp, *contents);
             mapping::in_fragments(Packet { resent: true, ..first }, &*parts, |p| step.out.transmit(p));
@@ -270,12 +270,12 @@ impl Client {
 fn ask(
     step: &mut Step<'_, impl Outbox>,
     (request, place): (&mut Outstanding, usize),
-    peer: TaskId,
+    (recipient, peer): (usize, TaskId),
     message: Message<'_>,
 ) {
     let packets = step.own.endpoints[place].staged.fragments().unwrap_or(1);
     let id = send_packets(step, place, peer, message);
-    request.sent(peer, id, packets);
+    request.sent(recipient, id, packets);
 }
 
 /// Sends a message with its staged fragments to one task.

@@ -7,7 +7,7 @@ use crate::ids::{Incarnation, NodeId, PortId, TaskId};
 use crate::observe::Observation;
 use crate::packet::Packet;
 use crate::request::{Signal, TimeId};
-use crate::table::{CellTable, NodeTable};
+use crate::table::{CellTable, Ends, NodeTable};
 use crate::ticks::{Instant, Ticks};
 use alloc::sync::Arc;
 use alloc::vec::Vec;
@@ -78,6 +78,12 @@ impl Fixture {
         let table = NodeTable::new(Arc::new(CellTable::new(cell).expect("a cell")), NodeId(0));
         let own = Own::new(&table, task, Incarnation(0), false);
         Self { table, own, effects: Effects::default() }
+    }
+
+    /// The port as the task meets the source of a packet there.
+    pub fn ends<'a>(table: &'a NodeTable, packet: &Packet) -> Ends<'a> {
+        let port = table.port(packet.port).expect("a port");
+        port.ends(packet.destination, packet.source).expect("admitted")
     }
 
     /// The step context at an instant.

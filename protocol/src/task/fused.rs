@@ -11,12 +11,11 @@ use super::CommTask;
 use super::machines::Machines;
 use super::own::Role;
 use super::wait::Pending;
-use crate::ids::PortId;
 use crate::node::NodeOutbox;
 use crate::observe::{Event, Observation};
 use crate::packet::Contents;
 use crate::request::{Outcome, ReplyTo, Signal};
-use crate::table::NodeTable;
+use crate::table::Ends;
 use crate::ticks::Ticks;
 
 impl Machines {
@@ -34,18 +33,18 @@ impl CommTask {
     pub(crate) fn send_fused(
         &mut self,
         other: &mut Self,
-        table: &NodeTable,
-        (id, contents, time_out): (PortId, Contents, Option<Ticks>),
+        ends: Ends<'_>,
+        (contents, time_out): (Contents, Option<Ticks>),
         out: &mut impl NodeOutbox,
     ) -> bool {
         let (Self { own, machines, .. }, Self { own: their, machines: theirs, .. }) =
             (&mut *self, &mut *other);
-        let Some(port) = table.port(id) else { return false };
-        let Some((from, to)) = port.admitted(own.task, their.task) else { return false };
-        let (place, there) = (usize::from(from.place), usize::from(to.place));
+        let (Ends { port, own: from, peer }, to) = (ends, ends.other());
+        let (id, place, there) = (port.id, usize::from(from.place), usize::from(to.place));
         let (role, Role::Receives(inbox)) = (own.endpoints[place].role, their.endpoints[there].role) else {
             return false;
         };
+        let origin = (usize::from(inbox), usize::from(peer.back));
         let asks = match role {
             Role::Asks(request) => Some(request),
             Role::Sends => None,
@@ -58,7 +57,7 @@ impl CommTask {
             && !ttl.is_zero()
             && machines.interrupts.waits_for_nothing()
             && asks.is_none_or(|request| machines.is_plain() && machines.client.is_closed(request))
-            && theirs.server.takes_fused(inbox, own.task, message, their.now)
+            && theirs.server.takes_fused(origin, message, their.now)
             && theirs.interrupts.gets(id, own.task, theirs.server.is_handled(inbox));
         if !is_usual {
             return false;
@@ -68,12 +67,13 @@ impl CommTask {
         out.observe(Some(own.task), Observation::of(Event::Sent, id, their.task, message, ttl));
         if let Some(request) = asks {
             let retry = from.retry;
-            machines.client.open_fused(request, (their.task, message), retry, (port, ttl, contents), own.now);
+            let asked = (peer.recipient, message);
+            machines.client.open_fused(request, asked, retry, (port, ttl, contents), own.now);
             machines.interrupts.wait(Pending::Reply(request));
         } else {
             out.signal(own.task, Signal::Accepted(1));
         }
-        let delivery = theirs.server.take_fused(inbox, (own.task, message), (from, ttl, contents), their.now);
+        let delivery = theirs.server.take_fused(origin, message, (from, ttl, contents), their.now);
         theirs.interrupts.end_wait();
         let counters = &mut their.endpoints[there].counters;
         counters.enqueued += 1;
@@ -89,28 +89,29 @@ impl CommTask {
     pub(crate) fn reply_fused(
         &mut self,
         other: &mut Self,
-        table: &NodeTable,
+        ends: Ends<'_>,
         (to, contents): (ReplyTo, Contents),
         out: &mut impl NodeOutbox,
     ) -> bool {
         let (Self { own, machines, .. }, Self { own: their, machines: theirs, .. }) =
             (&mut *self, &mut *other);
-        let Some(port) = table.port(to.port) else { return false };
-        let Some((from, there)) = port.admitted(own.task, their.task) else { return false };
-        let there = usize::from(there.place);
+        let (Ends { port, own: from, peer }, asking) = (ends, ends.other());
+        let there = usize::from(asking.place);
         let (Role::Receives(inbox), Role::Asks(request)) =
             (own.endpoints[usize::from(from.place)].role, their.endpoints[there].role)
         else {
             return false;
         };
+        let recipient = asking.peers[usize::from(peer.back)].recipient;
         let is_usual = port.decl.takes_one_packet()
             && machines.interrupts.waits_for_nothing()
             && matches!(theirs.interrupts.pending(), Pending::Reply(at) if at == request)
-            && theirs.client.waits_only_for(request, own.task, to.id);
+            && theirs.client.waits_only_for(request, recipient, to.id);
         if !is_usual {
             return false;
         }
-        let Some(left) = machines.server.answer_fused(inbox, to, contents, own.now) else { return false };
+        let origin = (usize::from(inbox), usize::from(peer.slot));
+        let Some(left) = machines.server.answer_fused(origin, to, contents, own.now) else { return false };
         out.observe(Some(own.task), Observation::of(Event::Replied, to.port, to.source, to.id, left));
         out.signal(own.task, Signal::Accepted(1));
         let left = theirs.client.close_fused(request) - their.now;

@@ -3,9 +3,9 @@
 use super::client::Client;
 use super::interrupts::{Interrupts, Offer, What};
 use super::lease::Lease;
-use super::own::{Own, Role};
+use super::own::{Own, Role, index};
 use super::rendezvous::Meetings;
-use super::server::{Held, Server};
+use super::server::{Held, Origin, Server};
 use super::step::{Outbox, Step};
 use super::violation::Violation;
 use super::wait::{Ended, Finished, Pending};
@@ -53,24 +53,25 @@ impl Machines {
     /// Dispatches a packet by its kind and the role of its port.
     pub fn packet(&mut self, step: &mut Step<'_, impl Outbox>, packet: &Packet) {
         let port = step.table.port(packet.port);
-        let ends = port.and_then(|port| Some((port, port.admitted(packet.source, step.own.task)?)));
-        let Some((port, (from, here))) = ends else {
-            return step.drop_packet(packet, Reason::NotAllowed);
+        let Some(ends) = port.and_then(|port| port.ends(step.own.task, packet.source)) else {
+            let endpoint = step.own.place(packet.port).map_or(u16::MAX, index);
+            return step.drop_packet(endpoint, packet, Reason::NotAllowed);
         };
-        let role = step.own.endpoints[usize::from(here.place)].role;
+        let (port, endpoint) = (ends.port, ends.own.place);
+        let role = step.own.endpoints[usize::from(endpoint)].role;
         match (packet.kind, role) {
             (Kind::Send | Kind::Query, Role::Receives(inbox))
                 if packet.kind == mapping::message_kind(port) && packet.class == port.decl.class =>
             {
                 let threads = (&self.interrupts, self.called());
-                let arrival = self.server.hear(step, threads, (port, from, inbox), packet);
+                let arrival = self.server.hear(step, threads, (ends, inbox), packet);
                 match arrival {
                     Some(arrival) if arrival.interrupts => {
-                        self.interrupt(step, arrival.inbox, &arrival.held);
+                        self.interrupt(step, arrival.origin, &arrival.held);
                     }
                     Some(arrival) => {
                         self.interrupts.end_wait();
-                        self.hand_over(step, arrival.inbox, &arrival.held);
+                        self.hand_over(step, arrival.origin, &arrival.held);
                     }
                     None => {}
                 }
@@ -78,11 +79,11 @@ impl Machines {
             (Kind::Reply | Kind::Response | Kind::Control, Role::Asks(request))
                 if packet.kind == Kind::Control || packet.kind == mapping::answer_kind(port) =>
             {
-                let ended = self.client.answer(step, request, packet);
+                let ended = self.client.answer(step, (ends, request), packet);
                 self.end(step, ended);
             }
             (Kind::Reply, Role::Hears) => {
-                let ended = self.client.third_party(step, packet);
+                let ended = self.client.third_party(step, endpoint, packet);
                 self.end(step, ended);
             }
             (Kind::Query | Kind::Response, Role::Heartbeats) => {
@@ -90,7 +91,7 @@ impl Machines {
                 self.grant(step, granted);
             }
             (Kind::Arrive | Kind::Confirm | Kind::Abort, Role::Meets(meeting)) => {
-                let ended = self.meetings.hear(step, meeting, packet);
+                let ended = self.meetings.hear(step, meeting, (ends.peer, packet));
                 self.end(step, ended);
             }
             (
@@ -109,7 +110,7 @@ impl Machines {
                 | Role::Replies
                 | Role::Hears
                 | Role::Heartbeats,
-            ) => step.drop_packet(packet, Reason::NotAllowed),
+            ) => step.drop_packet(endpoint, packet, Reason::NotAllowed),
         }
     }
 
@@ -237,13 +238,13 @@ impl Machines {
         inbox: Option<u16>,
         source: Option<TaskId>,
     ) -> bool {
-        let Some((inbox, held)) = self.server.next(step, inbox, source) else { return false };
-        self.hand_over(step, inbox, &held);
+        let Some((origin, held)) = self.server.next(step, inbox, source) else { return false };
+        self.hand_over(step, origin, &held);
         true
     }
 
-    fn hand_over(&mut self, step: &mut Step<'_, impl Outbox>, inbox: usize, held: &Held) {
-        let delivery = self.server.deliver(step, inbox, held);
+    fn hand_over(&mut self, step: &mut Step<'_, impl Outbox>, origin: Origin, held: &Held) {
+        let delivery = self.server.deliver(step, origin, held);
         step.out.signal(Signal::Message(delivery));
     }
 
@@ -293,8 +294,8 @@ impl Machines {
                 self.begin(step, (rank, id.0), Call::Timer(id));
             }
             What::Message(inbox, slot) => {
-                if let Some(held) = self.server.take(step.own, inbox, slot) {
-                    self.interrupt(step, inbox, &held);
+                if let Some((origin, held)) = self.server.take(step.own, inbox, slot) {
+                    self.interrupt(step, origin, &held);
                 }
             }
         }
@@ -308,13 +309,13 @@ impl Machines {
     }
 
     /// A handler for a message interrupts the running activation.
-    fn interrupt(&mut self, step: &mut Step<'_, impl Outbox>, inbox: usize, held: &Held) {
-        let port = self.server.port(inbox);
+    fn interrupt(&mut self, step: &mut Step<'_, impl Outbox>, origin: Origin, held: &Held) {
+        let port = self.server.port(origin.0);
         let rank = step.own.order.rank(port, held.source);
         self.interrupts.begin(step.own, rank);
         let left = held.expires - step.now();
         step.note(Event::Interrupted, port, held.source, held.id(), left);
-        let delivery = self.server.deliver(step, inbox, held);
+        let delivery = self.server.deliver(step, origin, held);
         step.out.signal(Signal::Interrupt(Call::Message(delivery)));
     }
 

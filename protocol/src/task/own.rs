@@ -9,7 +9,7 @@ use crate::cell::{CoupleDecl, Usage};
 use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
 use crate::packet::{Class, Contents};
 use crate::request::{Fault, ServiceOrder, Signal};
-use crate::table::{NodeTable, Port};
+use crate::table::{NodeTable, Peer, Port};
 use crate::ticks::Instant;
 use alloc::boxed::Box;
 use alloc::vec::Vec;
@@ -131,8 +131,8 @@ impl Own {
 
     /// Whether a message of `source` may have been meant for an earlier incarnation of the task (D49). Tasks of the
     /// same node restarted together with it, so their messages are new (D157).
-    pub fn turns_away(&self, table: &NodeTable, source: TaskId) -> bool {
-        self.now < self.quarantine_until && table.rules().quarantine && !table.is_here(source)
+    pub fn turns_away(&self, table: &NodeTable, source: &Peer) -> bool {
+        self.now < self.quarantine_until && table.rules().quarantine && source.ingress.is_some()
     }
 
     /// The position of the endpoint of a port.

@@ -128,14 +128,15 @@ impl Machines {
         let place = usize::from(party.place);
         let left = match step.own.endpoints[place].role {
             Role::Replies => {
-                if !port.peers(step.own.task).any(|peer| peer == to.source) {
-                    return Err(Fault::NotAPeer);
-                }
+                party.peer(to.source).ok_or(Fault::NotAPeer)?;
                 step.own.staged(place)?;
                 step.own.endpoints[place].counters.sent += 1;
                 party.time_out
             }
-            Role::Receives(inbox) => self.server.reply(step, (inbox, place), to, contents)?,
+            Role::Receives(inbox) => {
+                let source = party.peer(to.source).ok_or(Fault::NothingToAnswer)?.slot;
+                self.server.reply(step, (inbox.into(), source.into()), to, contents)?
+            }
             Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Hears | Role::Heartbeats => {
                 return Err(Fault::NothingToAnswer);
             }

@@ -40,7 +40,7 @@ use crate::observe::{Event, Reason};
 use crate::packet::{Class, Contents, Control, Packet};
 use crate::queue::Slot;
 use crate::rules::{Memory, TimeStamp};
-use crate::table::{NodeTable, Party, Port};
+use crate::table::{Ends, NodeTable};
 use crate::ticks::{Instant, Ticks};
 use alloc::boxed::Box;
 use alloc::vec::Vec;
@@ -84,14 +84,14 @@ struct Known {
 
 /// A message that the running activation takes as it arrives.
 pub(crate) struct Arrival {
-    pub inbox: usize,
+    pub origin: Origin,
     pub held: Held,
     /// Whether a handler for it interrupts the running activation; otherwise that waits for it in a GET.
     pub interrupts: bool,
 }
 
 /// An inbox, and the position of a source in it.
-type Origin = (usize, usize);
+pub(crate) type Origin = (usize, usize);
 
 /// Limit of counters in a deserialised state. They grow by one per input, so below it no recording makes them overflow.
 const MOST: u64 = 1 << 62;
@@ -134,12 +134,12 @@ impl Server {
         &mut self,
         step: &mut Step<'_, impl Outbox>,
         threads: (&Interrupts, bool),
-        (port, from, inbox): (&Port, &Party, u16),
+        (ends, inbox): (Ends<'_>, u16),
         packet: &Packet,
     ) -> Option<Arrival> {
-        let inbox = usize::from(inbox);
-        let arrival = self.message(step, threads, (port, from, inbox), packet);
-        self.touch(step.own, inbox);
+        let origin = (usize::from(inbox), usize::from(ends.peer.slot));
+        let arrival = self.message(step, threads, (ends, origin), packet);
+        self.touch(step.own, origin.0);
         arrival
     }
 
@@ -148,29 +148,29 @@ impl Server {
         &mut self,
         step: &mut Step<'_, impl Outbox>,
         threads: (&Interrupts, bool),
-        (port, from, inbox): (&Port, &Party, usize),
+        (ends, origin): (Ends<'_>, Origin),
         packet: &Packet,
     ) -> Option<Arrival> {
         let remaining = match step.table.rules().time_stamp {
             TimeStamp::Remaining => packet.remaining,
             TimeStamp::Absolute => (Instant::START + packet.remaining) - step.now(),
         };
-        let way_back = step.table.bound_between(step.own.task, packet.source);
+        let way_back = ends.peer.bound;
         let reserved = match packet.class {
             Class::Command if step.table.rules().reserve_way_back => way_back,
             Class::Command | Class::Status => Ticks::ZERO,
         };
-        if packet.fragment.saturating_add(u8::from(packet.more)) >= port.decl.fragments {
-            step.drop_packet(packet, Reason::NotAllowed);
+        let endpoint = ends.own.place;
+        if packet.fragment.saturating_add(u8::from(packet.more)) >= ends.port.decl.fragments {
+            step.drop_packet(endpoint, packet, Reason::NotAllowed);
             return None;
         }
         if remaining <= reserved {
-            step.count(packet.port, |c| c.expired += 1);
+            step.count(endpoint, |c| c.expired += 1);
             let reason = Event::Discarded(Reason::ExpiredOnTheWay);
             step.note(reason, packet.port, packet.source, packet.id, Ticks::ZERO);
             return None;
         }
-        let origin = (inbox, self.inboxes[inbox].source(packet.source)?);
         let counted;
         let packet = if remaining == packet.remaining {
             packet
@@ -178,16 +178,16 @@ impl Server {
             counted = Packet { remaining, ..*packet };
             &counted
         };
-        if !self.is_fresh(step, origin, port, (packet, reserved)) {
+        if !self.is_fresh(step, (ends, origin), (packet, reserved)) {
             return None;
         }
         let bounds = (reserved, way_back);
         if packet.more || packet.fragment > 0 {
             let (whole, fragments) = self.assemble(step, origin, packet, reserved)?;
-            self.take_in(step, threads, (port, from, origin), (&whole, fragments), bounds)
+            self.take_in(step, threads, (ends, origin), (&whole, fragments), bounds)
         } else {
             self.overtake(step, origin, packet);
-            self.take_in(step, threads, (port, from, origin), (packet, 1), bounds)
+            self.take_in(step, threads, (ends, origin), (packet, 1), bounds)
         }
     }
 
@@ -195,17 +195,17 @@ impl Server {
     fn is_fresh(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
-        (inbox, source): Origin,
-        port: &Port,
+        (ends, (inbox, source)): (Ends<'_>, Origin),
         (packet, reserved): (&Packet, Ticks),
     ) -> bool {
-        if packet.class == Class::Command && step.own.turns_away(step.table, packet.source) {
+        let endpoint = ends.own.place;
+        if packet.class == Class::Command && step.own.turns_away(step.table, ends.peer) {
             // It may be a copy of a command that the earlier incarnation ran (D49).
             control(step, packet, Control::Restarted);
             return false;
         }
         if !self.enter_incarnation(step, packet.source, packet.id.incarnation) {
-            step.drop_packet(packet, Reason::StaleIncarnation);
+            step.drop_packet(endpoint, packet, Reason::StaleIncarnation);
             return false;
         }
         match self.inboxes[inbox].sources[source].look_up(packet.id, step.now()) {
@@ -216,14 +216,14 @@ impl Server {
             Seen::Again(_) if packet.more => {}
             Seen::Again(CommandStatus::Refused) => control(step, packet, Control::Refused),
             Seen::Again(CommandStatus::Answered(contents)) => {
-                let kind = mapping::answer_kind(port);
+                let kind = mapping::answer_kind(ends.port);
                 let to = mapping::reply_to(packet);
                 let answer = mapping::answer(to, step.own.task, kind, packet.remaining, contents);
                 let more = self.inboxes[inbox].answer(source);
                 mapping::in_fragments(answer, more, |packet| step.out.transmit(packet));
             }
         }
-        step.duplicate(packet);
+        step.duplicate(endpoint, packet);
         false
     }
 
@@ -233,14 +233,14 @@ impl Server {
         &mut self,
         step: &mut Step<'_, impl Outbox>,
         (threads, called): (&Interrupts, bool),
-        (port, from, origin): (&Port, &Party, Origin),
+        (ends, origin): (Ends<'_>, Origin),
         (packet, fragments): (&Packet, u8),
         (reserved, way_back): (Ticks, Ticks),
     ) -> Option<Arrival> {
-        let (inbox, source) = origin;
-        let contents = match port.decl.guard {
+        let ((inbox, source), from) = (origin, ends.other());
+        let contents = match ends.port.decl.guard {
             None => packet.contents,
-            Some(couple) => self.within_epoch(step, port, (couple, origin), packet)?,
+            Some(couple) => self.within_epoch(step, (ends, origin), couple, packet)?,
         };
         let now = step.now();
         // A link charges an upper bound, so a later copy may have been charged less than this one. The dedup entry is
@@ -272,7 +272,7 @@ impl Server {
         let mut retry = RetryState::default();
         if self.inboxes[inbox].latest && !self.supersedes(step, inbox, &held) {
             self.inboxes[inbox].close(source, held.id());
-            discard(step, packet.port, &held, Reason::Superseded);
+            discard(step, &self.inboxes[inbox], &held, Reason::Superseded);
             return None;
         }
         let handled = self.inboxes[inbox].handled;
@@ -280,14 +280,14 @@ impl Server {
         let offered = !awaited && handled && threads.is_interruptible(false, called);
         if awaited || (offered && offers::outranks(step.table, step.own, threads, packet.port, &held, retry))
         {
-            step.count_at(self.inboxes[inbox].endpoint, |c| c.enqueued += 1);
+            step.count(ends.own.place, |c| c.enqueued += 1);
             self.take_assembled(origin, &held);
-            return Some(Arrival { inbox, held, interrupts: !awaited });
+            return Some(Arrival { origin, held, interrupts: !awaited });
         }
         if offered {
-            self.reject_arrived(step, packet.port, (&mut held, &mut retry));
+            self.reject_arrived(step, inbox, (&mut held, &mut retry));
         }
-        self.store(step, (port, origin), (held, retry));
+        self.store(step, (ends.port, origin), (held, retry));
         self.inboxes[inbox].close(source, held.id());
         None
     }
@@ -299,9 +299,11 @@ impl Server {
                 self.inboxes[inbox].queue.pop_if(|held: &Held| held.expires <= step.own.now)
             {
                 let entry = &mut self.inboxes[inbox];
-                entry.settle(held.source, held.id(), CommandStatus::Lapsed);
+                if let Some(source) = entry.source(held.source) {
+                    entry.settle(source, held.id(), CommandStatus::Lapsed);
+                }
                 let port = entry.port;
-                step.count_at(entry.endpoint, |c| c.expired += 1);
+                step.count(entry.endpoint, |c| c.expired += 1);
                 let event = Event::Discarded(Reason::Expired);
                 step.note(event, port, held.source, held.id(), Ticks::ZERO);
             }
@@ -352,10 +354,10 @@ fn control(step: &mut Step<'_, impl Outbox>, request: &Packet, control: Control)
     }
 }
 
-fn discard(step: &mut Step<'_, impl Outbox>, port: PortId, held: &Held, reason: Reason) {
-    step.count(port, |c| c.dropped += 1);
+fn discard(step: &mut Step<'_, impl Outbox>, inbox: &Inbox, held: &Held, reason: Reason) {
+    step.count(inbox.endpoint, |c| c.dropped += 1);
     let left = held.expires - step.now();
-    step.note(Event::Discarded(reason), port, held.source, held.id(), left);
+    step.note(Event::Discarded(reason), inbox.port, held.source, held.id(), left);
 }
 
 /// The bit set of the fragments after the first one.

@@ -44,14 +44,8 @@ impl<O: Outbox> Step<'_, O> {
         self.out.observe(Observation::of(event, port, peer, id, remaining));
     }
 
-    pub fn count(&mut self, port: PortId, count: impl FnOnce(&mut Counts)) {
-        if let Some(endpoint) = self.own.endpoint(port) {
-            count(&mut endpoint.counters);
-        }
-    }
-
-    /// The same, by the position of the port's endpoint.
-    pub fn count_at(&mut self, endpoint: u16, count: impl FnOnce(&mut Counts)) {
+    /// Counts at an endpoint, by its position.
+    pub fn count(&mut self, endpoint: u16, count: impl FnOnce(&mut Counts)) {
         if let Some(endpoint) = self.own.endpoints.get_mut(usize::from(endpoint)) {
             count(&mut endpoint.counters);
         }
@@ -72,14 +66,14 @@ impl<O: Outbox> Step<'_, O> {
         }
     }
 
-    pub fn duplicate(&mut self, packet: &Packet) {
-        self.count(packet.port, |c| c.duplicates += 1);
+    pub fn duplicate(&mut self, endpoint: u16, packet: &Packet) {
+        self.count(endpoint, |c| c.duplicates += 1);
         let event = Event::Discarded(Reason::Duplicate);
         self.note(event, packet.port, packet.source, packet.id, packet.remaining);
     }
 
-    pub fn drop_packet(&mut self, packet: &Packet, reason: Reason) {
-        self.count(packet.port, |c| c.dropped += 1);
+    pub fn drop_packet(&mut self, endpoint: u16, packet: &Packet, reason: Reason) {
+        self.count(endpoint, |c| c.dropped += 1);
         self.note(Event::Discarded(reason), packet.port, packet.source, packet.id, packet.remaining);
     }
 }

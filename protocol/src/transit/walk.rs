@@ -2,7 +2,6 @@
 
 use super::{Transit, Waiting};
 use crate::packet::Packet;
-use crate::route::{self, Departure};
 use crate::state::{Pass, Walk, restart};
 use crate::table::NodeTable;
 use alloc::vec::Vec;
@@ -63,8 +62,8 @@ impl Transit {
     fn take_in<W: Walk>(&mut self, table: &NodeTable, is_message: bool, w: &mut W) {
         let mut packet = Packet::BLANK;
         packet.walk(w);
-        let Departure::Link(next) = route::departing(table, &packet) else { return };
-        let waiting = self.waits(table, packet, next);
+        let Some(way) = table.way_to(packet.destination) else { return };
+        let waiting = self.waits(table, packet, way);
         let queue = if is_message { &mut self.queue } else { &mut self.words };
         let _ = queue.push(waiting);
     }

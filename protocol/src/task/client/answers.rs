@@ -6,6 +6,7 @@ use crate::ids::{MessageId, NodeId};
 use crate::observe::{Event, Reason};
 use crate::packet::{Control, Kind, Packet};
 use crate::request::Outcome;
+use crate::table::Ends;
 use crate::task::fragments::Progress;
 use crate::task::own::index;
 use crate::task::step::{Outbox, Step};
@@ -30,7 +31,7 @@ impl Client {
         };
         recipient.answer = answer;
         let (task, id) = (recipient.task, recipient.id);
-        step.count_at(request.endpoint, |c| match answer {
+        step.count(request.endpoint, |c| match answer {
             Answer::Answered => c.delivered += 1,
             Answer::Refused => c.refused += 1,
             Answer::Restarted | Answer::NotAsked | Answer::Open => {}
@@ -58,29 +59,38 @@ impl Client {
     }
 
     /// Takes an answer to the task's own class-2 message.
-    pub fn answer(&mut self, step: &mut Step<'_, impl Outbox>, at: u16, packet: &Packet) -> Option<Ended> {
+    pub fn answer(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        (ends, at): (Ends<'_>, u16),
+        packet: &Packet,
+    ) -> Option<Ended> {
         let at = usize::from(at);
         let request = &self.requests[at];
-        let from = request
-            .find(packet.source)
+        let from = Some(usize::from(ends.peer.recipient))
             .filter(|&from| request.phase == Phase::Open && request.recipients[from].waits_for(packet.id));
         match from {
-            Some(recipient) => self.answered(step, (at, recipient), packet),
-            None => self.late(step, packet),
+            Some(recipient) => self.answered(step, ends.own.place, (at, recipient), packet),
+            None => self.late(step, ends.own.place, packet),
         }
     }
 
     /// Takes an answer of another task than the one that was asked (D11).
-    pub fn third_party(&mut self, step: &mut Step<'_, impl Outbox>, packet: &Packet) -> Option<Ended> {
+    pub fn third_party(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        endpoint: u16,
+        packet: &Packet,
+    ) -> Option<Ended> {
         let found = self.requests.iter().enumerate().find_map(|(at, d)| Some((at, d.waits_for(packet.id)?)));
         match found {
-            Some(place) => self.answered(step, place, packet),
-            None => self.late(step, packet),
+            Some(place) => self.answered(step, endpoint, place, packet),
+            None => self.late(step, endpoint, packet),
         }
     }
 
     /// Drops an answer that no request waits for. The variant with late replies accepts it for the command that timed out last.
-    fn late(&mut self, step: &mut Step<'_, impl Outbox>, packet: &Packet) -> Option<Ended> {
+    fn late(&mut self, step: &mut Step<'_, impl Outbox>, endpoint: u16, packet: &Packet) -> Option<Ended> {
         let fits = |o: &Overdue| o.id == packet.id && o.port == packet.port && o.to == packet.source;
         let answers =
             matches!(packet.kind, Kind::Reply | Kind::Response) && self.overdue.is_some_and(|o| fits(&o));
@@ -90,13 +100,14 @@ impl Client {
             return Some(Ended { wait: None, finished });
         }
         let stale = packet.id.incarnation.is_older_than(step.own.incarnation);
-        step.drop_packet(packet, if stale { Reason::StaleIncarnation } else { Reason::Unexpected });
+        step.drop_packet(endpoint, packet, if stale { Reason::StaleIncarnation } else { Reason::Unexpected });
         None
     }
 
     fn answered(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
+        endpoint: u16,
         (at, recipient): (usize, usize),
         packet: &Packet,
     ) -> Option<Ended> {
@@ -107,15 +118,15 @@ impl Client {
                 Ok(Progress::Whole(_)) => Event::Answered,
                 Ok(Progress::Waits) => return None,
                 Ok(Progress::Again) => {
-                    step.duplicate(packet);
+                    step.duplicate(endpoint, packet);
                     return None;
                 }
                 Ok(Progress::Broken) => {
-                    step.drop_packet(packet, Reason::Incomplete);
+                    step.drop_packet(endpoint, packet, Reason::Incomplete);
                     return None;
                 }
                 Err(reason) => {
-                    step.drop_packet(packet, reason);
+                    step.drop_packet(endpoint, packet, reason);
                     return None;
                 }
             },
@@ -125,7 +136,7 @@ impl Client {
             // Another copy may have arrived, so that only the time_out ends the request.
             (_, Some(Control::RefusedOnTheWay)) => return None,
             (_, None) => {
-                step.drop_packet(packet, Reason::Unexpected);
+                step.drop_packet(endpoint, packet, Reason::Unexpected);
                 return None;
             }
         };

@@ -136,10 +136,6 @@ impl Outstanding {
         self.recipients.iter().filter(move |recipient| open && recipient.answer == Answer::Open)
     }
 
-    pub fn find(&self, task: TaskId) -> Option<usize> {
-        self.recipients.iter().position(|recipient| recipient.task == task)
-    }
-
     /// The position of the asked task whose open request has this id.
     pub fn waits_for(&self, id: MessageId) -> Option<usize> {
         let open = self.phase == Phase::Open;
@@ -147,11 +143,9 @@ impl Outstanding {
     }
 
     /// A task was asked, by a message of so many packets.
-    pub fn sent(&mut self, to: TaskId, id: MessageId, packets: u8) {
-        if let Some(at) = self.find(to) {
-            let recipient = &mut self.recipients[at];
-            (recipient.id, recipient.answer, recipient.packets_out) = (id, Answer::Open, packets.into());
-        }
+    pub fn sent(&mut self, recipient: usize, id: MessageId, packets: u8) {
+        let recipient = &mut self.recipients[recipient];
+        (recipient.id, recipient.answer, recipient.packets_out) = (id, Answer::Open, packets.into());
     }
 
     /// The outcome was reported. The answers stay readable until the next request.

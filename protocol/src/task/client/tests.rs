@@ -33,14 +33,15 @@ fn answer(bench: &mut Fixture) -> Packet {
 #[test]
 fn an_answer_ends_the_wait_once() {
     let (mut bench, mut client, mut threads) = asking();
-    let answer = answer(&mut bench);
+    let (answer, table) = (answer(&mut bench), bench.table.clone());
+    let ends = Fixture::ends(&table, &answer);
     assert_eq!(client.outstanding().collect::<Vec<_>>(), [(MOVE, B, answer.id)]);
-    let ended = client.answer(&mut bench.at(Instant(12)), 0, &answer).expect("an end");
+    let ended = client.answer(&mut bench.at(Instant(12)), (ends, 0), &answer).expect("an end");
     assert_eq!(ended.wait, Some(Pending::Reply(0)));
     assert_eq!(ended.finished, Finished::Outcome(Outcome::Reply(answer.contents)));
     threads.end_wait();
     assert_eq!(client.check(&bench.own, &threads), Ok(()));
-    assert!(client.answer(&mut bench.at(Instant(13)), 0, &answer).is_none());
+    assert!(client.answer(&mut bench.at(Instant(13)), (ends, 0), &answer).is_none());
     assert_eq!(bench.effects.observed.last().unwrap().event, Event::Discarded(Reason::Unexpected));
 }
 

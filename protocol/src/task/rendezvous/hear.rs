@@ -6,15 +6,14 @@ use crate::observe::{Event, Observation, Reason};
 use crate::packet::{Kind, Meeting, Packet};
 use crate::request::ReleasedBy;
 use crate::rules::Confirmation;
+use crate::table::Peer;
 use crate::task::step::Outbox;
 use crate::ticks::Ticks;
 
 impl Rendezvous {
     /// Takes a packet of another member.
-    pub(super) fn hear(&mut self, at: &mut At<'_, '_, impl Outbox>, packet: &Packet) {
-        let Some(from) = at.port.party_index(packet.source) else {
-            return self.drop_packet(at, packet, Reason::NotAllowed);
-        };
+    pub(super) fn hear(&mut self, at: &mut At<'_, '_, impl Outbox>, peer: &Peer, packet: &Packet) {
+        let from = usize::from(peer.party);
         let meeting = packet.meeting();
         if packet.kind == Kind::Confirm {
             return self.hear_confirm(at, from, packet, meeting.round);
@@ -32,13 +31,14 @@ impl Rendezvous {
         if packet.kind == Kind::Abort {
             self.hear_abort(at, from, meeting);
         } else {
-            self.hear_arrival(at, from, packet);
+            self.hear_arrival(at, peer, packet);
         }
     }
 
-    fn hear_arrival(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, packet: &Packet) {
+    fn hear_arrival(&mut self, at: &mut At<'_, '_, impl Outbox>, peer: &Peer, packet: &Packet) {
+        let from = usize::from(peer.party);
         let Meeting { round, released, arguments } = packet.meeting();
-        if at.step.own.turns_away(at.step.table, packet.source) {
+        if at.step.own.turns_away(at.step.table, peer) {
             // It may be meant for this task's earlier incarnation, with which its sender may have been released.
             return self.drop_packet(at, packet, Reason::StaleIncarnation);
         }

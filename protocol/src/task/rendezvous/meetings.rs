@@ -5,7 +5,7 @@ use crate::ids::NodeId;
 use crate::observe::MeetingView;
 use crate::packet::Packet;
 use crate::queue::Heap;
-use crate::table::NodeTable;
+use crate::table::{NodeTable, Peer};
 use crate::task::own::{Own, Role, are_alike, index};
 use crate::task::step::{Outbox, Step};
 use crate::task::wait::{Ended, Finished, Pending};
@@ -63,8 +63,13 @@ impl Meetings {
     }
 
     /// Takes a packet of another member. Returns the end of the wait if the packet releases the task.
-    pub fn hear(&mut self, step: &mut Step<'_, impl Outbox>, meeting: u16, packet: &Packet) -> Option<Ended> {
-        self.run(step, meeting, |rendezvous, at| rendezvous.hear(at, packet))?.1
+    pub fn hear(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        meeting: u16,
+        (from, packet): (&Peer, &Packet),
+    ) -> Option<Ended> {
+        self.run(step, meeting, |rendezvous, at| rendezvous.hear(at, from, packet))?.1
     }
 
     /// The task cancels its wait.

@@ -20,17 +20,23 @@ fn ended(finished: Finished) -> Ended {
     Ended { wait: Some(Pending::Meeting(0)), finished }
 }
 
+fn hear(bench: &mut Fixture, meetings: &mut Meetings, now: u64, packet: &Packet) -> Option<Ended> {
+    let table = bench.table.clone();
+    let from = Fixture::ends(&table, packet).peer;
+    meetings.hear(&mut bench.at(Instant(now)), 0, (from, packet))
+}
+
 #[test]
 fn both_are_released_in_one_round_by_each_other_s_arrival() {
     let (mut a, mut of_a, _) = waiting(A);
     let (mut b, mut of_b, _) = waiting(B);
     let (from_a, from_b) = (a.packets()[0], b.packets()[0]);
     let released = ended(Finished::Released { port: LIFT, round: Round(1), by: ReleasedBy::AllArrived });
-    assert_eq!(of_a.hear(&mut a.at(Instant(12)), 0, &from_b), Some(released));
-    assert_eq!(of_b.hear(&mut b.at(Instant(13)), 0, &from_a), Some(released));
+    assert_eq!(hear(&mut a, &mut of_a, 12, &from_b), Some(released));
+    assert_eq!(hear(&mut b, &mut of_b, 13, &from_a), Some(released));
     let port = a.table.port(LIFT).unwrap();
     assert_eq!(of_a.at(0).told(port, B), Some([1; 8]));
-    assert_eq!(of_a.hear(&mut a.at(Instant(14)), 0, &from_b), None, "a copy of it is answered, no more");
+    assert_eq!(hear(&mut a, &mut of_a, 14, &from_b), None, "a copy of it is answered, no more");
     assert_eq!(a.packets().last().unwrap().kind, Kind::Confirm);
 }
 
@@ -38,14 +44,14 @@ fn both_are_released_in_one_round_by_each_other_s_arrival() {
 fn a_confirm_of_the_round_releases_and_one_of_another_does_not() {
     let (mut a, mut of_a, _) = waiting(A);
     let (mut b, mut of_b, _) = waiting(B);
-    of_b.hear(&mut b.at(Instant(12)), 0, &a.packets()[0]);
+    hear(&mut b, &mut of_b, 12, &a.packets()[0]);
     let confirm = *b.packets().iter().find(|packet| packet.kind == Kind::Confirm).expect("a CONFIRM");
     let other = Meeting { round: Round(7), released: Round(7), arguments: [0; 8] };
     let wrong = Packet { contents: other.to_contents(), ..confirm };
-    assert_eq!(of_a.hear(&mut a.at(Instant(13)), 0, &wrong), None);
+    assert_eq!(hear(&mut a, &mut of_a, 13, &wrong), None);
     let by = ReleasedBy::Confirm(B);
     let released = ended(Finished::Released { port: LIFT, round: Round(1), by });
-    assert_eq!(of_a.hear(&mut a.at(Instant(13)), 0, &confirm), Some(released));
+    assert_eq!(hear(&mut a, &mut of_a, 13, &confirm), Some(released));
 }
 
 #[test]

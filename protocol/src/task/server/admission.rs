@@ -54,7 +54,7 @@ impl Server {
             return false;
         }
         if let Some(old) = self.inboxes[inbox].queue.remove(slot) {
-            discard(step, self.inboxes[inbox].port, &old, Reason::Superseded);
+            discard(step, &self.inboxes[inbox], &old, Reason::Superseded);
         }
         true
     }
@@ -79,11 +79,11 @@ impl Server {
             if let Some(long) = &mut entry.long {
                 long.keep((slot, source), rest_of(message.fragments));
             }
-            step.count_at(endpoint, |c| c.enqueued += 1);
+            step.count(endpoint, |c| c.enqueued += 1);
             step.note(Event::Enqueued, id, message.source, message.id(), left);
         }
         let Some((lost, reason)) = lost else { return };
-        step.count_at(endpoint, |c| if slot.is_none() { c.refused += 1 } else { c.evicted += 1 });
+        step.count(endpoint, |c| if slot.is_none() { c.refused += 1 } else { c.evicted += 1 });
         let left = lost.expires - step.now();
         step.note(Event::Discarded(reason), id, lost.source, lost.id(), left);
         if lost.class == Class::Command {
@@ -99,7 +99,10 @@ impl Server {
         source: TaskId,
         message: MessageId,
     ) {
-        self.inboxes[inbox].settle(source, message, CommandStatus::Refused);
+        let entry = &mut self.inboxes[inbox];
+        if let Some(at) = entry.source(source) {
+            entry.settle(at, message, CommandStatus::Refused);
+        }
         let ttl = port.party(source).map_or(Ticks::ZERO, |party| party.time_out);
         let to = ReplyTo { port: port.id, source, id: message };
         step.out.transmit(mapping::control(to, step.own.task, Control::Refused, ttl));
@@ -146,7 +149,7 @@ impl Server {
         let task = entry.task;
         let Some(id) = entry.command().filter(|old| old.waits(step.now())).map(|old| old.id) else { return };
         if let Some(withdrawn) = self.inboxes[inbox].withdraw(task, id) {
-            discard(step, self.inboxes[inbox].port, &withdrawn, Reason::Superseded);
+            discard(step, &self.inboxes[inbox], &withdrawn, Reason::Superseded);
         }
     }
 }

@@ -1,8 +1,9 @@
 //! Reassembly of messages of several packets: complete before their one deadline, or dropped. Ports whose messages
 //! take one packet skip this stage (D28).
 
+use super::inbox::Inbox;
 use super::{Origin, Server};
-use crate::ids::{MessageId, PortId, TaskId};
+use crate::ids::{MessageId, TaskId};
 use crate::observe::{Event, Reason};
 use crate::packet::Packet;
 use crate::task::fragments::Progress;
@@ -20,16 +21,16 @@ impl Server {
         reserved: Ticks,
     ) -> Option<(Packet, u8)> {
         let (inbox, source) = origin;
-        let now = step.now();
+        let (now, endpoint) = (step.now(), self.inboxes[inbox].endpoint);
         let Some(assembly) = self.inboxes[inbox].assembly_mut(source) else {
-            step.drop_packet(packet, Reason::NotAllowed);
+            step.drop_packet(endpoint, packet, Reason::NotAllowed);
             return None;
         };
         if !assembly.is_open() {
             assembly.begin(packet.id);
         } else if assembly.id != packet.id {
             if !packet.id.sequence.is_newer_than(assembly.id.sequence) {
-                step.drop_packet(packet, Reason::Incomplete);
+                step.drop_packet(endpoint, packet, Reason::Incomplete);
                 return None;
             }
             self.overtake(step, origin, packet);
@@ -39,11 +40,11 @@ impl Server {
         match assembly.put(packet, now + packet.remaining - reserved) {
             Progress::Waits => None,
             Progress::Again => {
-                step.duplicate(packet);
+                step.duplicate(endpoint, packet);
                 None
             }
             Progress::Broken => {
-                step.drop_packet(packet, Reason::Incomplete);
+                step.drop_packet(endpoint, packet, Reason::Incomplete);
                 None
             }
             Progress::Whole(fragments) => {
@@ -64,7 +65,7 @@ impl Server {
         if assembly.is_open() && packet.id.sequence.is_newer_than(assembly.id.sequence) {
             let old = assembly.id;
             assembly.have = 0;
-            incomplete(step, packet.port, packet.source, old);
+            incomplete(step, &self.inboxes[inbox], packet.source, old);
         }
     }
 
@@ -72,18 +73,18 @@ impl Server {
     pub(super) fn discard_incomplete(&mut self, step: &mut Step<'_, impl Outbox>, inbox: usize) {
         for at in 0..self.inboxes[inbox].sources.len() {
             let entry = &mut self.inboxes[inbox];
-            let (port, task) = (entry.port, entry.sources[at].task);
+            let task = entry.sources[at].task;
             let Some(assembly) = entry.assembly_mut(at) else { continue };
             if assembly.is_open() && assembly.expires <= step.now() {
                 let id = assembly.id;
                 assembly.have = 0;
-                incomplete(step, port, task, id);
+                incomplete(step, &self.inboxes[inbox], task, id);
             }
         }
     }
 }
 
-fn incomplete(step: &mut Step<'_, impl Outbox>, port: PortId, source: TaskId, id: MessageId) {
-    step.count(port, |c| c.dropped += 1);
-    step.note(Event::Discarded(Reason::Incomplete), port, source, id, Ticks::ZERO);
+fn incomplete(step: &mut Step<'_, impl Outbox>, inbox: &Inbox, source: TaskId, id: MessageId) {
+    step.count(inbox.endpoint, |c| c.dropped += 1);
+    step.note(Event::Discarded(Reason::Incomplete), inbox.port, source, id, Ticks::ZERO);
 }

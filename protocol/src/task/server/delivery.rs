@@ -23,13 +23,13 @@ impl Server {
         step: &Step<'_, impl Outbox>,
         inbox: Option<u16>,
         source: Option<TaskId>,
-    ) -> Option<(usize, Held)> {
+    ) -> Option<(Origin, Held)> {
         let (at, slot) = self.most_urgent(step.own, inbox, source)?;
         if inbox.is_none() && source.is_none() && step.table.rules().aging != Aging::Off {
             // This GET bypasses all other ports without a handler.
             self.served += 1;
         }
-        Some((at, self.take(step.own, at, slot)?))
+        self.take(step.own, at, slot)
     }
 
     /// Chooses the message for a GET. Over all ports, one that was bypassed too often goes first (D58); then urgency,
@@ -52,7 +52,7 @@ impl Server {
     }
 
     /// Removes a message from a port's buffer to deliver it.
-    pub fn take(&mut self, own: &Own, inbox: usize, slot: Slot) -> Option<Held> {
+    pub fn take(&mut self, own: &Own, inbox: usize, slot: Slot) -> Option<(Origin, Held)> {
         let entry = &mut self.inboxes[inbox];
         let held = entry.queue.remove(slot)?;
         entry.begin(self.served);
@@ -61,8 +61,9 @@ impl Server {
             Some(body) => self.taken.1.copy(body),
             None => self.taken.1.clear(),
         }
+        let source = entry.source(held.source)?;
         self.touch(own, inbox);
-        Some(held)
+        Some(((inbox, source), held))
     }
 
     /// Like [`take`](Self::take), for a message that was never stored.
@@ -82,17 +83,20 @@ impl Server {
     }
 
     /// Delivers a message to the task: its execution budget begins.
-    pub fn deliver(&mut self, step: &mut Step<'_, impl Outbox>, inbox: usize, message: &Held) -> Delivery {
+    pub fn deliver(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        (inbox, source): Origin,
+        message: &Held,
+    ) -> Delivery {
         let entry = &mut self.inboxes[inbox];
         let (port, endpoint) = (entry.port, entry.endpoint);
-        if let Some(source) =
-            entry.settle(message.source, message.id(), CommandStatus::Delivered(message.expires))
-            && entry.close(source, message.id())
-        {
+        entry.settle(source, message.id(), CommandStatus::Delivered(message.expires));
+        if entry.close(source, message.id()) {
             self.touch(step.own, inbox);
         }
         let budget = message.expires - step.now();
-        step.count_at(endpoint, |c| c.delivered += 1);
+        step.count(endpoint, |c| c.delivered += 1);
         step.note(Event::Delivered, port, message.source, message.id(), budget);
         Delivery {
             from: ReplyTo { port, source: message.source, id: message.id() },
@@ -107,15 +111,15 @@ impl Server {
     pub fn reply(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
-        (inbox, place): (u16, usize),
+        (inbox, source): Origin,
         to: ReplyTo,
         contents: Contents,
     ) -> Result<Ticks, Fault> {
-        let entry = &mut self.inboxes[usize::from(inbox)];
-        let source = entry.source(to.source).ok_or(Fault::NothingToAnswer)?;
+        let entry = &mut self.inboxes[inbox];
+        let place = usize::from(entry.endpoint);
         let left = entry.answerable(source, to, step.now())?;
         step.own.staged(place)?;
-        entry.settle(to.source, to.id, CommandStatus::Answered(contents));
+        entry.settle(source, to.id, CommandStatus::Answered(contents));
         if let Some(answer) = entry.answer_mut(source) {
             answer.copy(&step.own.endpoints[place].staged);
         }
@@ -128,13 +132,12 @@ impl Server {
     /// [`reply`](Self::reply) in a fused step. `None`, and nothing has changed, if the message cannot be answered.
     pub fn answer_fused(
         &mut self,
-        inbox: u16,
+        (inbox, source): Origin,
         to: ReplyTo,
         contents: Contents,
         now: Instant,
     ) -> Option<Ticks> {
-        let entry = &mut self.inboxes[usize::from(inbox)];
-        let source = entry.source(to.source)?;
+        let entry = &mut self.inboxes[inbox];
         let left = entry.answerable(source, to, now).ok()?;
         entry.sources[source].command_mut()?.status = CommandStatus::Answered(contents);
         Some(left)
@@ -142,41 +145,39 @@ impl Server {
 
     /// Whether [`hear`](Self::hear) would hand this message to the task at once if the task waited for it: whole, new, and
     /// with no earlier one of its source in the way.
-    pub fn takes_fused(&self, inbox: u16, source: TaskId, id: MessageId, now: Instant) -> bool {
-        let inbox = &self.inboxes[usize::from(inbox)];
-        let Some(at) = inbox.source(source) else { return false };
-        let known = &inbox.sources[at];
+    pub fn takes_fused(&self, (inbox, source): Origin, id: MessageId, now: Instant) -> bool {
+        let inbox = &self.inboxes[inbox];
+        let known = &inbox.sources[source];
         let waits = known.command().is_some_and(|command| command.waits(now));
-        !waits && !inbox.latest && known.look_up(id, now) == Seen::New && self.knows(source, id.incarnation)
+        let is_new = !waits && !inbox.latest && known.look_up(id, now) == Seen::New;
+        is_new && self.knows(known.task, id.incarnation)
     }
 
     /// [`hear`](Self::hear) and [`deliver`](Self::deliver) in a fused step, for a message that
     /// [`takes_fused`](Self::takes_fused) allows.
     pub fn take_fused(
         &mut self,
-        inbox: u16,
-        (source, id): (TaskId, MessageId),
+        (inbox, source): Origin,
+        id: MessageId,
         (from, ttl, contents): (&Party, Ticks, Contents),
         now: Instant,
     ) -> Delivery {
-        let inbox = &mut self.inboxes[usize::from(inbox)];
+        let inbox = &mut self.inboxes[inbox];
         let (expires, until) = (now + ttl, now + from.time_out.max(ttl));
-        let mut class = Class::Status;
-        if let Some(at) = inbox.source(source) {
-            match &mut inbox.sources[at].memory {
-                Memory::Command(entry) => {
-                    let status = CommandStatus::Delivered(expires);
-                    *entry = Some(DedupEntry { id, status, sender_until: expires, until });
-                    class = Class::Command;
-                }
-                Memory::Status(window) => {
-                    window.admit(id.sequence, now, until);
-                }
+        let class = match &mut inbox.sources[source].memory {
+            Memory::Command(entry) => {
+                let status = CommandStatus::Delivered(expires);
+                *entry = Some(DedupEntry { id, status, sender_until: expires, until });
+                Class::Command
             }
-        }
+            Memory::Status(window) => {
+                window.admit(id.sequence, now, until);
+                Class::Status
+            }
+        };
         self.taken.0 = Some(contents);
         self.taken.1.clear();
-        let from = ReplyTo { port: inbox.port, source, id };
+        let from = ReplyTo { port: inbox.port, source: from.task, id };
         Delivery { from, class, budget: expires - now, contents, fragments: 1 }
     }
 

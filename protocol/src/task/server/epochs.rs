@@ -6,10 +6,10 @@ use crate::observe::Reason;
 use crate::packet::{Contents, Packet};
 #[cfg(feature = "checker")]
 use crate::state::Walk;
-use crate::table::Port;
+use crate::table::Ends;
 use crate::task::lease::is_newer_epoch;
 use crate::task::step::{Outbox, Step};
-use crate::ticks::{Instant, Ticks};
+use crate::ticks::Instant;
 use serde::{Deserialize, Serialize};
 
 /// The newest epoch of a couple that this task has heard of, on any of the ports that the couple commands it through.
@@ -59,14 +59,13 @@ impl Server {
     pub(super) fn within_epoch(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
-        port: &Port,
-        (couple, (inbox, source)): (u8, Origin),
+        (ends, (inbox, source)): (Ends<'_>, Origin),
+        couple: u8,
         packet: &Packet,
     ) -> Option<Contents> {
         let now = step.now();
         let guard = self.guards.iter_mut().find(|guard| guard.couple == couple)?;
-        let declared = port.party(packet.source).map_or(Ticks::ZERO, |party| party.time_out);
-        let until = now + declared + step.table.bound_between(packet.source, step.own.task);
+        let until = now + ends.other().time_out + ends.peer.bound;
         let said = packet.contents.as_bytes().split_last();
         let newer = said.is_some_and(|(&e, _)| guard.until > now && is_newer_epoch(e, guard.epoch));
         let heeds = step.table.rules().heed_epochs;
@@ -74,7 +73,7 @@ impl Server {
         let Some((_, bytes)) = contents else {
             self.inboxes[inbox].close(source, packet.id);
             let reason = if said.is_some() { Reason::StaleEpoch } else { Reason::NotAllowed };
-            step.drop_packet(packet, reason);
+            step.drop_packet(ends.own.place, packet, reason);
             return None;
         };
         if newer && heeds {
@@ -91,7 +90,7 @@ impl Server {
                 continue;
             }
             while let Some(old) = self.inboxes[inbox].queue.pop_if(|_: &Held| true) {
-                discard(step, port, &old, Reason::StaleEpoch);
+                discard(step, &self.inboxes[inbox], &old, Reason::StaleEpoch);
             }
             self.touch(step.own, inbox);
         }

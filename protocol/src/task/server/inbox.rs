@@ -83,7 +83,7 @@ pub(super) struct Inbox {
     /// Without a handler: the count of GETs over all ports when the port became non-empty or was last served. With a
     /// handler: how often other ports were served since (D58).
     pub since: u64,
-    /// The dedup entries per source, ascending by task.
+    /// The dedup entries per source, ascending by task: in the order of the port's [peers](crate::table::Peer).
     pub sources: Box<[Source]>,
     /// Storage for fragments after the first, if the port's format needs any (D28).
     pub long: Option<Box<Long>>,
@@ -157,16 +157,13 @@ impl Inbox {
         }
     }
 
-    /// Sets the status of a command, if the dedup entry of its source is about it. Returns the position of the
-    /// source, if it belongs to the port.
-    pub fn settle(&mut self, source: TaskId, id: MessageId, status: CommandStatus) -> Option<usize> {
-        let at = self.source(source)?;
-        if let Some(dedup) = self.sources[at].command_mut()
+    /// Sets the status of a command, if the dedup entry of its source is about it.
+    pub fn settle(&mut self, source: usize, id: MessageId, status: CommandStatus) {
+        if let Some(dedup) = self.sources[source].command_mut()
             && dedup.id == id
         {
             dedup.status = status;
         }
-        Some(at)
     }
 
     /// Validates a deserialised inbox: its port, sources and capacities are those of a new one.
@@ -251,7 +248,7 @@ impl Inbox {
         self.since = if self.handled { 0 } else { served };
     }
 
-    /// The position of a source.
+    /// The position of a source of which only the task is known. A packet's [ends](crate::table::Ends) bring it along.
     pub fn source(&self, task: TaskId) -> Option<usize> {
         self.sources.binary_search_by_key(&task, |source| source.task).ok()
     }

@@ -77,7 +77,7 @@ impl Server {
         let (due_by, round) = (threads.due_by(step.now()), self.rejections);
         for i in 0..self.inboxes.len() {
             let inbox = &mut self.inboxes[i];
-            let id = inbox.port;
+            let (id, endpoint) = (inbox.port, inbox.endpoint);
             if !inbox.handled || inbox.queue.next_due() > due_by {
                 continue;
             }
@@ -90,7 +90,7 @@ impl Server {
                 queue.change(slot, |held, retry| reject(step, id, (held, retry), round));
                 self.rejections = round + 1;
             }
-            step.count(id, |c| c.rejected += turned.len() as u64);
+            step.count(endpoint, |c| c.rejected += turned.len() as u64);
             turned.clear();
             self.touch(step.own, i);
         }
@@ -100,11 +100,12 @@ impl Server {
     pub(super) fn reject_arrived(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
-        port: PortId,
+        inbox: usize,
         message: (&mut Held, &mut RetryState),
     ) {
-        step.count(port, |c| c.rejected += 1);
-        reject(step, port, message, self.rejections);
+        let inbox = &self.inboxes[inbox];
+        step.count(inbox.endpoint, |c| c.rejected += 1);
+        reject(step, inbox.port, message, self.rejections);
         self.rejections += 1;
     }
 

@@ -18,8 +18,8 @@ fn command(bench: &Fixture, remaining: Ticks) -> Packet {
 /// B receives a packet at 10, while its thread does not wait.
 fn hear(bench: &mut Fixture, server: &mut Server, threads: &Interrupts, packet: &Packet) -> Option<Arrival> {
     let table = bench.table.clone();
-    let port = table.port(MOVE).unwrap();
-    server.hear(&mut bench.at(Instant(10)), (threads, false), (port, port.party(A).unwrap(), 0), packet)
+    let ends = Fixture::ends(&table, packet);
+    server.hear(&mut bench.at(Instant(10)), (threads, false), (ends, 0), packet)
 }
 
 /// A command of A waits at B.
@@ -35,8 +35,8 @@ fn holding() -> (Fixture, Server) {
 #[test]
 fn a_command_is_taken_once_and_a_copy_gets_the_same_answer() {
     let (mut bench, mut server) = holding();
-    let (inbox, held) = server.next(&bench.at(Instant(12)), None, None).expect("a message");
-    let delivery = server.deliver(&mut bench.at(Instant(12)), inbox, &held);
+    let (origin, held) = server.next(&bench.at(Instant(12)), None, None).expect("a message");
+    let delivery = server.deliver(&mut bench.at(Instant(12)), origin, &held);
     assert_eq!((delivery.budget, delivery.contents.as_bytes()), (Ticks(18), &b"go"[..]));
     assert!(server.next(&bench.at(Instant(12)), None, None).is_none());
     let copy = command(&bench, Ticks(19));
@@ -59,7 +59,7 @@ fn who_waits_gets_a_message_as_it_arrives() {
     let packet = command(&bench, Ticks(20));
     let arrival = hear(&mut bench, &mut server, &threads, &packet).expect("a message");
     assert!(!arrival.interrupts);
-    assert_eq!((arrival.inbox, arrival.held.expires), (0, Instant(30)));
+    assert_eq!((arrival.origin, arrival.held.expires), ((0, 0), Instant(30)));
 }
 
 #[test]

@@ -1,0 +1,54 @@
+//! The table of one node.
+
+use super::{CellTable, Hop};
+use crate::ids::{NodeId, TaskId};
+use crate::rules::Rules;
+use alloc::sync::Arc;
+
+/// The table as one node sees it.
+#[derive(Clone, Debug)]
+pub struct NodeTable {
+    /// The cell's table.
+    pub cell: Arc<CellTable>,
+    /// This node.
+    pub node: NodeId,
+}
+
+impl NodeTable {
+    /// The table of `node`.
+    #[must_use]
+    pub const fn new(cell: Arc<CellTable>, node: NodeId) -> Self {
+        Self { cell, node }
+    }
+
+    /// The rules that this cell runs.
+    #[must_use]
+    pub fn rules(&self) -> &Rules {
+        &self.cell.cell().rules
+    }
+
+    /// The way of packets to a task of another node.
+    pub(crate) fn way_to(&self, task: TaskId) -> Option<Hop> {
+        self.hop(self.node, self.location(task)?)
+    }
+
+    /// The position of `task` among the tasks of this node, if it is one of them.
+    #[inline]
+    pub(crate) fn place(&self, task: TaskId) -> Option<usize> {
+        let &(node, place) = self.locations.get(task.index())?;
+        (node == self.node).then_some(place.into())
+    }
+
+    /// Whether `task` runs on this node.
+    #[must_use]
+    pub fn is_here(&self, task: TaskId) -> bool {
+        self.location(task) == Some(self.node)
+    }
+}
+
+impl core::ops::Deref for NodeTable {
+    type Target = CellTable;
+    fn deref(&self) -> &CellTable {
+        &self.cell
+    }
+}
