@@ -362,7 +362,7 @@ impl VirtualCell {
     #[must_use]
     pub fn activities(&self) -> Vec<Activity> {
         let scripts = self.nodes.iter().flat_map(|node| &node.scripts);
-        scripts.map(|hosted| hosted.script.activity()).collect()
+        scripts.map(|hosted| hosted.host.script.activity()).collect()
     }
 
     /// The numbers of the scripts' requests other than boundaries, of their statements, and of commands that they never answered.
@@ -386,7 +386,7 @@ impl VirtualCell {
     pub fn var_at(&self, task: TaskId, at: u16) -> i64 {
         let mut scripts = self.nodes[self.location(task).index()].scripts.iter();
         let hosted = scripts.find(|hosted| hosted.task == task).expect("a script");
-        hosted.script.var(at).expect("a variable")
+        hosted.host.script.var(at).expect("a variable")
     }
 }
 

@@ -1,12 +1,11 @@
 //! A node with the scripts of its tasks, for drivers that run everything in one thread (D38, D45, D91).
 
 use imrs_protocol::script::{
-    Action, Activity, Address, End, HOST_LIMIT, Program, ProgramError, Script, ScriptFault, ScriptInput,
-    ScriptOutbox,
+    Action, Address, End, HOST_LIMIT, Program, ProgramError, ScriptHost, ScriptInput, ScriptOutbox,
 };
 use imrs_protocol::{
-    Call, Contents, Instant, Node, NodeId, NodeInput, NodeOutbox, Observation, Packet, PortId, ReplyTo,
-    Request, Signal, TaskId,
+    CommTask, Instant, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation, Packet, ReplyTo, Request,
+    Signal, TaskId,
 };
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -72,15 +71,13 @@ pub trait HostOutbox: NodeOutbox {
     }
 }
 
-/// A script and its program.
+/// A task's script.
 #[derive(Clone, Debug)]
 pub struct Hosted {
     /// The task.
     pub task: TaskId,
-    /// Its program.
-    pub program: Arc<Program>,
-    /// Its state.
-    pub script: Script,
+    /// Its script.
+    pub host: ScriptHost,
 }
 
 /// A node with the scripts of its tasks.
@@ -90,12 +87,8 @@ pub struct ScriptedNode {
     pub node: Node,
     /// The scripts, ascending by task.
     pub scripts: Box<[Hosted]>,
-    /// Inputs that the scripts have not taken yet. Empty between steps.
-    inputs: VecDeque<(TaskId, ScriptInput)>,
-    /// The requests that a script made in its last step.
-    requests: VecDeque<Request>,
-    /// How many steps each script took for the current input since it last received a message.
-    steps: Box<[u32]>,
+    /// The scripts that have inputs, in the order of their first ones. Empty between steps.
+    ready: VecDeque<usize>,
 }
 
 /// Preallocated room for the signals of one input.
@@ -113,12 +106,11 @@ impl ScriptedNode {
         let mut scripts = Vec::new();
         for (task, program) in programs {
             program.check().map_err(|fault| (task, fault))?;
-            scripts.push(Hosted { task, script: Script::new(&program), program });
+            scripts.push(Hosted { task, host: ScriptHost::new(program) });
         }
         scripts.sort_unstable_by_key(|hosted| hosted.task);
-        let inputs = VecDeque::with_capacity(SIGNALS.max(scripts.len()));
-        let steps = vec![0; scripts.len()].into();
-        Ok(Self { node, scripts: scripts.into(), inputs, requests: VecDeque::with_capacity(8), steps })
+        let ready = VecDeque::with_capacity(SIGNALS.max(scripts.len()));
+        Ok(Self { node, scripts: scripts.into(), ready })
     }
 
     /// Takes one input at `now` and runs the node and its scripts until every script waits. What is due by `now` happens
@@ -133,90 +125,65 @@ impl ScriptedNode {
     }
 
     fn go_on(&mut self, now: Instant, input: HostInput, out: &mut impl HostOutbox) {
+        self.scripts.iter_mut().for_each(|hosted| hosted.host.count_anew());
         match input {
             HostInput::Begin => {
-                self.inputs.extend(self.scripts.iter().map(|hosted| (hosted.task, ScriptInput::Begin)));
+                let tasks: Vec<_> = self.scripts.iter().map(|hosted| hosted.task).collect();
+                tasks.into_iter().for_each(|task| self.tell(task, ScriptInput::Begin));
             }
             HostInput::Node(input) => self.drive(now, input, out),
             HostInput::Acted { task, level, ok, value } => {
-                self.inputs.push_back((task, ScriptInput::Acted { level, ok, value }));
+                self.tell(task, ScriptInput::Acted { level, ok, value });
             }
-            HostInput::Chosen { task, choice } => self.inputs.push_back((task, ScriptInput::Chosen(choice))),
+            HostInput::Chosen { task, choice } => self.tell(task, ScriptInput::Chosen(choice)),
         }
-        self.steps.fill(0);
-        let together = HOST_LIMIT.saturating_mul(u32::try_from(self.scripts.len()).unwrap_or(u32::MAX));
-        let (mut last, mut steps) = (None, 0);
-        while let Some((task, input)) = self.next(last) {
-            let Ok(at) = self.scripts.binary_search_by_key(&task, |hosted| hosted.task) else { continue };
-            steps += 1;
-            if steps > together && self.stop_busiest(out) {
-                steps = 0;
+        let mut steps = 0;
+        while let Some(at) = self.ready.pop_front() {
+            let task = self.scripts[at].task;
+            loop {
+                let together = self.scripts.len();
+                let effects = &mut ScriptEffects {
+                    task,
+                    node: &self.node,
+                    steps: &mut steps,
+                    together,
+                    out: &mut *out,
+                };
+                let Some(request) = self.scripts[at].host.next(effects) else { break };
+                self.drive(self.node.now(), NodeInput::Request(task, request), out);
             }
-            self.run(at, input, out);
-            last = Some(task);
+            self.ready.retain(|&other| other != at);
         }
     }
 
-    /// The next input of the script that ran last, so that nothing comes between its steps; otherwise the first in the queue.
-    fn next(&mut self, last: Option<TaskId>) -> Option<(TaskId, ScriptInput)> {
-        let own = self.inputs.iter().position(|&(task, _)| Some(task) == last);
-        self.inputs.remove(own.unwrap_or(0))
-    }
-
-    fn run(&mut self, at: usize, input: ScriptInput, out: &mut impl HostOutbox) {
-        let asked =
-            matches!(input, ScriptInput::Signal(Signal::Message(_) | Signal::Interrupt(Call::Message(_))));
-        self.steps[at] = if asked { 0 } else { self.steps[at] + 1 };
-        if self.steps[at] > HOST_LIMIT {
-            return self.stop(at, out);
-        }
-        let Hosted { task, program, script } = &mut self.scripts[at];
-        let (task, node, requests) = (*task, &self.node, &mut self.requests);
-        script.step(program, input, &mut ScriptEffects { task, node, requests, out });
-        self.ask(task, out);
-    }
-
-    /// Ends the script with the most steps since its last message; false if all have ended.
-    fn stop_busiest(&mut self, out: &mut impl HostOutbox) -> bool {
-        let incarnations = |hosted: &Hosted| !matches!(hosted.script.activity(), Activity::Ended(_));
-        let living = (0..self.scripts.len()).filter(|&at| incarnations(&self.scripts[at]));
-        let Some(busiest) = living.max_by_key(|&at| self.steps[at]) else { return false };
-        self.stop(busiest, out);
-        true
-    }
-
-    fn stop(&mut self, at: usize, out: &mut impl HostOutbox) {
-        let Hosted { task, program, script } = &mut self.scripts[at];
-        let (task, node, requests) = (*task, &self.node, &mut self.requests);
-        script.stop(program, ScriptFault::Runaway, &mut ScriptEffects { task, node, requests, out });
-        self.ask(task, out);
-    }
-
-    fn ask(&mut self, task: TaskId, out: &mut impl HostOutbox) {
-        while let Some(request) = self.requests.pop_front() {
-            out.asked(task, &request);
-            self.drive(self.node.now(), NodeInput::Request(task, request), out);
-        }
+    fn tell(&mut self, task: TaskId, input: ScriptInput) {
+        tell(&mut self.scripts, &mut self.ready, task, input);
     }
 
     fn drive(&mut self, now: Instant, input: NodeInput, out: &mut impl HostOutbox) {
-        let effects = &mut NodeEffects { scripts: &self.scripts, inputs: &mut self.inputs, out };
+        let effects = &mut NodeEffects { scripts: &mut self.scripts, ready: &mut self.ready, out };
         self.node.step(now, input, effects);
     }
+}
+
+/// Gives a task's script an input; false if the task has none.
+fn tell(scripts: &mut [Hosted], ready: &mut VecDeque<usize>, task: TaskId, input: ScriptInput) -> bool {
+    let Ok(at) = scripts.binary_search_by_key(&task, |hosted| hosted.task) else { return false };
+    scripts[at].host.tell(input);
+    ready.push_back(at);
+    true
 }
 
 struct ScriptEffects<'a, O> {
     task: TaskId,
     node: &'a Node,
-    requests: &'a mut VecDeque<Request>,
+    /// How many steps the scripts of the node have taken together, and how many scripts there are.
+    steps: &'a mut usize,
+    together: usize,
     out: &'a mut O,
 }
 
 impl<O: HostOutbox> ScriptOutbox for ScriptEffects<'_, O> {
-    fn request(&mut self, request: Request) {
-        self.requests.push_back(request);
-    }
-
     fn run(&mut self, action: Action<'_>) {
         self.out.run(self.task, action);
     }
@@ -230,11 +197,24 @@ impl<O: HostOutbox> ScriptOutbox for ScriptEffects<'_, O> {
     }
 
     fn ended(&mut self, end: End) {
-        // The heartbeats of a task stop when it has ended (D61).
-        if self.node.task(self.task).is_some_and(|task| task.epoch().is_some()) {
-            self.requests.push_back(Request::End);
-        }
         self.out.ended(self.task, end);
+    }
+
+    fn communication(&self) -> Option<(&CommTask, &NodeTable)> {
+        Some((self.node.task(self.task)?, &self.node.parts().table))
+    }
+
+    fn takes(&mut self, _: Address, _: &ScriptInput) -> bool {
+        *self.steps += 1;
+        let may = *self.steps <= HOST_LIMIT as usize * self.together;
+        if !may {
+            *self.steps = 0;
+        }
+        may
+    }
+
+    fn asked(&mut self, request: &Request) {
+        self.out.asked(self.task, request);
     }
 
     fn statement(&mut self, at: Address) {
@@ -244,38 +224,11 @@ impl<O: HostOutbox> ScriptOutbox for ScriptEffects<'_, O> {
     fn unanswered(&mut self, message: ReplyTo) {
         self.out.unanswered(self.task, message);
     }
-
-    fn fragment(&mut self, index: u8) -> Option<Contents> {
-        self.node.task(self.task)?.fragment(index).copied()
-    }
-
-    fn published(&mut self) -> Option<Contents> {
-        self.node.task(self.task)?.partner_published().copied()
-    }
-
-    fn arrival(&mut self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
-        self.node.task(self.task)?.meeting_arguments(&self.node.parts().table, port, task)
-    }
-
-    fn owed(&mut self, port: PortId, task: TaskId) -> Option<ReplyTo> {
-        self.node.task(self.task)?.owed(port, task)
-    }
-
-    fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
-        let communication = self.node.task(self.task)?;
-        match task {
-            Some(task) => communication.answer_fragment(port, task, index).copied(),
-            None => {
-                let mut peers = self.node.parts().table.port(port)?.peers(self.task);
-                peers.find_map(|peer| communication.answer_fragment(port, peer, index).copied())
-            }
-        }
-    }
 }
 
 struct NodeEffects<'a, O> {
-    scripts: &'a [Hosted],
-    inputs: &'a mut VecDeque<(TaskId, ScriptInput)>,
+    scripts: &'a mut [Hosted],
+    ready: &'a mut VecDeque<usize>,
     out: &'a mut O,
 }
 
@@ -289,11 +242,11 @@ impl<O: HostOutbox> NodeOutbox for NodeEffects<'_, O> {
     }
 
     fn signal(&mut self, task: TaskId, signal: Signal) {
-        if self.scripts.binary_search_by_key(&task, |hosted| hosted.task).is_err() {
-            return self.out.signal(task, signal);
+        if tell(self.scripts, self.ready, task, ScriptInput::Signal(signal)) {
+            self.out.answered(task, &signal);
+        } else {
+            self.out.signal(task, signal);
         }
-        self.out.answered(task, &signal);
-        self.inputs.push_back((task, ScriptInput::Signal(signal)));
     }
 
     fn observe(&mut self, at: Option<TaskId>, observation: Observation) {

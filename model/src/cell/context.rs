@@ -77,7 +77,7 @@ fn of_statement(run_state: &RunState, shown: &Shown) -> Vec<String> {
     let read = || {
         let (task, at) = (shown.task?, usize::from(shown.address?));
         let program = program(run_state, task)?;
-        let script = &run_state.cell.bodies.get(task)?.actor.as_ref()?.script;
+        let script = &run_state.cell.bodies.get(task)?.actor.as_ref()?.host.script;
         let begins = program.code.get(..at)?.iter().rposition(|op| *op == Op::Statement).unwrap_or(0);
         let mut values = Vec::new();
         for op in &program.code[begins..=at.min(program.code.len() - 1)] {

@@ -211,7 +211,7 @@ fn end(run_state: &RunState, turn: &ScriptReaction, phase: Phase) -> Option<Show
 }
 
 pub(super) fn position(run_state: &RunState, task: usize) -> Address {
-    run_state.cell.bodies[task].actor.as_ref().map_or(0, |actor| actor.script.position())
+    run_state.cell.bodies[task].actor.as_ref().map_or(0, |actor| actor.host.script.position())
 }
 
 pub(super) fn name(table: &CellTable, task: usize) -> &str {

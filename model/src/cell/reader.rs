@@ -90,7 +90,7 @@ impl Reader {
 
     /// The line of the action that ends in this activation.
     pub fn of_action(&self, run_state: &RunState, task: usize, level: u8) -> Option<u32> {
-        let script = &run_state.cell.bodies.get(task)?.actor.as_ref()?.script;
+        let script = &run_state.cell.bodies.get(task)?.actor.as_ref()?.host.script;
         let at = match level {
             _ if level == script.depth() => script.position(),
             0 => script.position_at(0)?,

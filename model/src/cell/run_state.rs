@@ -170,7 +170,7 @@ impl RunState {
     /// The dead variables of a task at its present operation, as a bit set.
     pub fn dead_variables(&self, task: usize) -> u64 {
         let actor = self.cell.bodies[task].actor.as_ref();
-        self.dead.get(task).zip(actor).map_or(0, |(dead, actor)| dead.at(actor.script.position_at(0)))
+        self.dead.get(task).zip(actor).map_or(0, |(dead, actor)| dead.at(actor.host.script.position_at(0)))
     }
 
     /// Resets the dead variables, so that states that differ only in these become equal.
@@ -179,7 +179,7 @@ impl RunState {
             let mut left = self.dead_variables(task);
             let Some(actor) = &mut self.cell.bodies[task].actor else { continue };
             while left != 0 {
-                actor.script.bury_variable(u16::try_from(left.trailing_zeros()).unwrap_or(0));
+                actor.host.script.bury_variable(u16::try_from(left.trailing_zeros()).unwrap_or(0));
                 left &= left - 1;
             }
         }
@@ -444,7 +444,7 @@ impl RunState {
 
     /// What a task's script does; `None` without a script.
     pub fn activity(&self, task: usize) -> Option<Activity> {
-        Some(self.cell.bodies[task].actor.as_ref()?.script.activity())
+        Some(self.cell.bodies[task].actor.as_ref()?.host.script.activity())
     }
 
     pub fn is_up(&self, task: usize) -> bool {

@@ -240,7 +240,8 @@ fn describe(run_state: &RunState, step: CellMove) -> Option<(Lane, String)> {
             let at = usize::from(task);
             let actor = run_state.cell.bodies[at].actor.as_ref()?;
             let running = actor.runs(level)?;
-            let action = actor.program.actions.get(usize::from(running.action)).map_or("?", String::as_str);
+            let action =
+                actor.host.program.actions.get(usize::from(running.action)).map_or("?", String::as_str);
             let number = run_state.value(at, level, value);
             let text = match (ok, number) {
                 (false, _) => format!("{action} FAILS"),

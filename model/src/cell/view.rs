@@ -38,7 +38,7 @@ pub(super) fn view(run_state: &RunState, task: usize) -> TaskView {
         Some(Activity::Ended(_)) => "has ended".into(),
     };
     let variables = actor.map_or_else(Vec::new, |actor| {
-        (0..).map_while(|at| actor.script.var(at)).take(actor.program.variables.len()).collect()
+        (0..).map_while(|at| actor.host.script.var(at)).take(actor.host.program.variables.len()).collect()
     });
     let acts = actor.map_or_else(Vec::new, |actor| {
         actor.running.iter().map(|running| (running.level, running.least, running.most)).collect()

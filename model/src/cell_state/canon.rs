@@ -99,8 +99,8 @@ impl CellState {
     /// Unpacks the bytes of a state without a violation.
     pub fn load_bytes(&mut self, bytes: &[u8]) {
         self.checks_invariants = self.turns.is_none() || self.plan.keeps_seen || is_sampled(bytes);
-        // A run that ended in a violation may have left inputs.
-        self.inputs.clear();
+        // A run that ended in a violation may have left scripts that did not wait yet.
+        self.ready.clear();
         self.rounds.fill(Frame::ROUND);
         self.sequences.fill(Frame::SEQUENCE);
         let mut behind = std::mem::take(&mut self.behind);

@@ -117,8 +117,8 @@ pub(crate) struct CellState {
     spare: Vec<Effect>,
     /// The last contents byte of the arriving packet: the epoch, if it is an order.
     arriving: u8,
-    /// Inputs that scripts have not taken yet. Empty between transitions.
-    inputs: VecDeque<(usize, ScriptInput)>,
+    /// The tasks whose scripts have inputs, in the order of their first ones. Empty between transitions.
+    ready: VecDeque<usize>,
     /// For each port, how far `rounds` has moved from the first round, at most [`FAR_BEHIND`]. Counted only in a cell
     /// whose nodes may restart.
     pub behind: Vec<u8>,
@@ -239,7 +239,7 @@ impl CellState {
             passed: 0,
             spare: Vec::new(),
             arriving: 0,
-            inputs: VecDeque::new(),
+            ready: VecDeque::new(),
             behind: vec![0; plan.cell.ports().len()],
             turns: None,
             orders: !plan.fused,

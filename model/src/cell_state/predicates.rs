@@ -105,7 +105,7 @@ impl CellState {
     pub(crate) fn look_up(&self, term: Term) -> Option<i64> {
         match term.reads()? {
             Reading::Variable(task, variable) => {
-                self.bodies.get(task.index())?.actor.as_ref()?.script.var(variable)
+                self.bodies.get(task.index())?.actor.as_ref()?.host.script.var(variable)
             }
             Reading::Predicate(predicate) => self.holds(predicate).map(i64::from),
         }
@@ -115,7 +115,7 @@ impl CellState {
         Some(match predicate {
             Predicate::Active(task) => {
                 let is_alive = self.bodies.get(task.index())?.actor.as_ref().is_none_or(|actor| {
-                    let activity = actor.script.activity();
+                    let activity = actor.host.script.activity();
                     !matches!(activity, Activity::NotBegun | Activity::Passive | Activity::Ended(_))
                 });
                 is_alive && self.is_active(task)

@@ -1,12 +1,11 @@
 //! Tasks that run a script, the protocol's own [`Script`]: the search takes its choices and ends its actions.
 
 use super::CellState;
-use super::plan::CellScenario;
 use crate::state::Violation;
 use imrs_protocol::script::{
-    Action, Activity, Address, End, Program, Script, ScriptInput, ScriptOutbox, eval,
+    Action, Activity, Address, End, Program, ScriptHost, ScriptInput, ScriptOutbox, eval,
 };
-use imrs_protocol::{CommTask, Contents, PortId, ReplyTo, Request, TaskId};
+use imrs_protocol::{CommTask, NodeTable, Request, TaskId};
 use std::sync::Arc;
 
 /// An action of a script that has begun.
@@ -26,21 +25,20 @@ impl Running {
     pub const FOREVER: u32 = u32::MAX;
 }
 
-/// A script and its running actions.
+/// A script and its running actions, ascending by level.
 #[derive(Clone, Debug)]
 pub(crate) struct Actor {
-    pub program: Arc<Program>,
-    pub script: Script,
+    pub host: ScriptHost,
     pub running: Vec<Running>,
 }
 
 impl Actor {
     pub fn new(program: &Arc<Program>) -> Self {
-        Self { program: Arc::clone(program), script: Script::new(program), running: Vec::new() }
+        Self { host: ScriptHost::new(Arc::clone(program)), running: Vec::new() }
     }
 
     pub fn chooses(&self) -> Option<u16> {
-        match self.script.activity() {
+        match self.host.script.activity() {
             Activity::Chooses(alternatives) => Some(alternatives),
             Activity::NotBegun
             | Activity::Waits
@@ -85,30 +83,33 @@ pub(crate) struct ScriptReaction {
     pub end: Option<End>,
 }
 
-/// What a script asks for in one step.
+/// Where the effects of a script go.
 struct Wanted<'a> {
-    plan: &'a CellScenario,
-    machine: Option<&'a CommTask>,
-    requests: Vec<Request>,
-    began: Vec<Running>,
-    cut: Vec<u8>,
-    end: Option<End>,
-    passed: Vec<Address>,
+    task: usize,
+    machine: Option<(&'a CommTask, &'a NodeTable)>,
+    running: &'a mut Vec<Running>,
+    turns: Option<&'a mut Vec<ScriptReaction>>,
+    steps: &'a mut usize,
+    failed: bool,
+}
+
+impl Wanted<'_> {
+    /// What the script does with its present input.
+    fn turn(&mut self) -> Option<&mut ScriptReaction> {
+        self.turns.as_mut()?.last_mut()
+    }
 }
 
 impl ScriptOutbox for Wanted<'_> {
-    fn request(&mut self, request: Request) {
-        self.requests.push(request);
-    }
-
     fn run(&mut self, action: Action<'_>) {
         let ticks = |t: imrs_protocol::Ticks| u32::try_from(t.0).unwrap_or(Running::FOREVER);
         let Action { level, least, most, action, .. } = action;
-        self.began.push(Running { level, action, least: ticks(least), most: ticks(most) });
+        let at = self.running.partition_point(|running| running.level <= level);
+        self.running.insert(at, Running { level, action, least: ticks(least), most: ticks(most) });
     }
 
     fn cut_short(&mut self, level: u8) {
-        self.cut.push(level);
+        self.running.retain(|action| action.level != level);
     }
 
     fn choose(&mut self, _: u16) -> Option<u16> {
@@ -116,93 +117,66 @@ impl ScriptOutbox for Wanted<'_> {
     }
 
     fn ended(&mut self, end: End) {
-        // Heartbeats stop when the task has ended (D61).
-        if self.machine.is_some_and(|machine| machine.epoch().is_some()) {
-            self.requests.push(Request::End);
+        self.failed |= matches!(end, End::Fault { .. } | End::Assertion(_));
+        if let Some(turn) = self.turn() {
+            turn.end = Some(end);
         }
-        self.end = Some(end);
+    }
+
+    fn communication(&self) -> Option<(&CommTask, &NodeTable)> {
+        self.machine
+    }
+
+    fn takes(&mut self, at: Address, input: &ScriptInput) -> bool {
+        *self.steps += 1;
+        if let Some(turns) = &mut self.turns {
+            turns.push(ScriptReaction { task: self.task, at, input: *input, passed: Vec::new(), end: None });
+        }
+        true
     }
 
     fn statement(&mut self, at: Address) {
-        self.passed.push(at);
-    }
-
-    fn fragment(&mut self, index: u8) -> Option<Contents> {
-        self.machine?.fragment(index).copied()
-    }
-
-    fn published(&mut self) -> Option<Contents> {
-        self.machine?.partner_published().copied()
-    }
-
-    fn arrival(&mut self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
-        let machine = self.machine?;
-        let node = self.plan.cell.location(machine.task())?;
-        machine.meeting_arguments(&self.plan.table(node), port, task)
-    }
-
-    fn owed(&mut self, port: PortId, task: TaskId) -> Option<ReplyTo> {
-        self.machine?.owed(port, task)
-    }
-
-    fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
-        let machine = self.machine?;
-        let answer = |task| machine.answer_fragment(port, task, index).copied();
-        match task {
-            Some(task) => answer(task),
-            None => self.plan.cell.port(port)?.peers(machine.task()).find_map(answer),
+        if let Some(turn) = self.turn() {
+            turn.passed.push(at);
         }
     }
 }
 
 impl CellState {
-    /// Queues an input for a task's script; false if the task has none.
+    /// Gives an input to a task's script; false if the task has none.
     pub(crate) fn leave(&mut self, task: usize, input: ScriptInput) -> bool {
-        let scripted = self.bodies[task].actor.is_some();
-        if scripted {
-            self.inputs.push_back((task, input));
-        }
-        scripted
+        let Some(actor) = &mut self.bodies[task].actor else { return false };
+        actor.host.tell(input);
+        self.ready.push_back(task);
+        true
     }
 
-    /// Runs scripts until all of them wait. A running script goes on first: nothing comes between its steps.
+    /// Runs scripts until all of them wait: one after another, in the order of their first inputs.
     pub(crate) fn run_scripts(&mut self) -> Result<(), Violation> {
-        let mut last = None;
-        for _ in 0..super::FUSED {
-            let own = self.inputs.iter().position(|&(task, _)| Some(task) == last);
-            let Some((task, input)) = self.inputs.remove(own.unwrap_or(0)) else { return Ok(()) };
-            self.run_script(task, input)?;
-            last = Some(task);
+        let mut steps = 0;
+        while let Some(task) = self.ready.pop_front() {
+            while let Some(request) = self.next_request(task, &mut steps)? {
+                self.ask(task, request)?;
+            }
+            self.ready.retain(|&other| other != task);
         }
-        Err(Violation::Zeno)
+        Ok(())
     }
 
-    fn run_script(&mut self, task: usize, input: ScriptInput) -> Result<(), Violation> {
-        let node_state = self.node_state_of(task);
-        let machine = self.nodes[node_state].node.task(TaskId::from_index(task));
-        let Some(actor) = &mut self.bodies[task].actor else { return Ok(()) };
-        let plan = &self.plan;
-        let mut wanted = Wanted {
-            plan,
-            machine,
-            requests: Vec::new(),
-            began: Vec::new(),
-            cut: Vec::new(),
-            end: None,
-            passed: Vec::new(),
-        };
-        let at = actor.script.position();
-        actor.script.step(&actor.program, input, &mut wanted);
-        actor.running.retain(|action| !wanted.cut.contains(&action.level));
-        actor.running.extend(&wanted.began);
-        actor.running.sort_unstable_by_key(|action| action.level);
-        if let Some(turns) = &mut self.turns {
-            turns.push(ScriptReaction { task, at, input, passed: wanted.passed, end: wanted.end });
-        } else if matches!(wanted.end, Some(End::Fault { .. } | End::Assertion(_))) {
+    /// What a task's script asks next. A script that never waits is a finding, and is not stopped.
+    fn next_request(&mut self, task: usize, steps: &mut usize) -> Result<Option<Request>, Violation> {
+        let node_state = &self.nodes[self.node_state_of(task)];
+        let machine = node_state.node.task(TaskId::from_index(task)).map(|task| (task, &node_state.table));
+        let Some(Actor { host, running }) = &mut self.bodies[task].actor else { return Ok(None) };
+        let turns = self.turns.as_mut();
+        let judges = turns.is_none();
+        let mut wanted = Wanted { task, machine, running, turns, steps, failed: false };
+        host.count_anew();
+        let request = host.next(&mut wanted);
+        if wanted.failed && judges {
             return Err(Violation::Script);
         }
-        let requests = wanted.requests;
-        requests.into_iter().try_for_each(|request| self.ask(task, request))
+        if *steps >= super::FUSED { Err(Violation::Zeno) } else { Ok(request) }
     }
 
     /// Whether the plan's checks hold.

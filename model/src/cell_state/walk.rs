@@ -46,7 +46,7 @@ impl CellState {
             passed: _,
             spare: _,
             arriving: _,
-            inputs: _,
+            ready: _,
             turns,
             orders,
             // Decides what is checked, and nothing that happens.
@@ -126,8 +126,11 @@ impl NodeState {
 impl Body {
     fn walk<W: Walk>(&mut self, waits: bool, names_actions: bool, w: &mut W) {
         let Self { times, rest, activations, actor } = self;
-        if let Some(Actor { program, script, running }) = actor {
-            script.walk(program, w);
+        if let Some(Actor { host, running }) = actor {
+            if W::READS {
+                host.clear();
+            }
+            host.script.walk(&host.program, w);
             w.list(running, Running::BLANK, |running, w| running.walk(names_actions, w));
         } else {
             w.byte(times);

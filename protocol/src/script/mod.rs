@@ -10,6 +10,7 @@
 
 mod builder;
 mod check;
+mod host;
 mod interpreter;
 mod program;
 mod value;
@@ -18,6 +19,7 @@ mod walk;
 
 pub use builder::{Label, ProgramBuilder};
 pub use check::ProgramError;
+pub use host::{Action, ScriptHost, ScriptOutbox};
 pub use program::{
     Address, Format, Fusing, Handler, MAX_FRAGMENTS, MAX_MESSAGE, Mark, Op, Outcomes, Program,
     StatementOutcome, Trigger, Variable,
@@ -27,8 +29,8 @@ pub use value::{Binary, CHECK_DEPTH, Predicate, Reading, Slot, Term, Type, eval,
 use crate::ids::{PortId, TaskId};
 use crate::packet::Contents;
 use crate::request::{Fault, ReplyTo, Request, ServiceOrder, Signal};
-use crate::ticks::Ticks;
 use alloc::boxed::Box;
+use alloc::collections::VecDeque;
 use alloc::vec;
 use core::fmt;
 use interpreter::Interpreter;
@@ -38,7 +40,7 @@ use serde::{Deserialize, Serialize};
 pub const MAX_OPERANDS: usize = MAX_MESSAGE + CHECK_DEPTH;
 /// How many operations a script may run from one input to the next operation that waits.
 pub const STEP_LIMIT: u32 = 4096;
-/// How many steps a script may take for one input since its last message (D95). The driver ends a script that takes more.
+/// How many steps a script may take for one input from outside since its last message (D95): [`ScriptHost`] ends a script that takes more.
 pub const HOST_LIMIT: u32 = 10_000;
 /// How many activations a script may have: the task's own thread, and the handlers that the communication task nests (D15).
 pub const MAX_THREADS: usize = ServiceOrder::LEVELS + 3;
@@ -61,68 +63,6 @@ pub enum ScriptInput {
     },
     /// The driver chose.
     Chosen(u16),
-}
-
-/// An action outside: of a robot's driver, of a PLC, or simulated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Action<'a> {
-    /// The activation that waits for it: 0 is the task's own thread, each nested handler has the next number. A handler may
-    /// run an action while the interrupted activation's action goes on.
-    pub level: u8,
-    /// Which of [`Program::actions`].
-    pub action: u16,
-    /// Its arguments.
-    pub arguments: &'a [i64],
-    /// The shortest duration.
-    pub least: Ticks,
-    /// The longest duration.
-    pub most: Ticks,
-}
-
-/// Where the effects of [`Script::step`] go.
-pub trait ScriptOutbox {
-    /// A request to the communication task. The requests of one step keep their order.
-    fn request(&mut self, request: Request);
-    /// Begins an action; [`ScriptInput::Acted`] ends it.
-    fn run(&mut self, action: Action<'_>);
-    /// Stops the action of this activation: the task must not act any more (D61). No [`ScriptInput::Acted`] follows.
-    fn cut_short(&mut self, level: u8);
-    /// Chooses a number below `alternatives` at once, or `None` to give it later with [`ScriptInput::Chosen`].
-    fn choose(&mut self, alternatives: u16) -> Option<u16>;
-    /// The script has ended: it takes no input any more.
-    fn ended(&mut self, end: End);
-    /// A statement begins.
-    fn statement(&mut self, at: Address) {
-        let _ = at;
-    }
-    /// An activation drops a class-2 message that it never answered: the sender will see a time_out.
-    fn unanswered(&mut self, message: ReplyTo) {
-        let _ = message;
-    }
-    /// A fragment, from 1, of the message received last (D28): [`CommTask::fragment`](crate::CommTask).
-    fn fragment(&mut self, index: u8) -> Option<Contents> {
-        let _ = index;
-        None
-    }
-    /// What the partner of the task's couple published last: [`CommTask::partner_published`](crate::CommTask).
-    fn published(&mut self) -> Option<Contents> {
-        None
-    }
-    /// The arguments of a member's arrival at a waitfor: [`CommTask::meeting_arguments`](crate::CommTask).
-    fn arrival(&mut self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
-        let _ = (port, task);
-        None
-    }
-    /// The message of a task that was received on this port and not answered: [`CommTask::owed`](crate::CommTask).
-    fn owed(&mut self, port: PortId, task: TaskId) -> Option<ReplyTo> {
-        let _ = (port, task);
-        None
-    }
-    /// A fragment, from 0, of the answer of `task` to the last request on `port`; `None` means the only task asked.
-    fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
-        let _ = (port, task, index);
-        None
-    }
 }
 
 /// What ends a script before its last statement.
@@ -326,32 +266,43 @@ impl Script {
         }
     }
 
-    /// Takes one input and runs until the script ends or needs an answer. Total: no program and no input panics.
-    pub fn step(&mut self, program: &Program, input: ScriptInput, out: &mut impl ScriptOutbox) {
-        match (self.standing, input) {
+    /// Takes one input and runs until the script ends or needs an answer. Total: no program and no input panics. The requests to
+    /// the communication task keep their order.
+    pub fn step(
+        &mut self,
+        program: &Program,
+        input: ScriptInput,
+        requests: &mut VecDeque<Request>,
+        out: &mut impl ScriptOutbox,
+    ) {
+        let standing = self.standing;
+        let mut interpreter = Interpreter::new(self, program, requests, out);
+        match (standing, input) {
             (Standing::Ended(_), _)
             | (
                 Standing::NotBegun,
                 ScriptInput::Signal(_) | ScriptInput::Acted { .. } | ScriptInput::Chosen(_),
             )
             | (Standing::Runs, ScriptInput::Begin) => {}
-            (Standing::NotBegun, ScriptInput::Begin) => Interpreter::new(self, program, out).begin(),
-            (Standing::Runs, ScriptInput::Signal(signal)) => {
-                Interpreter::new(self, program, out).signal(signal);
-            }
+            (Standing::NotBegun, ScriptInput::Begin) => interpreter.begin(),
+            (Standing::Runs, ScriptInput::Signal(signal)) => interpreter.signal(signal),
             (Standing::Runs, ScriptInput::Acted { level, ok, value }) => {
-                Interpreter::new(self, program, out).acted(level, Acted { ok, value });
+                interpreter.acted(level, Acted { ok, value });
             }
-            (Standing::Runs, ScriptInput::Chosen(choice)) => {
-                Interpreter::new(self, program, out).chosen(choice);
-            }
+            (Standing::Runs, ScriptInput::Chosen(choice)) => interpreter.chosen(choice),
         }
     }
 
     /// Ends the script with a fault, as a driver does with one that never waits.
-    pub fn stop(&mut self, program: &Program, fault: ScriptFault, out: &mut impl ScriptOutbox) {
+    pub fn stop(
+        &mut self,
+        program: &Program,
+        fault: ScriptFault,
+        requests: &mut VecDeque<Request>,
+        out: &mut impl ScriptOutbox,
+    ) {
         if !matches!(self.standing, Standing::Ended(_)) {
-            Interpreter::new(self, program, out).fault(fault);
+            Interpreter::new(self, program, requests, out).fault(fault);
         }
     }
 

@@ -4,7 +4,7 @@ use super::arm;
 use super::host::{A, B, HALT, beam_lift, bytes, finish, triangle};
 use imrs_protocol::script::*;
 use imrs_protocol::*;
-use imrs_testkit::{HostInput, HostOutbox, Hosted, ScriptedNode, VirtualCell};
+use imrs_testkit::{HostInput, HostOutbox, ScriptedNode, VirtualCell};
 use std::sync::Arc;
 
 /// A driver that ignores the optional callbacks of scripts.
@@ -102,7 +102,9 @@ fn scripts_packed_at_every_tick_do_the_same() {
             for node in virtual_cell.nodes.iter_mut().filter(|_| packed) {
                 let next: Vec<Seq24> = (0..3).map(|_| Frame::SEQUENCE).collect();
                 let frame = Frame { rounds: &[], sequences: &next, incarnations: true };
-                for Hosted { program, script, .. } in &mut node.scripts {
+                for ScriptHost { program, script, .. } in
+                    node.scripts.iter_mut().map(|hosted| &mut hosted.host)
+                {
                     let bytes = Encode::bytes(&frame, |w| script.walk(program, w)).expect("it fits");
                     let mut read = Script::new(program);
                     assert_eq!(Decode::read(&bytes, true, |r| read.walk(program, r)), bytes.len());

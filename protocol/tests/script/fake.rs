@@ -2,7 +2,7 @@
 
 use imrs_protocol::script::*;
 use imrs_protocol::*;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 
 pub const ASK: PortId = PortId(0);
 pub const TELL: PortId = PortId(1);
@@ -22,9 +22,12 @@ pub struct Said {
 }
 
 impl ScriptOutbox for Said {
-    fn request(&mut self, request: Request) {
-        self.words.push(words(&request));
-        self.requests.push(request);
+    fn communication(&self) -> Option<(&CommTask, &NodeTable)> {
+        None
+    }
+    fn asked(&mut self, request: &Request) {
+        self.words.push(words(request));
+        self.requests.push(*request);
     }
     fn run(&mut self, action: Action<'_>) {
         let Action { level, action, arguments, least, most } = action;
@@ -48,10 +51,10 @@ impl ScriptOutbox for Said {
     fn unanswered(&mut self, message: ReplyTo) {
         self.words.push(format!("unanswered {}", message.source));
     }
-    fn fragment(&mut self, index: u8) -> Option<Contents> {
+    fn fragment(&self, index: u8) -> Option<Contents> {
         self.fragments.get(&index).copied()
     }
-    fn answer(&mut self, _: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
+    fn answer(&self, _: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
         self.answers.get(&(task, index)).copied()
     }
 }
@@ -114,7 +117,7 @@ impl Rig {
     }
 
     pub fn step(&mut self, input: ScriptInput) -> Vec<String> {
-        self.script.step(&self.program, input, &mut self.said);
+        self.script.step(&self.program, input, &mut VecDeque::new(), &mut self.said);
         same_when_packed(&self.program, &self.script);
         std::mem::take(&mut self.said.words)
     }

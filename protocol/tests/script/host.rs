@@ -422,7 +422,7 @@ fn what_can_be_answered_no_more_is_forgotten() {
             virtual_cell.run(1);
             if bury {
                 let ScriptedNode { node, scripts, .. } = &mut virtual_cell.nodes[1];
-                let (script, task) = (&mut scripts[0].script, node.task(B).expect("B"));
+                let (script, task) = (&mut scripts[0].host.script, node.task(B).expect("B"));
                 let before = script.clone();
                 script.bury(|to| task.can_answer(to));
                 if *script != before {
@@ -553,7 +553,7 @@ fn random_tasks_come_far() {
         for _ in 0..120 {
             virtual_cell.run(1);
             let scripts = virtual_cell.nodes.iter().flat_map(|node| &node.scripts);
-            let depth = scripts.map(|hosted| hosted.script.depth()).max().unwrap_or(0);
+            let depth = scripts.map(|hosted| hosted.host.script.depth()).max().unwrap_or(0);
             deepest = deepest.max(depth);
             interrupted += u32::from(depth > 0);
         }

@@ -3,6 +3,7 @@
 use super::fake::*;
 use imrs_protocol::script::*;
 use imrs_protocol::*;
+use std::collections::VecDeque;
 
 /// Accepts the requests of a script until it says something that begins with `word`.
 fn until(rig: &mut Rig, mut said: Vec<String>, word: &str) -> Vec<String> {
@@ -126,12 +127,12 @@ fn every_way_to_end_keeps_its_form_when_packed() {
     });
     let mut said = Said::default();
     let mut script = fault.script.clone();
-    script.stop(&fault.program, ScriptFault::Runaway, &mut said);
+    script.stop(&fault.program, ScriptFault::Runaway, &mut VecDeque::new(), &mut said);
     let end = End::Fault { fault: ScriptFault::Runaway, at: 0 };
     assert_eq!(script.activity(), Activity::Ended(end));
     same_when_packed(&fault.program, &script);
     // An ended script does not end again.
-    script.stop(&fault.program, ScriptFault::Overflow, &mut said);
+    script.stop(&fault.program, ScriptFault::Overflow, &mut VecDeque::new(), &mut said);
     assert_eq!(script.activity(), Activity::Ended(end));
 }
 
@@ -170,16 +171,15 @@ fn a_branch_takes_the_outcomes_that_its_words_say() {
     assert_eq!(taken(Outcomes::of(&[])), []);
 }
 
-/// A driver that keeps only the last request and the end.
+/// A driver that keeps only the end.
 #[derive(Default)]
 struct Bare {
-    asked: Option<Request>,
     ended: Option<End>,
 }
 
 impl ScriptOutbox for Bare {
-    fn request(&mut self, request: Request) {
-        self.asked = Some(request);
+    fn communication(&self) -> Option<(&CommTask, &NodeTable)> {
+        None
     }
     fn run(&mut self, _: Action<'_>) {}
     fn cut_short(&mut self, _: u8) {}
@@ -203,15 +203,15 @@ fn a_long_message_whose_rest_the_driver_does_not_keep_ends_the_task() {
         }
         b.end();
         let program = b.finish().expect("a checked program");
-        let (mut script, mut out) = (Script::new(&program), Bare::default());
-        script.step(&program, ScriptInput::Begin, &mut out);
-        while let Some(asked) = out.asked.take().filter(|_| out.ended.is_none()) {
+        let (mut host, mut out) = (ScriptHost::new(program.into()), Bare::default());
+        host.tell(ScriptInput::Begin);
+        while let Some(asked) = host.next(&mut out).filter(|_| out.ended.is_none()) {
             let signal = match asked {
                 Request::Send { .. } => replied(&[7; 12]),
                 Request::Get { .. } => command(&[7; 12]),
                 _ => Signal::Accepted(1),
             };
-            script.step(&program, ScriptInput::Signal(signal), &mut out);
+            host.tell(ScriptInput::Signal(signal));
         }
         out.ended
     };

@@ -7,19 +7,29 @@ use imrs_testkit::VirtualCell;
 const A: TaskId = TaskId(0);
 const B: TaskId = TaskId(1);
 const C: TaskId = TaskId(2);
+const D: TaskId = TaskId(3);
 
 fn finish(b: ProgramBuilder) -> Program {
     b.finish().expect("a checked program")
 }
 
-/// Tasks `a`, `b` and `c` on one node.
+/// Tasks `a` to `d` on one node.
 fn together() -> Cell {
     let mut cell = Cell::new("one", Ticks(1));
     let node = cell.node("node");
-    for name in ["a", "b", "c"] {
+    for name in ["a", "b", "c", "d"] {
         cell.task(name, node);
     }
     cell
+}
+
+/// A task that only waits.
+fn waiting() -> Program {
+    let mut b = ProgramBuilder::new("waits");
+    b.forever(|b| {
+        b.delay(Ticks(1));
+    });
+    finish(b)
 }
 
 fn ran_on(activity: Activity) -> bool {
@@ -38,11 +48,7 @@ fn a_task_that_never_waits_stops_no_other_one() {
     b.forever(|b| {
         b.receive(news, None, &[]);
     });
-    let mut c = ProgramBuilder::new("c");
-    c.forever(|b| {
-        b.delay(Ticks(1));
-    });
-    let mut virtual_cell = VirtualCell::new(cell).begin([(A, finish(a)), (B, finish(b)), (C, finish(c))]);
+    let mut virtual_cell = VirtualCell::new(cell).begin([(A, finish(a)), (B, finish(b)), (C, waiting())]);
     virtual_cell.run(3);
     assert_eq!(
         virtual_cell.activities().into_iter().map(ran_on).collect::<Vec<_>>(),
@@ -64,11 +70,13 @@ fn who_answers_one_that_never_waits_is_not_the_one_that_is_stopped() {
     b.forever(|b| {
         b.receive(ask, None, &[]).statement().reply(&[]);
     });
-    let mut virtual_cell = VirtualCell::new(cell).begin([(A, finish(a)), (B, finish(b))]);
+    // With the two that wait, the scripts of the node may take so many steps together that the asker's own limit comes first.
+    let scripts = [(A, finish(a)), (B, finish(b)), (C, waiting()), (D, waiting())];
+    let mut virtual_cell = VirtualCell::new(cell).begin(scripts);
     virtual_cell.run(3);
     assert_eq!(
         virtual_cell.activities().into_iter().map(ran_on).collect::<Vec<_>>(),
-        [true, false],
+        [true, false, false, false],
         "{:?}",
         virtual_cell.activities()
     );

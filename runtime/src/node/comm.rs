@@ -4,8 +4,8 @@ use crate::clock::{self, Micros};
 use crate::node::effects::{Effect, Effects, Stamped};
 use crate::node::failstop::guarded;
 use crate::observe::ring::Ring;
-use crate::record::{Digesting, Log, OutputDigest, Step};
-use crate::script::{HeldLease, Knows, ScriptRunner};
+use crate::record::{Digesting, Log, OutputDigest, ScriptStep, Step};
+use crate::script::{HeldLease, ScriptRunner};
 use crate::sync::alarm::{Alarm, Cover};
 use crate::sync::handoff::{Protected, Rest};
 use imrs_protocol::script::Program;
@@ -145,9 +145,20 @@ impl Comm {
         }
     }
 
-    /// What a script may read of its machine, and the log of this task's steps.
-    pub fn recorded(&mut self) -> (Knows<'_>, Option<&mut (dyn Log + 'static)>) {
-        (Knows { machine: &self.machine, table: &self.table }, self.log.as_deref_mut())
+    pub const fn table(&self) -> &NodeTable {
+        &self.table
+    }
+
+    /// Whether this task's steps are recorded.
+    pub const fn is_recorded(&self) -> bool {
+        self.log.is_some()
+    }
+
+    /// Records a step of the task's script, and the digest of what the script did before.
+    pub fn record(&mut self, step: ScriptStep, done: OutputDigest) {
+        if let Some(log) = &mut self.log {
+            log.script(step, done);
+        }
     }
 
     /// The machine's state with up to `queue_limit` waiting messages of each port, and the time for which it is true.

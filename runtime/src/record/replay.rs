@@ -6,7 +6,7 @@
 use super::script::{Again, Watched};
 use super::verdict::{Divergence, InvariantBroken, Miscount, ScriptDivergence, Verdict};
 use super::{Digesting, OutputDigest, Step};
-use crate::script::{Knows, Watch};
+use crate::script::Watch;
 use imrs_protocol::script::Program;
 use imrs_protocol::{
     CommTask, Incarnation, Input, NodeTable, Outbox, Packet, Request, Signal, TaskId, Ticks, TimeId,
@@ -142,8 +142,7 @@ impl<'t> Replay<'t> {
             return;
         }
         self.passed = self.passed.saturating_add(entry.step.elapsed.0);
-        let at = self.passed;
-        if self.script.as_mut().is_some_and(|script| !script.expects(at, &entry.step.input)) {
+        if self.script.as_mut().is_some_and(|script| !script.expects(&entry.step.input)) {
             self.lose_script();
         }
         // The script stops with its last request: now, and not when it last did something.
@@ -189,12 +188,10 @@ impl<'t> Replay<'t> {
         if let ScriptStep::Begin { at } = step {
             self.base.get_or_insert(at.saturating_sub(self.passed));
         }
-        let (Some(script), Some(machine)) = (&mut self.script, &self.machine) else { return };
-        let Some(what) = script.take(Knows { machine, table: self.table }, step, done) else {
-            return self.lose_script();
-        };
+        let (Some(script), Some(_)) = (&mut self.script, &self.machine) else { return };
+        let Some(what) = script.take(step, done) else { return self.lose_script() };
         if let Some(happened) = &mut self.happened {
-            happened.extend(what.into_iter().map(|what| (self.passed, what)));
+            happened.push((self.passed, what));
         }
         self.let_script_go_on();
     }
@@ -207,11 +204,7 @@ impl<'t> Replay<'t> {
 
     fn let_script_go_on(&mut self) {
         let (Some(script), Some(machine)) = (&mut self.script, &self.machine) else { return };
-        while let Some(what) = script.go_on(self.passed, Knows { machine, table: self.table }) {
-            if let Some(happened) = &mut self.happened {
-                happened.push((self.passed, what));
-            }
-        }
+        script.go_on(self.passed, (machine, self.table), self.happened.as_mut());
         script.show(self.passed, machine);
     }
 

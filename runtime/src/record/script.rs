@@ -1,12 +1,11 @@
 //! Runs the scripts of a recording again, beside their communication tasks, and compares what they do.
 
 use super::OutputDigest;
-use crate::script::{Does, Knows, Note, Outlet, Stands, Watch};
-use imrs_protocol::script::{Action, Address, End, HOST_LIMIT, Program, Script, ScriptFault, ScriptInput};
-use imrs_protocol::{CommTask, Input, ReplyTo, Request, Signal, TaskId, Ticks};
+use crate::script::{Note, Stands, Watch};
+use imrs_protocol::script::{Action, Address, End, Program, ScriptHost, ScriptInput, ScriptOutbox};
+use imrs_protocol::{CommTask, Input, NodeTable, ReplyTo, Request, Signal, TaskId, Ticks};
 use imrs_wire::recording::{Happened, ScriptStep, Turn};
 use serde::Serialize;
-use std::collections::VecDeque;
 use std::fmt;
 use std::sync::Arc;
 
@@ -43,62 +42,40 @@ impl fmt::Debug for Watched {
 /// A script that is replayed.
 #[derive(Clone, Debug)]
 pub(super) struct Again {
-    program: Arc<Program>,
-    script: Script,
+    host: ScriptHost,
     done: OutputDigest,
     /// What the script asked and the recording has not shown yet.
-    requests: VecDeque<Request>,
-    signals: VecDeque<Signal>,
-    /// Steps since input last came from outside.
-    steps: u32,
-    pub stopped: bool,
-    ended: Vec<End>,
-    passed: Vec<Address>,
+    asked: Option<Request>,
     pub watched: Option<Watched>,
 }
 
 impl Again {
     pub fn new(program: &Arc<Program>) -> Self {
         Self {
-            script: Script::new(program),
-            program: Arc::clone(program),
+            host: ScriptHost::new(Arc::clone(program)),
             done: OutputDigest::START,
-            requests: VecDeque::new(),
-            signals: VecDeque::new(),
-            steps: 0,
-            stopped: false,
-            ended: Vec::new(),
-            passed: Vec::new(),
+            asked: None,
             watched: None,
-        }
-    }
-
-    fn note(&self, at: u64, note: &Note) {
-        if let Some(Watched { task, watch }) = &self.watched {
-            watch.note(*task, at, note);
         }
     }
 
     /// Shows the state of the task, unless its script is in the midst of a step or its node stops.
     pub fn show(&self, at: u64, machine: &CommTask) {
         if let Some(Watched { task, watch }) = &self.watched
-            && self.requests.is_empty()
-            && !self.stopped
+            && self.asked.is_none()
+            && !self.host.is_stopped()
         {
-            watch.stands(*task, at, &Stands { script: &self.script, machine });
+            watch.stands(*task, at, &Stands { script: &self.host.script, machine });
         }
     }
 
     /// Whether this input of the communication task may come now: while a request of the script is open, only that request may.
-    pub fn expects(&mut self, at: u64, input: &Input) -> bool {
-        match (input, self.requests.pop_front()) {
-            (Input::Request(asked), Some(request)) => {
-                self.note(at, &Note::Asked(request));
-                *asked == request
-            }
-            (Input::Request(asked), None) => self.stopped && *asked == Request::Cancel,
+    pub fn expects(&mut self, input: &Input) -> bool {
+        match (input, self.asked.take()) {
+            (Input::Request(asked), Some(request)) => *asked == request,
+            (Input::Request(asked), None) => self.host.is_stopped() && *asked == Request::Cancel,
             (_, None) => {
-                self.steps = 0;
+                self.host.count_anew();
                 true
             }
             (_, Some(_)) => false,
@@ -106,14 +83,13 @@ impl Again {
     }
 
     pub fn said(&mut self, signal: Signal) {
-        if !self.stopped {
-            self.signals.push_back(signal);
-        }
+        self.host.tell(ScriptInput::Signal(signal));
     }
 
-    /// Replays a recorded step. `None` if the script's acts so far differ, or a request to its communication task is still open.
-    pub fn take(&mut self, knows: Knows<'_>, step: ScriptStep, done: OutputDigest) -> Option<Vec<Happened>> {
-        if self.done != done || (!self.requests.is_empty() && !matches!(step, ScriptStep::Chosen(_))) {
+    /// Takes the input of a recorded step. `None` if the script's acts so far differ, or a request to its communication task is
+    /// still open.
+    pub fn take(&mut self, step: ScriptStep, done: OutputDigest) -> Option<Happened> {
+        if self.done != done || self.asked.is_some() {
             return None;
         }
         let (input, what) = match step {
@@ -123,62 +99,57 @@ impl Again {
             }
             ScriptStep::Chosen(choice) => (ScriptInput::Chosen(choice), Happened::Chosen(choice)),
             ScriptStep::Stopped => {
-                self.stopped = true;
-                self.signals.clear();
-                return Some(vec![Happened::Stopped]);
+                self.host.stop();
+                return Some(Happened::Stopped);
             }
         };
         if !matches!(step, ScriptStep::Chosen(_)) {
-            self.steps = 0;
+            self.host.count_anew();
         }
-        Some(vec![what, self.run(knows, input)])
+        self.host.tell(input);
+        Some(what)
     }
 
-    /// The script's next step, with an answer of its communication task; `None` without one, or while a request is open.
-    pub fn go_on(&mut self, at: u64, knows: Knows<'_>) -> Option<Happened> {
-        if !self.requests.is_empty() {
-            return None;
+    /// The script goes on until it waits or asks. A driver passes the request on; here the recording shows it next, as an input of
+    /// the communication task.
+    pub fn go_on(
+        &mut self,
+        at: u64,
+        communication: (&CommTask, &NodeTable),
+        happened: Option<&mut Vec<(u64, Happened)>>,
+    ) {
+        if self.asked.is_none() {
+            let (done, watched) = (&mut self.done, self.watched.as_ref());
+            self.asked = self.host.next(&mut Out { at, communication, done, watched, happened });
         }
-        let signal = self.signals.pop_front()?;
-        self.note(at, &Note::Answered(signal));
-        Some(self.run(knows, ScriptInput::Signal(signal)))
-    }
-
-    fn run(&mut self, knows: Knows<'_>, input: ScriptInput) -> Happened {
-        let at = self.script.position();
-        self.steps += 1;
-        let does = Out {
-            knows,
-            done: &mut self.done,
-            requests: &mut self.requests,
-            ended: &mut self.ended,
-            passed: &mut self.passed,
-        };
-        let mut out = Outlet { knows, does };
-        if self.steps > HOST_LIMIT {
-            self.script.stop(&self.program, ScriptFault::Runaway, &mut out);
-        } else {
-            self.script.step(&self.program, input, &mut out);
-        }
-        let end = self.ended.last().copied();
-        self.ended.clear();
-        Happened::Turn(Turn { at, input, passed: std::mem::take(&mut self.passed), end })
     }
 }
 
 struct Out<'a> {
-    knows: Knows<'a>,
+    at: u64,
+    communication: (&'a CommTask, &'a NodeTable),
     done: &'a mut OutputDigest,
-    requests: &'a mut VecDeque<Request>,
-    ended: &'a mut Vec<End>,
-    passed: &'a mut Vec<Address>,
+    watched: Option<&'a Watched>,
+    happened: Option<&'a mut Vec<(u64, Happened)>>,
 }
 
-impl Does for Out<'_> {
-    fn request(&mut self, request: Request) {
-        self.requests.push_back(request);
+impl Out<'_> {
+    fn note(&self, note: &Note) {
+        if let Some(Watched { task, watch }) = self.watched {
+            watch.note(*task, self.at, note);
+        }
     }
 
+    /// What the script does with its present input.
+    fn turn(&mut self) -> Option<&mut Turn> {
+        match self.happened.as_mut()?.last_mut()? {
+            (_, Happened::Turn(turn)) => Some(turn),
+            _ => None,
+        }
+    }
+}
+
+impl ScriptOutbox for Out<'_> {
     fn run(&mut self, action: Action<'_>) {
         self.done.add(&Did::of(action));
     }
@@ -194,15 +165,35 @@ impl Does for Out<'_> {
 
     fn ended(&mut self, end: End) {
         self.done.add(&Did::Ended(end));
-        if self.knows.machine.epoch().is_some() {
-            self.requests.push_back(Request::End);
+        if let Some(turn) = self.turn() {
+            turn.end = Some(end);
         }
-        self.ended.push(end);
+    }
+
+    fn communication(&self) -> Option<(&CommTask, &NodeTable)> {
+        Some(self.communication)
+    }
+
+    fn takes(&mut self, at: Address, input: &ScriptInput) -> bool {
+        if let ScriptInput::Signal(signal) = input {
+            self.note(&Note::Answered(*signal));
+        }
+        if let Some(happened) = &mut self.happened {
+            let turn = Turn { at, input: *input, passed: Vec::new(), end: None };
+            happened.push((self.at, Happened::Turn(turn)));
+        }
+        true
+    }
+
+    fn asked(&mut self, request: &Request) {
+        self.note(&Note::Asked(*request));
     }
 
     fn statement(&mut self, at: Address) {
         self.done.passed(at);
-        self.passed.push(at);
+        if let Some(turn) = self.turn() {
+            turn.passed.push(at);
+        }
     }
 
     fn unanswered(&mut self, message: ReplyTo) {

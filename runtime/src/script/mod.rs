@@ -7,7 +7,6 @@
 mod actions;
 mod command;
 mod functions;
-mod knows;
 mod runner;
 mod simulated;
 
@@ -17,7 +16,6 @@ pub use functions::{Call, Functions};
 pub use simulated::{Give, Ramp, Results, Simulated};
 
 pub(crate) use actions::{OutsideEffect, Stage};
-pub(crate) use knows::{Does, Knows, Outlet};
 pub(crate) use runner::ScriptRunner;
 
 use imrs_protocol::script::{Address, End, Script};

@@ -1,35 +1,21 @@
 //! A script and what it needs, behind the lock of its communication task.
 
-use super::actions::{Begun, HeldLease, OutsideEffect};
-use super::knows::{Does, Outlet};
-use super::{Knows, Note, Stands, Watch};
+use super::actions::{Begun, OutsideEffect};
+use super::{Note, Stands, Watch};
 use crate::clock::{self, Micros};
 use crate::node::comm::Comm;
 use crate::node::effects::{Effects, Stamped};
 use crate::node::failstop::guarded;
-use crate::record::{Did, Log, OutputDigest, ScriptStep, Step};
+use crate::record::{Did, OutputDigest, ScriptStep, Step};
 use imrs_protocol::script::{
-    Action, Address, End, HOST_LIMIT, MAX_THREADS, Program, Script, ScriptFault, ScriptInput,
+    Action, Address, End, MAX_THREADS, Program, ScriptHost, ScriptInput, ScriptOutbox,
 };
-use imrs_protocol::{Input, ReplyTo, Request, Signal, TaskId, Ticks};
-use std::collections::VecDeque;
+use imrs_protocol::{CommTask, Input, NodeTable, ReplyTo, Request, Ticks};
 use std::sync::Arc;
 
-/// How many signals or requests of one input fit without an allocation.
-const ROOM: usize = 16;
-
 pub(crate) struct ScriptRunner {
-    program: Arc<Program>,
-    script: Script,
-    /// Answers of the communication task that the script has not taken yet. Empty between inputs.
-    signals: VecDeque<Signal>,
-    /// What the script asked in its last step. Empty between steps.
-    requests: VecDeque<Request>,
+    host: ScriptHost,
     side: Side,
-    /// How many steps the scripts of the node may take together before input must come from outside: two scripts that answer each
-    /// other for ever would keep the thread that runs them from all its other work.
-    together: u32,
-    stopped: bool,
 }
 
 /// What a step of the script needs besides its communication task.
@@ -44,6 +30,9 @@ struct Side {
     /// The digest of everything that the script has done, if that is recorded.
     done: OutputDigest,
     ended: bool,
+    /// How many steps the scripts of the node may take together before input must come from outside: two scripts that answer each
+    /// other for ever would keep the thread that runs them from all its other work.
+    together: u32,
 }
 
 impl ScriptRunner {
@@ -64,21 +53,20 @@ impl ScriptRunner {
             watch,
             done: OutputDigest::START,
             ended: false,
+            together,
         };
-        let (signals, requests) = (VecDeque::with_capacity(ROOM), VecDeque::with_capacity(ROOM));
-        Self { script: Script::new(&program), program, signals, requests, side, together, stopped: false }
+        Self { host: ScriptHost::new(program), side }
     }
 
     pub const fn program(&self) -> &Arc<Program> {
-        &self.program
+        &self.host.program
     }
 
     /// Starts the script.
     pub fn begin(&mut self, comm: &mut Comm, effects: &mut Effects) {
         let at = self.let_time_pass(comm, effects);
-        self.side.record(comm, ScriptStep::Begin { at });
-        self.go_on(comm, ScriptInput::Begin, effects);
-        self.show(comm);
+        comm.record(ScriptStep::Begin { at }, self.side.done);
+        self.tell(comm, ScriptInput::Begin, effects);
     }
 
     /// Input comes to the communication task.
@@ -101,8 +89,7 @@ impl ScriptRunner {
             packet.remaining = packet.remaining - Ticks((comm.now() + elapsed.0).saturating_sub(stamped.at));
         }
         self.step(comm, Step { elapsed, input }, effects);
-        self.hear(comm, effects);
-        self.show(comm);
+        self.go_on(comm, effects);
     }
 
     /// Whether the script waits for the end of this action.
@@ -116,35 +103,33 @@ impl ScriptRunner {
         // First, because what is due by now may cut the action short.
         self.let_time_pass(comm, effects);
         let Some(acting) = self.side.acting.get_mut(usize::from(level)) else { return };
-        if *acting != Some(number) || self.stopped {
+        if *acting != Some(number) || self.host.is_stopped() {
             return;
         }
         *acting = None;
-        self.side.record(comm, ScriptStep::Acted { level, ok, value });
-        self.side.note(comm, || Note::Acted { level, ok, value });
-        self.go_on(comm, ScriptInput::Acted { level, ok, value }, effects);
-        self.show(comm);
+        comm.record(ScriptStep::Acted { level, ok, value }, self.side.done);
+        self.tell(comm, ScriptInput::Acted { level, ok, value }, effects);
     }
 
     /// Only time passes: what is due by now, such as the end of a lease, happens before anything else.
     pub fn catch_up(&mut self, comm: &mut Comm, effects: &mut Effects) {
-        if !self.stopped {
+        if !self.host.is_stopped() {
             self.let_time_pass(comm, effects);
         }
     }
 
     /// The node stops: the script acts no more, and cancels what it asked.
     pub fn stop(&mut self, comm: &mut Comm, effects: &mut Effects) {
-        if std::mem::replace(&mut self.stopped, true) {
+        if self.host.is_stopped() {
             return;
         }
+        self.host.stop();
         for level in 0..MAX_THREADS {
             self.side.cut_short(u8::try_from(level).unwrap_or(u8::MAX), effects);
         }
-        self.side.record(comm, ScriptStep::Stopped);
+        comm.record(ScriptStep::Stopped, self.side.done);
         let elapsed = comm.elapsed(clock::next());
         self.step(comm, Step { elapsed, input: Input::Request(Request::Cancel) }, effects);
-        self.signals.clear();
     }
 
     /// The time passes first, as a step of its own, to the next whole microsecond: so what is asked in this step is never stamped
@@ -153,8 +138,7 @@ impl ScriptRunner {
         let elapsed = comm.elapsed(time(comm, effects));
         if !elapsed.is_zero() {
             self.step(comm, Step { elapsed, input: Input::Time }, effects);
-            self.hear(comm, effects);
-            self.show(comm);
+            self.go_on(comm, effects);
         }
         comm.now()
     }
@@ -162,81 +146,38 @@ impl ScriptRunner {
     /// The script waits: shows this state of the cell to the watch, as checks see it.
     fn show(&self, comm: &Comm) {
         if let Some(watch) = &self.side.watch {
-            let stands = Stands { script: &self.script, machine: comm.machine() };
+            let stands = Stands { script: &self.host.script, machine: comm.machine() };
             watch.stands(comm.machine().task(), comm.now(), &stands);
         }
     }
 
     fn step(&mut self, comm: &mut Comm, step: Step, effects: &mut Effects) {
-        let signals = &mut self.signals;
-        comm.run(&step, &mut |signal| signals.push_back(signal), effects);
+        let host = &mut self.host;
+        comm.run(&step, &mut |signal| host.tell(ScriptInput::Signal(signal)), effects);
     }
 
-    /// The script takes all answers of its communication task.
-    fn hear(&mut self, comm: &mut Comm, effects: &mut Effects) {
-        if let Some(signal) = self.next_signal(comm) {
-            self.go_on(comm, ScriptInput::Signal(signal), effects);
-        }
+    fn tell(&mut self, comm: &mut Comm, input: ScriptInput, effects: &mut Effects) {
+        self.host.tell(input);
+        self.go_on(comm, effects);
     }
 
-    fn next_signal(&mut self, comm: &Comm) -> Option<Signal> {
-        let signal = self.signals.pop_front()?;
-        self.side.note(comm, || Note::Answered(signal));
-        Some(signal)
-    }
-
-    /// Runs the script until it waits.
-    fn go_on(&mut self, comm: &mut Comm, input: ScriptInput, effects: &mut Effects) {
-        guarded("a script", || self.run(comm, input, effects));
-    }
-
-    fn run(&mut self, comm: &mut Comm, input: ScriptInput, effects: &mut Effects) {
-        let (mut next, mut steps) = (Some(input), 0);
-        while let Some(input) = next {
-            if self.stopped {
-                self.signals.clear();
-                return;
-            }
-            steps += 1;
-            effects.steps = effects.steps.saturating_add(1);
-            let runs_away = steps > HOST_LIMIT || effects.steps > self.together;
-            let (now, lease) = (comm.now(), comm.lease());
-            let (knows, log) = comm.recorded();
-            let does =
-                Out { knows, log, now, lease, requests: &mut self.requests, side: &mut self.side, effects };
-            let mut out = Outlet { knows, does };
-            if runs_away {
-                self.script.stop(&self.program, ScriptFault::Runaway, &mut out);
-                effects.steps = 0;
-            } else {
-                self.script.step(&self.program, input, &mut out);
-            }
-            while let Some(request) = self.requests.pop_front() {
-                self.side.note(comm, || Note::Asked(request));
+    /// The script takes its inputs and all answers of its communication task, until it waits.
+    fn go_on(&mut self, comm: &mut Comm, effects: &mut Effects) {
+        self.host.count_anew();
+        guarded("a script", || {
+            while let Some(request) = self.next_request(comm, effects) {
                 self.step(comm, Step { elapsed: Ticks::ZERO, input: Input::Request(request) }, effects);
             }
-            next = self.next_signal(comm).map(ScriptInput::Signal);
-        }
+        });
+        self.show(comm);
+    }
+
+    fn next_request(&mut self, comm: &mut Comm, effects: &mut Effects) -> Option<Request> {
+        self.host.next(&mut Out { comm, side: &mut self.side, effects })
     }
 }
 
 impl Side {
-    fn record(&self, comm: &mut Comm, step: ScriptStep) {
-        if let (_, Some(log)) = comm.recorded() {
-            log.script(step, self.done);
-        }
-    }
-
-    fn note(&self, comm: &Comm, note: impl FnOnce() -> Note) {
-        self.note_at(comm.machine().task(), comm.now(), note);
-    }
-
-    fn note_at(&self, task: TaskId, at: u64, note: impl FnOnce() -> Note) {
-        if let Some(watch) = &self.watch {
-            watch.note(task, at, &note());
-        }
-    }
-
     fn cut_short(&mut self, level: u8, effects: &mut Effects) -> bool {
         let number = self.acting.get_mut(usize::from(level)).and_then(Option::take);
         let place = self.place;
@@ -251,34 +192,28 @@ fn time(comm: &Comm, effects: &mut Effects) -> Micros {
     if comm.is_coupled() { clock::next() } else { effects.time_of_turn() }
 }
 
-/// The outbox of one step of a script.
+/// The outbox of a script's steps.
 struct Out<'a> {
-    knows: Knows<'a>,
-    log: Option<&'a mut (dyn Log + 'static)>,
-    now: u64,
-    lease: Option<HeldLease>,
-    requests: &'a mut VecDeque<Request>,
+    comm: &'a mut Comm,
     side: &'a mut Side,
     effects: &'a mut Effects,
 }
 
 impl Out<'_> {
     fn note(&self, note: impl FnOnce() -> Note) {
-        self.side.note_at(self.knows.machine.task(), self.now, note);
+        if let Some(watch) = &self.side.watch {
+            watch.note(self.comm.machine().task(), self.comm.now(), &note());
+        }
     }
 
     fn did(&mut self, did: &Did<'_>) {
-        if self.log.is_some() {
+        if self.comm.is_recorded() {
             self.side.done.add(did);
         }
     }
 }
 
-impl Does for Out<'_> {
-    fn request(&mut self, request: Request) {
-        self.requests.push_back(request);
-    }
-
+impl ScriptOutbox for Out<'_> {
     fn run(&mut self, action: Action<'_>) {
         self.did(&Did::of(action));
         let Action { level, action, arguments, least, most } = action;
@@ -290,16 +225,9 @@ impl Does for Out<'_> {
         }
         let arguments = arguments.to_vec();
         self.note(|| Note::Acts { level, action, arguments: arguments.clone(), most });
-        self.effects.outside.push_back(OutsideEffect::Begin(Begun {
-            place,
-            level,
-            number,
-            action,
-            arguments,
-            least,
-            most,
-            lease: self.lease,
-        }));
+        let lease = self.comm.lease();
+        let begun = Begun { place, level, number, action, arguments, least, most, lease };
+        self.effects.outside.push_back(OutsideEffect::Begin(begun));
     }
 
     fn cut_short(&mut self, level: u8) {
@@ -311,26 +239,42 @@ impl Does for Out<'_> {
 
     fn choose(&mut self, alternatives: u16) -> Option<u16> {
         let choice = self.side.draws.u16(..alternatives.max(1));
-        if let Some(log) = &mut self.log {
-            log.script(ScriptStep::Chosen(choice), self.side.done);
-        }
+        self.comm.record(ScriptStep::Chosen(choice), self.side.done);
         Some(choice)
     }
 
     fn ended(&mut self, end: End) {
         self.did(&Did::Ended(end));
-        // Heartbeats stop when the task has ended (D61).
-        if self.knows.machine.epoch().is_some() {
-            self.requests.push_back(Request::End);
-        }
         self.note(|| Note::Ended(end));
         if !std::mem::replace(&mut self.side.ended, true) {
             self.effects.outside.push_back(OutsideEffect::Ended { place: self.side.place, end });
         }
     }
 
+    fn communication(&self) -> Option<(&CommTask, &NodeTable)> {
+        Some((self.comm.machine(), self.comm.table()))
+    }
+
+    fn takes(&mut self, _: Address, input: &ScriptInput) -> bool {
+        match *input {
+            ScriptInput::Signal(signal) => self.note(|| Note::Answered(signal)),
+            ScriptInput::Acted { level, ok, value } => self.note(|| Note::Acted { level, ok, value }),
+            ScriptInput::Begin | ScriptInput::Chosen(_) => {}
+        }
+        self.effects.steps = self.effects.steps.saturating_add(1);
+        let may = self.effects.steps <= self.side.together;
+        if !may {
+            self.effects.steps = 0;
+        }
+        may
+    }
+
+    fn asked(&mut self, request: &Request) {
+        self.note(|| Note::Asked(*request));
+    }
+
     fn statement(&mut self, at: Address) {
-        if self.log.is_some() {
+        if self.comm.is_recorded() {
             self.side.done.passed(at);
         }
         self.note(|| Note::Statement(at));

@@ -122,8 +122,8 @@ impl RunState {
     /// Whether no tick has passed since an action began: its remaining times are those of its statement.
     fn has_just_begun(&self, actor: &Actor, running: &Running) -> bool {
         let length = |ticks: Ticks| u32::try_from(ticks.0).unwrap_or(Running::FOREVER);
-        let at = actor.script.position_at(running.level);
-        match at.and_then(|at| actor.program.code.get(usize::from(at))) {
+        let at = actor.host.script.position_at(running.level);
+        match at.and_then(|at| actor.host.program.code.get(usize::from(at))) {
             Some(&Op::Run { action, least, most, .. }) => {
                 action == running.action
                     && running.most > 0

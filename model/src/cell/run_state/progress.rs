@@ -35,7 +35,7 @@ impl Before {
         self.tasks.clear();
         for (task, body) in run_state.cell.bodies.iter().enumerate() {
             let Some(actor) = &body.actor else { continue };
-            self.values.extend_from_slice(actor.script.variables());
+            self.values.extend_from_slice(actor.host.script.variables());
             self.tasks.push((task, self.values.len(), run_state.dead_variables(task)));
         }
     }
@@ -46,8 +46,10 @@ impl Before {
         let mut from = 0;
         self.tasks.iter().any(|&(task, end, dead)| {
             let before = &self.values[std::mem::replace(&mut from, end)..end];
-            let now =
-                run_state.cell.bodies[task].actor.as_ref().map_or(before, |actor| actor.script.variables());
+            let now = run_state.cell.bodies[task]
+                .actor
+                .as_ref()
+                .map_or(before, |actor| actor.host.script.variables());
             if before == now {
                 return false;
             }

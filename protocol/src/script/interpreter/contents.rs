@@ -21,7 +21,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         };
         let to = match *op {
             Op::ReplyFor { port, format } => Some(self.named(port, format)?),
-            Op::ReplyOwed { port, task, .. } => self.out.owed(port, task),
+            Op::ReplyOwed { port, task, .. } => self.owed(port, task),
             _ => self.frame().message,
         };
         let port = match (*op, to) {
@@ -36,19 +36,19 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         let format = self.format(format)?;
         if usize::from(part) < format.fragments() {
             let contents = self.part(format, part)?;
-            self.out.request(Request::Part { port, index: part, contents });
+            self.ask(Request::Part { port, index: part, contents });
             return Ok(self.wait(Wait::Part(part)));
         }
         let contents = self.part(format, 0)?;
         self.drop_fields(op)?;
         match (*op, to) {
             (Op::Send { port, to, time_out, .. }, _) => {
-                self.out.request(Request::Send { port, to, contents, time_out });
+                self.ask(Request::Send { port, to, contents, time_out });
             }
             (_, Some(to)) => {
                 let frame = self.frame();
                 frame.message = frame.message.filter(|own| *own != to);
-                self.out.request(Request::Reply { to, contents });
+                self.ask(Request::Reply { to, contents });
             }
             (_, None) => return Err(ScriptFault::Malformed),
         }

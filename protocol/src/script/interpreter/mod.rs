@@ -1,5 +1,6 @@
 //! The interpreter of scripts: handles one input, and runs the operations that follow from it.
 
+mod answers;
 mod contents;
 mod ops;
 
@@ -8,13 +9,14 @@ use super::value::Operands;
 use super::{
     Acted, Address, Anew, End, Frame, Inbound, STEP_LIMIT, Script, ScriptFault, ScriptOutbox, Standing, Wait,
 };
-use crate::packet::Class;
-use crate::request::{Answers, Call, Delivery, Fault, Outcome, Request, Signal, TimeId};
+use crate::request::{Answers, Call, Fault, Request, Signal, TimeId};
+use alloc::collections::VecDeque;
 
 /// The interpreter of one step, with the results of the last answer. They do not outlive the step, so no state has them.
 pub(super) struct Interpreter<'a, O> {
     script: &'a mut Script,
     program: &'a Program,
+    requests: &'a mut VecDeque<Request>,
     out: &'a mut O,
     outcome: StatementOutcome,
     value: i64,
@@ -36,10 +38,16 @@ enum Flow {
 type Step = Result<Flow, ScriptFault>;
 
 impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
-    pub fn new(script: &'a mut Script, program: &'a Program, out: &'a mut O) -> Self {
+    pub fn new(
+        script: &'a mut Script,
+        program: &'a Program,
+        requests: &'a mut VecDeque<Request>,
+        out: &'a mut O,
+    ) -> Self {
         Self {
             script,
             program,
+            requests,
             out,
             outcome: StatementOutcome::Done,
             value: 0,
@@ -108,7 +116,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         }
         frame.wait = if running { Wait::Done(acted) } else { Wait::Kept(acted) };
         if running {
-            self.out.request(Request::Done);
+            self.ask(Request::Done);
         }
     }
 
@@ -135,6 +143,15 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         self.give_up();
         self.script.standing = Standing::Ended(end);
         self.out.ended(end);
+        // The heartbeats of a task of a couple stop when it has ended (D61).
+        if self.out.communication().is_some_and(|(machine, _)| machine.epoch().is_some()) {
+            self.ask(Request::End);
+        }
+    }
+
+    fn ask(&mut self, request: Request) {
+        self.out.asked(&request);
+        self.requests.push_back(request);
     }
 
     /// Stops every action, and drops every activation here and in the communication task.
@@ -152,7 +169,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         script.operands.fill(0);
         script.held = 0;
         script.locals.fill(0);
-        self.out.request(Request::Abandon);
+        self.ask(Request::Abandon);
     }
 
     fn cut_short(&mut self) {
@@ -177,7 +194,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
                 Anew::Passive => true,
                 Anew::Granted | Anew::TakeOver => false,
             };
-            return self.out.request(Request::Handle { port, handled: !(lacks && acts(handler)) });
+            return self.ask(Request::Handle { port, handled: !(lacks && acts(handler)) });
         }
         let at = match anew {
             Anew::Granted => {
@@ -188,7 +205,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
             Anew::TakeOver => self.program.takeover.unwrap_or(0),
             Anew::Passive => {
                 self.frame().wait = Wait::Passive;
-                return self.out.request(Request::Lease);
+                return self.ask(Request::Lease);
             }
         };
         *self.frame() = Frame { at, ..Frame::default() };
@@ -267,82 +284,6 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         } else {
             self.finish(End::Fenced);
         }
-    }
-
-    /// Records a message as the one that the running activation received last.
-    fn take(&mut self, delivery: &Delivery) {
-        self.outcome = StatementOutcome::Message;
-        self.inbound = Some(Inbound {
-            contents: delivery.contents,
-            port: delivery.from.port,
-            task: Some(delivery.from.source),
-            is_answer: false,
-        });
-        let answerable = match delivery.class {
-            Class::Command => Some(delivery.from),
-            Class::Status => None,
-        };
-        if let Some(forgotten) = core::mem::replace(&mut self.frame().message, answerable) {
-            self.out.unanswered(forgotten);
-        }
-    }
-
-    /// Records the results of the answer to the operation in which the running activation waits.
-    fn answered(&mut self, signal: Signal) -> Result<(), ScriptFault> {
-        let op = self.op()?;
-        if let Wait::Part(_) = self.frame().wait {
-            self.drop_fields(op)?;
-        }
-        let blocked = !matches!(signal, Signal::Accepted(_) | Signal::Fault(_));
-        self.fresh = blocked || matches!(op, Op::Order(_) | Op::Atomic(_) | Op::Start { .. });
-        self.outcome = StatementOutcome::Done;
-        match (*op, signal) {
-            (Op::Send { .. }, Signal::Accepted(copies)) => self.value = i64::from(copies),
-            (Op::Send { port, .. }, Signal::Outcome(outcome)) => {
-                self.outcome = match outcome {
-                    Outcome::Reply(contents) => {
-                        self.inbound = Some(Inbound { contents, port, task: None, is_answer: true });
-                        StatementOutcome::Reply
-                    }
-                    Outcome::Refused => StatementOutcome::Refused,
-                    Outcome::TimedOutUnsent => StatementOutcome::TimedOutUnsent,
-                    Outcome::TimedOutUnknown => StatementOutcome::TimedOutUnknown,
-                    Outcome::PeerRestarted => StatementOutcome::PeerRestarted,
-                };
-            }
-            (Op::Send { .. }, Signal::Answers { answers, .. }) => {
-                self.answers = answers;
-                let all = answers.answered == answers.asked;
-                self.outcome = if all { StatementOutcome::Reply } else { StatementOutcome::Incomplete };
-            }
-            (Op::Get { .. }, Signal::Message(delivery)) => self.take(&delivery),
-            (Op::Get { .. }, Signal::Nothing) => self.outcome = StatementOutcome::Nothing,
-            (Op::Arrive { .. }, Signal::Released { .. }) => self.outcome = StatementOutcome::Released,
-            (Op::Arrive { .. }, Signal::GaveUp { missing, .. }) => {
-                self.value = missing.cast_signed();
-                self.outcome = StatementOutcome::GaveUp;
-            }
-            (Op::Delay(_), Signal::TimeOut(id)) if id == self.delay_id() => {}
-            (
-                Op::Reply { .. }
-                | Op::ReplyFor { .. }
-                | Op::ReplyOwed { .. }
-                | Op::Order(_)
-                | Op::Start { .. }
-                | Op::Stop(_)
-                | Op::Atomic(_)
-                | Op::Publish { .. },
-                Signal::Accepted(_),
-            ) => {}
-            (_, Signal::Fault(Fault::Fenced)) => self.outcome = StatementOutcome::Fenced,
-            (Op::ReplyFor { .. }, Signal::Fault(Fault::NotAPeer))
-            | (_, Signal::Fault(Fault::NothingToAnswer | Fault::Late)) => {
-                self.outcome = StatementOutcome::Unanswerable;
-            }
-            (_, Signal::Fault(fault)) => return Err(ScriptFault::Request(fault)),
-            _ => return Err(ScriptFault::Unexpected),
-        }
-        Ok(())
     }
 
     /// Ends the wait of the running activation and continues as `step` says, unless that waits for something else.

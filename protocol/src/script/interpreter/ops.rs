@@ -52,11 +52,11 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
                 self.bring(port, Some(task), answer)?;
             }
             Op::Published => {
-                let published = self.out.published().filter(|said| !said.as_bytes().is_empty());
+                let published = self.published().filter(|said| !said.as_bytes().is_empty());
                 self.bring(PortId::NONE, None, published)?;
             }
             Op::Arrival { port, task, format } => {
-                let told = self.out.arrival(port, task);
+                let told = self.arrival(port, task);
                 let bytes = self.format(format)?.bytes();
                 let told = told.and_then(|told| Contents::new(told.get(..bytes)?));
                 self.bring(port, Some(task), told)?;
@@ -107,7 +107,7 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
             | Op::Publish { .. }
             | Op::Lease => {
                 let request = self.request(op)?;
-                self.out.request(request);
+                self.ask(request);
                 return Ok(self.wait(Wait::Signal));
             }
         }
@@ -135,9 +135,10 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
             self.drop_operands(first);
             return Ok(Flow::Next);
         }
+        self.ask(Request::Work);
+        let script = &*self.script;
         let level = script.level;
         let arguments = script.operands.get(first..script.held).ok_or(ScriptFault::Malformed)?;
-        self.out.request(Request::Work);
         self.out.run(Action { level, action, arguments, least, most });
         self.drop_operands(first);
         Ok(self.wait(Wait::Working))
@@ -199,7 +200,7 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
         if !asks || self.script.atomic > 0 || !self.program.is_interruptible() {
             return Flow::Next;
         }
-        self.out.request(Request::Boundary);
+        self.ask(Request::Boundary);
         self.wait(Wait::Boundary)
     }
 
@@ -238,10 +239,10 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
             self.fenced();
             return Ok(Flow::Stop);
         }
-        self.out.request(Request::Return);
+        self.ask(Request::Return);
         if let Wait::Kept(acted) = self.frame().wait {
             self.frame().wait = Wait::Done(acted);
-            self.out.request(Request::Done);
+            self.ask(Request::Done);
         }
         Ok(Flow::Stop)
     }

@@ -1,0 +1,159 @@
+//! Runs a script beside its communication task: the one loop of all drivers.
+
+use super::{Address, End, HOST_LIMIT, Program, Script, ScriptFault, ScriptInput};
+use crate::ids::{PortId, TaskId};
+use crate::packet::Contents;
+use crate::request::{Call, ReplyTo, Request, Signal};
+use crate::table::NodeTable;
+use crate::task::CommTask;
+use crate::ticks::Ticks;
+use alloc::collections::VecDeque;
+use alloc::sync::Arc;
+
+/// How many inputs or requests fit without an allocation.
+const ROOM: usize = 16;
+
+/// A script, the inputs that it has not taken, and the requests that its driver has not passed on.
+///
+/// The driver gives each input with [`tell`](Self::tell). Then it passes each request that [`next`](Self::next) returns to the
+/// communication task, and tells the script the answers, until `next` returns `None`: the script waits. If the input came from
+/// outside the node, the driver calls [`count_anew`](Self::count_anew) first.
+#[derive(Clone, Debug)]
+pub struct ScriptHost {
+    /// The program.
+    pub program: Arc<Program>,
+    /// The state of the script.
+    pub script: Script,
+    inputs: VecDeque<ScriptInput>,
+    /// What the script asked in its last step. Its next step begins only when all of them are passed on.
+    requests: VecDeque<Request>,
+    /// Steps since the last input from outside, or the last message.
+    steps: u32,
+    stopped: bool,
+}
+
+impl ScriptHost {
+    /// The script of a task that has not begun.
+    #[must_use]
+    pub fn new(program: Arc<Program>) -> Self {
+        Self {
+            script: Script::new(&program),
+            program,
+            inputs: VecDeque::with_capacity(ROOM),
+            requests: VecDeque::with_capacity(ROOM),
+            steps: 0,
+            stopped: false,
+        }
+    }
+
+    /// An input that the script takes after all earlier ones.
+    pub fn tell(&mut self, input: ScriptInput) {
+        if !self.stopped {
+            self.inputs.push_back(input);
+        }
+    }
+
+    /// Input comes from outside the node: steps are counted from here on.
+    pub const fn count_anew(&mut self) {
+        self.steps = 0;
+    }
+
+    /// The next request for the communication task. Runs the script until it has one; `None` if it waits instead.
+    pub fn next(&mut self, out: &mut impl ScriptOutbox) -> Option<Request> {
+        loop {
+            if let Some(request) = self.requests.pop_front() {
+                return Some(request);
+            }
+            let input = self.inputs.pop_front()?;
+            self.step(input, out);
+        }
+    }
+
+    fn step(&mut self, input: ScriptInput, out: &mut impl ScriptOutbox) {
+        let is_message =
+            matches!(input, ScriptInput::Signal(Signal::Message(_) | Signal::Interrupt(Call::Message(_))));
+        self.steps = if is_message { 0 } else { self.steps.saturating_add(1) };
+        let may_go_on = out.takes(self.script.position(), &input);
+        if self.steps > HOST_LIMIT || !may_go_on {
+            self.script.stop(&self.program, ScriptFault::Runaway, &mut self.requests, out);
+        } else {
+            self.script.step(&self.program, input, &mut self.requests, out);
+        }
+    }
+
+    /// The node stops: the script takes no input any more.
+    pub fn stop(&mut self) {
+        self.stopped = true;
+        self.clear();
+    }
+
+    /// Whether the node has stopped.
+    #[must_use]
+    pub const fn is_stopped(&self) -> bool {
+        self.stopped
+    }
+
+    /// Drops all inputs and requests, for a driver that breaks a run off.
+    pub fn clear(&mut self) {
+        self.inputs.clear();
+        self.requests.clear();
+    }
+}
+
+/// An action outside: of a robot's driver, of a PLC, or simulated.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Action<'a> {
+    /// The activation that waits for it: 0 is the task's own thread, each nested handler has the next number. A handler may
+    /// run an action while the interrupted activation's action goes on.
+    pub level: u8,
+    /// Which of [`Program::actions`].
+    pub action: u16,
+    /// Its arguments.
+    pub arguments: &'a [i64],
+    /// The shortest duration.
+    pub least: Ticks,
+    /// The longest duration.
+    pub most: Ticks,
+}
+
+/// Where the effects of a script go, and the communication task that it reads.
+pub trait ScriptOutbox {
+    /// Begins an action; [`ScriptInput::Acted`] ends it.
+    fn run(&mut self, action: Action<'_>);
+    /// Stops the action of this activation: the task must not act any more (D61). No [`ScriptInput::Acted`] follows.
+    fn cut_short(&mut self, level: u8);
+    /// Chooses a number below `alternatives` at once, or `None` to give it later with [`ScriptInput::Chosen`].
+    fn choose(&mut self, alternatives: u16) -> Option<u16>;
+    /// The script has ended: it takes no input any more.
+    fn ended(&mut self, end: End);
+    /// The script's communication task, on a node with this table. Without it the script reads nothing but signals.
+    fn communication(&self) -> Option<(&CommTask, &NodeTable)>;
+    /// The script, which waits in the operation `at`, is about to take an input. False ends it as a runaway instead: the scripts of
+    /// the node have taken too many steps together.
+    fn takes(&mut self, at: Address, input: &ScriptInput) -> bool {
+        let _ = (at, input);
+        true
+    }
+    /// The script asks its communication task.
+    fn asked(&mut self, request: &Request) {
+        let _ = request;
+    }
+    /// A statement begins.
+    fn statement(&mut self, at: Address) {
+        let _ = at;
+    }
+    /// An activation drops a class-2 message that it never answered: the sender will see a time_out.
+    fn unanswered(&mut self, message: ReplyTo) {
+        let _ = message;
+    }
+    /// A fragment, from 1, of the message received last (D28).
+    fn fragment(&self, index: u8) -> Option<Contents> {
+        self.communication()?.0.fragment(index).copied()
+    }
+    /// A fragment, from 0, of the answer of `task` to the last request on `port`; `None` means the only task asked.
+    fn answer(&self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
+        let (machine, table) = self.communication()?;
+        let answer = |task| machine.answer_fragment(port, task, index).copied();
+        task.map_or_else(|| table.port(port)?.peers(machine.task()).find_map(answer), answer)
+    }
+}
