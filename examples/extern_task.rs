@@ -29,7 +29,7 @@ fn camera(ctx: &mut Context) -> Result<(), TaskError> {
 
 /// Runs the cell, or a node of it.
 pub fn main() -> Result<(), ProgramError> {
-    let mut program = Program::open(CELL)?.body("camera", camera).action("pick_at", |call| {
+    let mut program = Program::open(CELL)?.task("camera", camera).action("pick_at", |call| {
         let [x, y] = call.arguments[..] else { return Err("no place".into()) };
         println!("{} picks the part at ({x}, {y})", call.task);
         Ok(0)

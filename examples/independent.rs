@@ -50,7 +50,7 @@ fn robot(ctx: &mut Context, mm_s: i16) -> Result<(), TaskError> {
 /// Runs the cell until its tasks have ended.
 pub fn main() {
     let node = cell::builder(cell::nodes::HERE)
-        .task_with("belt", Speed { version: 0, mm_s: 200 }, belt)
+        .task("belt", Context::with_state(Speed { version: 0, mm_s: 200 }, belt))
         .task("slow", |ctx| robot(ctx, 100))
         .task("fast", |ctx| robot(ctx, 400))
         .start()

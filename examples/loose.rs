@@ -70,7 +70,7 @@ fn welder(ctx: &mut Context) -> Result<(), TaskError> {
 /// Runs the cell until its tasks have ended.
 pub fn main() {
     let node = cell::builder(cell::nodes::HERE)
-        .task_with("tool", None, tool)
+        .task("tool", Context::with_state(None, tool))
         .task("left", welder)
         .task("right", welder)
         .start()

@@ -64,8 +64,8 @@ fn right(ctx: &mut Context<Beat>) -> Result<(), TaskError> {
 /// Runs the cell until its tasks have ended.
 pub fn main() {
     let node = cell::builder(cell::nodes::HERE)
-        .task_with("left", Beat::default(), left)
-        .task_with("right", Beat::default(), right)
+        .task("left", Context::with_state(Beat::default(), left))
+        .task("right", Context::with_state(Beat::default(), right))
         .start()
         .expect("a node that starts");
     assert!(node.wait(Duration::from_secs(30)), "the programs have ended");

@@ -77,7 +77,7 @@ pub fn main() {
     let (tells, welded) = channel();
     let node = cell::builder(cell::nodes::HERE)
         .task("first", first)
-        .task_with("second", false, second)
+        .task("second", Context::with_state(false, second))
         .task("gun", move |ctx| gun(ctx, &tells))
         .start()
         .expect("a node that starts");

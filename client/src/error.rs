@@ -22,7 +22,7 @@ use std::path::PathBuf;
 /// # fn main() -> Result<(), ProgramError> {
 /// let error = Program::of_text("alone.cell", CELL)?.run(None).expect_err("the camera has no body");
 /// assert!(matches!(&error, ProgramError::NoBody(task) if task == "camera"));
-/// assert_eq!(error.to_string(), "task `camera` is extern and was given no body: call `body(\"camera\", …)`");
+/// assert_eq!(error.to_string(), "task `camera` is extern and was given no body: call `task(\"camera\", …)`");
 ///
 /// // The compiler's diagnostics, with the name that the text was given.
 /// let error = Program::of_text("faulty.cell", "cell faulty;\nnode a\n").err().expect("an error");
@@ -50,7 +50,7 @@ pub enum ProgramError {
     )]
     NotExtern(String),
     /// The extern task runs on a node of this program, and has no body.
-    #[error("task `{0}` is extern and was given no body: call `body(\"{0}\", …)`")]
+    #[error("task `{0}` is extern and was given no body: call `task(\"{0}\", …)`")]
     NoBody(String),
     /// The node's address is no loopback address, and nothing authenticates its packets.
     #[error(
@@ -98,7 +98,7 @@ pub enum ProgramError {
 /// end right;
 /// ";
 /// # fn main() -> Result<(), ProgramError> {
-/// let error = Program::of_text("two.cell", CELL)?.body("left", |_| Ok(())).node("na").run(None);
+/// let error = Program::of_text("two.cell", CELL)?.task("left", |_| Ok(())).node("na").run(None);
 /// assert!(matches!(error, Err(ProgramError::Place(PlaceError::NoHost(node))) if node == "na"));
 /// # Ok(())
 /// # }

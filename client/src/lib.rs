@@ -1,8 +1,8 @@
-//! For robot programs: runs nodes of a cell file, with Rust functions for the actions of their scripts and Rust bodies for
-//! their `extern` tasks.
+//! For robot programs: runs nodes of a cell file, with Rust functions for the actions of their scripts and for their
+//! `extern` tasks.
 //!
 //! A cell file declares the nodes of a cell, their tasks and ports, and all times. A task is a script in that file, or
-//! `extern`: then a [`Program`] gives it a body. `imrs check` and `imrs verify` look at the same file before it runs.
+//! `extern`: then a [`Program`] gives it a Rust function. `imrs check` and `imrs verify` look at the same file before it runs.
 //!
 //! ```
 //! use imrs_client::{Context, Program, TaskEnd, TaskError};
@@ -29,7 +29,7 @@
 //! end pick;
 //! "#;
 //!
-//! /// The body of the task `camera`: tells the robot where a part lies, in millimetres.
+//! /// The program of the task `camera`: tells the robot where a part lies, in millimetres.
 //! fn camera(ctx: &mut Context) -> Result<(), TaskError> {
 //!     let part = ctx.port("part")?;
 //!     // A record is its fields, one after the other, little endian.
@@ -40,7 +40,7 @@
 //!
 //! # fn main() -> Result<(), imrs_client::ProgramError> {
 //! let ends = Program::of_text("vision.cell", CELL)?
-//!     .body("camera", camera)
+//!     .task("camera", camera)
 //!     .action("pick_at", |call| {
 //!         println!("{} picks the part at {} mm", call.task, call.arguments[0]);
 //!         Ok(0)
@@ -137,7 +137,7 @@ pub use program::Program;
 #[doc(inline)]
 pub use imrs_runtime::script::Call;
 
-/// The argument of a body that a [`Program`] has for an extern task: its ports, and everything that a script can do with
+/// The argument of a program that a [`Program`] has for an extern task: its ports, and everything that a script can do with
 /// them.
 ///
 /// ```
@@ -174,13 +174,56 @@ pub use imrs_runtime::script::Call;
 ///   use_port news(count: int16) usage = receive;
 /// end right;
 /// ";
-/// let ends = Program::of_text("both.cell", CELL)?.body("left", left).body("right", right).run(None)?;
+/// let ends = Program::of_text("both.cell", CELL)?.task("left", left).task("right", right).run(None)?;
 /// # assert!(ends.iter().all(|(_, end)| *end == imrs_client::TaskEnd::Returned), "{ends:?}");
 /// # Ok(())
 /// # }
 /// ```
 #[doc(inline)]
 pub use imrs_runtime::Context;
+
+/// The argument of a program that a [`Program`] has for an extern task if that program is a future: the calls of [`Context`], and
+/// those that wait are awaited. The futures of a node share one thread.
+///
+/// ```
+/// use imrs_client::{AsyncContext, Program, TaskEnd, TaskError};
+///
+/// /// Counts three commands of `robot`, and answers each.
+/// async fn counter(mut ctx: AsyncContext<i32>) -> Result<(), TaskError> {
+///     let news = ctx.port("news")?;
+///     while ctx.state < 3 {
+///         let Some(message) = ctx.receive(Some(news), None).await? else { continue };
+///         ctx.reply(&message.from, &[])?;
+///         ctx.state += 1;
+///     }
+///     Ok(())
+/// }
+///
+/// # fn main() -> Result<(), imrs_client::ProgramError> {
+/// const CELL: &str = "cell both;
+/// tick 1 msec;
+/// node here;
+/// task robot on here
+///   var n: int16;
+///   port news(n: int16) usage = send user_list = {counter} time_out = 10 sec class = 2;
+/// begin
+///   while n < 3 do
+///     send news(n);
+///     n := n + 1;
+///   end;
+/// end robot;
+/// task counter on here extern
+///   use_port news(n: int16) usage = receive;
+/// end counter;
+/// ";
+/// let program = Program::of_text("both.cell", CELL)?;
+/// let ends = program.async_task("counter", AsyncContext::with_state(0, counter)).run(None)?;
+/// assert_eq!(ends[1], ("counter".to_owned(), TaskEnd::Returned));
+/// # Ok(())
+/// # }
+/// ```
+#[doc(inline)]
+pub use imrs_runtime::AsyncContext;
 
 /// What [`Context::waitfor`] returns.
 ///
@@ -209,7 +252,7 @@ pub use imrs_runtime::Context;
 ///   waitfor lift() on time_out do abort \"the left arm did not come\"; end;
 /// end right;
 /// ";
-/// let ends = Program::of_text("carry.cell", CELL)?.body("left", left).run(None)?;
+/// let ends = Program::of_text("carry.cell", CELL)?.task("left", left).run(None)?;
 /// assert_eq!(ends[0], ("left".to_owned(), TaskEnd::Returned));
 /// # Ok(())
 /// # }
@@ -248,7 +291,7 @@ pub use imrs_runtime::Rendezvous;
 ///   reply();
 /// end answerer;
 /// ";
-/// let ends = Program::of_text("ask.cell", CELL)?.body("asker", asker).run(Some(Duration::from_secs(60)))?;
+/// let ends = Program::of_text("ask.cell", CELL)?.task("asker", asker).run(Some(Duration::from_secs(60)))?;
 /// assert_eq!(ends[0], ("asker".to_owned(), TaskEnd::Returned));
 /// # Ok(())
 /// # }
@@ -272,7 +315,7 @@ pub use imrs_runtime::Sent;
 ///   delay 1 msec;
 /// end script;
 /// ";
-/// let ends = Program::of_text("ends.cell", CELL)?.body("lost", |_| panic!("no camera")).run(None)?;
+/// let ends = Program::of_text("ends.cell", CELL)?.task("lost", |_| panic!("no camera")).run(None)?;
 /// for (task, end) in &ends {
 ///     match end {
 ///         TaskEnd::Returned => println!("{task} returned"),
@@ -302,7 +345,7 @@ pub use imrs_runtime::TaskEnd;
 /// task camera on here extern
 /// end camera;
 /// ";
-/// let program = Program::of_text("alone.cell", CELL)?.body("camera", |ctx| ctx.port("pose").map(|_| ()));
+/// let program = Program::of_text("alone.cell", CELL)?.task("camera", |ctx| ctx.port("pose").map(|_| ()));
 /// let ends = program.run(None)?;
 /// let TaskEnd::Failed(error) = &ends[0].1 else { panic!("{ends:?}") };
 /// assert_eq!(*error, TaskError::NoPort("pose".into()));

@@ -9,7 +9,7 @@ use imrs_runtime::link::Link;
 use imrs_runtime::link::in_process::{Faults, Network};
 use imrs_runtime::observer::{Observer, Showing};
 use imrs_runtime::script::{Actions, Call, Functions, Simulated};
-use imrs_runtime::{Context, Runtime, TaskEnd, TaskError};
+use imrs_runtime::{AsyncContext, Builder, Context, Runtime, TaskEnd, TaskError};
 use imrs_wire::obs::Token;
 use imrs_wire::text::one_line;
 use std::collections::BTreeMap;
@@ -24,9 +24,10 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// Poll interval for the ends of the tasks.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
-type Body = Box<dyn FnOnce(&mut Context) -> Result<(), TaskError> + Send>;
+/// Gives an extern task of a node its program, which begins when the gate says so.
+type Adds = Box<dyn FnOnce(Builder, Gate) -> Builder + Send>;
 
-/// Nodes of a cell file, with Rust functions for its actions and Rust bodies for its extern tasks.
+/// Nodes of a cell file, with Rust functions for its actions and its extern tasks.
 ///
 /// All nodes run as threads of this process and exchange packets in memory. With [`node`](Self::node) one of them runs,
 /// over UDP at the address that the cell declares for it. Actions without a function are simulated. Monitors find the nodes
@@ -52,7 +53,7 @@ type Body = Box<dyn FnOnce(&mut Context) -> Result<(), TaskError> + Send>;
 /// end robot;
 /// ";
 /// let ends = Program::of_text("lift.cell", CELL)?
-///     .body("watch", |ctx| ctx.delay(Duration::from_millis(5)))
+///     .task("watch", |ctx| ctx.delay(Duration::from_millis(5)))
 ///     .action("grip", |call| if call.arguments[0] < 500 { Ok(0) } else { Err("too wide".into()) })
 ///     // `rise` has no function, so it is simulated: it takes 10 to 20 ms.
 ///     .seed(7)
@@ -66,7 +67,7 @@ type Body = Box<dyn FnOnce(&mut Context) -> Result<(), TaskError> + Send>;
 pub struct Program {
     loaded: Loaded,
     actions: Vec<(String, Function)>,
-    bodies: BTreeMap<String, Body>,
+    tasks: BTreeMap<String, Adds>,
     node: Option<String>,
     insecure: bool,
     observe: Option<SocketAddr>,
@@ -76,7 +77,7 @@ pub struct Program {
 
 type Function = Box<dyn Fn(&Call) -> Result<i32, String> + Send + Sync>;
 
-/// Says once whether the bodies begin: all nodes of the program have started, or one of them has not.
+/// Says once whether the programs of extern tasks begin: all nodes of the program have started, or one of them has not.
 type Gate = Arc<OnceLock<bool>>;
 
 /// A running node.
@@ -109,7 +110,7 @@ impl Program {
         Self {
             loaded,
             actions: Vec::new(),
-            bodies: BTreeMap::new(),
+            tasks: BTreeMap::new(),
             node: None,
             insecure: false,
             observe: None,
@@ -129,13 +130,35 @@ impl Program {
         self
     }
 
-    /// The body of an extern task. It runs once, on a thread of its own, as soon as all nodes of this program have started.
-    pub fn body(
-        mut self,
-        task: &str,
-        body: impl FnOnce(&mut Context) -> Result<(), TaskError> + Send + 'static,
+    /// The program of an extern task. It runs once, on a thread of its own, as soon as all nodes of this program have started.
+    pub fn task(
+        self,
+        name: &str,
+        program: impl FnOnce(&mut Context) -> Result<(), TaskError> + Send + 'static,
     ) -> Self {
-        self.bodies.insert(task.into(), Box::new(body));
+        let of = name.to_owned();
+        self.adds(name, move |builder, gate| {
+            builder.task(&of, move |ctx| begins(&gate).and_then(|()| program(ctx)))
+        })
+    }
+
+    /// The program of an extern task, as a future: see [`Builder::async_task`].
+    pub fn async_task<F>(self, name: &str, program: impl FnOnce(AsyncContext) -> F + Send + 'static) -> Self
+    where
+        F: Future<Output = Result<(), TaskError>> + 'static,
+    {
+        let of = name.to_owned();
+        self.adds(name, move |builder, gate| {
+            builder.async_task(&of, move |ctx| async move {
+                // The gate opens once all nodes have started, and no future of this node may begin before.
+                begins(&gate)?;
+                program(ctx).await
+            })
+        })
+    }
+
+    fn adds(mut self, name: &str, adds: impl FnOnce(Builder, Gate) -> Builder + Send + 'static) -> Self {
+        self.tasks.insert(name.into(), Box::new(adds));
         self
     }
 
@@ -195,7 +218,7 @@ impl Program {
         // Scripts of a restarted node are held back at first (D94). `length` counts from when all have begun.
         let begin = || running.iter().filter_map(|node: &Running| node.runtime.begin()).min();
         let (mut begins, mut end) = (begin(), None);
-        // Bodies begin when all nodes are there: the network drops what is sent to a node that has not joined it.
+        // The programs begin when all nodes are there: the network drops what is sent to a node that has not joined it.
         let _ = gate.set(true);
         loop {
             if begins.is_some_and(|at| at <= Instant::now()) {
@@ -230,7 +253,7 @@ impl Program {
 
     fn check(&self, nodes: &[NodeId]) -> Result<(), ProgramError> {
         let tasks = &self.loaded.table.cell().tasks;
-        for name in self.bodies.keys() {
+        for name in self.tasks.keys() {
             let at = tasks.iter().position(|task| task.name == *name);
             let at = at.ok_or_else(|| ProgramError::NoTask(name.clone()))?;
             if self.loaded.scripts[at].is_some() {
@@ -239,7 +262,7 @@ impl Program {
         }
         for (task, script) in tasks.iter().zip(&self.loaded.scripts) {
             let here = nodes.contains(&task.node);
-            if here && script.is_none() && !self.bodies.contains_key(&task.name) {
+            if here && script.is_none() && !self.tasks.contains_key(&task.name) {
                 return Err(ProgramError::NoBody(task.name.clone()));
             }
         }
@@ -282,13 +305,9 @@ impl Program {
         };
         for task in table.tasks_on(node) {
             let name = &table.cell().tasks[task.index()].name;
-            builder = match (&self.loaded.scripts[task.index()], self.bodies.remove(name)) {
+            builder = match (&self.loaded.scripts[task.index()], self.tasks.remove(name)) {
                 (Some(script), _) => builder.script(name, Arc::clone(&script.program)),
-                (None, Some(body)) => {
-                    let gate = Arc::clone(gate);
-                    builder
-                        .task(name, move |ctx| if *gate.wait() { body(ctx) } else { Err(TaskError::Stopped) })
-                }
+                (None, Some(adds)) => adds(builder, Arc::clone(gate)),
                 // `check` has refused this already.
                 (None, None) => return Err(ProgramError::NoBody(name.clone())),
             };
@@ -318,4 +337,9 @@ impl Program {
         link.greet();
         Ok((Arc::new(link), counted))
     }
+}
+
+/// Waits until the programs begin.
+fn begins(gate: &Gate) -> Result<(), TaskError> {
+    if *gate.wait() { Ok(()) } else { Err(TaskError::Stopped) }
 }

@@ -14,7 +14,7 @@ fn what_does_not_fit_the_cell_is_refused() {
     let open = || Program::open(cell()).expect("a cell");
     let soon = Some(Duration::from_millis(1));
     assert!(matches!(open().run(soon), Err(ProgramError::NoBody(task)) if task == "camera"));
-    let body = |task: &str| open().body(task, |_| Ok(()));
+    let body = |task: &str| open().task(task, |_| Ok(()));
     assert!(matches!(body("pick").run(soon), Err(ProgramError::NotExtern(task)) if task == "pick"));
     assert!(matches!(body("pik").run(soon), Err(ProgramError::NoTask(task)) if task == "pik"));
     let unknown = body("camera").action("pik_at", |_| Ok(0));
@@ -30,7 +30,7 @@ fn what_does_not_fit_the_cell_is_refused() {
 
 #[test]
 fn monitors_of_other_machines_need_a_token() {
-    let watched = |program: Program| program.body("camera", |_| Ok(())).run(Some(Duration::from_millis(1)));
+    let watched = |program: Program| program.task("camera", |_| Ok(())).run(Some(Duration::from_millis(1)));
     let open = || Program::open(cell()).expect("a cell").observe(([0, 0, 0, 0], 0).into());
     assert!(matches!(watched(open()), Err(ProgramError::Watched(_))));
     assert!(matches!(watched(open().observe_token("short")), Err(ProgramError::Token(_))));
@@ -83,7 +83,7 @@ fn the_program_of_one_node() {
     let (task, body): (_, fn(&mut Context) -> _) =
         if node == "na" { ("left", left) } else { ("right", right) };
     let text = CELL.replace("ADDRESS", &std::env::var(ADDRESS).expect("an address"));
-    let program = Program::of_text("apart.cell", &text).expect("a cell").body(task, body).node(&node);
+    let program = Program::of_text("apart.cell", &text).expect("a cell").task(task, body).node(&node);
     let ends = program.run(Some(LENGTH)).expect("it runs");
     assert_eq!(ends, [(task.to_owned(), TaskEnd::Returned)]);
 }
@@ -137,7 +137,7 @@ begin
 end right;
 "#
     );
-    let program = Program::of_text("together.cell", &cell).expect("a cell").body("left", |ctx| {
+    let program = Program::of_text("together.cell", &cell).expect("a cell").task("left", |ctx| {
         let ask = ctx.port("ask")?;
         // Sent once: a copy that finds no node gets no answer.
         assert!(ctx.send(ask, &[7, 0])?.reply().is_some(), "no answer");

@@ -119,7 +119,7 @@ fn a_handler_interrupts_a_delay_that_is_spun_for() {
             thread::sleep(Duration::from_millis(50));
             ctx.send(NEWS, b"!").map(|_copies| ())
         })
-        .task_with("b", (), move |ctx: &mut Context<()>| {
+        .task("b", move |ctx| {
             ctx.on_message(NEWS, move |_, _| {
                 handles.send(()).expect("the test listens");
                 Ok(())

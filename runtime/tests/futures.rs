@@ -181,31 +181,31 @@ fn handlers_get_the_state_while_the_program_waits() {
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(PortDecl::new("pose", B, Usage::Query, &[A], LONG_TICKS).command());
     cell.port(PortDecl::new("halt", B, Usage::Send, &[A], LONG_TICKS));
-    let node = one_node(&table(cell))
-        .async_task_with("a", (40_i16, false, 0), |mut ctx: AsyncContext<(i16, bool, u8)>| async move {
-            let (pose, halt) = (ctx.port("pose")?, ctx.port("halt")?);
-            ctx.on_query(pose, |state, add: i16| {
-                state.0 += add;
-                Ok(state.0)
-            })?;
-            ctx.on_message(halt, |state, (): ()| {
-                state.1 = true;
-                Ok(())
-            })?;
-            ctx.on_timer(TimeId(1), |state| {
-                state.2 += 1;
-                Ok(())
-            });
-            assert_eq!(ctx.start_timer(TimeId(2), SOON), Err(TaskError::NoHandler(TimeId(2))));
-            ctx.start_timer(TimeId(1), SOON)?;
-            ctx.order(&[Ranked::Port(pose), Ranked::Port(halt), Ranked::Timer(TimeId(1)), Ranked::Own])?;
-            while !ctx.state.1 || ctx.state.2 == 0 {
-                ctx.delay(Duration::from_millis(5)).await?;
-            }
-            assert_eq!(ctx.state.0, 42);
+    let a = AsyncContext::with_state((40_i16, false, 0), |mut ctx| async move {
+        let (pose, halt) = (ctx.port("pose")?, ctx.port("halt")?);
+        ctx.on_query(pose, |state, add: i16| {
+            state.0 += add;
+            Ok(state.0)
+        })?;
+        ctx.on_message(halt, |state, (): ()| {
+            state.1 = true;
             Ok(())
-        })
-        .async_task("b", |mut ctx: AsyncContext| async move {
+        })?;
+        ctx.on_timer(TimeId(1), |state| {
+            state.2 += 1;
+            Ok(())
+        });
+        assert_eq!(ctx.start_timer(TimeId(2), SOON), Err(TaskError::NoHandler(TimeId(2))));
+        ctx.start_timer(TimeId(1), SOON)?;
+        ctx.order(&[Ranked::Port(pose), Ranked::Port(halt), Ranked::Timer(TimeId(1)), Ranked::Own])?;
+        while !ctx.state.1 || ctx.state.2 == 0 {
+            ctx.delay(Duration::from_millis(5)).await?;
+        }
+        assert_eq!(ctx.state.0, 42);
+        Ok(())
+    });
+    let node =
+        one_node(&table(cell)).async_task("a", a).async_task("b", |mut ctx: AsyncContext| async move {
             let (pose, halt) = (ctx.port("pose")?, ctx.port("halt")?);
             assert_eq!(ctx.query::<i16, i16>(pose, &1).await?, Asked::Reply(41));
             assert_eq!(ctx.query::<i16, i16>(pose, &1).await?, Asked::Reply(42));
@@ -501,41 +501,41 @@ fn nothing_interrupts_an_atomic_section_and_one_that_is_dropped_is_over() {
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(PortDecl::new("halt", B, Usage::Send, &[A], LONG_TICKS).bounded_buffer(4));
     cell.port(PortDecl::new("go", A, Usage::Send, &[B], LONG_TICKS));
-    let node = one_node(&table(cell))
-        .async_task_with("a", 0, |mut ctx: AsyncContext<i32>| async move {
-            let (halt, go) = (ctx.port("halt")?, ctx.port("go")?);
-            ctx.on_message(halt, |halts, (): ()| {
-                *halts += 1;
-                Ok(())
-            })?;
-            ctx.order(&[Ranked::Port(halt), Ranked::Own])?;
-            ctx.atomic(async |ctx| {
-                ctx.tell(go, &())?;
-                ctx.delay(5 * SOON).await?;
-                assert_eq!(ctx.state, 0, "interrupted");
-                // Sections nest.
-                ctx.atomic(async |ctx| ctx.boundary().await).await?;
-                assert_eq!(ctx.state, 0, "interrupted");
-                Ok(())
-            })
-            .await?;
-            while ctx.state == 0 {
-                ctx.boundary().await?;
-                ctx.delay(Duration::from_millis(1)).await?;
-            }
-            // The section is dropped, because another future is ready first.
-            {
-                let section = pin!(ctx.atomic(async |ctx| ctx.delay(LONG).await));
-                assert!(matches!(select(section, ready(())).await, Either::Right(_)));
-            }
+    let a = AsyncContext::with_state(0, |mut ctx| async move {
+        let (halt, go) = (ctx.port("halt")?, ctx.port("go")?);
+        ctx.on_message(halt, |halts, (): ()| {
+            *halts += 1;
+            Ok(())
+        })?;
+        ctx.order(&[Ranked::Port(halt), Ranked::Own])?;
+        ctx.atomic(async |ctx| {
             ctx.tell(go, &())?;
-            while ctx.state == 1 {
-                ctx.delay(Duration::from_millis(1)).await?;
-            }
-            assert_eq!(ctx.state, 2);
+            ctx.delay(5 * SOON).await?;
+            assert_eq!(ctx.state, 0, "interrupted");
+            // Sections nest.
+            ctx.atomic(async |ctx| ctx.boundary().await).await?;
+            assert_eq!(ctx.state, 0, "interrupted");
             Ok(())
         })
-        .async_task("b", |mut ctx: AsyncContext| async move {
+        .await?;
+        while ctx.state == 0 {
+            ctx.boundary().await?;
+            ctx.delay(Duration::from_millis(1)).await?;
+        }
+        // The section is dropped, because another future is ready first.
+        {
+            let section = pin!(ctx.atomic(async |ctx| ctx.delay(LONG).await));
+            assert!(matches!(select(section, ready(())).await, Either::Right(_)));
+        }
+        ctx.tell(go, &())?;
+        while ctx.state == 1 {
+            ctx.delay(Duration::from_millis(1)).await?;
+        }
+        assert_eq!(ctx.state, 2);
+        Ok(())
+    });
+    let node =
+        one_node(&table(cell)).async_task("a", a).async_task("b", |mut ctx: AsyncContext| async move {
             let (halt, go) = (ctx.port("halt")?, ctx.port("go")?);
             for _ in 0..2 {
                 ctx.receive(Some(go), None).await?;

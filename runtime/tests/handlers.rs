@@ -31,24 +31,24 @@ fn ask_and_news() -> Cell {
 #[test]
 fn a_handler_answers_while_the_task_waits_for_something_else() {
     let (done, asked) = report();
+    let b = Context::with_state(0_i32, |ctx| {
+        let (ask, news) = (ctx.port("ask")?, ctx.port("news")?);
+        ctx.on_query(ask, |ctx, number: i32| {
+            ctx.state += 1;
+            Ok(number + 1)
+        })?;
+        let received = ctx.take::<i8>(news, None)?.expect("without a time_out only a message ends the wait");
+        assert_eq!((received.message, received.from.source), (7, C));
+        assert_eq!(ctx.state, 100, "every question interrupted the wait");
+        Ok(())
+    });
     let node = one_node(&table(ask_and_news()))
         .task("a", move |ctx| {
             asks(100)(ctx)?;
             done.send(()).expect("c listens");
             Ok(())
         })
-        .task_with("b", 0_i32, |ctx: &mut Context<i32>| {
-            let (ask, news) = (ctx.port("ask")?, ctx.port("news")?);
-            ctx.on_query(ask, |ctx, number: i32| {
-                ctx.state += 1;
-                Ok(number + 1)
-            })?;
-            let received =
-                ctx.take::<i8>(news, None)?.expect("without a time_out only a message ends the wait");
-            assert_eq!((received.message, received.from.source), (7, C));
-            assert_eq!(ctx.state, 100, "every question interrupted the wait");
-            Ok(())
-        })
+        .task("b", b)
         .task("c", move |ctx| {
             asked.recv_timeout(LONG).expect("a has its answers");
             let news = ctx.port("news")?;
@@ -61,83 +61,77 @@ fn a_handler_answers_while_the_task_waits_for_something_else() {
 #[test]
 fn without_an_order_a_delay_is_interrupted_only_by_the_rejected_and_with_one_by_the_ranked() {
     for ranked in [false, true] {
-        let node = one_node(&table(ask_and_news()))
-            .task("a", asks(1))
-            .task_with("b", Vec::new(), move |ctx: &mut Context<Vec<&str>>| {
-                let ask = ctx.port("ask")?;
-                if ranked {
-                    ctx.order(&[Ranked::Port(ask), Ranked::Own])?;
-                }
-                ctx.on_query(ask, |ctx, number: i32| {
-                    ctx.state.push("handler begins");
-                    // This delay runs above another one, which goes on meanwhile.
-                    ctx.delay(Duration::from_millis(5))?;
-                    ctx.state.push("handler ends");
-                    Ok(number + 1)
-                })?;
-                let begin = Instant::now();
-                while ctx.state.is_empty() {
-                    ctx.delay(Duration::from_millis(20))?;
-                }
-                assert!(begin.elapsed() >= Duration::from_millis(20), "the delay is not cut short");
-                assert_eq!(ctx.state, ["handler begins", "handler ends"]);
-                Ok(())
-            })
-            .task("c", |_| Ok(()));
+        let b = Context::with_state(Vec::new(), move |ctx| {
+            let ask = ctx.port("ask")?;
+            if ranked {
+                ctx.order(&[Ranked::Port(ask), Ranked::Own])?;
+            }
+            ctx.on_query(ask, |ctx, number: i32| {
+                ctx.state.push("handler begins");
+                // This delay runs above another one, which goes on meanwhile.
+                ctx.delay(Duration::from_millis(5))?;
+                ctx.state.push("handler ends");
+                Ok(number + 1)
+            })?;
+            let begin = Instant::now();
+            while ctx.state.is_empty() {
+                ctx.delay(Duration::from_millis(20))?;
+            }
+            assert!(begin.elapsed() >= Duration::from_millis(20), "the delay is not cut short");
+            assert_eq!(ctx.state, ["handler begins", "handler ends"]);
+            Ok(())
+        });
+        let node = one_node(&table(ask_and_news())).task("a", asks(1)).task("b", b).task("c", |_| Ok(()));
         finish(node.start().unwrap());
     }
 }
 
 #[test]
 fn a_task_that_computes_is_interrupted_at_its_boundaries_and_never_in_an_atomic_section() {
-    let node = one_node(&table(ask_and_news()))
-        .task("a", asks(1))
-        .task_with("b", 0, |ctx: &mut Context<i32>| {
-            let ask = ctx.port("ask")?;
-            ctx.order(&[Ranked::Port(ask), Ranked::Own])?;
-            ctx.on_query(ask, |ctx, number: i32| {
-                ctx.state += 1;
-                Ok(number + 1)
-            })?;
-            let before = ctx.atomic(|ctx| {
-                for _ in 0..20 {
-                    ctx.boundary()?;
-                    ctx.atomic(|ctx| ctx.delay(Duration::from_millis(1)))?;
-                }
-                Ok(ctx.state)
-            })?;
-            while ctx.state == before {
+    let b = Context::with_state(0, |ctx| {
+        let ask = ctx.port("ask")?;
+        ctx.order(&[Ranked::Port(ask), Ranked::Own])?;
+        ctx.on_query(ask, |ctx, number: i32| {
+            ctx.state += 1;
+            Ok(number + 1)
+        })?;
+        let before = ctx.atomic(|ctx| {
+            for _ in 0..20 {
                 ctx.boundary()?;
+                ctx.atomic(|ctx| ctx.delay(Duration::from_millis(1)))?;
             }
-            assert_eq!((before, ctx.state), (0, 1));
-            Ok(())
-        })
-        .task("c", |_| Ok(()));
+            Ok(ctx.state)
+        })?;
+        while ctx.state == before {
+            ctx.boundary()?;
+        }
+        assert_eq!((before, ctx.state), (0, 1));
+        Ok(())
+    });
+    let node = one_node(&table(ask_and_news())).task("a", asks(1)).task("b", b).task("c", |_| Ok(()));
     finish(node.start().unwrap());
 }
 
 #[test]
 fn timers_end_while_the_task_waits_and_a_stopped_one_does_not() {
-    let node = one_node(&table(ask_and_news()))
-        .task("a", |_| Ok(()))
-        .task_with("b", 0, |ctx: &mut Context<u32>| {
-            let (beat, watch) = (TimeId(1), TimeId(2));
-            assert_eq!(ctx.start_timer(beat, Duration::from_millis(1)), Err(TaskError::NoHandler(beat)));
-            ctx.on_timer(watch, |_| panic!("it was stopped"));
-            ctx.on_timer(beat, move |ctx| {
-                ctx.state += 1;
-                ctx.start_timer(beat, Duration::from_millis(2))
-            });
-            ctx.start_timer(watch, Duration::from_secs(50))?;
-            ctx.start_timer(beat, Duration::from_millis(2))?;
-            ctx.order(&[Ranked::Timers, Ranked::Own])?;
-            while ctx.state < 5 {
-                ctx.delay(Duration::from_millis(10))?;
-            }
-            ctx.stop_timer(watch)?;
-            ctx.stop_timer(beat)
-        })
-        .task("c", |_| Ok(()));
+    let b = Context::with_state(0, |ctx| {
+        let (beat, watch) = (TimeId(1), TimeId(2));
+        assert_eq!(ctx.start_timer(beat, Duration::from_millis(1)), Err(TaskError::NoHandler(beat)));
+        ctx.on_timer(watch, |_| panic!("it was stopped"));
+        ctx.on_timer(beat, move |ctx| {
+            ctx.state += 1;
+            ctx.start_timer(beat, Duration::from_millis(2))
+        });
+        ctx.start_timer(watch, Duration::from_secs(50))?;
+        ctx.start_timer(beat, Duration::from_millis(2))?;
+        ctx.order(&[Ranked::Timers, Ranked::Own])?;
+        while ctx.state < 5 {
+            ctx.delay(Duration::from_millis(10))?;
+        }
+        ctx.stop_timer(watch)?;
+        ctx.stop_timer(beat)
+    });
+    let node = one_node(&table(ask_and_news())).task("a", |_| Ok(())).task("b", b).task("c", |_| Ok(()));
     finish(node.start().unwrap());
 }
 
@@ -323,7 +317,7 @@ fn the_loss_of_the_lease_interrupts_an_atomic_section_and_what_is_ordered_then_i
     let network = network(&table, Faults::default());
     let refused = Err(TaskError::Fault(RequestFault(Fault::Fenced)));
     let (tell, told) = report();
-    let first = on(&network, &table, 0).task_with("a", 0, move |ctx: &mut Context<u32>| {
+    let a = Context::with_state(0, move |ctx| {
         let port = ctx.port("move")?;
         let fenced = refused.clone();
         ctx.on_fence(move |ctx| {
@@ -347,6 +341,7 @@ fn the_loss_of_the_lease_interrupts_an_atomic_section_and_what_is_ordered_then_i
         assert_eq!((ctx.state, ctx.send(port, b"go")), (1, refused));
         Ok(())
     });
+    let first = on(&network, &table, 0).task("a", a);
     let first = first.task("c", |_| Ok(()));
     let second = on(&network, &table, 1).task("b", |ctx| ctx.receive(None, None).map(drop));
     let first = first.start().unwrap();

@@ -110,30 +110,20 @@ impl Builder {
         self
     }
 
-    /// The program of a task: run once, on a thread of its own.
+    /// The program of a task: run once, on a thread of its own. [`Context::with_state`] gives it a state.
     pub fn task(
-        self,
+        mut self,
         name: &str,
         program: impl FnOnce(&mut Context) -> Result<(), TaskError> + Send + 'static,
     ) -> Self {
-        self.task_with(name, (), program)
-    }
-
-    /// As [`task`](Self::task), with a state that the program and its handlers share: [`Context::state`].
-    pub fn task_with<S: Send + 'static>(
-        mut self,
-        name: &str,
-        state: S,
-        program: impl FnOnce(&mut Context<S>) -> Result<(), TaskError> + Send + 'static,
-    ) -> Self {
-        let body = move |node, place| program(&mut Context::new(node, place, state));
+        let body = move |node, place| program(&mut Context::new(node, place, ()));
         self.programs.push((name.into(), TaskProgram::Body(Box::new(body))));
         self
     }
 
     /// The program of a task, as a future. One thread of the node runs it together with all others that are futures, so nothing
     /// in it may block that thread. It waits by `await`, for its communication task or for anything else, and any thread may wake
-    /// it. A panic is a crash of this task alone.
+    /// it. A panic is a crash of this task alone. [`AsyncContext::with_state`] gives it a state.
     ///
     /// ```
     /// use imrs_protocol::{Cell, CellTable, PortDecl, Ticks, Usage};
@@ -169,26 +159,15 @@ impl Builder {
     /// # let ends = node.stop(Duration::from_secs(10));
     /// # assert!(ends.iter().all(|(_, end)| *end == imrs_runtime::TaskEnd::Returned), "{ends:?}");
     /// ```
-    pub fn async_task<F>(self, name: &str, program: impl FnOnce(AsyncContext) -> F + Send + 'static) -> Self
-    where
-        F: Future<Output = Result<(), TaskError>> + 'static,
-    {
-        self.async_task_with(name, (), program)
-    }
-
-    /// As [`async_task`](Self::async_task), with a state that the program and its handlers share:
-    /// [`AsyncContext::state`].
-    pub fn async_task_with<S, F>(
+    pub fn async_task<F>(
         mut self,
         name: &str,
-        state: S,
-        program: impl FnOnce(AsyncContext<S>) -> F + Send + 'static,
+        program: impl FnOnce(AsyncContext) -> F + Send + 'static,
     ) -> Self
     where
-        S: Send + 'static,
         F: Future<Output = Result<(), TaskError>> + 'static,
     {
-        let body = move |node, place| -> Running { Box::pin(program(AsyncContext::new(node, place, state))) };
+        let body = move |node, place| -> Running { Box::pin(program(AsyncContext::new(node, place, ()))) };
         self.programs.push((name.into(), TaskProgram::Async(Box::new(body))));
         self
     }

@@ -27,7 +27,7 @@ use std::time::Duration;
 /// A task's access to its communication task. Every call that waits ends by its time_out, or with [`TaskError::Stopped`] when the
 /// node stops.
 ///
-/// `S` is the state that the program and its handlers share: see [`Builder::task_with`](crate::Builder::task_with).
+/// `S` is the state that the program and its handlers share: see [`with_state`](Self::with_state).
 pub struct Context<S = ()> {
     /// What the program and its handlers share.
     pub state: S,
@@ -35,6 +35,32 @@ pub struct Context<S = ()> {
     handlers: Handlers<S>,
     /// Messages that were taken together and when, before the program gets them. Empty in between.
     taken: Vec<(Micros, Delivery)>,
+}
+
+impl Context {
+    /// Gives a program a state that it shares with its handlers.
+    ///
+    /// ```no_run
+    /// # use imrs_runtime::{Builder, Context, protocol::PortId};
+    /// # fn tasks(builder: Builder, count: PortId) -> Builder {
+    /// builder.task("counter", Context::with_state(0, move |ctx| {
+    ///     ctx.on_query(count, |ctx, ()| {
+    ///         ctx.state += 1;
+    ///         Ok(ctx.state)
+    ///     })?;
+    ///     ctx.receive(None, None).map(|_| ())
+    /// }))
+    /// # }
+    /// ```
+    pub fn with_state<S>(
+        state: S,
+        program: impl FnOnce(&mut Context<S>) -> Result<(), TaskError>,
+    ) -> impl FnOnce(&mut Self) -> Result<(), TaskError> {
+        move |ctx| {
+            let (node, place) = ctx.caller.location();
+            program(&mut Context::new(node, place, state))
+        }
+    }
 }
 
 impl<S> Context<S> {

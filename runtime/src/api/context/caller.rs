@@ -52,6 +52,11 @@ impl Caller {
         }
     }
 
+    /// The node and the task's place there.
+    pub fn location(&self) -> (Arc<Node>, usize) {
+        (Arc::clone(&self.node), self.place)
+    }
+
     /// For a task whose program is a future: no thread of the task ever sleeps.
     pub fn of_a_future(node: Arc<Node>, place: usize) -> Self {
         let mut caller = Self::new(node, place);

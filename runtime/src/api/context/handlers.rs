@@ -48,7 +48,7 @@ impl<S> Default for Handlers<S> {
 /// let table = Arc::new(CellTable::new(cell).expect("a sound cell"));
 ///
 /// let node = Runtime::builder(table, here)
-///     .task_with("arm", (120_i16, false), |ctx: &mut Context<(i16, bool)>| {
+///     .task("arm", Context::with_state((120_i16, false), |ctx| {
 ///         let pose = ctx.port("pose")?;
 ///         ctx.order(&[Ranked::Port(pose), Ranked::Own])?;
 ///         ctx.on_query(pose, |ctx, ()| {
@@ -59,7 +59,7 @@ impl<S> Default for Handlers<S> {
 ///             ctx.delay(Duration::from_millis(20))?; // interrupted by the query
 ///         }
 ///         Ok(())
-///     })
+///     }))
 ///     .task("eye", |ctx| {
 ///         let pose = ctx.port("pose")?;
 ///         match ctx.query::<(), i16>(pose, &())? {

@@ -51,6 +51,19 @@ pub struct AsyncContext<S = ()> {
     kept: Vec<(Delivery, Micros)>,
 }
 
+impl AsyncContext {
+    /// Gives a program a state that it shares with its handlers: `async_task("a", AsyncContext::with_state(0, program))`.
+    pub fn with_state<S, F: Future<Output = Result<(), TaskError>>>(
+        state: S,
+        program: impl FnOnce(AsyncContext<S>) -> F,
+    ) -> impl FnOnce(Self) -> F {
+        move |ctx| {
+            let (node, place) = ctx.caller.location();
+            program(AsyncContext::new(node, place, state))
+        }
+    }
+}
+
 impl<S> AsyncContext<S> {
     pub(crate) fn new(node: Arc<Node>, place: usize, state: S) -> Self {
         let caller = Caller::of_a_future(node, place);
