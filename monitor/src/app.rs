@@ -21,6 +21,7 @@ use crate::store::health::Place;
 use crate::store::message::MessageKey;
 use crate::store::{Condition, IncarnationId, Store};
 use crate::theme::Theme;
+use crate::view::Drawn;
 use crossterm::event::{KeyEvent, KeyEventKind, MouseEvent};
 use imrs_protocol::{MessageId, PortId, TaskId};
 use imrs_wire::obs::Token;
@@ -41,8 +42,10 @@ pub enum Msg {
     Mouse(MouseEvent),
     /// The main loop shows this text on the bottom line.
     Told(String),
-    /// The new size of the screen, in columns and rows.
-    Resize(u16, u16),
+    /// The terminal has another size.
+    Resize,
+    /// A frame was drawn, with this layout.
+    Drawn(Drawn),
     /// Time has passed; a playing recording advances.
     Time,
 }
@@ -136,7 +139,8 @@ pub struct App {
     pub mouse: bool,
     /// Whether countdowns are redrawn only once a second.
     pub reduced_motion: bool,
-    size: (u16, u16),
+    /// The layout of the last frame.
+    drawn: Drawn,
 }
 
 impl App {
@@ -174,7 +178,7 @@ impl App {
             token: None,
             mouse: true,
             reduced_motion: false,
-            size: (80, 24),
+            drawn: Drawn::default(),
         }
     }
 
@@ -306,9 +310,10 @@ impl App {
                 let moved = self.replay.as_mut().is_some_and(|player| player.advance(now));
                 if moved { Effect::Draw } else { Effect::Nothing }
             }
-            Msg::Resize(width, height) => {
-                self.size = (width, height);
-                Effect::Draw
+            Msg::Resize => Effect::Draw,
+            Msg::Drawn(drawn) => {
+                self.drawn = drawn;
+                Effect::Nothing
             }
             Msg::Key(event) if event.kind == KeyEventKind::Release => Effect::Nothing,
             Msg::Key(event) if self.typing => self.typed(&event),

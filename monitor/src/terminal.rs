@@ -66,11 +66,8 @@ impl Borrowed {
     ///
     /// # Errors
     /// [`MonitorError::Terminal`].
-    pub fn draw(
-        &mut self,
-        view: impl FnOnce(Rect, &mut ratatui::buffer::Buffer),
-    ) -> Result<(), MonitorError> {
-        let drawn = self.terminal.draw(|frame| view(frame.area(), frame.buffer_mut()));
+    pub fn draw(&mut self, view: impl FnOnce(&mut ratatui::buffer::Buffer)) -> Result<(), MonitorError> {
+        let drawn = self.terminal.draw(|frame| view(frame.buffer_mut()));
         drawn.map(|_| ()).map_err(MonitorError::Terminal)
     }
 

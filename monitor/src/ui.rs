@@ -11,7 +11,7 @@ use crate::signals::{self, Call, Listener};
 use crate::source::live::{Live, Which};
 use crate::source::{Sink, Source};
 use crate::terminal::{self, Borrowed};
-use crate::view::{text, view};
+use crate::view::{self, text};
 use crossterm::event::{self, Event};
 use ratatui::buffer::Buffer;
 use signal_hook::consts::SIGINT;
@@ -135,7 +135,7 @@ impl Loop<'_> {
             if self.due.is_some_and(|due| due <= now) {
                 self.app.update(Msg::Time, now);
                 self.wish();
-                terminal.draw(|area, buffer| view(self.app, now, area, buffer))?;
+                terminal.draw(|buffer| view::show(self.app, now, buffer))?;
                 self.drawn = Some(now);
                 self.due = self.app.redraw_after().map(|after| now + after);
             }
@@ -159,7 +159,7 @@ impl Loop<'_> {
 
     fn take(&mut self, input: Input, terminal: &mut Borrowed) -> Result<Next, MonitorError> {
         let apart = match &input {
-            Input::Msg(Msg::Key(_) | Msg::Mouse(_) | Msg::Resize(..)) => ANSWER,
+            Input::Msg(Msg::Key(_) | Msg::Mouse(_) | Msg::Resize) => ANSWER,
             _ => FRAME,
         };
         let effect = match input {
@@ -251,7 +251,7 @@ impl Loop<'_> {
         let path = free_name(Path::new(FRAME_FILE));
         let written = terminal.area().and_then(|area| {
             let mut buffer = Buffer::empty(area);
-            view(self.app, self.clock.now(), area, &mut buffer);
+            view::view(self.app, self.clock.now(), area, &mut buffer);
             File::create_new(&path)?.write_all(text(&buffer).as_bytes())
         });
         match written {
@@ -301,7 +301,7 @@ impl Keys {
                 let input = match event::poll(LOOK).and_then(|ready| ready.then(event::read).transpose()) {
                     Ok(Some(Event::Key(key))) => Input::Msg(Msg::Key(key)),
                     Ok(Some(Event::Mouse(mouse))) => Input::Msg(Msg::Mouse(mouse)),
-                    Ok(Some(Event::Resize(width, height))) => Input::Msg(Msg::Resize(width, height)),
+                    Ok(Some(Event::Resize(..))) => Input::Msg(Msg::Resize),
                     Ok(_) => continue,
                     Err(_) => Input::NoKeys,
                 };

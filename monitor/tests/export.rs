@@ -127,7 +127,6 @@ fn an_asciicast_shows_a_terminal_what_the_screen_shows() {
     }
     assert!(count >= 2 && frames == count + 1, "{count} {frames}");
     let mut app = App::new(Theme::COLOUR, None).replaying(Player::new(film(), 1.0));
-    app.update(Msg::Resize(100, 30), Duration::ZERO);
     app.update(Msg::Key(crossterm::event::KeyCode::Char('3').into()), Duration::ZERO);
     app.show_stop(usize::MAX);
     let mut buffer = Buffer::empty(Rect::new(0, 0, 100, 30));

@@ -29,7 +29,7 @@ fn stage(cell: Specimen) -> Stage {
     for arrival in cell.arrivals(ms(1_000)) {
         stage.app.update(Msg::Feed(arrival), ms(1_000));
     }
-    stage.app.update(Msg::Resize(200, 60), ms(1_000));
+    stage.draw(ms(1_000), 200, 60);
     stage
 }
 

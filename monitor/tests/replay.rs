@@ -3,7 +3,7 @@
 use crate::common::{
     BEAT, LIFT, Stage, events, identity, ms, observed, snapshot, styles, table, text, whole_film,
 };
-use crossterm::event::KeyCode;
+use crossterm::event::{KeyCode, KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
 use imrs_monitor::app::{App, Effect, Msg};
 use imrs_monitor::record::{Tape, free_name};
 use imrs_monitor::replay::{Film, Player};
@@ -345,8 +345,7 @@ fn recordings_look_as_recorded() {
             let mut all = String::new();
             for theme in [Theme::COLOUR, Theme::MONO, Theme::ASCII] {
                 let mut stage = stage(theme);
-                stage.app.update(Msg::Resize(width, height), ms(0));
-                stage.keys(ms(0), keys);
+                stage.typed(ms(0), (width, height), keys);
                 let buffer = stage.buffer(ms(0), width, height);
                 all += &format!("=== {}\n{}--- styles\n{}", theme.name, text(&buffer), styles(&buffer));
             }
@@ -355,6 +354,31 @@ fn recordings_look_as_recorded() {
             });
         }
     }
+}
+
+/// The panel of a finding takes rows from the overview, and a click below it selects nothing.
+#[test]
+fn clicks_hit_what_is_drawn_beside_a_finding() {
+    let click = |stage: &mut Stage, row: usize| {
+        let kind = MouseEventKind::Down(MouseButton::Left);
+        let row = u16::try_from(row).unwrap();
+        stage
+            .app
+            .update(Msg::Mouse(MouseEvent { kind, column: 10, row, modifiers: KeyModifiers::NONE }), ms(0));
+    };
+    let mut stage = stage(Theme::ASCII);
+    let shown = stage.typed(ms(0), (80, 12), "G");
+    let rows: Vec<_> = shown.lines().collect();
+    let selected = |shown: &str| shown.lines().position(|line| line.starts_with('>'));
+    let last = selected(&shown).unwrap();
+    assert!(last > 3, "the list is on its last page: {shown}");
+    click(&mut stage, last - 1);
+    let shown = text(&stage.draw(ms(0), 80, 12));
+    let name = rows[last - 1].split_whitespace().next().unwrap();
+    assert!(shown.lines().nth(selected(&shown).unwrap()).unwrap().contains(name), "{name}: {shown}");
+    let panel = rows.iter().position(|row| row.contains("step 0")).unwrap();
+    click(&mut stage, panel);
+    assert_eq!(text(&stage.draw(ms(0), 80, 12)), shown);
 }
 
 #[test]

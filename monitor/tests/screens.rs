@@ -136,8 +136,7 @@ fn snap(name: &str, make: impl Fn(Theme) -> Stage, keys: &str, now: Duration) {
         let mut shown = String::new();
         for theme in STYLES {
             let mut stage = make(theme);
-            stage.app.update(Msg::Resize(width, height), now);
-            stage.keys(now, keys);
+            stage.typed(now, (width, height), keys);
             let buffer = stage.buffer(now, width, height);
             shown += &format!("=== {}\n{}--- styles\n{}", theme.name, text(&buffer), styles(&buffer));
             if theme == Theme::ASCII {
@@ -190,9 +189,7 @@ fn no_size_panics_and_nothing_is_drawn_outside() {
             stage.keys(NOW, keys);
             for width in [0, 1, 2, 3, 5, 8, 13, 39, 59, 60, 61, 99, 100, 160] {
                 for height in [0, 1, 2, 3, 4, 7] {
-                    stage.app.update(Msg::Resize(width, height), NOW);
-                    let _ = stage.buffer(NOW, width, height);
-                    stage.keys(NOW, "jk");
+                    stage.typed(NOW, (width, height), "jk");
                 }
             }
         }

@@ -1,6 +1,6 @@
 //! Tests of user actions: screens that follow messages, commands, marks and the mouse.
 
-use crate::common::{BEAT, HALT, LIFT, Stage, at, beam, left, ms, snapshot, traffic};
+use crate::common::{BEAT, HALT, LIFT, Stage, at, beam, left, ms, snapshot, text, traffic};
 use crossterm::event::{KeyCode, KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
 use imrs_monitor::Endpoint;
 use imrs_monitor::app::lanes::Slice;
@@ -294,38 +294,68 @@ fn mouse(stage: &mut Stage, kind: MouseEventKind, column: u16, row: u16) -> Effe
     stage.app.update(Msg::Mouse(MouseEvent { kind, column, row, modifiers: KeyModifiers::NONE }), NOW)
 }
 
+fn shown(stage: &mut Stage) -> String {
+    text(&stage.draw(NOW, 120, 40))
+}
+
 #[test]
 fn the_mouse_selects_opens_scrolls_and_sorts_and_can_be_off() {
     let click = MouseEventKind::Down(MouseButton::Left);
     let mut stage = Stage::busy(Theme::ASCII);
-    stage.app.update(Msg::Resize(120, 40), NOW);
-    let text = stage.text(NOW, 120, 40);
+    let text = shown(&mut stage);
     let row = text.lines().position(|l| l.contains("beat") && l.contains("3/8")).unwrap();
     let row = u16::try_from(row).unwrap();
     assert_eq!(mouse(&mut stage, click, 20, row), Effect::Draw);
-    let marked = stage.text(NOW, 120, 40);
+    let marked = shown(&mut stage);
     assert!(marked.lines().nth(row.into()).unwrap().starts_with('>'));
     mouse(&mut stage, click, 20, row);
     assert_eq!(stage.app.screen, Screen::Port, "a click on the selected row opens it");
-    let text = stage.text(NOW, 120, 40);
+    let text = shown(&mut stage);
     let row = u16::try_from(text.lines().position(|l| l.contains("#1.8815")).unwrap()).unwrap();
     mouse(&mut stage, click, 20, row);
-    assert!(stage.text(NOW, 120, 40).lines().nth(row.into()).unwrap().starts_with('>'));
+    assert!(shown(&mut stage).lines().nth(row.into()).unwrap().starts_with('>'));
     mouse(&mut stage, click, 20, row);
     assert_eq!(stage.app.message().map(|key| key.number), Some(8_815));
     let tab = text.lines().next().unwrap().find("1 Over").unwrap();
     mouse(&mut stage, click, u16::try_from(tab).unwrap(), 0);
     assert_eq!(stage.app.screen, Screen::Overview);
-    let title = stage.text(NOW, 120, 40).lines().nth(1).unwrap().find("SLACK").unwrap();
+    let title = shown(&mut stage).lines().nth(1).unwrap().find("SLACK").unwrap();
     mouse(&mut stage, click, u16::try_from(title).unwrap(), 1);
     assert_eq!((stage.app.shape.sort, stage.app.shape.inverted), (Sort::Slack, false));
     mouse(&mut stage, click, u16::try_from(title).unwrap(), 1);
     assert!(stage.app.shape.inverted);
     stage.keys(NOW, "g");
     mouse(&mut stage, MouseEventKind::ScrollDown, 0, 5);
-    assert!(stage.text(NOW, 120, 40).lines().nth(5).unwrap().starts_with('>'));
+    assert!(shown(&mut stage).lines().nth(5).unwrap().starts_with('>'));
     stage.app.mouse = false;
     assert_eq!(mouse(&mut stage, MouseEventKind::ScrollDown, 0, 5), Effect::Nothing);
+}
+
+/// No resize has come, so only the drawn frame tells where its rows are and how many fit.
+#[test]
+fn clicks_and_pages_fit_the_first_frame_whatever_its_size() {
+    let click = MouseEventKind::Down(MouseButton::Left);
+    let selected = |text: &str| text.lines().position(|line| line.starts_with('>'));
+    for (width, height) in [(200, 60), (120, 40), (50, 10)] {
+        let mut stage = Stage::busy(Theme::ASCII);
+        let drawn = text(&stage.draw(NOW, width, height));
+        let last = drawn.lines().collect::<Vec<_>>().iter().rposition(|line| line.contains("halt")).unwrap();
+        mouse(&mut stage, click, 10, u16::try_from(last).unwrap());
+        assert_eq!(selected(&text(&stage.draw(NOW, width, height))), Some(last), "{width}x{height}");
+        // The help has lines for two of these screens.
+        stage.typed(NOW, (width, height), "?");
+        stage.key(NOW, KeyCode::PageDown);
+        assert!(height > 40 || stage.app.scroll == usize::from(height) - 2, "{width}x{height}");
+    }
+}
+
+#[test]
+fn beyond_the_end_of_a_screen_no_key_is_dead() {
+    for screen in ["?", "3", "5", "7"] {
+        let mut stage = Stage::busy(Theme::ASCII);
+        let end = stage.typed(NOW, (80, 10), &format!("{screen}Gjjjjjjjj"));
+        assert_ne!(stage.typed(NOW, (80, 10), "k"), end, "{screen}: the first step back is seen");
+    }
 }
 
 #[test]

@@ -17,31 +17,28 @@ impl App {
         match event.kind {
             MouseEventKind::ScrollUp => self.again(Action::Up, now),
             MouseEventKind::ScrollDown => self.again(Action::Down, now),
-            MouseEventKind::Down(MouseButton::Left) => {
-                match crate::view::hit(self, now, self.size, (event.column, event.row)) {
-                    Some(Hit::Tab(screen)) => self.act(Action::Show(screen), now),
-                    Some(Hit::Row(place)) if self.selected == Some(place) => self.act(Action::Enter, now),
-                    Some(Hit::Row(place)) => {
-                        self.selected = Some(place);
-                        Effect::Draw
-                    }
-                    Some(Hit::Entry(at)) if self.scroll == at && self.entry.is_some() => {
-                        self.act(Action::Enter, now)
-                    }
-                    Some(Hit::Entry(at)) => {
-                        self.scroll = at;
-                        self.entry = None;
-                        self.step_queue(0, now);
-                        Effect::Draw
-                    }
-                    Some(Hit::Title(sort)) if self.shape.sort == sort => self.act(Action::Invert, now),
-                    Some(Hit::Title(sort)) => {
-                        (self.shape.sort, self.shape.inverted) = (sort, false);
-                        Effect::Draw
-                    }
-                    None => Effect::Nothing,
+            MouseEventKind::Down(MouseButton::Left) => match self.drawn.hit(event.column, event.row) {
+                Some(Hit::Tab(screen)) => self.act(Action::Show(screen), now),
+                Some(Hit::Row(place)) if self.selected == Some(place) => self.act(Action::Enter, now),
+                Some(Hit::Row(place)) => {
+                    self.selected = Some(place);
+                    Effect::Draw
                 }
-            }
+                Some(Hit::Entry(source, id)) if self.entry == Some((source, id)) => {
+                    self.act(Action::Enter, now)
+                }
+                Some(Hit::Entry(source, id)) => {
+                    self.entry = Some((source, id));
+                    self.step_queue(0, now);
+                    Effect::Draw
+                }
+                Some(Hit::Title(sort)) if self.shape.sort == sort => self.act(Action::Invert, now),
+                Some(Hit::Title(sort)) => {
+                    (self.shape.sort, self.shape.inverted) = (sort, false);
+                    Effect::Draw
+                }
+                None => Effect::Nothing,
+            },
             MouseEventKind::Down(_)
             | MouseEventKind::Up(_)
             | MouseEventKind::Drag(_)

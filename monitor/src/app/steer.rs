@@ -200,9 +200,9 @@ impl App {
         self.port = None;
     }
 
-    /// How many rows fit, without the header, the titles and the bottom line.
+    /// How many rows fitted on the last frame.
     fn page(&self) -> isize {
-        isize::from(self.size.1.saturating_sub(3).max(1).cast_signed())
+        self.drawn.page.max(1).cast_signed()
     }
 
     fn fold(&mut self, hide: bool, now: Moment) {
@@ -363,15 +363,12 @@ impl App {
             Screen::Timeline => self.step_chart(by),
             Screen::Port => self.step_queue(by, now),
             Screen::Message | Screen::Rendezvous | Screen::Timers | Screen::Model | Screen::Help => {
-                let most = self.lines(now).saturating_sub(1);
-                self.scroll = self.scroll.saturating_add_signed(by).min(most);
+                // Before the screen was drawn its length is unknown; drawing then limits the position.
+                let known = self.drawn.screen == self.screen;
+                let most = if known { self.drawn.lines.saturating_sub(self.drawn.page) } else { usize::MAX };
+                self.scroll = self.scroll.min(most).saturating_add_signed(by).min(most);
             }
         }
-    }
-
-    /// How many lines the shown screen has, for screens that only scroll.
-    fn lines(&self, now: Moment) -> usize {
-        crate::view::length(self, now, self.size.0)
     }
 
     pub(super) fn step_queue(&mut self, by: isize, now: Moment) {

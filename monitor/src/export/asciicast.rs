@@ -30,8 +30,8 @@ pub(super) fn write(player: Player, wanted: &Wanted, mut out: impl Write) -> Res
     writeln!(out, "{header}")?;
     let steps = player.film().story.is_some();
     let mut app = App::new(Theme::COLOUR, None).replaying(player);
-    app.update(Msg::Resize(width, height), Duration::ZERO);
     for key in wanted.keys.chars() {
+        view::show(&mut app, Duration::ZERO, &mut Buffer::empty(Rect::new(0, 0, width, height)));
         let code = if key == '\n' { KeyCode::Enter } else { KeyCode::Char(key) };
         app.update(Msg::Key(KeyEvent::new(code, KeyModifiers::NONE)), Duration::ZERO);
     }

@@ -4,7 +4,7 @@ use super::Specimen;
 use crate::app::{App, Msg};
 use crate::clock::Moment;
 use crate::theme::Theme;
-use crate::view::view;
+use crate::view::show;
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use imrs_protocol::Ticks;
 use imrs_wire::obs::{ServerFrame, Snapshot};
@@ -36,17 +36,18 @@ impl Shown {
     pub fn new(cell: Specimen, (width, height): (u16, u16), keys: &str) -> Self {
         let now = Duration::from_secs(1);
         let mut app = App::new(Theme::COLOUR, None);
-        app.update(Msg::Resize(width, height), now);
         for arrival in cell.arrivals(now) {
             app.update(Msg::Feed(arrival), now);
         }
+        let mut drawn = Buffer::empty(Rect::new(0, 0, width, height));
         for key in keys.chars() {
+            show(&mut app, now, &mut drawn);
             let code = if key == '\n' { KeyCode::Enter } else { KeyCode::Char(key) };
             app.update(Msg::Key(KeyEvent::new(code, KeyModifiers::NONE)), now);
         }
         let states = (0..cell.nodes).map(|node| cell.snapshot(node)).collect();
-        let blank = Buffer::empty(Rect::new(0, 0, width, height));
-        Self { app, cell, states, now, frames: 0, shown: blank.clone(), drawn: blank }
+        drawn.reset();
+        Self { app, cell, states, now, frames: 0, shown: drawn.clone(), drawn }
     }
 
     /// Advances by one frame: some nodes, in rotation, send a snapshot and events.
@@ -68,7 +69,7 @@ impl Shown {
     /// Draws a frame. Returns how many screen cells differ from the previous one.
     pub fn draw(&mut self) -> usize {
         self.drawn.reset();
-        view(&self.app, self.now, self.drawn.area, &mut self.drawn);
+        show(&mut self.app, self.now, &mut self.drawn);
         let changed = self.shown.diff(&self.drawn).len();
         std::mem::swap(&mut self.shown, &mut self.drawn);
         changed

@@ -1,5 +1,6 @@
 //! Draws text into a part of a buffer. Text is clipped at the edges, and no size causes a panic.
 
+use super::drawn::{Drawn, Hit};
 use crate::theme::{Ink, Theme};
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -10,6 +11,8 @@ pub(super) struct Canvas<'a> {
     pub buffer: &'a mut Buffer,
     pub area: Rect,
     pub theme: &'a Theme,
+    /// The layout of the frame, to be filled while drawing.
+    pub drawn: &'a mut Drawn,
 }
 
 /// A column of a table.
@@ -41,7 +44,30 @@ impl Canvas<'_> {
     pub(super) fn below(&mut self, rows: u16) -> Canvas<'_> {
         let rows = rows.min(self.area.height);
         let area = Rect { y: self.area.y + rows, height: self.area.height - rows, ..self.area };
-        Canvas { buffer: self.buffer, area, theme: self.theme }
+        self.part(area)
+    }
+
+    /// Another part of the same buffer.
+    pub(super) fn part(&mut self, area: Rect) -> Canvas<'_> {
+        Canvas { buffer: self.buffer, area, theme: self.theme, drawn: self.drawn }
+    }
+
+    /// Makes `width` columns of a row a target of the mouse.
+    pub(super) fn target(&mut self, x: u16, y: u16, width: u16, hit: Hit) {
+        let area =
+            Rect { x: self.area.x.saturating_add(x), y: self.area.y.saturating_add(y), width, height: 1 };
+        self.drawn.target(area.intersection(self.area), hit);
+    }
+
+    /// Notes that a list of `lines` shows `page` of them.
+    pub(super) const fn list(&mut self, page: usize, lines: usize) {
+        (self.drawn.page, self.drawn.lines) = (page, lines);
+    }
+
+    /// The first of `lines` to show in `page` rows at a scroll position: the last page stays full.
+    pub(super) fn scrolled(&mut self, scroll: usize, page: usize, lines: usize) -> usize {
+        self.list(page, lines);
+        scroll.min(lines.saturating_sub(page))
     }
 
     /// Writes `text` at a column and row, at most `width` columns of it. Returns the column after it.

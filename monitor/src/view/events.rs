@@ -25,6 +25,7 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let widths = canvas.widths(&columns);
     canvas.titles(0, &columns, &widths);
     let room = usize::from(canvas.height().saturating_sub(1));
+    canvas.list(room, lines.len());
     let last = lines.len().checked_sub(1);
     let Some(last) = last else {
         let text = if app.shape.filter.is_empty() {

@@ -12,7 +12,7 @@ type Line = (String, String, Ink);
 pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
     let lines = lines(app);
     let room = usize::from(canvas.height());
-    let first = app.scroll.min(lines.len().saturating_sub(room.max(1)));
+    let first = canvas.scrolled(app.scroll, room, lines.len());
     let left_width = if canvas.area.width < 60 { 11 } else { 15 };
     for (y, (left, right, ink)) in (0..).zip(lines.iter().skip(first).take(room)) {
         if right.is_empty() {
@@ -31,7 +31,7 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
 }
 
 /// All lines of the help.
-pub(super) fn lines(app: &App) -> Vec<Line> {
+fn lines(app: &App) -> Vec<Line> {
     let screen = app.helped();
     let mut lines = vec![heading(&format!("KEYS: {}", title(screen)))];
     let here = |b: &&Binding| b.on.contains(&screen);

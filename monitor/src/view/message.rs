@@ -91,7 +91,8 @@ fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, canvas: &mut
     let room = usize::from(canvas.height().saturating_sub(1));
     // All rows use one clock, because the nodes' own clocks have different origins and would not be in order.
     let first = stages.first().and_then(|stage| app.store().incarnation(stage.mark.incarnation));
-    for (y, stage) in (1..).zip(stages.iter().skip(app.scroll).take(room)) {
+    let top = canvas.scrolled(app.scroll, room, stages.len());
+    for (y, stage) in (1..).zip(stages.iter().skip(top).take(room)) {
         let event = stage.mark.seen.what.event;
         let ink = super::words::ink(event);
         let incarnation = app.store().incarnation(stage.mark.incarnation);
@@ -201,10 +202,4 @@ fn waiting(app: &App, names: &Names, key: MessageKey, now: Moment) -> Option<(St
         }
     }
     None
-}
-
-/// The number of stages, for scrolling.
-pub(super) fn length(app: &App) -> usize {
-    let key = app.cell().zip(app.message());
-    key.map_or(0, |(cell, key)| incarnation_of(app.store(), &cell, key).len())
 }

@@ -2,6 +2,7 @@
 
 mod below;
 mod canvas;
+mod drawn;
 mod events;
 mod help;
 mod message;
@@ -14,35 +15,46 @@ mod timeline;
 mod timers;
 mod words;
 
-use crate::app::{App, Screen};
+use crate::app::{App, Msg, Screen};
 use crate::clock::{Moment, Span};
 use crate::name::Name;
-use crate::rows::Sort;
-use crate::store::health::{Finding, Place};
+use crate::store::health::Finding;
 use crate::store::journal::Severity;
 use crate::store::waits;
 use crate::store::{Condition, Presence};
 use crate::theme::Ink;
 use canvas::Canvas;
+pub use drawn::{Drawn, Hit};
 use imrs_protocol::TaskId;
 use imrs_wire::obs::Liveness;
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 
-/// Draws the screen of `app` at the moment `now` into `area`.
-pub fn view(app: &App, now: Moment, area: Rect, buffer: &mut Buffer) {
+/// Draws the screen of `app` at the moment `now` into `area`. Returns the layout, for [`Msg::Drawn`].
+pub fn view(app: &App, now: Moment, area: Rect, buffer: &mut Buffer) -> Drawn {
     let now = app.moment(now);
     let area = area.intersection(buffer.area);
-    let mut canvas = Canvas { buffer, area, theme: &app.theme };
-    if area.is_empty() {
-        return;
+    let mut drawn = Drawn { screen: app.screen, ..Drawn::default() };
+    if !area.is_empty() {
+        draw(app, now, &mut Canvas { buffer, area, theme: &app.theme, drawn: &mut drawn });
     }
-    head(app, now, &mut canvas);
+    drawn
+}
+
+/// Draws the screen of `app` into the whole of `buffer`, and passes the layout to the app.
+pub fn show(app: &mut App, now: Moment, buffer: &mut Buffer) {
+    let drawn = view(app, now, buffer.area, buffer);
+    app.update(Msg::Drawn(drawn), now);
+}
+
+fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
+    let area = canvas.area;
+    head(app, now, canvas);
     let findings = app.findings(now);
     let foot = u16::from(area.height > 2);
     let middle = Rect { y: area.y + 1, height: area.height.saturating_sub(1 + foot), ..area };
     if foot == 1 {
-        self::foot(app, &findings, now, &mut canvas);
+        self::foot(app, &findings, now, canvas);
     }
     let told = app.replay().map_or(0, |player| replay::rows(player, middle.height));
     let (middle, panel) = (
@@ -50,9 +62,9 @@ pub fn view(app: &App, now: Moment, area: Rect, buffer: &mut Buffer) {
         Rect { y: middle.y + middle.height - told, height: told, ..middle },
     );
     if let Some(player) = app.replay() {
-        replay::draw(player, &mut Canvas { buffer: canvas.buffer, area: panel, theme: &app.theme });
+        replay::draw(player, &mut canvas.part(panel));
     }
-    let mut canvas = Canvas { buffer: canvas.buffer, area: middle, theme: &app.theme };
+    let mut canvas = canvas.part(middle);
     match app.screen {
         Screen::Help => help::draw(app, &mut canvas),
         _ if app.cell().is_none() => nothing(app, &mut canvas),
@@ -67,63 +79,7 @@ pub fn view(app: &App, now: Moment, area: Rect, buffer: &mut Buffer) {
     }
 }
 
-/// How many lines the screen has at a width, for screens that only scroll.
-pub(crate) fn length(app: &App, now: Moment, width: u16) -> usize {
-    let now = app.moment(now);
-    match app.screen {
-        Screen::Message => message::length(app),
-        Screen::Rendezvous => rendezvous::lines(app, now, width).len(),
-        Screen::Timers => timers::lines(app, now).len(),
-        Screen::Model => model::lines(app, now, width).len(),
-        Screen::Help => help::lines(app).len(),
-        Screen::Overview | Screen::Port | Screen::Timeline | Screen::Events => 0,
-    }
-}
-
 pub(crate) use overview::label;
-
-/// The target of a mouse click.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Hit {
-    /// The tab of a screen.
-    Tab(Screen),
-    /// A row of the overview.
-    Row(Place),
-    /// The title of a sortable column.
-    Title(Sort),
-    /// A message of a queue, by its index.
-    Entry(usize),
-}
-
-/// The target at a column and row of a screen of this size.
-#[must_use]
-pub fn hit(app: &App, now: Moment, size: (u16, u16), at: (u16, u16)) -> Option<Hit> {
-    let moment = app.moment(now);
-    let (x, y) = at;
-    if y == 0 {
-        let mut end = 0;
-        let pieces = pieces(app, size.0, moment);
-        let piece = pieces.iter().find(|(text, ..)| {
-            end += ratatui::text::Span::raw(text.as_str()).width();
-            usize::from(x) < end
-        });
-        return piece.and_then(|(_, _, tab)| *tab).map(Hit::Tab);
-    }
-    if y + 1 >= size.1 {
-        return None;
-    }
-    match app.screen {
-        Screen::Overview => overview::hit(app, now, size, (x, y - 1)),
-        Screen::Port => port::hit(app, now, size, y - 1),
-        Screen::Message
-        | Screen::Rendezvous
-        | Screen::Timeline
-        | Screen::Timers
-        | Screen::Events
-        | Screen::Model
-        | Screen::Help => None,
-    }
-}
 
 /// A buffer as text, line by line, without trailing spaces.
 #[must_use]
@@ -153,9 +109,14 @@ const TABS: [(Screen, char, &str); 7] = [
 type Piece = (String, Ink, Option<Screen>);
 
 fn head(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
-    let pieces = pieces(app, canvas.area.width, now);
-    let pieces: Vec<_> = pieces.iter().map(|(text, ink, _)| (text.as_str(), *ink)).collect();
-    canvas.line(0, &pieces);
+    let mut x = 0;
+    for (text, ink, tab) in pieces(app, canvas.area.width, now) {
+        let end = canvas.at(x, 0, u16::MAX, &text, ink);
+        if let Some(screen) = tab {
+            canvas.target(x, 0, end - x, Hit::Tab(screen));
+        }
+        x = end;
+    }
 }
 
 fn pieces(app: &App, width: u16, now: Moment) -> Vec<Piece> {

@@ -20,15 +20,15 @@ pub(super) type Line = Vec<(String, Ink)>;
 pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let lines = lines(app, now, canvas.area.width);
     let room = usize::from(canvas.height());
-    let first = app.scroll.min(lines.len().saturating_sub(1));
+    let first = canvas.scrolled(app.scroll, room, lines.len());
     for (y, line) in (0..).zip(lines.iter().skip(first).take(room)) {
         let pieces: Vec<_> = line.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
         canvas.line(y, &pieces);
     }
 }
 
-/// All lines of the screen, for scrolling.
-pub(super) fn lines(app: &App, now: Moment, width: u16) -> Vec<Line> {
+/// All lines of the screen.
+fn lines(app: &App, now: Moment, width: u16) -> Vec<Line> {
     let Some(cell) = app.cell() else { return Vec::new() };
     let store = app.store();
     let mut lines: Vec<Line> = Vec::new();

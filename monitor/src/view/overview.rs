@@ -1,6 +1,6 @@
 //! Screen 1: nodes, their tasks and their ports. Each row shows the most severe finding within it.
 
-use super::canvas::{Canvas, Column, bar, first_row, widths};
+use super::canvas::{Canvas, Column, bar, first_row};
 use super::{Hit, below, mark};
 use crate::app::App;
 use crate::clock::{Moment, Span};
@@ -87,6 +87,13 @@ pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, canvas: &mut Ca
     titles.area = indented;
     let widths = titles.widths(&columns);
     titles.titles(0, &columns, &widths);
+    let mut start = 0;
+    for (column, width) in columns.iter().zip(&widths) {
+        if let Some(sort) = sort_of(column.title) {
+            titles.target(start, 0, *width, Hit::Title(sort));
+        }
+        start += width + 1;
+    }
     if app.shape.sort != Sort::Name || app.shape.inverted {
         let text =
             format!("by {}{}", app.shape.sort.word(), if app.shape.inverted { ", inverted" } else { "" });
@@ -98,6 +105,7 @@ pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, canvas: &mut Ca
     let first = first_row(selected, rows.len(), height);
     let foot = canvas.height().saturating_sub(below);
     below::draw(app, now, &mut canvas.below(foot));
+    canvas.list(height, rows.len());
     // Only visible rows are built, so that a cell of ten thousand ports costs no more.
     for (y, (i, row)) in (1..).zip(rows.iter().enumerate().skip(first).take(height)) {
         let cells = cells(app, row, findings, canvas.area.width, now);
@@ -111,38 +119,19 @@ pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, canvas: &mut Ca
         if i == selected {
             canvas.select(y);
         }
+        canvas.target(0, y, canvas.area.width, Hit::Row(row.place));
     }
 }
 
-/// The target at a column and row below the header.
-pub(super) fn hit(app: &App, now: Moment, size: (u16, u16), at: (u16, u16)) -> Option<Hit> {
-    let (x, y) = at;
-    if y == 0 {
-        let (columns, _) = columns(size.0);
-        let widths = widths(&columns, size.0.saturating_sub(2));
-        let mut start = 2;
-        for (column, width) in columns.iter().zip(widths) {
-            if x >= start && x < start + width {
-                return match column.title {
-                    "NODE/TASK/PORT" => Some(Hit::Title(Sort::Name)),
-                    "QUEUE" => Some(Hit::Title(Sort::Queue)),
-                    "SLACK" => Some(Hit::Title(Sort::Slack)),
-                    "HEALTH" => Some(Hit::Title(Sort::Health)),
-                    _ => None,
-                };
-            }
-            start += width + 1;
-        }
-        return None;
+/// The order that a click on a column's title chooses.
+fn sort_of(title: &str) -> Option<Sort> {
+    match title {
+        "NODE/TASK/PORT" => Some(Sort::Name),
+        "QUEUE" => Some(Sort::Queue),
+        "SLACK" => Some(Sort::Slack),
+        "HEALTH" => Some(Sort::Health),
+        _ => None,
     }
-    let rows = app.rows(&app.findings(now), now);
-    let below = below::rows(size.1.saturating_sub(2));
-    let height = usize::from(size.1.saturating_sub(3 + below));
-    if usize::from(y) > height {
-        return None;
-    }
-    let first = first_row(app.selected(&rows), rows.len(), height);
-    rows.get(first + usize::from(y) - 1).map(|row| Hit::Row(row.place))
 }
 
 /// The name of a place: `node.task.port`, as far as it goes.

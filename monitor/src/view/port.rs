@@ -44,16 +44,6 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     queue.draw(&mut canvas.below(above));
 }
 
-/// The message at a row below the header.
-pub(super) fn hit(app: &App, now: Moment, size: (u16, u16), y: u16) -> Option<Hit> {
-    let queue = app.queue(now);
-    let height = size.1.saturating_sub(2);
-    let row = usize::from(y.checked_sub(above(height) + 1)?);
-    let room = usize::from(height.saturating_sub(above(height) + 1));
-    let at = first_row(app.entry(&queue), queue.len(), room) + row;
-    (at < queue.len()).then_some(Hit::Entry(at))
-}
-
 /// Draws the service times and the shares of the sources.
 fn shares(incarnation: &NodeIncarnation, served: Option<&Service>, canvas: &mut Canvas<'_>) {
     let Some(served) = served else {
@@ -209,6 +199,7 @@ impl Queue<'_> {
         let room = usize::from(inner.height().saturating_sub(1));
         let selected = self.app.entry(&self.waiting);
         let first = first_row(selected, self.waiting.len(), room);
+        inner.list(room, self.waiting.len());
         for (y, (i, waiting)) in (1..).zip(self.waiting.iter().enumerate().skip(first).take(room)) {
             let cells = self.cells(i, waiting, bar_width);
             let cells: Vec<_> = shown.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
@@ -220,6 +211,7 @@ impl Queue<'_> {
                 canvas.at(0, y, 1, self.app.theme.glyphs.selected, Ink::Head);
                 canvas.select(y);
             }
+            canvas.target(0, y, canvas.area.width, Hit::Entry(waiting.entry.source, waiting.entry.id));
         }
         self.hidden(first + room, canvas);
     }

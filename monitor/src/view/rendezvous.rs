@@ -20,16 +20,11 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
         return;
     }
     let room = usize::from(canvas.height());
-    let first = app.scroll.min(lines.len().saturating_sub(1));
+    let first = canvas.scrolled(app.scroll, room, lines.len());
     for (y, line) in (0..).zip(lines.iter().skip(first).take(room)) {
         let pieces: Vec<_> = line.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
         canvas.line(y, &pieces);
     }
-}
-
-/// All lines of the screen, for scrolling.
-pub(super) fn lines(app: &App, now: Moment, width: u16) -> Vec<Line> {
-    cards(app, now, width)
 }
 
 fn cards(app: &App, now: Moment, width: u16) -> Vec<Line> {

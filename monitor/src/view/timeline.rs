@@ -23,6 +23,7 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
     }
     let room = usize::from(canvas.height().saturating_sub(1));
     let first = (chart.bottom + 1).saturating_sub(room);
+    canvas.list(room, chart.rows.len());
     let list = canvas.area.width < AXIS + LANE + 20;
     let sheet = Sheet::new(&chart, canvas.area.width);
     if list {

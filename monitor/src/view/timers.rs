@@ -59,7 +59,8 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let widths = inner.widths(&columns);
     inner.titles(0, &columns, &widths);
     let room = usize::from(inner.height().saturating_sub(1));
-    for (y, line) in (1..).zip(lines.iter().skip(app.scroll).take(room)) {
+    let first = inner.scrolled(app.scroll, room, lines.len());
+    for (y, line) in (1..).zip(lines.iter().skip(first).take(room)) {
         match line {
             Line::Node(text, ink) => inner.line(y, &[(text, *ink)]),
             Line::Note(text) => inner.line(y, &[("  ", Ink::Plain), (text, Ink::Dim)]),
@@ -82,8 +83,8 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     }
 }
 
-/// All lines of the screen, for scrolling.
-pub(super) fn lines(app: &App, now: Moment) -> Vec<Line> {
+/// All lines of the screen.
+fn lines(app: &App, now: Moment) -> Vec<Line> {
     let Some(cell) = app.cell() else { return Vec::new() };
     let store = app.store();
     let mut lines = Vec::new();

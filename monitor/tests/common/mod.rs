@@ -286,6 +286,22 @@ impl Stage {
         self.app.update(Msg::Key(KeyEvent::new(KeyCode::Char(c), KeyModifiers::CONTROL)), now)
     }
 
+    /// Draws as the main loop does: the app learns the layout of the frame.
+    pub fn draw(&mut self, now: Duration, width: u16, height: u16) -> Buffer {
+        let mut buffer = Buffer::empty(Rect::new(0, 0, width, height));
+        imrs_monitor::view::show(&mut self.app, now, &mut buffer);
+        buffer
+    }
+
+    /// Types keys, and draws after each as a person sees it.
+    pub fn typed(&mut self, now: Duration, (width, height): (u16, u16), text: &str) -> String {
+        for c in text.chars() {
+            self.draw(now, width, height);
+            self.keys(now, &c.to_string());
+        }
+        crate::common::text(&self.draw(now, width, height))
+    }
+
     pub fn buffer(&self, now: Duration, width: u16, height: u16) -> Buffer {
         let mut buffer = Buffer::empty(Rect::new(0, 0, width, height));
         imrs_monitor::view::view(&self.app, now, buffer.area, &mut buffer);

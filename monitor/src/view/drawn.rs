@@ -1,0 +1,46 @@
+//! The layout of a drawn frame: where a click leads, and how much of a list fitted.
+
+use crate::app::Screen;
+use crate::rows::Sort;
+use crate::store::health::Place;
+use imrs_protocol::{MessageId, TaskId};
+use ratatui::layout::{Position, Rect};
+
+/// The target of a mouse click.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hit {
+    /// The tab of a screen.
+    Tab(Screen),
+    /// A row of the overview.
+    Row(Place),
+    /// The title of a sortable column.
+    Title(Sort),
+    /// A message of a queue: its source and its id.
+    Entry(TaskId, MessageId),
+}
+
+/// The layout of a drawn frame. Keys and clicks act on what the user saw, so they use this instead of a second layout.
+#[derive(Clone, Debug, Default)]
+pub struct Drawn {
+    /// The screen that was drawn.
+    pub screen: Screen,
+    /// The rows of its list that fitted.
+    pub page: usize,
+    /// All lines of its list.
+    pub lines: usize,
+    pub(super) hits: Vec<(Rect, Hit)>,
+}
+
+impl Drawn {
+    /// The target at a column and row of the terminal.
+    #[must_use]
+    pub fn hit(&self, column: u16, row: u16) -> Option<Hit> {
+        let at = Position::new(column, row);
+        self.hits.iter().find(|(area, _)| area.contains(at)).map(|(_, hit)| *hit)
+    }
+
+    /// Makes an area of the terminal a target.
+    pub(super) fn target(&mut self, area: Rect, hit: Hit) {
+        self.hits.push((area, hit));
+    }
+}
