@@ -114,6 +114,8 @@ pub struct App {
     pub held: Option<u64>,
     /// Whether routine events are shown too.
     pub everything: bool,
+    /// Whether the event screen leaves discards out.
+    pub discards_hidden: bool,
     /// Whether keys go into the filter.
     pub typing: bool,
     /// The command that is typed.
@@ -165,6 +167,7 @@ impl App {
             scroll: 0,
             held: None,
             everything: false,
+            discards_hidden: false,
             typing: false,
             command: None,
             told: None,

@@ -38,6 +38,8 @@ pub enum Action {
     Pause,
     /// Shows routine events too.
     Everything,
+    /// Leaves discards out of the events.
+    Discards,
     /// The next critical event.
     NextError,
     /// The previous critical event.
@@ -181,6 +183,7 @@ pub const BINDINGS: &[Binding] = &[
         Action::Everything,
         "every event (repeated copies too), or those that matter",
     ),
+    on(&[Screen::Events], &[key('x')], Action::Discards, "leave discards out, or show them"),
     on(&[Screen::Events], &[key('e')], Action::NextError, "next bad event"),
     on(&[Screen::Events], &[key('E')], Action::PreviousError, "previous bad event"),
     everywhere(&[key(' ')], Action::Pause, "pause this screen (never the nodes); play a recording"),

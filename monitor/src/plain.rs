@@ -266,7 +266,7 @@ fn entries(player: &mut Player, out: &mut impl Write) -> io::Result<()> {
     for stop in 0..player.film().stops().len() {
         player.go(stop);
         let journal = player.store().journal();
-        journal.since(next).try_for_each(|entry| writeln!(out, "{}", line(entry)))?;
+        journal.since(next).into_iter().try_for_each(|entry| writeln!(out, "{}", line(entry)))?;
         next = journal.next_number();
     }
     Ok(())
@@ -378,9 +378,14 @@ fn happened(watch: &Watch, next: &mut u64, options: &Options, out: &mut impl Wri
 }
 
 fn line(entry: &Entry) -> String {
-    let times = if entry.times > 1 { format!(" x{}", entry.times) } else { String::new() };
     let at = entry.at.as_secs_f64();
-    let text =
-        format!("{at:.3} {} {} {} {}{times}", entry.node, entry.kind(), entry.object(), entry.detail());
+    let text = format!(
+        "{at:.3} {} {} {} {} {}",
+        entry.node,
+        entry.kind(),
+        entry.object(),
+        entry.detail(),
+        entry.count()
+    );
     shown_line(&text.split_whitespace().collect::<Vec<_>>().join(" "))
 }

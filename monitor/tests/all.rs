@@ -3,6 +3,7 @@
 mod common;
 #[path = "../../protocol/tests/allocations.rs"]
 mod counting;
+mod events;
 mod export;
 mod history;
 mod hostile;

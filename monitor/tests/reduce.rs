@@ -329,7 +329,7 @@ fn enter_opens_what_the_row_is_about() {
 #[test]
 fn events_follow_until_one_scrolls_up() {
     let mut stage = Stage::cell(Theme::ASCII);
-    let give_up = |n| observed(Event::GaveUp, port_of(n), 0, n);
+    let give_up = |n: u32| observed(Event::GaveUp, port_of(n), n as u16, n);
     let list: Vec<_> = (0..40).map(give_up).collect();
     stage.frame(ms(1_100), 0, ServerFrame::Events(events(0, &list)));
     stage.keys(ms(1_100), "6");

@@ -94,9 +94,11 @@ impl App {
         self.mark.as_deref().map(|(at, store)| (*at, store))
     }
 
-    /// The shown event lines, oldest first.
+    /// The shown event lines, in the order of their first occurrence.
     #[must_use]
     pub fn events(&self) -> Vec<&crate::store::journal::Entry> {
-        self.store().journal().lines(self.everything, &self.shape.filter)
+        let mut lines = self.store().journal().lines(self.everything, &self.shape.filter);
+        lines.retain(|entry| !self.discards_hidden || entry.kind() != "discard");
+        lines
     }
 }

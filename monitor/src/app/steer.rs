@@ -99,6 +99,10 @@ impl App {
                 self.everything = !self.everything;
                 self.held = None;
             }
+            Action::Discards => {
+                self.discards_hidden = !self.discards_hidden;
+                self.held = None;
+            }
             Action::NextError => self.jump_to_error(true),
             Action::PreviousError => self.jump_to_error(false),
             Action::Back => self.back(),

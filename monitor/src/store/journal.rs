@@ -1,5 +1,7 @@
-//! The journal: an event log in bounded memory, newest entry last. Repeated events share one entry.
+//! The journal: an event log in bounded memory, newest entry last. Events that repeat within a window share one entry, so
+//! that a flood does not push what else happened off the screen.
 
+use super::NodeIncarnation;
 use super::names::Names;
 use crate::clock::Moment;
 use crate::name::Name;
@@ -7,9 +9,14 @@ use crate::query::{EventRow, Filter};
 use imrs_protocol::{Event, Observation, Reason, TaskId};
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::time::Duration;
 
-/// How many entries are kept of each of the two kinds.
+/// How many entries are kept of each of the three kinds.
 pub const KEPT: usize = 4096;
+/// A notable event that repeats within this time of its last occurrence shares the entry.
+pub const WINDOW: Duration = Duration::from_secs(10);
+/// How many of the latest entries are searched for one to share.
+const SEARCHED: usize = 64;
 
 /// The severity of an entry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -52,6 +59,8 @@ pub enum What {
 pub struct Entry {
     /// Its number among all entries; the journal assigns it.
     pub number: u64,
+    /// The moment of its first occurrence.
+    pub first: Moment,
     /// The moment of its last occurrence.
     pub at: Moment,
     /// The node.
@@ -60,11 +69,32 @@ pub struct Entry {
     pub names: Arc<Names>,
     /// The event.
     pub what: What,
-    /// How often it occurred in a row.
+    /// How often it occurred.
     pub times: u64,
 }
 
 impl Entry {
+    /// An event at a node that occurred `times` times at `at`.
+    #[must_use]
+    pub fn new(at: Moment, incarnation: &NodeIncarnation, what: What, times: u64) -> Self {
+        let (node, names) = (incarnation.node.clone(), Arc::clone(&incarnation.names));
+        Self { number: 0, first: at, at, node, names, what, times }
+    }
+
+    /// How often it occurred, as text: empty for once, otherwise `x37`, and from one second on with the rate, `x37 12/s`.
+    #[must_use]
+    pub fn count(&self) -> String {
+        let seconds = self.at.saturating_sub(self.first).as_secs_f64();
+        #[expect(clippy::cast_precision_loss, reason = "a rate for people")]
+        let rate = self.times as f64 / seconds;
+        match self.times {
+            0 | 1 => String::new(),
+            times if seconds < 1.0 => format!("x{times}"),
+            times if rate < 10.0 => format!("x{times} {rate:.1}/s"),
+            times => format!("x{times} {rate:.0}/s"),
+        }
+    }
+
     /// Its severity.
     #[must_use]
     pub const fn level(&self) -> Severity {
@@ -149,6 +179,12 @@ impl Entry {
         };
         same && self.node == other.node
     }
+
+    /// Whether it may share an entry. Observations of a task and losses may; an end or a start of a node or a task may not,
+    /// because their order matters.
+    fn folds(&self) -> bool {
+        matches!(&self.what, What::Observed { .. } | What::Noticed { kind: "discard" | "lost", .. })
+    }
 }
 
 pub(crate) const fn level_of(event: Event) -> Severity {
@@ -211,9 +247,11 @@ pub(crate) const fn word(event: Event) -> &'static str {
     }
 }
 
-/// The event log. Notable entries and routine traffic have separate queues, so that traffic cannot displace notable entries.
+/// The event log. Critical entries, other notable ones and routine traffic have separate queues, so that none displaces a
+/// more severe one.
 #[derive(Clone, Debug, Default)]
 pub struct Journal {
+    bad: VecDeque<Entry>,
     notable: VecDeque<Entry>,
     trace: VecDeque<Entry>,
     /// How many entries were ever added.
@@ -221,11 +259,20 @@ pub struct Journal {
 }
 
 impl Journal {
-    /// Adds an entry, or raises the count of the last one of its queue if the entry repeats it.
+    /// Adds an entry, or raises the count of an earlier one that it repeats. Routine traffic repeats only the entry before
+    /// it, because there the sequence matters.
     pub fn add(&mut self, entry: Entry) {
-        let lines = if entry.level() == Severity::Trace { &mut self.trace } else { &mut self.notable };
-        if let Some(last) = lines.back_mut().filter(|last| last.repeats(&entry)) {
-            *last = Entry { times: last.times.saturating_add(entry.times), number: last.number, ..entry };
+        let (lines, searched) = match entry.level() {
+            Severity::Trace => (&mut self.trace, 1),
+            Severity::Note | Severity::Warn => (&mut self.notable, SEARCHED),
+            Severity::Bad => (&mut self.bad, SEARCHED),
+        };
+        let searched = if entry.folds() { searched } else { 0 };
+        let recent = |earlier: &Entry| entry.at.saturating_sub(earlier.at) <= WINDOW;
+        let shares = |earlier: &&mut Entry| recent(earlier) && earlier.repeats(&entry);
+        if let Some(same) = lines.iter_mut().rev().take(searched).find(shares) {
+            let times = same.times.saturating_add(entry.times);
+            *same = Entry { times, number: same.number, first: same.first, ..entry };
             return;
         }
         if lines.len() == KEPT {
@@ -235,22 +282,26 @@ impl Journal {
         self.ever += 1;
     }
 
-    /// The entries that match `text` (a condition, or words), oldest first: only notable ones, or `all`.
+    /// The entries that match `text` (a condition, or words), in the order of their first occurrence: only notable ones,
+    /// or `all`.
     #[must_use]
     pub fn lines(&self, all: bool, text: &str) -> Vec<&Entry> {
-        let trace = self.trace.iter().filter(|_| all);
-        let now = [&self.notable, &self.trace].into_iter().filter_map(|of| of.back()).map(|e| e.at).max();
+        let now = [&self.bad, &self.notable, &self.trace].into_iter().flatten().map(|e| e.at).max();
         let now = now.unwrap_or_default();
         let filter = Filter::lenient(text);
         let fits = |entry: &&Entry| filter.as_ref().is_none_or(|f| f.takes(&EventRow { entry, now }));
-        let mut lines: Vec<&Entry> = self.notable.iter().chain(trace).filter(fits).collect();
+        let trace = self.trace.iter().filter(|_| all);
+        let mut lines: Vec<&Entry> = self.bad.iter().chain(&self.notable).chain(trace).filter(fits).collect();
         lines.sort_by_key(|e| e.number);
         lines
     }
 
-    /// The notable entries from number `from` on, oldest first.
-    pub fn since(&self, from: u64) -> impl Iterator<Item = &Entry> {
-        self.notable.iter().filter(move |e| e.number >= from)
+    /// The notable entries from number `from` on, in the order of their first occurrence.
+    #[must_use]
+    pub fn since(&self, from: u64) -> Vec<&Entry> {
+        let mut lines: Vec<_> = self.bad.iter().chain(&self.notable).filter(|e| e.number >= from).collect();
+        lines.sort_by_key(|e| e.number);
+        lines
     }
 
     /// The number of the next entry.

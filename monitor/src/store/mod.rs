@@ -363,20 +363,10 @@ impl Store {
                 ));
             }
         }
-        if found.is_empty() {
-            return;
-        }
-        let incarnation = self.incarnations[index].clone();
+        let incarnation = &self.incarnations[index];
         for (level, kind, object, detail, times) in found {
             let what = What::Noticed { level, kind, object, detail };
-            self.journal.add(Entry {
-                number: 0,
-                at,
-                node: incarnation.node.clone(),
-                names: incarnation.names.clone(),
-                what,
-                times,
-            });
+            self.journal.add(Entry::new(at, incarnation, what, times));
         }
     }
 
@@ -394,14 +384,7 @@ impl Store {
                 let round = (event.what.port, event.what.number);
                 self.histories.happened(&incarnation.names.cell, task, at, event.what.event, round);
             }
-            self.journal.add(Entry {
-                number: 0,
-                at,
-                node: incarnation.node.clone(),
-                names: incarnation.names.clone(),
-                what,
-                times: 1,
-            });
+            self.journal.add(Entry::new(at, incarnation, what, 1));
         }
         if events.lost > 0 {
             let what = What::Noticed {
@@ -410,8 +393,7 @@ impl Store {
                 object: String::new(),
                 detail: "events the node could not keep for this monitor".to_owned(),
             };
-            let (node, names) = (incarnation.node.clone(), incarnation.names.clone());
-            self.journal.add(Entry { number: 0, at, node, names, what, times: events.lost });
+            self.journal.add(Entry::new(at, incarnation, what, events.lost));
         }
     }
 
@@ -452,13 +434,6 @@ impl Store {
         detail: String,
     ) {
         let what = What::Noticed { level, kind, object, detail };
-        self.journal.add(Entry {
-            number: 0,
-            at,
-            node: incarnation.node.clone(),
-            names: incarnation.names.clone(),
-            what,
-            times: 1,
-        });
+        self.journal.add(Entry::new(at, incarnation, what, 1));
     }
 }

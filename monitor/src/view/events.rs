@@ -4,8 +4,9 @@ use super::canvas::{Canvas, Column};
 use super::mark;
 use crate::app::App;
 use crate::clock::{Moment, Span};
-use crate::store::journal::Severity;
+use crate::store::journal::{Entry, Severity};
 use crate::theme::Ink;
+use std::time::Duration;
 
 fn columns(width: u16) -> Vec<Column> {
     let mut columns = vec![Column::right("AGO", 6), Column::left("", 2)];
@@ -46,10 +47,9 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
             Severity::Warn => Ink::Warn,
             Severity::Bad => Ink::Bad,
         };
-        let ago = Span(now.saturating_sub(entry.at)).to_string();
-        let times = if entry.times > 1 { format!(" x{}", entry.times) } else { String::new() };
-        let (object, detail) = (entry.object(), entry.detail() + &times);
-        let narrow = format!("{object}{times} {detail}");
+        let ago = Span(now.saturating_sub(entry.first)).to_string();
+        let (object, detail) = (entry.object(), times(entry, now) + &entry.detail());
+        let narrow = format!("{object} {detail}");
         let mut cells = vec![(ago.as_str(), Ink::Dim), (mark(level), ink)];
         if widths.len() > 4 {
             cells.extend([(entry.node.shown(), Ink::Plain), (entry.kind(), ink)]);
@@ -63,11 +63,26 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
         }
     }
     let newer = last - bottom;
-    let text = match (app.held, app.everything) {
-        (Some(_), _) => format!(" +{newer} new, G follows "),
-        (None, true) => " every event, following ".to_owned(),
-        (None, false) => " following ".to_owned(),
+    let which = match (app.everything, app.discards_hidden) {
+        (true, false) => "every event, ",
+        (true, true) => "every event but discards, ",
+        (false, true) => "no discards, ",
+        (false, false) => "",
     };
+    let follows = app.held.map_or("following".to_owned(), |_| format!("+{newer} new, G follows"));
+    let text = format!(" {which}{follows} ");
     let x = canvas.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
     canvas.at(x, 0, u16::MAX, &text, if app.held.is_some() { Ink::Warn } else { Ink::Dim });
+}
+
+/// Before the detail of an entry: how often it occurred, and when last, if that is not about when it began.
+fn times(entry: &Entry, now: Moment) -> String {
+    let count = entry.count();
+    if count.is_empty() {
+        return count;
+    }
+    if entry.at.saturating_sub(entry.first) < Duration::from_secs(1) {
+        return format!("{count}: ");
+    }
+    format!("{count}, last {} ago: ", Span(now.saturating_sub(entry.at)))
 }

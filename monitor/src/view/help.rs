@@ -178,7 +178,10 @@ const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
             ("LEFT", "until it runs out"),
             ("late", "how late the node's Timer was, and how often later than the cell's tick"),
         ],
-        Screen::Events => &[("AGO", "when it happened"), ("x37", "so many times in a row")],
+        Screen::Events => &[
+            ("AGO", "when it happened; if it repeats, when it began"),
+            ("x37 12/s", "so many times, each within ten seconds of the one before, and so often"),
+        ],
         Screen::Model => &[
             ("conforms", "every recorded step was what the verified machine does"),
             ("UNKNOWN", "nothing is recorded, or a part of it is missing"),
