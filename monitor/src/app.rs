@@ -116,6 +116,10 @@ pub struct App {
     pub everything: bool,
     /// Whether the event screen leaves discards out.
     pub discards_hidden: bool,
+    /// The filter of the events.
+    event_filter: String,
+    /// The filter of the timeline.
+    lane_filter: String,
     /// Whether keys go into the filter.
     pub typing: bool,
     /// The command that is typed.
@@ -168,6 +172,8 @@ impl App {
             held: None,
             everything: false,
             discards_hidden: false,
+            event_filter: String::new(),
+            lane_filter: String::new(),
             typing: false,
             command: None,
             told: None,

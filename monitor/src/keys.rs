@@ -175,6 +175,12 @@ pub const BINDINGS: &[Binding] = &[
     on(&[Screen::Overview], &[code(KeyCode::Enter)], Action::Enter, "open: node, task, port, rendezvous"),
     everywhere(&[code(KeyCode::Esc)], Action::Back, "back; clear the filter"),
     on(FILTERED, &[key('/')], Action::Filter, "show only rows with a text"),
+    on(
+        &[Screen::Overview],
+        &[key('a')],
+        Action::Everything,
+        "earlier incarnations of the nodes too, or only the latest",
+    ),
     on(&[Screen::Overview], &[key('s')], Action::Sort, "sort by name, slack, queue, health"),
     on(&[Screen::Overview], &[key('i')], Action::Invert, "invert the order"),
     on(

@@ -166,7 +166,10 @@ fn theme_for(options: &Options, var: impl Fn(&str) -> Option<String>) -> Theme {
     let locale = set("LC_ALL").or_else(|| set("LC_CTYPE")).or_else(|| set("LANG")).unwrap_or_default();
     let locale = locale.to_lowercase();
     let utf8 = locale.contains("utf-8") || locale.contains("utf8");
-    Theme::fitting(colour, utf8 && !options.ascii && !dumb)
+    // Some terminals name their colours of text and background, by their numbers among the first sixteen: `15;0`.
+    let background = set("COLORFGBG").and_then(|colours| colours.rsplit(';').next()?.parse::<u8>().ok());
+    let light = matches!(background, Some(7 | 9..=15));
+    Theme::fitting(colour, utf8 && !options.ascii && !dumb, light)
 }
 
 #[cfg(test)]
@@ -185,6 +188,17 @@ mod tests {
         assert_eq!(theme(&auto, &[utf8[0], utf8[1], ("NO_COLOR", "")]), Theme::COLOUR);
         assert_eq!(theme(&auto, &[utf8[0], utf8[1], ("LC_ALL", "C")]), Theme::COLOUR_ASCII);
         assert_eq!(theme(&auto, &[("TERM", "dumb")]), Theme::ASCII);
+        for (colours, fits) in [
+            ("0;15", Theme::LIGHT),
+            ("0;default;15", Theme::LIGHT),
+            ("0;7", Theme::LIGHT),
+            ("15;0", Theme::COLOUR),
+            ("12;8", Theme::COLOUR),
+            ("15;default", Theme::COLOUR),
+        ] {
+            assert_eq!(theme(&auto, &[utf8[0], utf8[1], ("COLORFGBG", colours)]), fits, "{colours}");
+        }
+        assert_eq!(theme(&auto, &[utf8[0], ("COLORFGBG", "0;15")]), Theme::ASCII);
         let never = Options { color: ColorChoice::Never, ascii: true, ..Options::default() };
         assert_eq!(theme(&never, &utf8), Theme::ASCII);
         let always = Options { color: ColorChoice::Always, ..Options::default() };

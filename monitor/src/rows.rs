@@ -72,6 +72,8 @@ pub struct Shape {
     pub inverted: bool,
     /// A condition ([`crate::query`]). Rows that do not fulfil it are left out, unless a row within them does.
     pub filter: String,
+    /// Whether the earlier incarnations of nodes have rows too.
+    pub earlier: bool,
 }
 
 /// The rows of a cell.
@@ -81,7 +83,10 @@ pub fn rows(store: &Store, cell: &Name, shape: &Shape, findings: &[Finding], now
     let maker = Maker { store, shape, filter: filter.as_ref(), findings, now };
     let mut nodes: Vec<(Key, Vec<Row>)> = Vec::new();
     for incarnation in store.incarnations_of(cell) {
-        nodes.extend(maker.node(incarnation, store.is_present(incarnation)));
+        let latest = store.is_present(incarnation);
+        if latest || shape.earlier {
+            nodes.extend(maker.node(incarnation, latest));
+        }
     }
     for one in unseen(store, cell) {
         if maker.filter.is_none_or(|filter| filter.takes(&one)) {

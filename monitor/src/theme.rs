@@ -125,9 +125,13 @@ enum Palette {
     Dark,
     /// For a light background.
     Light,
-    /// The strongest colours of a terminal, and nothing dim.
+    /// The strongest colours on black, whatever the background of the terminal, and nothing dim.
     Contrast,
 }
+
+/// White and black of the fixed part of the 256 colours.
+const WHITE: u8 = 231;
+const BLACK: u8 = 16;
 
 impl Theme {
     /// Colours that people with any colour vision can distinguish (Okabe and Ito), from the terminal's 256.
@@ -165,14 +169,16 @@ impl Theme {
         Self::ALL[(at + 1) % Self::ALL.len()]
     }
 
-    /// The theme for a terminal with or without colour and UTF-8.
+    /// The theme for a terminal with or without colour and UTF-8, and with a light or a dark background.
     #[must_use]
-    pub const fn fitting(colour: bool, utf8: bool) -> Self {
-        match (colour, utf8) {
-            (true, true) => Self::COLOUR,
-            (false, true) => Self::MONO,
-            (true, false) => Self::COLOUR_ASCII,
-            (false, false) => Self::ASCII,
+    pub const fn fitting(colour: bool, utf8: bool, light: bool) -> Self {
+        match (colour, utf8, light) {
+            (true, true, false) => Self::COLOUR,
+            (true, true, true) => Self::LIGHT,
+            (false, true, _) => Self::MONO,
+            (true, false, false) => Self::COLOUR_ASCII,
+            // The ASCII theme with colours is for a dark background.
+            (false, false, _) | (true, false, true) => Self::ASCII,
         }
     }
 
@@ -183,9 +189,14 @@ impl Theme {
         let modifier = |m: Modifier| plain.add_modifier(m);
         let colour = |index: u8| plain.fg(Color::Indexed(index));
         let bold = |index: u8| colour(index).add_modifier(Modifier::BOLD);
+        let on_black = Style::new().fg(Color::Indexed(WHITE)).bg(Color::Indexed(BLACK));
         match (self.palette, ink) {
+            (Palette::Contrast, Ink::Plain | Ink::Dim) => on_black,
+            (Palette::Contrast, Ink::Selected) => {
+                Style::reset().patch(on_black).add_modifier(Modifier::REVERSED)
+            }
             (_, Ink::Plain) => plain,
-            (_, Ink::Selected) => modifier(Modifier::REVERSED),
+            (_, Ink::Selected) => Style::reset().add_modifier(Modifier::REVERSED),
             (Palette::Dark, Ink::Head) => bold(74),
             (Palette::Dark, Ink::Dim) => colour(245),
             (Palette::Dark, Ink::Good) => colour(36),
@@ -198,12 +209,11 @@ impl Theme {
             (Palette::Light, Ink::Warn) => colour(130),
             (Palette::Light, Ink::Bad) => bold(160),
             (Palette::Light, Ink::Bar) => colour(25),
-            (Palette::Contrast, Ink::Head) => bold(15).add_modifier(Modifier::UNDERLINED),
-            (Palette::Contrast, Ink::Dim) => plain,
-            (Palette::Contrast, Ink::Good) => bold(10),
-            (Palette::Contrast, Ink::Warn) => bold(11),
-            (Palette::Contrast, Ink::Bad) => bold(15).bg(Color::Indexed(160)),
-            (Palette::Contrast, Ink::Bar) => bold(14),
+            (Palette::Contrast, Ink::Head) => on_black.patch(bold(WHITE)).add_modifier(Modifier::UNDERLINED),
+            (Palette::Contrast, Ink::Good) => on_black.patch(bold(46)),
+            (Palette::Contrast, Ink::Warn) => on_black.patch(bold(226)),
+            (Palette::Contrast, Ink::Bad) => bold(WHITE).bg(Color::Indexed(160)),
+            (Palette::Contrast, Ink::Bar) => on_black.patch(bold(51)),
             (Palette::None, Ink::Good | Ink::Bar) => plain,
             (Palette::None, Ink::Head) => modifier(Modifier::BOLD | Modifier::UNDERLINED),
             (Palette::None, Ink::Dim) => modifier(Modifier::DIM),
@@ -222,9 +232,22 @@ mod tests {
         let inks = [Ink::Plain, Ink::Head, Ink::Dim, Ink::Selected, Ink::Good, Ink::Warn, Ink::Bad, Ink::Bar];
         for theme in [Theme::MONO, Theme::ASCII] {
             for style in inks.map(|ink| theme.style(ink)) {
-                assert!(style.fg.is_none() && style.bg.is_none());
+                assert!([style.fg, style.bg].iter().all(|c| matches!(c, None | Some(Color::Reset))));
             }
             assert!(theme.style(Ink::Selected).add_modifier.contains(Modifier::REVERSED));
+        }
+    }
+
+    /// The eight first colours of a terminal and its default background belong to the user, so white text could be on white.
+    #[test]
+    fn the_contrast_theme_sets_both_text_and_background_everywhere() {
+        let inks = [Ink::Plain, Ink::Head, Ink::Dim, Ink::Selected, Ink::Good, Ink::Warn, Ink::Bad, Ink::Bar];
+        for ink in inks {
+            let style = Theme::CONTRAST.style(ink);
+            for colour in [style.fg, style.bg] {
+                assert!(matches!(colour, Some(Color::Indexed(16..))), "{ink:?}: {style:?}");
+            }
+            assert_ne!(style.fg, style.bg);
         }
     }
 

@@ -8,6 +8,7 @@ mod export;
 mod history;
 mod hostile;
 mod large;
+mod layout;
 mod live;
 mod missing;
 mod query;

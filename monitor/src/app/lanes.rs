@@ -135,7 +135,7 @@ impl App {
     fn wanted_lanes(&self, cell: &Name) -> Vec<TaskId> {
         let Some(names) = self.store().names(cell) else { return Vec::new() };
         let all = || (0..names.tasks.len()).map(TaskId::from_index);
-        let text = self.shape.filter.to_lowercase();
+        let text = self.lane_filter.to_lowercase();
         if text.is_empty() {
             return all().collect();
         }
@@ -150,7 +150,7 @@ impl App {
     /// The ports whose name contains the filter's text, if it matches no task and no node.
     fn wanted_ports(&self, cell: &Name) -> Option<BTreeSet<PortId>> {
         let names = self.store().names(cell)?;
-        let filter = &self.shape.filter.to_lowercase();
+        let filter = &self.lane_filter.to_lowercase();
         let has = |name: &Name| name.shown().to_lowercase().contains(filter);
         if filter.is_empty() || names.tasks.iter().any(|t| has(&t.name)) || names.nodes.iter().any(has) {
             return None;

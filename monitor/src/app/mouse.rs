@@ -32,9 +32,8 @@ impl App {
                     self.step_queue(0, now);
                     Effect::Draw
                 }
-                Some(Hit::Title(sort)) if self.shape.sort == sort => self.act(Action::Invert, now),
                 Some(Hit::Title(sort)) => {
-                    (self.shape.sort, self.shape.inverted) = (sort, false);
+                    self.sort(sort, self.shape.sort == sort && !self.shape.inverted);
                     Effect::Draw
                 }
                 None => Effect::Nothing,

@@ -76,6 +76,31 @@ impl App {
         })
     }
 
+    /// The filter of the shown screen; empty for screens without one.
+    #[must_use]
+    pub fn filter(&self) -> &str {
+        match self.screen {
+            Screen::Overview => &self.shape.filter,
+            Screen::Timeline => &self.lane_filter,
+            Screen::Events => &self.event_filter,
+            Screen::Port
+            | Screen::Message
+            | Screen::Rendezvous
+            | Screen::Timers
+            | Screen::Model
+            | Screen::Help => "",
+        }
+    }
+
+    /// The filter that keys change: the one of the timeline or the events if they are shown, otherwise of the overview.
+    pub(super) const fn filter_mut(&mut self) -> &mut String {
+        match self.screen {
+            Screen::Timeline => &mut self.lane_filter,
+            Screen::Events => &mut self.event_filter,
+            _ => &mut self.shape.filter,
+        }
+    }
+
     /// The screen that the help explains.
     #[must_use]
     pub const fn helped(&self) -> Screen {
@@ -97,7 +122,7 @@ impl App {
     /// The shown event lines, in the order of their first occurrence.
     #[must_use]
     pub fn events(&self) -> Vec<&crate::store::journal::Entry> {
-        let mut lines = self.store().journal().lines(self.everything, &self.shape.filter);
+        let mut lines = self.store().journal().lines(self.everything, &self.event_filter);
         lines.retain(|entry| !self.discards_hidden || entry.kind() != "discard");
         lines
     }

@@ -2,10 +2,10 @@
 
 use super::{App, Effect, PortEnd, Screen, port_end};
 use crate::clock::{Moment, Span};
-use crate::keys::{self, Action};
+use crate::keys::Action;
 use crate::query::Filter;
 use crate::replay::{At, Player};
-use crate::rows::Row;
+use crate::rows::{Row, Sort};
 use crate::store::health::Place;
 use crate::store::journal::{Severity, What};
 use crate::store::message::{MessageKey, key_of};
@@ -20,17 +20,17 @@ impl App {
         match event.code {
             KeyCode::Char('c') if ctrl => return Effect::Quit,
             KeyCode::Char('z') if ctrl => return Effect::Suspend,
-            KeyCode::Char(c) if !ctrl && !c.is_control() => self.shape.filter.push(c),
-            KeyCode::Backspace => drop(self.shape.filter.pop()),
+            KeyCode::Char(c) if !ctrl && !c.is_control() => self.filter_mut().push(c),
+            KeyCode::Backspace => drop(self.filter_mut().pop()),
             KeyCode::Enter => {
                 self.typing = false;
                 // Plain words match as text. The message below shows why an attempted condition is invalid.
-                let slip = Filter::parse(&self.shape.filter).err();
+                let slip = Filter::parse(self.filter()).err();
                 self.told = slip.map(|error| format!("no condition, so looked for as it is: {error}"));
             }
             KeyCode::Esc => {
                 self.typing = false;
-                self.shape.filter.clear();
+                self.filter_mut().clear();
             }
             _ => return Effect::Nothing,
         }
@@ -92,9 +92,10 @@ impl App {
             Action::Theme => self.theme = self.theme.next(),
             Action::Cell => self.next_cell(),
             Action::Filter => self.typing = true,
-            Action::Sort => self.shape.sort = self.shape.sort.next(),
-            Action::Invert => self.shape.inverted = !self.shape.inverted,
+            Action::Sort => self.sort(self.shape.sort.next(), false),
+            Action::Invert => self.sort(self.shape.sort, !self.shape.inverted),
             Action::Everything if self.screen == Screen::Timeline => self.thin_chart(),
+            Action::Everything if self.screen == Screen::Overview => self.shape.earlier = !self.shape.earlier,
             Action::Everything => {
                 self.everything = !self.everything;
                 self.held = None;
@@ -126,6 +127,12 @@ impl App {
             }
         }
         Effect::Draw
+    }
+
+    /// Sorts the overview, and goes to its first row: the user asked for what comes first in the new order.
+    pub(super) fn sort(&mut self, sort: Sort, inverted: bool) {
+        (self.shape.sort, self.shape.inverted) = (sort, inverted);
+        self.selected = None;
     }
 
     /// Moves in the recording. The screens keep their position, except for the events, which follow.
@@ -184,8 +191,8 @@ impl App {
     }
 
     fn back(&mut self) {
-        if !self.shape.filter.is_empty() && keys::FILTERED.contains(&self.screen) {
-            self.shape.filter.clear();
+        if !self.filter().is_empty() {
+            self.filter_mut().clear();
         } else if self.screen != Screen::Overview {
             self.screen = match self.screen {
                 Screen::Help => self.before,

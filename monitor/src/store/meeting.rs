@@ -96,6 +96,19 @@ impl Member {
     }
 }
 
+impl Member {
+    /// Why it can never arrive, in one word.
+    #[must_use]
+    pub fn end(&self) -> &'static str {
+        match self.presence {
+            Some(Presence::Stopped(_)) => "STOPPED",
+            Some(Presence::Up | Presence::Silent(_)) if self.doing == CRASHED => "CRASHED",
+            Some(Presence::Up | Presence::Silent(_)) => "ENDED",
+            Some(Presence::Dead(_)) | None => "DEAD",
+        }
+    }
+}
+
 const CRASHED: &str = "the task CRASHED";
 const ENDED: &str = "the task ended";
 

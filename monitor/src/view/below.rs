@@ -1,6 +1,6 @@
 //! The rows below the overview: the most awaited task, the links, and the verdict of the validator.
 
-use super::canvas::Canvas;
+use super::canvas::{Canvas, columns};
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::name::Name;
@@ -31,10 +31,17 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     }
     let waits: Vec<_> = waits.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
     canvas.line(0, &waits);
-    let mut pieces = links(app, &cell, now);
-    pieces.extend(model(app, &cell));
-    let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
-    canvas.line(1, &pieces);
+    // The verdict counts more than the links, so the links get the room that it leaves.
+    let verdict = model(app, &cell);
+    let width = verdict.iter().map(|(text, _)| columns(text)).fold(0, u16::saturating_add);
+    let room = canvas.area.width.saturating_sub(width);
+    let mut x = 0;
+    for (text, ink) in links(app, &cell, now) {
+        x = canvas.at(x, 1, room.saturating_sub(x), &text, ink);
+    }
+    for (text, ink) in verdict {
+        x = canvas.at(x, 1, u16::MAX, &text, ink);
+    }
 }
 
 /// The restarted node with the longest remaining hold-back.

@@ -4,7 +4,6 @@ use super::drawn::{Drawn, Hit};
 use crate::theme::{Ink, Theme};
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
-use ratatui::style::Modifier;
 
 /// A part of the screen that can be drawn on.
 pub(super) struct Canvas<'a> {
@@ -90,11 +89,11 @@ impl Canvas<'_> {
         }
     }
 
-    /// Highlights the selected row. The highlight replaces other styles, so that it is visible on every terminal.
+    /// Highlights the selected row. The highlight replaces all other styles, so that the row has one colour.
     pub(super) fn select(&mut self, y: u16) {
         if y < self.area.height {
             let row = Rect { y: self.area.y + y, height: 1, ..self.area };
-            self.buffer.set_style(row, self.theme.style(Ink::Selected).remove_modifier(Modifier::DIM));
+            self.buffer.set_style(row, self.theme.style(Ink::Selected));
         }
     }
 
@@ -107,8 +106,7 @@ impl Canvas<'_> {
     pub(super) fn row(&mut self, y: u16, columns: &[Column], widths: &[u16], cells: &[(&str, Ink)]) {
         let mut x = 0;
         for ((column, width), (text, ink)) in columns.iter().zip(widths).zip(cells) {
-            let used = u16::try_from(ratatui::text::Span::raw(*text).width()).unwrap_or(u16::MAX);
-            let indent = if column.right { width.saturating_sub(used) } else { 0 };
+            let indent = if column.right { width.saturating_sub(self::columns(text)) } else { 0 };
             self.at(x + indent, y, width - indent, text, *ink);
             x = x.saturating_add(width + 1);
         }
@@ -119,6 +117,31 @@ impl Canvas<'_> {
         let cells: Vec<_> = columns.iter().map(|c| (c.title, Ink::Dim)).collect();
         self.row(y, columns, widths, &cells);
     }
+}
+
+/// How many columns of the screen a text takes: none for a combining character, two for a wide one.
+pub(super) fn columns(text: &str) -> u16 {
+    u16::try_from(ratatui::text::Span::raw(text).width()).unwrap_or(u16::MAX)
+}
+
+/// The beginning of a text that fits into `width` columns.
+pub(super) fn cut(text: &str, width: u16) -> String {
+    let (mut out, mut used) = (String::new(), 0);
+    for c in text.chars() {
+        used += columns(c.encode_utf8(&mut [0; 4]));
+        if used > width {
+            break;
+        }
+        out.push(c);
+    }
+    out
+}
+
+/// A text in exactly `width` columns: cut, or with spaces after it.
+pub(super) fn fit(text: &str, width: u16) -> String {
+    let out = cut(text, width);
+    let spaces = width.saturating_sub(columns(&out));
+    out + &" ".repeat(spaces.into())
 }
 
 /// The widths of `columns` in a total `width`.

@@ -29,11 +29,8 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     canvas.list(room, lines.len());
     let last = lines.len().checked_sub(1);
     let Some(last) = last else {
-        let text = if app.shape.filter.is_empty() {
-            " Nothing to report so far."
-        } else {
-            " No event has this text."
-        };
+        let text =
+            if app.filter().is_empty() { " Nothing to report so far." } else { " No event has this text." };
         canvas.line(1, &[(text, Ink::Dim)]);
         return;
     };

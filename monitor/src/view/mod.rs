@@ -23,7 +23,7 @@ use crate::store::journal::Severity;
 use crate::store::waits;
 use crate::store::{Condition, Presence};
 use crate::theme::Ink;
-use canvas::Canvas;
+use canvas::{Canvas, columns};
 pub use drawn::{Drawn, Hit};
 use imrs_protocol::TaskId;
 use imrs_wire::obs::Liveness;
@@ -49,6 +49,7 @@ pub fn show(app: &mut App, now: Moment, buffer: &mut Buffer) {
 
 fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let area = canvas.area;
+    canvas.buffer.set_style(area, app.theme.style(Ink::Plain));
     head(app, now, canvas);
     let findings = app.findings(now);
     let foot = u16::from(area.height > 2);
@@ -105,6 +106,9 @@ const TABS: [(Screen, char, &str); 7] = [
     (Screen::Model, '7', "Model"),
 ];
 
+/// How many columns of the header the name of a cell takes at most.
+const LONGEST_CELL: u16 = 24;
+
 /// A piece of the header, with the screen that a click on it opens.
 type Piece = (String, Ink, Option<Screen>);
 
@@ -126,37 +130,68 @@ fn pieces(app: &App, width: u16, now: Moment) -> Vec<Piece> {
         cell_at_a_glance(app, &cell, narrow, now, &mut glance);
     }
     let mut pieces: Vec<Piece> = glance.into_iter().map(|(text, ink)| (text, ink, None)).collect();
-    let tabs = tabs(app.screen, width);
     if narrow {
         // The end of the line is cut first, so the tab precedes the less important pieces.
         let at = pieces.len().min(4);
-        pieces.splice(at..at, tabs);
-    } else {
-        pieces.push(("  ".to_owned(), Ink::Plain, None));
-        pieces.extend(tabs);
-        pieces.push(("  ? help".to_owned(), Ink::Dim, Some(Screen::Help)));
+        pieces.insert(at, only_tab(app.screen));
+        return pieces;
     }
+    let long = |pieces: &[Piece]| pieces.iter().map(|(text, ..)| columns(text)).fold(0, u16::saturating_add);
+    let short = tabs(app.screen, &SHORTEST);
+    // The tabs are always whole: without room the last warnings give way.
+    while long(&pieces).saturating_add(long(&short)) > width && pieces.len() > 4 {
+        pieces.pop();
+    }
+    let room = width.saturating_sub(long(&pieces));
+    let mut forms =
+        FORMS.iter().filter(|form| width >= 110 || !form.names).map(|form| tabs(app.screen, form));
+    pieces.extend(forms.find(|form| long(form) <= room).unwrap_or(short));
     pieces
 }
 
-/// The tabs: all names if they fit, otherwise the keys and the name of the shown screen.
-fn tabs(shown: Screen, width: u16) -> Vec<Piece> {
-    let shown_tab = if shown == Screen::Message { Screen::Port } else { shown };
-    if width < 60 {
-        let tab = TABS.iter().find(|(screen, ..)| *screen == shown_tab);
-        let name = tab.map_or("Help".to_owned(), |(_, key, name)| format!("{key} {name}"));
-        return vec![(format!(" [{name}]"), Ink::Head, None)];
-    }
+/// On a narrow screen: the name of the shown screen.
+fn only_tab(shown: Screen) -> Piece {
+    let tab = TABS.iter().find(|(screen, ..)| *screen == tab_of(shown));
+    let name = tab.map_or("Help".to_owned(), |(_, key, name)| format!("{key} {name}"));
+    (format!(" [{name}]"), Ink::Head, None)
+}
+
+/// A form of the tabs. Each names the shown screen.
+struct Form {
+    /// Whether the other screens are named, too.
+    names: bool,
+    /// Before and after each tab.
+    gap: &'static str,
+    /// The text for the help.
+    help: &'static str,
+}
+
+/// The forms, best first.
+const FORMS: [Form; 4] = [
+    Form { names: true, gap: " ", help: "  ? help" },
+    Form { names: true, gap: " ", help: " ?" },
+    Form { names: false, gap: " ", help: "  ? help" },
+    Form { names: false, gap: " ", help: " ?" },
+];
+const SHORTEST: Form = Form { names: false, gap: "", help: " ?" };
+
+fn tabs(shown: Screen, form: &Form) -> Vec<Piece> {
+    let gap = form.gap;
     let tab = |(screen, key, name): &(Screen, char, &str)| {
-        if *screen == shown_tab {
-            (format!("[{key} {name}]"), Ink::Head, Some(*screen))
-        } else if width < 110 {
-            (format!(" {key} "), Ink::Dim, Some(*screen))
-        } else {
-            (format!(" {key} {name} "), Ink::Dim, Some(*screen))
+        if *screen == tab_of(shown) {
+            return (format!("[{key} {name}]"), Ink::Head, Some(*screen));
         }
+        let name = if form.names { format!(" {name}") } else { String::new() };
+        (format!("{gap}{key}{name}{gap}"), Ink::Dim, Some(*screen))
     };
-    TABS.iter().map(tab).collect()
+    let help = (form.help.to_owned(), Ink::Dim, Some(Screen::Help));
+    let first = (format!(" {gap}"), Ink::Plain, None);
+    std::iter::once(first).chain(TABS.iter().map(tab)).chain([help]).collect()
+}
+
+/// The tab to which a screen belongs.
+fn tab_of(screen: Screen) -> Screen {
+    if screen == Screen::Message { Screen::Port } else { screen }
 }
 
 /// The cell's name, the number of nodes that are up, and warnings that concern everything shown.
@@ -164,7 +199,8 @@ fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &
     let cells = app.cells();
     let at = cells.iter().position(|c| c == cell).filter(|_| cells.len() > 1);
     let of = at.map_or_else(String::new, |at| format!(" ({}/{}, C: next)", at + 1, cells.len()));
-    pieces.push((format!(" {cell}{of}"), Ink::Plain));
+    let name = if narrow { cell.to_string() } else { canvas::cut(cell.shown(), LONGEST_CELL) };
+    pieces.push((format!(" {name}{of}"), Ink::Plain));
     let (up, all) = nodes(app, now);
     let nodes = if narrow { "" } else { " nodes" };
     pieces.push((format!("  {up}/{all}{nodes}"), if up < all { Ink::Bad } else { Ink::Plain }));
@@ -205,7 +241,7 @@ fn nodes(app: &App, now: Moment) -> (usize, usize) {
 fn foot(app: &App, findings: &[Finding], now: Moment, canvas: &mut Canvas<'_>) {
     let y = canvas.height() - 1;
     if app.typing {
-        canvas.line(y, &[(" /", Ink::Head), (&app.shape.filter, Ink::Plain), ("_", Ink::Plain)]);
+        canvas.line(y, &[(" /", Ink::Head), (app.filter(), Ink::Plain), ("_", Ink::Plain)]);
         return;
     }
     if let Some(command) = &app.command {
@@ -228,8 +264,8 @@ fn foot(app: &App, findings: &[Finding], now: Moment, canvas: &mut Canvas<'_>) {
     if let Some(file) = &app.recording {
         pieces.push((format!(" recording to {file}; r ends it"), Ink::Warn));
     }
-    if !app.shape.filter.is_empty() {
-        pieces.push((format!(" filter /{}", app.shape.filter), Ink::Warn));
+    if !app.filter().is_empty() {
+        pieces.push((format!(" filter /{}", app.filter()), Ink::Warn));
     }
     if let Some(trouble) = app.store().troubles().next() {
         pieces.push((format!(" ! {trouble}"), Ink::Warn));

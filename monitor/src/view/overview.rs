@@ -30,7 +30,11 @@ fn columns(width: u16) -> (Vec<Column>, &'static [usize]) {
     let slack = Column::right("SLACK", 7);
     match width {
         0..60 => (vec![NAME, queue(5), slack, Column::left("", 2)], &[0, 2, 3, HEALTH_CELL]),
-        60..116 => (
+        60..80 => (
+            vec![Column::left(NAME.title, 18), state(14), queue(5), slack, HEALTH],
+            &[0, 1, 2, 3, HEALTH_CELL],
+        ),
+        80..116 => (
             vec![
                 Column::left(NAME.title, 20),
                 state(if width < 90 { 22 } else { 28 }),
@@ -185,9 +189,13 @@ fn cells(app: &App, row: &Row, findings: &[Finding], width: u16, now: Moment) ->
             }
         }
     }
-    let within_gone = row.depth > 0 && row.place.node.is_ok_and(|id| is_gone(app, id, now));
-    cells[HEALTH_CELL] =
-        if within_gone && ink == Ink::Good { ("-".to_owned(), Ink::Dim) } else { (health, ink) };
+    // The health of what has ended is not known to be good. An earlier incarnation has no findings at all.
+    let ended = row.place.node.is_ok_and(|id| {
+        let earlier =
+            app.store().incarnation(id).is_some_and(|incarnation| !app.store().is_present(incarnation));
+        earlier || row.depth > 0 && is_gone(app, id, now)
+    });
+    cells[HEALTH_CELL] = if ended && ink == Ink::Good { ("-".to_owned(), Ink::Dim) } else { (health, ink) };
     cells
 }
 
@@ -211,7 +219,14 @@ fn node(app: &App, incarnation: &NodeIncarnation, row: &Row, now: Moment, cells:
     cells[0] = (format!("{sign} {}{pid}", incarnation.node), Ink::Plain);
     let uptime = incarnation.last.as_ref().map(|s| Duration::from_micros(s.snapshot.uptime_us));
     cells[1] = match (presence, uptime) {
-        (Presence::Up, Some(uptime)) => (format!("up {}", Span(uptime)), Ink::Good),
+        (Presence::Up, Some(uptime)) => {
+            let again = if is_restarted(app, incarnation) {
+                format!(" (incarn. {})", incarnation.number)
+            } else {
+                String::new()
+            };
+            (format!("up {}{again}", Span(uptime)), Ink::Good)
+        }
         (Presence::Up, None) => ("attached".to_owned(), Ink::Plain),
         (Presence::Silent(_), _) => (presence.to_string(), Ink::Warn),
         _ => (format!("{presence} (incarn. {})", incarnation.number), Ink::Dim),
@@ -231,6 +246,12 @@ fn node(app: &App, incarnation: &NodeIncarnation, row: &Row, now: Moment, cells:
     {
         cells[1].0 += &format!("  transit {}", transit.len);
     }
+}
+
+/// Whether the monitor has seen an earlier incarnation of the node.
+fn is_restarted(app: &App, incarnation: &NodeIncarnation) -> bool {
+    let all = app.store().incarnations_of(&incarnation.names.cell);
+    all.filter(|other| other.node_id == incarnation.node_id).count() > 1
 }
 
 fn task(

@@ -1,6 +1,6 @@
 //! Screen 3: a card for each rendezvous, with a matrix of known arrivals.
 
-use super::canvas::{Canvas, bar};
+use super::canvas::{Canvas, bar, fit};
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::name::Name;
@@ -131,7 +131,7 @@ fn titles(meeting: &Meeting, matrix: bool) -> Line {
     let mut text = format!("   {:16} {:18} ", "MEMBER", "ARRIVED");
     if matrix {
         for member in &meeting.members {
-            text += &format!("{:4} ", cut(&member.name.to_string(), 4));
+            text += &(fit(member.name.shown(), 4) + " ");
         }
     }
     text += "CONFIRMS WAITS FOR";
@@ -145,11 +145,11 @@ fn row(app: &App, meeting: &Meeting, at: usize, member: &Member, narrow: bool, m
     let name = format!("{}@{}", member.name, member.node);
     let (standing, ink) = standing(member, gone);
     if narrow {
-        return vec![(format!(" {sign} {:14} ", cut(member.name.shown(), 14)), plain(gone)), (standing, ink)];
+        return vec![(format!(" {sign} {} ", fit(member.name.shown(), 14)), plain(gone)), (standing, ink)];
     }
     let mut line = vec![
-        (format!(" {sign} {:16} ", cut(&name, 16)), plain(gone)),
-        (format!("{:18} ", cut(&standing, 18)), ink),
+        (format!(" {sign} {} ", fit(&name, 16)), plain(gone)),
+        (format!("{} ", fit(&standing, 18)), ink),
     ];
     if matrix {
         for (j, knows) in member.knows.iter().enumerate() {
@@ -182,7 +182,7 @@ fn standing(member: &Member, gone: bool) -> (String, Ink) {
     match member.standing {
         Standing::Arrived => (format!("arrived{waited}"), Ink::Good),
         Standing::Released => ("released".to_owned(), Ink::Good),
-        Standing::Missing | Standing::Unknown if gone => ("MISSING, DEAD".to_owned(), Ink::Bad),
+        Standing::Missing | Standing::Unknown if gone => (format!("MISSING, {}", member.end()), Ink::Bad),
         Standing::Missing => ("missing".to_owned(), Ink::Warn),
         Standing::Unknown => ("not known".to_owned(), Ink::Dim),
     }
@@ -190,8 +190,4 @@ fn standing(member: &Member, gone: bool) -> (String, Ink) {
 
 const fn plain(gone: bool) -> Ink {
     if gone { Ink::Dim } else { Ink::Plain }
-}
-
-fn cut(text: &str, width: usize) -> String {
-    text.chars().take(width).collect()
 }

@@ -1,7 +1,7 @@
 //! Screen 4: the timeline. Each task has a lane, and time runs downwards. No effect is above its cause, and lines
 //! between the lanes show messages.
 
-use super::canvas::Canvas;
+use super::canvas::{Canvas, columns, cut};
 use super::words::{ink, short};
 use crate::app::App;
 use crate::app::lanes::{Chart, Slice};
@@ -159,8 +159,7 @@ impl Sheet {
             let Some(incarnation) = app.store().incarnation(mark.incarnation) else { continue };
             let (x, _) = self.x(lane);
             let room = self.width.saturating_sub(3);
-            let text =
-                several(here.iter().map(|mark| short(mark, &incarnation.names, &app.theme)), room.into());
+            let text = several(here.iter().map(|mark| short(mark, &incarnation.names, &app.theme)), room);
             let worst = here.iter().map(|mark| ink(mark.seen.what.event)).max_by_key(|ink| match ink {
                 Ink::Bad => 2,
                 Ink::Warn => 1,
@@ -219,11 +218,11 @@ fn mark_taken(taken: &mut [bool], from: u16, to: u16) {
 }
 
 /// Joins as many texts as fit, with the number of omitted ones. At least a part of the first one is shown.
-fn several(texts: impl ExactSizeIterator<Item = String>, room: usize) -> String {
+fn several(texts: impl ExactSizeIterator<Item = String>, room: u16) -> String {
     let all = texts.len();
     let (mut out, mut shown) = (String::new(), 0);
     for text in texts {
-        let width = out.chars().count() + text.chars().count() + 2;
+        let width = columns(&out).saturating_add(columns(&text)).saturating_add(2);
         if shown > 0 && width + 4 > room {
             break;
         }
@@ -237,9 +236,5 @@ fn several(texts: impl ExactSizeIterator<Item = String>, room: usize) -> String 
         return cut(&out, room);
     }
     let more = format!(" +{}", all - shown);
-    cut(&out, room.saturating_sub(more.len())) + &more
-}
-
-fn cut(text: &str, width: usize) -> String {
-    text.chars().take(width).collect()
+    cut(&out, room.saturating_sub(columns(&more))) + &more
 }

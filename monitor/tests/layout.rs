@@ -1,0 +1,178 @@
+//! Tests of what stays legible: at narrow widths, with wide names, in the selected row, and after a restart.
+
+use crate::common::{NODES, Stage, identity, ms, snapshot, table, text};
+use imrs_monitor::rows::Sort;
+use imrs_monitor::source::Feed;
+use imrs_monitor::theme::Theme;
+use imrs_wire::obs::{Bye, Events, Goodbye, Liveness, ServerFrame};
+use ratatui::style::Color;
+use std::time::Duration;
+
+const NOW: Duration = ms(1_150);
+
+/// Everything that the header may say: a recording, a pause, insecure nodes and lost events.
+fn warned() -> Stage {
+    let mut stage = Stage::busy(Theme::ASCII);
+    stage.lose(ms(1_120), 2);
+    stage.frame(ms(1_120), 0, ServerFrame::Events(Events { lost: 4_000, events: Vec::new() }));
+    stage.app.recording = Some("cell.imrs".into());
+    stage.keys(ms(1_130), " ");
+    stage
+}
+
+#[test]
+fn from_sixty_columns_on_every_tab_and_the_health_are_in_sight() {
+    for width in 60..=130 {
+        let mut stage = warned();
+        for key in ["2", "3", "4", "5", "6", "7", "1"] {
+            let shown = stage.typed(NOW, (width, 24), key);
+            let head = shown.lines().next().unwrap();
+            for tab in ["1", "2", "3", "4", "5", "6", "7", "?"] {
+                assert!(head.contains(tab), "{tab} at {width}: {head}");
+            }
+            assert!(head.contains(&format!("[{key} ")) && head.contains("2/3 nodes"), "{width}: {head}");
+        }
+        let shown = stage.typed(NOW, (width, 24), "");
+        let health = shown.lines().nth(1).unwrap().find("HEALTH").expect("a title");
+        let dead = shown.lines().find(|line| line.contains("x nh")).unwrap();
+        assert!(dead[health..].starts_with("!! dead"), "{width}: {dead}");
+    }
+}
+
+#[test]
+fn the_verdict_is_in_sight_however_many_links_there_are() {
+    for width in [40, 60, 80] {
+        let shown = Stage::busy(Theme::ASCII).text(NOW, width, 24);
+        assert!(shown.contains("model: UNKNOWN, not recorded"), "{width}: {shown}");
+    }
+}
+
+#[test]
+fn the_selected_row_has_one_style() {
+    for theme in Theme::ALL {
+        for keys in ["jj", "2lj", "6k", "4k"] {
+            let mut stage = Stage::busy(theme);
+            stage.lose(ms(1_120), 2);
+            stage.typed(NOW, (120, 40), keys);
+            let buffer = stage.draw(NOW, 120, 40);
+            let row = (0..40).find(|&y| {
+                (0..120).all(|x| buffer[(x, y)].modifier.contains(ratatui::style::Modifier::REVERSED))
+            });
+            let row = row.unwrap_or_else(|| panic!("no selection: {keys} {}", theme.name));
+            let style = |x| (buffer[(x, row)].fg, buffer[(x, row)].bg, buffer[(x, row)].modifier);
+            assert!((1..120).all(|x| style(x) == style(0)), "{keys} {}: {row}", theme.name);
+        }
+    }
+}
+
+/// On a light terminal, what has no colour of its own would be dark on light, and white text would vanish.
+#[test]
+fn the_contrast_theme_colours_every_cell_itself() {
+    for key in ["1", "2", "3", "4", "5", "6", "7", "?"] {
+        let mut stage = Stage::busy(Theme::CONTRAST);
+        stage.typed(NOW, (120, 40), key);
+        let buffer = stage.draw(NOW, 120, 40);
+        assert!(
+            buffer.content.iter().all(|cell| cell.bg != Color::Reset && cell.fg != Color::Reset),
+            "{key}"
+        );
+    }
+}
+
+#[test]
+fn a_member_that_cannot_arrive_says_why() {
+    let end = |liveness| {
+        let mut stage = Stage::cell(Theme::ASCII);
+        let mut after = snapshot(2);
+        after.tasks[0].liveness = liveness;
+        stage.frame(ms(1_100), 2, ServerFrame::Snapshot(after));
+        stage
+    };
+    let mut dead = Stage::cell(Theme::ASCII);
+    dead.lose(ms(1_100), 2);
+    let mut stopped = Stage::cell(Theme::ASCII);
+    stopped.frame(ms(1_100), 2, ServerFrame::Bye(Bye { reason: Goodbye::Stopping }));
+    let ends = [
+        (end(Liveness::Ended), "MISSING, ENDED"),
+        (end(Liveness::Crashed), "MISSING, CRASHED"),
+        (dead, "MISSING, DEAD"),
+        (stopped, "MISSING, STOPPED"),
+    ];
+    for (mut stage, said) in ends {
+        stage.keys(NOW, "3");
+        let shown = stage.text(NOW, 120, 40);
+        assert!(shown.contains(said) && shown.matches("MISSING").count() == 1, "{said}: {shown}");
+    }
+}
+
+#[test]
+fn dead_incarnations_have_no_rows_until_asked_for_and_never_look_healthy() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    let rows = stage.app.rows(&[], NOW).len();
+    for incarnation in 2..5 {
+        stage.lose(ms(1_100), 0);
+        stage.attach(ms(1_110), 0, incarnation);
+    }
+    assert_eq!(stage.app.rows(&[], NOW).len(), rows);
+    assert!(stage.text(NOW, 120, 40).contains("up 4m12s (incarn. 4)"));
+    let shown = stage.typed(NOW, (120, 40), "a");
+    let dead: Vec<_> = shown.lines().filter(|line| line.contains("DEAD")).collect();
+    assert_eq!(dead.len(), 3, "{shown}");
+    assert!(dead.iter().all(|line| line.ends_with(" -")), "{dead:?}");
+    stage.keys(NOW, "a");
+    assert_eq!(stage.app.rows(&[], NOW).len(), rows);
+}
+
+#[test]
+fn sorting_shows_what_comes_first_in_the_new_order() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    stage.lose(ms(1_100), 2);
+    let shown = stage.typed(NOW, (80, 10), "Gsss");
+    assert_eq!(stage.app.shape.sort, Sort::Health);
+    let first = shown.lines().nth(2).unwrap();
+    assert!(first.starts_with('>') && first.contains("!!"), "{shown}");
+    stage.keys(NOW, "G");
+    assert_eq!(stage.typed(NOW, (80, 10), "i").lines().position(|line| line.starts_with('>')), Some(2));
+}
+
+#[test]
+fn each_screen_has_a_filter_of_its_own() {
+    let mut stage = Stage::busy(Theme::ASCII);
+    let all = (stage.app.events().len(), stage.app.chart().lanes.len());
+    stage.keys(NOW, "/slack<20ms\n");
+    let few = stage.app.rows(&[], NOW).len();
+    stage.keys(NOW, "6");
+    assert_eq!((stage.app.filter(), stage.app.events().len()), ("", all.0));
+    assert!(!stage.text(NOW, 120, 24).contains("filter /"));
+    stage.keys(NOW, "4/hoist\n");
+    assert_eq!((all.1, stage.app.chart().lanes.len()), (3, 1));
+    stage.keys(NOW, "1");
+    assert_eq!((stage.app.filter(), stage.app.rows(&[], NOW).len()), ("slack<20ms", few));
+    assert!(stage.text(NOW, 120, 24).contains("filter /slack<20ms"));
+}
+
+/// Characters of two columns and of none: what follows a name stays in its column.
+#[test]
+fn names_are_measured_in_columns_of_the_screen() {
+    let mut stage = Stage::new(Theme::ASCII);
+    let mut names = table();
+    for (task, name) in names.tasks.iter_mut().zip(["\u{5de6}\u{8155}", "e\u{301}e\u{301}e\u{301}", "hoist"])
+    {
+        task.name = name.into();
+    }
+    for node in 0..NODES.len() {
+        let identity = identity(node, 1);
+        stage.feed(ms(1_000), node, Feed::Attached { identity, pid: 1, build: "imrs 0.1.0".into() });
+        stage.frame(ms(1_000), node, ServerFrame::Table(names.clone()));
+        stage.frame(ms(1_000), node, ServerFrame::Snapshot(snapshot(node)));
+    }
+    stage.keys(NOW, "3");
+    let buffer = stage.draw(NOW, 120, 40);
+    let row = |y: u16| -> Vec<&str> { (0..120).map(|x| buffer[(x, y)].symbol()).collect() };
+    let at = |y: u16, word: &str| (0..120).find(|&x| row(y)[x..].concat().starts_with(word));
+    let titles = (0..40).find(|&y| at(y, "ARRIVED").is_some()).unwrap();
+    let column = at(titles, "ARRIVED");
+    for (y, standing) in (titles + 1..).zip(["arrived", "arrived", "missing"]) {
+        assert_eq!(at(y, standing), column, "{}", text(&buffer));
+    }
+}
