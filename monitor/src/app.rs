@@ -1,6 +1,7 @@
 //! The state of the screen as a value. Every event is a [`Msg`], which [`App::update`] reduces.
 
 mod command;
+mod jump;
 pub mod lanes;
 mod mouse;
 mod shown;

@@ -16,6 +16,7 @@ mod reduce;
 mod replay;
 mod screens;
 mod steer;
+mod timeline;
 mod waits;
 
 use counting::allocations;

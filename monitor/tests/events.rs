@@ -22,7 +22,7 @@ fn flooded() -> Stage {
 }
 
 #[test]
-fn a_flood_from_several_nodes_takes_a_line_of_each_and_the_death_before_it_stays_in_sight() {
+fn a_flood_from_several_nodes_takes_a_line_of_each_and_the_death_before_it_stays_visible() {
     let mut stage = flooded();
     let lines = stage.app.events();
     let said: Vec<_> = lines.iter().map(|e| (e.node.raw(), e.kind(), e.times)).collect();

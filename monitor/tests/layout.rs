@@ -21,7 +21,7 @@ fn warned() -> Stage {
 }
 
 #[test]
-fn from_sixty_columns_on_every_tab_and_the_health_are_in_sight() {
+fn from_sixty_columns_on_every_tab_and_the_health_are_visible() {
     for width in 60..=130 {
         let mut stage = warned();
         for key in ["2", "3", "4", "5", "6", "7", "1"] {
@@ -40,7 +40,7 @@ fn from_sixty_columns_on_every_tab_and_the_health_are_in_sight() {
 }
 
 #[test]
-fn the_verdict_is_in_sight_however_many_links_there_are() {
+fn the_verdict_is_visible_however_many_links_there_are() {
     for width in [40, 60, 80] {
         let shown = Stage::busy(Theme::ASCII).text(NOW, width, 24);
         assert!(shown.contains("model: UNKNOWN, not recorded"), "{width}: {shown}");
@@ -174,5 +174,24 @@ fn names_are_measured_in_columns_of_the_screen() {
     let column = at(titles, "ARRIVED");
     for (y, standing) in (titles + 1..).zip(["arrived", "arrived", "missing"]) {
         assert_eq!(at(y, standing), column, "{}", text(&buffer));
+    }
+}
+
+/// The corner is for what the titles leave free; where nothing fits, the titles stay.
+#[test]
+fn no_title_is_overwritten() {
+    for width in 40..=140 {
+        for (keys, titles) in [
+            ("sssi", &["SLACK"][..]),
+            ("6akk", &["AGO", "KIND", "OBJECT"]),
+            ("2lj", &["REMAIN", "VERDICT"][..if width < 60 { 1 } else { 2 }]),
+            ("4lkkkk", &["TIME"]),
+            ("?jjjj", &[]),
+        ] {
+            let shown = Stage::busy(Theme::ASCII).typed(NOW, (width, 24), keys);
+            let whole =
+                |title: &&str| shown.lines().any(|line| line.split_whitespace().any(|word| word == *title));
+            assert!(titles.iter().all(whole), "{keys} at {width}: {shown}");
+        }
     }
 }

@@ -5,9 +5,9 @@ use crate::clock::{Moment, Span};
 use crate::keys::Action;
 use crate::query::Filter;
 use crate::replay::{At, Player};
-use crate::rows::{Row, Sort};
+use crate::rows::Sort;
 use crate::store::health::Place;
-use crate::store::journal::{Severity, What};
+use crate::store::journal::What;
 use crate::store::message::{MessageKey, key_of};
 use crate::store::trail::Seen;
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
@@ -38,32 +38,19 @@ impl App {
     }
 
     pub(super) fn act(&mut self, action: Action, now: Moment) -> Effect {
+        if self.replay.is_some() && (is_winding(action) || action == Action::Pause) {
+            self.wind(action, now);
+            return Effect::Draw;
+        }
+        if self.frozen.is_some() && is_winding(action) {
+            self.go_back(action, now);
+            return Effect::Draw;
+        }
         match action {
             Action::Quit => return Effect::Quit,
             Action::Suspend => return Effect::Suspend,
             Action::Show(screen) => self.show(screen),
             Action::Record => return if self.replay.is_some() { Effect::Nothing } else { Effect::Record },
-            Action::StepBack
-            | Action::StepOn
-            | Action::PreviousAnomaly
-            | Action::NextAnomaly
-            | Action::Oldest
-            | Action::Newest
-            | Action::Pause
-                if self.replay.is_some() =>
-            {
-                self.wind(action, now);
-            }
-            Action::StepBack
-            | Action::StepOn
-            | Action::PreviousAnomaly
-            | Action::NextAnomaly
-            | Action::Oldest
-            | Action::Newest
-                if self.frozen.is_some() =>
-            {
-                self.go_back(action, now);
-            }
             Action::StepBack | Action::StepOn | Action::PreviousAnomaly | Action::NextAnomaly => {
                 return Effect::Nothing;
             }
@@ -82,13 +69,7 @@ impl App {
             Action::PreviousMatch => self.jump_to_match(false, now),
             Action::Oldest => self.step(isize::MIN, now),
             Action::Newest => self.step(isize::MAX, now),
-            Action::Pause => {
-                self.back = None;
-                self.frozen = match self.frozen.take() {
-                    Some(_) => None,
-                    None => Some((Box::new(self.live.clone()), now)),
-                }
-            }
+            Action::Pause => self.pause(now),
             Action::Theme => self.theme = self.theme.next(),
             Action::Cell => self.next_cell(),
             Action::Filter => self.typing = true,
@@ -100,10 +81,7 @@ impl App {
                 self.everything = !self.everything;
                 self.held = None;
             }
-            Action::Discards => {
-                self.discards_hidden = !self.discards_hidden;
-                self.held = None;
-            }
+            Action::Discards => self.hide_discards(),
             Action::NextError => self.jump_to_error(true),
             Action::PreviousError => self.jump_to_error(false),
             Action::Back => self.back(),
@@ -127,6 +105,15 @@ impl App {
             }
         }
         Effect::Draw
+    }
+
+    /// Pauses the screen, or resumes it.
+    fn pause(&mut self, now: Moment) {
+        self.back = None;
+        self.frozen = match self.frozen.take() {
+            Some(_) => None,
+            None => Some((Box::new(self.live.clone()), now)),
+        };
     }
 
     /// Sorts the overview, and goes to its first row: the user asked for what comes first in the new order.
@@ -312,40 +299,6 @@ impl App {
         self.told = Some(format!("marked at {}; d shows what has changed since", Span(at)));
     }
 
-    /// Moves to the next row that itself matches the filter; without a filter, to the next row with a finding.
-    fn jump_to_match(&mut self, forward: bool, now: Moment) {
-        match self.screen {
-            Screen::Overview => {
-                let findings = self.findings(now);
-                let rows = self.rows(&findings, now);
-                let at = self.selected(&rows);
-                let fits = |row: &Row| {
-                    if self.shape.filter.is_empty() {
-                        findings.iter().any(|f| f.place == row.place)
-                    } else {
-                        let label = crate::view::label(self, row.place).to_lowercase();
-                        let own = label.rsplit('.').next().unwrap_or("");
-                        own.contains(&self.shape.filter.to_lowercase())
-                    }
-                };
-                let found = if forward {
-                    (at + 1..rows.len()).chain(0..at).find(|&i| fits(&rows[i]))
-                } else {
-                    (0..at).rev().chain((at + 1..rows.len()).rev()).find(|&i| fits(&rows[i]))
-                };
-                self.selected = found.map(|i| rows[i].place).or(self.selected);
-            }
-            Screen::Events => self.jump_in_events(forward, Severity::Warn),
-            Screen::Port
-            | Screen::Message
-            | Screen::Rendezvous
-            | Screen::Timeline
-            | Screen::Timers
-            | Screen::Model
-            | Screen::Help => {}
-        }
-    }
-
     fn is_waitfor(&self, end: PortEnd) -> bool {
         let view = self.store().incarnation(end.incarnation).and_then(|l| l.port(end.task, end.port));
         view.is_some_and(|v| v.usage == Usage::Waitfor)
@@ -388,27 +341,17 @@ impl App {
         let entry = queue.get(to).map(|w| (w.entry.source, w.entry.id));
         (self.scroll, self.entry) = (to, entry);
     }
+}
 
-    fn step_events(&mut self, by: isize) {
-        let lines = self.events();
-        let last = lines.len().saturating_sub(1);
-        let at = self.held.map_or(last, |held| lines.iter().rposition(|e| e.number <= held).unwrap_or(0));
-        let to = at.saturating_add_signed(by).min(last);
-        let number = lines.get(to).map(|e| e.number);
-        self.held = if to == last { None } else { number };
-    }
-
-    fn jump_to_error(&mut self, forward: bool) {
-        self.jump_in_events(forward, Severity::Bad);
-    }
-
-    fn jump_in_events(&mut self, forward: bool, least: Severity) {
-        let lines = self.events();
-        let at = self.held.unwrap_or(u64::MAX);
-        let mut bad = lines.iter().filter(|e| e.level() >= least).map(|e| e.number);
-        let found = if forward { bad.find(|n| *n > at) } else { bad.rfind(|n| *n < at) };
-        if found.is_some() {
-            self.held = found;
-        }
-    }
+/// Whether an action moves in a recording, or while paused in the recent past.
+const fn is_winding(action: Action) -> bool {
+    matches!(
+        action,
+        Action::StepBack
+            | Action::StepOn
+            | Action::PreviousAnomaly
+            | Action::NextAnomaly
+            | Action::Oldest
+            | Action::Newest
+    )
 }

@@ -124,10 +124,16 @@ pub fn clock_ahead(incarnation: &NodeIncarnation) -> Option<i128> {
 /// The time since a node's start at a moment of the monitor's clock, in microseconds.
 #[must_use]
 pub fn own_clock(incarnation: &NodeIncarnation, at: Moment) -> Option<u64> {
+    u64::try_from(since_start(incarnation, at)?).ok()
+}
+
+/// The same, also before the start: then it is negative.
+#[must_use]
+pub fn since_start(incarnation: &NodeIncarnation, at: Moment) -> Option<i64> {
     let snapshot = &incarnation.last.as_ref()?.snapshot;
     let mono = micros(at) - clock_ahead(incarnation)?;
     let started = i128::from(snapshot.mono_us) - i128::from(snapshot.uptime_us);
-    u64::try_from(mono - started).ok()
+    i64::try_from(mono - started).ok()
 }
 
 fn moment(mono_us: u64, offset: i128) -> Moment {
@@ -216,8 +222,9 @@ fn caused_by(mark: &Mark) -> Option<(Option<TaskId>, PortId, Kind, u32)> {
     Some((from, what.port, kind, what.number))
 }
 
-/// Finds each mark's cause: the latest match that is not clearly later. Numbers restart with each incarnation, so
-/// several may match.
+/// Finds each mark's cause: the latest match that is not later, otherwise the earliest that is not clearly later. Several
+/// may match, because numbers restart with each incarnation, and confirmations are repeated. A later repetition must not
+/// be the cause: it would delay everything after it.
 fn find_causes(marks: &mut [Mark]) {
     // `acts` has the last mark per key, and `alike` links each mark to the previous one with the same key.
     let mut acts: HashMap<(PortId, Kind, u32), usize> = HashMap::new();
@@ -241,7 +248,14 @@ fn find_causes(marks: &mut [Mark]) {
             whose && cause.at <= mark.at.saturating_add(APART)
         };
         let latest = acts.get(&(port, kind, number)).copied();
-        marks[at].cause = std::iter::successors(latest, |&at| alike[at]).find(fits);
+        let mut found = None;
+        for candidate in std::iter::successors(latest, |&at| alike[at]).filter(fits) {
+            found = Some(candidate);
+            if marks[candidate].at <= mark.at {
+                break;
+            }
+        }
+        marks[at].cause = found;
     }
 }
 

@@ -97,6 +97,20 @@ impl Canvas<'_> {
         }
     }
 
+    /// Writes the first of `texts` for which the right end of a row is free. If none fits, the row stays as it is.
+    pub(super) fn corner(&mut self, y: u16, texts: &[String], ink: Ink) {
+        if y >= self.area.height {
+            return;
+        }
+        let end = self.area.width;
+        let is_free = |x: u16| self.buffer[(self.area.x + x, self.area.y + y)].symbol() == " ";
+        let free = end - (0..end).rev().take_while(|&x| is_free(x)).last().unwrap_or(end);
+        // One column stays free before the text.
+        if let Some(text) = texts.iter().find(|text| columns(text) < free) {
+            self.at(end - columns(text), y, u16::MAX, text, ink);
+        }
+    }
+
     /// The widths of `columns`.
     pub(super) fn widths(&self, columns: &[Column]) -> Vec<u16> {
         widths(columns, self.area.width)

@@ -67,9 +67,9 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
         (false, false) => "",
     };
     let follows = app.held.map_or("following".to_owned(), |_| format!("+{newer} new, G follows"));
-    let text = format!(" {which}{follows} ");
-    let x = canvas.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
-    canvas.at(x, 0, u16::MAX, &text, if app.held.is_some() { Ink::Warn } else { Ink::Dim });
+    let few = app.held.map_or_else(String::new, |_| format!("+{newer} "));
+    let texts = [format!("{which}{follows} "), format!("{follows} "), few];
+    canvas.corner(0, &texts, if app.held.is_some() { Ink::Warn } else { Ink::Dim });
 }
 
 /// Before the detail of an entry: how often it occurred, and when last, if that is not about when it began.

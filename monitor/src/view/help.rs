@@ -24,9 +24,8 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
     }
     let rest = lines.len().saturating_sub(first + room);
     if rest > 0 && canvas.height() > 0 {
-        let text = format!(" {rest} more lines: j, PgDn ");
-        let x = canvas.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
-        canvas.at(x, 0, u16::MAX, &text, Ink::Head);
+        let texts = [format!("{rest} more lines: j, PgDn "), format!("{rest} more ")];
+        canvas.corner(0, &texts, Ink::Head);
     }
 }
 

@@ -2,6 +2,7 @@
 
 mod below;
 mod canvas;
+mod columns;
 mod drawn;
 mod events;
 mod help;

@@ -1,6 +1,7 @@
 //! Screen 1: nodes, their tasks and their ports. Each row shows the most severe finding within it.
 
-use super::canvas::{Canvas, Column, bar, first_row};
+use super::canvas::{self, Canvas, bar, first_row};
+use super::columns::{columns, sort_of};
 use super::{Hit, below, mark};
 use crate::app::App;
 use crate::clock::{Moment, Span};
@@ -18,65 +19,7 @@ use std::time::Duration;
 type Cells = [(String, Ink); 11];
 
 /// The index of the health cell.
-const HEALTH_CELL: usize = 10;
-
-const NAME: Column = Column::left("NODE/TASK/PORT", 0);
-const HEALTH: Column = Column::left("HEALTH", 0);
-
-/// The columns for a width, and the indices of the cells that they show.
-fn columns(width: u16) -> (Vec<Column>, &'static [usize]) {
-    let state = |w| Column::left("STATE", w);
-    let queue = |w| Column::left("QUEUE", w);
-    let slack = Column::right("SLACK", 7);
-    match width {
-        0..60 => (vec![NAME, queue(5), slack, Column::left("", 2)], &[0, 2, 3, HEALTH_CELL]),
-        60..80 => (
-            vec![Column::left(NAME.title, 18), state(14), queue(5), slack, HEALTH],
-            &[0, 1, 2, 3, HEALTH_CELL],
-        ),
-        80..116 => (
-            vec![
-                Column::left(NAME.title, 20),
-                state(if width < 90 { 22 } else { 28 }),
-                queue(5),
-                slack,
-                Column::right("EXP", 4),
-                HEALTH,
-            ],
-            &[0, 1, 2, 3, 5, HEALTH_CELL],
-        ),
-        116..160 => (
-            vec![
-                Column::left(NAME.title, 26),
-                state(28),
-                queue(11),
-                slack,
-                Column::right("MSG/s", 6),
-                Column::right("EXP", 4),
-                Column::right("OVF", 4),
-                Column::right("REJ", 4),
-                HEALTH,
-            ],
-            &[0, 1, 2, 3, 4, 5, 6, 7, HEALTH_CELL],
-        ),
-        _ => (
-            vec![
-                Column::left(NAME.title, 36),
-                state(40),
-                queue(11),
-                slack,
-                Column::right("MSG/s", 6),
-                Column::right("EXP", 4),
-                Column::right("OVF", 4),
-                Column::right("REJ", 4),
-                Column::right("RES", 4),
-                Column::right("T/O", 4),
-                HEALTH,
-            ],
-            &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, HEALTH_CELL],
-        ),
-    }
-}
+pub(super) const HEALTH_CELL: usize = 10;
 
 pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, canvas: &mut Canvas<'_>) {
     let rows = app.rows(findings, now);
@@ -95,14 +38,18 @@ pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, canvas: &mut Ca
     for (column, width) in columns.iter().zip(&widths) {
         if let Some(sort) = sort_of(column.title) {
             titles.target(start, 0, *width, Hit::Title(sort));
+            if sort == app.shape.sort && sort != Sort::Name {
+                let indent =
+                    if column.right { width.saturating_sub(canvas::columns(column.title)) } else { 0 };
+                titles.at(start + indent, 0, width - indent, column.title, Ink::Head);
+            }
         }
         start += width + 1;
     }
     if app.shape.sort != Sort::Name || app.shape.inverted {
-        let text =
-            format!("by {}{}", app.shape.sort.word(), if app.shape.inverted { ", inverted" } else { "" });
-        let x = titles.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
-        titles.at(x, 0, u16::MAX, &text, Ink::Head);
+        let inverted = if app.shape.inverted { "inverted" } else { "" };
+        let both = format!("by {} {inverted}", app.shape.sort.word()).trim_end().to_owned();
+        titles.corner(0, &[both, inverted.to_owned()], Ink::Head);
     }
     let below = below::rows(canvas.height());
     let height = usize::from(canvas.height().saturating_sub(1 + below));
@@ -124,17 +71,6 @@ pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, canvas: &mut Ca
             canvas.select(y);
         }
         canvas.target(0, y, canvas.area.width, Hit::Row(row.place));
-    }
-}
-
-/// The order that a click on a column's title chooses.
-fn sort_of(title: &str) -> Option<Sort> {
-    match title {
-        "NODE/TASK/PORT" => Some(Sort::Name),
-        "QUEUE" => Some(Sort::Queue),
-        "SLACK" => Some(Sort::Slack),
-        "HEALTH" => Some(Sort::Health),
-        _ => None,
     }
 }
 

@@ -82,10 +82,9 @@ fn bypassed(
     };
     let queue = &told.what.queue;
     let text = format!("bypassed {}/{} ", queue.bypassed, queue.bypass_limit);
-    let x = canvas.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
     if canvas.area.width >= 100 {
         let near = queue.bypassed.saturating_mul(2) > queue.bypass_limit;
-        canvas.at(x, 1, u16::MAX, &text, if near { Ink::Warn } else { Ink::Dim });
+        canvas.corner(1, &[text], if near { Ink::Warn } else { Ink::Dim });
     }
 }
 
@@ -220,9 +219,7 @@ impl Queue<'_> {
     fn hidden(&self, shown: usize, canvas: &mut Canvas<'_>) {
         let hidden = usize::from(self.view.len).max(self.waiting.len()).saturating_sub(shown);
         if hidden > 0 && canvas.height() > 0 {
-            let text = format!(" {hidden} more ");
-            let x = canvas.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
-            canvas.at(x, 0, u16::MAX, &text, Ink::Head);
+            canvas.corner(0, &[format!("{hidden} more "), format!("+{hidden}")], Ink::Head);
         }
     }
 

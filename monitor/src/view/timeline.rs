@@ -6,7 +6,7 @@ use super::words::{ink, short};
 use crate::app::App;
 use crate::app::lanes::{Chart, Slice};
 use crate::clock::Span;
-use crate::store::timeline::{Mark, own_clock};
+use crate::store::timeline::{Mark, since_start};
 use crate::theme::Ink;
 use std::time::Duration;
 
@@ -15,24 +15,36 @@ const AXIS: u16 = 11;
 /// The least width of a lane.
 const LANE: u16 = 24;
 
+/// The least height with a line of its own for what the corner says.
+const TALL: u16 = 8;
+/// How many rows below the screen may still limit the times on it.
+const BELOW: usize = 64;
+
 pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
     let chart = app.chart();
     if chart.lanes.is_empty() {
         canvas.line(1, &[(" This cell has no tasks yet.", Ink::Plain)]);
         return;
     }
+    let above = u16::from(canvas.height() >= TALL);
+    lanes(app, &chart, &mut canvas.below(above));
+    corner(app, &chart, canvas);
+}
+
+fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
     let room = usize::from(canvas.height().saturating_sub(1));
     let first = (chart.bottom + 1).saturating_sub(room);
     canvas.list(room, chart.rows.len());
     let list = canvas.area.width < AXIS + LANE + 20;
-    let sheet = Sheet::new(&chart, canvas.area.width);
+    let sheet = Sheet::new(chart, canvas.area.width);
     if list {
         canvas.line(0, &[("     TIME  TASK       WHAT", Ink::Dim)]);
     } else {
-        sheet.heads(app, &chart, canvas);
+        sheet.heads(app, chart, canvas);
     }
+    let times = times(app, chart, first, room + BELOW);
     let rows = chart.rows.iter().enumerate().skip(first).take(room);
-    for (y, (at, row)) in (1..).zip(rows) {
+    for (y, ((at, row), time)) in (1..).zip(rows.zip(times)) {
         match row {
             Slice::Lost(gap) => {
                 let node =
@@ -47,12 +59,13 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
             }
             Slice::Marks(marks) => {
                 let marks: Vec<&Mark> = marks.iter().map(|&i| &chart.timeline.marks[i]).collect();
-                let (time, exact) = time(app, &chart, &marks);
-                canvas.at(0, y, AXIS, &time, if exact { Ink::Plain } else { Ink::Dim });
+                if let Some(time) = time {
+                    canvas.at(0, y, AXIS, &time.to_string(), if time.exact { Ink::Plain } else { Ink::Dim });
+                }
                 if list {
                     narrow(app, &marks, y, canvas);
                 } else {
-                    sheet.row(app, &chart, &marks, y, canvas);
+                    sheet.row(app, chart, &marks, y, canvas);
                 }
             }
         }
@@ -63,36 +76,69 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
     if chart.rows.is_empty() {
         canvas.line(1, &[(" Nothing has happened since the monitor attached.", Ink::Dim)]);
     }
-    corner(app, &chart, canvas);
 }
 
-/// Shows at the right of the titles the zoom, and whether the screen follows new rows.
+/// Shows above the lanes the zoom, and whether the screen follows new rows.
 fn corner(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
     let incarnations = chart.lanes.iter().filter_map(|task| app.incarnation_of_task(*task));
     let error = incarnations.filter_map(|incarnation| incarnation.clock).map(|clock| clock.error_us).max();
     let zoom = chart.zoom.map_or_else(|| "each event".to_owned(), |zoom| format!("{} a row", Span(zoom)));
     let zoom = if chart.sparse { format!("no ordinary messages, {zoom}") } else { zoom };
-    let clocks =
-        error.filter(|_| canvas.area.width >= 60).map(|us| format!("clocks +-{}, ", Span::micros(us)));
-    let zoom = clocks.unwrap_or_default() + &zoom;
+    let clocks = error.map_or_else(String::new, |us| format!("clocks +-{}, ", Span::micros(us)));
     let newer = chart.rows.len().saturating_sub(chart.bottom + 1);
-    let text = if chart.held { format!(" {zoom}, +{newer} new, G follows ") } else { format!(" {zoom} ") };
-    let x = canvas.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
-    canvas.at(x, 0, u16::MAX, &text, if chart.held { Ink::Warn } else { Ink::Dim });
+    let (new, few) = if chart.held {
+        (format!(", +{newer} new, G follows"), format!("+{newer} "))
+    } else {
+        (String::new(), String::new())
+    };
+    let texts = [format!("{clocks}{zoom}{new} "), format!("{zoom}{new} "), few];
+    canvas.corner(0, &texts, if chart.held { Ink::Warn } else { Ink::Dim });
 }
 
-/// The time of a row on the clock of the selected lane's node, since its start; and whether it is exact.
-fn time(app: &App, chart: &Chart, marks: &[&Mark]) -> (String, bool) {
+/// The time of a row on the clock of the selected lane's node.
+#[derive(Clone, Copy)]
+struct Time {
+    /// Microseconds since the latest start of the node; negative before it.
+    us: i64,
+    /// Whether the node's own clock says so, not an estimate.
+    exact: bool,
+}
+
+impl std::fmt::Display for Time {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let at = Duration::from_micros(self.us.unsigned_abs());
+        let (minus, sign) = (if self.us < 0 { "-" } else { "" }, if self.exact { ' ' } else { '~' });
+        let (minutes, seconds) = (at.as_secs() / 60, at.as_secs() % 60);
+        let text = if minutes < 60 {
+            format!("{minus}{minutes}:{seconds:02}.{:03}", at.subsec_millis())
+        } else {
+            format!("{minus}{}:{:02}:{seconds:02}", minutes / 60, minutes % 60)
+        };
+        write!(f, "{sign}{text:>9}")
+    }
+}
+
+/// The times of `count` rows from `first` on. The order of events on different nodes is an estimate, but an effect is
+/// never above its cause. So where the clocks contradict the order, an estimated time gives way to the times below it,
+/// and no time is above an earlier one.
+fn times(app: &App, chart: &Chart, first: usize, count: usize) -> Vec<Option<Time>> {
     let incarnation = chart.lanes.get(chart.lane).and_then(|task| app.incarnation_of_task(*task));
-    let Some(incarnation) = incarnation else { return (String::new(), false) };
-    let own = marks.iter().find(|mark| mark.incarnation == incarnation.id);
-    let at = own.map(|mark| mark.at).or_else(|| marks.first().map(|mark| mark.order));
-    let Some(us) = at.and_then(|at| own_clock(incarnation, at)) else { return (String::new(), false) };
-    let at = Duration::from_micros(us);
-    let (minutes, seconds) = (at.as_secs() / 60 % 60, at.as_secs() % 60);
-    let text = format!("{minutes:2}:{seconds:02}.{:03}", at.subsec_millis());
-    let sign = if own.is_some() { ' ' } else { '~' };
-    (format!("{sign}{text}"), own.is_some())
+    let time = |row: &Slice| {
+        let (Slice::Marks(marks), Some(incarnation)) = (row, incarnation) else { return None };
+        let own = marks.iter().find(|&&at| chart.timeline.marks[at].incarnation == incarnation.id);
+        let mark = &chart.timeline.marks[*own.or(marks.first())?];
+        let us = since_start(incarnation, if own.is_some() { mark.at } else { mark.order })?;
+        Some(Time { us, exact: own.is_some() })
+    };
+    let mut times: Vec<_> = chart.rows.iter().skip(first).take(count).map(time).collect();
+    let mut below = i64::MAX;
+    for time in times.iter_mut().rev().flatten() {
+        if time.us > below {
+            *time = Time { us: below, exact: false };
+        }
+        below = time.us;
+    }
+    times
 }
 
 fn narrow(app: &App, marks: &[&Mark], y: u16, canvas: &mut Canvas<'_>) {
@@ -128,8 +174,13 @@ impl Sheet {
 
     fn heads(&self, app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
         canvas.at(0, 0, AXIS, "     TIME", Ink::Dim);
+        let after = chart.lanes.len().saturating_sub(self.first + self.count);
+        let more = format!(" {}{after}", app.theme.glyphs.arrow);
         for (at, task) in chart.lanes.iter().enumerate().skip(self.first).take(self.count) {
             let (x, _) = self.x(at);
+            // The last head leaves room for the number of lanes to the right.
+            let last = after > 0 && at + 1 == self.first + self.count;
+            let width = if last { self.width.saturating_sub(columns(&more)) } else { self.width };
             let incarnation = app.incarnation_of_task(*task);
             let cell = app.cell();
             let names = cell.and_then(|cell| app.store().names(&cell).cloned());
@@ -137,13 +188,14 @@ impl Sheet {
             let node = incarnation.map_or_else(String::new, |incarnation| format!("@{}", incarnation.node));
             let sign = if at == chart.lane { app.theme.glyphs.selected } else { " " };
             let inkling = if at == chart.lane { Ink::Head } else { Ink::Plain };
-            let end = canvas.at(x.saturating_sub(1), 0, self.width, &format!("{sign}{name}"), inkling);
-            canvas.at(end, 0, (x + self.width).saturating_sub(end + 1), &node, Ink::Dim);
+            let end = canvas.at(x.saturating_sub(1), 0, width, &format!("{sign}{name}"), inkling);
+            canvas.at(end, 0, (x + width).saturating_sub(end + 1), &node, Ink::Dim);
         }
-        let after = chart.lanes.len().saturating_sub(self.first + self.count);
-        if self.first > 0 || after > 0 {
-            let more = format!("{}{}", self.first, app.theme.glyphs.back);
-            canvas.at(0, 0, 4, if self.first > 0 { &more } else { "" }, Ink::Warn);
+        if self.first > 0 {
+            canvas.at(0, 0, 4, &format!("{}{}", self.first, app.theme.glyphs.back), Ink::Warn);
+        }
+        if after > 0 {
+            canvas.at(canvas.area.width.saturating_sub(columns(&more)), 0, u16::MAX, &more, Ink::Warn);
         }
     }
 
@@ -168,6 +220,9 @@ impl Sheet {
             let end = canvas.at(x + 2, y, room, &text, worst.unwrap_or(Ink::Plain));
             mark_taken(&mut taken, x, end + 1);
         }
+        if !marks.iter().any(|mark| lane_of(mark).is_some_and(|lane| self.x(lane).1)) {
+            self.hidden(app, chart, marks, y, canvas);
+        }
         for mark in marks {
             let cause = mark.cause.and_then(|cause| chart.timeline.marks.get(cause));
             if let (Some(to), Some(cause)) = (lane_of(mark), cause)
@@ -182,6 +237,21 @@ impl Sheet {
                 self.way(app, (from, to), sign, y, &taken, canvas);
             }
         }
+    }
+
+    /// Shows a row without marks in the visible lanes: at the side of the hidden lane, its task and what happened.
+    fn hidden(&self, app: &App, chart: &Chart, marks: &[&Mark], y: u16, canvas: &mut Canvas<'_>) {
+        let Some(mark) = marks.first() else { return };
+        let Some(incarnation) = app.store().incarnation(mark.incarnation) else { return };
+        let what = short(mark, &incarnation.names, &app.theme);
+        let more = if marks.len() > 1 { format!(" +{}", marks.len() - 1) } else { String::new() };
+        let text = format!("{}: {what}{more}", incarnation.names.task(mark.task));
+        let (back, arrow) = (app.theme.glyphs.back, app.theme.glyphs.arrow);
+        let left = chart.lanes.iter().position(|task| *task == mark.task).is_some_and(|at| at < self.first);
+        let text = if left { format!("{back} {text}") } else { format!("{text} {arrow}") };
+        let room = canvas.area.width.saturating_sub(AXIS + 1);
+        let x = if left { AXIS + 1 } else { AXIS + 1 + room.saturating_sub(columns(&text)) };
+        canvas.at(x, y, room, &text, Ink::Dim);
     }
 
     /// Draws the arrow of a message in the row of its arrival, around the text there.

@@ -1,0 +1,71 @@
+//! Jumps: to the next match or trouble, and within the events.
+
+use super::{App, Screen};
+use crate::clock::Moment;
+use crate::rows::Row;
+use crate::store::journal::Severity;
+
+impl App {
+    /// Moves to the next row that itself matches the filter; without a filter, to the next row with a finding.
+    pub(super) fn jump_to_match(&mut self, forward: bool, now: Moment) {
+        match self.screen {
+            Screen::Overview => {
+                let findings = self.findings(now);
+                let rows = self.rows(&findings, now);
+                let at = self.selected(&rows);
+                let fits = |row: &Row| {
+                    if self.shape.filter.is_empty() {
+                        findings.iter().any(|f| f.place == row.place)
+                    } else {
+                        let label = crate::view::label(self, row.place).to_lowercase();
+                        let own = label.rsplit('.').next().unwrap_or("");
+                        own.contains(&self.shape.filter.to_lowercase())
+                    }
+                };
+                let found = if forward {
+                    (at + 1..rows.len()).chain(0..at).find(|&i| fits(&rows[i]))
+                } else {
+                    (0..at).rev().chain((at + 1..rows.len()).rev()).find(|&i| fits(&rows[i]))
+                };
+                self.selected = found.map(|i| rows[i].place).or(self.selected);
+            }
+            Screen::Events => self.jump_in_events(forward, Severity::Warn),
+            Screen::Port
+            | Screen::Message
+            | Screen::Rendezvous
+            | Screen::Timeline
+            | Screen::Timers
+            | Screen::Model
+            | Screen::Help => {}
+        }
+    }
+
+    pub(super) fn step_events(&mut self, by: isize) {
+        let lines = self.events();
+        let last = lines.len().saturating_sub(1);
+        let at = self.held.map_or(last, |held| lines.iter().rposition(|e| e.number <= held).unwrap_or(0));
+        let to = at.saturating_add_signed(by).min(last);
+        let number = lines.get(to).map(|e| e.number);
+        self.held = if to == last { None } else { number };
+    }
+
+    pub(super) fn jump_to_error(&mut self, forward: bool) {
+        self.jump_in_events(forward, Severity::Bad);
+    }
+
+    fn jump_in_events(&mut self, forward: bool, least: Severity) {
+        let lines = self.events();
+        let at = self.held.unwrap_or(u64::MAX);
+        let mut bad = lines.iter().filter(|e| e.level() >= least).map(|e| e.number);
+        let found = if forward { bad.find(|n| *n > at) } else { bad.rfind(|n| *n < at) };
+        if found.is_some() {
+            self.held = found;
+        }
+    }
+
+    /// Leaves discards out of the events, or shows them, and follows new events.
+    pub(super) fn hide_discards(&mut self) {
+        self.discards_hidden = !self.discards_hidden;
+        self.held = None;
+    }
+}

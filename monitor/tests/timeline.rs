@@ -1,0 +1,99 @@
+//! Tests of the timeline's rows: their times, and the lanes that do not fit.
+
+use crate::common::{BEAT, LIFT, Stage, at, events, left, ms, observed, snapshot};
+use crossterm::event::KeyCode;
+use imrs_monitor::theme::Theme;
+use imrs_protocol::Event;
+use imrs_wire::obs::{Pong, ServerFrame};
+use proptest::prelude::*;
+use std::time::Duration;
+
+const NOW: Duration = ms(1_100);
+
+/// The times of the rows in microseconds, as text on the screen.
+fn times(shown: &str) -> Vec<i64> {
+    let time = |line: &str| {
+        let text = line.get(1..10)?.trim().to_owned();
+        let (minutes, seconds) = text.strip_prefix('-').unwrap_or(&text).split_once(':')?;
+        let us =
+            minutes.parse::<i64>().ok()? * 60_000 + (seconds.parse::<f64>().ok()? * 1_000.0).round() as i64;
+        Some(if text.starts_with('-') { -us } else { us })
+    };
+    shown.lines().skip(2).filter_map(time).collect()
+}
+
+/// The left arm's node restarts. Its earlier events are before its start, and no row is without a time.
+#[test]
+fn after_a_restart_times_go_on_and_are_negative_before_it() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    let sent = |n: u64| (4_700 + 50 * n, left(Event::Sent, BEAT, 1, u32::try_from(n).unwrap(), 200));
+    stage.frame(ms(1_000), 0, ServerFrame::Events(at(0, &[sent(0), sent(1), sent(2)])));
+    stage.lose(ms(1_020), 0);
+    stage.attach(ms(1_500), 0, 2);
+    // The new incarnation started 400 ms before the snapshot, which was at 5,500 of the same clock.
+    let mut restarted = snapshot(0);
+    (restarted.mono_us, restarted.uptime_us) = (5_500_000, 400_000);
+    stage.frame(ms(1_500), 0, ServerFrame::Snapshot(restarted));
+    stage.frame(ms(1_500), 0, ServerFrame::Pong(Pong { echo_us: 1_500_000, mono_us: 5_500_000 }));
+    let again = [(5_200, left(Event::Sent, BEAT, 1, 0, 200)), (5_300, left(Event::Sent, BEAT, 1, 1, 200))];
+    stage.frame(ms(1_500), 0, ServerFrame::Events(at(0, &again)));
+    let shown = stage.typed(ms(1_600), (120, 40), "4");
+    assert_eq!(times(&shown), [-400, -350, -300, 100, 200], "{shown}");
+}
+
+proptest! {
+    /// For any events with any clocks, seen from any lane, no row's time is before the time above it.
+    #[test]
+    fn times_never_run_backwards(
+        said in prop::collection::vec((0..3_usize, 0..8_usize, 0..3_u32, 0..9_u64), 1..30),
+        ahead in prop::array::uniform3(0..200_u64),
+        lane in 0..3_usize,
+    ) {
+        let kinds = [
+            Event::Sent, Event::Delivered, Event::Replied, Event::Answered, Event::Reached, Event::PartnerArrived,
+            Event::Confirmed, Event::ReleasedByConfirm,
+        ];
+        let mut stage = Stage::cell(Theme::ASCII);
+        let mut clock = [4_000_u64; 3];
+        for (node, kind, number, passed) in said {
+            clock[node] += passed * 17;
+            let peer = u16::try_from((node + 1) % 3).unwrap();
+            let event = [(clock[node] + ahead[node], left(kinds[kind], BEAT, peer, number, 10))];
+            stage.frame(ms(1_000), node, ServerFrame::Events(at(node, &event)));
+        }
+        stage.keys(NOW, &("4".to_owned() + &"l".repeat(lane)));
+        let times = times(&stage.text(NOW, 120, 60));
+        prop_assert!(times.is_sorted(), "{times:?}");
+    }
+}
+
+/// Confirmations of a round are repeated. A repetition after the release is not what released.
+#[test]
+fn a_later_repetition_is_no_cause() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    let confirms: Vec<_> =
+        (0..6).map(|n| (4_800 + 20 * n, left(Event::Confirmed, LIFT, 0, 12, 100))).collect();
+    stage.frame(ms(1_000), 1, ServerFrame::Events(at(1, &confirms)));
+    let released = [(4_811, left(Event::ReleasedByConfirm, LIFT, 0, 12, 100))];
+    stage.frame(ms(1_000), 0, ServerFrame::Events(at(0, &released)));
+    let marks = stage.app.chart().timeline.marks;
+    let release = marks.iter().find(|mark| mark.seen.what.event == Event::ReleasedByConfirm).unwrap();
+    assert_eq!(marks[release.cause.unwrap()].seen.mono_us, 4_800_000);
+    assert_eq!(release.order, release.at);
+}
+
+#[test]
+fn lanes_that_do_not_fit_are_counted_and_their_rows_say_what_happened() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    stage.frame(ms(1_000), 0, ServerFrame::Events(events(0, &[observed(Event::Sent, BEAT, 1, 7)])));
+    stage.frame(ms(1_000), 2, ServerFrame::Events(events(2, &[observed(Event::Reached, LIFT, 2, 12)])));
+    let shown = stage.typed(NOW, (60, 24), "4");
+    let heads = shown.lines().find(|line| line.contains("TIME")).unwrap();
+    assert!(heads.contains(">armL@nl") && heads.ends_with(">1"), "{heads}");
+    assert!(shown.lines().any(|line| line.ends_with("hoist: * lift r12 reached >")), "{shown}");
+    stage.key(NOW, KeyCode::Right);
+    let shown = stage.typed(NOW, (60, 24), "l");
+    let heads = shown.lines().find(|line| line.contains("hoist")).unwrap();
+    assert!(heads.starts_with("1<"), "{heads}");
+    assert!(shown.lines().any(|line| line.contains("< armL: beat#7 > armR")), "{shown}");
+}
