@@ -8,6 +8,7 @@ use crate::clock::Moment;
 use crate::replay::{Film, Reel, is_odd};
 use crate::source::{Arrival, Feed, SourceId};
 use crate::store::{NodeIncarnation, Store};
+use crate::verdicts::Verdicts;
 use imrs_wire::obs::{Delta, Hello, NodeIdentity, Role, SCHEMA, ServerFrame, VERSION};
 use imrs_wire::recording::Shown;
 use std::collections::VecDeque;
@@ -32,6 +33,7 @@ pub struct History {
     known: Vec<Known>,
     /// The memory of the closed segments, in bytes.
     weight: usize,
+    verdicts: Verdicts,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -63,6 +65,7 @@ struct Known {
 impl History {
     /// Adds what a source delivered. `before` is the store before that.
     pub fn take(&mut self, arrival: &Arrival, before: &Store) {
+        self.verdicts.take(arrival);
         let Arrival { at, source, feed } = arrival;
         let Ok(number) = u16::try_from(source.0) else { return };
         if self.open.reel.began().is_none_or(|began| at.saturating_sub(began) >= REEL) {
@@ -107,6 +110,11 @@ impl History {
         let reels = std::iter::once(first).chain(pieces).map(|piece| Arc::clone(&piece.reel)).collect();
         let cell = self.known.last().map_or_else(String::new, |known| known.identity.cell.clone());
         Some(Film::of(cell, Arc::clone(&first.opening), reels))
+    }
+
+    /// The latest verdict on each incarnation at a moment.
+    pub fn verdicts(&self, moment: Moment) -> impl Iterator<Item = Arrival> {
+        self.verdicts.at(moment)
     }
 
     /// The memory that it takes, in bytes.

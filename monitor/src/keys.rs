@@ -44,7 +44,7 @@ pub enum Action {
     NextError,
     /// The previous critical event.
     PreviousError,
-    /// The beginning of a recording; elsewhere the first row.
+    /// The beginning of a recording, or while paused of the history; elsewhere the first row.
     Oldest,
     /// The end of a recording; elsewhere the last row.
     Newest,
@@ -149,8 +149,12 @@ pub const BINDINGS: &[Binding] = &[
     everywhere(&[code(KeyCode::PageDown), ctrl('f')], Action::PageDown, "a page down"),
     everywhere(&[key('g')], Action::First, "first row"),
     everywhere(&[key('G')], Action::Last, "last row; events: follow"),
-    everywhere(&[code(KeyCode::Home)], Action::Oldest, "first row; in a recording its beginning"),
-    everywhere(&[code(KeyCode::End)], Action::Newest, "last row; in a recording its end"),
+    everywhere(
+        &[code(KeyCode::Home)],
+        Action::Oldest,
+        "first row; in a recording, or while paused, the beginning",
+    ),
+    everywhere(&[code(KeyCode::End)], Action::Newest, "last row; in a recording, or while paused, the end"),
     on(&[Screen::Overview], &[key('h'), code(KeyCode::Left)], Action::Left, "hide the rows within"),
     on(&[Screen::Overview], &[key('l'), code(KeyCode::Right)], Action::Right, "show the rows within"),
     on(&[Screen::Port], &[key('h'), code(KeyCode::Left)], Action::Left, "previous port"),
@@ -193,10 +197,10 @@ pub const BINDINGS: &[Binding] = &[
     on(&[Screen::Events], &[key('e')], Action::NextError, "next bad event"),
     on(&[Screen::Events], &[key('E')], Action::PreviousError, "previous bad event"),
     everywhere(&[key(' ')], Action::Pause, "pause this screen (never the nodes); play a recording"),
-    everywhere(&[key('[')], Action::StepBack, "in a recording: one step back"),
-    everywhere(&[key(']')], Action::StepOn, "in a recording: one step on"),
-    everywhere(&[key('{')], Action::PreviousAnomaly, "in a recording: back to where something went wrong"),
-    everywhere(&[key('}')], Action::NextAnomaly, "in a recording: on to where something goes wrong"),
+    everywhere(&[key('[')], Action::StepBack, "in a recording, or while paused: one step back"),
+    everywhere(&[key(']')], Action::StepOn, "in a recording, or while paused: one step on"),
+    everywhere(&[key('{')], Action::PreviousAnomaly, "there: back to where something went wrong"),
+    everywhere(&[key('}')], Action::NextAnomaly, "there: on to where something goes wrong"),
     on(
         &[Screen::Overview, Screen::Events],
         &[key('n')],

@@ -34,6 +34,7 @@ pub mod store;
 mod terminal;
 pub mod theme;
 mod ui;
+mod verdicts;
 pub mod view;
 
 pub use error::MonitorError;

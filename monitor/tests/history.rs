@@ -5,6 +5,7 @@ use imrs_monitor::record::Tape;
 use imrs_monitor::replay::Player;
 use imrs_monitor::source::{Arrival, Feed, SourceId};
 use imrs_monitor::store::Store;
+use imrs_monitor::store::conformance::{Conformance, Verdict, conformance};
 use imrs_monitor::theme::Theme;
 use imrs_monitor::{history, report};
 use imrs_protocol::{Event, Ticks};
@@ -149,6 +150,8 @@ fn while_paused_one_goes_back_in_the_present_run() {
     stage.keys(now, "[[");
     assert_eq!(shown(&stage), (id, 697));
     assert_eq!(stage.app.moment(now), period(697));
+    let screen = stage.text(now, 120, 24);
+    assert!(screen.contains("PAUSED -200ms") && screen.contains("200ms before the pause"), "{screen}");
     // The nodes continue, but the paused screen does not show it.
     stage.frame(period(700), 0, change(0, 699, 700));
     assert_eq!(shown(&stage), (id, 697));
@@ -163,6 +166,40 @@ fn while_paused_one_goes_back_in_the_present_run() {
     assert!(stage.app.gone_back().is_none());
     stage.keys(now, " ");
     assert_eq!(shown(&stage), (id, 700), "and the present");
+}
+
+/// A verdict comes from no connection, and still belongs to its time.
+#[test]
+fn the_verdict_is_known_while_one_goes_back() {
+    let mut stage = Stage::new(Theme::MONO);
+    attached().into_iter().for_each(|arrival| {
+        stage.feed(arrival.at, 0, arrival.feed);
+    });
+    stage.frame(period(0), 0, whole(0, 0));
+    for n in 1..100 {
+        stage.frame(period(n), 0, change(0, n - 1, n));
+        let verdict = match n {
+            0..30 => continue,
+            30..70 => Verdict::Conforms,
+            _ => Verdict::Violates { step: 70, what: "another queue".into() },
+        };
+        let said = Box::new(Conformance { verdict, steps: n });
+        let (cell, node) = ("beam-lift".to_owned(), "nl".to_owned());
+        stage.feed(period(n), 0, Feed::Judged { cell, node, incarnation: 1, said });
+    }
+    let now = period(99);
+    let verdict =
+        |stage: &Stage| conformance(stage.app.store(), stage.app.store().incarnations()[0].id).verdict;
+    stage.keys(now, " ");
+    assert!(matches!(verdict(&stage), Verdict::Violates { .. }));
+    stage.keys(now, "[");
+    assert!(matches!(verdict(&stage), Verdict::Violates { step: 70, .. }));
+    stage.keys(now, &"[".repeat(39));
+    assert_eq!((stage.app.moment(now), verdict(&stage)), (period(59), Verdict::Conforms));
+    stage.keys(now, &"[".repeat(39));
+    assert!(matches!(verdict(&stage), Verdict::Unknown { .. }), "before the first verdict");
+    stage.keys(now, &"]".repeat(20));
+    assert_eq!((stage.app.moment(now), verdict(&stage)), (period(40), Verdict::Conforms));
 }
 
 #[test]

@@ -160,7 +160,9 @@ impl App {
         let last = player.film().stop_at(paused);
         if player.stop() >= last {
             self.back = None;
+            return;
         }
+        self.history.verdicts(player.moment()).for_each(|verdict| player.add(verdict));
     }
 
     fn show(&mut self, screen: Screen) {

@@ -10,6 +10,7 @@ pub(crate) use film::is_odd;
 pub use film::{Film, Reel, Stop};
 
 use crate::clock::{Moment, Span};
+use crate::source::Arrival;
 use crate::store::Store;
 pub(crate) use film::Scene;
 use imrs_wire::recording::Step;
@@ -149,6 +150,11 @@ impl Player {
             (Some(step), Some(story)) => format!("{}/{} tick {}", step.number, story.steps, step.tick),
             _ => format!("{} of {}", Span(self.at), Span(self.film.length())),
         }
+    }
+
+    /// Applies what the film does not contain to the shown store.
+    pub(crate) fn add(&mut self, arrival: Arrival) {
+        self.store.apply(arrival);
     }
 
     /// Moves to the stop at a time, and pauses.

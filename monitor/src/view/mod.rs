@@ -213,7 +213,8 @@ fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &
             (false, 0) => ("NOBODY THERE", Ink::Bad),
             (false, _) => ("LIVE", Ink::Good),
         };
-        pieces.push((format!("  {word}"), ink));
+        let before = before_pause(app, now).map_or_else(String::new, |before| format!(" -{}", Span(before)));
+        pieces.push((format!("  {word}{before}"), ink));
     }
     if app.recording.is_some() {
         pieces.push(("  REC".to_owned(), Ink::Bad));
@@ -227,6 +228,12 @@ fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &
     if lost > 0 {
         pieces.push((format!("  lost {lost}"), Ink::Warn));
     }
+}
+
+/// While the user has moved back from a pause: how long before it the shown moment is.
+fn before_pause(app: &App, now: Moment) -> Option<std::time::Duration> {
+    app.gone_back()?;
+    Some(app.paused()?.saturating_sub(now))
 }
 
 /// The number of nodes that are up, and of all nodes.
@@ -260,7 +267,13 @@ fn foot(app: &App, findings: &[Finding], now: Moment, canvas: &mut Canvas<'_>) {
         ));
     }
     if let Some(at) = app.paused() {
-        pieces.push((format!(" paused at {}; space goes on", Span(at)), Ink::Warn));
+        let text = match before_pause(app, now) {
+            Some(before) => {
+                format!(" {} before the pause; [ ] step, End returns to it, space goes on", Span(before))
+            }
+            None => format!(" paused at {}; [ steps back, space goes on", Span(at)),
+        };
+        pieces.push((text, Ink::Warn));
     }
     if let Some(file) = &app.recording {
         pieces.push((format!(" recording to {file}; r ends it"), Ink::Warn));
