@@ -1,4 +1,4 @@
-//! The tests of the monitor, built as one program: each file beside this one is a module, except `history_memory.rs`.
+//! The tests of the monitor, built as one program: each file beside this one is a module, except those of `*_memory.rs`.
 
 mod common;
 #[path = "../../protocol/tests/allocations.rs"]

@@ -23,6 +23,10 @@ use thiserror::Error;
 const KEPT: usize = 32;
 /// Their approximate memory limit, in bytes. Two are kept whatever their size.
 const KEPT_BYTES: usize = 12 << 20;
+/// The least number of stops between two of them.
+const APART: usize = 16;
+/// After a long way to a stop, the state this many stops before it is kept too, so that the next steps back are quick.
+const NEAR: usize = 64;
 /// How long a step of a counterexample is shown at speed 1; its real ticks would be too short.
 const STEP: Duration = Duration::from_secs(1);
 
@@ -80,7 +84,19 @@ pub struct Player {
     playing: Option<(Moment, usize, Moment)>,
     speed: f64,
     /// Intermediate states, by stop.
-    kept: Vec<(usize, Store, Option<Step>)>,
+    kept: Vec<Kept>,
+    /// The number of stops between two of them.
+    apart: usize,
+    /// The state shortly before the stop shown last after a long way.
+    near: Option<Kept>,
+}
+
+/// The state at a stop.
+#[derive(Clone, Debug)]
+struct Kept {
+    stop: usize,
+    store: Store,
+    step: Option<Step>,
 }
 
 impl Player {
@@ -96,7 +112,10 @@ impl Player {
             playing: None,
             speed,
             kept: Vec::new(),
+            apart: 0,
+            near: None,
         };
+        player.apart = player.film.stops().len().div_ceil(KEPT).max(APART);
         player.show(None, 0);
         player
     }
@@ -235,10 +254,11 @@ impl Player {
 
     fn turn_to(&mut self, stop: usize) {
         if stop < self.stop {
-            let kept = self.kept.iter().rev().find(|(at, ..)| *at <= stop).cloned();
-            let from = kept.map(|(at, store, step)| {
-                (self.store, self.step) = (store, step);
-                at
+            let before = self.kept.iter().chain(&self.near).filter(|kept| kept.stop <= stop);
+            let kept = before.max_by_key(|kept| kept.stop).cloned();
+            let from = kept.map(|kept| {
+                (self.store, self.step) = (kept.store, kept.step);
+                kept.stop
             });
             if from.is_none() {
                 (self.store, self.step) = (Store::default(), None);
@@ -253,9 +273,8 @@ impl Player {
     fn show(&mut self, from: Option<usize>, to: usize) {
         let film = Arc::clone(&self.film);
         let stops = film.stops();
-        let kept = (KEPT_BYTES / self.store.weight().max(1)).clamp(2, KEPT);
-        let apart = stops.len().div_ceil(kept).max(16);
         let first = from.map_or(0, |from| from + 1);
+        let near = to.checked_sub(NEAR).filter(|near| *near > first + NEAR);
         let mut next = from.and_then(|from| stops.get(from)).map_or(0, |stop| stop.frames);
         for (number, stop) in stops.iter().enumerate().take(to + 1).skip(first) {
             for frame in next..stop.frames {
@@ -266,11 +285,32 @@ impl Player {
                 }
             }
             next = stop.frames;
-            if self.kept.last().is_none_or(|(at, ..)| number >= at + apart) {
-                self.kept.push((number, self.store.clone(), self.step.clone()));
+            if self.kept.last().is_none_or(|last| number >= last.stop + self.apart) {
+                self.kept.push(self.keep(number));
+                self.thin_out();
+            }
+            if near == Some(number) {
+                self.near = Some(self.keep(number));
             }
         }
         self.stop = to;
         self.at = stops.get(to).map_or(Duration::ZERO, |stop| stop.at);
+    }
+
+    fn keep(&self, stop: usize) -> Kept {
+        Kept { stop, store: self.store.clone(), step: self.step.clone() }
+    }
+
+    /// Drops every second kept state, and keeps fewer from now on, until they fit.
+    fn thin_out(&mut self) {
+        let weight = |kept: &[Kept]| kept.iter().map(|kept| kept.store.weight()).sum::<usize>();
+        while self.kept.len() > 2 && (self.kept.len() > KEPT || weight(&self.kept) > KEPT_BYTES) {
+            let mut at = 0;
+            self.kept.retain(|_| {
+                at += 1;
+                at % 2 == 1
+            });
+            self.apart *= 2;
+        }
     }
 }

@@ -304,6 +304,12 @@ impl Journal {
         lines
     }
 
+    /// Approximate memory of the entries, in bytes.
+    #[must_use]
+    pub fn weight(&self) -> usize {
+        (self.bad.len() + self.notable.len() + self.trace.len()) * size_of::<Entry>()
+    }
+
     /// The number of the next entry.
     #[must_use]
     pub const fn next_number(&self) -> u64 {

@@ -151,10 +151,11 @@ impl Store {
         self.gaps
     }
 
-    /// Approximate memory of the states, in bytes.
+    /// Approximate memory of the states, the events and the statistics, in bytes.
     #[must_use]
     pub fn weight(&self) -> usize {
-        self.incarnations.iter().map(NodeIncarnation::weight).sum()
+        let states: usize = self.incarnations.iter().map(NodeIncarnation::weight).sum();
+        states + self.journal.weight() + self.trail.weight() + self.services.weight()
     }
 
     /// The source that is attached to an incarnation, if any.

@@ -168,6 +168,17 @@ impl Services {
         }
     }
 
+    /// Approximate memory of the statistics, in bytes.
+    pub fn weight(&self) -> usize {
+        let port = |port: &Arc<Port>| {
+            size_of::<Port>()
+                + 4 * port.times.capacity()
+                + 2 * port.fill.capacity()
+                + 4 * port.slack.capacity()
+        };
+        self.ports.values().map(port).sum()
+    }
+
     /// Drops the statistics of an incarnation.
     pub fn forget(&mut self, incarnation: IncarnationId) {
         self.ports.retain(|(of, _, _), _| *of != incarnation);

@@ -116,6 +116,13 @@ impl Trail {
         batches.flat_map(|batch| batch.seen.iter().rev()).find(fits).map(|seen| seen.what.number)
     }
 
+    /// Approximate memory of the observations, in bytes.
+    #[must_use]
+    pub fn weight(&self) -> usize {
+        let counts = self.fired.values().map(|tasks| tasks.len() * size_of::<Fired>()).sum::<usize>();
+        self.len * size_of::<Seen>() + counts
+    }
+
     /// The batches, in order of arrival.
     pub fn batches(&self) -> impl DoubleEndedIterator<Item = &Batch> {
         self.batches.iter()
