@@ -67,11 +67,11 @@ fn no_condition_on_a_whole_cell_holds_because_a_node_is_not_there() {
     };
     stage.attach(ms(1_000), 0, 1);
     stage.attach(ms(1_000), 2, 1);
-    for text in ["missing==0", "critical==0", "up>=3"] {
+    for text in ["missing==0", "critical==0", "up>=3", "up==nodes", "nodes <= up"] {
         assert!(!holds(&stage, text), "{text}");
     }
     stage.attach(ms(1_000), 1, 1);
-    assert!(holds(&stage, "missing==0 and critical==0 and up>=3"));
+    assert!(holds(&stage, "missing==0 and critical==0 and up>=3 and up==nodes and not up < nodes"));
     stage.lose(ms(1_005), 1);
     assert!(holds(&stage, "missing==1"));
 }

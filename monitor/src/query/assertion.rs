@@ -3,7 +3,7 @@
 use super::amount::{Aggregate, Amount};
 use super::fields::{Field, PortRow, Row};
 use super::parse::{self, QueryError};
-use super::{Condition, Filter, Value, operator_holds};
+use super::{Condition, Filter, Right, Value, operator_holds};
 use crate::clock::{Moment, Span};
 use crate::name::Name;
 use crate::store::health::{Finding, findings};
@@ -47,13 +47,19 @@ impl Assertion {
     pub fn holds(&self, store: &Store, wanted: &[Name], now: Moment) -> Held {
         let cells: Vec<_> = wanted.iter().map(|cell| (cell, findings(store, cell, now))).collect();
         let values = RefCell::new(Vec::new());
-        let compare = |amount: &Amount, operator, right: &Value<'_>| {
-            let value = amount.value(store, &cells, now, matches!(right, Value::Time(_)));
+        let value = |amount: &Amount, time| {
+            let value = amount.value(store, &cells, now, time);
             let said = format!("{} = {}", amount.name(), shown(&value));
             if !values.borrow().contains(&said) {
                 values.borrow_mut().push(said);
             }
-            operator_holds(&value, operator, right)
+            value
+        };
+        let compare = |amount: &Amount, operator, right: Right<'_, Amount>| match right {
+            Right::Value(right) => {
+                operator_holds(&value(amount, matches!(right, Value::Time(_))), operator, right)
+            }
+            Right::Operand(right) => operator_holds(&value(amount, false), operator, &value(right, false)),
         };
         let holds = self.condition.holds(&compare, &|_| false);
         Held { holds, values: values.into_inner() }

@@ -62,6 +62,8 @@ enum Condition<T> {
     Or(Vec<Condition<T>>),
     Not(Box<Condition<T>>),
     Compare(T, Operator, Value<'static>),
+    /// Two quantities of a cell.
+    Against(T, Operator, T),
     /// The row's names contain the words.
     Words(String),
 }
@@ -69,17 +71,24 @@ enum Condition<T> {
 impl<T> Condition<T> {
     fn holds(
         &self,
-        compare: &impl Fn(&T, Operator, &Value<'_>) -> bool,
+        compare: &impl Fn(&T, Operator, Right<'_, T>) -> bool,
         words: &impl Fn(&str) -> bool,
     ) -> bool {
         match self {
             Self::And(all) => all.iter().all(|one| one.holds(compare, words)),
             Self::Or(all) => all.iter().any(|one| one.holds(compare, words)),
             Self::Not(one) => !one.holds(compare, words),
-            Self::Compare(left, operator, right) => compare(left, *operator, right),
+            Self::Compare(left, operator, right) => compare(left, *operator, Right::Value(right)),
+            Self::Against(left, operator, right) => compare(left, *operator, Right::Operand(right)),
             Self::Words(text) => words(text),
         }
     }
+}
+
+/// The right side of a comparison.
+enum Right<'a, T> {
+    Value(&'a Value<'static>),
+    Operand(&'a T),
 }
 
 /// A filter of rows.
@@ -113,8 +122,10 @@ impl Filter {
     /// Whether `row` matches.
     #[must_use]
     pub fn takes(&self, row: &impl Row) -> bool {
-        let compare =
-            |field: &Field, operator, right: &Value<'_>| operator_holds(&row.field(*field), operator, right);
+        let compare = |field: &Field, operator, right: Right<'_, Field>| match right {
+            Right::Value(right) => operator_holds(&row.field(*field), operator, right),
+            Right::Operand(right) => operator_holds(&row.field(*field), operator, &row.field(*right)),
+        };
         self.0.holds(&compare, &|words| row.mentions(words))
     }
 }

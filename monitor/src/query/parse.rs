@@ -200,8 +200,25 @@ impl Parser {
             return Err(self.error(format!("a comparison was expected here, as in `{word} < 3`")));
         };
         self.at += 1;
+        if let Some(right) = self.quantity(kind) {
+            return Ok(Condition::Against(left, operator, right));
+        }
         let right = self.literal(kind, &word, operator)?;
         Ok(Condition::Compare(left, operator, right))
+    }
+
+    /// A quantity on the right of a number: `up==nodes`. Anything else is left for [`Self::literal`].
+    fn quantity<T: Operand>(&mut self, kind: Kind) -> Option<T> {
+        if T::WORDS || kind != Kind::Number {
+            return None;
+        }
+        let before = self.at;
+        let read = self.word().and_then(|(column, word)| T::read(self, &word, column));
+        let right = read.ok().filter(|(_, right)| *right == kind).map(|(right, _)| right);
+        if right.is_none() {
+            self.at = before;
+        }
+        right
     }
 
     /// A sequence of words, to match in a name.

@@ -149,7 +149,8 @@ const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
             ("VERDICT", "place x 99th percentile of the service time against REMAIN"),
             ("service", "how long the task takes for one, once it is its turn"),
             ("Jain", "1: all sources fare alike; 1/n: one has everything"),
-            ("by source", "served / offered"),
+            ("by source", "served / offered, of what was seen since the monitor attached"),
+            ("since start", "what the node has counted since it started"),
             ("slack p5", "5 of 100 samples had less left for the most urgent message"),
         ],
         Screen::Message => &[

@@ -1,9 +1,10 @@
 //! Screen 7: the conformance of each node, and the coverage of transitions (D63).
 
-use super::canvas::{Canvas, bar};
+use super::canvas::{Canvas, bar, columns, fit};
 use super::words::short;
 use crate::app::App;
 use crate::clock::Moment;
+use crate::name::Name;
 use crate::store::NodeIncarnation;
 use crate::store::conformance::{Verdict, conformance};
 use crate::store::coverage::{Abilities, KINDS};
@@ -82,8 +83,8 @@ fn node(app: &App, incarnation: &NodeIncarnation, now: Moment, width: u16, lines
         let timeline = timeline_of(app.store(), &incarnation.names.cell, KEPT, |_| true);
         let own: Vec<_> = timeline.marks.iter().filter(|mark| mark.incarnation == incarnation.id).collect();
         for mark in own.iter().skip(own.len().saturating_sub(BEFORE)) {
-            let task = incarnation.names.task(mark.task).to_string();
-            let text = format!("     {task:12} {}", short(mark, &incarnation.names, &app.theme));
+            let task = incarnation.names.task(mark.task);
+            let text = format!("     {} {}", padded(&task), short(mark, &incarnation.names, &app.theme));
             lines.push(vec![(text, super::words::ink(mark.seen.what.event))]);
         }
     }
@@ -143,13 +144,18 @@ fn coverage(
 ) {
     let (fired, all) = (sum.fired.len() as u64, (sum.fired.len() + sum.never.len()) as u64);
     lines.push(vec![
-        (format!("   {:12} ", incarnation.names.task(task).to_string()), Ink::Plain),
+        (format!("   {} ", padded(&incarnation.names.task(task))), Ink::Plain),
         (format!("{fired:2}/{all:2} "), Ink::Plain),
         (format!("[{}]", bar(&app.theme, if width < 60 { 10 } else { 20 }, fired, all)), Ink::Bar),
     ]);
     let seen = sum.fired.iter().map(|(kind, count)| format!("{} {count}", name(*kind)));
     wrapped("     seen:  ", seen, ", ", Ink::Plain, width, lines);
     wrapped("     never: ", sum.never.iter().map(|kind| name(*kind)), ", ", Ink::Dim, width, lines);
+}
+
+/// The name of a task in at least twelve columns.
+fn padded(task: &Name) -> String {
+    fit(task.shown(), columns(task.shown()).max(12))
 }
 
 fn name(event: Event) -> String {

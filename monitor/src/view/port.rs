@@ -44,16 +44,19 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     queue.draw(&mut canvas.below(above));
 }
 
+/// Before figures that the monitor counts itself. The line above has those that the node counts since its start.
+const SINCE_ATTACHED: &str = " since attached: service ";
+
 /// Draws the service times and the shares of the sources.
 fn shares(incarnation: &NodeIncarnation, served: Option<&Service>, canvas: &mut Canvas<'_>) {
     let Some(served) = served else {
-        canvas.line(2, &[(" service: ", Ink::Dim), ("nothing seen of it yet", Ink::Dim)]);
+        canvas.line(2, &[(SINCE_ATTACHED, Ink::Dim), ("nothing seen of it yet", Ink::Dim)]);
         return;
     };
     let time = |us: Option<u64>| us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
     let svc = format!("p50 {} p99 {}", time(served.p50_us), time(served.outlook.p99_us));
     let samples = format!(" of {}", served.samples);
-    let mut pieces = vec![(" service: ".to_owned(), Ink::Dim), (svc, Ink::Plain), (samples, Ink::Dim)];
+    let mut pieces = vec![(SINCE_ATTACHED.to_owned(), Ink::Dim), (svc, Ink::Plain), (samples, Ink::Dim)];
     pieces.push(("  by source: ".to_owned(), Ink::Dim));
     if let Some(jain) = served.jain() {
         let ink = if jain < 0.8 { Ink::Warn } else { Ink::Plain };
