@@ -5,7 +5,7 @@ use crate::name::Name;
 use crate::query::{Field, Filter, NodeRow, PortRow, Row as Fields, Value};
 use crate::store::health::{Finding, Place};
 use crate::store::journal::Severity;
-use crate::store::{NodeIncarnation, Store, Unseen, unseen};
+use crate::store::{Condition, NodeIncarnation, Store, Unseen, unseen};
 use imrs_protocol::PortView;
 use imrs_wire::obs::TaskSnapshot;
 use std::collections::BTreeSet;
@@ -72,7 +72,7 @@ pub struct Shape {
     pub inverted: bool,
     /// A condition ([`crate::query`]). Rows that do not fulfil it are left out, unless a row within them does.
     pub filter: String,
-    /// Whether the earlier incarnations of nodes have rows too.
+    /// Whether the earlier incarnations of nodes that have ended have rows too.
     pub earlier: bool,
 }
 
@@ -84,7 +84,8 @@ pub fn rows(store: &Store, cell: &Name, shape: &Shape, findings: &[Finding], now
     let mut nodes: Vec<(Key, Vec<Row>)> = Vec::new();
     for incarnation in store.incarnations_of(cell) {
         let latest = store.is_present(incarnation);
-        if latest || shape.earlier {
+        // A second process of a running node does not hide the first one.
+        if latest || shape.earlier || incarnation.condition == Condition::Attached {
             nodes.extend(maker.node(incarnation, latest));
         }
     }

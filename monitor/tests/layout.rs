@@ -123,6 +123,23 @@ fn dead_incarnations_have_no_rows_until_asked_for_and_never_look_healthy() {
     assert_eq!(stage.app.rows(&[], NOW).len(), rows);
 }
 
+/// Two runs of one cell at the same time: no process that runs is hidden, also if the later one ends first.
+#[test]
+fn two_processes_of_a_node_both_have_rows() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    let pid = 900;
+    stage.feed(ms(1_050), 7, Feed::Attached { identity: identity(0, 1), pid, build: "imrs 0.1.0".into() });
+    stage.frame(ms(1_050), 7, ServerFrame::Snapshot(snapshot(0)));
+    let states = |stage: &Stage| {
+        let shown = stage.text(NOW, 120, 40);
+        let nodes = shown.lines().filter(|line| line.contains("nl (pid"));
+        nodes.map(|line| if line.contains("DEAD") { "dead" } else { "up" }).collect::<Vec<_>>()
+    };
+    assert_eq!(states(&stage), ["up", "up"]);
+    stage.lose(ms(1_060), 7);
+    assert_eq!(states(&stage), ["up", "dead"]);
+}
+
 #[test]
 fn sorting_shows_what_comes_first_in_the_new_order() {
     let mut stage = Stage::cell(Theme::ASCII);
