@@ -75,7 +75,7 @@ impl CellState {
             self.plan.transfer == Transfer::Exact && self.in_flight.is_sorted_by_key(|carried| carried.link);
         if is_in_order {
             return Encode::append(out, &frame, |w| {
-                self.in_flight.iter_mut().for_each(|carried| carried.walk(w))
+                self.in_flight.iter_mut().for_each(|carried| carried.walk(w));
             });
         }
         let mut in_flight = Vec::with_capacity(self.in_flight.len());
