@@ -10,6 +10,7 @@ mod steer;
 pub use command::COMMANDS;
 
 use crate::clock::Moment;
+use crate::drawn::Drawn;
 use crate::history::History;
 use crate::keys;
 use crate::name::Name;
@@ -22,7 +23,6 @@ use crate::store::health::Place;
 use crate::store::message::MessageKey;
 use crate::store::{Condition, IncarnationId, Store};
 use crate::theme::Theme;
-use crate::view::Drawn;
 use crossterm::event::{KeyEvent, KeyEventKind, MouseEvent};
 use imrs_protocol::{MessageId, PortId, TaskId};
 use imrs_wire::obs::Token;

@@ -8,6 +8,7 @@ use crate::clock::Moment;
 use crate::replay::{Film, Reel, is_odd};
 use crate::source::{Arrival, Feed, SourceId};
 use crate::store::{NodeIncarnation, Store};
+pub use crate::verdicts::LENGTH;
 use crate::verdicts::Verdicts;
 use imrs_wire::obs::{Delta, Hello, NodeIdentity, Role, SCHEMA, ServerFrame, VERSION};
 use imrs_wire::recording::Shown;
@@ -15,8 +16,6 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// How long arrivals are kept.
-pub const LENGTH: Duration = Duration::from_secs(600);
 /// The memory limit, in bytes. Of a busy cell the history is shorter.
 pub const BUDGET: usize = 46 << 20;
 /// The length of a segment.

@@ -13,6 +13,7 @@ pub mod app;
 pub mod clock;
 pub mod config;
 mod conformance;
+mod drawn;
 mod error;
 pub mod export;
 pub mod history;

@@ -3,12 +3,13 @@
 
 use crate::clock::Moment;
 use crate::conformance::Conformance;
-use crate::history::LENGTH;
 use crate::source::{Arrival, Feed, SourceId};
 use std::collections::{BTreeMap, VecDeque};
 use std::mem::discriminant;
 use std::time::Duration;
 
+/// How long arrivals and verdicts are kept, to move back to them.
+pub const LENGTH: Duration = Duration::from_secs(600);
 /// Two verdicts of one kind on an incarnation are kept only if they are this far apart.
 const APART: Duration = Duration::from_secs(1);
 /// The most incarnations with verdicts.

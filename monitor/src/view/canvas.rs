@@ -1,6 +1,6 @@
 //! Draws text into a part of a buffer. Text is clipped at the edges, and no size causes a panic.
 
-use super::drawn::{Drawn, Hit};
+use crate::drawn::{Drawn, Hit};
 use crate::theme::{Ink, Theme};
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;

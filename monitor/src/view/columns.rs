@@ -1,11 +1,13 @@
 //! The columns of the overview.
 
 use super::canvas::Column;
-use super::overview::HEALTH_CELL;
 use crate::rows::Sort;
 
 const NAME: Column = Column::left("NODE/TASK/PORT", 0);
 const HEALTH: Column = Column::left("HEALTH", 0);
+
+/// The index of the health cell.
+pub(super) const HEALTH_CELL: usize = 10;
 
 /// The columns for a width, and the indices of the cells that they show.
 pub(super) fn columns(width: u16) -> (Vec<Column>, &'static [usize]) {

@@ -3,7 +3,6 @@
 mod below;
 mod canvas;
 mod columns;
-mod drawn;
 mod events;
 mod help;
 mod message;
@@ -18,6 +17,7 @@ mod words;
 
 use crate::app::{App, Msg, Screen};
 use crate::clock::{Moment, Span};
+pub use crate::drawn::{Drawn, Hit};
 use crate::name::Name;
 use crate::store::health::Finding;
 use crate::store::journal::Severity;
@@ -25,7 +25,6 @@ use crate::store::waits;
 use crate::store::{Condition, Presence};
 use crate::theme::Ink;
 use canvas::{Canvas, columns};
-pub use drawn::{Drawn, Hit};
 use imrs_protocol::TaskId;
 use imrs_wire::obs::Liveness;
 use ratatui::buffer::Buffer;

@@ -1,7 +1,7 @@
 //! Screen 1: nodes, their tasks and their ports. Each row shows the most severe finding within it.
 
 use super::canvas::{self, Canvas, bar, first_row};
-use super::columns::{columns, sort_of};
+use super::columns::{HEALTH_CELL, columns, sort_of};
 use super::{Hit, below, mark};
 use crate::app::App;
 use crate::clock::{Moment, Span};
@@ -17,9 +17,6 @@ use std::time::Duration;
 
 /// Name, state, queue, slack, rate, expired, overflow, rejected, re-sent, timed out, health.
 type Cells = [(String, Ink); 11];
-
-/// The index of the health cell.
-pub(super) const HEALTH_CELL: usize = 10;
 
 pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, canvas: &mut Canvas<'_>) {
     let rows = app.rows(findings, now);

@@ -1,7 +1,7 @@
 //! The layout of a drawn frame: where a click leads, and how much of a list fitted.
 
-use crate::app::Screen;
 use crate::rows::Sort;
+use crate::screen::Screen;
 use crate::store::health::Place;
 use imrs_protocol::{MessageId, TaskId};
 use ratatui::layout::{Position, Rect};
@@ -28,7 +28,7 @@ pub struct Drawn {
     pub page: usize,
     /// All lines of its list.
     pub lines: usize,
-    pub(super) hits: Vec<(Rect, Hit)>,
+    pub(crate) hits: Vec<(Rect, Hit)>,
 }
 
 impl Drawn {
@@ -40,7 +40,7 @@ impl Drawn {
     }
 
     /// Makes an area of the terminal a target.
-    pub(super) fn target(&mut self, area: Rect, hit: Hit) {
+    pub(crate) fn target(&mut self, area: Rect, hit: Hit) {
         self.hits.push((area, hit));
     }
 }
