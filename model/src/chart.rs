@@ -118,10 +118,18 @@ fn outcome_words(outcome: &str) -> &str {
 /// Draws the path of an exploration; `None` where it found no violation.
 #[must_use]
 pub fn draw(scenario: &Arc<Scenario>, exploration: &Exploration) -> Option<Counterexample> {
+    conclude(exploration, |states| walk(scenario, states))
+}
+
+/// Draws the path of an exploration as `walk` records it; `None` where it found no violation.
+pub(crate) fn conclude<A>(
+    exploration: &Exploration<A>,
+    walk: impl FnOnce(&[Packed]) -> Option<ChartRecorder>,
+) -> Option<Counterexample> {
     let states = exploration.states_on_path.as_ref()?;
     let violation = exploration.violation?;
     let length = u32::try_from(states.len().saturating_sub(1)).unwrap_or(u32::MAX);
-    Some(walk(scenario, states)?.conclude(violation.text(), length))
+    Some(walk(states)?.conclude(violation.text(), length))
 }
 
 /// Draws a path. `None` where its states do not follow from each other.

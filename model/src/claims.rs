@@ -83,6 +83,18 @@ pub(crate) struct Settled {
     pub variant: Option<Box<Variant>>,
 }
 
+impl Settled {
+    /// An outcome with nothing else to report.
+    fn new(outcome: Outcome, bounds: Bounds, counterexample: Option<Counterexample>) -> Self {
+        Self { outcome, bounds, found: Found::NOTHING, counterexample, sound: true, variant: None }
+    }
+
+    /// No search could settle the claim.
+    fn unsettled(bounds: Bounds) -> Self {
+        Self { sound: false, ..Self::new(Outcome::Unknown, bounds, None) }
+    }
+}
+
 /// A variant that another claim's search settles.
 pub(crate) struct Variant {
     pub rule: &'static str,

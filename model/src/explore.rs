@@ -154,6 +154,33 @@ impl<G: Ground> Model for Grounded<G> {
     }
 }
 
+/// Makes a public type over a [`Grounded`] state space a stateright model, without showing the type of the scratch pad.
+macro_rules! shows_its_ground {
+    ($model:ty, $action:ty) => {
+        impl stateright::Model for $model {
+            type State = Packed;
+            type Action = $action;
+
+            fn init_states(&self) -> Vec<Packed> {
+                self.0.init_states()
+            }
+
+            fn actions(&self, state: &Packed, actions: &mut Vec<$action>) {
+                self.0.actions(state, actions);
+            }
+
+            fn next_state(&self, state: &Packed, action: $action) -> Option<Packed> {
+                self.0.next_state(state, action)
+            }
+
+            fn properties(&self) -> Vec<stateright::Property<Self>> {
+                vec![stateright::Property::always("claim", |_, state: &Packed| state.violation().is_none())]
+            }
+        }
+    };
+}
+pub(crate) use shows_its_ground;
+
 /// Explores a state space until it is covered, a violation is found or a limit is reached.
 pub(crate) fn search<G: Ground + 'static>(
     pad: G,
@@ -285,26 +312,7 @@ impl WorldModel {
     }
 }
 
-impl Model for WorldModel {
-    type State = Packed;
-    type Action = Action;
-
-    fn init_states(&self) -> Vec<Packed> {
-        self.0.init_states()
-    }
-
-    fn actions(&self, state: &Packed, actions: &mut Vec<Action>) {
-        self.0.actions(state, actions);
-    }
-
-    fn next_state(&self, state: &Packed, action: Action) -> Option<Packed> {
-        self.0.next_state(state, action)
-    }
-
-    fn properties(&self) -> Vec<Property<Self>> {
-        vec![Property::always("claim", |_, state: &Packed| state.violation().is_none())]
-    }
-}
+shows_its_ground!(WorldModel, Action);
 
 /// Explores a scenario until its state space is covered, a violation is found or a limit is reached.
 #[must_use]

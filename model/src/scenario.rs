@@ -1,6 +1,6 @@
 //! Scenarios to explore: a cell, what its tasks may do, fault budgets, reductions, and the property that is checked.
 
-use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, PortId, TaskId};
+use imrs_protocol::{CellTable, NodeId, NodeTable, PortId, TaskId};
 use std::sync::Arc;
 
 /// What a task may do whenever it is idle. It may also stay idle for any time, so every program that uses its port
@@ -162,7 +162,4 @@ impl Scenario {
     pub const fn incarnations(&self) -> bool {
         self.budget.crash > 0
     }
-
-    /// The first incarnation of every node.
-    pub const FIRST_INCARNATION: Incarnation = Incarnation(0);
 }

@@ -4,14 +4,15 @@
 //! [`World::store`] packs the result. Packed numbers are relative: remaining times, rounds counted from the least one
 //! in use, sequences counted back from the next one (D51).
 
+use crate::cell_state::{Heard, NodeState};
 use crate::network::{Codec, IN_FLIGHT_BYTES, InFlight};
 use crate::scenario::{Behaviour, Scenario, Watch};
 use crate::spec_state::{Judge, SpecState, question};
 use crate::state::Violation;
 
 use imrs_protocol::{
-    Class, Event, Incarnation, Kind, MessageId, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation,
-    Outcome, Packet, Reason, Request, Round, Seq24, Signal, Target, TaskId, TaskState, Ticks,
+    Class, Event, Kind, MessageId, NodeId, NodeInput, NodeOutbox, Observation, Outcome, Packet, Reason,
+    Request, Round, Seq24, Signal, Target, TaskId, TaskState, Ticks,
 };
 use std::sync::Arc;
 
@@ -49,21 +50,11 @@ pub enum Action {
     Heal,
 }
 
-/// The state of a node. Every node runs one task, with the same index.
-#[derive(Clone, Debug)]
-pub(crate) struct NodeState {
-    pub node: Node,
-    pub table: NodeTable,
-    pub up: bool,
-    pub incarnation: Incarnation,
-    /// The incarnation in which this node knows each other node.
-    pub known: Vec<Incarnation>,
-}
-
 /// The unpacked state: nodes, packets in flight and specification state. Transitions work on it.
 #[derive(Clone, Debug)]
 pub(crate) struct World {
     pub scenario: Arc<Scenario>,
+    /// Every node runs one task, with the same index. It owes a tick while its timer is late.
     pub nodes: Vec<NodeState>,
     pub in_flight: Vec<InFlight>,
     pub spec_states: Vec<SpecState>,
@@ -86,8 +77,6 @@ pub(crate) struct World {
     loaded: Vec<bool>,
     /// For each node, whether its turn is not over yet (see `turns`).
     open: Vec<bool>,
-    /// For each node, whether its timer is late: it has not fired since the last tick.
-    owed: Vec<bool>,
     /// The order in which the nodes take turns.
     order: Vec<usize>,
     /// The order of the members in the state stored last.
@@ -134,16 +123,9 @@ impl World {
     pub fn new(scenario: &Arc<Scenario>) -> Self {
         let n = scenario.tasks();
         let place = |i: usize| {
-            let table = scenario.table(NodeId::from_index(i));
-            let mut node = Node::new(table.clone(), Scenario::FIRST_INCARNATION, false, TRANSIT);
-            node.parts_mut().tasks[0].set_ahead(&table, Ticks(scenario.clocks[i]));
-            NodeState {
-                node,
-                table,
-                up: true,
-                incarnation: Scenario::FIRST_INCARNATION,
-                known: vec![Scenario::FIRST_INCARNATION; n],
-            }
+            let mut place = NodeState::new(scenario.table(NodeId::from_index(i)), n, TRANSIT);
+            place.node.parts_mut().tasks[0].set_ahead(&place.table, Ticks(scenario.clocks[i]));
+            place
         };
         Self {
             nodes: (0..n).map(place).collect(),
@@ -163,7 +145,6 @@ impl World {
             blocks: vec![Vec::new(); n],
             loaded: vec![true; n],
             open: vec![true; n],
-            owed: vec![false; n],
             order: (0..n).collect(),
             named: (0..n).collect(),
             log: Vec::new(),
@@ -231,7 +212,7 @@ impl World {
     fn ticks(&self, actions: &mut Vec<Action>) {
         actions.push(Action::Tick);
         if self.late > 0 && !self.healed {
-            let punctual = (0..self.n()).filter(|&i| self.nodes[i].up && !self.owed[i]);
+            let punctual = (0..self.n()).filter(|&i| self.nodes[i].up && self.nodes[i].owed == 0);
             actions.extend(punctual.map(|i| Action::Late(small(i))));
         }
     }
@@ -334,8 +315,7 @@ impl World {
             Action::Answer(i) => self.answer(usize::from(i)),
             Action::Crash(i) => {
                 let place = &mut self.nodes[usize::from(i)];
-                place.up = false;
-                self.owed[usize::from(i)] = false;
+                (place.up, place.owed) = (false, 0);
                 let spec_state = &mut self.spec_states[usize::from(i)];
                 (spec_state.serving, spec_state.open) = (None, None);
                 self.crash -= 1;
@@ -343,9 +323,7 @@ impl World {
             }
             Action::Restart(i) => {
                 let place = &mut self.nodes[usize::from(i)];
-                place.incarnation = Incarnation(place.incarnation.0 + 1);
-                place.up = true;
-                place.node = Node::new(place.table.clone(), place.incarnation, true, TRANSIT);
+                place.restart(TRANSIT);
                 place.node.parts_mut().tasks[0].walk(&place.table, &mut FromBase(self.rounds[0]));
                 self.spec_states[usize::from(i)].missed = self.left_by_others(usize::from(i));
                 Ok(())
@@ -387,14 +365,10 @@ impl World {
             return Ok(());
         }
         self.catch_up(to)?;
-        // An envelope announces a new incarnation before any of its packets is handed on (D49).
-        let known = self.nodes[to].known[from.index()];
-        if self.scenario.incarnations() && carried.incarnation != known {
-            if carried.incarnation.0 < known.0 {
-                return Ok(());
-            }
-            self.nodes[to].known[from.index()] = carried.incarnation;
-            self.step(to, Ticks::ZERO, NodeInput::PeerRestarted(from))?;
+        match self.nodes[to].hears(from, carried.incarnation) {
+            Heard::Old => return Ok(()),
+            Heard::Known => {}
+            Heard::New => self.step(to, Ticks::ZERO, NodeInput::PeerRestarted(from))?,
         }
         let charge = Ticks(u64::from(self.scenario.delay.unwrap_or(0)) + u64::from(extra));
         self.step(to, Ticks::ZERO, NodeInput::Packet { from, packet: carried.packet, charge })

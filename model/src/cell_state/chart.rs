@@ -2,7 +2,7 @@
 
 use super::plan::CellScenario;
 use super::{CellState, Effect, InFlight, Move};
-use crate::chart::{ChartRecorder, Counterexample};
+use crate::chart::{ChartRecorder, Counterexample, conclude};
 use crate::explore::Exploration;
 use crate::state::Packed;
 use crate::world::Shown;
@@ -12,10 +12,7 @@ use std::sync::Arc;
 /// Draws the path of an exploration; `None` where it found no violation.
 #[must_use]
 pub fn draw_cell_state(plan: &Arc<CellScenario>, exploration: &Exploration<Move>) -> Option<Counterexample> {
-    let states = exploration.states_on_path.as_ref()?;
-    let violation = exploration.violation?;
-    let length = u32::try_from(states.len().saturating_sub(1)).unwrap_or(u32::MAX);
-    Some(walk(plan, states)?.conclude(violation.text(), length))
+    conclude(exploration, |states| walk(plan, states))
 }
 
 /// Draws a path. `None` where its states do not follow from each other.

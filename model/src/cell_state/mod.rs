@@ -10,6 +10,7 @@ mod fused;
 mod history;
 mod judge;
 mod moves;
+mod node_state;
 mod order;
 mod orders;
 pub mod plan;
@@ -24,6 +25,7 @@ pub mod worlds;
 
 pub use chart::draw_cell_state;
 pub use fused::compared;
+pub(crate) use node_state::{Heard, NodeState};
 pub use search::{CellModel, LiveCellState, explore_cell_state};
 
 use crate::state::Violation;
@@ -31,8 +33,8 @@ use body::{Body, Does};
 use history::History;
 use imrs_protocol::script::ScriptInput;
 use imrs_protocol::{
-    CommTask, Contents, Incarnation, Node, NodeId, NodeInput, NodeTable, Observation, Packet, Request, Round,
-    Rules, Seq24, Signal, TaskId, Ticks, invariants,
+    CommTask, Contents, Incarnation, Node, NodeId, NodeInput, Observation, Packet, Request, Round, Rules,
+    Seq24, Signal, TaskId, Ticks, invariants,
 };
 use plan::{CellScenario, Errand};
 use std::collections::VecDeque;
@@ -76,21 +78,6 @@ pub(crate) struct InFlight {
     pub age: u32,
     /// The incarnation of the node that sent it over this link, as its envelope says.
     pub incarnation: Incarnation,
-}
-
-/// The state of a node.
-#[derive(Clone, Debug)]
-pub(crate) struct NodeState {
-    pub node: Node,
-    pub table: NodeTable,
-    pub up: bool,
-    pub incarnation: Incarnation,
-    /// The incarnation in which this node knows each other node.
-    pub known: Vec<Incarnation>,
-    /// Ticks that have passed and that the node has not noticed.
-    pub owed: u8,
-    /// Ticks since the node was paused; `None` if it is not paused. Only in a cell: see `cell::run_state::pause`.
-    pub asleep: Option<u32>,
 }
 
 /// The unpacked cell state: whole nodes, packets in flight, specification state. Transitions work on it.
@@ -210,19 +197,9 @@ impl CellState {
     fn unbegun(plan: &Arc<CellScenario>) -> Self {
         let n = plan.nodes();
         let links = plan.links();
-        let first = Incarnation(0);
         let node_state = |i: usize| {
             let table = plan.table(NodeId::from_index(i));
-            let node = Node::new(table.clone(), first, false, plan.transit);
-            NodeState {
-                node,
-                table,
-                up: !plan.leaves_out(i),
-                incarnation: first,
-                known: vec![first; n],
-                owed: 0,
-                asleep: None,
-            }
+            NodeState { up: !plan.leaves_out(i), ..NodeState::new(table, n, plan.transit) }
         };
         let mut cell_state = Self {
             nodes: (0..n).map(node_state).collect(),
@@ -408,14 +385,10 @@ impl CellState {
         if !node_state.up {
             return Ok(());
         }
-        // An envelope announces a new incarnation before any of its packets is handed on (D49).
-        let known = node_state.known[from.index()];
-        if carried.incarnation != known {
-            if carried.incarnation.0 < known.0 {
-                return Ok(());
-            }
-            node_state.known[from.index()] = carried.incarnation;
-            self.step(to.index(), NodeInput::PeerRestarted(from))?;
+        match node_state.hears(from, carried.incarnation) {
+            Heard::Old => return Ok(()),
+            Heard::Known => {}
+            Heard::New => self.step(to.index(), NodeInput::PeerRestarted(from))?,
         }
         // A wait for a paused node is charged, too: kernels stamp a packet when it arrives (D50).
         let charge = Ticks(u64::from(carried.age.max(u32::from(bound))) + u64::from(over));

@@ -1,10 +1,9 @@
-//! Floors under stateright's breadth-first search.
+//! Cell states under stateright's breadth-first search.
 
 use super::plan::CellScenario;
 use super::{CellState, Move};
-use crate::explore::{Exploration, Ground, Grounded, Limits, search};
+use crate::explore::{Exploration, Ground, Grounded, Limits, search, shows_its_ground};
 use crate::state::Packed;
-use stateright::{Model, Property};
 use std::sync::Arc;
 
 impl Ground for CellState {
@@ -73,26 +72,7 @@ impl CellModel {
     }
 }
 
-impl Model for CellModel {
-    type State = Packed;
-    type Action = Move;
-
-    fn init_states(&self) -> Vec<Packed> {
-        self.0.init_states()
-    }
-
-    fn actions(&self, state: &Packed, actions: &mut Vec<Move>) {
-        self.0.actions(state, actions);
-    }
-
-    fn next_state(&self, state: &Packed, action: Move) -> Option<Packed> {
-        self.0.next_state(state, action)
-    }
-
-    fn properties(&self) -> Vec<Property<Self>> {
-        vec![Property::always("claim", |_, state: &Packed| state.violation().is_none())]
-    }
-}
+shows_its_ground!(CellModel, Move);
 
 /// Explores a cell until its state space is covered, a violation is found or a limit is reached.
 #[must_use]

@@ -4,9 +4,7 @@ use super::body::{Body, Does};
 use super::plan::Errand;
 use super::{CellState, Move};
 use crate::state::Violation;
-use imrs_protocol::{
-    CommTask, Incarnation, Node, NodeInput, Pass, PortId, Round, Seq24, TaskId, Ticks, Walk,
-};
+use imrs_protocol::{CommTask, Node, NodeInput, Pass, PortId, Round, Seq24, TaskId, Ticks, Walk};
 
 /// How a node counts a tick: two bits of the code of [`Move::Tick`].
 const LEFT_OUT: u16 = 1;
@@ -143,10 +141,7 @@ impl CellState {
 
     pub(crate) fn restart(&mut self, i: usize) -> Result<(), Violation> {
         let node_state = &mut self.nodes[i];
-        node_state.incarnation = Incarnation(node_state.incarnation.0 + 1);
-        node_state.up = true;
-        node_state.node =
-            Node::new(node_state.table.clone(), node_state.incarnation, true, self.plan.transit);
+        node_state.restart(self.plan.transit);
         // Ids of different incarnations are never compared: the new one may count on from the numbers of the old one.
         let mut from = From { rounds: &self.rounds, sequences: &self.sequences };
         for task in &mut node_state.node.parts_mut().tasks {

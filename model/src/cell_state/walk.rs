@@ -89,21 +89,19 @@ impl Faults {
 
 impl NodeState {
     fn walk<W: Walk>(&mut self, plan: &CellScenario, ahead: u64, orders: bool, w: &mut W) {
+        if plan.incarnations() {
+            self.walk_incarnations(w);
+        }
         let Self {
             node,
             table,
             up,
-            incarnation,
-            known,
+            incarnation: _,
+            known: _,
             owed,
             // Only in a cell, whose own state holds it.
             asleep: _,
         } = self;
-        if plan.incarnations() {
-            w.flag(up);
-            w.byte(&mut incarnation.0);
-            known.iter_mut().for_each(|incarnation| w.byte(&mut incarnation.0));
-        }
         w.byte_if(plan.faults.late > 0, owed);
         if !*up {
             return;

@@ -4,7 +4,7 @@
 use super::{Claim, Settled, Work};
 use crate::cell_state::plan::{CellProperty, CellScenario, Faults, Goal};
 use crate::cell_state::worlds::{Relay, busy_neighbour, delays, full_buffers};
-use crate::report::{Bounds, Found, Outcome};
+use crate::report::{Bounds, Outcome};
 use imrs_protocol::CellError;
 use imrs_protocol::rules::{Eviction, JobRequest, Memory, Rules};
 use std::sync::Arc;
@@ -52,14 +52,7 @@ pub(super) fn claim(
 
 /// Explores the scenarios until one of them fails.
 pub(super) fn settle(work: &mut Work<'_>, parts: &[Part]) -> Settled {
-    let mut settled = Settled {
-        outcome: Outcome::Unknown,
-        bounds: Bounds::default(),
-        found: Found::default(),
-        counterexample: None,
-        sound: true,
-        variant: None,
-    };
+    let mut settled = Settled::new(Outcome::Unknown, Bounds::default(), None);
     for part in parts {
         let Ok(plan) = (part.plan)() else {
             return Settled { outcome: Outcome::Unknown, sound: false, ..settled };
@@ -81,13 +74,10 @@ pub(super) fn settle(work: &mut Work<'_>, parts: &[Part]) -> Settled {
 /// Explores one scenario.
 pub(super) fn settle_plan(work: &mut Work<'_>, plan: Plan) -> Settled {
     let Ok(plan) = plan else {
-        let outcome = Outcome::Unknown;
-        let (bounds, found) = (Bounds::default(), Found::default());
-        return Settled { outcome, bounds, found, counterexample: None, sound: false, variant: None };
+        return Settled::unsettled(Bounds::default());
     };
     let (outcome, counterexample) = work.judge_cell_state(&plan);
-    let (bounds, found) = (bounds(&plan), Found::default());
-    Settled { outcome, bounds, found, counterexample, sound: true, variant: None }
+    Settled::new(outcome, bounds(&plan), counterexample)
 }
 
 pub(super) fn bounds(plan: &CellScenario) -> Bounds {

@@ -1,7 +1,7 @@
 //! Building blocks of claims about messages: their scenarios, and how a claim is settled.
 
 use super::{Claim, Settled, Work};
-use crate::report::{Bounds, Found, Outcome};
+use crate::report::{Bounds, Outcome};
 use crate::scenario::{Budget, Watch};
 use crate::worlds::Exchange;
 
@@ -41,27 +41,12 @@ pub(super) fn settle(work: &mut Work<'_>, worlds: &[Exchange]) -> Settled {
             Ok(scenario) => work.judge(&scenario),
             Err(_) => (Outcome::Unknown, None),
         };
-        let bounds = bounds(exchange);
-        settled = Some(Settled {
-            outcome,
-            bounds,
-            found: Found::default(),
-            counterexample,
-            sound: true,
-            variant: None,
-        });
+        settled = Some(Settled::new(outcome, bounds(exchange), counterexample));
         if outcome != Outcome::Holds {
             break;
         }
     }
-    settled.unwrap_or(Settled {
-        outcome: Outcome::Unknown,
-        bounds: Bounds::default(),
-        found: Found::default(),
-        counterexample: None,
-        sound: false,
-        variant: None,
-    })
+    settled.unwrap_or_else(|| Settled::unsettled(Bounds::default()))
 }
 
 fn bounds(exchange: &Exchange) -> Bounds {

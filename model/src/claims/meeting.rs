@@ -1,7 +1,7 @@
 //! Building blocks of claims about `waitfor`: their scenarios, and how a claim is settled.
 
 use super::{Claim, Settled, Work};
-use crate::report::{Bounds, Found, Outcome};
+use crate::report::{Bounds, Outcome};
 use crate::scenario::{Budget, Watch};
 use crate::worlds::Meeting;
 use imrs_protocol::rules::{Confirmation, Rules};
@@ -42,14 +42,7 @@ pub(super) fn once(work: &mut Work<'_>, meeting: &Meeting) -> Settled {
         Ok(scenario) => work.judge(&scenario),
         Err(_) => (Outcome::Unknown, None),
     };
-    Settled {
-        outcome,
-        bounds: bounds(meeting),
-        found: Found::default(),
-        counterexample,
-        sound: true,
-        variant: None,
-    }
+    Settled::new(outcome, bounds(meeting), counterexample)
 }
 
 pub(super) fn simple(
@@ -125,13 +118,5 @@ fn least_losses(work: &mut Work<'_>, meeting: &Meeting, most: u8) -> (Settled, O
         }
         last = Some(settled);
     }
-    let none = Settled {
-        outcome: Outcome::Unknown,
-        bounds: bounds(meeting),
-        found: Found::default(),
-        counterexample: None,
-        sound: false,
-        variant: None,
-    };
-    (last.unwrap_or(none), None)
+    (last.unwrap_or_else(|| Settled::unsettled(bounds(meeting))), None)
 }

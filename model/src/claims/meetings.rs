@@ -205,26 +205,12 @@ fn attempts(work: &mut Work<'_>, members: usize, loss: u8) -> Settled {
         let found = work.explore(&scenario);
         let outcome = outcome(&found);
         if outcome != Outcome::Fails || attempts == MOST {
-            return Settled {
-                outcome,
-                bounds: bounds(&meeting),
-                found: Found {
-                    attempts: (outcome == Outcome::Holds).then_some(u32::from(attempts)),
-                    ..Found::default()
-                },
-                counterexample: unless_it_panics(|| draw(&scenario, &found)),
-                sound: true,
-                variant: None,
-            };
+            let chart = unless_it_panics(|| draw(&scenario, &found));
+            let attempts = (outcome == Outcome::Holds).then_some(u32::from(attempts));
+            let found = Found { attempts, ..Found::default() };
+            return Settled { found, ..Settled::new(outcome, bounds(&meeting), chart) };
         }
     }
     let none = timed(members, Watch::MeetAgain { attempts: MOST }, loss, 0, 0);
-    Settled {
-        outcome: Outcome::Unknown,
-        bounds: bounds(&none),
-        found: Found::default(),
-        counterexample: None,
-        sound: false,
-        variant: None,
-    }
+    Settled::unsettled(bounds(&none))
 }

@@ -1,6 +1,7 @@
 //! Packs worlds into their canonical bytes and unpacks them (D51).
 
-use super::{NodeState, World};
+use super::World;
+use crate::cell_state::NodeState;
 use crate::cell_state::canon::Least;
 use crate::network::{Codec, InFlight};
 use crate::scenario::Scenario;
@@ -30,7 +31,8 @@ impl World {
         for i in 0..self.nodes.len() {
             let len = usize::from(bytes[at]);
             let block = &bytes[at..at + len];
-            (self.open[i], self.owed[i]) = (block[1] & OPEN != 0, block[1] & OWED != 0);
+            self.open[i] = block[1] & OPEN != 0;
+            self.nodes[i].owed = u8::from(block[1] & OWED != 0);
             self.loaded[i] = touch.is_none_or(|touched| touched == i);
             if self.loaded[i] {
                 load_node_state(&mut self.nodes[i], block, incarnations, self.scenario.clocks[i]);
@@ -122,7 +124,7 @@ impl World {
                 self.blocks[i].clear();
                 store_node_state(&mut self.nodes[i], &frame, &mut self.blocks[i])?;
             }
-            let marks = mark(self.open[i], OPEN) | mark(self.owed[i], OWED);
+            let marks = mark(self.open[i], OPEN) | mark(self.nodes[i].owed > 0, OWED);
             self.blocks[i][1] = (self.blocks[i][1] & !(OPEN | OWED)) | marks;
         }
         let flags = u8::from(self.healed) | (self.late << 4);
@@ -364,13 +366,10 @@ fn load_node_state(place: &mut NodeState, block: &[u8], incarnations: bool, cloc
 }
 
 fn walk_node_state<W: Walk>(place: &mut NodeState, w: &mut W) {
-    let NodeState { node, table, up, incarnation, known } = place;
     if w.incarnations() {
-        w.flag(up);
-        w.byte(&mut incarnation.0);
-        known.iter_mut().for_each(|incarnation| w.byte(&mut incarnation.0));
+        place.walk_incarnations(w);
     }
-    if *up {
-        node.parts_mut().tasks[0].walk(table, w);
+    if place.up {
+        place.node.parts_mut().tasks[0].walk(&place.table, w);
     }
 }

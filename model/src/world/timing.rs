@@ -1,6 +1,7 @@
 //! Time in a world: ticks, late timers, and the properties that are judged by counting ticks or steps.
 
-use super::{NodeState, World};
+use super::World;
+use crate::cell_state::NodeState;
 use crate::network::InFlight;
 use crate::scenario::{Behaviour, Watch};
 use crate::state::Violation;
@@ -17,9 +18,9 @@ impl World {
         }
         for i in 0..self.n() {
             if late == Some(i) {
-                self.owed[i] = true;
+                self.nodes[i].owed = 1;
             } else if self.nodes[i].up {
-                let elapsed = Ticks(1 + u64::from(std::mem::take(&mut self.owed[i])));
+                let elapsed = Ticks(1 + u64::from(std::mem::take(&mut self.nodes[i].owed)));
                 self.step(i, elapsed, NodeInput::Time)?;
                 self.keep_clock(i);
             }
@@ -56,7 +57,7 @@ impl World {
 
     /// Lets a late node read its clock, before it takes any other input.
     pub(super) fn catch_up(&mut self, i: usize) -> Result<(), Violation> {
-        if std::mem::take(&mut self.owed[i]) && self.nodes[i].up {
+        if std::mem::take(&mut self.nodes[i].owed) > 0 && self.nodes[i].up {
             self.step(i, Ticks(1), NodeInput::Time)?;
             self.keep_clock(i);
         }

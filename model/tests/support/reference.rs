@@ -145,7 +145,7 @@ impl ReferenceModel {
         assert!(!scenario.incarnations(), "the reference form has no restarts");
         let tables = (0..scenario.tasks()).map(|i| scenario.table(NodeId::from_index(i)));
         let tables: Vec<NodeTable> = tables.collect();
-        let node = |table: &NodeTable| Node::new(table.clone(), Scenario::FIRST_INCARNATION, false, 16);
+        let node = |table: &NodeTable| Node::new(table.clone(), imrs_protocol::Incarnation(0), false, 16);
         let nodes = Mutex::new(tables.iter().map(node).collect());
         Self { scenario: Arc::clone(scenario), nodes, tables, states, expanded: 0.into() }
     }
