@@ -20,7 +20,7 @@ use crate::state::{Packed, Violation};
 use checks::Evaluated;
 use held::Begins;
 use imrs_protocol::TaskId;
-use imrs_protocol::script::{Activity, ScriptInput, Term};
+use imrs_protocol::script::{Activity, ScriptInput};
 use liveness::Dead;
 use order::{Mixture, Spread, TickValues};
 use pause::Asleep;
@@ -399,42 +399,6 @@ impl RunState {
             self.next_step();
         }
         Ok(())
-    }
-
-    /// Evaluates the checks whose values may have changed, and whether both tasks of a couple act.
-    fn look(&mut self) {
-        for at in 0..self.plan.checks.len() {
-            if !self.plan.has_check(at) {
-                continue;
-            }
-            let check = &self.plan.checks[at];
-            let Some([when, then]) = self.checks.values(at, &check.holds, &self.cell) else { continue };
-            match &check.holds {
-                Holds::Always(_) => {
-                    if !then {
-                        self.broken.push(at);
-                    }
-                }
-                Holds::Leads { within, .. } => {
-                    let due = &mut self.beside.due[at];
-                    self.mattered[at] |= when;
-                    if then {
-                        *due = None;
-                    } else if when && due.is_none() && !self.broken.contains(&at) {
-                        *due = Some(u32::try_from(within.0).unwrap_or(u32::MAX - 1));
-                    }
-                }
-            }
-        }
-        self.mix();
-        let couples = &self.plan.table.cell().couples;
-        self.both_active =
-            couples.iter().any(|couple| self.acts(couple.primary) && self.acts(couple.standby));
-    }
-
-    /// Whether the last move may have changed the value of a term.
-    pub fn touches(&self, term: Term) -> bool {
-        self.checks.touches(term)
     }
 
     /// Whether a task of a couple is active: holds its lease or took over (D61).

@@ -4,7 +4,7 @@
 //! of other tasks keeps its value. A predicate may change with any move. The search of everything evaluates all checks after every
 //! move: the tests compare it with this one.
 
-use super::{CellMove, bit};
+use super::{CellMove, RunState, bit};
 use crate::cell::plan::{CellPlan, Holds};
 use crate::cell_state::CellState;
 use crate::cell_state::script::ScriptReaction;
@@ -70,5 +70,43 @@ fn tasks_of(term: Term) -> u64 {
         Some(Reading::Variable(task, _)) => bit(task.index()),
         Some(Reading::Predicate(_)) => ALL,
         None => 0,
+    }
+}
+
+impl RunState {
+    /// Evaluates the checks whose values may have changed, and whether both tasks of a couple act.
+    pub(super) fn look(&mut self) {
+        for at in 0..self.plan.checks.len() {
+            if !self.plan.has_check(at) {
+                continue;
+            }
+            let check = &self.plan.checks[at];
+            let Some([when, then]) = self.checks.values(at, &check.holds, &self.cell) else { continue };
+            match &check.holds {
+                Holds::Always(_) => {
+                    if !then {
+                        self.broken.push(at);
+                    }
+                }
+                Holds::Leads { within, .. } => {
+                    let due = &mut self.beside.due[at];
+                    self.mattered[at] |= when;
+                    if then {
+                        *due = None;
+                    } else if when && due.is_none() && !self.broken.contains(&at) {
+                        *due = Some(u32::try_from(within.0).unwrap_or(u32::MAX - 1));
+                    }
+                }
+            }
+        }
+        self.mix();
+        let couples = &self.plan.table.cell().couples;
+        self.both_active =
+            couples.iter().any(|couple| self.acts(couple.primary) && self.acts(couple.standby));
+    }
+
+    /// Whether the last move may have changed the value of a term.
+    pub fn touches(&self, term: Term) -> bool {
+        self.checks.touches(term)
     }
 }
