@@ -8,7 +8,7 @@ use crate::node::effects::{Effects, Stamped};
 use crate::node::failstop::guarded;
 use crate::record::{Did, OutputDigest, ScriptStep, Step};
 use imrs_protocol::script::{
-    Action, Address, End, MAX_THREADS, Program, ScriptHost, ScriptInput, ScriptOutbox,
+    Action, Address, End, MAX_THREADS, Program, ScriptFault, ScriptHost, ScriptInput, ScriptOutbox,
 };
 use imrs_protocol::{CommTask, Input, NodeTable, ReplyTo, Request, Ticks};
 use std::sync::Arc;
@@ -244,6 +244,10 @@ impl ScriptOutbox for Out<'_> {
     }
 
     fn ended(&mut self, end: End) {
+        // The other scripts of the node get their steps back: they did not run away.
+        if matches!(end, End::Fault { fault: ScriptFault::Runaway, .. }) {
+            self.effects.steps = 0;
+        }
         self.did(&Did::Ended(end));
         self.note(|| Note::Ended(end));
         if !std::mem::replace(&mut self.side.ended, true) {
@@ -262,11 +266,7 @@ impl ScriptOutbox for Out<'_> {
             ScriptInput::Begin | ScriptInput::Chosen(_) => {}
         }
         self.effects.steps = self.effects.steps.saturating_add(1);
-        let may = self.effects.steps <= self.side.together;
-        if !may {
-            self.effects.steps = 0;
-        }
-        may
+        self.effects.steps <= self.side.together
     }
 
     fn asked(&mut self, request: &Request) {
