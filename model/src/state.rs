@@ -106,6 +106,7 @@ violations! {
     Miscounted 54 "a message was not rejected as often as its node counts",
     Garbled 55 "a packet is another one after its bytes",
     Fused 56 "a fused step differs from the small steps that it stands for",
+    StaleCheck 57 "a check has another value than the search took for granted",
     Script 39 "a script ended in a fault or an assertion that does not hold",
     Check 40 "a check of the cell does not hold",
     Reached 38 "what must be possible is possible",

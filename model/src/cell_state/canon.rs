@@ -98,7 +98,7 @@ impl CellState {
 
     /// Unpacks the bytes of a state without a violation.
     pub fn load_bytes(&mut self, bytes: &[u8]) {
-        self.checks_invariants = self.turns.is_none() || self.plan.keeps_seen || is_sampled(bytes);
+        self.is_sampled = self.turns.is_none() || self.plan.keeps_seen || is_in_sample(bytes);
         // A run that ended in a violation may have left scripts that did not wait yet.
         self.ready.clear();
         self.rounds.fill(Frame::ROUND);
@@ -176,8 +176,8 @@ impl CellState {
     }
 }
 
-/// Whether the invariants are checked in the steps from this kept state of a cell.
-fn is_sampled(state: &[u8]) -> bool {
+/// Whether this kept state of a cell is in the sample.
+fn is_in_sample(state: &[u8]) -> bool {
     let mut hasher = DefaultHasher::new();
     state.hash(&mut hasher);
     hasher.finish().is_multiple_of(SAMPLED)

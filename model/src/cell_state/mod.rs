@@ -115,8 +115,8 @@ pub(crate) struct CellState {
     orders: bool,
     /// The history of the run, if it is followed from its start.
     history: Option<Box<History>>,
-    /// Whether the invariants of the machines are checked after each step.
-    checks_invariants: bool,
+    /// Whether the invariants of the machines are checked after each step, and what the search leaves out is compared.
+    pub is_sampled: bool,
 }
 
 /// What a node did in one step, in order.
@@ -131,8 +131,8 @@ pub(crate) enum Effect {
 /// A new incarnation this many rounds behind behaves like one farther behind: the machine only compares rounds.
 const FAR_BEHIND: u8 = 3;
 
-/// Of the kept states of a cell, invariants are checked in the steps from one of this many, chosen by hash. The tests, the search
-/// of everything and runs that are followed check them in every step.
+/// Of the kept states of a cell, one in this many is in the sample, chosen by hash. All states of claims, of the search of
+/// everything and of runs that are followed are.
 const SAMPLED: u64 = 16;
 
 /// Most fused steps in one transition: more would be a loop in which no time passes.
@@ -221,7 +221,7 @@ impl CellState {
             turns: None,
             orders: !plan.fused,
             history: None,
-            checks_invariants: true,
+            is_sampled: true,
             links,
             plan: Arc::clone(plan),
         };
@@ -434,7 +434,7 @@ impl CellState {
         self.spare = effects;
         let node_state = &self.nodes[i];
         let broken = |task| invariants::check(task, &node_state.table).is_err();
-        if self.checks_invariants && node_state.node.parts().tasks.iter().any(broken) {
+        if self.is_sampled && node_state.node.parts().tasks.iter().any(broken) {
             return Err(Violation::Invariant);
         }
         result

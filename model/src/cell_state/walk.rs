@@ -50,7 +50,7 @@ impl CellState {
             turns,
             orders,
             // Decides what is checked, and nothing that happens.
-            checks_invariants: _,
+            is_sampled: _,
         } = self;
         faults.walk(&plan.faults, w);
         if plan.room.is_some() {

@@ -1,13 +1,15 @@
 //! Which checks a move may have changed: only these are evaluated.
 //!
 //! A variable changes only in a step of its task's script, or when its node crashes or restarts. So a check that reads variables
-//! of other tasks keeps its value. A predicate may change with any move. The search of everything evaluates all checks after every
-//! move: the tests compare it with this one.
+//! of other tasks keeps its value. A predicate may change with any move.
+//!
+//! In the steps from a state of the sample, the other checks are evaluated, too, and must have the values that were taken for granted.
 
 use super::{CellMove, RunState, bit};
 use crate::cell::plan::{CellPlan, Holds};
 use crate::cell_state::CellState;
 use crate::cell_state::script::ScriptReaction;
+use crate::state::Violation;
 use imrs_protocol::script::{Reading, Term, eval};
 
 /// All tasks, as a bit set.
@@ -22,13 +24,20 @@ pub(super) struct Evaluated {
     values: Vec<Option<[bool; 2]>>,
     /// The tasks whose variables the last move may have changed, as a bit set.
     touched: u64,
+    /// Whether a check had another value than was taken for granted.
+    is_stale: bool,
 }
 
 impl Evaluated {
     pub fn new(plan: &CellPlan) -> Self {
         let reads = |check| plan.terms(check).into_iter().fold(0, |all, term| all | tasks_of(term));
         let count = plan.checks.len();
-        Self { reads: (0..count).map(reads).collect(), values: vec![None; count], touched: ALL }
+        Self {
+            reads: (0..count).map(reads).collect(),
+            values: vec![None; count],
+            touched: ALL,
+            is_stale: false,
+        }
     }
 
     /// A kept state was loaded. No check is broken in it, and its obligations are part of it.
@@ -53,12 +62,19 @@ impl Evaluated {
 
     /// The values of both sides of a check; `None` if they are as they were when the state was kept.
     pub fn values(&mut self, at: usize, holds: &Holds, cell: &CellState) -> Option<[bool; 2]> {
-        if self.reads[at] == ALL || self.reads[at] & self.touched != 0 || self.touched == ALL {
-            let is = |terms: &[Term]| eval(terms, |term| cell.look_up(term)).is_ok_and(|value| value != 0);
-            self.values[at] = Some(match holds {
-                Holds::Always(terms) => [false, is(terms)],
-                Holds::Leads { when, then, .. } => [is(when), is(then)],
-            });
+        let may_differ = self.reads[at] == ALL || self.reads[at] & self.touched != 0 || self.touched == ALL;
+        if !may_differ && !cell.is_sampled {
+            return self.values[at];
+        }
+        let is = |terms: &[Term]| eval(terms, |term| cell.look_up(term)).is_ok_and(|value| value != 0);
+        let (now, when_kept) = match holds {
+            Holds::Always(terms) => ([false, is(terms)], Some([false, true])),
+            Holds::Leads { when, then, .. } => ([is(when), is(then)], None),
+        };
+        if may_differ {
+            self.values[at] = Some(now);
+        } else {
+            self.is_stale |= self.values[at].or(when_kept).is_some_and(|granted| granted != now);
         }
         self.values[at]
     }
@@ -98,6 +114,9 @@ impl RunState {
                     }
                 }
             }
+        }
+        if std::mem::take(&mut self.checks.is_stale) {
+            self.cell.violation = Some(Violation::StaleCheck);
         }
         self.mix();
         let couples = &self.plan.table.cell().couples;
