@@ -11,7 +11,7 @@ use super::outside::{tried, with_programs};
 use super::parts::parts;
 use super::plan::{CellFaults, CellPlan, Conduct, Times};
 use super::run_state::{CellMove, RunState};
-use super::seen::Seen;
+use super::seen::{Seen, is_in_sample};
 use super::standstill::{self, OutOfMemory, StateGraph};
 use super::verdict::{Coverage, Finding, Kind, Phase, Refused, Verdicts};
 use super::walker::{Hit, Origin, Walker, Walks};
@@ -262,7 +262,9 @@ impl Search {
                 && let Some(part) = parts.get(at)
             {
                 for (state_at, state) in *part {
-                    walker.expand(*state_at, self.origins[*state_at as usize].depth, state, &self.seen);
+                    let place = *state_at as usize;
+                    let what = (self.origins[place].depth, is_in_sample(self.cores[place]));
+                    walker.expand(*state_at, what, state, &self.seen);
                 }
                 // Only one thread takes this part, so the place is empty.
                 let _ = done[at].set(walker.take());

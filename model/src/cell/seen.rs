@@ -33,6 +33,11 @@ pub(super) struct Mark {
 /// On chains without a choice one state in four is kept, chosen by its hash. So a second path through such a state stops there.
 const POSTS: u64 = 4;
 
+/// Whether a kept state is in the sample, by its fingerprint: one in sixteen is, also of those that are kept on chains.
+pub(super) const fn is_in_sample(core: u64) -> bool {
+    (core / POSTS).is_multiple_of(16)
+}
+
 impl Mark {
     pub fn of((left, core): (Left, &[u8])) -> Self {
         let mut hasher = DefaultHasher::new();

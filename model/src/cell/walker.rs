@@ -96,8 +96,10 @@ impl Walker {
         self.walk(Origin { parent: u32::MAX, choice: 0, depth: 0, steps: 0 }, None, seen);
     }
 
-    /// Expands a kept state: walks by each of its moves.
-    pub fn expand(&mut self, at: u32, before: u16, state: &[u8], seen: &Seen) {
+    /// Expands a kept state: walks by each of its moves. `before` is the number of choices on the path to it, `is_sampled` whether it
+    /// is in the sample.
+    pub fn expand(&mut self, at: u32, (before, is_sampled): (u16, bool), state: &[u8], seen: &Seen) {
+        self.run_state.cell.is_sampled = is_sampled || self.run_state.plan.everything;
         self.run_state.load(state);
         let mut all = std::mem::take(&mut self.all);
         all.clear();

@@ -2,12 +2,11 @@
 
 use super::judge::Name;
 use super::plan::Transfer;
-use super::{CellState, FAR_BEHIND, InFlight, SAMPLED};
+use super::{CellState, FAR_BEHIND, InFlight};
 use crate::state::{Packed, Violation};
 use imrs_protocol::{
     Coming, CommTask, Decode, Encode, Frame, Kind, Overflow, Packet, Pass, PortId, Round, Seq24, Usage, Walk,
 };
-use std::hash::{DefaultHasher, Hash, Hasher};
 
 /// The numbers that packed numbers are relative to.
 struct Bases {
@@ -98,7 +97,6 @@ impl CellState {
 
     /// Unpacks the bytes of a state without a violation.
     pub fn load_bytes(&mut self, bytes: &[u8]) {
-        self.is_sampled = self.turns.is_none() || self.plan.keeps_seen || is_in_sample(bytes);
         // A run that ended in a violation may have left scripts that did not wait yet.
         self.ready.clear();
         self.rounds.fill(Frame::ROUND);
@@ -174,13 +172,6 @@ impl CellState {
         let rounds = least.0.iter().zip(&self.rounds).map(|(least, old)| least.unwrap_or(*old)).collect();
         Bases { rounds, used, sequences, incarnations }
     }
-}
-
-/// Whether this kept state of a cell is in the sample.
-fn is_in_sample(state: &[u8]) -> bool {
-    let mut hasher = DefaultHasher::new();
-    state.hash(&mut hasher);
-    hasher.finish().is_multiple_of(SAMPLED)
 }
 
 /// A pass that finds the least round in use of each port.

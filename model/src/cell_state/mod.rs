@@ -115,7 +115,8 @@ pub(crate) struct CellState {
     orders: bool,
     /// The history of the run, if it is followed from its start.
     history: Option<Box<History>>,
-    /// Whether the invariants of the machines are checked after each step, and what the search leaves out is compared.
+    /// Whether the invariants of the machines are checked after each step, and what the search leaves out is compared. Only the
+    /// search of a cell turns it off, for the states that are not in its sample.
     pub is_sampled: bool,
 }
 
@@ -130,10 +131,6 @@ pub(crate) enum Effect {
 
 /// A new incarnation this many rounds behind behaves like one farther behind: the machine only compares rounds.
 const FAR_BEHIND: u8 = 3;
-
-/// Of the kept states of a cell, one in this many is in the sample, chosen by hash. All states of claims, of the search of
-/// everything and of runs that are followed are.
-const SAMPLED: u64 = 16;
 
 /// Most fused steps in one transition: more would be a loop in which no time passes.
 const FUSED: usize = 64;

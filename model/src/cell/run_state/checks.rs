@@ -57,12 +57,17 @@ impl Evaluated {
 
     /// Whether the last move may have changed the value of a term.
     pub fn touches(&self, term: Term) -> bool {
-        self.touched & tasks_of(term) != 0 || tasks_of(term) == ALL
+        self.touches_any(tasks_of(term))
+    }
+
+    /// Whether the last move may have changed a value that depends on these tasks.
+    const fn touches_any(&self, tasks: u64) -> bool {
+        self.touched == ALL || tasks == ALL || tasks & self.touched != 0
     }
 
     /// The values of both sides of a check; `None` if they are as they were when the state was kept.
     pub fn values(&mut self, at: usize, holds: &Holds, cell: &CellState) -> Option<[bool; 2]> {
-        let may_differ = self.reads[at] == ALL || self.reads[at] & self.touched != 0 || self.touched == ALL;
+        let may_differ = self.touches_any(self.reads[at]);
         if !may_differ && !cell.is_sampled {
             return self.values[at];
         }
