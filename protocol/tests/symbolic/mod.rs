@@ -8,11 +8,14 @@ mod numbers;
 mod tasks;
 
 use crate::support::Effects;
+use crate::support::plan::plans;
+use crate::support::world::{Op, World, lively, ops};
 use imrs_protocol::symbolic::{self, Symbol, Zone};
 use imrs_protocol::*;
-use proptest::test_runner::TestCaseError;
-use proptest::{prop_assert, prop_assert_eq};
-use std::cell::RefCell;
+use proptest::prelude::*;
+use proptest::test_runner::TestRunner;
+use std::cell::{self, RefCell};
+use std::ops::Range;
 use std::rc::Rc;
 
 /// Steps of a run: more would need more variables than symbols can name.
@@ -217,4 +220,32 @@ fn runs_alike<S: State>(
         alike += 1;
     }
     Ok(alike)
+}
+
+/// Compares random runs of random cells, whose steps are at most as far apart as `gaps` says, and wants more other times than runs to
+/// have been answered alike.
+fn random_runs_are_alike<S: State>(
+    (cases, gaps): (u32, Range<u8>),
+    start: impl Fn(World) -> S,
+    run: impl Fn(&S, &[Op], Clock<'_>) -> Run<S>,
+) {
+    let runs = (
+        plans(),
+        prop_oneof![ops(), lively()],
+        proptest::collection::vec(gaps, 1..20),
+        proptest::collection::vec((any::<usize>(), -4..5_i64), 12),
+    );
+    let config = ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() };
+    let alike = cell::Cell::new(0);
+    let result = TestRunner::new(config).run(&runs, |(plan, ops, gaps, others)| {
+        let world = World::new(&plan.build(), false);
+        // Under this variant of the rules a wait does not count, so a deadline moves by the difference of two instants.
+        let exact = world.tables[0].rules().charge_residence;
+        let (start, ops) = (start(world), &ops[..ops.len().min(MOST)]);
+        let times = times(&gaps, ops.len());
+        alike.set(alike.get() + runs_alike((&times, &others), exact, |clock| run(&start, ops, clock))?);
+        Ok(())
+    });
+    result.unwrap_or_else(|error| panic!("{error}"));
+    assert!(alike.get() > cases as usize, "only {} other times were answered alike", alike.get());
 }

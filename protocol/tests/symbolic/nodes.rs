@@ -1,13 +1,9 @@
 //! Whole nodes on symbols: transit buffers, Timers, relays, and the links between them.
 
-use super::{Clock, Evaluate, MOST, Run, State, runs_alike, times};
+use super::{Clock, Evaluate, Run, State, random_runs_are_alike};
 use crate::support::Effects;
-use crate::support::plan::plans;
-use crate::support::world::{Op, World, lively, ops};
+use crate::support::world::{Op, World};
 use imrs_protocol::*;
-use proptest::prelude::*;
-use proptest::test_runner::TestRunner;
-use std::cell;
 
 /// A packet on a link: where it comes from and goes to, and when it was sent.
 #[derive(Clone)]
@@ -156,22 +152,5 @@ fn run(nodes: &Nodes, ops: &[Op], clock: Clock<'_>) -> Run<Nodes> {
 
 #[test]
 fn nodes_on_symbols_do_what_they_do_on_all_numbers_that_are_answered_alike() {
-    let cells = (
-        plans(),
-        prop_oneof![ops(), lively()],
-        proptest::collection::vec(0..6_u8, 1..20),
-        proptest::collection::vec((any::<usize>(), -4..5_i64), 12),
-    );
-    let config = ProptestConfig { cases: 800, failure_persistence: None, ..ProptestConfig::default() };
-    let covered = cell::Cell::new(0);
-    let result = TestRunner::new(config).run(&cells, |(plan, ops, gaps, others)| {
-        let world = World::new(&plan.build(), false);
-        let exact = world.tables[0].rules().charge_residence;
-        let (nodes, ops) = (Nodes::new(world), &ops[..ops.len().min(MOST)]);
-        let times = times(&gaps, ops.len());
-        covered.set(covered.get() + runs_alike((&times, &others), exact, |clock| run(&nodes, ops, clock))?);
-        Ok(())
-    });
-    result.unwrap_or_else(|error| panic!("{error}"));
-    assert!(covered.get() > 800, "only {} other times were answered alike", covered.get());
+    random_runs_are_alike((800, 0..6), Nodes::new, run);
 }

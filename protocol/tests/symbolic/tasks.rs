@@ -1,13 +1,9 @@
 //! Communication tasks on symbols.
 
-use super::{Clock, Evaluate, MOST, Run, State, on_symbols, runs_alike, showing, times};
-use crate::support::plan::plans;
-use crate::support::world::{Op, World, lively, ops};
+use super::{Clock, Evaluate, Run, State, on_symbols, random_runs_are_alike, showing};
+use crate::support::world::{Op, World};
 use crate::support::{Effects, handle, order, send_for};
 use imrs_protocol::*;
-use proptest::prelude::*;
-use proptest::test_runner::TestRunner;
-use std::cell;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -32,25 +28,7 @@ fn run(world: &World, ops: &[Op], clock: Clock<'_>) -> Run<World> {
 
 #[test]
 fn symbols_stand_for_all_numbers_that_are_answered_alike() {
-    let worlds = (
-        plans(),
-        prop_oneof![ops(), lively()],
-        proptest::collection::vec(0..12_u8, 1..20),
-        proptest::collection::vec((any::<usize>(), -4..5_i64), 12),
-    );
-    let config = ProptestConfig { cases: 1_500, failure_persistence: None, ..ProptestConfig::default() };
-    let covered = cell::Cell::new(0);
-    let result = TestRunner::new(config).run(&worlds, |(plan, ops, gaps, others)| {
-        let world = World::new(&plan.build(), false);
-        let ops = &ops[..ops.len().min(MOST)];
-        // Under this variant of the rules a wait does not count, so a deadline moves by the difference of two instants.
-        let exact = world.tables[0].rules().charge_residence;
-        let times = times(&gaps, ops.len());
-        covered.set(covered.get() + runs_alike((&times, &others), exact, |clock| run(&world, ops, clock))?);
-        Ok(())
-    });
-    result.unwrap_or_else(|error| panic!("{error}"));
-    assert!(covered.get() > 1_500, "only {} other times were answered alike", covered.get());
+    random_runs_are_alike((1_500, 0..12), |world| world, run);
 }
 
 /// A message with 9 ticks to live meets a working thread, which rejects it: the penalty of 4 ticks is cut to half of what remains.
