@@ -23,6 +23,7 @@ use crate::timer::Timer;
 use crate::transit::{RouteOutbox, Transit};
 use alloc::boxed::Box;
 use alloc::collections::VecDeque;
+pub use fused::Fusible;
 use serde::{Deserialize, Serialize};
 use work::Work;
 

@@ -1,11 +1,12 @@
 //! Tests of tasks that are scripts, on real nodes: with each other, with Rust tasks, and with actions outside.
 
-use crate::common::{A, B, LONG, LONG_TICKS, Tape, ask, cell, network, on, one_node, report, table};
+use crate::common::{A, B, LONG, LONG_TICKS, Tape, ask, cell, network, on, one_node, report, table, until};
 use imrs_protocol::script::{
     Binary, End, Op, Outcomes, Program, ProgramBuilder, ScriptFault, StatementOutcome, Type,
 };
 use imrs_protocol::{
-    CellTable, CoupleDecl, Incarnation, NodeId, NodeTable, PortDecl, PortId, Target, TaskId, Ticks, Usage,
+    CellTable, CoupleDecl, Incarnation, NodeId, NodeTable, PortDecl, PortId, PortView, Target, TaskId, Ticks,
+    Usage,
 };
 use imrs_runtime::guard::GuardProgram;
 use imrs_runtime::link::in_process::Faults;
@@ -13,7 +14,7 @@ use imrs_runtime::record::{Recorder, replay};
 use imrs_runtime::script::{
     Act, Actions, CommandError, Commands, Ending, Functions, Note, Simulated, Stop, Watch,
 };
-use imrs_runtime::{Runtime, TaskEnd};
+use imrs_runtime::{Builder, Runtime, TaskEnd};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -134,6 +135,27 @@ fn two_scripts_of_a_node_that_answer_each_other_for_ever_in_no_time_are_stopped(
         matches!(end, TaskEnd::Script(End::Fault { fault: ScriptFault::Runaway, .. }))
     };
     assert_eq!(ends.iter().filter(|end| runaway(end)).count(), 1, "{ends:?}");
+}
+
+/// What the ports of two scripts count that ask and answer each other. `who` looks on.
+fn counted(who: impl FnOnce(Builder) -> Builder) -> Vec<Vec<PortView>> {
+    let mut cell = cell(&[0, 0], Ticks(2_000));
+    cell.port(ask(LONG_TICKS));
+    let node = one_node(&table(cell)).script("a", asker(100)).script("b", answerer());
+    let node = who(node).start().unwrap();
+    until(|| node.node().snapshot(0).tasks[0].liveness == imrs_wire::obs::Liveness::Ended);
+    let ports = node.node().snapshot(0).tasks.into_iter().map(|task| task.view.ports).collect();
+    assert_eq!(end_of(node, "a"), TaskEnd::Script(End::Finished));
+    ports
+}
+
+#[test]
+fn scripts_without_a_watch_or_a_recorder_take_fused_steps_and_count_the_same() {
+    let fused = counted(|node| node);
+    let watched = counted(|node| node.watch(Arc::new(Notes(Mutex::default()))));
+    let recorded = counted(|node| node.recorder(Arc::new(Tape::default())));
+    assert_eq!(fused[1][0].counters.delivered, 100);
+    assert_eq!([&fused, &fused], [&watched, &recorded]);
 }
 
 fn replays(table: &Arc<CellTable>, tape: &Tape, node: NodeId, task: TaskId) -> usize {

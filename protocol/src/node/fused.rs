@@ -4,37 +4,64 @@ use super::{Node, NodeOutbox, Parts};
 use crate::ids::{PortId, TaskId};
 use crate::mapping;
 use crate::request::{Request, Target};
-use crate::table::Ends;
+use crate::table::{Ends, NodeTable};
 use crate::task::CommTask;
+
+/// What a request is about that a task may take as one fused step with another task of its node (D176).
+#[derive(Clone, Copy, Debug)]
+pub struct Fusible<'a> {
+    ends: Ends<'a>,
+    /// The position of the other task among the node's tasks, ascending by task.
+    pub other: usize,
+}
+
+impl<'a> Fusible<'a> {
+    /// What `request` of `task` is about. `None` if it concerns no other task of the node, or several.
+    #[must_use]
+    #[inline(always)]
+    pub fn of(table: &'a NodeTable, task: TaskId, request: &Request) -> Option<Self> {
+        match *request {
+            Request::Send { port, to, .. } => Self::to(table, task, port, to),
+            Request::Reply { to, .. } => Self::to(table, task, to.port, Target::One(to.source)),
+            _ => None,
+        }
+    }
+
+    #[inline(always)]
+    fn to(table: &'a NodeTable, task: TaskId, port: PortId, to: Target) -> Option<Self> {
+        let (port, own) = mapping::own_end(table, port, task).ok()?;
+        let peer = mapping::only_peer(own, to).filter(|_| table.is_decided())?;
+        Some(Self { ends: Ends { port, own, peer }, other: table.place(peer.task)? })
+    }
+
+    /// The task `own` takes the request as one step together with `other`. Both must stand at the same time, and nothing that
+    /// `own` sent before may still be on its way to `other`. False, and nothing has changed, if anything about it is unusual.
+    #[inline(always)]
+    pub fn step(
+        self,
+        own: &mut CommTask,
+        other: &mut CommTask,
+        request: &Request,
+        out: &mut impl NodeOutbox,
+    ) -> bool {
+        match *request {
+            Request::Send { contents, time_out, .. } => {
+                own.send_fused(other, self.ends, (contents, time_out), out)
+            }
+            Request::Reply { to, contents } => own.reply_fused(other, self.ends, (to, contents), out),
+            _ => false,
+        }
+    }
+}
 
 impl Node {
     /// Takes a request as one fused step with the other task that it concerns (D176); [`step`](Self::step) does so by itself.
     /// False, and nothing has changed, if anything about it is unusual.
     pub fn fuse(&mut self, task: TaskId, request: &Request, out: &mut impl NodeOutbox) -> bool {
-        match *request {
-            Request::Send { port, to, contents, time_out } => self
-                .pair(task, port, to)
-                .is_some_and(|(own, other, ends)| own.send_fused(other, ends, (contents, time_out), out)),
-            Request::Reply { to, contents } => self
-                .pair(task, to.port, Target::One(to.source))
-                .is_some_and(|(own, other, ends)| own.reply_fused(other, ends, (to, contents), out)),
-            _ => false,
-        }
-    }
-
-    /// A task of this node, the only other task to which it addresses a message, if that runs here too, and their port.
-    #[inline(always)]
-    fn pair(
-        &mut self,
-        task: TaskId,
-        port: PortId,
-        to: Target,
-    ) -> Option<(&mut CommTask, &mut CommTask, Ends<'_>)> {
         let Parts { table, tasks, .. } = &mut self.parts;
-        let (port, own) = mapping::own_end(table, port, task).ok()?;
-        let peer = mapping::only_peer(own, to).filter(|_| table.is_decided())?;
-        let pair = [table.place(task)?, table.place(peer.task)?];
-        let [this, other] = tasks.get_disjoint_mut(pair).ok()?;
-        Some((this, other, Ends { port, own, peer }))
+        let Some(fusible) = Fusible::of(table, task, request) else { return false };
+        let Some(place) = table.place(task) else { return false };
+        let Ok([own, other]) = tasks.get_disjoint_mut([place, fusible.other]) else { return false };
+        fusible.step(own, other, request, out)
     }
 }

@@ -235,6 +235,7 @@ impl Builder {
         let machine = imrs_protocol::Node::new(table, self.incarnation, self.restarted, self.capacity);
         let node = Node::new(Plan {
             machine,
+            scripted: programs.iter().map(|(_, program)| matches!(program, TaskProgram::Script(_))).collect(),
             incarnation: self.incarnation,
             insecure: self.insecure,
             real_time: self.real_time,

@@ -1,23 +1,27 @@
 //! A communication task behind its lock, with its clock, its recorder and its observations.
 
 use crate::clock::{self, Micros};
-use crate::node::effects::{Effect, Effects, Stamped};
-use crate::node::failstop::guarded;
+use crate::node::effects::{Effect, Effects, Inside, Stamped};
+use crate::node::home::{Home, Homes};
 use crate::observe::ring::Ring;
 use crate::record::{Digesting, Log, OutputDigest, ScriptStep, Step};
 use crate::script::{HeldLease, ScriptRunner};
 use crate::sync::alarm::{Alarm, Cover};
-use crate::sync::handoff::{Protected, Rest};
+use crate::sync::handoff::Rest;
 use imrs_protocol::script::Program;
 use imrs_protocol::{
-    Class, CommTask, Delivery, Event, Input, Kind, NodeTable, Observation, Outbox, Packet, PortId, QueueView,
-    Reason, Signal, TaskId, TaskView, Ticks, TimeId,
+    CommTask, Delivery, Event, Input, NodeTable, Observation, Outbox, Packet, PortId, QueueView, Reason,
+    Signal, TaskId, TaskView, Ticks, TimeId,
 };
 use std::sync::Arc;
 
 pub(crate) struct Comm {
-    machine: CommTask,
+    pub(super) machine: CommTask,
     table: NodeTable,
+    pub(super) home: Home,
+    homes: Arc<Homes>,
+    /// Whether it is among the changed members of its domain.
+    pub(super) changed: bool,
     alarm: Arc<Alarm>,
     cover: Cover,
     /// Whether the task is one of a couple: then an input takes effect at the time at which it is taken in, if that is later.
@@ -29,17 +33,17 @@ pub(crate) struct Comm {
     /// Whether the log wants the machine's state before the next step.
     wants_keyframe: bool,
     digest: OutputDigest,
-    ring: Ring,
+    pub(super) ring: Ring,
     discards: [u64; Reason::ALL.len()],
     /// The script of the task, if it has one. It runs under the lock of its communication task.
-    runner: Option<Box<ScriptRunner>>,
+    pub(super) runner: Option<Box<ScriptRunner>>,
 }
 
 impl Comm {
     pub fn new(
         machine: CommTask,
         table: NodeTable,
-        slot: usize,
+        (home, homes): (Home, Arc<Homes>),
         alarm: Arc<Alarm>,
         log: Option<Box<dyn Log>>,
         now: Micros,
@@ -51,7 +55,10 @@ impl Comm {
             table,
             wants_keyframe,
             alarm,
-            cover: Cover::new(slot),
+            cover: Cover::new(home.place),
+            home,
+            homes,
+            changed: false,
             started: now,
             log,
             digest: OutputDigest::START,
@@ -64,14 +71,6 @@ impl Comm {
     /// Gives the task its script, before anything happens.
     pub fn runner(&mut self, runner: ScriptRunner) {
         self.runner = Some(Box::new(runner));
-    }
-
-    /// Works on the script of the task, together with its communication task.
-    pub fn with_runner(&mut self, work: impl FnOnce(&mut ScriptRunner, &mut Self)) {
-        if let Some(mut runner) = self.runner.take() {
-            work(&mut runner, self);
-            self.runner = Some(runner);
-        }
     }
 
     /// The program of the task's script.
@@ -132,6 +131,8 @@ impl Comm {
         let mut out = Out {
             at: self.now() + step.elapsed.0,
             task: self.machine.task(),
+            domain: self.home.domain,
+            homes: &self.homes,
             effects,
             answers,
             ring: &mut self.ring,
@@ -199,11 +200,34 @@ impl Comm {
         self.started.saturating_add(self.machine.next_deadline().0)
     }
 
-    fn take(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Completion> {
-        if self.runner.is_some() {
-            self.with_runner(|runner, comm| runner.take(comm, stamped, effects));
-            return None;
+    /// Says when the machine next expires, while its task's thread does `rest`.
+    pub fn settle(&mut self, rest: Rest) -> Micros {
+        let due = self.due();
+        self.cover.settle(&self.alarm, rest, due);
+        due
+    }
+
+    /// Whether the task may take part in a fused step: its steps are not recorded one by one, and a pause of the node cannot end
+    /// its lease.
+    pub const fn is_usual(&self) -> bool {
+        self.log.is_none() && !self.coupled
+    }
+
+    /// Lets time pass up to `now`. False, and nothing has changed, if that is more than time alone.
+    pub fn catch_up_with(&mut self, now: Micros, effects: &mut Effects) -> bool {
+        if self.now() == now {
+            return true;
         }
+        let only_time = self.now() < now && self.is_idle_until(now);
+        if only_time {
+            let step = Step { elapsed: self.elapsed(now), input: Input::Time };
+            self.run(&step, &mut |_| {}, effects);
+        }
+        only_time
+    }
+
+    /// Takes an input of a task that has no script.
+    pub fn take(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Completion> {
         // The bringing thread, and with it the node, may have been stopped since it read the clock: a lease that has ended
         // meanwhile ends before the input has any effect (D153).
         let at = if self.coupled { stamped.at.max(clock::now()) } else { stamped.at };
@@ -233,34 +257,12 @@ pub struct Completion {
     pub at: Micros,
 }
 
-impl Protected for Comm {
-    type Input = Stamped;
-    type Completion = Completion;
-    type Effects = Effects;
-
-    /// Only a class-1 message may wait, because its sender hears nothing of it. Its receiver takes it at its next call, and its
-    /// remaining time keeps running meanwhile.
-    fn may_wait(stamped: &Stamped) -> bool {
-        let Input::Packet(packet) = &stamped.input else { return false };
-        packet.kind == Kind::Send && packet.class == Class::Status
-    }
-
-    fn feed(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Completion> {
-        guarded("a communication task", || self.take(stamped, effects))
-    }
-
-    fn settle(&mut self, rest: Rest, effects: &mut Effects) -> Micros {
-        effects.turn = None;
-        let due = self.due();
-        self.cover.settle(&self.alarm, rest, due);
-        due
-    }
-}
-
 /// The outbox of one input.
 struct Out<'a> {
     at: Micros,
     task: TaskId,
+    domain: usize,
+    homes: &'a Homes,
     effects: &'a mut Effects,
     answers: &'a mut dyn FnMut(Signal),
     ring: &'a mut Ring,
@@ -269,7 +271,13 @@ struct Out<'a> {
 
 impl Outbox for Out<'_> {
     fn transmit(&mut self, packet: Packet) {
-        self.effects.queue.push_back(Effect::Transmit(self.at, packet));
+        match self.homes.of(packet.destination).filter(|home| home.domain == self.domain) {
+            Some(home) => {
+                let stamped = Stamped { at: self.at, input: Input::Packet(packet) };
+                self.effects.inside.push_back((home, Inside::Input(stamped)));
+            }
+            None => self.effects.queue.push_back(Effect::Transmit(self.at, packet)),
+        }
     }
 
     fn signal(&mut self, signal: Signal) {

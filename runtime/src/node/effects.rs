@@ -2,6 +2,7 @@
 
 use crate::clock::{self, Micros};
 use crate::link::udp::SEGMENTS;
+use crate::node::home::Home;
 use crate::script::OutsideEffect;
 use imrs_protocol::{Input, Packet, TaskId, Ticks, TimeId};
 use imrs_wire::envelope::MAX_PACKETS;
@@ -12,6 +13,13 @@ use std::collections::VecDeque;
 pub(crate) struct Stamped {
     pub at: Micros,
     pub input: Input,
+}
+
+/// An input for a member.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Addressed {
+    pub member: usize,
+    pub stamped: Stamped,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -26,11 +34,21 @@ pub(crate) enum Effect {
     Disarm(Micros, TaskId, TimeId),
 }
 
+/// What one member of a domain has for another.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Inside {
+    Input(Stamped),
+    /// A fused step has told the member's script something.
+    Told,
+}
+
 /// The effects that one thread still has to carry out. Each thread keeps its own: once they have grown to size, nothing is
 /// allocated.
 #[derive(Debug)]
 pub(crate) struct Effects {
     pub queue: VecDeque<Effect>,
+    /// What members of a domain have for each other, in the order in which it was sent.
+    pub inside: VecDeque<(Home, Inside)>,
     /// Actions that scripts begin or end.
     pub outside: VecDeque<OutsideEffect>,
     /// How many steps scripts took since input last came from outside of the node.
@@ -58,7 +76,7 @@ const RECEIVED: usize = MAX_PACKETS * SEGMENTS;
 #[derive(Debug)]
 pub(crate) struct Bundles {
     /// The held inputs, each with the position of the next one for the same task; a free entry has that of the next free one.
-    held: Vec<(Stamped, usize)>,
+    held: Vec<(Addressed, usize)>,
     /// The first free entry, if that position exists.
     free: usize,
     /// By position among the node's tasks.
@@ -66,7 +84,7 @@ pub(crate) struct Bundles {
     /// The tasks that have held inputs, in the order in which they got them; each once for every [`BUNDLE`] of packets.
     full: VecDeque<usize>,
     /// An empty queue, to hand out.
-    spare: VecDeque<Stamped>,
+    spare: VecDeque<Addressed>,
 }
 
 /// What is held for one task.
@@ -89,11 +107,11 @@ impl Bundles {
         }
     }
 
-    pub fn push(&mut self, place: usize, stamped: Stamped) {
+    pub fn push(&mut self, place: usize, input: Addressed) {
         if self.of.len() <= place {
             self.of.resize(place + 1, Bundle::default());
         }
-        let at = self.put(stamped);
+        let at = self.put(input);
         let bundle = &mut self.of[place];
         if bundle.count.is_multiple_of(BUNDLE) {
             self.full.push_back(place);
@@ -106,14 +124,14 @@ impl Bundles {
         (bundle.last, bundle.count) = (at, bundle.count + 1);
     }
 
-    fn put(&mut self, stamped: Stamped) -> usize {
+    fn put(&mut self, input: Addressed) -> usize {
         let at = self.free;
         if let Some(place) = self.held.get_mut(at) {
             self.free = place.1;
-            place.0 = stamped;
+            place.0 = input;
             return at;
         }
-        self.held.push((stamped, usize::MAX));
+        self.held.push((input, usize::MAX));
         self.held.len() - 1
     }
 
@@ -122,13 +140,13 @@ impl Bundles {
     }
 
     /// Takes out what one task gets next. The queue must be [given back](Self::give_back) empty.
-    pub fn pop(&mut self) -> Option<(usize, VecDeque<Stamped>)> {
+    pub fn pop(&mut self) -> Option<(usize, VecDeque<Addressed>)> {
         let place = self.full.pop_front()?;
         let bundle = &mut self.of[place];
         let mut next = std::mem::take(&mut self.spare);
         for _ in 0..bundle.count.min(BUNDLE) {
-            let (stamped, after) = self.held[bundle.first];
-            next.push_back(stamped);
+            let (input, after) = self.held[bundle.first];
+            next.push_back(input);
             self.held[bundle.first].1 = self.free;
             (self.free, bundle.first) = (bundle.first, after);
         }
@@ -136,7 +154,7 @@ impl Bundles {
         Some((place, next))
     }
 
-    pub fn give_back(&mut self, empty: VecDeque<Stamped>) {
+    pub fn give_back(&mut self, empty: VecDeque<Addressed>) {
         self.spare = empty;
     }
 }
@@ -160,6 +178,7 @@ impl Effects {
     pub fn of_an_onlooker() -> Self {
         Self {
             queue: VecDeque::new(),
+            inside: VecDeque::new(),
             outside: VecDeque::new(),
             steps: 0,
             leaving: Vec::new(),
@@ -172,7 +191,11 @@ impl Effects {
 
     /// Whether there is nothing to carry out.
     pub fn is_done(&self) -> bool {
-        self.queue.is_empty() && self.outside.is_empty() && self.bundles.is_empty() && self.leaving.is_empty()
+        self.queue.is_empty()
+            && self.inside.is_empty()
+            && self.outside.is_empty()
+            && self.bundles.is_empty()
+            && self.leaving.is_empty()
     }
 
     /// The time of this turn at a script: the time at which the turn began, rounded up.
@@ -185,8 +208,8 @@ impl Effects {
 mod tests {
     use super::*;
 
-    fn numbered(at: Micros) -> Stamped {
-        Stamped { at, input: Input::Time }
+    fn numbered(at: Micros) -> Addressed {
+        Addressed { member: 0, stamped: Stamped { at, input: Input::Time } }
     }
 
     /// Puts `counts` inputs in for each place, and takes all out.
@@ -199,7 +222,7 @@ mod tests {
         }
         let mut out = Vec::new();
         while let Some((place, mut bundle)) = bundles.pop() {
-            out.push((place, bundle.drain(..).map(|stamped| stamped.at).collect()));
+            out.push((place, bundle.drain(..).map(|input| input.stamped.at).collect()));
             bundles.give_back(bundle);
         }
         assert!(bundles.is_empty());
@@ -231,7 +254,7 @@ mod tests {
             bundles.push(0, numbered(number));
             bundles.push(0, numbered(number + 1));
             let (_, mut bundle) = bundles.pop().expect("two");
-            assert!(bundle.drain(..).map(|stamped| stamped.at).eq([number, number + 1]));
+            assert!(bundle.drain(..).map(|input| input.stamped.at).eq([number, number + 1]));
             bundles.give_back(bundle);
         }
         assert_eq!(bundles.held.len(), 2);

@@ -1,10 +1,15 @@
 //! The communication tasks of a node, each behind its hand-off.
 
 use crate::node::comm::Comm;
+use crate::node::domain::{Domain, Seat};
+use crate::node::effects::{Addressed, Effects, Stamped};
+use crate::node::home::{Home, Homes};
+use crate::script::ScriptRunner;
 use crate::sync::handoff::{Handoff, ThreadWaker};
 use crate::sync::{Mutex, lock};
-use imrs_protocol::TaskId;
+use imrs_protocol::{NodeTable, TaskId};
 use imrs_wire::obs::Liveness;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::task::Waker;
@@ -15,7 +20,9 @@ pub(crate) const BEGUN: u64 = u64::MAX;
 /// A task of the node.
 pub(crate) struct LocalTask {
     pub task: TaskId,
-    pub handoff: Handoff<Comm>,
+    pub home: Home,
+    /// The hand-off of its domain.
+    pub handoff: Arc<Handoff<Domain>>,
     pub waker: Arc<TaskWaker>,
     liveness: AtomicU8,
     /// Whether the task has a script. Set before anything happens.
@@ -29,12 +36,11 @@ pub(crate) struct LocalTask {
 }
 
 impl LocalTask {
-    /// `link` wakes the task's thread where it waits in the link.
-    pub fn new(task: TaskId, comm: Comm, link: Option<Arc<dyn ThreadWaker>>) -> Self {
-        let waker = Arc::new(TaskWaker { link, waker: Mutex::new(None) });
+    pub fn new(task: TaskId, home: Home, handoff: Arc<Handoff<Domain>>, waker: Arc<TaskWaker>) -> Self {
         Self {
             task,
-            handoff: Handoff::new(comm, Some(Arc::clone(&waker) as Arc<dyn ThreadWaker>)),
+            home,
+            handoff,
             waker,
             liveness: AtomicU8::new(Liveness::Alive as u8),
             by_link: AtomicBool::new(true),
@@ -42,6 +48,47 @@ impl LocalTask {
             listens: AtomicBool::new(false),
             begins: AtomicU64::new(0),
         }
+    }
+
+    fn addressed(&self, stamped: Stamped) -> Addressed {
+        Addressed { member: self.home.member, stamped }
+    }
+
+    /// Brings input from any thread: see [`Handoff::deliver`].
+    pub fn deliver(&self, stamped: Stamped, effects: &mut Effects) {
+        self.handoff.deliver(self.addressed(stamped), effects);
+    }
+
+    /// As [`deliver`](Self::deliver), but on return the input has been taken.
+    pub fn deliver_now(&self, stamped: Stamped, effects: &mut Effects) {
+        self.handoff.deliver_now(self.addressed(stamped), effects);
+    }
+
+    /// Holds an input back, to deliver it together with others.
+    pub fn hold(&self, stamped: Stamped, effects: &mut Effects) {
+        effects.bundles.push(self.home.place, self.addressed(stamped));
+    }
+
+    /// Puts input into the inbox without taking the lock: see [`Handoff::leave`].
+    pub fn leave(&self, stamped: Stamped) -> Result<(), Stamped> {
+        self.handoff.leave(self.addressed(stamped)).map_err(|input| input.stamped)
+    }
+
+    /// Works on the task's script, if it has one, from any thread.
+    pub fn with_runner(
+        &self,
+        effects: &mut Effects,
+        work: impl FnOnce(&mut ScriptRunner, &mut Seat<'_>, &mut Effects),
+    ) {
+        let visit = |domain: &mut Domain, effects: &mut Effects| {
+            domain.with_runner(self.home.member, effects, work);
+        };
+        self.handoff.visit(visit, effects);
+    }
+
+    /// Looks at the communication task after draining the inbox: see [`Handoff::with`].
+    pub fn look<R>(&self, look: impl FnOnce(&mut Comm) -> R, effects: &mut Effects) -> R {
+        self.handoff.with(|domain| look(domain.member(self.home.member)), effects)
     }
 
     pub fn liveness(&self) -> Liveness {
@@ -55,6 +102,34 @@ impl LocalTask {
     pub fn set_liveness(&self, liveness: Liveness) {
         self.liveness.store(liveness as u8, Ordering::Relaxed);
     }
+}
+
+/// The tasks of a node, given by their communication tasks, behind one hand-off for each domain. `link` wakes a thread that waits in
+/// the link.
+pub(crate) fn local_tasks(
+    comms: impl Iterator<Item = Comm>,
+    table: &NodeTable,
+    homes: &Arc<Homes>,
+    link: Option<&Arc<dyn ThreadWaker>>,
+) -> Box<[LocalTask]> {
+    let mut domains: BTreeMap<usize, Vec<Comm>> = BTreeMap::new();
+    let mut tasks = Vec::new();
+    for comm in comms {
+        tasks.push((comm.machine().task(), comm.home));
+        domains.entry(comm.home.domain).or_default().push(comm);
+    }
+    let handoff = |(id, members)| {
+        let waker = Arc::new(TaskWaker { link: link.cloned(), waker: Mutex::new(None) });
+        let domain = Domain::new(id, members, table.clone(), Arc::clone(homes));
+        let wakes = Arc::clone(&waker) as Arc<dyn ThreadWaker>;
+        (id, (Arc::new(Handoff::new(domain, Some(wakes))), waker))
+    };
+    let domains: BTreeMap<usize, _> = domains.into_iter().map(handoff).collect();
+    let local = |(task, home): (TaskId, Home)| {
+        let (handoff, waker) = &domains[&home.domain];
+        LocalTask::new(task, home, Arc::clone(handoff), Arc::clone(waker))
+    };
+    tasks.into_iter().map(local).collect()
 }
 
 /// Wakes a task that waits elsewhere than on its word: in the link, or as a future.
@@ -89,18 +164,12 @@ impl ThreadWaker for TaskWaker {
 pub(crate) struct LocalTasks {
     /// Ascending by task.
     pub list: Box<[LocalTask]>,
-    /// For each task of the cell, its position in the list.
-    places: Box<[Option<u16>]>,
+    homes: Arc<Homes>,
 }
 
 impl LocalTasks {
-    /// The given tasks, of a cell with `tasks` tasks.
-    pub fn new(list: Box<[LocalTask]>, tasks: usize) -> Self {
-        let mut places = vec![None; tasks];
-        for (place, local) in list.iter().enumerate() {
-            places[local.task.index()] = u16::try_from(place).ok();
-        }
-        Self { list, places: places.into() }
+    pub const fn new(list: Box<[LocalTask]>, homes: Arc<Homes>) -> Self {
+        Self { list, homes }
     }
 
     /// The member that runs `task`, if this node does.
@@ -110,6 +179,6 @@ impl LocalTasks {
 
     /// The position of `task` in the list.
     pub fn place(&self, task: TaskId) -> Option<usize> {
-        self.places.get(task.index()).copied().flatten().map(usize::from)
+        Some(self.homes.of(task)?.place)
     }
 }

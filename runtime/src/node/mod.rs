@@ -1,14 +1,18 @@
-//! A running node: the parts of [`imrs_protocol::Node`], each behind its own lock (D38, D39).
+//! A running node: the parts of [`imrs_protocol::Node`], each behind its own lock (D38, D39), but the communication tasks of a
+//! [domain](domain) behind one (D186).
 //!
 //! Nothing here runs by itself. The thread that brings input (a task's thread, the receiving thread, the Timer thread) takes one
-//! lock, releases it, and carries out the effects that the machine asked for, one after another. No thread locks two machines at
+//! lock, releases it, and carries out the effects that the machine asked for, one after another. No thread takes two locks at
 //! once.
 
 pub(crate) mod comm;
+pub(crate) mod domain;
 pub(crate) mod effects;
 pub(crate) mod executor;
 pub(crate) mod failstop;
+pub(crate) mod home;
 mod inlet;
+mod link_waker;
 pub(crate) mod local_task;
 pub(crate) mod program;
 pub(crate) mod threads;
@@ -18,11 +22,13 @@ pub(crate) mod transit;
 pub(crate) use inlet::Inlet;
 
 use crate::clock::{self, Micros};
-use crate::link::{Leading, Link, LinkDiscard};
+use crate::link::{Link, LinkDiscard};
 use crate::node::comm::{Comm, Completion};
-use crate::node::effects::{Effect, Effects, Stamped};
+use crate::node::effects::{Addressed, Effect, Effects, Stamped};
 use crate::node::failstop::guarded;
-use crate::node::local_task::{LocalTask, LocalTasks};
+use crate::node::home::Homes;
+use crate::node::link_waker::link_waker;
+use crate::node::local_task::{LocalTask, LocalTasks, local_tasks};
 use crate::node::timers::Timers;
 use crate::node::transit::Dispatch;
 use crate::observe::lateness::LatenessCounts;
@@ -43,6 +49,8 @@ use std::sync::{Arc, OnceLock};
 /// What a node is made from.
 pub(crate) struct Plan {
     pub machine: imrs_protocol::Node,
+    /// Whether the task has a script, for each task of the node.
+    pub scripted: Vec<bool>,
     pub incarnation: Incarnation,
     pub insecure: bool,
     pub real_time: RealTime,
@@ -105,14 +113,16 @@ impl Node {
         let count = tasks.len();
         let alarm = Arc::new(Alarm::new(count + 2));
         let waker = link_waker(plan.link.as_ref());
-        let local = |(slot, machine): (usize, CommTask)| {
-            let task = machine.task();
-            let log = plan.recorder.clone().and_then(|recorder| recorder.log(task));
-            let comm = Comm::new(machine, table.clone(), slot, Arc::clone(&alarm), log, now);
-            LocalTask::new(task, comm, waker.clone())
+        let scripted = tasks.iter().map(CommTask::task).zip(plan.scripted);
+        let homes = Arc::new(Homes::new(scripted, table.cell().tasks.len()));
+        let comm = |(place, machine): (usize, CommTask)| {
+            let log = plan.recorder.clone().and_then(|recorder| recorder.log(machine.task()));
+            let home = (homes.at(place), Arc::clone(&homes));
+            Comm::new(machine, table.clone(), home, Arc::clone(&alarm), log, now)
         };
-        let list = tasks.into_vec().into_iter().enumerate().map(local).collect();
-        let locals = Arc::new(LocalTasks::new(list, table.cell().tasks.len()));
+        let comms = tasks.into_vec().into_iter().enumerate().map(comm);
+        let list = local_tasks(comms, &table, &homes, waker.as_ref());
+        let locals = Arc::new(LocalTasks::new(list, homes));
         let peer = |node| Peer {
             node,
             received: AtomicU64::new(0),
@@ -192,10 +202,7 @@ impl Node {
     /// Lets the script of a task notice now what has expired, first of all its lease.
     pub(crate) fn catch_up(&self, local: &LocalTask) {
         let mut effects = Effects::of_an_onlooker();
-        let catch_up = |comm: &mut Comm, effects: &mut Effects| {
-            comm.with_runner(|runner, comm| runner.catch_up(comm, effects));
-        };
-        local.handoff.visit(catch_up, &mut effects);
+        local.with_runner(&mut effects, |runner, comm, effects| runner.catch_up(comm, effects));
         self.carry_out(&mut effects);
     }
 
@@ -208,11 +215,9 @@ impl Node {
         more: More<'_>,
         effects: &mut Effects,
     ) -> Entry<Completion> {
-        let stamped = Stamped { at, input: Input::Request(request) };
-        let next = |completion: &Completion| {
-            more(completion).map(|next| Stamped { at, input: Input::Request(next) })
-        };
-        let entry = self.locals.list[place].handoff.enter_and(stamped, next, effects);
+        let first = request_of(at, request);
+        let next = |completion: &Completion| more(completion).map(|next| request_of(at, next));
+        let entry = self.locals.list[place].handoff.enter_and(first, next, effects);
         self.carry_out(effects);
         entry
     }
@@ -232,18 +237,16 @@ impl Node {
             self.timers.advance(now, effects);
             self.carry_out(effects);
         }
-        let stamped = Stamped { at: now, input: Input::Time };
-        let next = |completion: &Completion| {
-            more(completion).map(|next| Stamped { at: now, input: Input::Request(next) })
-        };
-        let entry = self.locals.list[place].handoff.come_back_and(stamped, next, effects);
+        let time = Addressed { member: 0, stamped: Stamped { at: now, input: Input::Time } };
+        let next = |completion: &Completion| more(completion).map(|next| request_of(now, next));
+        let entry = self.locals.list[place].handoff.come_back_and(time, next, effects);
         self.carry_out(effects);
         entry
     }
 
     /// A task that is a future brings input, unless there is an answer for it already, and takes its answer.
     pub(crate) fn look_in(&self, place: usize, stamped: Stamped, effects: &mut Effects) -> Entry<Completion> {
-        let entry = self.locals.list[place].handoff.enter_awake(stamped, effects);
+        let entry = self.locals.list[place].handoff.enter_awake(Addressed { member: 0, stamped }, effects);
         self.carry_out(effects);
         entry
     }
@@ -251,7 +254,7 @@ impl Node {
     /// Looks at a communication task after draining its inbox. Nothing else of the task changes.
     pub(crate) fn look<R>(&self, local: &LocalTask, look: impl FnOnce(&mut Comm) -> R) -> R {
         let mut effects = Effects::of_an_onlooker();
-        let seen = guarded("a look at a communication task", || local.handoff.with(look, &mut effects));
+        let seen = guarded("a look at a communication task", || local.look(look, &mut effects));
         self.carry_out(&mut effects);
         seen
     }
@@ -269,7 +272,7 @@ impl Node {
         for (slot, local) in self.locals.list.iter().enumerate() {
             if self.alarm.slot(slot) <= now {
                 let stamped = Stamped { at: now, input: Input::Time };
-                local.handoff.deliver_now(stamped, effects);
+                local.deliver_now(stamped, effects);
                 self.carry_out(effects);
             }
         }
@@ -303,7 +306,9 @@ impl Node {
                 }
             }
             if effects.queue.is_empty() {
-                return;
+                // The next turn of a domain, now that all its other effects are carried out.
+                let Some((home, _)) = effects.inside.front() else { return };
+                self.locals.list[home.place].handoff.visit(|_, _| (), effects);
             }
         }
     }
@@ -336,9 +341,9 @@ impl Node {
                 // A lone packet needs no bundle.
                 let alone = effects.queue.is_empty() && effects.bundles.is_empty();
                 if local.scripted.load(Ordering::Relaxed) && !alone {
-                    effects.bundles.push(place, stamped);
+                    local.hold(stamped, effects);
                 } else {
-                    local.handoff.deliver(stamped, effects);
+                    local.deliver(stamped, effects);
                 }
             }
             Departure::Link(_) | Departure::Unroutable => {
@@ -349,7 +354,7 @@ impl Node {
 
     fn feed(&self, task: TaskId, stamped: Stamped, effects: &mut Effects) {
         if let Some(local) = self.locals.of(task) {
-            local.handoff.deliver(stamped, effects);
+            local.deliver(stamped, effects);
         }
     }
 
@@ -366,9 +371,9 @@ impl Node {
                     by_link.store(true, Ordering::Relaxed);
                     let stamped = Stamped { at, input: Input::Packet(packet) };
                     if packets.len() > 1 {
-                        effects.bundles.push(place, stamped);
+                        local.hold(stamped, effects);
                     } else {
-                        local.handoff.deliver(stamped, effects);
+                        local.deliver(stamped, effects);
                     }
                 }
                 Arrival::Relay(packet) => {
@@ -391,7 +396,7 @@ impl Node {
     fn restarted(&self, node: NodeId, at: Micros, effects: &mut Effects) {
         for local in &self.locals.list {
             let stamped = Stamped { at, input: Input::PeerRestarted(node) };
-            local.handoff.deliver(stamped, effects);
+            local.deliver(stamped, effects);
         }
         self.carry_out(effects);
     }
@@ -401,16 +406,7 @@ impl Node {
     }
 }
 
-/// Wakes a thread of the node that waits in its link.
-fn link_waker(link: Option<&Arc<dyn Link>>) -> Option<Arc<dyn ThreadWaker>> {
-    link.map(|link| Arc::new(LinkWaker(Arc::clone(link))) as Arc<dyn ThreadWaker>)
-}
-
-/// Wakes a thread that waits in the link.
-struct LinkWaker(Arc<dyn Link>);
-
-impl ThreadWaker for LinkWaker {
-    fn wake(&self) {
-        self.0.leading().into_iter().for_each(Leading::call);
-    }
+/// A request of a task that is alone in its domain.
+const fn request_of(at: Micros, request: Request) -> Addressed {
+    Addressed { member: 0, stamped: Stamped { at, input: Input::Request(request) } }
 }

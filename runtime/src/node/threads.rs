@@ -4,7 +4,6 @@ use crate::api::context::{Caller, TaskError};
 use crate::clock;
 use crate::link::{Link, PollEnd};
 use crate::lock::lock;
-use crate::node::comm::Comm;
 use crate::node::effects::Effects;
 use crate::node::executor::Executor;
 use crate::node::failstop::guarded;
@@ -155,10 +154,7 @@ impl Runtime {
                 continue;
             }
             local.begins.store(BEGUN, Ordering::Relaxed);
-            let begin = |comm: &mut Comm, effects: &mut Effects| {
-                comm.with_runner(|runner, comm| runner.begin(comm, effects));
-            };
-            local.handoff.visit(begin, &mut effects);
+            local.with_runner(&mut effects, |runner, comm, effects| runner.begin(comm, effects));
             self.node.carry_out(&mut effects);
         }
         next.map(|next| here + Duration::from_micros(next - now))
@@ -203,10 +199,7 @@ impl Runtime {
         let mut effects = Effects::of_an_onlooker();
         for local in &self.node.locals.list {
             local.handoff.stop(&mut effects);
-            let stop = |comm: &mut Comm, effects: &mut Effects| {
-                comm.with_runner(|runner, comm| runner.stop(comm, effects));
-            };
-            local.handoff.visit(stop, &mut effects);
+            local.with_runner(&mut effects, |runner, comm, effects| runner.stop(comm, effects));
             self.node.carry_out(&mut effects);
         }
         for (place, local) in self.node.locals.list.iter().enumerate() {

@@ -289,7 +289,7 @@ impl RouteOutbox for Out<'_> {
     fn unsent(&mut self, task: TaskId, id: MessageId) {
         let stamped = Stamped { at: 0, input: Input::Unsent(id) };
         let Some(local) = self.locals.of(task) else { return };
-        let effect = match local.handoff.leave(stamped) {
+        let effect = match local.leave(stamped) {
             Ok(()) => Effect::Wake(task),
             Err(stamped) => Effect::Feed(task, stamped),
         };

@@ -1,7 +1,6 @@
 //! The actions of scripts: how they begin, end, and are cut short.
 
 use crate::node::Node;
-use crate::node::comm::Comm;
 use crate::node::effects::Effects;
 use crate::sync::{Mutex, lock};
 use imrs_protocol::Ticks;
@@ -85,10 +84,9 @@ impl Ending {
         let Some(node) = self.node.upgrade() else { return };
         let mut effects = Effects::new(None);
         let of = self.of;
-        let acted = |comm: &mut Comm, effects: &mut Effects| {
-            comm.with_runner(|runner, comm| runner.acted(comm, of, ok, value, effects));
-        };
-        node.locals.list[self.place].handoff.visit(acted, &mut effects);
+        node.locals.list[self.place].with_runner(&mut effects, |runner, comm, effects| {
+            runner.acted(comm, of, ok, value, effects);
+        });
         node.carry_out(&mut effects);
     }
 }

@@ -1,8 +1,8 @@
 //! Tasks whose behaviour is a script.
 //!
-//! A script has no thread. It is behind the lock of its communication task, and the thread that brings input there runs it. So
-//! what the two do together is one step, as in the model; local messages between tasks are steps of their own. The script's
-//! actions outside begin after the lock is released, and their ends are input again.
+//! A script has no thread. It is behind the lock of its communication task, which all scripts of the node share (D186), and the thread
+//! that brings input there runs it. So what the two do together is one step, as in the model; local messages between tasks are steps
+//! of their own, or fused ones. The script's actions outside begin after the lock is released, and their ends are input again.
 
 mod actions;
 mod command;

@@ -265,10 +265,9 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         core.stopped = true;
         let was = self.waiting.ready();
         drop(core);
-        if self.has(Plant::SilentStop) {
-            return;
+        if !self.has(Plant::SilentStop) {
+            self.waiting.call(was);
         }
-        self.waiting.call(was);
         self.second_look(effects);
     }
 
@@ -289,14 +288,14 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         self.second_look(effects);
         let mut core = lock(&self.core);
         visit(&mut core.protected, effects);
+        core.protected.work_inside(effects);
         let rest = if core.resting { Rest::GoesOn } else { Rest::No };
         core.protected.settle(rest, effects);
         drop(core);
         self.second_look(effects);
     }
 
-    /// Looks at the protected state under its lock, after draining the inbox. As a holder, the caller also works off what others leave
-    /// meanwhile.
+    /// Looks at the protected state under its lock, after draining the inbox.
     pub fn with<R>(&self, look: impl FnOnce(&mut S) -> R, effects: &mut S::Effects) -> R {
         let mut core = lock(&self.core);
         let seen = if self.inbox.is_empty() {
@@ -349,6 +348,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         for input in inputs {
             core.feed(input, effects);
         }
+        core.protected.work_inside(effects);
         let new_completion = !had_completion && core.completion.is_some();
         core.resting &= !new_completion;
         let done = then(&mut core.protected);

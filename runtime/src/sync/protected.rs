@@ -15,6 +15,11 @@ pub(crate) trait Protected {
     /// Takes one input. Returns an answer for the task, if there is one.
     fn feed(&mut self, input: Self::Input, effects: &mut Self::Effects) -> Option<Self::Completion>;
 
+    /// Takes what earlier inputs left inside of it. Called after each group of inputs that a thread works off for others.
+    fn work_inside(&mut self, effects: &mut Self::Effects) {
+        let _ = effects;
+    }
+
     /// Called last before the lock is released. Returns when the protected state next expires.
     fn settle(&mut self, rest: Rest, effects: &mut Self::Effects) -> u64;
 }

@@ -185,7 +185,7 @@ impl Caller {
         let leading = link.and_then(|link| link.leading());
         // Set again by what the link brings, whichever thread takes it in.
         let leading = leading.filter(|_| local.by_link.swap(false, Ordering::Relaxed));
-        let handoff = &local.handoff;
+        let handoff = &*local.handoff;
         let is_there = || handoff.is_called() || handoff.has_left();
         if leading.is_some() && is_there() {
             // The link may have brought this before the wait began.
@@ -298,7 +298,7 @@ impl Caller {
 
     /// Looks at the communication task after draining its inbox. Nothing else of it changes.
     pub fn look<R>(&mut self, look: impl FnOnce(&mut Comm) -> R) -> R {
-        let seen = self.node.locals.list[self.place].handoff.with(look, &mut self.effects);
+        let seen = self.node.locals.list[self.place].look(look, &mut self.effects);
         self.node.carry_out(&mut self.effects);
         seen
     }

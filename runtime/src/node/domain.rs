@@ -1,0 +1,231 @@
+//! A domain: the communication tasks that one lock protects, because one thread at a time works for all of them (D186).
+//!
+//! All scripts of a node are one domain; they have no thread, so the thread that brings input to one of them works for all. Every
+//! other task is a domain of its own. What a member sends to another member stays inside: the packet goes to the queue
+//! `inside` of the working thread's [`Effects`], without a lock, a wake-up or an inbox, and often the two members take it in one
+//! fused step (D176).
+//!
+//! A *turn* is one hold of the lock. The clock is read once a turn, and a turn takes at most [`TURN`] inputs from `inside`; then the
+//! lock is released, all other effects are carried out, and the same thread begins the next turn. Actions of scripts begin
+//! between turns, without the lock. So other threads wait for at most a turn:
+//!
+//! - an input for any member is left in the domain's inbox while the lock is held. Its holder takes it before it ends its turn, or
+//!   right after it. A thread that finds the inbox full waits for the lock;
+//! - the Timer thread brings the time of a member that expires, and observers look at members, under the lock.
+
+use crate::clock::Micros;
+use crate::node::comm::{Comm, Completion};
+use crate::node::effects::{Addressed, Effects, Inside, Stamped};
+use crate::node::failstop::guarded;
+use crate::node::home::{Home, Homes};
+use crate::script::ScriptRunner;
+use crate::sync::handoff::{Protected, Rest};
+use imrs_protocol::{
+    Class, Fusible, Input, Kind, NodeId, NodeOutbox, NodeTable, Observation, Packet, Request, Signal, TaskId,
+};
+use imrs_wire::envelope::MAX_PACKETS;
+use std::ops::{Deref, DerefMut};
+use std::sync::Arc;
+
+/// How many inputs from one member to another are taken in one turn: as many as a datagram brings (D112).
+const TURN: usize = MAX_PACKETS;
+
+/// The communication tasks of a domain.
+pub(crate) struct Domain {
+    id: usize,
+    members: Vec<Comm>,
+    table: NodeTable,
+    homes: Arc<Homes>,
+    /// The members that were changed in this turn, each once.
+    changed: Vec<usize>,
+}
+
+impl Domain {
+    pub fn new(id: usize, members: Vec<Comm>, table: NodeTable, homes: Arc<Homes>) -> Self {
+        let changed = Vec::with_capacity(members.len());
+        Self { id, members, table, homes, changed }
+    }
+
+    pub fn member(&mut self, member: usize) -> &mut Comm {
+        &mut self.members[member]
+    }
+
+    /// Works on the script of a member, together with its communication task.
+    pub fn with_runner(
+        &mut self,
+        member: usize,
+        effects: &mut Effects,
+        work: impl FnOnce(&mut ScriptRunner, &mut Seat<'_>, &mut Effects),
+    ) {
+        let Some(mut runner) = self.members[member].runner.take() else { return };
+        let Self { members, table, homes, changed, .. } = self;
+        let mut seat = Seat { members, member, table, homes, changed };
+        seat.change(member);
+        work(&mut runner, &mut seat, effects);
+        self.members[member].runner = Some(runner);
+    }
+
+    fn take(&mut self, member: usize, stamped: Stamped, effects: &mut Effects) -> Option<Completion> {
+        if self.members[member].runner.is_some() {
+            self.with_runner(member, effects, |runner, seat, effects| runner.take(seat, stamped, effects));
+            return None;
+        }
+        self.members[member].take(stamped, effects)
+    }
+
+    /// Whether other tasks share this domain.
+    fn is_shared(&self) -> bool {
+        self.members.len() > 1
+    }
+}
+
+impl Protected for Domain {
+    type Input = Addressed;
+    type Completion = Completion;
+    type Effects = Effects;
+
+    /// Only a class-1 message may wait, because its sender hears nothing of it. Its receiver takes it at its next call, and its
+    /// remaining time keeps running meanwhile.
+    fn may_wait(input: &Addressed) -> bool {
+        let Input::Packet(packet) = &input.stamped.input else { return false };
+        packet.kind == Kind::Send && packet.class == Class::Status
+    }
+
+    fn feed(&mut self, input: Addressed, effects: &mut Effects) -> Option<Completion> {
+        guarded("a communication task", || self.take(input.member, input.stamped, effects))
+    }
+
+    fn work_inside(&mut self, effects: &mut Effects) {
+        for _ in 0..TURN {
+            let Some((home, inside)) = effects.inside.pop_front_if(|(home, _)| home.domain == self.id) else {
+                return;
+            };
+            guarded("a communication task", || match inside {
+                Inside::Input(stamped) => {
+                    self.take(home.member, stamped, effects);
+                }
+                Inside::Told => {
+                    self.with_runner(home.member, effects, |runner, seat, effects| {
+                        runner.go_on(seat, effects);
+                    });
+                }
+            });
+        }
+    }
+
+    fn settle(&mut self, rest: Rest, effects: &mut Effects) -> Micros {
+        effects.turn = None;
+        if !self.is_shared() {
+            self.changed.clear();
+            return self.members[0].settle(rest);
+        }
+        for member in self.changed.drain(..) {
+            let member = &mut self.members[member];
+            member.changed = false;
+            // No thread of a script sleeps until its expiry.
+            member.settle(Rest::No);
+        }
+        Micros::MAX
+    }
+}
+
+/// A communication task of the domain, and the others around it.
+pub(crate) struct Seat<'a> {
+    members: &'a mut [Comm],
+    member: usize,
+    table: &'a NodeTable,
+    homes: &'a Homes,
+    changed: &'a mut Vec<usize>,
+}
+
+impl Deref for Seat<'_> {
+    type Target = Comm;
+
+    fn deref(&self) -> &Comm {
+        &self.members[self.member]
+    }
+}
+
+impl DerefMut for Seat<'_> {
+    fn deref_mut(&mut self) -> &mut Comm {
+        &mut self.members[self.member]
+    }
+}
+
+impl Seat<'_> {
+    fn change(&mut self, member: usize) {
+        if !std::mem::replace(&mut self.members[member].changed, true) {
+            self.changed.push(member);
+        }
+    }
+
+    /// The member takes a request as one fused step with the other member that it concerns (D176). False, and nothing has
+    /// changed, if anything about it is unusual. Then the caller takes the small steps.
+    pub fn fuse(
+        &mut self,
+        request: &Request,
+        answers: &mut dyn FnMut(Signal),
+        effects: &mut Effects,
+    ) -> bool {
+        if self.members.len() == 1 {
+            return false;
+        }
+        let Some(fusible) = Fusible::of(self.table, self.machine().task(), request) else { return false };
+        let (home, there) = (self.home, self.homes.at(fusible.other));
+        // A packet on its way to the other member comes first.
+        let on_its_way = |(to, inside): &(Home, Inside)| *to == there && matches!(inside, Inside::Input(_));
+        if home.domain != there.domain || effects.inside.iter().any(on_its_way) {
+            return false;
+        }
+        let Ok([own, other]) = self.members.get_disjoint_mut([home.member, there.member]) else {
+            return false;
+        };
+        if !(own.is_usual()
+            && other.is_usual()
+            && other.runner.is_some()
+            && other.catch_up_with(own.now(), effects))
+        {
+            return false;
+        }
+        let mut told = None;
+        let (at, task) = (own.now(), own.machine.task());
+        let rings = (&mut own.ring, &mut other.ring);
+        let mut out = Fused { at, task, rings, answers, told: &mut told };
+        if !fusible.step(&mut own.machine, &mut other.machine, request, &mut out) {
+            return false;
+        }
+        if let (Some(signal), Some(runner)) = (told, &mut other.runner) {
+            runner.tell_later(signal);
+            effects.inside.push_back((there, Inside::Told));
+        }
+        self.change(there.member);
+        true
+    }
+}
+
+/// The outbox of one fused step. It drops nothing and sends nothing.
+struct Fused<'a> {
+    at: Micros,
+    task: TaskId,
+    /// Of the task itself, and of the other one.
+    rings: (&'a mut crate::observe::ring::Ring, &'a mut crate::observe::ring::Ring),
+    answers: &'a mut dyn FnMut(Signal),
+    told: &'a mut Option<Signal>,
+}
+
+impl NodeOutbox for Fused<'_> {
+    fn link(&mut self, _: NodeId, _: Packet) {}
+
+    fn signal(&mut self, task: TaskId, signal: Signal) {
+        if task == self.task {
+            (self.answers)(signal);
+        } else {
+            *self.told = Some(signal);
+        }
+    }
+
+    fn observe(&mut self, at: Option<TaskId>, observation: Observation) {
+        let ring = if at == Some(self.task) { &mut self.rings.0 } else { &mut self.rings.1 };
+        ring.push(self.at, observation);
+    }
+}

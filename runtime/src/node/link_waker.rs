@@ -1,0 +1,19 @@
+//! Wakes a thread of a node that waits in the node's link.
+
+use crate::link::{Leading, Link};
+use crate::sync::handoff::ThreadWaker;
+use std::sync::Arc;
+
+/// Wakes a thread of the node that waits in its link.
+pub(super) fn link_waker(link: Option<&Arc<dyn Link>>) -> Option<Arc<dyn ThreadWaker>> {
+    link.map(|link| Arc::new(LinkWaker(Arc::clone(link))) as Arc<dyn ThreadWaker>)
+}
+
+/// Wakes a thread that waits in the link.
+struct LinkWaker(Arc<dyn Link>);
+
+impl ThreadWaker for LinkWaker {
+    fn wake(&self) {
+        self.0.leading().into_iter().for_each(Leading::call);
+    }
+}
