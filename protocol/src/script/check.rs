@@ -137,18 +137,23 @@ impl Program {
     pub(super) fn acting_handlers(&self) -> u64 {
         let mut acting = 0;
         for (i, handler) in self.handlers.iter().enumerate().take(64) {
-            let mut seen = vec![false; self.code.len()];
-            let mut open = vec![handler.entry];
-            while let Some(at) = open.pop() {
-                let Some(op) = self.code.get(usize::from(at)).copied() else { continue };
-                if core::mem::replace(&mut seen[usize::from(at)], true) {
-                    continue;
-                }
-                acting |= u64::from(matches!(op, Op::Run { .. })) << i;
+            let mut reached = self.code.iter().zip(self.reached(handler.entry));
+            acting |= u64::from(reached.any(|(op, reached)| reached && matches!(op, Op::Run { .. }))) << i;
+        }
+        acting
+    }
+
+    /// The operations that may run after this one, itself included.
+    pub(super) fn reached(&self, from: Address) -> Vec<bool> {
+        let mut seen = vec![false; self.code.len()];
+        let mut open = vec![from];
+        while let Some(at) = open.pop() {
+            let Some(op) = self.code.get(usize::from(at)).copied() else { continue };
+            if !core::mem::replace(&mut seen[usize::from(at)], true) {
                 open.extend(follow(at, op).into_iter().flatten());
             }
         }
-        acting
+        seen
     }
 
     /// How many operands an operation takes and leaves.

@@ -1,6 +1,6 @@
 //! Runs a script beside its communication task: the one loop of all drivers.
 
-use super::{Address, End, HOST_LIMIT, Program, Script, ScriptFault, ScriptInput};
+use super::{Address, Code, End, HOST_LIMIT, Program, Requests, Script, ScriptFault, ScriptInput};
 use crate::ids::{PortId, TaskId};
 use crate::packet::Contents;
 use crate::request::{Call, ReplyTo, Request, Signal};
@@ -10,7 +10,7 @@ use crate::ticks::Ticks;
 use alloc::collections::VecDeque;
 use alloc::sync::Arc;
 
-/// How many inputs or requests fit without an allocation.
+/// How many inputs fit without an allocation.
 const ROOM: usize = 16;
 
 /// A script, the inputs that it has not taken, and the requests that its driver has not passed on.
@@ -22,11 +22,12 @@ const ROOM: usize = 16;
 pub struct ScriptHost {
     /// The program.
     pub program: Arc<Program>,
+    code: Arc<Code>,
     /// The state of the script.
     pub script: Script,
     inputs: VecDeque<ScriptInput>,
     /// What the script asked in its last step. Its next step begins only when all of them are passed on.
-    requests: VecDeque<Request>,
+    requests: Requests,
     /// Steps since the last input from outside, or the last message.
     steps: u32,
     stopped: bool,
@@ -38,9 +39,10 @@ impl ScriptHost {
     pub fn new(program: Arc<Program>) -> Self {
         Self {
             script: Script::new(&program),
+            code: Arc::new(Code::new(&program)),
             program,
             inputs: VecDeque::with_capacity(ROOM),
-            requests: VecDeque::with_capacity(ROOM),
+            requests: Requests::default(),
             steps: 0,
             stopped: false,
         }
@@ -61,23 +63,23 @@ impl ScriptHost {
     /// The next request for the communication task. Runs the script until it has one; `None` if it waits instead.
     pub fn next(&mut self, out: &mut impl ScriptOutbox) -> Option<Request> {
         loop {
-            if let Some(request) = self.requests.pop_front() {
+            if let Some(request) = self.requests.pop() {
                 return Some(request);
             }
             let input = self.inputs.pop_front()?;
-            self.step(input, out);
+            self.step(&input, out);
         }
     }
 
-    fn step(&mut self, input: ScriptInput, out: &mut impl ScriptOutbox) {
+    fn step(&mut self, input: &ScriptInput, out: &mut impl ScriptOutbox) {
         let is_message =
             matches!(input, ScriptInput::Signal(Signal::Message(_) | Signal::Interrupt(Call::Message(_))));
         self.steps = if is_message { 0 } else { self.steps.saturating_add(1) };
-        let may_go_on = out.takes(self.script.position(), &input);
+        let may_go_on = out.takes(self.script.position(), input);
         if self.steps > HOST_LIMIT || !may_go_on {
             self.script.stop(&self.program, ScriptFault::Runaway, &mut self.requests, out);
         } else {
-            self.script.step(&self.program, input, &mut self.requests, out);
+            self.script.step(&self.program, &self.code, input, &mut self.requests, out);
         }
     }
 
@@ -96,7 +98,7 @@ impl ScriptHost {
     /// Drops all inputs and requests, for a driver that breaks a run off.
     pub fn clear(&mut self) {
         self.inputs.clear();
-        self.requests.clear();
+        self.requests = Requests::default();
     }
 }
 

@@ -10,6 +10,8 @@
 
 mod builder;
 mod check;
+#[doc(hidden)]
+pub mod code;
 mod host;
 mod interpreter;
 mod program;
@@ -19,6 +21,7 @@ mod walk;
 
 pub use builder::{Label, ProgramBuilder};
 pub use check::ProgramError;
+pub use code::Code;
 pub use host::{Action, ScriptHost, ScriptOutbox};
 pub use program::{
     Address, Format, Fusing, Handler, MAX_FRAGMENTS, MAX_MESSAGE, Mark, Op, Outcomes, Program,
@@ -30,7 +33,6 @@ use crate::ids::{PortId, TaskId};
 use crate::packet::Contents;
 use crate::request::{Fault, ReplyTo, Request, ServiceOrder, Signal};
 use alloc::boxed::Box;
-use alloc::collections::VecDeque;
 use alloc::vec;
 use core::fmt;
 use interpreter::Interpreter;
@@ -228,6 +230,26 @@ pub struct Script {
     acting: u64,
 }
 
+/// What a script asks of its communication task in one step: two requests at most.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Requests([Option<Request>; 2]);
+
+impl Requests {
+    #[inline]
+    fn push(&mut self, request: Request) {
+        let Self([first, second]) = self;
+        debug_assert!(second.is_none(), "a step asks twice at most");
+        *if first.is_none() { first } else { second } = Some(request);
+    }
+
+    /// Takes the first request.
+    #[inline]
+    pub fn pop(&mut self) -> Option<Request> {
+        let Self([first, second]) = self;
+        first.take().or_else(|| second.take())
+    }
+}
+
 /// What a script is doing, for display.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Activity {
@@ -266,17 +288,18 @@ impl Script {
         }
     }
 
-    /// Takes one input and runs until the script ends or needs an answer. Total: no program and no input panics. The requests to
-    /// the communication task keep their order.
+    /// Takes one input and runs until the script ends or needs an answer. Total: no program and no input panics. `code` is that of
+    /// the program, or [`Code::plain`]. `requests` gets the requests to the communication task, in their order.
     pub fn step(
         &mut self,
         program: &Program,
-        input: ScriptInput,
-        requests: &mut VecDeque<Request>,
+        code: &Code,
+        input: &ScriptInput,
+        requests: &mut Requests,
         out: &mut impl ScriptOutbox,
     ) {
         let standing = self.standing;
-        let mut interpreter = Interpreter::new(self, program, requests, out);
+        let mut interpreter = Interpreter::new(self, program, code, requests, out);
         match (standing, input) {
             (Standing::Ended(_), _)
             | (
@@ -286,10 +309,10 @@ impl Script {
             | (Standing::Runs, ScriptInput::Begin) => {}
             (Standing::NotBegun, ScriptInput::Begin) => interpreter.begin(),
             (Standing::Runs, ScriptInput::Signal(signal)) => interpreter.signal(signal),
-            (Standing::Runs, ScriptInput::Acted { level, ok, value }) => {
+            (Standing::Runs, &ScriptInput::Acted { level, ok, value }) => {
                 interpreter.acted(level, Acted { ok, value });
             }
-            (Standing::Runs, ScriptInput::Chosen(choice)) => interpreter.chosen(choice),
+            (Standing::Runs, &ScriptInput::Chosen(choice)) => interpreter.chosen(choice),
         }
     }
 
@@ -298,18 +321,18 @@ impl Script {
         &mut self,
         program: &Program,
         fault: ScriptFault,
-        requests: &mut VecDeque<Request>,
+        requests: &mut Requests,
         out: &mut impl ScriptOutbox,
     ) {
         if !matches!(self.standing, Standing::Ended(_)) {
-            Interpreter::new(self, program, requests, out).fault(fault);
+            Interpreter::new(self, program, &Code::plain(), requests, out).fault(fault);
         }
     }
 
     /// What it is doing.
     #[must_use]
     pub fn activity(&self) -> Activity {
-        match (self.standing, self.top().wait) {
+        match (self.standing, self.top().map_or(Wait::Nothing, |frame| frame.wait)) {
             (Standing::NotBegun, _) => Activity::NotBegun,
             (Standing::Ended(end), _) => Activity::Ended(end),
             (Standing::Runs, Wait::Working) => Activity::Acts,
@@ -332,11 +355,12 @@ impl Script {
 
     /// The operation in which the running activation waits.
     #[must_use]
+    #[inline]
     pub fn position(&self) -> Address {
         match self.standing {
             Standing::Ended(End::Fault { at, .. } | End::Assertion(at)) => at,
             Standing::Ended(End::Finished | End::Aborted(_) | End::Fenced) | Standing::NotBegun => 0,
-            Standing::Runs => self.top().at,
+            Standing::Runs => self.top().map_or(0, |frame| frame.at),
         }
     }
 
@@ -369,7 +393,8 @@ impl Script {
         &self.variables
     }
 
-    fn top(&self) -> Frame {
-        self.frames.get(usize::from(self.level)).copied().unwrap_or_default()
+    #[inline]
+    fn top(&self) -> Option<&Frame> {
+        self.frames.get(usize::from(self.level))
     }
 }

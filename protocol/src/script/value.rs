@@ -37,6 +37,7 @@ impl Type {
 
     /// Whether `value` is in the range of this type.
     #[must_use]
+    #[inline]
     pub fn holds(self, value: i64) -> bool {
         match self {
             Self::Bool => value == 0 || value == 1,
@@ -49,22 +50,30 @@ impl Type {
     }
 
     /// Writes the low bytes of `value`, little endian; `None` where `out` is too short.
+    #[inline]
     pub(super) fn write(self, value: i64, out: &mut [u8]) -> Option<()> {
-        out.get_mut(..self.bytes())?.copy_from_slice(value.to_le_bytes().get(..self.bytes())?);
+        let [a, b, c, d, ..] = value.to_le_bytes();
+        match self {
+            Self::Bool | Self::Int8 => *out.first_mut()? = a,
+            Self::Int16 => *out.first_chunk_mut()? = [a, b],
+            Self::Int32 | Self::Word | Self::Real => *out.first_chunk_mut()? = [a, b, c, d],
+        }
         Some(())
     }
 
     /// Reads a value; `None` if `bytes` are too few or hold no value of this type.
+    #[inline]
     pub(super) fn read(self, bytes: &[u8]) -> Option<i64> {
-        let mut raw = [0; 8];
-        raw.get_mut(..self.bytes())?.copy_from_slice(bytes.get(..self.bytes())?);
-        let unused = 64 - 8 * u32::try_from(self.bytes()).ok()?;
-        let value = i64::from_le_bytes(raw);
-        let value = match self {
-            Self::Int8 | Self::Int16 | Self::Int32 => value << unused >> unused,
-            Self::Bool | Self::Word | Self::Real => value,
-        };
-        self.holds(value).then_some(value)
+        match self {
+            Self::Int8 => Some(i64::from(bytes.first()?.cast_signed())),
+            Self::Int16 => Some(i64::from(i16::from_le_bytes(*bytes.first_chunk()?))),
+            Self::Int32 => Some(i64::from(i32::from_le_bytes(*bytes.first_chunk()?))),
+            Self::Word => Some(i64::from(u32::from_le_bytes(*bytes.first_chunk()?))),
+            Self::Bool => Some(i64::from(*bytes.first()?)).filter(|&value| self.holds(value)),
+            Self::Real => {
+                Some(i64::from(u32::from_le_bytes(*bytes.first_chunk()?))).filter(|&value| self.holds(value))
+            }
+        }
     }
 }
 
@@ -76,7 +85,8 @@ pub fn real(x: f32) -> Option<i64> {
 }
 
 /// The `real` that a value stands for.
-fn number(value: i64) -> Option<f32> {
+#[inline]
+pub(super) fn number(value: i64) -> Option<f32> {
     u32::try_from(value).ok().map(f32::from_bits)
 }
 
@@ -282,7 +292,8 @@ impl Operands<'_> {
     }
 }
 
-fn integers(operator: Binary, a: i64, b: i64) -> Result<i64, ScriptFault> {
+#[inline]
+pub(super) fn integers(operator: Binary, a: i64, b: i64) -> Result<i64, ScriptFault> {
     let value = match operator {
         Binary::Add => a.checked_add(b),
         Binary::Subtract => a.checked_sub(b),
@@ -303,7 +314,7 @@ fn integers(operator: Binary, a: i64, b: i64) -> Result<i64, ScriptFault> {
 }
 
 #[expect(clippy::float_cmp, reason = "`=` of reals is what the program asked for")]
-fn reals(operator: Binary, a: f32, b: f32) -> Result<i64, ScriptFault> {
+pub(super) fn reals(operator: Binary, a: f32, b: f32) -> Result<i64, ScriptFault> {
     let sum = match operator {
         Binary::Add => a + b,
         Binary::Subtract => a - b,

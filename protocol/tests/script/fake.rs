@@ -2,7 +2,7 @@
 
 use imrs_protocol::script::*;
 use imrs_protocol::*;
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 
 pub const ASK: PortId = PortId(0);
 pub const TELL: PortId = PortId(1);
@@ -10,7 +10,7 @@ pub const LIFT: PortId = PortId(2);
 pub const PEER: TaskId = TaskId(7);
 
 /// What a step of a script did, in words.
-#[derive(Default)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Said {
     pub words: Vec<String>,
     pub requests: Vec<Request>,
@@ -96,9 +96,11 @@ pub fn words(request: &Request) -> String {
     }
 }
 
-/// A script and its program. Every step checks that the packed form gives the same state back.
+/// A script and its program. Every step is taken with shortcuts and without them, and checks that the packed form gives the same
+/// state back.
 pub struct Rig {
     pub program: Program,
+    pub code: Code,
     pub script: Script,
     pub said: Said,
 }
@@ -113,13 +115,27 @@ impl Rig {
     }
 
     pub fn of(program: Program) -> Self {
-        Self { script: Script::new(&program), program, said: Said::default() }
+        Self { script: Script::new(&program), code: Code::new(&program), program, said: Said::default() }
     }
 
     pub fn step(&mut self, input: ScriptInput) -> Vec<String> {
-        self.script.step(&self.program, input, &mut VecDeque::new(), &mut self.said);
+        self.compared(&input).unwrap_or_else(|difference| panic!("{difference}"));
         same_when_packed(&self.program, &self.script);
         std::mem::take(&mut self.said.words)
+    }
+
+    /// Takes an input with the program's shortcuts and without them, and compares what that does (D188).
+    pub fn compared(&mut self, input: &ScriptInput) -> Result<(), String> {
+        let (mut script, mut said) = (self.script.clone(), self.said.clone());
+        let [mut with, mut without] = [Requests::default(), Requests::default()];
+        script.step(&self.program, &Code::plain(), input, &mut without, &mut said);
+        self.script.step(&self.program, &self.code, input, &mut with, &mut self.said);
+        let same = (&script, &said, without) == (&self.script, &self.said, with);
+        if same {
+            Ok(())
+        } else {
+            Err(format!("{input:?}: {script:?} {said:?}, not {:?} {:?}", self.script, self.said))
+        }
     }
 
     pub fn begin(&mut self) -> Vec<String> {

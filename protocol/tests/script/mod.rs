@@ -13,5 +13,6 @@ mod ops;
 mod packs;
 mod random;
 mod runaway;
+mod shortcuts;
 mod waits;
 mod written;

@@ -3,7 +3,6 @@
 use super::fake::*;
 use imrs_protocol::script::*;
 use imrs_protocol::*;
-use std::collections::VecDeque;
 
 /// Accepts the requests of a script until it says something that begins with `word`.
 fn until(rig: &mut Rig, mut said: Vec<String>, word: &str) -> Vec<String> {
@@ -127,12 +126,12 @@ fn every_way_to_end_keeps_its_form_when_packed() {
     });
     let mut said = Said::default();
     let mut script = fault.script.clone();
-    script.stop(&fault.program, ScriptFault::Runaway, &mut VecDeque::new(), &mut said);
+    script.stop(&fault.program, ScriptFault::Runaway, &mut Requests::default(), &mut said);
     let end = End::Fault { fault: ScriptFault::Runaway, at: 0 };
     assert_eq!(script.activity(), Activity::Ended(end));
     same_when_packed(&fault.program, &script);
     // An ended script does not end again.
-    script.stop(&fault.program, ScriptFault::Overflow, &mut VecDeque::new(), &mut said);
+    script.stop(&fault.program, ScriptFault::Overflow, &mut Requests::default(), &mut said);
     assert_eq!(script.activity(), Activity::Ended(end));
 }
 

@@ -6,7 +6,6 @@ use imrs_protocol::script::*;
 use imrs_protocol::*;
 use proptest::collection::vec;
 use proptest::prelude::*;
-use std::collections::VecDeque;
 
 /// An answer to what the script waits for, if there is one, so that runs get far. `pick` chooses among answers.
 pub fn answer(rig: &Rig, pick: u8) -> Option<ScriptInput> {
@@ -120,7 +119,7 @@ proptest! {
         prop_assert_eq!(Encode::bytes(&frame, |w| shifted.walk(&rig.program, w)), Ok(plain));
         Decode::read(&bytes, true, |r| rig.script.walk(&rig.program, r));
         for input in [ScriptInput::Signal(Signal::Accepted(1)), ScriptInput::Chosen(0), ScriptInput::Begin] {
-            rig.script.step(&rig.program, input, &mut VecDeque::new(), &mut rig.said);
+            rig.script.step(&rig.program, &rig.code, &input, &mut Requests::default(), &mut rig.said);
         }
     }
 }
@@ -137,7 +136,7 @@ fn past_boundaries(rig: &mut Rig, mut said: Vec<String>) -> Vec<String> {
         }
         said = rig.accept();
     }
-    rig.script.stop(&rig.program, ScriptFault::Runaway, &mut VecDeque::new(), &mut rig.said);
+    rig.script.stop(&rig.program, ScriptFault::Runaway, &mut Requests::default(), &mut rig.said);
     std::mem::take(&mut rig.said.words)
 }
 

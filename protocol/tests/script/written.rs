@@ -10,7 +10,7 @@ fn slots() -> impl Strategy<Value = Slot> {
     prop_oneof![(0..6_u16).prop_map(Slot::Task), (0..3_u16).prop_map(Slot::Local)]
 }
 
-fn operators() -> impl Strategy<Value = Binary> {
+pub fn operators() -> impl Strategy<Value = Binary> {
     use Binary::{
         Add, And, Divide, Equal, Greater, GreaterOrEqual, Less, LessOrEqual, Multiply, NotEqual, Or,
         Remainder, Subtract,
@@ -271,7 +271,7 @@ impl Writer<'_> {
     }
 }
 
-fn of_each_type(mut add: impl FnMut(&str, Type) -> Slot) -> Vec<(Type, Slot)> {
+pub fn of_each_type(mut add: impl FnMut(&str, Type) -> Slot) -> Vec<(Type, Slot)> {
     VARIABLES.into_iter().map(|of| (of, add("v", of))).collect()
 }
 

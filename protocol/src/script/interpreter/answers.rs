@@ -6,7 +6,7 @@ use crate::packet::{Class, Contents};
 use crate::request::{Delivery, Fault, Outcome, ReplyTo, Signal};
 use crate::script::program::{Op, StatementOutcome};
 
-impl<O: ScriptOutbox> Interpreter<'_, O> {
+impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
     /// Records a message as the one that the running activation received last.
     pub(super) fn take(&mut self, delivery: &Delivery) {
         self.outcome = StatementOutcome::Message;
@@ -26,7 +26,7 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
     }
 
     /// Records the results of the answer to the operation in which the running activation waits.
-    pub(super) fn answered(&mut self, signal: Signal) -> Result<(), ScriptFault> {
+    pub(super) fn answered(&mut self, signal: &'a Signal) -> Result<(), ScriptFault> {
         let op = self.op()?;
         if let Wait::Part(_) = self.frame().wait {
             self.drop_fields(op)?;
@@ -34,12 +34,12 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
         let blocked = !matches!(signal, Signal::Accepted(_) | Signal::Fault(_));
         self.fresh = blocked || matches!(op, Op::Order(_) | Op::Atomic(_) | Op::Start { .. });
         self.outcome = StatementOutcome::Done;
-        match (*op, signal) {
-            (Op::Send { .. }, Signal::Accepted(copies)) => self.value = i64::from(copies),
+        match (op, signal) {
+            (Op::Send { .. }, Signal::Accepted(copies)) => self.value = i64::from(*copies),
             (Op::Send { port, .. }, Signal::Outcome(outcome)) => {
-                self.outcome = match outcome {
+                self.outcome = match *outcome {
                     Outcome::Reply(contents) => {
-                        self.inbound = Some(Inbound { contents, port, task: None, is_answer: true });
+                        self.inbound = Some(Inbound { contents, port: *port, task: None, is_answer: true });
                         StatementOutcome::Reply
                     }
                     Outcome::Refused => StatementOutcome::Refused,
@@ -49,18 +49,18 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
                 };
             }
             (Op::Send { .. }, Signal::Answers { answers, .. }) => {
-                self.answers = answers;
+                self.answers = Some(answers);
                 let all = answers.answered == answers.asked;
                 self.outcome = if all { StatementOutcome::Reply } else { StatementOutcome::Incomplete };
             }
-            (Op::Get { .. }, Signal::Message(delivery)) => self.take(&delivery),
+            (Op::Get { .. }, Signal::Message(delivery)) => self.take(delivery),
             (Op::Get { .. }, Signal::Nothing) => self.outcome = StatementOutcome::Nothing,
             (Op::Arrive { .. }, Signal::Released { .. }) => self.outcome = StatementOutcome::Released,
             (Op::Arrive { .. }, Signal::GaveUp { missing, .. }) => {
                 self.value = missing.cast_signed();
                 self.outcome = StatementOutcome::GaveUp;
             }
-            (Op::Delay(_), Signal::TimeOut(id)) if id == self.delay_id() => {}
+            (Op::Delay(_), Signal::TimeOut(id)) if *id == self.delay_id() => {}
             (
                 Op::Reply { .. }
                 | Op::ReplyFor { .. }
@@ -77,7 +77,7 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
             | (_, Signal::Fault(Fault::NothingToAnswer | Fault::Late)) => {
                 self.outcome = StatementOutcome::Unanswerable;
             }
-            (_, Signal::Fault(fault)) => return Err(ScriptFault::Request(fault)),
+            (_, Signal::Fault(fault)) => return Err(ScriptFault::Request(*fault)),
             _ => return Err(ScriptFault::Unexpected),
         }
         Ok(())

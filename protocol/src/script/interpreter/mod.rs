@@ -3,25 +3,29 @@
 mod answers;
 mod contents;
 mod ops;
+mod shortcut;
 
+use super::code::Code;
 use super::program::{Op, Program, StatementOutcome, Trigger};
 use super::value::Operands;
 use super::{
-    Acted, Address, Anew, End, Frame, Inbound, STEP_LIMIT, Script, ScriptFault, ScriptOutbox, Standing, Wait,
+    Acted, Address, Anew, End, Frame, Inbound, Requests, STEP_LIMIT, Script, ScriptFault, ScriptOutbox,
+    Standing, Wait,
 };
 use crate::request::{Answers, Call, Fault, Request, Signal, TimeId};
-use alloc::collections::VecDeque;
+use shortcut::Next;
 
 /// The interpreter of one step, with the results of the last answer. They do not outlive the step, so no state has them.
 pub(super) struct Interpreter<'a, O> {
     script: &'a mut Script,
     program: &'a Program,
-    requests: &'a mut VecDeque<Request>,
+    code: &'a Code,
+    requests: &'a mut Requests,
     out: &'a mut O,
     outcome: StatementOutcome,
     value: i64,
     inbound: Option<Inbound>,
-    answers: Answers,
+    answers: Option<&'a Answers>,
     /// Whether a message may have arrived since a handler could last begin.
     fresh: bool,
 }
@@ -41,18 +45,20 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
     pub fn new(
         script: &'a mut Script,
         program: &'a Program,
-        requests: &'a mut VecDeque<Request>,
+        code: &'a Code,
+        requests: &'a mut Requests,
         out: &'a mut O,
     ) -> Self {
         Self {
             script,
             program,
+            code,
             requests,
             out,
             outcome: StatementOutcome::Done,
             value: 0,
             inbound: None,
-            answers: Answers::default(),
+            answers: None,
             fresh: false,
         }
     }
@@ -62,9 +68,19 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         self.register(0, Anew::Begin);
     }
 
-    pub fn signal(&mut self, signal: Signal) {
+    pub fn signal(&mut self, signal: &'a Signal) {
+        // The usual answer, before all others are told apart.
+        let is_usual = self.frame().wait == Wait::Signal
+            && !matches!(signal, Signal::Interrupt(_) | Signal::Granted(_) | Signal::Fault(_));
+        if is_usual || self.is_plain_answer(signal) {
+            self.resume(|turn| turn.answered(signal).map(|()| Flow::Next));
+        }
+    }
+
+    /// Handles a signal, unless it just answers the operation in which the running activation waits: then returns true.
+    fn is_plain_answer(&mut self, signal: &Signal) -> bool {
         let wait = self.frame().wait;
-        match (wait, signal) {
+        match (wait, *signal) {
             // Requests made before the `Abandon` may still be answered.
             (Wait::Abandon(anew), Signal::Cancelled) => self.register(0, anew),
             (Wait::Abandon(_), _) => {}
@@ -99,12 +115,11 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
                 self.frame().wait = Wait::Nothing;
                 self.run();
             }
-            (Wait::Signal, signal) | (Wait::Part(_), signal @ Signal::Fault(_)) => {
-                self.resume(|turn| turn.answered(signal).map(|()| Flow::Next));
-            }
+            (Wait::Signal, _) | (Wait::Part(_), Signal::Fault(_)) => return true,
             (_, Signal::Fault(fault)) => self.fault(ScriptFault::Request(fault)),
             _ => self.fault(ScriptFault::Unexpected),
         }
+        false
     }
 
     /// An action has ended. Its activation goes on, or keeps the result until the handlers above it have ended.
@@ -151,7 +166,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
 
     fn ask(&mut self, request: Request) {
         self.out.asked(&request);
-        self.requests.push_back(request);
+        self.requests.push(request);
     }
 
     /// Stops every action, and drops every activation here and in the communication task.
@@ -302,20 +317,39 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
 
     /// Runs operations until one waits or the script ends.
     fn run(&mut self) {
-        let level = usize::from(self.script.level);
-        for _ in 0..STEP_LIMIT {
-            let at = self.script.frames[level].at;
-            let flow = match self.program.code.get(usize::from(at)) {
-                Some(op) => self.execute(op),
-                None => Err(ScriptFault::Malformed),
-            };
-            self.script.frames[level].at = match flow {
+        let code = self.code;
+        let mut at = self.frame().at;
+        let mut left = STEP_LIMIT;
+        while left > 0 {
+            let shortcut = code.shortcut(at);
+            let count = u32::from(shortcut.count);
+            if left >= count + 2 {
+                if shortcut.statement {
+                    if let Flow::Stop = self.statement(at) {
+                        return;
+                    }
+                    (at, left) = (at.saturating_add(1), left - 1);
+                }
+                match self.shortcut(shortcut, at) {
+                    Next::At(next) => {
+                        left -= count + if next == shortcut.next { u32::from(shortcut.jumps) } else { 0 };
+                        at = next;
+                        continue;
+                    }
+                    Next::Stop => return,
+                    Next::Plain => {}
+                }
+            }
+            self.frame().at = at;
+            left -= 1;
+            at = match self.op().and_then(|op| self.execute(op)) {
                 Ok(Flow::Next) => at.saturating_add(1),
-                Ok(Flow::To(at)) => at,
+                Ok(Flow::To(to)) => to,
                 Ok(Flow::Stop) => return,
                 Err(fault) => return self.fault(fault),
             };
         }
+        self.frame().at = at;
         self.fault(ScriptFault::Runaway);
     }
 

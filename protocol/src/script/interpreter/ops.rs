@@ -6,13 +6,13 @@ use crate::packet::Contents;
 use crate::request::{Answers, Request};
 use crate::script::program::{Fusing, Mark, Op, StatementOutcome, Trigger};
 use crate::script::value::{Operands, Slot, Term};
-use crate::script::{Action, End, Frame, Inbound, Script, ScriptFault, ScriptOutbox, Wait};
+use crate::script::{Action, Address, End, Frame, Inbound, Script, ScriptFault, ScriptOutbox, Wait};
 use crate::ticks::Ticks;
 
 impl<O: ScriptOutbox> Interpreter<'_, O> {
     pub(super) fn execute(&mut self, op: &Op) -> Step {
         match *op {
-            Op::Statement => return Ok(self.statement()),
+            Op::Statement => return Ok(self.statement(self.script.frames[usize::from(self.script.level)].at)),
             Op::Term(term) => self.term(term)?,
             Op::Store(slot) => {
                 let value = self.operands().pop()?;
@@ -37,7 +37,8 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
                 self.operands().push(value)?;
             }
             Op::Mark(mark) => {
-                let Answers { asked, answered, refused, restarted, unsent } = self.answers;
+                let Answers { asked, answered, refused, restarted, unsent } =
+                    self.answers.copied().unwrap_or_default();
                 let mask = match mark {
                     Mark::Asked => asked,
                     Mark::Answered => answered,
@@ -188,8 +189,7 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
     }
 
     /// Begins a statement, and asks for a boundary if a handler may be waiting for one (D15).
-    fn statement(&mut self) -> Flow {
-        let at = self.frame().at;
+    pub(super) fn statement(&mut self, at: Address) -> Flow {
         self.out.statement(at);
         self.forget_answer();
         let asks = match self.program.fusing {
@@ -201,12 +201,13 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
             return Flow::Next;
         }
         self.ask(Request::Boundary);
+        self.frame().at = at;
         self.wait(Wait::Boundary)
     }
 
     fn forget_answer(&mut self) {
         (self.outcome, self.value, self.inbound) = (StatementOutcome::Done, 0, None);
-        self.answers = Answers::default();
+        self.answers = None;
     }
 
     fn choose(&mut self, alternatives: u16) -> Step {

@@ -1,0 +1,326 @@
+//! What a program is compiled to when it is loaded: operations whose operands are resolved.
+//!
+//! For each operation of a [`Program`] there is a [`Shortcut`]: what the operation does together with those after it, without a
+//! way over the stack of operands. It carries itself out wholly or not at all. Where anything is unusual (a fault, a missing
+//! message, a long one, the last operations of a step), the interpreter carries out the operation itself, and looks for the
+//! shortcut of the next one. So a shortcut needs no rule for faults, positions stay those of the program, and a script may go on
+//! at any operation: a state has no trace of the shortcuts.
+
+use super::program::{Address, Op, Outcomes, Program};
+use super::value::{Binary, Slot, Term, Type};
+use crate::packet::CONTENTS_BYTES;
+use alloc::boxed::Box;
+use alloc::vec;
+use alloc::vec::Vec;
+
+/// The shortcuts of a program's operations.
+#[derive(Clone, Debug, Default)]
+pub struct Code {
+    pub shortcuts: Box<[Shortcut]>,
+    pub sent: Box<[Sent]>,
+    pub read: Box<[Read]>,
+}
+
+/// What an operation and those after it do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shortcut {
+    /// Whether the operation begins a statement. `act` is then that of the operations after it.
+    pub statement: bool,
+    pub act: Act,
+    /// How many operations `act` stands for.
+    pub count: u8,
+    /// How many jumps follow, zero or one. They are taken, too, if the script goes on at `next`.
+    pub jumps: u8,
+    /// The operation after it, unless it jumps itself, which is never to here.
+    pub next: Address,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Act {
+    /// The operation itself, without a shortcut.
+    Plain,
+    Jump(Address),
+    On {
+        outcomes: Outcomes,
+        to: Address,
+    },
+    Compute(Compute),
+    Send(Send),
+    Unpack(Unpack),
+    /// [`Op::Get`].
+    Get,
+}
+
+/// A function of two values, `pops` of which come from the stack.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Compute {
+    pub function: Function,
+    pub a: Operand,
+    pub b: Operand,
+    pub pops: u8,
+    pub then: Then,
+}
+
+/// A message of `len` bytes in one packet: the operation after those that push its last fields is [`Op::Send`], [`Op::Reply`] or
+/// [`Op::Arrive`]. The first fields come from the stack.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Send {
+    /// In [`Code::sent`].
+    pub fields: Fields,
+    pub len: u8,
+    /// How many fields the shortcut pushes no more.
+    pub pushed: u8,
+    /// How many fields come from the stack.
+    pub pops: u8,
+}
+
+/// A message of `len` bytes in one packet that is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Unpack {
+    /// In [`Code::read`].
+    pub fields: Fields,
+    pub len: u8,
+}
+
+/// Some fields of a table.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Fields {
+    pub first: u16,
+    pub count: u8,
+}
+
+impl Fields {
+    #[inline]
+    pub fn range(self) -> core::ops::Range<usize> {
+        let first = usize::from(self.first);
+        first..first + usize::from(self.count)
+    }
+}
+
+/// A value that the program names, or one on the stack.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Operand {
+    Constant(i64),
+    In(Slot),
+    /// As many places below the top, from 1.
+    Stack(u8),
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Function {
+    /// The first value.
+    Same,
+    /// `not` of the first value.
+    Not,
+    Int(Binary),
+    Real(Binary),
+}
+
+/// Where a value goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Then {
+    Push,
+    /// Into a variable of this type.
+    Store(Slot, Type),
+    /// A jump, if it is false.
+    Unless(Address),
+}
+
+/// A field that is sent: its value, its type and its position in the contents.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Sent {
+    pub value: Operand,
+    pub of: Type,
+    pub at: u8,
+}
+
+/// A field that is read: its type, its position in the contents, and the variable that it goes to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Read {
+    pub of: Type,
+    pub at: u8,
+    pub place: Slot,
+    /// The type of the variable.
+    pub holds: Type,
+}
+
+impl Shortcut {
+    const PLAIN: Self = Self { statement: false, act: Act::Plain, count: 1, jumps: 0, next: 0 };
+}
+
+impl Code {
+    /// Compiles a program. One that fails its check has no shortcuts, because its operands may have any number.
+    #[must_use]
+    pub fn new(program: &Program) -> Self {
+        if program.check().is_err() {
+            return Self::plain();
+        }
+        let owners = owners(program);
+        let (mut sent, mut read) = (Vec::new(), Vec::new());
+        let mut shortcuts = vec![Shortcut::PLAIN; program.code.len()];
+        // From the end, because a statement has the shortcut of the operation after it.
+        for at in (0..program.code.len()).rev() {
+            if program.code[at] == Op::Statement {
+                let after = shortcuts.get(at + 1).filter(|after| !after.statement);
+                shortcuts[at] = Shortcut { statement: true, ..after.copied().unwrap_or(Shortcut::PLAIN) };
+            } else if let Some(owner) = owners[at] {
+                let mut compiler = Compiler { program, owner, sent: &mut sent, read: &mut read };
+                shortcuts[at] = compiler.shortcut(at).unwrap_or(Shortcut::PLAIN);
+            }
+        }
+        Self { shortcuts: shortcuts.into(), sent: sent.into(), read: read.into() }
+    }
+
+    /// No shortcuts: each operation is carried out by itself.
+    #[must_use]
+    pub fn plain() -> Self {
+        Self::default()
+    }
+
+    #[inline]
+    pub fn shortcut(&self, at: Address) -> &Shortcut {
+        self.shortcuts.get(usize::from(at)).unwrap_or(&Shortcut::PLAIN)
+    }
+}
+
+/// For each operation the handler that it belongs to, or `Some(None)` in the task's own thread. `None`: it is not reached, or
+/// belongs to several, so that its local variables are not known.
+fn owners(program: &Program) -> Vec<Option<Option<u8>>> {
+    let mut owners = vec![None; program.code.len()];
+    let mut shared = vec![false; program.code.len()];
+    let own = [Some(0), program.takeover].into_iter().flatten().map(|entry| (entry, None));
+    let handlers = (0..).zip(&program.handlers).map(|(at, handler)| (handler.entry, Some(at)));
+    for (entry, owner) in own.chain(handlers) {
+        for (at, _) in program.reached(entry).into_iter().enumerate().filter(|&(_, reached)| reached) {
+            shared[at] |= owners[at].is_some_and(|other| other != owner);
+            owners[at] = Some(owner);
+        }
+    }
+    owners.into_iter().zip(shared).map(|(owner, shared)| owner.filter(|_| !shared)).collect()
+}
+
+/// Compiles one operation at a time.
+struct Compiler<'a> {
+    program: &'a Program,
+    /// The handler that the operation belongs to.
+    owner: Option<u8>,
+    sent: &'a mut Vec<Sent>,
+    read: &'a mut Vec<Read>,
+}
+
+impl Compiler<'_> {
+    fn shortcut(&mut self, at: usize) -> Option<Shortcut> {
+        let (act, count) = match *self.program.code.get(at)? {
+            Op::Jump(to) => (Act::Jump(to), 1),
+            Op::On { outcomes, to } => (Act::On { outcomes, to }, 1),
+            Op::Get { .. } => (Act::Get, 1),
+            Op::Unpack { format, into } => (self.unpack(format, into)?, 1),
+            _ => self.send(at).or_else(|| self.compute(at))?,
+        };
+        let after = Address::try_from(at + usize::from(count)).ok()?;
+        let other = match act {
+            Act::Jump(to) | Act::On { to, .. } | Act::Compute(Compute { then: Then::Unless(to), .. }) => {
+                Some(to)
+            }
+            _ => None,
+        };
+        let (jumps, next) = match self.program.code.get(usize::from(after)) {
+            Some(&Op::Jump(to)) if other != Some(to) => (1, to),
+            _ => (0, after),
+        };
+        Some(Shortcut { statement: false, act, count, jumps, next })
+    }
+
+    /// The type of a variable.
+    fn of(&self, slot: Slot) -> Option<Type> {
+        let variable = match slot {
+            Slot::Task(at) => self.program.variables.get(usize::from(at)),
+            Slot::Local(at) => self.program.local(self.owner, at),
+        };
+        variable.map(|variable| variable.of)
+    }
+
+    /// The value that an operation pushes, if the program names it.
+    fn operand(&self, at: usize) -> Option<Operand> {
+        match *self.program.code.get(at)? {
+            Op::Term(Term::Push(value)) => Some(Operand::Constant(value)),
+            Op::Term(Term::Load(slot)) => self.of(slot).map(|_| Operand::In(slot)),
+            _ => None,
+        }
+    }
+
+    /// Up to two operands, a function of them, and where its value goes.
+    fn compute(&self, at: usize) -> Option<(Act, u8)> {
+        use Operand::Stack;
+        let function = |at: usize| match *self.program.code.get(at)? {
+            Op::Term(Term::Int(operator)) => Some((Function::Int(operator), 2)),
+            Op::Term(Term::Real(operator)) => Some((Function::Real(operator), 2)),
+            Op::Term(Term::Not) => Some((Function::Not, 1)),
+            _ => None,
+        };
+        let first = self.operand(at);
+        let second = first.and_then(|_| self.operand(at + 1));
+        let both = first.zip(second).and_then(|(a, b)| match function(at + 2)? {
+            (function, 2) => Some((function, a, b, 0, 3)),
+            _ => None,
+        });
+        let with_first = || match (first?, function(at + 1)?) {
+            (b, (function, 2)) => Some((function, Stack(1), b, 1, 2)),
+            (a, (function, _)) => Some((function, a, a, 0, 2)),
+        };
+        let stacked = || match (first, function(at)) {
+            (Some(a), _) => (Function::Same, a, a, 0, 1),
+            (None, Some((function, 2))) => (function, Stack(2), Stack(1), 2, 1),
+            (None, Some((function, _))) => (function, Stack(1), Stack(1), 1, 1),
+            (None, None) => (Function::Same, Stack(1), Stack(1), 1, 0),
+        };
+        let (function, a, b, pops, used) = both.or_else(with_first).unwrap_or_else(stacked);
+        let (then, count) = match self.program.code.get(at + usize::from(used)) {
+            Some(&Op::Store(slot)) => (Then::Store(slot, self.of(slot)?), used + 1),
+            Some(&Op::Unless(to)) => (Then::Unless(to), used + 1),
+            _ if used == 0 => return None,
+            _ => (Then::Push, used),
+        };
+        Some((Act::Compute(Compute { function, a, b, pops, then }), count))
+    }
+
+    /// A message of one packet, whose last fields the operations from `at` on push.
+    fn send(&mut self, at: usize) -> Option<(Act, u8)> {
+        let pushed: Vec<Operand> = (at..).map_while(|at| self.operand(at)).take(CONTENTS_BYTES + 1).collect();
+        let (format, most) = match *self.program.code.get(at + pushed.len())? {
+            Op::Send { format, .. } | Op::Reply { format } => (format, CONTENTS_BYTES),
+            Op::Arrive { format, .. } => (format, 8),
+            _ => return None,
+        };
+        let format = self.program.formats.get(usize::from(format))?;
+        let len = Some(format.bytes()).filter(|&len| len <= most)?;
+        let pops = format.fields.len().checked_sub(pushed.len())?;
+        let first = u16::try_from(self.sent.len()).ok()?;
+        let stacked = (1..=u8::try_from(pops).ok()?).rev().map(Operand::Stack);
+        let mut end = 0;
+        for (&of, value) in format.fields.iter().zip(stacked.chain(pushed.iter().copied())) {
+            self.sent.push(Sent { value, of, at: end });
+            end += u8::try_from(of.bytes()).ok()?;
+        }
+        let fields = Fields { first, count: u8::try_from(format.fields.len()).ok()? };
+        let [len, pops, pushed] = [len, pops, pushed.len()].map(u8::try_from);
+        let (len, pops, pushed) = (len.ok()?, pops.ok()?, pushed.ok()?);
+        Some((Act::Send(Send { fields, len, pushed, pops }), pushed + 1))
+    }
+
+    /// A message of one packet.
+    fn unpack(&mut self, format: u16, into: u16) -> Option<Act> {
+        let format = self.program.formats.get(usize::from(format))?;
+        let len = Some(format.bytes()).filter(|&len| len <= CONTENTS_BYTES)?;
+        let places = self.program.places.get(usize::from(into)..)?.get(..format.fields.len())?;
+        let first = u16::try_from(self.read.len()).ok()?;
+        let mut at = 0;
+        for (&of, &place) in format.fields.iter().zip(places) {
+            let holds = self.of(place)?;
+            self.read.push(Read { of, at, place, holds });
+            at += u8::try_from(of.bytes()).ok()?;
+        }
+        let fields = Fields { first, count: u8::try_from(format.fields.len()).ok()? };
+        Some(Act::Unpack(Unpack { fields, len: u8::try_from(len).ok()? }))
+    }
+}

@@ -1,0 +1,181 @@
+//! Shortcuts: operations with resolved operands. Each is carried out wholly, or returns `None` before it changes anything that the
+//! operations themselves would not change in the same way.
+
+use super::Interpreter;
+use crate::packet::{CONTENTS_BYTES, Contents};
+use crate::request::Request;
+use crate::script::code::{Act, Compute, Function, Operand, Send, Shortcut, Then, Unpack};
+use crate::script::program::{Address, Op};
+use crate::script::value::{Slot, integers, number, reals};
+use crate::script::{ScriptOutbox, Wait};
+
+/// How a script goes on after a shortcut.
+pub(super) enum Next {
+    At(Address),
+    /// It does not: the activation waits.
+    Stop,
+    /// The shortcut was not taken.
+    Plain,
+}
+
+impl<O: ScriptOutbox> Interpreter<'_, O> {
+    /// Carries out the shortcut of the operation `at`, the beginning of a statement apart.
+    #[inline]
+    pub(super) fn shortcut(&mut self, shortcut: &Shortcut, at: Address) -> Next {
+        let next = Next::At(shortcut.next);
+        match &shortcut.act {
+            Act::Plain => Next::Plain,
+            Act::Jump(to) => Next::At(*to),
+            Act::On { outcomes, to } => {
+                if outcomes.has(self.outcome) {
+                    Next::At(*to)
+                } else {
+                    next
+                }
+            }
+            Act::Compute(compute) => {
+                let Some(value) = self.compute(compute) else { return Next::Plain };
+                match compute.then {
+                    Then::Unless(to) if value == 0 => Next::At(to),
+                    _ => next,
+                }
+            }
+            Act::Send(send) => {
+                if self.send(send, at).is_some() {
+                    Next::Stop
+                } else {
+                    Next::Plain
+                }
+            }
+            Act::Unpack(unpack) => {
+                if self.read(unpack).is_some() {
+                    next
+                } else {
+                    Next::Plain
+                }
+            }
+            Act::Get => {
+                let Some(&Op::Get { port, source, time_out }) = self.program.code.get(usize::from(at)) else {
+                    return Next::Plain;
+                };
+                self.ask(Request::Get { port, source, time_out });
+                self.wait_at(at);
+                Next::Stop
+            }
+        }
+    }
+
+    fn wait_at(&mut self, at: Address) {
+        let frame = self.frame();
+        (frame.at, frame.wait) = (at, Wait::Signal);
+    }
+
+    /// Computes a value and passes it on.
+    #[inline]
+    fn compute(&mut self, compute: &Compute) -> Option<i64> {
+        let a = self.value(compute.a)?;
+        let value = match compute.function {
+            Function::Same => a,
+            Function::Not => i64::from(a == 0),
+            Function::Int(operator) => integers(operator, a, self.value(compute.b)?).ok()?,
+            Function::Real(operator) => reals(operator, number(a)?, number(self.value(compute.b)?)?).ok()?,
+        };
+        match compute.then {
+            Then::Store(slot, of) => {
+                if !of.holds(value) {
+                    return None;
+                }
+                *self.cell(slot)? = value;
+                self.pop(compute.pops);
+            }
+            Then::Unless(_) => self.pop(compute.pops),
+            Then::Push => {
+                self.pop(compute.pops);
+                self.operands().push(value).ok()?;
+            }
+        }
+        Some(value)
+    }
+
+    fn value(&self, operand: Operand) -> Option<i64> {
+        let script = &*self.script;
+        match operand {
+            Operand::Constant(value) => Some(value),
+            Operand::In(Slot::Task(at)) => script.variables.get(usize::from(at)).copied(),
+            Operand::In(Slot::Local(at)) => script.locals.get(self.base() + usize::from(at)).copied(),
+            Operand::Stack(below) => {
+                script.operands.get(script.held.checked_sub(usize::from(below))?).copied()
+            }
+        }
+    }
+
+    fn cell(&mut self, slot: Slot) -> Option<&mut i64> {
+        match slot {
+            Slot::Task(at) => self.script.variables.get_mut(usize::from(at)),
+            Slot::Local(at) => {
+                let base = self.base();
+                self.script.locals.get_mut(base + usize::from(at))
+            }
+        }
+    }
+
+    /// Where the variables of the running handler begin.
+    fn base(&self) -> usize {
+        usize::from(self.script.level) * self.script.width
+    }
+
+    /// Takes operands from the stack, which holds as many.
+    fn pop(&mut self, count: u8) {
+        if count > 0 {
+            self.drop_operands(self.script.held.saturating_sub(usize::from(count)));
+        }
+    }
+
+    /// Packs a message and asks for the operation that sends it.
+    #[inline]
+    fn send(&mut self, send: &Send, at: Address) -> Option<()> {
+        let mut bytes = [0; CONTENTS_BYTES];
+        for field in self.code.sent.get(send.fields.range())? {
+            let value = self.value(field.value)?;
+            if !field.of.holds(value) {
+                return None;
+            }
+            field.of.write(value, bytes.get_mut(usize::from(field.at)..)?)?;
+        }
+        let at = at.checked_add(send.pushed.into())?;
+        let request = match *self.program.code.get(usize::from(at))? {
+            Op::Send { port, to, time_out, .. } => {
+                Request::Send { port, to, contents: Contents::padded_with(bytes, send.len), time_out }
+            }
+            Op::Reply { .. } => {
+                let to = self.frame().message.take()?;
+                Request::Reply { to, contents: Contents::padded_with(bytes, send.len) }
+            }
+            Op::Arrive { port, time_out, .. } => {
+                Request::Arrive { port, arguments: *bytes.first_chunk()?, time_out }
+            }
+            _ => return None,
+        };
+        self.pop(send.pops);
+        self.ask(request);
+        self.wait_at(at);
+        Some(())
+    }
+
+    /// Reads a message or answer of one packet.
+    #[inline]
+    fn read(&mut self, unpack: &Unpack) -> Option<()> {
+        let contents = self.inbound.as_ref()?.contents;
+        if contents.as_bytes().len() != usize::from(unpack.len) {
+            return None;
+        }
+        for field in self.code.read.get(unpack.fields.range())? {
+            let value = field.of.read(contents.padded().get(usize::from(field.at)..)?)?;
+            if field.of != field.holds && !field.holds.holds(value) {
+                return None;
+            }
+            *self.cell(field.place)? = value;
+        }
+        Some(())
+    }
+}
