@@ -280,7 +280,11 @@ impl<T: Entry> Queue<T> {
     pub fn remove(&mut self, slot: Slot) -> Option<T> {
         self.get(slot)?;
         if let Some(order) = &mut self.order {
-            order.take_out(&self.entries, slot);
+            if order.urgent.first() == Some(slot) {
+                order.pop(&self.entries, slot);
+            } else {
+                order.take_out(&self.entries, slot);
+            }
         }
         self.entries[usize::from(slot)].take()
     }

@@ -1,14 +1,14 @@
 //! Send, receive and reply within a node, with a deadline armed for every message (P1 to P5).
 
-use super::cells::{self, A, ASK, B};
+use super::cells::{self, A, ASK, B, LONG_TICKS};
 use super::floors::{self, GROUP};
 use super::recording::{Onlooker, Watched};
 use crate::cores::{self, Core};
 use crate::sample::{Sample, each, nanos_of};
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
 use imrs_protocol::{
-    Contents, Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Packet, PortId, Request, Signal,
-    Target, TaskId, Usage,
+    Contents, Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Packet, PortDecl, PortId, Request,
+    Signal, Target, TaskId, Ticks, Usage,
 };
 use imrs_runtime::{Runtime, SPIN};
 use std::sync::mpsc::channel;
@@ -32,6 +32,11 @@ pub fn awake() -> Suite {
         |effort| machine(effort, Usage::Send),
     );
     suite.case("machine/query", "the same on a query port", |effort| machine(effort, Usage::Query));
+    suite.case(
+        "machine/stream",
+        "a message of class 1 through the state machine of a node alone: 32 wait in a port, then their receiver takes them",
+        stream_through_machine,
+    );
     suite.case(
         "runtime/scripts ask",
         "two scripts of a running node, run by the thread that began them; a value is the mean of a node's round trips",
@@ -228,4 +233,28 @@ fn machine(effort: Effort, usage: Usage) -> Sample {
     let mut node = Node::new(table, Incarnation(0), false, 4);
     let contents = Contents::new(&cells::FULL).expect("12 bytes fit");
     each(effort.of(200_000), GROUP, || machine_round_trip(&mut node, ASK, contents))
+}
+
+fn stream_through_machine(effort: Effort) -> Sample {
+    let mut cell = cells::cell(2, 1);
+    let capacity = u16::try_from(GROUP).expect("few");
+    let port = cell.port(PortDecl::new("work", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(capacity));
+    let table = NodeTable::new(cells::table(cell), NodeId(0));
+    let mut node = Node::new(table, Incarnation(0), false, 4);
+    let contents = Contents::new(&cells::FULL).expect("12 bytes fit");
+    let send = Request::Send { port, to: Target::All, contents, time_out: None };
+    let poll = Request::Get { port: None, source: None, time_out: Some(Ticks::ZERO) };
+    let mut waiting = 0;
+    each(effort.of(200_000), GROUP, || {
+        let mut told = Told::default();
+        node.step(node.now(), NodeInput::Request(A, send), &mut told);
+        waiting += 1;
+        if waiting == GROUP {
+            for _ in 0..waiting {
+                node.step(node.now(), NodeInput::Request(B, poll), &mut told);
+                assert!(matches!(told.0[1], Some(Signal::Message(_))), "B was told {:?}", told.0[1]);
+            }
+            waiting = 0;
+        }
+    })
 }

@@ -240,6 +240,7 @@ impl Heap {
     /// Adds, moves or removes a number, so that it is in the heap exactly if it has an instant.
     pub fn set<K: Ord>(&mut self, number: Slot, instant: Option<Instant>, key: impl Fn(Slot) -> K) {
         match (self.place_of(number), instant) {
+            (Some(place), Some(instant)) if self.len == 1 => self.put(place, word(instant, number)),
             (Some(place), Some(instant)) => self.settle(place, word(instant, number), &key),
             (Some(place), None) => self.remove_at(place, &key),
             (None, Some(instant)) => self.push(number, instant, key),

@@ -1,7 +1,7 @@
 //! Fused steps: two tasks of one node exchange a message in one step (D176).
 //!
-//! A message to a task that waits for it, and the answer to a task that waits for that, take several small steps otherwise:
-//! a request, a packet, the route, and the input of the other task. Each function here first checks that nothing unusual
+//! A message to a task that waits for it or whose port has room for it, and the answer to a task that waits for that, take
+//! several small steps otherwise: a request, a packet, the route, and the input of the other task. Each function here first checks that nothing unusual
 //! is involved, and then makes the same changes as those steps, with the same signals and observations in the same order.
 //! If anything is unusual it returns false and has changed nothing; then the caller takes the small steps.
 //!
@@ -19,7 +19,7 @@ use crate::table::Ends;
 use crate::ticks::Ticks;
 
 impl Machines {
-    /// Whether nothing could interrupt the task's own thread once it waits.
+    /// Whether nothing could interrupt the task's own thread, if it waits now or later.
     fn is_plain(&self) -> bool {
         self.lease.is_none()
             && self.interrupts.depth() == 0
@@ -29,7 +29,7 @@ impl Machines {
 }
 
 impl CommTask {
-    /// Sends a message to `other`, which waits for it in a GET.
+    /// Sends a message to `other`, which waits for it in a GET, or has room for it in the port's buffer.
     pub(crate) fn send_fused(
         &mut self,
         other: &mut Self,
@@ -52,13 +52,15 @@ impl CommTask {
         };
         let ttl = from.time_out_of(time_out);
         let message = own.coming_id();
+        let handled = theirs.server.is_handled(inbox);
+        let awaited = theirs.interrupts.gets(id, own.task, handled);
         let is_usual = port.decl.takes_one_packet()
             && port.decl.guard.is_none()
             && !ttl.is_zero()
             && machines.interrupts.waits_for_nothing()
             && asks.is_none_or(|request| machines.is_plain() && machines.client.is_closed(request))
             && theirs.server.takes_fused(origin, message, their.now)
-            && theirs.interrupts.gets(id, own.task, theirs.server.is_handled(inbox));
+            && (awaited || (!handled && theirs.is_plain() && theirs.server.has_room(inbox)));
         if !is_usual {
             return false;
         }
@@ -73,14 +75,19 @@ impl CommTask {
         } else {
             out.signal(own.task, Signal::Accepted(1));
         }
-        let delivery = theirs.server.take_fused(origin, message, (from, ttl, contents), their.now);
-        theirs.interrupts.end_wait();
-        let counters = &mut their.endpoints[there].counters;
-        counters.enqueued += 1;
-        counters.delivered += 1;
-        let delivered = Observation::of(Event::Delivered, id, own.task, message, delivery.budget);
-        out.observe(Some(their.task), delivered);
-        out.signal(their.task, Signal::Message(delivery));
+        their.endpoints[there].counters.enqueued += 1;
+        if awaited {
+            let delivery = theirs.server.take_fused(origin, message, (from, ttl, contents), their.now);
+            theirs.interrupts.end_wait();
+            their.endpoints[there].counters.delivered += 1;
+            let delivered = Observation::of(Event::Delivered, id, own.task, message, delivery.budget);
+            out.observe(Some(their.task), delivered);
+            out.signal(their.task, Signal::Message(delivery));
+        } else {
+            theirs.server.store_fused(their, origin, message, (from, ttl, contents));
+            let enqueued = Observation::of(Event::Enqueued, id, own.task, message, ttl);
+            out.observe(Some(their.task), enqueued);
+        }
         (self.due, other.due) = (None, None);
         true
     }

@@ -1,6 +1,6 @@
 //! From a waiting message to its answer: GET, delivery with the execution budget, and REPLY (§5.2.1).
 
-use super::inbox::Inbox;
+use super::inbox::{Admission, Inbox, RetryState};
 use super::memory::{CommandStatus, DedupEntry, Memory, Seen};
 use super::{Held, Origin, Server, rest_of};
 use crate::ids::{MessageId, TaskId};
@@ -143,7 +143,7 @@ impl Server {
         Some(left)
     }
 
-    /// Whether [`hear`](Self::hear) would hand this message to the task at once if the task waited for it: whole, new, and
+    /// Whether [`hear`](Self::hear) would take this message in, hand it over at once if the task waits for it: whole, new, and
     /// with no earlier one of its source in the way.
     pub fn takes_fused(&self, (inbox, source): Origin, id: MessageId, now: Instant) -> bool {
         let inbox = &self.inboxes[inbox];
@@ -157,28 +157,72 @@ impl Server {
     /// [`takes_fused`](Self::takes_fused) allows.
     pub fn take_fused(
         &mut self,
-        (inbox, source): Origin,
+        origin: Origin,
         id: MessageId,
         (from, ttl, contents): (&Party, Ticks, Contents),
         now: Instant,
     ) -> Delivery {
-        let inbox = &mut self.inboxes[inbox];
-        let (expires, until) = (now + ttl, now + from.time_out.max(ttl));
-        let class = match &mut inbox.sources[source].memory {
+        let class = self.remember_fused(origin, id, CommandStatus::Delivered(now + ttl), (from, ttl, now));
+        self.taken.0 = Some(contents);
+        self.taken.1.clear();
+        let from = ReplyTo { port: self.inboxes[origin.0].port, source: from.task, id };
+        Delivery { from, class, budget: ttl, contents, fragments: 1 }
+    }
+
+    /// Whether the buffer of a port takes another message without evicting one.
+    pub fn has_room(&self, inbox: u16) -> bool {
+        let queue = &self.inboxes[usize::from(inbox)].queue;
+        queue.len() < queue.capacity()
+    }
+
+    /// [`hear`](Self::hear) in a fused step, for a message that waits in a port that [`has_room`](Self::has_room) and no
+    /// handler, and that [`takes_fused`](Self::takes_fused) allows.
+    pub fn store_fused(
+        &mut self,
+        own: &Own,
+        origin: Origin,
+        id: MessageId,
+        (from, ttl, contents): (&Party, Ticks, Contents),
+    ) {
+        let class = self.remember_fused(origin, id, CommandStatus::Held, (from, ttl, own.now));
+        let held = Held {
+            source: from.task,
+            incarnation: id.incarnation,
+            sequence: id.sequence,
+            class,
+            expires: own.now + ttl,
+            contents,
+            fragments: 1,
+            arrival: self.arrivals,
+        };
+        self.arrivals += 1;
+        let inbox = &mut self.inboxes[origin.0];
+        let stored = inbox.admit(held, RetryState::default(), self.served);
+        // The ready set looks at the most urgent message of a port alone.
+        if inbox.queue.first().map(|(slot, _)| Admission::Kept(slot)) == Some(stored) {
+            self.touch(own, origin.0);
+        }
+    }
+
+    /// Records a message from a task of this node: no link took any of its time. Returns its class.
+    fn remember_fused(
+        &mut self,
+        (inbox, source): Origin,
+        id: MessageId,
+        status: CommandStatus,
+        (from, ttl, now): (&Party, Ticks, Instant),
+    ) -> Class {
+        let until = now + from.time_out.max(ttl);
+        match &mut self.inboxes[inbox].sources[source].memory {
             Memory::Command(entry) => {
-                let status = CommandStatus::Delivered(expires);
-                *entry = Some(DedupEntry { id, status, sender_until: expires, until });
+                *entry = Some(DedupEntry { id, status, sender_until: now + ttl, until });
                 Class::Command
             }
             Memory::Status(window) => {
                 window.admit(id.sequence, now, until);
                 Class::Status
             }
-        };
-        self.taken.0 = Some(contents);
-        self.taken.1.clear();
-        let from = ReplyTo { port: inbox.port, source: from.task, id };
-        Delivery { from, class, budget: expires - now, contents, fragments: 1 }
+        }
     }
 
     /// Whether the task has a handler for messages of an inbox.
