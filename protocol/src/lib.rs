@@ -139,7 +139,7 @@ pub use request::{
 pub use rules::Rules;
 #[cfg(feature = "checker")]
 pub use state::{Decode, Encode, Frame, Overflow, Pass, Walk, mark};
-pub use table::{CellTable, NodeTable, Party, Port};
+pub use table::{Avoid, CellTable, NodeTable, Party, Port, TableError};
 #[cfg(feature = "checker")]
 pub use task::Coming;
 pub use task::{CommTask, Input, Outbox, invariants};

@@ -6,6 +6,7 @@
 mod fused;
 #[cfg(feature = "checker")]
 mod orders;
+mod replace;
 #[cfg(feature = "checker")]
 mod walk;
 mod work;

@@ -1,5 +1,6 @@
-//! The static table of a cell: ports, locations and a priori routes (§III, §5.2.2, §5.2.3). It is made once from a [`Cell`]
-//! and passed into every call. It is never part of a machine's state.
+//! The static table of a cell: ports, locations and a priori routes (§III, §5.2.2, §5.2.3). It is made from a [`Cell`]
+//! and passed into every call. It is never part of a machine's state. Of a running node it may be replaced by one whose routes
+//! differ ([`CellTable::around`], D184).
 
 mod check;
 mod couples;
@@ -7,11 +8,16 @@ mod digest;
 mod ends;
 mod node;
 mod port;
+mod replace;
 mod restart;
+mod routes;
 
 pub use node::NodeTable;
 pub(crate) use port::{Ends, Peer};
 pub use port::{Party, Port};
+pub use replace::TableError;
+pub use routes::Avoid;
+pub(crate) use routes::Hop;
 
 use crate::cell::{Cell, CellError, PortDecl, TaskDecl, Usage, UserDecl};
 use crate::ids::{NodeId, PortId, TaskId};
@@ -30,6 +36,9 @@ pub struct CellTable {
     cell: Cell,
     ports: Box<[Port]>,
     digest: u32,
+    epoch: u32,
+    /// What the routes go around.
+    avoid: Avoid,
     /// For each (from, to): the next node and the summed link bounds. Row-major.
     routes: Box<[Option<Hop>]>,
     /// For each task, the ports it owns or uses, ascending.
@@ -42,27 +51,35 @@ pub struct CellTable {
     decided: bool,
 }
 
-/// The way from one node to another.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Hop {
-    pub next: NodeId,
-    pub bound: Ticks,
-    links: u8,
-}
-
 impl CellTable {
     /// Checks a cell and computes what its nodes need.
     ///
     /// # Errors
     /// Every fault that was found, in the order of the declarations.
     pub fn new(cell: Cell) -> Result<Self, Vec<CellError>> {
+        Self::compile(cell, Avoid::default())
+    }
+
+    /// The table of the same cell at another epoch. Its routes go around what `avoid` names wherever the cell has another route,
+    /// and keep to it elsewhere. All positions are those of this table, and so is the digest: nodes of both epochs talk to each
+    /// other. A running node takes the table by [`Node::replace_table`](crate::Node::replace_table) if its epoch is later (D184).
+    ///
+    /// # Errors
+    /// Each declared time that does not cover a longer route, and each node of `avoid` that the cell does not have.
+    pub fn around(&self, epoch: u32, avoid: Avoid) -> Result<Self, Vec<CellError>> {
+        let table = Self::compile(self.cell.clone(), avoid)?;
+        Ok(Self { epoch, digest: self.digest, ..table })
+    }
+
+    fn compile(cell: Cell, avoid: Avoid) -> Result<Self, Vec<CellError>> {
         let mut errors = Vec::new();
         check::names(&cell, &mut errors);
         check::references(&cell, &mut errors);
+        avoid.check(&cell, &mut errors);
         if !errors.is_empty() {
             return Err(errors);
         }
-        let routes = shortest_routes(&cell);
+        let routes = routes::shortest(&cell, &avoid);
         let declared = cell.ports.iter().enumerate();
         let mut ports: Box<[Port]> =
             declared.map(|(i, decl)| compile_port(&cell, PortId::from_index(i), decl, &routes)).collect();
@@ -101,9 +118,19 @@ impl CellTable {
         };
         let locations = cell.tasks.iter().map(place).collect();
         let (held_back, decided) = (Box::default(), cell.rules == Rules::DEFAULT);
-        let compiled = Box::default();
-        let mut table =
-            Self { cell, ports: compiled, digest, routes, ports_of, locations, held_back, decided };
+        let (epoch, compiled) = (0, Box::default());
+        let mut table = Self {
+            cell,
+            ports: compiled,
+            digest,
+            epoch,
+            avoid,
+            routes,
+            ports_of,
+            locations,
+            held_back,
+            decided,
+        };
         ports.iter_mut().for_each(|port| table.compile_ends(port));
         table.ports = ports;
         table.held_back = table.hold_back();
@@ -125,6 +152,18 @@ impl CellTable {
     #[must_use]
     pub const fn digest(&self) -> u32 {
         self.digest
+    }
+
+    /// Which of the cell's tables this is: 0 for that of [`new`](Self::new). A later one replaces it in running nodes (D184).
+    #[must_use]
+    pub const fn epoch(&self) -> u32 {
+        self.epoch
+    }
+
+    /// What the routes go around.
+    #[must_use]
+    pub const fn avoided(&self) -> &Avoid {
+        &self.avoid
     }
 
     /// The port `id`, if the cell has it.
@@ -212,43 +251,6 @@ impl CellTable {
         }
         self.routes[from.index() * n + to.index()]
     }
-}
-
-/// All shortest routes by summed link bound, then by number of links, then by the lower next node: a total order, so
-/// every node computes the same table (§5.2.3: static routing, established a priori).
-fn shortest_routes(cell: &Cell) -> Box<[Option<Hop>]> {
-    let n = cell.nodes.len();
-    let mut routes: Vec<Option<Hop>> = vec![None; n * n];
-    let better = |new: Hop, old: Option<Hop>| {
-        old.is_none_or(|old| (new.bound, new.links, new.next) < (old.bound, old.links, old.next))
-    };
-    for link in &cell.links {
-        for (a, b) in [(link.a, link.b), (link.b, link.a)] {
-            let hop = Hop { next: b, bound: link.delay, links: 1 };
-            let slot = &mut routes[a.index() * n + b.index()];
-            if better(hop, *slot) {
-                *slot = Some(hop);
-            }
-        }
-    }
-    for via in 0..n {
-        for from in 0..n {
-            for to in 0..n {
-                let (Some(first), Some(second)) = (routes[from * n + via], routes[via * n + to]) else {
-                    continue;
-                };
-                let hop = Hop {
-                    next: first.next,
-                    bound: first.bound + second.bound,
-                    links: first.links.saturating_add(second.links),
-                };
-                if from != to && better(hop, routes[from * n + to]) {
-                    routes[from * n + to] = Some(hop);
-                }
-            }
-        }
-    }
-    routes.into_boxed_slice()
 }
 
 fn compile_port(cell: &Cell, id: PortId, decl: &PortDecl, routes: &[Option<Hop>]) -> Port {

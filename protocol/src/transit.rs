@@ -177,14 +177,24 @@ impl Transit {
 
     fn waits(&mut self, table: &NodeTable, packet: Packet, way: Hop) -> Waiting {
         let expires = self.now + packet.remaining;
-        // Variants: links charge nothing, or a late reply is still accepted.
-        let answers = matches!(packet.kind, Kind::Reply | Kind::Response);
-        let late = (answers && !table.rules().refuse_late_replies)
-            || table.rules().time_stamp == TimeStamp::Absolute;
-        let leave_by = if late || expires == Instant::NEVER { expires } else { expires - way.bound };
+        let leave_by = leave_by(table, &packet, expires, way);
         let arrival = self.arrivals;
         self.arrivals += 1;
         Waiting { packet, expires, leave_by, arrival, next: way.next }
+    }
+
+    /// Sends all waiting packets by the routes of `table`, which replaced another one. Those that cannot arrive in time by their
+    /// new routes are dropped.
+    pub fn reroute(&mut self, table: &NodeTable, out: &mut impl RouteOutbox) {
+        for queue in [&mut self.queue, &mut self.words] {
+            queue.change_all(|waiting, ()| {
+                // Both tables reach the same tasks.
+                let Some(way) = table.way_to(waiting.packet.destination) else { return };
+                waiting.next = way.next;
+                waiting.leave_by = leave_by(table, &waiting.packet, waiting.expires, way);
+            });
+        }
+        self.advance(table, self.now, out);
     }
 
     /// Advances the clock to `now`, never back, and drops the packets that can no longer arrive in time.
@@ -296,6 +306,15 @@ impl Waiting {
     fn left(&self, now: Instant) -> Packet {
         Packet { remaining: self.expires - now, ..self.packet }
     }
+}
+
+/// The instant from which on a packet cannot arrive before it expires.
+fn leave_by(table: &NodeTable, packet: &Packet, expires: Instant, way: Hop) -> Instant {
+    // Variants: links charge nothing, or a late reply is still accepted.
+    let answers = matches!(packet.kind, Kind::Reply | Kind::Response);
+    let late =
+        (answers && !table.rules().refuse_late_replies) || table.rules().time_stamp == TimeStamp::Absolute;
+    if late || expires == Instant::NEVER { expires } else { expires - way.bound }
 }
 
 /// The most urgent entry whose link is ready.

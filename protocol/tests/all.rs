@@ -23,6 +23,7 @@ mod sets;
 mod steps;
 mod support;
 mod symbolic;
+mod tables;
 mod timer;
 mod transit;
 mod variants;

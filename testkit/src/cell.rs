@@ -1,6 +1,8 @@
 //! A cell of nodes in virtual time: every packet takes the bound of its link, every action its shortest duration. Every step
 //! checks the invariants.
 
+mod tables;
+
 use crate::host::{HostInput, HostOutbox, ScriptedNode};
 use crate::words;
 use imrs_protocol::script::{Action, Activity, Address, End, Program};

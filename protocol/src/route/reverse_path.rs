@@ -3,10 +3,13 @@
 //! Routes are static (§5.2.3), so the path of every packet is known in advance. A neighbour that is not on that path and
 //! delivers the packet is faulty or forges the source. So a source is believed only from the neighbour through which its
 //! packets come.
+//!
+//! While a table is replaced, the neighbour must be on a path on which each node routes by the one table or the other (D184).
 
+use crate::cell::MAX_NODES;
 use crate::ids::NodeId;
 use crate::packet::{Control, Kind, Packet};
-use crate::table::NodeTable;
+use crate::table::{CellTable, NodeTable};
 
 /// Whether `packet`, delivered by the neighbour `from`, is on its path. Packets of tasks that the cell does not have pass
 /// the check.
@@ -21,7 +24,17 @@ pub(super) fn can_come(table: &NodeTable, from: NodeId, packet: &Packet) -> bool
     // A relay without space refuses a command in the name of the command's destination (D19). The relay's path back may
     // differ from the destination's, where two paths have the same length.
     let of_a_relay = packet.kind == Kind::Control && packet.control() == Some(Control::RefusedOnTheWay);
-    of_a_relay && table.path(destination, source).any(|relay| enters_from(table, from, relay, destination))
+    if of_a_relay && table.path(destination, source).any(|relay| enters_from(table, from, relay, destination))
+    {
+        return true;
+    }
+    let Some(other) = &table.other else { return false };
+    // While nodes of two tables run, each node that a packet passes may route by either of them (D184).
+    let tables = [&*table.cell, &**other];
+    let sources =
+        if of_a_relay { Nodes::of(destination).followed(tables, source) } else { Nodes::of(source) };
+    let hands_over = |table_of: &&CellTable| table_of.next_hop(from, destination) == Some(table.node);
+    tables.iter().any(hands_over) && sources.followed(tables, destination).has(from)
 }
 
 /// Whether packets that `source` sends to `destination` come to this node from `from`.
@@ -37,6 +50,49 @@ fn enters_from(table: &NodeTable, from: NodeId, source: NodeId, destination: Nod
         last = Some(node);
     }
     false
+}
+
+/// A set of nodes.
+#[derive(Clone, Copy)]
+struct Nodes([u64; MAX_NODES.div_ceil(64)]);
+
+impl Nodes {
+    fn of(node: NodeId) -> Self {
+        let mut nodes = Self([0; MAX_NODES.div_ceil(64)]);
+        nodes.insert(node);
+        nodes
+    }
+
+    fn has(&self, node: NodeId) -> bool {
+        self.0[node.index() / 64] >> (node.index() % 64) & 1 == 1
+    }
+
+    /// Whether the node is new.
+    fn insert(&mut self, node: NodeId) -> bool {
+        let is_new = !self.has(node);
+        self.0[node.index() / 64] |= 1 << (node.index() % 64);
+        is_new
+    }
+
+    fn take(&mut self) -> Option<NodeId> {
+        let at = self.0.iter().position(|&word| word != 0)?;
+        let bit = self.0[at].trailing_zeros() as usize;
+        self.0[at] &= self.0[at] - 1;
+        Some(NodeId::from_index(at * 64 + bit))
+    }
+
+    /// These nodes, and all that packets from them to `to` may pass if each node routes by any of the tables.
+    fn followed(mut self, tables: [&CellTable; 2], to: NodeId) -> Self {
+        let mut open = self;
+        while let Some(node) = open.take() {
+            for next in tables.iter().filter_map(|table| table.next_hop(node, to)) {
+                if self.insert(next) {
+                    open.insert(next);
+                }
+            }
+        }
+        self
+    }
 }
 
 #[cfg(test)]

@@ -12,13 +12,15 @@ pub struct NodeTable {
     pub cell: Arc<CellTable>,
     /// This node.
     pub node: NodeId,
+    /// Another table of the cell, by whose routes packets may come: one that the node is to take, or that it had (D184).
+    pub(crate) other: Option<Arc<CellTable>>,
 }
 
 impl NodeTable {
     /// The table of `node`.
     #[must_use]
     pub const fn new(cell: Arc<CellTable>, node: NodeId) -> Self {
-        Self { cell, node }
+        Self { cell, node, other: None }
     }
 
     /// The rules that this cell runs.

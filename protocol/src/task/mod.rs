@@ -50,7 +50,7 @@ pub use walk::Coming;
 use crate::ids::{Incarnation, MessageId, NodeId, PortId, TaskId};
 use crate::packet::{Contents, Packet};
 use crate::request::{ReplyTo, Request, TimeId};
-use crate::table::NodeTable;
+use crate::table::{CellTable, NodeTable};
 use crate::ticks::{Instant, Ticks};
 use interrupts::DEPTH;
 use lease::Lease;
@@ -150,6 +150,16 @@ impl CommTask {
             machines.offer_to_waiting(step);
         }
         *due = Some(machines.due());
+    }
+
+    /// Follows a table that replaced `former` between two inputs, at the task's own time. What depends on a route is read from the
+    /// table in each step, except the deadlines of waiting commands and of incomplete ones: they reserve the way back (D18, D184).
+    /// Those that are over now are dropped. Nothing else is put out than observations.
+    pub fn reroute(&mut self, former: &CellTable, table: &NodeTable, out: &mut impl Outbox) {
+        let Self { own, machines, due } = self;
+        machines.server.reroute(own, former, table);
+        machines.server.advance(&mut Step { table, own, out });
+        *due = None;
     }
 
     /// The task's clock: the time of the last input.

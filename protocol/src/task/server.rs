@@ -9,6 +9,7 @@
 //! | [`first_offer`](Server::first_offer) | what may interrupt the running activation first |
 //! | [`reject_the_others`](Server::reject_the_others) | other due messages are rejected: offered again later, one rank higher |
 //! | [`advance`](Server::advance) | what has expired is dropped |
+//! | [`reroute`](Server::reroute) | waiting commands reserve the way back of another table |
 //!
 //! A packet passes these checks in turn. It has no more fragments than the port allows, and time is left to answer it. No copy
 //! of a command to an earlier incarnation of the task can still arrive (D49). It is from the present incarnation of its source,
@@ -26,6 +27,7 @@ mod inbox;
 mod memory;
 mod offers;
 mod ready;
+mod reroute;
 mod view;
 #[cfg(feature = "checker")]
 mod walk;
