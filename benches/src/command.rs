@@ -5,6 +5,7 @@ use crate::harness::{Results, measure};
 use crate::machine::Facts;
 use crate::report::{self, PageError};
 use crate::suite::{Effort, Suite};
+use crate::surroundings::Here;
 use clap::{Args, ValueEnum};
 use std::io::{self, IsTerminal};
 use std::path::PathBuf;
@@ -115,9 +116,9 @@ pub fn run<E: From<BenchError>>(
         say(&format!("{}; {rounds} rounds\n", facts.line()))?;
     }
     let shows = io::stderr().is_terminal();
-    let mut all = Vec::new();
+    let (mut all, mut here) = (Vec::new(), Here::now());
     for suite in suites {
-        let results = measure(suite, rounds, effort, |suite, round, case| {
+        let results = measure(suite, rounds, effort, &mut here, |suite, round, case| {
             if shows {
                 eprint!("\r\x1b[K{suite}, round {} of {rounds}: {case}", round + 1);
             }
@@ -206,8 +207,8 @@ mod tests {
             let mut names: Vec<&str> = suite.cases.iter().map(|case| case.name.as_str()).collect();
             for row in &suite.rows {
                 assert!(names.contains(&row.subject.as_str()), "{}: {}", suite.name, row.subject);
-                if let crate::suite::Against::Case(name) = &row.against {
-                    assert!(names.contains(&name.as_str()), "{}: {name}", suite.name);
+                if let Some(name) = row.other() {
+                    assert!(names.contains(&name), "{}: {name}", suite.name);
                 }
             }
             let all = names.len();

@@ -31,6 +31,16 @@ pub fn count() -> usize {
     allowed().len()
 }
 
+/// How many processors the machine has, whether this process may use them or not.
+#[must_use]
+pub fn processors() -> usize {
+    static ALL: OnceLock<usize> = OnceLock::new();
+    *ALL.get_or_init(|| {
+        let stat = std::fs::read_to_string("/proc/stat").unwrap_or_default();
+        stat.lines().skip(1).take_while(|line| line.starts_with("cpu")).count().max(1)
+    })
+}
+
 /// Pins the calling thread, and the threads that it starts, to one core. Returns whether the kernel allowed it.
 pub fn pin(core: Core) -> bool {
     let allowed = allowed();

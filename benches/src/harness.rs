@@ -1,8 +1,30 @@
 //! Measures in rounds: every case once, then every case again. A ratio compares two cases of one round, so that other load on
 //! the machine affects both. The result is the median of the rounds' ratios.
+//!
+//! A case on two processors counts only while their distance stays what it was, and a row only where its rounds agree
+//! ([`judge`](crate::judge)): otherwise it is measured again, at most [`AGAIN`] times.
 
+use crate::judge::{Outcome, judge};
 use crate::sample::Sample;
-use crate::suite::{Against, Case, Effort, Goal, Row, Stat, Suite};
+use crate::suite::{Case, Effort, Row, Stat, Suite};
+use crate::surroundings::{Apart, Surroundings};
+
+/// How often the rows that are not decided are measured again.
+pub const AGAIN: u32 = 2;
+/// How often a case on two processors is tried in a round, until their distance is the same before and after it.
+pub const TRIES: u32 = 3;
+
+/// One round of one case.
+#[derive(Clone, Copy, Debug, Default, serde::Serialize)]
+pub struct Round {
+    /// What was measured.
+    #[serde(flatten)]
+    pub sample: Sample,
+    /// How far apart the two processors were all the time; none for a case on one, and where that changed in each try.
+    pub apart: Option<Apart>,
+    /// The share of the processors that other programs took during the round, 0 to 1.
+    pub others: f64,
+}
 
 /// The results of one case.
 #[derive(Clone, Debug, serde::Serialize)]
@@ -11,8 +33,10 @@ pub struct Measured {
     pub name: String,
     /// What it measures.
     pub about: &'static str,
-    /// One sample a round.
-    pub rounds: Vec<Sample>,
+    /// Whether threads of it work on two processors at once.
+    pub on_two: bool,
+    /// Every round; of a case that was measured again, the last ones.
+    pub rounds: Vec<Round>,
 }
 
 impl Measured {
@@ -25,7 +49,7 @@ impl Measured {
     /// The median of one statistic over the rounds, with the least and the greatest value.
     #[must_use]
     pub fn spread(&self, stat: Stat) -> Option<Spread> {
-        let values: Option<Vec<f64>> = self.rounds.iter().map(|sample| stat.of(sample)).collect();
+        let values: Option<Vec<f64>> = self.rounds.iter().map(|round| stat.of(&round.sample)).collect();
         Spread::of(values?)
     }
 }
@@ -57,23 +81,6 @@ impl Spread {
     }
 }
 
-/// The result of a row.
-#[derive(Clone, Debug)]
-pub struct Outcome {
-    /// The row.
-    pub row: Row,
-    /// The ratios of the rounds; `None` if one of the two cases was not measured.
-    pub ratio: Option<Spread>,
-}
-
-impl Outcome {
-    /// Whether the goal is met; `None` if it was not measured.
-    #[must_use]
-    pub fn met(&self, slack: f64) -> Option<bool> {
-        self.ratio.map(|ratio| self.row.goal.met(ratio.median, slack))
-    }
-}
-
 /// The results of a suite.
 #[derive(Clone, Debug)]
 pub struct Results {
@@ -85,54 +92,102 @@ pub struct Results {
     pub rows: Vec<Outcome>,
 }
 
-/// Measures a suite in `rounds` rounds. Calls `tell` before each measurement of a case.
+/// Measures a suite in `rounds` rounds, and again what is not decided then. Calls `tell` before each measurement of a case.
 pub fn measure(
     suite: Suite,
     rounds: u32,
     effort: Effort,
+    here: &mut impl Surroundings,
     mut tell: impl FnMut(&'static str, u32, &str),
 ) -> Results {
     let Suite { name, cases, rows } = suite;
     let mut measured: Vec<Measured> = cases
         .iter()
-        .map(|case| Measured { name: case.name.clone(), about: case.about, rounds: Vec::new() })
+        .map(|case| Measured {
+            name: case.name.clone(),
+            about: case.about,
+            on_two: case.on_two,
+            rounds: Vec::new(),
+        })
         .collect();
-    for round in 0..rounds {
-        for (Case { name: case, run, .. }, measured) in cases.iter().zip(&mut measured) {
-            tell(name, round, case);
-            measured.rounds.push(run(effort));
+    let mut open: Vec<Option<Outcome>> = rows.iter().map(|_| None).collect();
+    for again in 0..=AGAIN {
+        let left = |(row, outcome): (&Row, &Option<Outcome>)| {
+            let decided = outcome.as_ref().is_some_and(|outcome| outcome.undecided.is_none());
+            (!decided).then(|| row.clone())
+        };
+        let left: Vec<Row> = rows.iter().zip(&open).filter_map(left).collect();
+        if again > 0 && left.is_empty() {
+            break;
+        }
+        let wanted = |case: &Case| again == 0 || left.iter().any(|row| row.has(&case.name));
+        let mut turn: Vec<_> = cases.iter().zip(&mut measured).filter(|(case, _)| wanted(case)).collect();
+        turn.iter_mut().for_each(|(_, measured)| measured.rounds.clear());
+        for round in 0..rounds {
+            one_round(&mut turn, effort, here, |case| tell(name, round, case));
+        }
+        for (row, outcome) in rows.iter().zip(&mut open) {
+            if outcome.as_ref().is_none_or(|outcome| outcome.undecided.is_some()) {
+                *outcome = Some(judge(row, &measured, again));
+            }
         }
     }
-    let rows = rows.into_iter().map(|row| Outcome { ratio: ratio(&row, &measured), row }).collect();
-    Results { suite: name, cases: measured, rows }
+    Results { suite: name, cases: measured, rows: open.into_iter().flatten().collect() }
 }
 
-fn ratio(row: &Row, measured: &[Measured]) -> Option<Spread> {
-    let named = |name: &str| measured.iter().find(|measured| measured.name == name);
-    let subject = named(&row.subject)?;
-    let other = match &row.against {
-        Against::Case(name) => named(name)?,
-        Against::Itself(_) | Against::Nothing => subject,
-    };
-    let rounds = subject.rounds.iter().zip(&other.rounds);
-    let ratios: Option<Vec<f64>> = rounds.map(|(subject, other)| of_round(row, subject, other)).collect();
-    Spread::of(ratios?)
+fn one_round(
+    turn: &mut [(&Case, &mut Measured)],
+    effort: Effort,
+    here: &mut impl Surroundings,
+    mut tell: impl FnMut(&str),
+) {
+    here.others();
+    for (case, measured) in turn.iter_mut() {
+        tell(&case.name);
+        measured.rounds.push(once(case, effort, here));
+    }
+    let others = here.others();
+    for round in turn.iter_mut().filter_map(|(_, measured)| measured.rounds.last_mut()) {
+        round.others = others;
+    }
 }
 
-fn of_round(row: &Row, subject: &Sample, other: &Sample) -> Option<f64> {
-    let value = row.stat.of(subject)?;
-    match (&row.against, row.goal) {
-        (Against::Nothing, Goal::AtMost(_) | Goal::AtLeast(_)) => Some(value),
-        (Against::Case(_), goal) => goal.ratio(value, row.stat.of(other)?),
-        (Against::Itself(stat), goal) => goal.ratio(value, stat.of(other)?),
+/// Runs a case; one on two processors again where their distance changed under it.
+fn once(case: &Case, effort: Effort, here: &mut impl Surroundings) -> Round {
+    if !case.on_two {
+        return Round { sample: (case.run)(effort), ..Round::default() };
+    }
+    let mut before = here.apart();
+    let mut tries = 1;
+    loop {
+        let sample = (case.run)(effort);
+        let after = here.apart();
+        if before == after || tries == TRIES {
+            return Round { sample, apart: before.filter(|_| before == after), others: 0.0 };
+        }
+        (before, tries) = (after, tries + 1);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::judge::Why;
+    use crate::suite::Goal;
     use std::cell::{Cell, RefCell};
     use std::rc::Rc;
+
+    /// A machine whose distances are given one after the other, and on which nothing else runs.
+    struct Given(Vec<Apart>);
+
+    impl Surroundings for Given {
+        fn apart(&mut self) -> Option<Apart> {
+            if self.0.len() > 1 { Some(self.0.remove(0)) } else { self.0.first().copied() }
+        }
+        fn others(&mut self) -> f64 {
+            0.0
+        }
+    }
 
     fn suite(order: &Rc<RefCell<Vec<char>>>) -> Suite {
         let mut suite = Suite::new("test");
@@ -159,7 +214,7 @@ mod tests {
     #[test]
     fn rounds_alternate_and_ratios_are_of_one_round() {
         let order = Rc::default();
-        let results = measure(suite(&order), 3, Effort::FULL, |_, _, _| {});
+        let results = measure(suite(&order), 3, Effort::FULL, &mut Given(Vec::new()), |_, _, _| {});
         assert_eq!(order.borrow().iter().collect::<String>(), "ababab");
         let same = Some(Spread { median: 2.0, least: 2.0, most: 2.0 });
         assert_eq!((results.rows[0].ratio, results.rows[0].met(1.0)), (same, Some(true)));
@@ -168,6 +223,57 @@ mod tests {
         assert_eq!(results.rows[2].met(1.0), None, "not measured");
         assert_eq!(results.rows[3].met(1.0), None, "nobody counted");
         assert_eq!(results.cases[0].median(Stat::Mean), Some(9.0));
+    }
+
+    /// A suite of one case on two processors that takes these times in turn, the last one for ever.
+    fn varies(times: &[f64]) -> (Suite, Rc<Cell<usize>>) {
+        let (mut suite, ran) = (Suite::new("varies"), Rc::new(Cell::new(0)));
+        let (times, counted) = (times.to_vec(), Rc::clone(&ran));
+        suite.case("a", "", move |_| {
+            let p50 = times[counted.get().min(times.len() - 1)];
+            counted.set(counted.get() + 1);
+            Sample { p50, ..Sample::default() }
+        });
+        suite.cases[0].on_two = true;
+        suite.row(Row::bounded("G1", "", "a", Stat::P50, Goal::AtMost(10.0)));
+        (suite, ran)
+    }
+
+    #[test]
+    fn a_row_that_spans_a_factor_of_three_is_measured_again_and_in_the_end_not_decided() {
+        let near = || Given(vec![Apart::Near]);
+        let (suite, ran) = varies(&[1.0, 3.0, 2.0, 2.0, 2.5, 2.9]);
+        let results = measure(suite, 3, Effort::FULL, &mut near(), |_, _, _| {});
+        let row = &results.rows[0];
+        assert_eq!((ran.get(), row.again, row.met(1.0)), (6, 1, Some(true)));
+        assert_eq!(
+            row.ratio.map(|ratio| (ratio.least, ratio.most)),
+            Some((2.0, 2.9)),
+            "the last rounds alone"
+        );
+
+        let (suite, ran) = varies(&[1.0, 3.0, 2.0, 1.0, 2.0, 4.0, 1.0, 1.0, 9.0, 1.0]);
+        let results = measure(suite, 3, Effort::FULL, &mut near(), |_, _, _| {});
+        let row = &results.rows[0];
+        assert_eq!((ran.get(), row.again), (9, AGAIN));
+        assert_eq!((row.undecided, row.met(1.0)), (Some(Why::Range), Some(false)), "no row is met by luck");
+    }
+
+    #[test]
+    fn a_case_is_run_again_where_the_processors_moved_under_it() {
+        use Apart::{Far, Near};
+        let (suite, ran) = varies(&[7.0, 2.0]);
+        let mut moves = Given(vec![Near, Far, Far, Far, Far, Far, Far]);
+        let results = measure(suite, 3, Effort::FULL, &mut moves, |_, _, _| {});
+        let row = &results.rows[0];
+        assert_eq!((ran.get(), row.again), (4, 0));
+        assert_eq!((row.apart, row.rounds, row.ratio.map(|ratio| ratio.most)), (Some(Far), 3, Some(2.0)));
+
+        let (suite, ran) = varies(&[2.0]);
+        let mut always = Given([Near, Far].repeat(100));
+        let results = measure(suite, 2, Effort::FULL, &mut always, |_, _, _| {});
+        assert_eq!(ran.get() as u32, 2 * TRIES * (1 + AGAIN));
+        assert_eq!((results.rows[0].undecided, results.rows[0].ratio), (Some(Why::Processors), None));
     }
 
     #[test]

@@ -9,11 +9,13 @@ pub mod cases;
 mod command;
 pub mod cores;
 pub mod harness;
+pub mod judge;
 pub mod machine;
 pub mod memory;
 mod peers;
 pub mod report;
 pub mod sample;
 pub mod suite;
+pub mod surroundings;
 
 pub use command::{BenchArgs, BenchError, Form, Verdict, run};

@@ -45,6 +45,8 @@ pub struct Case {
     pub about: &'static str,
     /// Measures once.
     pub run: Run,
+    /// Whether threads of it work on two processors at once, so that the result depends on how near those are.
+    pub on_two: bool,
 }
 
 impl Case {
@@ -54,7 +56,7 @@ impl Case {
         about: &'static str,
         run: impl Fn(Effort) -> Sample + 'static,
     ) -> Self {
-        Self { name: name.into(), about, run: Box::new(run) }
+        Self { name: name.into(), about, run: Box::new(run), on_two: false }
     }
 }
 
@@ -107,6 +109,8 @@ pub enum Against {
     Case(String),
     /// Another statistic of the same case.
     Itself(Stat),
+    /// The same statistic of another case: what the subject takes more is shared by so many steps, and that is bounded.
+    Above(String, u32),
     /// Nothing: the number itself is bounded.
     Nothing,
 }
@@ -165,6 +169,10 @@ pub struct Row {
     pub stat: Stat,
     /// The bound.
     pub goal: Goal,
+    /// The bound as it was first set, where another one replaced it.
+    pub was: Option<&'static str>,
+    /// Whether only rounds count in which other programs left the processors alone.
+    pub quiet: bool,
 }
 
 impl Row {
@@ -172,18 +180,64 @@ impl Row {
     pub fn new(id: &'static str, subject: impl Into<String>, against: &str, stat: Stat, goal: Goal) -> Self {
         let subject = subject.into();
         let what = format!("{subject} : {against}");
-        Self { id, what, subject, against: Against::Case(against.into()), stat, goal }
+        Self::of(id, what, subject, Against::Case(against.into()), stat, goal)
     }
 
     /// Compares two statistics of one case.
     pub fn within(id: &'static str, subject: &str, stat: Stat, against: Stat, goal: Goal) -> Self {
         let what = format!("{subject}, {} : {}", stat.name(), against.name());
-        Self { id, what, subject: subject.into(), against: Against::Itself(against), stat, goal }
+        Self::of(id, what, subject.into(), Against::Itself(against), stat, goal)
     }
 
     /// Bounds a statistic itself.
     pub fn bounded(id: &'static str, what: &str, subject: &str, stat: Stat, goal: Goal) -> Self {
-        Self { id, what: what.into(), subject: subject.into(), against: Against::Nothing, stat, goal }
+        Self::of(id, what.into(), subject.into(), Against::Nothing, stat, goal)
+    }
+
+    /// Bounds the nanoseconds that a case takes more than another, for each of so many steps.
+    pub fn above(id: &'static str, what: &str, cases: [&str; 2], steps: u32, stat: Stat, goal: Goal) -> Self {
+        let [subject, against] = cases.map(String::from);
+        Self::of(id, what.into(), subject, Against::Above(against, steps), stat, goal)
+    }
+
+    const fn of(
+        id: &'static str,
+        what: String,
+        subject: String,
+        against: Against,
+        stat: Stat,
+        goal: Goal,
+    ) -> Self {
+        Self { id, what, subject, against, stat, goal, was: None, quiet: false }
+    }
+
+    /// The same row, which names the bound that this one replaced.
+    #[must_use]
+    pub const fn was(mut self, bound: &'static str) -> Self {
+        self.was = Some(bound);
+        self
+    }
+
+    /// The same row, decided only by rounds in which other programs left the processors alone.
+    #[must_use]
+    pub const fn when_quiet(mut self) -> Self {
+        self.quiet = true;
+        self
+    }
+
+    /// Whether it needs this case.
+    #[must_use]
+    pub fn has(&self, case: &str) -> bool {
+        self.subject == case || self.other() == Some(case)
+    }
+
+    /// The case that it is compared with.
+    #[must_use]
+    pub fn other(&self) -> Option<&str> {
+        match &self.against {
+            Against::Case(name) | Against::Above(name, _) => Some(name),
+            Against::Itself(_) | Against::Nothing => None,
+        }
     }
 }
 

@@ -67,7 +67,7 @@ pub fn line(suite: &mut Suite) {
 }
 
 /// Two threads that pass a number in one cache line and never sleep.
-fn spinning_line(effort: Effort) -> Sample {
+pub fn spinning_line(effort: Effort) -> Sample {
     let line = AtomicU32::new(0);
     ping_pong(
         effort.of(100_000),

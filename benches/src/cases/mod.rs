@@ -4,6 +4,7 @@ pub mod cells;
 pub mod floors;
 pub mod growth;
 pub mod handoff;
+pub mod heaps;
 pub mod meet;
 pub mod network;
 pub mod observe;
@@ -35,5 +36,38 @@ pub fn all() -> Vec<Suite> {
     #[cfg(feature = "screen")]
     suites.push(screen::screen());
     crate::peers::join(&mut suites);
+    for suite in &mut suites {
+        let name = suite.name;
+        suite.cases.iter_mut().for_each(|case| case.on_two = is_on_two(name, &case.name));
+    }
     suites
+}
+
+/// Whether threads of this case work on two processors at once.
+fn is_on_two(suite: &str, case: &str) -> bool {
+    match suite {
+        "awake" => case == "kameo/ask from a thread",
+        "threads" | "network" => !case.ends_with("one core"),
+        "urgent" | "streams" => true,
+        // Scripts, and tokio's tasks, meet on one thread.
+        "meetings" => case.starts_with("floor/") || case.starts_with("runtime/waitfor"),
+        "recording" => case.starts_with("threads ") || case.starts_with("UDP "),
+        "observe" => case.starts_with("watched by "),
+        _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn a_case_that_names_two_cores_is_one_of_two_processors() {
+        for suite in super::all() {
+            for case in &suite.cases {
+                let named = [case.name.as_str(), case.about].iter().any(|text| text.contains("two cores"));
+                assert!(case.on_two || !named, "{}: {}", suite.name, case.name);
+                let one = case.name.ends_with("one core") || case.name.starts_with("machine/");
+                assert!(!(case.on_two && one), "{}: {}", suite.name, case.name);
+            }
+        }
+    }
 }

@@ -83,7 +83,7 @@ pub fn network() -> Suite {
     );
     let (one, two) = ("runtime/UDP one core", "runtime/UDP two cores");
     suite.row(Row::new("P11", one, "floor/UDP one core", Stat::P50, Goal::AtMost(1.2)));
-    suite.row(Row::new("P11", two, "floor/UDP two cores", Stat::P50, Goal::AtMost(1.15)));
+    suite.row(Row::new("P11", two, "floor/UDP two cores", Stat::P50, Goal::AtMost(1.3)).was("<= 1.15"));
     suite.row(Row::new("P11", one, "floor/TCP one core", Stat::P50, Goal::AtMost(1.2)));
     suite.row(Row::new("P11", two, "floor/TCP two cores", Stat::P50, Goal::AtMost(1.15)));
     suite.row(Row::new("P11", "runtime/UDP as they are one core", one, Stat::P50, Goal::AtMost(1.05)));

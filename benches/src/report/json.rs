@@ -13,10 +13,10 @@ pub fn json(facts: &Facts, rounds: u32, slack: f64, all: &[Results]) -> Value {
 }
 
 fn suite(results: &Results, slack: f64) -> Value {
-    let row = |outcome: &crate::harness::Outcome| {
+    let row = |outcome: &crate::judge::Outcome| {
         let row = &outcome.row;
         let against = match &row.against {
-            Against::Case(name) => json!(name),
+            Against::Case(name) | Against::Above(name, _) => json!(name),
             Against::Itself(stat) => json!(stat),
             Against::Nothing => Value::Null,
         };
@@ -26,7 +26,9 @@ fn suite(results: &Results, slack: f64) -> Value {
         };
         json!({
             "goal": row.id, "what": row.what, "subject": row.subject, "against": against, "of": row.stat,
-            "bound": { "sort": sort, "ratio": bound }, "ratio": outcome.ratio, "met": outcome.met(slack),
+            "bound": { "sort": sort, "ratio": bound }, "first_bound": row.was,
+            "ratio": outcome.ratio, "met": outcome.met(slack), "undecided": outcome.undecided,
+            "apart": outcome.apart, "rounds": outcome.rounds, "again": outcome.again,
         })
     };
     let rows: Vec<Value> = results.rows.iter().map(row).collect();

@@ -10,7 +10,7 @@ pub use page::{PageError, renew};
 pub use svg::plot;
 pub use text::{cases, rows};
 
-use crate::harness::Outcome;
+use crate::judge::Outcome;
 use crate::suite::{Against, Goal};
 
 /// A ratio with its spread, for tables.
@@ -24,18 +24,25 @@ pub(crate) fn ratio(outcome: &Outcome) -> String {
 pub(crate) fn unit(outcome: &Outcome) -> &'static str {
     match (&outcome.row.against, outcome.row.goal) {
         (Against::Nothing, _) => "the number itself",
+        (Against::Above(..), _) => "nanoseconds more",
         (_, Goal::AtMost(_)) => "times its time",
         (_, Goal::AtLeast(_)) => "times faster",
     }
 }
 
-/// The verdict in one word.
-pub(crate) fn verdict(outcome: &Outcome, slack: f64) -> &'static str {
-    match outcome.met(slack) {
-        Some(true) => "met",
-        Some(false) => "NOT MET",
-        None => "not measured",
+/// The verdict in a word or two.
+pub(crate) fn verdict(outcome: &Outcome, slack: f64) -> String {
+    match (outcome.undecided, outcome.met(slack)) {
+        (Some(why), _) => format!("not decided: {}", why.text()),
+        (None, Some(true)) => "met".into(),
+        (None, Some(false)) => "NOT MET".into(),
+        (None, None) => "not measured".into(),
     }
+}
+
+/// How far apart the two processors were, and in how many rounds, for a row of two.
+pub(crate) fn place(outcome: &Outcome) -> String {
+    outcome.apart.map_or_else(String::new, |apart| format!("{}, {}", apart.name(), outcome.rounds))
 }
 
 /// A number with about three significant digits.

@@ -1,6 +1,6 @@
 //! Writes the table in `specs/performance.md`, between two marks. Do not edit that part by hand.
 
-use super::{ratio, unit, verdict};
+use super::{place, ratio, unit, verdict};
 use crate::cases::floors::LINE;
 use crate::harness::Results;
 use crate::machine::Facts;
@@ -48,18 +48,22 @@ fn between(page: &str, table: &str) -> Option<String> {
 
 fn table(facts: &Facts, rounds: u32, slack: f64, all: &[Results]) -> String {
     let mut text = format!("Measured {}; {rounds} rounds.{}\n\n", facts.line(), lines(all));
-    text += "| goal | what | of | bound | measured: median (range) | | |\n|---|---|---|---|---|---|---|\n";
+    text +=
+        "| goal | what | of | first bound | bound | measured: median (range) | | processors, rounds | |\n";
+    text += "|---|---|---|---|---|---|---|---|---|\n";
     for outcome in all.iter().flat_map(|results| &results.rows) {
         let row = &outcome.row;
         let (bound, measured) = (row.goal.to_string(), ratio(outcome));
         // Writing to a string does not fail.
         let _ = writeln!(
             text,
-            "| {} | {} | {} | {bound} | {measured} | {} | {} |",
+            "| {} | {} | {} | {} | {bound} | {measured} | {} | {} | {} |",
             row.id,
             row.what,
             row.stat.name(),
+            row.was.unwrap_or_default(),
             unit(outcome),
+            place(outcome),
             verdict(outcome, slack)
         );
     }

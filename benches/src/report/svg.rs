@@ -1,7 +1,8 @@
 //! Draws the rows as a picture: one bar each on a logarithmic scale, with 1 at the bound. Left of it is better.
 
 use super::{ratio, verdict};
-use crate::harness::{Outcome, Results};
+use crate::harness::Results;
+use crate::judge::Outcome;
 use crate::machine::Facts;
 use crate::suite::Goal;
 use std::fmt::Write;

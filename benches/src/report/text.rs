@@ -1,18 +1,28 @@
 //! Tables for a terminal.
 
-use super::{ratio, time, unit, verdict};
+use super::{place, ratio, time, unit, verdict};
 use crate::harness::Results;
 use crate::suite::Stat;
 
 /// The rows of a suite: goal, ratio, verdict.
 #[must_use]
 pub fn rows(results: &Results, slack: f64) -> String {
-    let header = ["goal", "what", "of", "bound", "measured: median (range)", "", "verdict"].map(String::from);
-    let of = |outcome: &crate::harness::Outcome| {
+    let header = ["goal", "what", "of", "bound", "measured: median (range)", "", "processors", "verdict"]
+        .map(String::from);
+    let of = |outcome: &crate::judge::Outcome| {
         let row = &outcome.row;
         let (bound, stat) = (row.goal.to_string(), row.stat.name().to_owned());
-        let verdict = verdict(outcome, slack).to_owned();
-        [row.id.into(), row.what.clone(), stat, bound, ratio(outcome), unit(outcome).into(), verdict]
+        let verdict = verdict(outcome, slack);
+        [
+            row.id.into(),
+            row.what.clone(),
+            stat,
+            bound,
+            ratio(outcome),
+            unit(outcome).into(),
+            place(outcome),
+            verdict,
+        ]
     };
     table(&std::iter::once(header).chain(results.rows.iter().map(of)).collect::<Vec<_>>())
 }

@@ -1,0 +1,101 @@
+//! The baseline of the deadline queue (P8): the same job with std's heap.
+
+use super::queues::Waiting;
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+
+/// The baseline: the job of a queue as one would write it with std's heap. Keys lead to places of a slab, and an entry that was
+/// taken from its place leaves its key behind, which is skipped when it comes up.
+pub struct Heaps {
+    entries: Vec<Option<Waiting>>,
+    free: Vec<u16>,
+    urgent: BinaryHeap<Reverse<Placed>>,
+    due: Option<BinaryHeap<Reverse<Placed>>>,
+}
+
+/// Deadline, number and place of an entry.
+type Placed = (u64, u64, u16);
+
+impl Heaps {
+    /// Without entries; with a second order if `two`.
+    #[must_use]
+    pub fn new(capacity: u16, two: bool) -> Self {
+        let heap = || BinaryHeap::with_capacity(usize::from(capacity));
+        Self {
+            entries: (0..capacity).map(|_| None).collect(),
+            free: (0..capacity).collect(),
+            urgent: heap(),
+            due: two.then(heap),
+        }
+    }
+
+    /// Adds an entry, and returns its place; none if there is no room.
+    pub fn push(&mut self, waiting: Waiting) -> Option<u16> {
+        let place = self.free.pop()?;
+        let key = Reverse((waiting.deadline, waiting.number, place));
+        self.urgent.push(key);
+        if let Some(due) = &mut self.due {
+            due.push(key);
+        }
+        self.entries[usize::from(place)] = Some(waiting);
+        Some(place)
+    }
+
+    /// Takes any entry out.
+    pub fn take(&mut self, place: u16) -> Option<Waiting> {
+        let taken = self.entries[usize::from(place)].take()?;
+        self.free.push(place);
+        Some(taken)
+    }
+
+    fn is_left(entries: &[Option<Waiting>], (_, number, place): Placed) -> bool {
+        entries[usize::from(place)].as_ref().is_some_and(|waiting| waiting.number == number)
+    }
+
+    /// Takes the most urgent entry out, and drops the keys without entry that would come next in the other order.
+    pub fn pop(&mut self) -> Option<Waiting> {
+        let first = loop {
+            let Reverse(key) = self.urgent.pop()?;
+            if Self::is_left(&self.entries, key) {
+                break self.take(key.2);
+            }
+        };
+        if let Some(due) = &mut self.due {
+            while due.peek().is_some_and(|Reverse(key)| !Self::is_left(&self.entries, *key)) {
+                due.pop();
+            }
+        }
+        first
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use imrs_protocol::queue::{Entry, Queue};
+
+    #[test]
+    fn the_baseline_does_the_job_of_the_queue_it_is_compared_with() {
+        for two in [false, true] {
+            let mut heaps = Heaps::new(100, two);
+            let mut queue = if two { Queue::watched(100) } else { Queue::new(100) };
+            for number in 0..100 {
+                let waiting = || Waiting { deadline: number % 7, number, packet: [number; 4] };
+                let place = heaps.push(waiting()).expect("room");
+                let slot = queue.push(waiting()).ok().expect("room");
+                // Some entries leave out of turn.
+                if number % 5 < 2 {
+                    let taken = heaps.take(place).map(|waiting| waiting.number);
+                    assert_eq!(taken, queue.remove(slot).map(|waiting| waiting.number));
+                }
+            }
+            loop {
+                let (own, other) = (queue.pop_if(|_| true), heaps.pop());
+                assert_eq!(own.as_ref().map(Entry::key), other.as_ref().map(Entry::key));
+                if own.is_none() {
+                    break;
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,124 @@
+//! What a measurement depends on beside the program: how near the two processors are to each other, and what other programs
+//! take of them.
+
+use crate::cases::floors;
+use crate::cores;
+use crate::suite::Effort;
+use rustix::time::{ClockId, clock_gettime};
+use std::time::{Duration, Instant};
+
+/// Two processors are near if a line of the cache goes there and back in at most this time. Two threads of one core take up to
+/// 80 ns on the machines seen so far, and two cores from 230.
+pub const NEAR_NANOS: f64 = 130.0;
+/// How often the line is passed to see that.
+const TRIPS: u32 = 64 * floors::GROUP;
+/// The length of a tick in `/proc/stat`, which does not depend on the kernel's own.
+const TICK: Duration = Duration::from_millis(10);
+
+/// How far the two processors are from each other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Apart {
+    /// As two threads of one core are.
+    Near,
+    /// As two cores are.
+    Far,
+}
+
+impl Apart {
+    /// The word for tables.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Near => "near",
+            Self::Far => "far",
+        }
+    }
+
+    /// What that time of a line of the cache, there and back, means.
+    #[must_use]
+    pub fn of(nanos: f64) -> Self {
+        if nanos <= NEAR_NANOS { Self::Near } else { Self::Far }
+    }
+}
+
+/// Looks at the machine during a measurement.
+pub trait Surroundings {
+    /// How far the two processors are from each other now; none if there is only one.
+    fn apart(&mut self) -> Option<Apart>;
+    /// The share of the processors that other programs, and other machines, took since the last call: 0 to 1.
+    fn others(&mut self) -> f64;
+}
+
+/// The machine itself.
+#[derive(Debug)]
+pub struct Here {
+    at: Instant,
+    all: Duration,
+    own: Duration,
+}
+
+impl Here {
+    /// The machine from now on.
+    #[must_use]
+    pub fn now() -> Self {
+        Self { at: Instant::now(), all: all(), own: own() }
+    }
+}
+
+impl Surroundings for Here {
+    fn apart(&mut self) -> Option<Apart> {
+        let line = || floors::spinning_line(Effort::Times(TRIPS));
+        (cores::count() > 1).then(|| Apart::of(line().p50))
+    }
+
+    fn others(&mut self) -> f64 {
+        let now = Self::now();
+        let taken = (now.all - self.all).saturating_sub(now.own - self.own);
+        let whole = (now.at - self.at).as_secs_f64() * cores::processors() as f64;
+        *self = now;
+        if whole > 0.0 { (taken.as_secs_f64() / whole).min(1.0) } else { 0.0 }
+    }
+}
+
+/// What all programs have taken of all processors, and what other machines kept from this one (stolen time).
+fn all() -> Duration {
+    let stat = std::fs::read_to_string("/proc/stat").unwrap_or_default();
+    busy(&stat)
+}
+
+fn busy(stat: &str) -> Duration {
+    // user nice system idle iowait irq softirq steal
+    let numbers = stat.lines().next().unwrap_or_default().split_whitespace().skip(1);
+    let ticks: Vec<u32> = numbers.filter_map(|number| number.parse().ok()).collect();
+    let of = |at: usize| ticks.get(at).copied().unwrap_or_default();
+    [0, 1, 2, 5, 6, 7].into_iter().map(of).map(|ticks| TICK * ticks).sum()
+}
+
+/// What this process has taken.
+fn own() -> Duration {
+    let taken = clock_gettime(ClockId::ProcessCPUTime);
+    Duration::new(taken.tv_sec.unsigned_abs(), u32::try_from(taken.tv_nsec).unwrap_or_default())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_waits_is_not_busy_and_what_was_stolen_is() {
+        let stat = "cpu  1 2 4 1000 2000 8 16 32 7 7\ncpu0 9 9 9 9\n";
+        assert_eq!(busy(stat), TICK * 63);
+        assert_eq!(busy(""), Duration::ZERO);
+    }
+
+    #[test]
+    fn others_take_a_share_and_near_ends_at_its_bound() {
+        let mut here = Here::now();
+        std::thread::sleep(Duration::from_millis(30));
+        let share = here.others();
+        assert!((0.0..=1.0).contains(&share), "{share}");
+        assert!(here.at.elapsed() < Duration::from_secs(60) && here.all >= here.own / 2);
+        assert_eq!([NEAR_NANOS, NEAR_NANOS + 1.0].map(Apart::of), [Apart::Near, Apart::Far]);
+    }
+}
