@@ -133,22 +133,14 @@ impl Contents {
         Some(contents)
     }
 
-    /// The first `len` of `bytes`, of which the others are zero.
-    #[inline]
-    pub(crate) const fn padded_with(bytes: [u8; CONTENTS_BYTES], len: u8) -> Self {
-        Self { len, bytes }
-    }
-
     /// The bytes.
     #[must_use]
-    #[inline]
     pub fn as_bytes(&self) -> &[u8] {
         &self.bytes[..usize::from(self.len)]
     }
 
     /// The bytes, padded with zeros to a fixed length for code that copies them word by word.
     #[must_use]
-    #[inline]
     pub const fn padded(&self) -> &[u8; CONTENTS_BYTES] {
         &self.bytes
     }

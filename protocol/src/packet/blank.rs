@@ -1,6 +1,6 @@
-//! The blank packet, from which others are built.
+//! The blank packet, from which others are built, and contents that are packed and read in place.
 
-use super::{Class, Contents, Kind, MAX_HOPS, Packet, Seal};
+use super::{CONTENTS_BYTES, Class, Contents, Kind, MAX_HOPS, Packet, Seal};
 use crate::ids::{MessageId, PortId, TaskId};
 use crate::ticks::Ticks;
 
@@ -21,4 +21,17 @@ impl Packet {
         contents: Contents::EMPTY,
         seal: Seal::NONE,
     };
+}
+
+impl Contents {
+    /// The first `len` of `bytes`, of which the others are zero.
+    #[inline]
+    pub(crate) const fn padded_with(bytes: [u8; CONTENTS_BYTES], len: u8) -> Self {
+        Self { len, bytes }
+    }
+
+    #[inline]
+    pub(crate) const fn len(&self) -> u8 {
+        self.len
+    }
 }

@@ -6,17 +6,22 @@
 //! shortcut of the next one. So a shortcut needs no rule for faults, positions stay those of the program, and a script may go on
 //! at any operation: a state has no trace of the shortcuts.
 
-use super::program::{Address, Op, Outcomes, Program};
+use super::program::{Address, Op, Program, StatementOutcome};
 use super::value::{Binary, Slot, Term, Type};
 use crate::packet::CONTENTS_BYTES;
 use alloc::boxed::Box;
 use alloc::vec;
 use alloc::vec::Vec;
 
+/// The most operations that one branch by an outcome stands for.
+const MOST_BRANCHES: u8 = 16;
+
 /// The shortcuts of a program's operations.
 #[derive(Clone, Debug, Default)]
 pub struct Code {
     pub shortcuts: Box<[Shortcut]>,
+    /// For each outcome of a statement, from [`Act::On`] on: where it leads.
+    pub branches: Box<[Landing]>,
     pub sent: Box<[Sent]>,
     pub read: Box<[Read]>,
 }
@@ -27,23 +32,27 @@ pub struct Shortcut {
     /// Whether the operation begins a statement. `act` is then that of the operations after it.
     pub statement: bool,
     pub act: Act,
-    /// How many operations `act` stands for.
+    /// How many operations `act` stands for, at most.
     pub count: u8,
-    /// How many jumps follow, zero or one. They are taken, too, if the script goes on at `next`.
-    pub jumps: u8,
-    /// The operation after it, unless it jumps itself, which is never to here.
-    pub next: Address,
+    /// Where the script goes on, unless `act` itself says it: behind a jump that follows.
+    pub next: Landing,
+}
+
+/// Where a script goes on, and how many operations lead there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Landing {
+    pub to: Address,
+    pub count: u8,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
 pub enum Act {
     /// The operation itself, without a shortcut.
     Plain,
-    Jump(Address),
-    On {
-        outcomes: Outcomes,
-        to: Address,
-    },
+    Jump,
+    /// Branches by the outcome of the last statement, as far as operations do nothing else: from here on in [`Code::branches`].
+    On(u16),
     Compute(Compute),
     Send(Send),
     Unpack(Unpack),
@@ -99,14 +108,19 @@ impl Fields {
 
 /// A value that the program names, or one on the stack.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
 pub enum Operand {
     Constant(i64),
-    In(Slot),
+    /// A variable of the task.
+    Task(u16),
+    /// A variable of the handler.
+    Local(u16),
     /// As many places below the top, from 1.
     Stack(u8),
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
 pub enum Function {
     /// The first value.
     Same,
@@ -118,6 +132,7 @@ pub enum Function {
 
 /// Where a value goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
 pub enum Then {
     Push,
     /// Into a variable of this type.
@@ -145,7 +160,8 @@ pub struct Read {
 }
 
 impl Shortcut {
-    const PLAIN: Self = Self { statement: false, act: Act::Plain, count: 1, jumps: 0, next: 0 };
+    const PLAIN: Self =
+        Self { statement: false, act: Act::Plain, count: 1, next: Landing { to: 0, count: 1 } };
 }
 
 impl Code {
@@ -156,7 +172,7 @@ impl Code {
             return Self::plain();
         }
         let owners = owners(program);
-        let (mut sent, mut read) = (Vec::new(), Vec::new());
+        let mut tables = Tables::default();
         let mut shortcuts = vec![Shortcut::PLAIN; program.code.len()];
         // From the end, because a statement has the shortcut of the operation after it.
         for at in (0..program.code.len()).rev() {
@@ -164,11 +180,12 @@ impl Code {
                 let after = shortcuts.get(at + 1).filter(|after| !after.statement);
                 shortcuts[at] = Shortcut { statement: true, ..after.copied().unwrap_or(Shortcut::PLAIN) };
             } else if let Some(owner) = owners[at] {
-                let mut compiler = Compiler { program, owner, sent: &mut sent, read: &mut read };
+                let mut compiler = Compiler { program, owner, tables: &mut tables };
                 shortcuts[at] = compiler.shortcut(at).unwrap_or(Shortcut::PLAIN);
             }
         }
-        Self { shortcuts: shortcuts.into(), sent: sent.into(), read: read.into() }
+        let Tables { branches, sent, read } = tables;
+        Self { shortcuts: shortcuts.into(), branches: branches.into(), sent: sent.into(), read: read.into() }
     }
 
     /// No shortcuts: each operation is carried out by itself.
@@ -204,31 +221,51 @@ struct Compiler<'a> {
     program: &'a Program,
     /// The handler that the operation belongs to.
     owner: Option<u8>,
-    sent: &'a mut Vec<Sent>,
-    read: &'a mut Vec<Read>,
+    tables: &'a mut Tables,
+}
+
+/// What grows while a program is compiled.
+#[derive(Default)]
+struct Tables {
+    branches: Vec<Landing>,
+    sent: Vec<Sent>,
+    read: Vec<Read>,
 }
 
 impl Compiler<'_> {
     fn shortcut(&mut self, at: usize) -> Option<Shortcut> {
         let (act, count) = match *self.program.code.get(at)? {
-            Op::Jump(to) => (Act::Jump(to), 1),
-            Op::On { outcomes, to } => (Act::On { outcomes, to }, 1),
+            Op::Jump(_) => (Act::Jump, 0),
+            Op::On { .. } => (self.branches(at)?, MOST_BRANCHES),
             Op::Get { .. } => (Act::Get, 1),
             Op::Unpack { format, into } => (self.unpack(format, into)?, 1),
             _ => self.send(at).or_else(|| self.compute(at))?,
         };
         let after = Address::try_from(at + usize::from(count)).ok()?;
-        let other = match act {
-            Act::Jump(to) | Act::On { to, .. } | Act::Compute(Compute { then: Then::Unless(to), .. }) => {
-                Some(to)
+        let next = match self.program.code.get(usize::from(after)) {
+            Some(&Op::Jump(to)) => Landing { to, count: count + 1 },
+            _ => Landing { to: after, count },
+        };
+        Some(Shortcut { statement: false, act, count, next })
+    }
+
+    /// Where the outcomes of a statement lead.
+    fn branches(&mut self, at: usize) -> Option<Act> {
+        let first = u16::try_from(self.tables.branches.len()).ok()?;
+        for outcome in 0..=StatementOutcome::Fenced as u16 {
+            let (mut to, mut count) = (Address::try_from(at).ok()?, 0);
+            while count < MOST_BRANCHES {
+                to = match *self.program.code.get(usize::from(to))? {
+                    Op::On { outcomes, to } if outcomes.0 >> outcome & 1 == 1 => to,
+                    Op::On { .. } => to.checked_add(1)?,
+                    Op::Jump(to) => to,
+                    _ => break,
+                };
+                count += 1;
             }
-            _ => None,
-        };
-        let (jumps, next) = match self.program.code.get(usize::from(after)) {
-            Some(&Op::Jump(to)) if other != Some(to) => (1, to),
-            _ => (0, after),
-        };
-        Some(Shortcut { statement: false, act, count, jumps, next })
+            self.tables.branches.push(Landing { to, count });
+        }
+        Some(Act::On(first))
     }
 
     /// The type of a variable.
@@ -244,7 +281,10 @@ impl Compiler<'_> {
     fn operand(&self, at: usize) -> Option<Operand> {
         match *self.program.code.get(at)? {
             Op::Term(Term::Push(value)) => Some(Operand::Constant(value)),
-            Op::Term(Term::Load(slot)) => self.of(slot).map(|_| Operand::In(slot)),
+            Op::Term(Term::Load(slot)) => self.of(slot).map(|_| match slot {
+                Slot::Task(at) => Operand::Task(at),
+                Slot::Local(at) => Operand::Local(at),
+            }),
             _ => None,
         }
     }
@@ -295,11 +335,11 @@ impl Compiler<'_> {
         let format = self.program.formats.get(usize::from(format))?;
         let len = Some(format.bytes()).filter(|&len| len <= most)?;
         let pops = format.fields.len().checked_sub(pushed.len())?;
-        let first = u16::try_from(self.sent.len()).ok()?;
+        let first = u16::try_from(self.tables.sent.len()).ok()?;
         let stacked = (1..=u8::try_from(pops).ok()?).rev().map(Operand::Stack);
         let mut end = 0;
         for (&of, value) in format.fields.iter().zip(stacked.chain(pushed.iter().copied())) {
-            self.sent.push(Sent { value, of, at: end });
+            self.tables.sent.push(Sent { value, of, at: end });
             end += u8::try_from(of.bytes()).ok()?;
         }
         let fields = Fields { first, count: u8::try_from(format.fields.len()).ok()? };
@@ -313,11 +353,11 @@ impl Compiler<'_> {
         let format = self.program.formats.get(usize::from(format))?;
         let len = Some(format.bytes()).filter(|&len| len <= CONTENTS_BYTES)?;
         let places = self.program.places.get(usize::from(into)..)?.get(..format.fields.len())?;
-        let first = u16::try_from(self.read.len()).ok()?;
+        let first = u16::try_from(self.tables.read.len()).ok()?;
         let mut at = 0;
         for (&of, &place) in format.fields.iter().zip(places) {
             let holds = self.of(place)?;
-            self.read.push(Read { of, at, place, holds });
+            self.tables.read.push(Read { of, at, place, holds });
             at += u8::try_from(of.bytes()).ok()?;
         }
         let fields = Fields { first, count: u8::try_from(format.fields.len()).ok()? };

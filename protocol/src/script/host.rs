@@ -10,7 +10,7 @@ use crate::ticks::Ticks;
 use alloc::collections::VecDeque;
 use alloc::sync::Arc;
 
-/// How many inputs fit without an allocation.
+/// How many inputs fit without an allocation, besides the next one.
 const ROOM: usize = 16;
 
 /// A script, the inputs that it has not taken, and the requests that its driver has not passed on.
@@ -25,7 +25,10 @@ pub struct ScriptHost {
     code: Arc<Code>,
     /// The state of the script.
     pub script: Script,
-    inputs: VecDeque<ScriptInput>,
+    /// The next input. A script takes it where it is: most have one at most.
+    input: Option<ScriptInput>,
+    /// The inputs after it.
+    later: VecDeque<ScriptInput>,
     /// What the script asked in its last step. Its next step begins only when all of them are passed on.
     requests: Requests,
     /// Steps since the last input from outside, or the last message.
@@ -41,7 +44,8 @@ impl ScriptHost {
             script: Script::new(&program),
             code: Arc::new(Code::new(&program)),
             program,
-            inputs: VecDeque::with_capacity(ROOM),
+            input: None,
+            later: VecDeque::with_capacity(ROOM),
             requests: Requests::default(),
             steps: 0,
             stopped: false,
@@ -49,9 +53,15 @@ impl ScriptHost {
     }
 
     /// An input that the script takes after all earlier ones.
+    #[inline]
     pub fn tell(&mut self, input: ScriptInput) {
-        if !self.stopped {
-            self.inputs.push_back(input);
+        if self.stopped {
+            return;
+        }
+        if self.input.is_none() {
+            self.input = Some(input);
+        } else {
+            self.later.push_back(input);
         }
     }
 
@@ -66,12 +76,14 @@ impl ScriptHost {
             if let Some(request) = self.requests.pop() {
                 return Some(request);
             }
-            let input = self.inputs.pop_front()?;
-            self.step(&input, out);
+            self.step(out)?;
         }
     }
 
-    fn step(&mut self, input: &ScriptInput, out: &mut impl ScriptOutbox) {
+    /// The script takes the next input, if there is one.
+    #[inline]
+    fn step(&mut self, out: &mut impl ScriptOutbox) -> Option<()> {
+        let input = self.input.as_ref()?;
         let is_message =
             matches!(input, ScriptInput::Signal(Signal::Message(_) | Signal::Interrupt(Call::Message(_))));
         self.steps = if is_message { 0 } else { self.steps.saturating_add(1) };
@@ -81,6 +93,11 @@ impl ScriptHost {
         } else {
             self.script.step(&self.program, &self.code, input, &mut self.requests, out);
         }
+        self.input = None;
+        if !self.later.is_empty() {
+            self.input = self.later.pop_front();
+        }
+        Some(())
     }
 
     /// The node stops: the script takes no input any more.
@@ -97,7 +114,8 @@ impl ScriptHost {
 
     /// Drops all inputs and requests, for a driver that breaks a run off.
     pub fn clear(&mut self) {
-        self.inputs.clear();
+        self.input = None;
+        self.later.clear();
         self.requests = Requests::default();
     }
 }

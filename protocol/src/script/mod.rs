@@ -246,7 +246,7 @@ impl Requests {
     #[inline]
     pub fn pop(&mut self) -> Option<Request> {
         let Self([first, second]) = self;
-        first.take().or_else(|| second.take())
+        if first.is_none() && second.is_some() { second.take() } else { first.take() }
     }
 }
 

@@ -5,7 +5,7 @@ mod contents;
 mod ops;
 mod shortcut;
 
-use super::code::Code;
+use super::code::{Code, Landing};
 use super::program::{Op, Program, StatementOutcome, Trigger};
 use super::value::Operands;
 use super::{
@@ -322,8 +322,8 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
         let mut left = STEP_LIMIT;
         while left > 0 {
             let shortcut = code.shortcut(at);
-            let count = u32::from(shortcut.count);
-            if left >= count + 2 {
+            // The shortcut, a statement that begins before it and a jump after it.
+            if left >= u32::from(shortcut.count) + 2 {
                 if shortcut.statement {
                     if let Flow::Stop = self.statement(at) {
                         return;
@@ -331,9 +331,8 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
                     (at, left) = (at.saturating_add(1), left - 1);
                 }
                 match self.shortcut(shortcut, at) {
-                    Next::At(next) => {
-                        left -= count + if next == shortcut.next { u32::from(shortcut.jumps) } else { 0 };
-                        at = next;
+                    Next::At(Landing { to, count }) => {
+                        (at, left) = (to, left - u32::from(count));
                         continue;
                     }
                     Next::Stop => return,

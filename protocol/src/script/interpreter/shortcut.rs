@@ -4,14 +4,14 @@
 use super::Interpreter;
 use crate::packet::{CONTENTS_BYTES, Contents};
 use crate::request::Request;
-use crate::script::code::{Act, Compute, Function, Operand, Send, Shortcut, Then, Unpack};
+use crate::script::code::{Act, Compute, Function, Landing, Operand, Send, Shortcut, Then, Unpack};
 use crate::script::program::{Address, Op};
 use crate::script::value::{Slot, integers, number, reals};
 use crate::script::{ScriptOutbox, Wait};
 
 /// How a script goes on after a shortcut.
 pub(super) enum Next {
-    At(Address),
+    At(Landing),
     /// It does not: the activation waits.
     Stop,
     /// The shortcut was not taken.
@@ -25,18 +25,15 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
         let next = Next::At(shortcut.next);
         match &shortcut.act {
             Act::Plain => Next::Plain,
-            Act::Jump(to) => Next::At(*to),
-            Act::On { outcomes, to } => {
-                if outcomes.has(self.outcome) {
-                    Next::At(*to)
-                } else {
-                    next
-                }
+            Act::Jump => next,
+            Act::On(first) => {
+                let landing = self.code.branches.get(usize::from(*first) + self.outcome as usize);
+                landing.map_or(Next::Plain, |&landing| Next::At(landing))
             }
             Act::Compute(compute) => {
                 let Some(value) = self.compute(compute) else { return Next::Plain };
                 match compute.then {
-                    Then::Unless(to) if value == 0 => Next::At(to),
+                    Then::Unless(to) if value == 0 => Next::At(Landing { to, count: shortcut.count }),
                     _ => next,
                 }
             }
@@ -101,8 +98,8 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
         let script = &*self.script;
         match operand {
             Operand::Constant(value) => Some(value),
-            Operand::In(Slot::Task(at)) => script.variables.get(usize::from(at)).copied(),
-            Operand::In(Slot::Local(at)) => script.locals.get(self.base() + usize::from(at)).copied(),
+            Operand::Task(at) => script.variables.get(usize::from(at)).copied(),
+            Operand::Local(at) => script.locals.get(self.base() + usize::from(at)).copied(),
             Operand::Stack(below) => {
                 script.operands.get(script.held.checked_sub(usize::from(below))?).copied()
             }
@@ -166,7 +163,7 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
     #[inline]
     fn read(&mut self, unpack: &Unpack) -> Option<()> {
         let contents = self.inbound.as_ref()?.contents;
-        if contents.as_bytes().len() != usize::from(unpack.len) {
+        if contents.len() != unpack.len {
             return None;
         }
         for field in self.code.read.get(unpack.fields.range())? {
