@@ -5,6 +5,7 @@ mod actuator;
 mod busy;
 mod common;
 mod corruption;
+mod domains;
 mod futures;
 mod handlers;
 mod keyframes;

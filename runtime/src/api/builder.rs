@@ -167,7 +167,7 @@ impl Builder {
     where
         F: Future<Output = Result<(), TaskError>> + 'static,
     {
-        let body = move |node, place| -> Running { Box::pin(program(AsyncContext::new(node, place, ()))) };
+        let body = move |caller| -> Running { Box::pin(program(AsyncContext::new(caller, ()))) };
         self.programs.push((name.into(), TaskProgram::Async(Box::new(body))));
         self
     }
@@ -235,7 +235,7 @@ impl Builder {
         let machine = imrs_protocol::Node::new(table, self.incarnation, self.restarted, self.capacity);
         let node = Node::new(Plan {
             machine,
-            scripted: programs.iter().map(|(_, program)| matches!(program, TaskProgram::Script(_))).collect(),
+            run_by: programs.iter().map(|(_, program)| program.run_by()).collect(),
             incarnation: self.incarnation,
             insecure: self.insecure,
             real_time: self.real_time,
@@ -254,7 +254,6 @@ impl Builder {
                 let runner =
                     ScriptRunner::new(place, Arc::clone(program), self.watch.clone(), self.seed, together);
                 let local = &node.locals.list[place];
-                local.scripted.store(true, Ordering::Relaxed);
                 if self.restarted && self.holds {
                     let held_back = node.table.held_back(local.task);
                     local.begins.store(node.started.saturating_add(held_back.0), Ordering::Relaxed);

@@ -27,18 +27,28 @@ impl Scene {
     }
 
     /// The thread of the futures, until those in `waits` have ended. Returns how often each was polled before it ended.
-    fn run(&self, mut waits: [bool; 2]) -> [u32; 2] {
+    fn run(&self, waits: [bool; 2]) -> [u32; 2] {
+        self.run_and(waits, |_| (), || false)
+    }
+
+    /// As [`run`](Self::run): `ended` is told which future ended, and the thread does not wait if `any` is true.
+    fn run_and(&self, mut waits: [bool; 2], ended: impl Fn(usize), any: impl Fn() -> bool) -> [u32; 2] {
         let mut polls = [0; 2];
         loop {
             self.ready.poll_ready(|place| {
                 polls[place] += u32::from(waits[place]);
-                waits[place] &= !self.came[place].load(Ordering::Relaxed);
+                if waits[place] && self.came[place].load(Ordering::Relaxed) {
+                    waits[place] = false;
+                    ended(place);
+                }
             });
             if waits == [false; 2] {
                 return polls;
             }
-            // The executor asks `any` first, which only saves time: here a call alone keeps the thread awake.
-            self.ready.park.sleep();
+            // For marks of other threads, `any` only saves time: there a call alone keeps the thread awake.
+            if !any() {
+                self.ready.park.sleep();
+            }
         }
     }
 }
@@ -62,6 +72,33 @@ fn both_wake_one(plant: Option<Plant>) -> [u32; 2] {
     first.join().unwrap();
     second.join().unwrap();
     polls
+}
+
+/// A thread wakes the second future, and that one wakes the first.
+fn one_wakes_the_other(asks: bool) -> [u32; 2] {
+    let scene = Scene::new(None);
+    let other = scene.bring(1);
+    let ended = |place| {
+        if place == 1 {
+            scene.came[0].store(true, Ordering::Relaxed);
+            scene.ready.mark_own(0);
+        }
+    };
+    let polls = scene.run_and([true; 2], ended, || asks && scene.ready.any());
+    other.join().unwrap();
+    polls
+}
+
+#[test]
+fn a_future_that_another_one_wakes_is_polled_again() {
+    let seen = explore(|| one_wakes_the_other(true));
+    let outcomes: Vec<_> = seen.keys().copied().collect();
+    assert_eq!(outcomes, [[2, 1], [2, 2]], "{seen:?}");
+}
+
+#[test]
+fn a_thread_that_sleeps_on_its_own_mark_sleeps_for_ever() {
+    must_fail(DEADLOCK, || one_wakes_the_other(false));
 }
 
 #[test]

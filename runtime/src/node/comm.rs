@@ -2,7 +2,7 @@
 
 use crate::clock::{self, Micros};
 use crate::node::effects::{Effect, Effects, Inside, Stamped};
-use crate::node::home::{Home, Homes};
+use crate::node::home::{Home, Homes, RunBy};
 use crate::observe::ring::Ring;
 use crate::record::{Digesting, Log, OutputDigest, ScriptStep, Step};
 use crate::script::{HeldLease, ScriptRunner};
@@ -20,6 +20,8 @@ pub(crate) struct Comm {
     table: NodeTable,
     pub(super) home: Home,
     homes: Arc<Homes>,
+    /// The answer that the task's future has not taken.
+    pub(super) answer: Option<Completion>,
     /// Whether it is among the changed members of its domain.
     pub(super) changed: bool,
     alarm: Arc<Alarm>,
@@ -58,6 +60,7 @@ impl Comm {
             cover: Cover::new(home.place),
             home,
             homes,
+            answer: None,
             changed: false,
             started: now,
             log,
@@ -131,7 +134,7 @@ impl Comm {
         let mut out = Out {
             at: self.now() + step.elapsed.0,
             task: self.machine.task(),
-            domain: self.home.domain,
+            home: self.home,
             homes: &self.homes,
             effects,
             answers,
@@ -261,7 +264,7 @@ pub struct Completion {
 struct Out<'a> {
     at: Micros,
     task: TaskId,
-    domain: usize,
+    home: Home,
     homes: &'a Homes,
     effects: &'a mut Effects,
     answers: &'a mut dyn FnMut(Signal),
@@ -271,7 +274,8 @@ struct Out<'a> {
 
 impl Outbox for Out<'_> {
     fn transmit(&mut self, packet: Packet) {
-        match self.homes.of(packet.destination).filter(|home| home.domain == self.domain) {
+        let is_inside = |home: &Home| home.domain == self.home.domain && home.run_by != RunBy::ItsThread;
+        match self.homes.of(packet.destination).filter(is_inside) {
             Some(home) => {
                 let stamped = Stamped { at: self.at, input: Input::Packet(packet) };
                 self.effects.inside.push_back((home, Inside::Input(stamped)));

@@ -1,13 +1,15 @@
 //! A domain: the communication tasks that one lock protects, because one thread at a time works for all of them (D186).
 //!
-//! All scripts of a node are one domain; they have no thread, so the thread that brings input to one of them works for all. Every
-//! other task is a domain of its own. What a member sends to another member stays inside: the packet goes to the queue
-//! `inside` of the working thread's [`Effects`], without a lock, a wake-up or an inbox, and often the two members take it in one
-//! fused step (D176).
+//! All futures of a node are one domain: one thread runs them. All scripts of a node are another one; they have no thread, so the
+//! thread that brings input to one of them works for all. Every task with a thread is a domain of its own.
+//!
+//! What a member sends to another member stays inside: the packet goes to the queue `inside` of the working thread's [`Effects`],
+//! without a lock, a wake-up or an inbox, and often the two members take it in one fused step (D176).
 //!
 //! A *turn* is one hold of the lock. The clock is read once a turn, and a turn takes at most [`TURN`] inputs from `inside`; then the
 //! lock is released, all other effects are carried out, and the same thread begins the next turn. Actions of scripts begin
-//! between turns, without the lock. So other threads wait for at most a turn:
+//! between turns, without the lock. A future is polled without the lock, too; each of its calls is a turn, which it stamps with
+//! its own reading of the clock (D187). So other threads wait for at most a turn:
 //!
 //! - an input for any member is left in the domain's inbox while the lock is held. Its holder takes it before it ends its turn, or
 //!   right after it. A thread that finds the inbox full waits for the lock;
@@ -17,7 +19,7 @@ use crate::clock::Micros;
 use crate::node::comm::{Comm, Completion};
 use crate::node::effects::{Addressed, Effects, Inside, Stamped};
 use crate::node::failstop::guarded;
-use crate::node::home::{Home, Homes};
+use crate::node::home::{Home, Homes, RunBy};
 use crate::script::ScriptRunner;
 use crate::sync::handoff::{Protected, Rest};
 use imrs_protocol::{
@@ -58,24 +60,70 @@ impl Domain {
         work: impl FnOnce(&mut ScriptRunner, &mut Seat<'_>, &mut Effects),
     ) {
         let Some(mut runner) = self.members[member].runner.take() else { return };
-        let Self { members, table, homes, changed, .. } = self;
-        let mut seat = Seat { members, member, table, homes, changed };
-        seat.change(member);
-        work(&mut runner, &mut seat, effects);
+        work(&mut runner, &mut self.seat(member), effects);
         self.members[member].runner = Some(runner);
     }
 
+    /// A member takes an input. Returns the answer for its thread.
     fn take(&mut self, member: usize, stamped: Stamped, effects: &mut Effects) -> Option<Completion> {
-        if self.members[member].runner.is_some() {
-            self.with_runner(member, effects, |runner, seat, effects| runner.take(seat, stamped, effects));
-            return None;
+        match self.members[member].home.run_by {
+            RunBy::AnyThread => {
+                self.with_runner(member, effects, |runner, seat, effects| {
+                    runner.take(seat, stamped, effects);
+                });
+                None
+            }
+            RunBy::TheThreadOfFutures => {
+                let mut seat = self.seat(member);
+                if let Some(answer) = seat.take(stamped, effects) {
+                    seat.answer = Some(answer);
+                    effects.called.push(seat.home.place);
+                }
+                None
+            }
+            RunBy::ItsThread => self.members[member].take(stamped, effects),
         }
-        self.members[member].take(stamped, effects)
     }
 
-    /// Whether other tasks share this domain.
-    fn is_shared(&self) -> bool {
-        self.members.len() > 1
+    /// The future of a member takes its answer, or brings an input if there is none yet. Answers for other members that this
+    /// leads to go to `answers`: the calling thread is that of the futures.
+    pub fn ask(
+        &mut self,
+        member: usize,
+        stamped: Stamped,
+        answers: &mut Answers,
+        effects: &mut Effects,
+    ) -> Option<Completion> {
+        if let Some(answer) = self.members[member].answer.take() {
+            return Some(answer);
+        }
+        let before = effects.called.len();
+        let mut answer = guarded("a communication task", || self.seat(member).ask(stamped, effects));
+        self.work_inside(effects);
+        for &place in &effects.called[before..] {
+            let there = self.homes.at(place).member;
+            let Some(found) = self.members[there].answer.take() else { continue };
+            if there == member {
+                answer = Some(found);
+            } else {
+                answers.put(there, found);
+            }
+        }
+        answer
+    }
+
+    /// As [`ask`](Self::ask), for a member whose program takes no answers any more.
+    pub fn tell(&mut self, member: usize, stamped: Stamped, answers: &mut Answers, effects: &mut Effects) {
+        self.members[member].answer = None;
+        answers.take(member);
+        self.ask(member, stamped, answers, effects);
+    }
+
+    fn seat(&mut self, member: usize) -> Seat<'_> {
+        let Self { members, table, homes, changed, .. } = self;
+        let mut seat = Seat { members, member, table, homes, changed };
+        seat.change(member);
+        seat
     }
 }
 
@@ -115,17 +163,37 @@ impl Protected for Domain {
 
     fn settle(&mut self, rest: Rest, effects: &mut Effects) -> Micros {
         effects.turn = None;
-        if !self.is_shared() {
-            self.changed.clear();
+        if self.members[0].home.run_by == RunBy::ItsThread {
             return self.members[0].settle(rest);
         }
         for member in self.changed.drain(..) {
             let member = &mut self.members[member];
             member.changed = false;
-            // No thread of a script sleeps until its expiry.
+            // No thread sleeps until the expiry of a script or a future.
             member.settle(Rest::No);
         }
         Micros::MAX
+    }
+}
+
+/// Answers for futures that the thread of the futures brought itself, and which their calls find without the lock.
+#[derive(Debug, Default)]
+pub(crate) struct Answers {
+    /// By member of the domain.
+    of: Vec<Option<Completion>>,
+}
+
+impl Answers {
+    fn put(&mut self, member: usize, answer: Completion) {
+        if self.of.len() <= member {
+            self.of.resize(member + 1, None);
+        }
+        self.of[member] = Some(answer);
+    }
+
+    /// The answer for a member, if there is one.
+    pub fn take(&mut self, member: usize) -> Option<Completion> {
+        self.of.get_mut(member)?.take()
     }
 }
 
@@ -159,6 +227,21 @@ impl Seat<'_> {
         }
     }
 
+    /// The member's future asks, or lets time pass.
+    fn ask(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Completion> {
+        if let Input::Request(request @ (Request::Send { .. } | Request::Reply { .. })) = stamped.input
+            && self.is_usual()
+            && self.catch_up_with(stamped.at, effects)
+        {
+            let mut answer = None;
+            let answers = &mut |signal| answer = Some(Completion { signal, at: stamped.at });
+            if self.fuse(&request, answers, effects) {
+                return answer;
+            }
+        }
+        self.take(stamped, effects)
+    }
+
     /// The member takes a request as one fused step with the other member that it concerns (D176). False, and nothing has
     /// changed, if anything about it is unusual. Then the caller takes the small steps.
     pub fn fuse(
@@ -180,11 +263,7 @@ impl Seat<'_> {
         let Ok([own, other]) = self.members.get_disjoint_mut([home.member, there.member]) else {
             return false;
         };
-        if !(own.is_usual()
-            && other.is_usual()
-            && other.runner.is_some()
-            && other.catch_up_with(own.now(), effects))
-        {
+        if !(own.is_usual() && other.is_usual() && other.catch_up_with(own.now(), effects)) {
             return false;
         }
         let mut told = None;
@@ -194,9 +273,16 @@ impl Seat<'_> {
         if !fusible.step(&mut own.machine, &mut other.machine, request, &mut out) {
             return false;
         }
-        if let (Some(signal), Some(runner)) = (told, &mut other.runner) {
-            runner.tell_later(signal);
-            effects.inside.push_back((there, Inside::Told));
+        match (told, &mut other.runner) {
+            (Some(signal), Some(runner)) => {
+                runner.tell_later(signal);
+                effects.inside.push_back((there, Inside::Told));
+            }
+            (Some(signal), None) => {
+                other.answer = Some(Completion { signal, at });
+                effects.called.push(there.place);
+            }
+            (None, _) => {}
         }
         self.change(there.member);
         true

@@ -49,6 +49,10 @@ pub(crate) struct Effects {
     pub queue: VecDeque<Effect>,
     /// What members of a domain have for each other, in the order in which it was sent.
     pub inside: VecDeque<(Home, Inside)>,
+    /// The places of the futures for which there is an answer.
+    pub called: Vec<usize>,
+    /// Whether this is the thread of the node's futures.
+    pub of_the_futures: bool,
     /// Actions that scripts begin or end.
     pub outside: VecDeque<OutsideEffect>,
     /// How many steps scripts took since input last came from outside of the node.
@@ -179,6 +183,8 @@ impl Effects {
         Self {
             queue: VecDeque::new(),
             inside: VecDeque::new(),
+            called: Vec::new(),
+            of_the_futures: false,
             outside: VecDeque::new(),
             steps: 0,
             leaving: Vec::new(),
@@ -193,6 +199,7 @@ impl Effects {
     pub fn is_done(&self) -> bool {
         self.queue.is_empty()
             && self.inside.is_empty()
+            && self.called.is_empty()
             && self.outside.is_empty()
             && self.bundles.is_empty()
             && self.leaving.is_empty()

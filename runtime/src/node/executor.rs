@@ -2,7 +2,10 @@
 
 use crate::api::context::{Caller, TaskError};
 use crate::clock;
+use crate::node::domain::{Answers, Domain};
+use crate::node::effects::Effects;
 use crate::node::failstop::guarded;
+use crate::node::local_task::Marking;
 use crate::node::program::{AsyncBody, StartError, TaskEnd, message, spawn};
 use crate::node::{Inlet, Node};
 use crate::sync::lead::Led;
@@ -10,9 +13,11 @@ use crate::sync::park::Park;
 use crate::sync::ready::ReadyFutures;
 use futures_util::FutureExt;
 use imrs_wire::obs::Liveness;
+use std::cell::RefCell;
 use std::future::Future;
 use std::panic::AssertUnwindSafe;
 use std::pin::Pin;
+use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::task::{Context, Wake, Waker};
@@ -21,6 +26,22 @@ use std::thread::JoinHandle;
 /// After so many waits in a row that the link did not end, the thread stops leading until the link brings something: being called
 /// away from the link costs two more syscalls. One wait is too few, because each delay of a future ends one.
 const ELSEWHERE: u32 = 8;
+
+impl Node {
+    /// The thread of the futures works on the communication task of one of them. Also returns whether the node stops.
+    pub(crate) fn look_in<R>(
+        &self,
+        place: usize,
+        work: impl FnOnce(&mut Domain, usize, &mut Effects) -> R,
+        effects: &mut Effects,
+    ) -> (R, bool) {
+        let local = &self.locals.list[place];
+        let work = |domain: &mut Domain, effects: &mut Effects| work(domain, local.home.member, effects);
+        let entered = local.handoff.enter_shared(work, effects);
+        self.carry_out(effects);
+        entered
+    }
+}
 
 /// A callback: it gets the position of a program among the node's tasks, and how that program ended.
 type Ended = Arc<dyn Fn(usize, TaskEnd) + Send + Sync>;
@@ -35,7 +56,7 @@ struct Shared {
     /// How many programs still run.
     left: AtomicUsize,
     closing: AtomicBool,
-    ready: ReadyFutures,
+    ready: Arc<ReadyFutures>,
 }
 
 impl Executor {
@@ -45,11 +66,13 @@ impl Executor {
         bodies: Vec<(usize, AsyncBody)>,
         ended: impl Fn(usize, TaskEnd) + Send + Sync + 'static,
     ) -> Result<Self, StartError> {
-        let ready = ReadyFutures::new(bodies.len(), Park::new(node.waker()));
+        let ready = Arc::new(ReadyFutures::new(bodies.len(), Park::new(node.waker())));
         let left = AtomicUsize::new(bodies.len());
-        let shared = Arc::new(Shared { left, closing: AtomicBool::new(false), ready });
-        for (place, _) in &bodies {
-            node.locals.list[*place].listens.store(true, Ordering::Relaxed);
+        let shared = Arc::new(Shared { left, closing: AtomicBool::new(false), ready: Arc::clone(&ready) });
+        for (index, (place, _)) in bodies.iter().enumerate() {
+            let waker = Waker::from(Arc::new(Mark { ready: Arc::clone(&ready), index }));
+            let marking = Marking { ready: Arc::clone(&ready), index, waker };
+            let _ = node.locals.list[*place].marking.set(marking);
         }
         let (node, own) = (Arc::clone(node), Arc::clone(&shared));
         let ended: Ended = Arc::new(ended);
@@ -80,20 +103,22 @@ struct Polled {
 
 fn run(node: &Arc<Node>, bodies: Vec<(usize, AsyncBody)>, ended: &Ended, shared: &Arc<Shared>) {
     clock::sleep_exactly();
-    let program = |(index, (place, body))| {
+    let answers = Rc::new(RefCell::new(Answers::default()));
+    let program = |(place, body): (usize, AsyncBody)| {
+        let (own_node, answers) = (Arc::clone(node), Rc::clone(&answers));
         let (node, ended, own) = (Arc::clone(node), Arc::clone(ended), Arc::clone(shared));
         let program = Box::pin(async move {
-            let end = to_its_end(&node, place, body).await;
+            let end = to_its_end(&node, place, body, &answers).await;
             let crashed = matches!(end, TaskEnd::Panicked(_));
             node.locals.list[place].set_liveness(if crashed { Liveness::Crashed } else { Liveness::Ended });
-            Caller::of_a_future(node, place).end();
+            Caller::of_a_future(node, place, answers).end();
             ended(place, end);
             own.left.fetch_sub(1, Ordering::Release);
         });
-        let waker = Waker::from(Arc::new(Marking { shared: Arc::clone(shared), index }));
-        Some(Polled { program, waker })
+        let waker = own_node.locals.list[place].marking.get().map(|marking| marking.waker.clone());
+        Some(Polled { program, waker: waker? })
     };
-    let mut programs: Vec<Option<Polled>> = bodies.into_iter().enumerate().map(program).collect();
+    let mut programs: Vec<Option<Polled>> = bodies.into_iter().map(program).collect();
     let mut waits = Waits { node, park: &shared.ready.park, inlet: None, elsewhere: 0 };
     loop {
         shared.ready.poll_ready(|index| poll(&mut programs[index]));
@@ -116,18 +141,18 @@ fn poll(place: &mut Option<Polled>) {
 }
 
 /// The waker of a future: it marks the future as ready, and calls the thread.
-struct Marking {
-    shared: Arc<Shared>,
+struct Mark {
+    ready: Arc<ReadyFutures>,
     index: usize,
 }
 
-impl Wake for Marking {
+impl Wake for Mark {
     fn wake(self: Arc<Self>) {
         self.wake_by_ref();
     }
 
     fn wake_by_ref(self: &Arc<Self>) {
-        self.shared.ready.wake(self.index);
+        self.ready.wake(self.index);
     }
 }
 
@@ -161,9 +186,14 @@ impl Waits<'_> {
 }
 
 /// Runs a program to its end. Its panic is the crash of this task alone (D43).
-async fn to_its_end(node: &Arc<Node>, place: usize, body: AsyncBody) -> TaskEnd {
-    let node = Arc::clone(node);
-    let whole = async move { body(node, place).await };
+async fn to_its_end(
+    node: &Arc<Node>,
+    place: usize,
+    body: AsyncBody,
+    answers: &Rc<RefCell<Answers>>,
+) -> TaskEnd {
+    let (node, answers) = (Arc::clone(node), Rc::clone(answers));
+    let whole = async move { body(Caller::of_a_future(node, place, answers)).await };
     match AssertUnwindSafe(whole).catch_unwind().await {
         Ok(Ok(()) | Err(TaskError::Stopped)) => TaskEnd::Returned,
         Ok(Err(error)) => TaskEnd::Failed(error),

@@ -2,6 +2,17 @@
 
 use imrs_protocol::TaskId;
 
+/// Which thread runs the program of a task.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum RunBy {
+    /// A thread of the task's own.
+    ItsThread,
+    /// The program is a script: the thread that brings it input.
+    AnyThread,
+    /// The program is a future.
+    TheThreadOfFutures,
+}
+
 /// Where a communication task of the node is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Home {
@@ -11,6 +22,8 @@ pub(crate) struct Home {
     pub domain: usize,
     /// Its position among the members of the domain.
     pub member: usize,
+    /// Which thread runs the task's program: the same for all members of a domain.
+    pub run_by: RunBy,
 }
 
 /// Where the communication tasks of a node are.
@@ -23,20 +36,26 @@ pub(crate) struct Homes {
 }
 
 impl Homes {
-    /// The homes of `local`, the tasks of a node, ascending; each with whether it has a script. The cell has `tasks` tasks.
-    pub fn new(local: impl Iterator<Item = (TaskId, bool)>, tasks: usize) -> Self {
+    /// The homes of `local`, the tasks of a node, ascending; each with what runs it. The cell has `tasks` tasks.
+    pub fn new(local: impl Iterator<Item = (TaskId, RunBy)>, tasks: usize) -> Self {
         let mut of_task = vec![None; tasks];
         let mut of_place = Vec::new();
-        let mut scripts: Option<(usize, usize)> = None;
-        for (place, (task, scripted)) in local.enumerate() {
-            let (domain, member) = if scripted {
-                let (domain, count) = scripts.get_or_insert((place, 0));
-                *count += 1;
-                (*domain, *count - 1)
-            } else {
-                (place, 0)
+        let (mut scripts, mut futures) = (None, None);
+        for (place, (task, run_by)) in local.enumerate() {
+            let shared: Option<&mut Option<(usize, usize)>> = match run_by {
+                RunBy::ItsThread => None,
+                RunBy::AnyThread => Some(&mut scripts),
+                RunBy::TheThreadOfFutures => Some(&mut futures),
             };
-            let home = Home { place, domain, member };
+            let (domain, member) = match shared {
+                None => (place, 0),
+                Some(shared) => {
+                    let (domain, count) = shared.get_or_insert((place, 0));
+                    *count += 1;
+                    (*domain, *count - 1)
+                }
+            };
+            let home = Home { place, domain, member, run_by };
             of_place.push(home);
             of_task[task.index()] = Some(home);
         }

@@ -3,15 +3,16 @@
 use crate::node::comm::Comm;
 use crate::node::domain::{Domain, Seat};
 use crate::node::effects::{Addressed, Effects, Stamped};
-use crate::node::home::{Home, Homes};
+use crate::node::home::{Home, Homes, RunBy};
 use crate::script::ScriptRunner;
 use crate::sync::handoff::{Handoff, ThreadWaker};
-use crate::sync::{Mutex, lock};
+use crate::sync::ready::ReadyFutures;
+use crate::sync::task_waker::TaskWaker;
 use imrs_protocol::{NodeTable, TaskId};
 use imrs_wire::obs::Liveness;
 use std::collections::BTreeMap;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::task::Waker;
 
 /// The value of [`LocalTask::begins`] once the script has begun.
@@ -23,12 +24,12 @@ pub(crate) struct LocalTask {
     pub home: Home,
     /// The hand-off of its domain.
     pub handoff: Arc<Handoff<Domain>>,
-    pub waker: Arc<TaskWaker>,
+    waker: TaskWaker,
     liveness: AtomicU8,
-    /// Whether the task has a script. Set before anything happens.
-    pub scripted: AtomicBool,
-    /// Whether the task's program is a future. Set before anything happens.
-    pub listens: AtomicBool,
+    /// How the thread of the futures marks this one. Set when that thread starts, if the task's program is a future.
+    pub marking: OnceLock<Marking>,
+    /// Whether what `waker` calls is just that mark. Only the thread of the futures uses it.
+    pub is_plain: AtomicBool,
     /// When the task's script may begin, in microseconds of the node's clock; [`BEGUN`] once it has begun.
     pub begins: AtomicU64,
     /// Whether a link is likely to end the task's next wait, because it ended the last one.
@@ -36,17 +37,44 @@ pub(crate) struct LocalTask {
 }
 
 impl LocalTask {
-    pub fn new(task: TaskId, home: Home, handoff: Arc<Handoff<Domain>>, waker: Arc<TaskWaker>) -> Self {
+    pub fn new(task: TaskId, home: Home, handoff: Arc<Handoff<Domain>>) -> Self {
         Self {
             task,
             home,
             handoff,
-            waker,
+            waker: TaskWaker::new(),
             liveness: AtomicU8::new(Liveness::Alive as u8),
             by_link: AtomicBool::new(true),
-            scripted: AtomicBool::new(false),
-            listens: AtomicBool::new(false),
+            marking: OnceLock::new(),
+            is_plain: AtomicBool::new(false),
             begins: AtomicU64::new(0),
+        }
+    }
+
+    /// Whether the task's program is a future.
+    pub fn is_future(&self) -> bool {
+        self.home.run_by == RunBy::TheThreadOfFutures
+    }
+
+    /// Whether the task's program is a script.
+    pub fn is_script(&self) -> bool {
+        self.home.run_by == RunBy::AnyThread
+    }
+
+    /// From here on, `waker` is called when there is an answer for the task's future. Called on the thread of the futures.
+    pub fn listen(&self, waker: &Waker) {
+        let is_plain = self.marking.get().is_some_and(|marking| marking.waker.will_wake(waker));
+        self.is_plain.store(is_plain, Ordering::Relaxed);
+        self.waker.listen(waker);
+    }
+
+    /// There is an answer for the task's future.
+    pub fn call(&self, effects: &Effects) {
+        match self.marking.get() {
+            Some(marking) if effects.of_the_futures && self.is_plain.load(Ordering::Relaxed) => {
+                marking.ready.mark_own(marking.index);
+            }
+            _ => self.waker.wake(),
         }
     }
 
@@ -119,45 +147,21 @@ pub(crate) fn local_tasks(
         domains.entry(comm.home.domain).or_default().push(comm);
     }
     let handoff = |(id, members)| {
-        let waker = Arc::new(TaskWaker { link: link.cloned(), waker: Mutex::new(None) });
         let domain = Domain::new(id, members, table.clone(), Arc::clone(homes));
-        let wakes = Arc::clone(&waker) as Arc<dyn ThreadWaker>;
-        (id, (Arc::new(Handoff::new(domain, Some(wakes))), waker))
+        (id, Arc::new(Handoff::new(domain, link.cloned())))
     };
     let domains: BTreeMap<usize, _> = domains.into_iter().map(handoff).collect();
-    let local = |(task, home): (TaskId, Home)| {
-        let (handoff, waker) = &domains[&home.domain];
-        LocalTask::new(task, home, Arc::clone(handoff), Arc::clone(waker))
-    };
+    let local = |(task, home): (TaskId, Home)| LocalTask::new(task, home, Arc::clone(&domains[&home.domain]));
     tasks.into_iter().map(local).collect()
 }
 
-/// Wakes a task that waits elsewhere than on its word: in the link, or as a future.
-pub(crate) struct TaskWaker {
-    link: Option<Arc<dyn ThreadWaker>>,
-    waker: Mutex<Option<Waker>>,
-}
-
-impl TaskWaker {
-    /// From here on, a wake-up calls `waker`.
-    pub fn listen(&self, waker: &Waker) {
-        let mut own = lock(&self.waker);
-        match &mut *own {
-            Some(own) => own.clone_from(waker),
-            None => *own = Some(waker.clone()),
-        }
-    }
-}
-
-impl ThreadWaker for TaskWaker {
-    fn wake(&self) {
-        let waker = lock(&self.waker).clone();
-        match (waker, &self.link) {
-            (Some(waker), _) => waker.wake(),
-            (None, Some(link)) => link.wake(),
-            (None, None) => {}
-        }
-    }
+/// How the thread of the futures marks one of them as ready.
+pub(crate) struct Marking {
+    pub ready: Arc<ReadyFutures>,
+    /// Its position there.
+    pub index: usize,
+    /// The waker that the thread polls it with.
+    pub waker: Waker,
 }
 
 /// The tasks of a node.

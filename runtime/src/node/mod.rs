@@ -26,7 +26,7 @@ use crate::link::{Link, LinkDiscard};
 use crate::node::comm::{Comm, Completion};
 use crate::node::effects::{Addressed, Effect, Effects, Stamped};
 use crate::node::failstop::guarded;
-use crate::node::home::Homes;
+use crate::node::home::{Homes, RunBy};
 use crate::node::link_waker::link_waker;
 use crate::node::local_task::{LocalTask, LocalTasks, local_tasks};
 use crate::node::timers::Timers;
@@ -49,8 +49,8 @@ use std::sync::{Arc, OnceLock};
 /// What a node is made from.
 pub(crate) struct Plan {
     pub machine: imrs_protocol::Node,
-    /// Whether the task has a script, for each task of the node.
-    pub scripted: Vec<bool>,
+    /// What runs the program of each task of the node.
+    pub run_by: Vec<RunBy>,
     pub incarnation: Incarnation,
     pub insecure: bool,
     pub real_time: RealTime,
@@ -113,8 +113,8 @@ impl Node {
         let count = tasks.len();
         let alarm = Arc::new(Alarm::new(count + 2));
         let waker = link_waker(plan.link.as_ref());
-        let scripted = tasks.iter().map(CommTask::task).zip(plan.scripted);
-        let homes = Arc::new(Homes::new(scripted, table.cell().tasks.len()));
+        let run_by = tasks.iter().map(CommTask::task).zip(plan.run_by);
+        let homes = Arc::new(Homes::new(run_by, table.cell().tasks.len()));
         let comm = |(place, machine): (usize, CommTask)| {
             let log = plan.recorder.clone().and_then(|recorder| recorder.log(machine.task()));
             let home = (homes.at(place), Arc::clone(&homes));
@@ -244,13 +244,6 @@ impl Node {
         entry
     }
 
-    /// A task that is a future brings input, unless there is an answer for it already, and takes its answer.
-    pub(crate) fn look_in(&self, place: usize, stamped: Stamped, effects: &mut Effects) -> Entry<Completion> {
-        let entry = self.locals.list[place].handoff.enter_awake(Addressed { member: 0, stamped }, effects);
-        self.carry_out(effects);
-        entry
-    }
-
     /// Looks at a communication task after draining its inbox. Nothing else of the task changes.
     pub(crate) fn look<R>(&self, local: &LocalTask, look: impl FnOnce(&mut Comm) -> R) -> R {
         let mut effects = Effects::of_an_onlooker();
@@ -289,6 +282,9 @@ impl Node {
     fn carry_out_all(&self, effects: &mut Effects) {
         loop {
             let mut latest = 0;
+            while let Some(place) = effects.called.pop() {
+                self.locals.list[place].call(effects);
+            }
             loop {
                 while let Some(effect) = effects.queue.pop_front() {
                     self.carry_out_one(effect, &mut latest, effects);
@@ -305,7 +301,7 @@ impl Node {
                     stage.perform(self, effect);
                 }
             }
-            if effects.queue.is_empty() {
+            if effects.queue.is_empty() && effects.called.is_empty() {
                 // The next turn of a domain, now that all its other effects are carried out.
                 let Some((home, _)) = effects.inside.front() else { return };
                 self.locals.list[home.place].handoff.visit(|_, _| (), effects);
@@ -340,7 +336,7 @@ impl Node {
                 let stamped = Stamped { at, input: Input::Packet(packet) };
                 // A lone packet needs no bundle.
                 let alone = effects.queue.is_empty() && effects.bundles.is_empty();
-                if local.scripted.load(Ordering::Relaxed) && !alone {
+                if local.is_script() && !alone {
                     local.hold(stamped, effects);
                 } else {
                     local.deliver(stamped, effects);
@@ -366,8 +362,7 @@ impl Node {
                 Arrival::Local(task, packet) => {
                     let Some(place) = self.locals.place(task) else { continue };
                     let local = &self.locals.list[place];
-                    let listens = local.listens.load(Ordering::Relaxed);
-                    let by_link = if listens { &self.futures_by_link } else { &local.by_link };
+                    let by_link = if local.is_future() { &self.futures_by_link } else { &local.by_link };
                     by_link.store(true, Ordering::Relaxed);
                     let stamped = Stamped { at, input: Input::Packet(packet) };
                     if packets.len() > 1 {

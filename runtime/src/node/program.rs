@@ -1,7 +1,8 @@
 //! The programs of a node's tasks: what each is, where it runs, how it ended.
 
-use crate::api::context::TaskError;
+use crate::api::context::{Caller, TaskError};
 use crate::node::Node;
+use crate::node::home::RunBy;
 use imrs_protocol::NodeId;
 use imrs_protocol::script::{End, Program as Script, ProgramError};
 use std::any::Any;
@@ -16,8 +17,8 @@ pub(crate) type TaskBody = Box<dyn FnOnce(Arc<Node>, usize) -> Result<(), TaskEr
 
 /// The running program of a task that is a future. It stays on its thread.
 pub(crate) type Running = Pin<Box<dyn Future<Output = Result<(), TaskError>>>>;
-/// Makes the program of a task, with a context for this place of the node.
-pub(crate) type AsyncBody = Box<dyn FnOnce(Arc<Node>, usize) -> Running + Send>;
+/// Makes the program of a task that reaches its communication task by this.
+pub(crate) type AsyncBody = Box<dyn FnOnce(Caller) -> Running + Send>;
 
 /// What a task runs.
 pub(crate) enum TaskProgram {
@@ -27,6 +28,16 @@ pub(crate) enum TaskProgram {
     Async(AsyncBody),
     /// A script, run by the thread that brings it input.
     Script(Arc<Script>),
+}
+
+impl TaskProgram {
+    pub const fn run_by(&self) -> RunBy {
+        match self {
+            Self::Body(_) => RunBy::ItsThread,
+            Self::Async(_) => RunBy::TheThreadOfFutures,
+            Self::Script(_) => RunBy::AnyThread,
+        }
+    }
 }
 
 /// How a task's program ended.

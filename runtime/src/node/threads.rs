@@ -199,11 +199,14 @@ impl Runtime {
         let mut effects = Effects::of_an_onlooker();
         for local in &self.node.locals.list {
             local.handoff.stop(&mut effects);
+            if local.is_future() {
+                local.call(&effects);
+            }
             local.with_runner(&mut effects, |runner, comm, effects| runner.stop(comm, effects));
             self.node.carry_out(&mut effects);
         }
         for (place, local) in self.node.locals.list.iter().enumerate() {
-            if local.scripted.load(Ordering::Relaxed) {
+            if local.is_script() {
                 self.shared.stopped(place);
             }
         }

@@ -183,30 +183,22 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         Entry { completion, stopped, until }
     }
 
-    /// As [`enter`](Self::enter), for a task that is a future. It never rests, so the Timer covers its deadlines. If there is an
-    /// answer already, it takes that and brings no input.
-    pub fn enter_awake(&self, input: S::Input, effects: &mut S::Effects) -> Entry<S::Completion> {
+    /// As [`enter_and`](Self::enter_and), for one of several tasks that are behind this hand-off. None of them rests, and their
+    /// answers are in the protected state. `work` takes the answer that is there, or brings the input. Also returns whether the
+    /// node stops.
+    pub fn enter_shared<R>(
+        &self,
+        work: impl FnOnce(&mut S, &mut S::Effects) -> R,
+        effects: &mut S::Effects,
+    ) -> (R, bool) {
         let mut core = lock(&self.core);
-        self.waiting.is_polled();
-        let (completion, until) = if core.completion.is_some() {
-            // The thread that brought the answer has settled what follows.
-            (core.completion.take(), u64::MAX)
-        } else {
-            self.drain(&mut core, effects);
-            if core.completion.is_none() {
-                core.feed(input, effects);
-            }
-            (core.completion.take(), core.protected.settle(Rest::No, effects))
-        };
+        self.drain(&mut core, effects);
+        let done = work(&mut core.protected, effects);
+        core.protected.settle(Rest::No, effects);
         let stopped = core.stopped;
         drop(core);
         self.second_look(effects);
-        Entry { completion, stopped, until }
-    }
-
-    /// The future waits from here on; the waker wakes it. False if there is something for it already.
-    pub fn listen(&self) -> bool {
-        self.waiting.listens(|| self.has_left())
+        (done, stopped)
     }
 
     /// Sleeps until there is an answer, the node stops, or `deadline` (nanoseconds of the monotonic clock) passes. Wake-ups may

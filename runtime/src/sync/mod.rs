@@ -12,6 +12,7 @@ pub(crate) mod park;
 pub(crate) mod plant;
 pub(crate) mod protected;
 pub(crate) mod ready;
+pub(crate) mod task_waker;
 pub(crate) mod waiting;
 
 #[cfg(test)]

@@ -9,6 +9,8 @@ const BITS: usize = u64::BITS as usize;
 
 pub(crate) struct ReadyFutures<P = Sound> {
     words: Box<[AtomicU64]>,
+    /// The marks that the thread itself made. No other thread touches them, so they take no locked instruction.
+    own: Box<[AtomicU64]>,
     /// Where the thread waits while no future is ready.
     pub park: Park,
     plant: P,
@@ -39,7 +41,8 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
     pub fn planted(count: usize, park: Park, plant: P) -> Self {
         let marks = |first: usize| u64::MAX >> BITS.saturating_sub(count - first);
         let words = (0..count).step_by(BITS).map(|first| AtomicU64::new(marks(first))).collect();
-        Self { words, park, plant }
+        let own = (0..count).step_by(BITS).map(|_| AtomicU64::new(0)).collect();
+        Self { words, own, park, plant }
     }
 
     /// The future at `place` is ready. A waker that marked it before has called the thread, or is about to.
@@ -58,14 +61,21 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
         }
     }
 
+    /// As [`wake`](Self::wake), from the thread of the futures itself: it polls them, so it need not be called.
+    pub fn mark_own(&self, place: usize) {
+        let word = &self.own[place / BITS];
+        word.store(word.load(Ordering::Relaxed) | (1 << (place % BITS)), Ordering::Relaxed);
+    }
+
     /// Polls each future that is ready, once, by `poll`.
     pub fn poll_ready(&self, mut poll: impl FnMut(usize)) {
         // First, so that a call after any of the takes keeps the thread from waiting.
         if !self.plant.has(Plant::BeginsLate) {
             self.park.begins();
         }
-        for (index, word) in self.words.iter().enumerate() {
-            let mut ready = self.take(word);
+        for (index, (word, own)) in self.words.iter().zip(&self.own).enumerate() {
+            let mut ready = self.take(word) | own.load(Ordering::Relaxed);
+            own.store(0, Ordering::Relaxed);
             while ready != 0 {
                 poll(index * BITS + ready.trailing_zeros() as usize);
                 ready &= ready - 1;
@@ -78,7 +88,7 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
 
     /// Whether a future is ready already, so that the thread need not try to wait.
     pub fn any(&self) -> bool {
-        self.words.iter().any(|word| word.load(Ordering::Relaxed) != 0)
+        self.words.iter().chain(&self.own).any(|word| word.load(Ordering::Relaxed) != 0)
     }
 
     fn take(&self, word: &AtomicU64) -> u64 {
@@ -87,6 +97,7 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
             word.store(0, Ordering::Release);
             return ready;
         }
-        word.swap(0, Ordering::AcqRel)
+        // The swap only if needed. A mark that this load misses has called the thread, or is about to, and so keeps it awake.
+        if word.load(Ordering::Relaxed) == 0 { 0 } else { word.swap(0, Ordering::AcqRel) }
     }
 }

@@ -4,7 +4,6 @@
 //!                      goes, sleep                     mark: there is something for it
 //!   RUNNING <-----------------------------> SLEEPING ------------------------------> READY
 //!      ^  \---- go_away, come_home -------> AWAY --------------- a wake-up ----------> READY
-//!      |   \--- listens ------------------> LISTENING ---------- a wake-up ----------> READY
 //!      |    \-- begins to look, looks no more -> LOOKING ----------------------------> READY
 //!      \--------------------------------------- enters ----------------------------- READY
 //! ```
@@ -26,10 +25,8 @@ const SLEEPING: u32 = 1;
 const READY: u32 = 2;
 /// The task's thread waits in the link, or is about to: the waker wakes it.
 pub(super) const AWAY: u32 = 3;
-/// The task's program is a future that waits, or is about to: the waker wakes it.
-const LISTENING: u32 = 4;
 /// The task's thread spins on its word; it drains the inbox when it is called.
-const LOOKING: u32 = 5;
+const LOOKING: u32 = 4;
 
 /// The bugs that the explorers must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -40,7 +37,7 @@ pub(crate) enum Plant {
     NoMark,
     /// The futex word is set to `READY`, but no thread is woken.
     NoWake,
-    /// A thread that waits in the link, or a future, is not woken by its waker.
+    /// A thread that waits in the link is not woken by its waker.
     NoWaker,
     /// Stopping a task does not wake the task's thread.
     SilentStop,
@@ -129,11 +126,6 @@ impl<P: Plants<Plant>> Waiting<P> {
         }
     }
 
-    /// The future is polled, under the lock.
-    pub fn is_polled(&self) {
-        self.word.0.store(RUNNING);
-    }
-
     /// Marks the word `READY`. It stays so until the thread enters: for ever, if the thread never does.
     pub fn ready(&self) -> Was {
         Was(self.word.0.swap(READY))
@@ -159,7 +151,7 @@ impl<P: Plants<Plant>> Waiting<P> {
         if self.plant.has(Plant::NoWaker) {
             return;
         }
-        if let Some(waker) = self.waker.as_ref().filter(|_| was == AWAY || was == LISTENING) {
+        if let Some(waker) = self.waker.as_ref().filter(|_| was == AWAY) {
             waker.wake();
         }
     }
@@ -205,18 +197,6 @@ impl<P: Plants<Plant>> Waiting<P> {
             self.thread_state.returns();
         }
         uncalled
-    }
-
-    /// The future waits from here on. False if there is something for it already.
-    pub fn listens(&self, was_left: impl FnOnce() -> bool) -> bool {
-        if !self.word.0.replace(RUNNING, LISTENING) {
-            return false;
-        }
-        let left = self.asks(was_left);
-        if left {
-            self.word.0.replace(LISTENING, RUNNING);
-        }
-        !left
     }
 
     /// The thread begins to spin. True if there is something for it already.

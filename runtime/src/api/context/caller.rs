@@ -4,6 +4,7 @@ use super::outcome::TaskError;
 use crate::api::message::Bytes;
 use crate::clock::{self, Micros};
 use crate::node::comm::{Comm, Completion};
+use crate::node::domain::{Answers, Domain};
 use crate::node::effects::{Effects, Stamped};
 use crate::node::failstop::guarded;
 use crate::node::{Inlet, More, Node};
@@ -11,6 +12,8 @@ use crate::sync::awake::{Kind, SpinPolicy};
 use crate::sync::handoff::Entry;
 use crate::sync::lead::Led;
 use imrs_protocol::{Contents, Delivery, Input, PortId, ReplyTo, Request, Signal, TaskId, Ticks};
+use std::cell::RefCell;
+use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::task::Waker;
@@ -33,6 +36,10 @@ pub(crate) struct Caller {
     pub depth: u8,
     /// Whether the current thread is in an `atomic` section.
     pub atomic: bool,
+    /// What the callers of the node's futures share, if this is one.
+    answers: Option<Rc<RefCell<Answers>>>,
+    /// What is called when there is an answer for the future.
+    waker: Option<Waker>,
 }
 
 impl Caller {
@@ -49,6 +56,8 @@ impl Caller {
             taken: None,
             depth: 0,
             atomic: false,
+            answers: None,
+            waker: None,
         }
     }
 
@@ -58,9 +67,11 @@ impl Caller {
     }
 
     /// For a task whose program is a future: no thread of the task ever sleeps.
-    pub fn of_a_future(node: Arc<Node>, place: usize) -> Self {
+    pub fn of_a_future(node: Arc<Node>, place: usize, answers: Rc<RefCell<Answers>>) -> Self {
         let mut caller = Self::new(node, place);
         caller.effects.waiter = None;
+        caller.effects.of_the_futures = true;
+        caller.answers = Some(answers);
         caller
     }
 
@@ -77,12 +88,10 @@ impl Caller {
             Some(request) => (clock::next(), Input::Request(request)),
             None => (clock::now(), Input::Time),
         };
-        let entry = self.node.look_in(self.place, Stamped { at, input }, &mut self.effects);
-        self.stopped = entry.stopped;
-        match entry.completion {
+        match self.enter(Stamped { at, input }) {
             Some(Completion { signal: Signal::Fault(fault), .. }) => Err(super::RequestFault(fault).into()),
             Some(Completion { signal, at: since }) => Ok(Some((signal, Ticks(at.saturating_sub(since))))),
-            None if entry.stopped => {
+            None if self.stopped => {
                 self.give_up();
                 Err(TaskError::Stopped)
             }
@@ -90,11 +99,29 @@ impl Caller {
         }
     }
 
-    /// The future waits: `waker` is called when there is something for it. False if there is something already.
-    pub fn listen(&self, waker: &Waker) -> bool {
-        let local = &self.node.locals.list[self.place];
-        local.waker.listen(waker);
-        local.handoff.listen()
+    /// The future takes its answer, or brings an input if there is none yet.
+    fn enter(&mut self, stamped: Stamped) -> Option<Completion> {
+        let answers = self.answers.as_ref()?;
+        if let Some(answer) = answers.borrow_mut().take(self.node.locals.list[self.place].home.member) {
+            return Some(answer);
+        }
+        let ask = |domain: &mut Domain, member: usize, effects: &mut Effects| {
+            domain.ask(member, stamped, &mut answers.borrow_mut(), effects)
+        };
+        let (answer, stopped) = self.node.look_in(self.place, ask, &mut self.effects);
+        self.stopped = stopped;
+        answer
+    }
+
+    /// Whether `waker` was to be called for an answer when the future last entered. If not, it is from here on, and the future
+    /// must enter again before it waits.
+    pub fn listens(&mut self, waker: &Waker) -> bool {
+        if self.waker.as_ref().is_some_and(|own| own.will_wake(waker)) {
+            return true;
+        }
+        self.node.locals.list[self.place].listen(waker);
+        self.waker = Some(waker.clone());
+        false
     }
 
     pub fn task(&self) -> TaskId {
@@ -242,11 +269,21 @@ impl Caller {
     pub fn end(&mut self) {
         self.give_up();
         self.tell(Request::End);
-        self.node.locals.list[self.place].handoff.end(&mut self.effects);
-        self.node.carry_out(&mut self.effects);
+        if self.answers.is_none() {
+            self.node.locals.list[self.place].handoff.end(&mut self.effects);
+            self.node.carry_out(&mut self.effects);
+        }
     }
 
     fn tell(&mut self, request: Request) {
+        if let Some(answers) = &self.answers {
+            let stamped = Stamped { at: clock::next(), input: Input::Request(request) };
+            let tell = |domain: &mut Domain, member: usize, effects: &mut Effects| {
+                domain.tell(member, stamped, &mut answers.borrow_mut(), effects);
+            };
+            self.node.look_in(self.place, tell, &mut self.effects);
+            return;
+        }
         let _answered = self.node.ask(self.place, clock::next(), request, &mut |_| None, &mut self.effects);
     }
 

@@ -52,7 +52,7 @@ impl<S> Future for Asking<'_, S> {
                     *stage = Stage::Over;
                     return Poll::Ready(Err(error));
                 }
-                Ok(None) if context.caller.listen(poller.waker()) => return Poll::Pending,
+                Ok(None) if context.caller.listens(poller.waker()) => return Poll::Pending,
                 Ok(None) => {}
             }
         }

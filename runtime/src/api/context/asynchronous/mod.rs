@@ -8,14 +8,12 @@ use super::Caller;
 use super::calls::{Calls, at_once};
 use super::outcome::{Rendezvous, Sent, TaskError};
 use crate::clock::{self, Micros};
-use crate::node::Node;
 use asking::Asking;
 use imrs_protocol::{
     Contents, Delivery, PortId, Ranked, ReplyTo, Request, Signal, Target, TaskId, Ticks, TimeId,
 };
 use std::future::Future;
 use std::rc::Rc;
-use std::sync::Arc;
 use std::time::Duration;
 
 type OnMessage<S> = Rc<dyn Fn(&mut AsyncContext<S>, &Delivery) -> Result<(), TaskError>>;
@@ -57,16 +55,12 @@ impl AsyncContext {
         state: S,
         program: impl FnOnce(AsyncContext<S>) -> F,
     ) -> impl FnOnce(Self) -> F {
-        move |ctx| {
-            let (node, place) = ctx.caller.location();
-            program(AsyncContext::new(node, place, state))
-        }
+        move |ctx| program(AsyncContext::new(ctx.caller, state))
     }
 }
 
 impl<S> AsyncContext<S> {
-    pub(crate) fn new(node: Arc<Node>, place: usize, state: S) -> Self {
-        let caller = Caller::of_a_future(node, place);
+    pub(crate) const fn new(caller: Caller, state: S) -> Self {
         Self { state, caller, messages: Vec::new(), timers: Vec::new(), kept: Vec::new() }
     }
 

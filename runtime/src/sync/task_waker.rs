@@ -1,0 +1,25 @@
+//! Wakes the future of a task, from any thread, by the waker with which it was last polled.
+
+use crate::sync::{Mutex, lock};
+use std::task::Waker;
+
+pub(crate) struct TaskWaker(Mutex<Option<Waker>>);
+
+impl TaskWaker {
+    pub fn new() -> Self {
+        Self(Mutex::new(None))
+    }
+
+    /// From here on, a wake-up calls `waker`.
+    pub fn listen(&self, waker: &Waker) {
+        // Dropped without the lock: the old one may own a future, whose end may lead here.
+        let old = lock(&self.0).replace(waker.clone());
+        drop(old);
+    }
+
+    pub fn wake(&self) {
+        // Called without the lock, because it may be anything.
+        let waker = lock(&self.0).clone();
+        waker.iter().for_each(Waker::wake_by_ref);
+    }
+}

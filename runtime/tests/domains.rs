@@ -1,0 +1,91 @@
+//! Tests of tasks of a node that share a domain: two futures, which exchange messages in fused steps (D187).
+
+use crate::common::{LONG, LONG_TICKS, Tape, ask, cell, one_node, table};
+use imrs_protocol::{PortView, Ticks};
+use imrs_runtime::{AsyncContext, Builder, TaskEnd, TaskError};
+use std::future::{Future, poll_fn};
+use std::pin::pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::task::{Context, Wake, Waker};
+
+const QUESTIONS: u64 = 100;
+
+/// Another waker than the executor's, which it calls.
+struct Between {
+    waker: Waker,
+    calls: Arc<AtomicU32>,
+}
+
+impl Wake for Between {
+    fn wake(self: Arc<Self>) {
+        self.calls.fetch_add(1, Ordering::Relaxed);
+        self.waker.wake_by_ref();
+    }
+}
+
+/// Polls `program` with another waker than the executor's each time. Counts its calls.
+async fn between<T>(program: impl Future<Output = T>, calls: Arc<AtomicU32>) -> T {
+    let mut program = pin!(program);
+    poll_fn(move |poller| {
+        let between = Between { waker: poller.waker().clone(), calls: Arc::clone(&calls) };
+        program.as_mut().poll(&mut Context::from_waker(&Waker::from(Arc::new(between))))
+    })
+    .await
+}
+
+async fn question(mut ctx: AsyncContext) -> Result<(), TaskError> {
+    let ask = ctx.port("ask")?;
+    for number in 0..QUESTIONS {
+        let sent = ctx.send(ask, &number.to_le_bytes()[..2]).await?;
+        assert!(sent.reply().is_some(), "no answer but {sent:?}");
+    }
+    Ok(())
+}
+
+async fn answer(mut ctx: AsyncContext) -> Result<(), TaskError> {
+    let ask = ctx.port("ask")?;
+    for _ in 0..QUESTIONS {
+        let message = ctx.receive(Some(ask), None).await?.expect("only a message ends the wait");
+        ctx.reply(&message.from, message.contents.as_bytes())?;
+    }
+    Ok(())
+}
+
+/// What the ports of two futures count that ask and answer. `how` completes the node; with `calls` another waker is between each
+/// future and the executor.
+fn counted(how: impl FnOnce(Builder) -> Builder, calls: Option<Arc<AtomicU32>>) -> Vec<Vec<PortView>> {
+    let mut cell = cell(&[0, 0], Ticks(2_000));
+    cell.port(ask(LONG_TICKS));
+    let node = one_node(&table(cell));
+    let node = match calls {
+        None => node.async_task("a", question).async_task("b", answer),
+        Some(calls) => {
+            let asks = Arc::clone(&calls);
+            node.async_task("a", |ctx| between(question(ctx), asks))
+                .async_task("b", |ctx| between(answer(ctx), calls))
+        }
+    };
+    let node = how(node).start().unwrap();
+    assert!(node.wait(LONG), "a program did not end");
+    let ports = node.node().snapshot(0).tasks.into_iter().map(|task| task.view.ports).collect();
+    let ends = node.stop(LONG);
+    assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned), "{ends:?}");
+    ports
+}
+
+#[test]
+fn futures_that_take_fused_steps_count_the_same_as_those_that_are_recorded() {
+    let fused = counted(|node| node, None);
+    assert_eq!(fused[1][0].counters.delivered, QUESTIONS);
+    assert_eq!(fused, counted(|node| node.recorder(Arc::new(Tape::default())), None));
+}
+
+#[test]
+fn a_future_with_another_waker_than_the_executors_is_woken_by_that_one() {
+    let calls = Arc::new(AtomicU32::new(0));
+    let ports = counted(|node| node, Some(Arc::clone(&calls)));
+    assert_eq!(ports[1][0].counters.delivered, QUESTIONS);
+    let calls = u64::from(calls.load(Ordering::Relaxed));
+    assert!(calls >= QUESTIONS, "{calls} calls for {QUESTIONS} questions and as many answers");
+}
