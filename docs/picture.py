@@ -224,7 +224,7 @@ def dead(cell):
     screen.save("monitor-rendezvous.svg", "The rendezvous after the hoist's node was killed: both arms wait for it")
     cell.type("1")
     screen.save("monitor-dead.svg", "The overview after a node was killed: its last state is kept, and who waits for it is named",
-                r"(?s)waitfor lift.*waitfor lift.*tasks wait for hoist@nh, DEAD")
+                r"(?s)BLOCKED BY hoist@nh - DEAD.*waitfor lift.*waitfor lift")
     cell.type("7")
     screen.save("monitor-model.svg", "Whether the nodes do what the verified model does", r"transition kinds seen")
     cell.type("?")

@@ -13,6 +13,8 @@ pub enum Hit {
     Tab(Screen),
     /// A row of the overview.
     Row(Place),
+    /// The banner: the place of what blocks the cell.
+    Place(Place),
     /// The title of a sortable column.
     Title(Sort),
     /// A message of a queue: its source and its id.

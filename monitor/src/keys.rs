@@ -80,6 +80,8 @@ pub enum Action {
     PreviousMatch,
     /// The next cell.
     Cell,
+    /// Goes to what blocks the cell.
+    Culprit,
     /// The next theme.
     Theme,
     /// Suspends the monitor until `fg`.
@@ -175,6 +177,17 @@ pub const BINDINGS: &[Binding] = &[
         &[code(KeyCode::Enter)],
         Action::Enter,
         "the history of this message",
+    ),
+    on(
+        &[Screen::Rendezvous, Screen::Timers, Screen::Model],
+        &[code(KeyCode::Enter), key('b')],
+        Action::Culprit,
+        "to the task or node that blocks the cell",
+    ),
+    everywhere(
+        &[key('b')],
+        Action::Culprit,
+        "to the task or node that blocks the cell (or click the banner)",
     ),
     on(&[Screen::Overview], &[code(KeyCode::Enter)], Action::Enter, "open: node, task, port, rendezvous"),
     everywhere(&[code(KeyCode::Esc)], Action::Back, "back; clear the filter"),

@@ -19,6 +19,8 @@ pub enum Ink {
     Warn,
     /// A critical finding.
     Bad,
+    /// What blocks the cell: the loudest of all.
+    Alarm,
     /// Remaining time in a bar.
     Bar,
 }
@@ -132,6 +134,8 @@ enum Palette {
 /// White and black of the fixed part of the 256 colours.
 const WHITE: u8 = 231;
 const BLACK: u8 = 16;
+/// The background of an alarm: red.
+const ALARM: u8 = 160;
 
 impl Theme {
     /// Colours that people with any colour vision can distinguish (Okabe and Ito), from the terminal's 256.
@@ -197,6 +201,10 @@ impl Theme {
             }
             (_, Ink::Plain) => plain,
             (_, Ink::Selected) => Style::reset().add_modifier(Modifier::REVERSED),
+            (Palette::Dark | Palette::Light | Palette::Contrast, Ink::Alarm) => {
+                bold(WHITE).bg(Color::Indexed(ALARM))
+            }
+            (Palette::None, Ink::Alarm) => modifier(Modifier::BOLD | Modifier::REVERSED),
             (Palette::Dark, Ink::Head) => bold(74),
             (Palette::Dark, Ink::Dim) => colour(245),
             (Palette::Dark, Ink::Good) => colour(36),
@@ -212,7 +220,7 @@ impl Theme {
             (Palette::Contrast, Ink::Head) => on_black.patch(bold(WHITE)).add_modifier(Modifier::UNDERLINED),
             (Palette::Contrast, Ink::Good) => on_black.patch(bold(46)),
             (Palette::Contrast, Ink::Warn) => on_black.patch(bold(226)),
-            (Palette::Contrast, Ink::Bad) => bold(WHITE).bg(Color::Indexed(160)),
+            (Palette::Contrast, Ink::Bad) => bold(WHITE).bg(Color::Indexed(ALARM)),
             (Palette::Contrast, Ink::Bar) => on_black.patch(bold(51)),
             (Palette::None, Ink::Good | Ink::Bar) => plain,
             (Palette::None, Ink::Head) => modifier(Modifier::BOLD | Modifier::UNDERLINED),
@@ -229,7 +237,17 @@ mod tests {
 
     #[test]
     fn without_colour_nothing_is_coloured_and_the_selection_still_stands_out() {
-        let inks = [Ink::Plain, Ink::Head, Ink::Dim, Ink::Selected, Ink::Good, Ink::Warn, Ink::Bad, Ink::Bar];
+        let inks = [
+            Ink::Plain,
+            Ink::Head,
+            Ink::Dim,
+            Ink::Selected,
+            Ink::Good,
+            Ink::Warn,
+            Ink::Bad,
+            Ink::Alarm,
+            Ink::Bar,
+        ];
         for theme in [Theme::MONO, Theme::ASCII] {
             for style in inks.map(|ink| theme.style(ink)) {
                 assert!([style.fg, style.bg].iter().all(|c| matches!(c, None | Some(Color::Reset))));
@@ -241,7 +259,17 @@ mod tests {
     /// The eight first colours of a terminal and its default background belong to the user, so white text could be on white.
     #[test]
     fn the_contrast_theme_sets_both_text_and_background_everywhere() {
-        let inks = [Ink::Plain, Ink::Head, Ink::Dim, Ink::Selected, Ink::Good, Ink::Warn, Ink::Bad, Ink::Bar];
+        let inks = [
+            Ink::Plain,
+            Ink::Head,
+            Ink::Dim,
+            Ink::Selected,
+            Ink::Good,
+            Ink::Warn,
+            Ink::Bad,
+            Ink::Alarm,
+            Ink::Bar,
+        ];
         for ink in inks {
             let style = Theme::CONTRAST.style(ink);
             for colour in [style.fg, style.bg] {

@@ -1,5 +1,6 @@
 //! The tests of the monitor, built as one program: each file beside this one is a module, except those of `*_memory.rs`.
 
+mod blocked;
 mod common;
 #[path = "../../protocol/tests/allocations.rs"]
 mod counting;

@@ -33,7 +33,7 @@ fn from_sixty_columns_on_every_tab_and_the_health_are_visible() {
             assert!(head.contains(&format!("[{key} ")) && head.contains("2/3 nodes"), "{width}: {head}");
         }
         let shown = stage.typed(NOW, (width, 24), "");
-        let health = shown.lines().nth(1).unwrap().find("HEALTH").expect("a title");
+        let health = shown.lines().nth(2).unwrap().find("HEALTH").expect("a title");
         let dead = shown.lines().find(|line| line.contains("x nh")).unwrap();
         assert!(dead[health..].starts_with("!! dead"), "{width}: {dead}");
     }
@@ -146,10 +146,10 @@ fn sorting_shows_what_comes_first_in_the_new_order() {
     stage.lose(ms(1_100), 2);
     let shown = stage.typed(NOW, (80, 10), "Gsss");
     assert_eq!(stage.app.shape.sort, Sort::Health);
-    let first = shown.lines().nth(2).unwrap();
+    let first = shown.lines().nth(3).unwrap();
     assert!(first.starts_with('>') && first.contains("!!"), "{shown}");
     stage.keys(NOW, "G");
-    assert_eq!(stage.typed(NOW, (80, 10), "i").lines().position(|line| line.starts_with('>')), Some(2));
+    assert_eq!(stage.typed(NOW, (80, 10), "i").lines().position(|line| line.starts_with('>')), Some(3));
 }
 
 #[test]

@@ -439,7 +439,7 @@ fn a_restarted_node_is_shown_to_be_held_back_until_its_scripts_begin() {
     let found = Some(("note".into(), "nh".into(), words.into()));
     assert_eq!(seen(&stage, 1_200), (Some(61_700_000), found));
     let screen = stage.text(ms(1_200), 160, 40);
-    assert!(screen.contains(&format!("; nh {words}")), "{screen}");
+    assert!(screen.contains("BLOCKED BY hoist@nh - held back 62 s more - holds 2 of 3"), "{screen}");
     let text = report::text(stage.app.store(), None, ms(1_200));
     assert!(text.contains("task hoist: held back 62 s more") && text.contains(words), "{text}");
     // The countdown continues without new reports.

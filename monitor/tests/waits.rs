@@ -42,7 +42,7 @@ fn the_one_whom_all_wait_for_is_named() {
     let stage = Stage::cell(Theme::ASCII);
     let store = stage.app.store();
     let found = awaited(store, &beam(), ms(1_050));
-    let named: Vec<_> = found.iter().map(|a| (a.task, a.by.as_slice(), a.why.as_str())).collect();
+    let named: Vec<_> = found.iter().map(|a| (a.task, a.by.as_slice(), a.wait.why.as_str())).collect();
     assert_eq!(named, [(TaskId(2), &[TaskId(0), TaskId(1)][..], "waitfor lift")]);
     assert!(cycles(store, &beam(), ms(5_000)).is_empty(), "the hoist waits for nobody");
 }

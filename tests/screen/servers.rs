@@ -151,7 +151,7 @@ fn the_demonstration_names_who_is_awaited_and_leaves_nothing_behind() {
     let start = std::time::Instant::now();
     terminal.type_monitor("", "--demo");
     terminal.wait_for("who is awaited", |screen| {
-        screen.lines().any(|line| line.contains("waits for belt") || line.contains("wait for belt"))
+        screen.lines().any(|line| line.contains("BLOCKED BY belt@") || line.contains("waiting for belt@"))
     });
     println!("the awaited robot named after {:?}; goal 10 s", start.elapsed());
     let monitor = terminal.monitor_pid();

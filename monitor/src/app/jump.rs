@@ -3,9 +3,35 @@
 use super::{App, Screen};
 use crate::clock::Moment;
 use crate::rows::Row;
+use crate::store::health::Place;
 use crate::store::journal::Severity;
 
 impl App {
+    /// Goes to what blocks the cell most.
+    pub(super) fn go_to_culprit(&mut self, now: Moment) {
+        match self.blockers(now).first() {
+            Some(blocker) => self.go_to(blocker.place, now),
+            None => self.told = Some("no single blocker".to_owned()),
+        }
+    }
+
+    /// Selects a place in the overview. Whatever hides its row is undone.
+    pub(super) fn go_to(&mut self, place: Place, now: Moment) {
+        if self.screen != Screen::Overview {
+            (self.before, self.screen) = (self.screen, Screen::Overview);
+        }
+        (self.selected, self.scroll) = (Some(place), 0);
+        let is_shown = |app: &Self| app.rows(&[], now).iter().any(|row| row.place == place);
+        if !is_shown(self) {
+            self.shape.filter.clear();
+        }
+        for parent in [Place { task: None, port: None, ..place }, Place { port: None, ..place }] {
+            if !is_shown(self) && !self.shape.toggled.remove(&parent) {
+                self.shape.toggled.insert(parent);
+            }
+        }
+    }
+
     /// Moves to the next row that itself matches the filter; without a filter, to the next row with a finding.
     pub(super) fn jump_to_match(&mut self, forward: bool, now: Moment) {
         match self.screen {

@@ -24,6 +24,10 @@ impl App {
                     self.selected = Some(place);
                     Effect::Draw
                 }
+                Some(Hit::Place(place)) => {
+                    self.go_to(place, now);
+                    Effect::Draw
+                }
                 Some(Hit::Entry(source, id)) if self.entry == Some((source, id)) => {
                     self.act(Action::Enter, now)
                 }

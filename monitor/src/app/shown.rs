@@ -3,6 +3,7 @@
 use super::{App, PortEnd, Screen};
 use crate::clock::Moment;
 use crate::rows::{Row, rows};
+use crate::store::blocked::{Blocker, blockers};
 use crate::store::health::{self, Finding, Place};
 use crate::store::message::MessageKey;
 use crate::store::queue::{Waiting, queue};
@@ -15,6 +16,12 @@ impl App {
     #[must_use]
     pub fn findings(&self, now: Moment) -> Vec<Finding> {
         self.cell().map_or_else(Vec::new, |cell| health::findings(self.store(), &cell, self.moment(now)))
+    }
+
+    /// What blocks the shown cell, most severe first.
+    #[must_use]
+    pub fn blockers(&self, now: Moment) -> Vec<Blocker> {
+        self.cell().map_or_else(Vec::new, |cell| blockers(self.store(), &cell, self.moment(now)))
     }
 
     /// The rows of the overview.

@@ -69,6 +69,7 @@ impl App {
             Action::PreviousMatch => self.jump_to_match(false, now),
             Action::Oldest => self.step(isize::MIN, now),
             Action::Newest => self.step(isize::MAX, now),
+            Action::Culprit => self.go_to_culprit(now),
             Action::Pause => self.pause(now),
             Action::Theme => self.theme = self.theme.next(),
             Action::Cell => self.next_cell(),

@@ -68,6 +68,17 @@ impl Presence {
     pub const fn is_gone(self) -> bool {
         matches!(self, Self::Stopped(_) | Self::Dead(_))
     }
+
+    /// The state and its length in two words: `DEAD 9s`.
+    #[must_use]
+    pub fn brief(self) -> String {
+        match self {
+            Self::Up => "up".to_owned(),
+            Self::Silent(since) => format!("SILENT {}", Whole(since)),
+            Self::Stopped(since) => format!("stopped {}", Whole(since)),
+            Self::Dead(since) => format!("DEAD {}", Whole(since)),
+        }
+    }
 }
 
 impl fmt::Display for Presence {

@@ -238,7 +238,8 @@ fn of_unseen(store: &Store, cell: &Name, names: &Names, task: TaskId) -> String 
     text.to_owned()
 }
 
-fn doing(incarnation: &NodeIncarnation, task: TaskId, now: Moment) -> String {
+/// What a task does, or that it or its node has ended.
+pub(super) fn doing(incarnation: &NodeIncarnation, task: TaskId, now: Moment) -> String {
     let presence = incarnation.presence(now);
     if presence != Presence::Up {
         return format!("{} {presence}", incarnation.node);

@@ -1,5 +1,6 @@
 //! The store: the state and the events of every observed node. It contains only reducers, without clock or I/O.
 
+pub mod blocked;
 pub mod conformance;
 pub mod coverage;
 pub mod health;

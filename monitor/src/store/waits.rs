@@ -8,7 +8,7 @@ use super::{NodeIncarnation, Presence, Store};
 use crate::clock::Moment;
 use crate::name::Name;
 use imrs_protocol::{Event, NodeId, PortId, TaskId, TaskState, Usage};
-use imrs_wire::obs::Liveness;
+use imrs_wire::obs::{Liveness, TaskSnapshot};
 use std::collections::btree_map::Entry;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
@@ -27,6 +27,10 @@ pub struct Wait {
     pub port: PortId,
     /// The kind of wait: `waitfor lift`, `reply grip`, `receive beat`.
     pub why: String,
+    /// How long it has lasted, in microseconds; unknown for a wait without a time_out.
+    pub waited_us: Option<u64>,
+    /// The time_out of the wait, in microseconds.
+    pub time_out_us: Option<u64>,
 }
 
 /// A cycle of tasks in which each waits for the next. Only a time_out ends it.
@@ -45,8 +49,8 @@ pub struct Awaited {
     pub task: TaskId,
     /// The tasks that wait for it directly or indirectly, ascending.
     pub by: Vec<TaskId>,
-    /// The kind of the first wait.
-    pub why: String,
+    /// The longest of the waits at this task.
+    pub wait: Wait,
 }
 
 /// The waits of a cell that only the awaited task can end, sorted by waiter.
@@ -60,7 +64,7 @@ pub fn waits(store: &Store, cell: &Name, now: Moment) -> Vec<Wait> {
     let nodes = (0..names.nodes.len()).filter_map(|i| store.latest(cell, NodeId::from_index(i)));
     for incarnation in nodes.filter(|incarnation| incarnation.presence(now) == Presence::Up) {
         for task in incarnation.tasks().iter().filter(|task| task.liveness == Liveness::Alive) {
-            found.extend(at_port(incarnation, task.view.task, &task.view.state));
+            found.extend(at_port(incarnation, task, now));
         }
     }
     found.sort_by_key(|wait| (wait.waiter, wait.on, wait.port));
@@ -75,25 +79,37 @@ fn at_meeting(meeting: &Meeting, names: &Names, found: &mut Vec<Wait>) {
         for awaited in member.waits_for.iter().filter_map(|&j| meeting.members.get(j)) {
             if !matches!(awaited.standing, Standing::Arrived | Standing::Released) {
                 let why = format!("waitfor {}", names.port_name(meeting.port));
-                found.push(Wait { waiter: member.task, on: awaited.task, port: meeting.port, why });
+                let time_out_us = member.waited_us.zip(member.left).map(|(waited, left)| waited + left.us);
+                found.push(Wait {
+                    waiter: member.task,
+                    on: awaited.task,
+                    port: meeting.port,
+                    why,
+                    waited_us: member.waited_us,
+                    time_out_us,
+                });
             }
         }
     }
 }
 
-fn at_port(incarnation: &NodeIncarnation, waiter: TaskId, state: &TaskState) -> Option<Wait> {
-    let names = &incarnation.names;
-    match state {
-        TaskState::AwaitingReply { port, from, .. } => {
-            let why = format!("reply {}", names.port_name(*port));
-            Some(Wait { waiter, on: *from, port: *port, why })
+fn at_port(incarnation: &NodeIncarnation, task: &TaskSnapshot, now: Moment) -> Option<Wait> {
+    let (names, waiter) = (&incarnation.names, task.view.task);
+    let (port, on, kind, remaining) = match task.view.state {
+        TaskState::AwaitingReply { port, from, remaining } => (port, from, "reply", Some(remaining)),
+        TaskState::Receiving { port, remaining } => {
+            let (port, on) = sole_sender(incarnation, waiter, port)?;
+            (port, on, "receive", remaining)
         }
-        TaskState::Receiving { port, .. } => {
-            let (port, on) = sole_sender(incarnation, waiter, *port)?;
-            Some(Wait { waiter, on, port, why: format!("receive {}", names.port_name(port)) })
-        }
-        TaskState::Running | TaskState::Waiting { .. } | TaskState::Delaying => None,
-    }
+        TaskState::Running | TaskState::Waiting { .. } | TaskState::Delaying => return None,
+    };
+    let why = format!("{kind} {}", names.port_name(port));
+    // A receive may have a shorter or longer time_out than the port declares, so its length is unknown.
+    let declared = names.port(port).and_then(|info| info.time_out(waiter)).filter(|_| kind == "reply");
+    let time_out_us = declared.map(|ticks| ticks.0.saturating_mul(incarnation.tick_us));
+    let left = remaining.map(|ticks| incarnation.left(ticks, task.age_us, now).us);
+    let waited_us = time_out_us.zip(left).map(|(whole, left)| whole.saturating_sub(left));
+    Some(Wait { waiter, on, port, why, waited_us, time_out_us })
 }
 
 /// The only task that can end a receive, if there is exactly one and no message is queued.
@@ -242,8 +258,10 @@ pub fn awaited(store: &Store, cell: &Name, now: Moment) -> Vec<Awaited> {
             let more: Vec<_> = waits.iter().filter(|w| w.on == at && by.insert(w.waiter)).collect();
             next.extend(more.iter().map(|w| w.waiter));
         }
-        let why = waits.iter().find(|w| w.on == task).map_or_else(String::new, |w| w.why.clone());
-        found.push(Awaited { task, by: by.into_iter().collect(), why });
+        let longest = waits.iter().filter(|w| w.on == task).max_by_key(|w| w.waited_us);
+        if let Some(wait) = longest.cloned() {
+            found.push(Awaited { task, by: by.into_iter().collect(), wait });
+        }
     }
     found.sort_by_key(|a| std::cmp::Reverse(a.by.len()));
     found

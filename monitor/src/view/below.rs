@@ -1,55 +1,32 @@
-//! The rows below the overview: the most awaited task, the links, and the verdict of the validator.
+//! The row below the overview: the links, and the verdict of the validator.
 
 use super::canvas::{Canvas, columns};
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::name::Name;
 use crate::store::conformance::{Verdict, conformance};
-use crate::store::health::held_back_sentence;
 use crate::theme::Ink;
 use imrs_protocol::NodeId;
 
 /// How many rows at the bottom of the overview these take.
 pub(super) const fn rows(height: u16) -> u16 {
-    match height {
-        0..8 => 0,
-        8..16 => 1,
-        _ => 2,
-    }
+    if height < 8 { 0 } else { 1 }
 }
 
-/// Draws the most awaited task, the links, and the validator's verdict.
+/// Draws the links and the validator's verdict.
 pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let Some(cell) = app.cell().filter(|_| canvas.height() > 0) else { return };
-    let mut waits: Vec<_> = super::awaited(app, &cell, now).into_iter().collect();
-    if let Some((text, ink)) = held_back(app, &cell, now) {
-        let after = if waits.is_empty() { "" } else { ";" };
-        waits.push((format!("{after} {text}"), ink));
-    }
-    if waits.is_empty() {
-        waits.push((" no single blocker".to_owned(), Ink::Dim));
-    }
-    let waits: Vec<_> = waits.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
-    canvas.line(0, &waits);
     // The verdict counts more than the links, so the links get the room that it leaves.
     let verdict = model(app, &cell);
     let width = verdict.iter().map(|(text, _)| columns(text)).fold(0, u16::saturating_add);
     let room = canvas.area.width.saturating_sub(width);
     let mut x = 0;
     for (text, ink) in links(app, &cell, now) {
-        x = canvas.at(x, 1, room.saturating_sub(x), &text, ink);
+        x = canvas.at(x, 0, room.saturating_sub(x), &text, ink);
     }
     for (text, ink) in verdict {
-        x = canvas.at(x, 1, u16::MAX, &text, ink);
+        x = canvas.at(x, 0, u16::MAX, &text, ink);
     }
-}
-
-/// The restarted node with the longest remaining hold-back.
-fn held_back(app: &App, cell: &Name, now: Moment) -> Option<(String, Ink)> {
-    let up = app.store().present(cell).filter(|incarnation| !incarnation.presence(now).is_gone());
-    let held = up.filter_map(|incarnation| Some((incarnation.longest_held_back(now)?, incarnation)));
-    let (us, incarnation) = held.max_by_key(|(us, _)| *us)?;
-    Some((format!("{} {}", incarnation.node, held_back_sentence(us)), Ink::Warn))
 }
 
 /// For each link: active, quiet for how long, or down at one end.

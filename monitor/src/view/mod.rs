@@ -1,5 +1,6 @@
 //! Draws the screens: pure functions of the app and the moment, one screen per file.
 
+mod banner;
 mod below;
 mod canvas;
 mod columns;
@@ -19,14 +20,12 @@ use crate::app::{App, Msg, Screen};
 use crate::clock::{Moment, Span};
 pub use crate::drawn::{Drawn, Hit};
 use crate::name::Name;
+use crate::store::blocked::Blocker;
 use crate::store::health::Finding;
 use crate::store::journal::Severity;
-use crate::store::waits;
 use crate::store::{Condition, Presence};
 use crate::theme::Ink;
 use canvas::{Canvas, columns};
-use imrs_protocol::TaskId;
-use imrs_wire::obs::Liveness;
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
 
@@ -51,12 +50,15 @@ fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let area = canvas.area;
     canvas.buffer.set_style(area, app.theme.style(Ink::Plain));
     head(app, now, canvas);
-    let findings = app.findings(now);
+    let (findings, blockers) = (app.findings(now), app.blockers(now));
     let foot = u16::from(area.height > 2);
     let middle = Rect { y: area.y + 1, height: area.height.saturating_sub(1 + foot), ..area };
     if foot == 1 {
-        self::foot(app, &findings, now, canvas);
+        self::foot(app, &findings, &blockers, now, canvas);
     }
+    let banner = banner::rows(app, &blockers, area.height);
+    banner::draw(app, &findings, &blockers, now, &mut canvas.part(Rect { height: banner, ..middle }));
+    let middle = Rect { y: middle.y + banner, height: middle.height - banner, ..middle };
     let told = app.replay().map_or(0, |player| replay::rows(player, middle.height));
     let (middle, panel) = (
         Rect { height: middle.height - told, ..middle },
@@ -69,7 +71,7 @@ fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     match app.screen {
         Screen::Help => help::draw(app, &mut canvas),
         _ if app.cell().is_none() => nothing(app, &mut canvas),
-        Screen::Overview => overview::draw(app, &findings, now, &mut canvas),
+        Screen::Overview => overview::draw(app, &findings, &blockers, now, &mut canvas),
         Screen::Port => port::draw(app, now, &mut canvas),
         Screen::Message => message::draw(app, now, &mut canvas),
         Screen::Rendezvous => rendezvous::draw(app, now, &mut canvas),
@@ -245,7 +247,7 @@ fn nodes(app: &App, now: Moment) -> (usize, usize) {
     (up, known.max(store.incarnations_of(&cell).filter(|l| l.condition == Condition::Attached).count()))
 }
 
-fn foot(app: &App, findings: &[Finding], now: Moment, canvas: &mut Canvas<'_>) {
+fn foot(app: &App, findings: &[Finding], blockers: &[Blocker], now: Moment, canvas: &mut Canvas<'_>) {
     let y = canvas.height() - 1;
     if app.typing {
         canvas.line(y, &[(" /", Ink::Head), (app.filter(), Ink::Plain), ("_", Ink::Plain)]);
@@ -282,7 +284,7 @@ fn foot(app: &App, findings: &[Finding], now: Moment, canvas: &mut Canvas<'_>) {
     }
     if let Some(trouble) = app.store().troubles().next() {
         pieces.push((format!(" ! {trouble}"), Ink::Warn));
-    } else if let Some(worst) = findings.first().filter(|f| f.level >= Severity::Warn) {
+    } else if let Some(worst) = root(findings, blockers).filter(|f| f.level >= Severity::Warn) {
         let place = overview::label(app, worst.place);
         let ink = if worst.level == Severity::Bad { Ink::Bad } else { Ink::Warn };
         pieces.push((format!(" {} {place}: {}", mark(worst.level), worst.text), ink));
@@ -293,41 +295,10 @@ fn foot(app: &App, findings: &[Finding], now: Moment, canvas: &mut Canvas<'_>) {
     canvas.line(y, &pieces);
 }
 
-/// The most awaited tasks of a cell and the kind of wait: the first question when nothing moves.
-fn awaited(app: &App, cell: &Name, now: Moment) -> Option<(String, Ink)> {
-    let store = app.store();
-    let names = store.names(cell)?;
-    let found = waits::awaited(store, cell, now);
-    let first = found.first()?;
-    let same: Vec<TaskId> = found.iter().filter(|a| a.by == first.by).map(|a| a.task).collect();
-    let incarnation = |task| names.home(task).and_then(|node| store.latest(cell, node));
-    let told = |task: &TaskId| {
-        let node = names.home(*task).map_or_else(String::new, |node| format!("@{}", names.node(node)));
-        let gone = incarnation(*task)
-            .map(|incarnation| incarnation.presence(now))
-            .filter(|presence| presence.is_gone());
-        let runs =
-            incarnation(*task).and_then(|l| l.task(*task)).is_none_or(|t| t.liveness == Liveness::Alive);
-        let state = match (gone, runs) {
-            (Some(gone), _) => format!(", {gone}"),
-            (None, false) => ", no longer running".to_owned(),
-            (None, true) => String::new(),
-        };
-        (format!("{}{node}{state}", names.task(*task)), state.is_empty())
-    };
-    let whom: Vec<_> = same.iter().take(3).map(told).collect();
-    let ink = if whom.iter().all(|(_, runs)| *runs) { Ink::Warn } else { Ink::Bad };
-    let whom: Vec<_> = whom.into_iter().map(|(text, _)| text).collect();
-    let few: Vec<_> = first.by.iter().take(4).map(|task| names.task(*task).to_string()).collect();
-    let few = few.join(", ") + if first.by.len() > 4 { ", ..." } else { "" };
-    let sign = app.theme.glyphs.arrow;
-    let everybody = first.by.len() > 1 && first.by.len() + same.len() >= names.tasks.len();
-    let text = match (everybody, first.by.len()) {
-        (true, _) => format!(" {sign} ALL TASKS wait for {} ({}): {few}", whom.join(", "), first.why),
-        (false, 1) => format!(" {sign} {few} waits for {} ({})", whom.join(", "), first.why),
-        (false, many) => format!(" {sign} {many} tasks wait for {} ({}): {few}", whom.join(", "), first.why),
-    };
-    Some((text, ink))
+/// The most severe finding that is no consequence of a block.
+fn root<'a>(findings: &'a [Finding], blockers: &[Blocker]) -> Option<&'a Finding> {
+    let is_root = |finding: &&Finding| !blockers.iter().any(|blocker| blocker.explains(finding));
+    findings.iter().find(is_root).or_else(|| findings.first())
 }
 
 /// The sign of a severity.

@@ -6,6 +6,7 @@ use super::{Hit, below, mark};
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::rows::{Row, Sort};
+use crate::store::blocked::Blocker;
 use crate::store::health::{Finding, Place, held_back_words};
 use crate::store::journal::Severity;
 use crate::store::meeting::state;
@@ -18,7 +19,13 @@ use std::time::Duration;
 /// Name, state, queue, slack, rate, expired, overflow, rejected, re-sent, timed out, health.
 type Cells = [(String, Ink); 11];
 
-pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, canvas: &mut Canvas<'_>) {
+pub(super) fn draw(
+    app: &App,
+    findings: &[Finding],
+    blockers: &[Blocker],
+    now: Moment,
+    canvas: &mut Canvas<'_>,
+) {
     let rows = app.rows(findings, now);
     let selected = app.selected(&rows);
     let (columns, shown) = columns(canvas.area.width);
@@ -56,7 +63,8 @@ pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, canvas: &mut Ca
     canvas.list(height, rows.len());
     // Only visible rows are built, so that a cell of ten thousand ports costs no more.
     for (y, (i, row)) in (1..).zip(rows.iter().enumerate().skip(first).take(height)) {
-        let cells = cells(app, row, findings, canvas.area.width, now);
+        let mut cells = cells(app, row, findings, canvas.area.width, now);
+        accuse(app, row, findings, blockers, canvas.area.width, &mut cells);
         let cells: Vec<_> = shown.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
         if i == selected {
             canvas.at(0, y, 1, app.theme.glyphs.selected, Ink::Head);
@@ -319,6 +327,40 @@ fn port(
     }
     cells[4] = (per_second(incarnation.rate(task.view.task, view.port)), Ink::Plain);
     counts(cells, &counted(app, incarnation, task.view.task, view));
+}
+
+/// Marks the row of what blocks the cell, and those of the tasks that it holds.
+fn accuse(app: &App, row: &Row, findings: &[Finding], blockers: &[Blocker], width: u16, cells: &mut Cells) {
+    let mut alarming = blockers.iter().filter(|blocker| blocker.is_alarming());
+    // What only follows from a block is not as loud as its cause.
+    let worst = findings.iter().find(|finding| row.place.holds(&finding.place));
+    if worst.is_some_and(|worst| blockers.iter().any(|blocker| blocker.explains(worst))) {
+        cells[HEALTH_CELL].1 = Ink::Warn;
+    }
+    let is_shown_within = |blocker: &Blocker| row.open && row.place != blocker.place;
+    if let Some(blocker) =
+        alarming.clone().find(|blocker| blocker.is_within(&row.place) && !is_shown_within(blocker))
+    {
+        cells[0].1 = Ink::Alarm;
+        let names = app.cell().and_then(|cell| app.store().names(&cell));
+        let all = names.map_or(0, |names| names.tasks.len());
+        // A finding of its own says more than the number of tasks that wait.
+        if width >= 60 && !blocker.by.is_empty() && row.depth == 1 {
+            let own = findings.iter().find(|f| row.place.holds(&f.place) && !blocker.explains(f));
+            let own = own.map_or_else(String::new, |f| format!("; {}", f.text));
+            let text = format!("{} holds {} of {all}{own}", mark(blocker.level), blocker.by.len());
+            cells[HEALTH_CELL] = (text, Ink::Bad);
+        }
+        return;
+    }
+    // A row of a port has its own findings.
+    let Some(blocker) = alarming.find(|blocker| row.depth == 1 && blocker.holds(&row.place)) else { return };
+    let worst = findings.iter().find(|f| row.place.holds(&f.place) && !blocker.explains(f));
+    if worst.is_none() {
+        let text = if width < 60 { String::new() } else { format!(" held by {}", blocker.name) };
+        cells[HEALTH_CELL] = (format!("!{text}"), Ink::Warn);
+    }
+    cells[0].1 = Ink::Warn;
 }
 
 /// The most severe finding within a row; on a narrow screen only its sign.

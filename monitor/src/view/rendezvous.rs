@@ -29,7 +29,7 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
 
 fn cards(app: &App, now: Moment, width: u16) -> Vec<Line> {
     let Some(cell) = app.cell() else { return Vec::new() };
-    let mut lines = who(app, &cell, now);
+    let mut lines = Vec::new();
     let cycles = cycles(app.store(), &cell, now);
     let in_cycle = |task: TaskId| cycles.iter().any(|cycle| cycle.tasks.contains(&task));
     for cycle in &cycles {
@@ -52,11 +52,6 @@ fn cards(app: &App, now: Moment, width: u16) -> Vec<Line> {
         lines.extend(past(app, &cell, meeting, width));
     }
     lines
-}
-
-/// The most awaited task, in one line.
-fn who(app: &App, cell: &Name, now: Moment) -> Vec<Line> {
-    super::awaited(app, cell, now).map(|text| vec![text]).into_iter().collect()
 }
 
 /// The statistics of the last rounds.

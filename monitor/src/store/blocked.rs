@@ -1,0 +1,278 @@
+//! What blocks a cell: the awaited tasks, the wait-for cycles and the dead nodes, most severe first. It also tells which
+//! findings are only consequences of a block.
+
+use super::health::{Finding, Place};
+use super::journal::Severity;
+use super::meeting::doing;
+use super::rounds::history;
+use super::waits::{Awaited, awaited, cycles};
+use super::{Names, Presence, Store, unseen};
+use crate::clock::{Moment, micros};
+use crate::name::Name;
+use imrs_protocol::{NodeId, PortId, TaskId};
+use imrs_wire::obs::Liveness;
+use std::time::Duration;
+
+/// A shorter wait is no block. Without this bound the banner would flicker with every message.
+const SETTLED: Duration = Duration::from_millis(500);
+/// With fewer complete rounds a rendezvous has no usual time.
+const A_RULE: usize = 5;
+/// What follows from a block, if it is found at a task that waits.
+const CONSEQUENCES: &[&str] =
+    &["rendezvous-lost-member", "rendezvous-stuck", "within-margin", "time-outs", "deadline-risk", "expired"];
+
+/// The kind of a block.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Tasks wait for these ones.
+    Awaited,
+    /// Tasks wait for each other.
+    Cycle,
+    /// A node or a task is gone, and no task waits for it at the moment.
+    Lost,
+}
+
+/// A block: the tasks that cause it, and the tasks that it holds.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Blocker {
+    /// Its kind.
+    pub kind: Kind,
+    /// Its severity. [`Severity::Note`]: a wait that is not longer than usual.
+    pub level: Severity,
+    /// The tasks that cause it. Several if the same tasks wait for each of them.
+    pub tasks: Vec<TaskId>,
+    /// Where the first of them is.
+    pub place: Place,
+    /// Their names: `belt@nd`, or of a lost node `nd`.
+    pub name: String,
+    /// What the first of them does: `DEAD 9s`, `receive halt`.
+    pub state: String,
+    /// The tasks that wait, directly or indirectly, ascending.
+    pub by: Vec<TaskId>,
+    /// The kind of the longest wait: `waitfor lift`.
+    pub why: String,
+    /// The length of the longest wait, in microseconds.
+    pub waited_us: Option<u64>,
+    /// The 99th percentile of the time that such a wait takes, in microseconds.
+    pub usual_us: Option<u64>,
+}
+
+impl Blocker {
+    /// Whether it is more than a usual wait.
+    #[must_use]
+    pub fn is_alarming(&self) -> bool {
+        self.level >= Severity::Warn
+    }
+
+    /// Whether a place contains its cause.
+    #[must_use]
+    pub fn is_within(&self, place: &Place) -> bool {
+        place.holds(&self.place)
+    }
+
+    /// Whether it holds the task of a place.
+    #[must_use]
+    pub fn holds(&self, place: &Place) -> bool {
+        self.kind == Kind::Awaited && place.task.is_some_and(|task| self.by.contains(&task))
+    }
+
+    /// Whether a finding is only a consequence of it.
+    #[must_use]
+    pub fn explains(&self, finding: &Finding) -> bool {
+        self.is_alarming() && self.holds(&finding.place) && CONSEQUENCES.contains(&finding.code)
+    }
+}
+
+/// The blocks of a cell that have lasted half a second or longer, most severe first.
+#[must_use]
+pub fn blockers(store: &Store, cell: &Name, now: Moment) -> Vec<Blocker> {
+    let Some(names) = store.names(cell) else { return Vec::new() };
+    let look = Look { store, cell, names, now };
+    let mut found: Vec<Blocker> =
+        cycles(store, cell, now).into_iter().filter_map(|cycle| look.cycle(&cycle.tasks)).collect();
+    let mut all = awaited(store, cell, now);
+    // The same tasks may wait for several ones. If one of those is gone, it is the cause.
+    all.sort_by_key(|one| (std::cmp::Reverse(look.is_gone(one.task)), std::cmp::Reverse(one.by.len())));
+    while !all.is_empty() {
+        let first = all.remove(0);
+        let gone = look.is_gone(first.task);
+        let (same, rest): (Vec<_>, Vec<_>) = all.into_iter().partition(|one| one.by == first.by);
+        let tasks = same.iter().map(|one| one.task).filter(|task| look.is_gone(*task) == gone);
+        let tasks = std::iter::once(first.task).chain(tasks).collect();
+        found.extend(look.awaited(&first, tasks));
+        all = rest;
+    }
+    let lost = look.lost(&found);
+    found.extend(lost);
+    found.sort_by_key(|one| std::cmp::Reverse((one.level, one.by.len())));
+    found
+}
+
+struct Look<'a> {
+    store: &'a Store,
+    cell: &'a Name,
+    names: &'a Names,
+    now: Moment,
+}
+
+impl Look<'_> {
+    fn place(&self, node: NodeId, task: Option<TaskId>) -> Place {
+        let incarnation = self.store.latest(self.cell, node);
+        Place {
+            node: incarnation.map(|l| l.id).ok_or(node),
+            task: task.filter(|_| incarnation.is_some()),
+            port: None,
+        }
+    }
+
+    fn presence(&self, task: TaskId) -> Option<Presence> {
+        let node = self.names.home(task)?;
+        Some(self.store.latest(self.cell, node)?.presence(self.now))
+    }
+
+    /// Whether a task or its node has ended.
+    fn is_gone(&self, task: TaskId) -> bool {
+        let Some(node) = self.names.home(task) else { return false };
+        let Some(incarnation) = self.store.latest(self.cell, node) else { return self.is_killed(node) };
+        incarnation.presence(self.now).is_gone()
+            || incarnation.task(task).is_some_and(|task| task.liveness != Liveness::Alive)
+    }
+
+    /// Whether a node that was never seen left its socket behind.
+    fn is_killed(&self, node: NodeId) -> bool {
+        super::is_killed(self.store, self.cell, &self.names.node(node))
+    }
+
+    fn title(&self, task: TaskId) -> String {
+        let node =
+            self.names.home(task).map_or_else(String::new, |node| format!("@{}", self.names.node(node)));
+        format!("{}{node}", self.names.task(task))
+    }
+
+    fn state(&self, task: TaskId) -> String {
+        let node = self.names.home(task);
+        let incarnation = node.and_then(|node| self.store.latest(self.cell, node));
+        match (self.presence(task), incarnation) {
+            (Some(Presence::Up), Some(incarnation)) => doing(incarnation, task, self.now),
+            (Some(presence), _) => presence.brief(),
+            _ if node.is_some_and(|node| self.is_killed(node)) => "DEAD".to_owned(),
+            _ => "never seen".to_owned(),
+        }
+    }
+
+    fn awaited(&self, awaited: &Awaited, tasks: Vec<TaskId>) -> Option<Blocker> {
+        let wait = &awaited.wait;
+        let usual_us = self.usual(wait.port);
+        let gone = self.is_gone(awaited.task);
+        let has_settled = match self.presence(awaited.task) {
+            Some(Presence::Dead(since) | Presence::Stopped(since)) => since >= SETTLED,
+            _ if gone => true,
+            _ => wait.waited_us.is_some_and(|us| us >= micros(SETTLED)),
+        };
+        let is_long = match (wait.waited_us, usual_us, wait.time_out_us) {
+            (Some(waited), Some(usual), _) => waited > usual,
+            (Some(waited), None, Some(whole)) => waited > whole / 4 * 3,
+            _ => false,
+        };
+        let is_silent = matches!(self.presence(awaited.task), Some(Presence::Silent(_)));
+        let level = match (gone, is_long || is_silent) {
+            (true, _) => Severity::Bad,
+            (false, true) => Severity::Warn,
+            (false, false) => Severity::Note,
+        };
+        let few: Vec<String> = tasks.iter().take(2).map(|task| self.title(*task)).collect();
+        let more = if tasks.len() > 2 { format!(" +{}", tasks.len() - 2) } else { String::new() };
+        has_settled.then(|| Blocker {
+            kind: Kind::Awaited,
+            level,
+            place: self.task_place(awaited.task),
+            name: few.join(", ") + &more,
+            state: self.state(awaited.task),
+            tasks,
+            by: awaited.by.clone(),
+            why: wait.why.clone(),
+            waited_us: wait.waited_us,
+            usual_us,
+        })
+    }
+
+    fn task_place(&self, task: TaskId) -> Place {
+        self.place(self.names.home(task).unwrap_or_default(), Some(task))
+    }
+
+    /// The 99th percentile of the time in which a rendezvous gathers.
+    fn usual(&self, port: PortId) -> Option<u64> {
+        let members = self.names.port(port)?.parties.len();
+        let told = history(self.store, self.cell, port)?.summary(members);
+        told.gather_p99_us.filter(|_| told.done >= A_RULE)
+    }
+
+    fn cycle(&self, tasks: &[TaskId]) -> Option<Blocker> {
+        let first = *tasks.first()?;
+        let few: Vec<String> = tasks.iter().take(3).map(|task| self.title(*task)).collect();
+        Some(Blocker {
+            kind: Kind::Cycle,
+            level: Severity::Bad,
+            tasks: tasks.to_vec(),
+            place: self.task_place(first),
+            name: few.join(", "),
+            state: "only a time_out ends it".to_owned(),
+            by: tasks.to_vec(),
+            why: "wait-for cycle".to_owned(),
+            waited_us: None,
+            usual_us: None,
+        })
+    }
+
+    /// The dead nodes and panicked tasks that are not among `found`.
+    fn lost(&self, found: &[Blocker]) -> Vec<Blocker> {
+        let mut lost = Vec::new();
+        let is_named = |place: &Place| {
+            found.iter().any(|one| one.tasks.iter().any(|task| place.holds(&self.task_place(*task))))
+        };
+        for incarnation in self.store.present(self.cell) {
+            let node = self.place(incarnation.node_id, None);
+            match incarnation.presence(self.now) {
+                Presence::Dead(since) if since >= SETTLED && !is_named(&node) => {
+                    lost.push(self.loss(node, incarnation.node.to_string(), Presence::Dead(since).brief()));
+                }
+                Presence::Dead(_) | Presence::Stopped(_) => {}
+                Presence::Up | Presence::Silent(_) => {
+                    let crashed =
+                        incarnation.tasks().iter().filter(|task| task.liveness == Liveness::Crashed);
+                    for task in crashed.map(|task| task.view.task) {
+                        let place = self.task_place(task);
+                        if !is_named(&place) {
+                            lost.push(self.loss(place, self.title(task), "CRASHED".to_owned()));
+                        }
+                    }
+                }
+            }
+        }
+        for one in unseen(self.store, self.cell).into_iter().filter(|one| one.is_killed) {
+            let place = self.place(one.node, None);
+            if !is_named(&place) {
+                lost.push(self.loss(place, one.name.to_string(), "DEAD".to_owned()));
+            }
+        }
+        lost
+    }
+
+    fn loss(&self, place: Place, name: String, state: String) -> Blocker {
+        let node = place.node.map_or_else(Some, |id| self.store.incarnation(id).map(|l| l.node_id));
+        let all = (0..self.names.tasks.len()).map(TaskId::from_index);
+        let here = all.filter(|task| place.task.map_or(self.names.home(*task) == node, |one| one == *task));
+        Blocker {
+            kind: Kind::Lost,
+            level: Severity::Bad,
+            tasks: here.collect(),
+            place,
+            name,
+            state,
+            by: Vec::new(),
+            why: String::new(),
+            waited_us: None,
+            usual_us: None,
+        }
+    }
+}

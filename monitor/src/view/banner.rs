@@ -1,0 +1,100 @@
+//! The banner below the header of every screen: what blocks the cell, how long, and which tasks it holds.
+
+use super::canvas::{Canvas, columns};
+use crate::app::App;
+use crate::clock::{Moment, Span};
+use crate::drawn::Hit;
+use crate::name::Name;
+use crate::store::Names;
+use crate::store::blocked::{Blocker, Kind};
+use crate::store::health::{Finding, held_back_sentence};
+use crate::store::journal::Severity;
+use crate::theme::Ink;
+
+/// How many rows it takes. On a very low screen only an alarm has room.
+pub(super) fn rows(app: &App, blockers: &[Blocker], height: u16) -> u16 {
+    let alarm = blockers.first().is_some_and(Blocker::is_alarming);
+    u16::from(app.cell().is_some() && (height >= 8 || (height >= 3 && alarm)))
+}
+
+/// Draws it. A click on it leads to the culprit.
+pub(super) fn draw(
+    app: &App,
+    findings: &[Finding],
+    blockers: &[Blocker],
+    now: Moment,
+    canvas: &mut Canvas<'_>,
+) {
+    let Some(cell) = app.cell().filter(|_| canvas.height() > 0) else { return };
+    let Some(names) = app.store().names(&cell) else { return };
+    let Some(first) = blockers.first() else {
+        let (text, ink) = match held_back(app, &cell, now) {
+            Some(text) => (text, Ink::Warn),
+            // In the half second before a block is shown, its findings already deny this.
+            None if findings.iter().any(|finding| finding.level == Severity::Bad) => return,
+            None => (" no single blocker".to_owned(), Ink::Dim),
+        };
+        canvas.line(0, &[(text.as_str(), ink)]);
+        return;
+    };
+    let ink = ink(first.level);
+    let width = canvas.area.width;
+    let forms = forms(first, names, blockers.len() - 1);
+    let shortest = forms.len() - 1;
+    let text = forms.iter().find(|form| columns(form) <= width).unwrap_or(&forms[shortest]);
+    let end = canvas.at(0, 0, width, text, ink);
+    if ink == Ink::Alarm {
+        canvas.at(end, 0, width, &" ".repeat(width.saturating_sub(end).into()), ink);
+    }
+    canvas.target(0, 0, width, Hit::Place(first.place));
+}
+
+const fn ink(level: Severity) -> Ink {
+    match level {
+        Severity::Bad => Ink::Alarm,
+        Severity::Warn => Ink::Warn,
+        Severity::Note | Severity::Trace => Ink::Dim,
+    }
+}
+
+/// The texts, longest first. Each names the culprit first, so that a cut text names it too.
+fn forms(blocker: &Blocker, names: &Names, others: usize) -> Vec<String> {
+    let Blocker { name, state, .. } = blocker;
+    let title = match (blocker.kind, blocker.is_alarming()) {
+        (Kind::Cycle, _) => "WAIT CYCLE",
+        (Kind::Lost, _) => "LOST",
+        (Kind::Awaited, true) => "BLOCKED BY",
+        (Kind::Awaited, false) => "waiting for",
+    };
+    let more = if others > 0 { format!("  +{others} more") } else { String::new() };
+    if blocker.kind == Kind::Lost {
+        return vec![
+            format!(" {title} {name} - {state} - holds no task now{more}  b: go there"),
+            format!(" {title} {name} - {state} - holds no task now{more}"),
+            format!(" {title} {name} - {state}"),
+        ];
+    }
+    let (held, all) = (blocker.by.len(), names.tasks.len());
+    let few: Vec<_> = blocker.by.iter().take(4).map(|task| names.task(*task).to_string()).collect();
+    let few = few.join(", ") + if held > 4 { ", ..." } else { "" };
+    let why = &blocker.why;
+    let port = why.rsplit(' ').next().unwrap_or(why);
+    let waited = blocker.waited_us.map_or_else(String::new, |us| format!(" for {}", Span::micros(us)));
+    let usual = blocker.usual_us.map_or_else(String::new, |us| format!(", p99 {}", Span::micros(us)));
+    vec![
+        format!(
+            " {title} {name} - {state} - holds {held} of {all}{waited}{usual} ({why}): {few}{more}  b: go there"
+        ),
+        format!(" {title} {name} - {state} - holds {held} of {all}{waited}{usual} ({why}){more}"),
+        format!(" {title} {name} - {state} - holds {held} of {all} ({port}){more}"),
+        format!(" {title} {name} {state} {held}/{all}"),
+    ]
+}
+
+/// The restarted node with the longest remaining hold-back.
+fn held_back(app: &App, cell: &Name, now: Moment) -> Option<String> {
+    let up = app.store().present(cell).filter(|incarnation| !incarnation.presence(now).is_gone());
+    let held = up.filter_map(|incarnation| Some((incarnation.longest_held_back(now)?, incarnation)));
+    let (us, incarnation) = held.max_by_key(|(us, _)| *us)?;
+    Some(format!(" {} {}", incarnation.node, held_back_sentence(us)))
+}

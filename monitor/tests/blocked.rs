@@ -1,0 +1,225 @@
+//! Tests of the banner: what blocks the cell is named on every screen, neither too early nor too loudly.
+
+use crate::common::{BEAT, LIFT, Stage, at, beam, left, ms, snapshot};
+use crossterm::event::{KeyCode, KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
+use imrs_monitor::app::{Msg, Screen};
+use imrs_monitor::source::Feed;
+use imrs_monitor::store::blocked::{Blocker, Kind, blockers};
+use imrs_monitor::store::health::findings;
+use imrs_monitor::store::journal::Severity;
+use imrs_monitor::theme::Theme;
+use imrs_protocol::{Event, MeetingState, TaskId, TaskState, Ticks};
+use imrs_wire::obs::{Liveness, ServerFrame};
+use std::time::Duration;
+
+const SIZES: [(u16, u16); 5] = [(40, 12), (64, 20), (80, 24), (120, 40), (200, 60)];
+
+fn blocked(stage: &Stage, now: Duration) -> Vec<Blocker> {
+    blockers(stage.app.store(), &beam(), now)
+}
+
+/// The second line of the screen.
+fn banner(stage: &Stage, now: Duration, width: u16) -> String {
+    stage.text(now, width, 24).lines().nth(1).unwrap_or_default().to_owned()
+}
+
+/// Both arms have waited for the hoist since `waited`, at 1 s.
+fn waiting(waited: Duration) -> Stage {
+    let mut stage = Stage::cell(Theme::ASCII);
+    for node in 0..2 {
+        let mut after = snapshot(node);
+        let patience = Ticks(1_000_000 - waited.as_micros() as u64);
+        after.tasks[0].view.meetings[0].remaining = Some(patience);
+        stage.frame(ms(1_000), node, ServerFrame::Snapshot(after));
+    }
+    stage
+}
+
+#[test]
+fn a_wait_is_shown_after_half_a_second_and_alarms_when_it_is_longer_than_usual() {
+    let stage = waiting(ms(100));
+    assert_eq!(blocked(&stage, ms(1_300)), []);
+    assert_eq!(banner(&stage, ms(1_300), 120), " no single blocker");
+    let found = blocked(&stage, ms(1_450));
+    assert_eq!(found.len(), 1);
+    assert_eq!((found[0].kind, found[0].level), (Kind::Awaited, Severity::Note));
+    assert_eq!(found[0].by, [TaskId(0), TaskId(1)]);
+    let shown = banner(&stage, ms(1_450), 120);
+    assert!(shown.starts_with(" waiting for hoist@nh - receive halt - holds 2 of 3 for 5"), "{shown}");
+    // Without a history, three quarters of the time_out are too long.
+    let shown = banner(&stage, ms(1_700), 120);
+    assert!(shown.starts_with(" BLOCKED BY hoist@nh - receive halt - holds 2 of 3 for 80"), "{shown}");
+}
+
+#[test]
+fn the_usual_time_of_a_meeting_is_that_of_its_own_rounds() {
+    let mut stage = waiting(ms(100));
+    for round in 0..6 {
+        for (node, after) in [(0, 0), (1, 10), (2, 550)] {
+            let start = 100 * u64::from(round);
+            let reached = left(Event::Reached, LIFT, node, round, 1_000);
+            let released = left(Event::ReleasedComplete, LIFT, node, round, 400);
+            let list = [(start + after, reached), (start + 560, released)];
+            stage.frame(ms(1_000), node.into(), ServerFrame::Events(at(node.into(), &list)));
+        }
+    }
+    let found = blocked(&stage, ms(1_450));
+    let usual = found[0].usual_us.expect("six rounds");
+    assert!((500_000..600_000).contains(&usual), "{usual}");
+    assert_eq!(found[0].level, Severity::Note);
+    let late = ms(1_000) + Duration::from_micros(usual) - ms(100) + ms(5);
+    assert_eq!(blocked(&stage, late)[0].level, Severity::Warn);
+    let shown = banner(&stage, late, 120);
+    assert!(shown.starts_with(" BLOCKED BY hoist@nh") && shown.contains(", p99 5"), "{shown}");
+}
+
+#[test]
+fn a_dead_node_is_named_half_a_second_after_its_death_and_not_the_ones_that_may_still_come() {
+    let mut stage = waiting(ms(700));
+    // The right arm has not arrived either, but it still can.
+    let mut right = snapshot(1);
+    right.tasks[0].view.state = TaskState::Running;
+    right.tasks[0].view.meetings[0].state = MeetingState::Away;
+    stage.frame(ms(1_000), 1, ServerFrame::Snapshot(right));
+    let mut arm = snapshot(0);
+    arm.tasks[0].view.meetings[0].members[1].arrived = false;
+    stage.frame(ms(1_000), 0, ServerFrame::Snapshot(arm));
+    stage.lose(ms(1_100), 2);
+    assert!(!banner(&stage, ms(1_500), 120).contains("DEAD"));
+    let shown = banner(&stage, ms(10_200), 120);
+    assert!(shown.starts_with(" BLOCKED BY hoist@nh - DEAD 9s - holds 1 of 3"), "{shown}");
+    assert!(!shown.contains("armR@nr"), "{shown}");
+}
+
+#[test]
+fn a_dead_node_for_which_no_task_waits_is_named_too() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    for node in 0..2 {
+        let mut after = snapshot(node);
+        after.tasks[0].view.state = TaskState::Running;
+        after.tasks[0].view.meetings[0].state = MeetingState::Away;
+        after.tasks[0].view.meetings[0].remaining = None;
+        stage.frame(ms(1_000), node, ServerFrame::Snapshot(after));
+    }
+    stage.lose(ms(1_100), 2);
+    assert_eq!(banner(&stage, ms(3_200), 80), " LOST nh - DEAD 2s - holds no task now  b: go there");
+    let mut crashed = Stage::cell(Theme::ASCII);
+    let mut after = snapshot(0);
+    after.tasks[0].liveness = Liveness::Crashed;
+    crashed.frame(ms(1_000), 0, ServerFrame::Snapshot(after));
+    let names: Vec<_> = blocked(&crashed, ms(1_700)).into_iter().map(|b| (b.kind, b.name)).collect();
+    assert!(names.contains(&(Kind::Lost, "armL@nl".to_owned())), "{names:?}");
+    // A node that said goodbye blocks only those that wait for it.
+    crashed.feed(ms(1_000), 7, Feed::Stale { cell: "beam-lift".into(), node: "nx".into() });
+    assert!(blocked(&crashed, ms(1_700)).iter().all(|b| b.name != "nx"));
+}
+
+#[test]
+fn a_cycle_is_named_as_a_cycle() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    let mut left = snapshot(0);
+    left.tasks[0].view.meetings[0].members[1].arrived = false;
+    stage.frame(ms(3_000), 0, ServerFrame::Snapshot(left));
+    let mut right = snapshot(1);
+    let view = &mut right.tasks[0].view;
+    view.state = TaskState::Receiving { port: Some(BEAT), remaining: None };
+    view.meetings[0].state = MeetingState::Away;
+    let beat = view.ports.iter_mut().find(|p| p.port == BEAT).unwrap();
+    (beat.len, beat.min_slack) = (0, None);
+    beat.queue.clear();
+    stage.frame(ms(3_000), 1, ServerFrame::Snapshot(right));
+    stage.frame(ms(3_000), 2, ServerFrame::Snapshot(snapshot(2)));
+    let shown = banner(&stage, ms(3_050), 120);
+    assert!(shown.starts_with(" WAIT CYCLE armL@nl, armR@nr - only a time_out ends it"), "{shown}");
+}
+
+/// Ten seconds after a death, whichever screen is shown at whichever size: the culprit and its state are in words.
+#[test]
+fn ten_seconds_after_a_death_every_screen_names_the_culprit() {
+    let dead = ms(1_500);
+    let keys = ["1", "2l", "2l\n", "3", "4", "5", "6", "7", "?"];
+    for theme in Theme::ALL {
+        for (width, height) in SIZES {
+            for keys in keys {
+                let mut stage = Stage::busy(theme);
+                stage.lose(dead, 2);
+                stage.typed(dead, (width, height), keys);
+                let shown = stage.text(dead + ms(10_000), width, height);
+                let named = |line: &str| line.contains("BLOCKED BY hoist@nh") && line.contains("DEAD 10s");
+                assert!(shown.lines().any(named), "{keys} at {width}x{height}: {shown}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_key_and_a_click_lead_to_the_culprit() {
+    let place = |stage: &Stage| {
+        let rows = stage.app.rows(&[], ms(3_000));
+        let row = rows[stage.app.selected(&rows)];
+        (stage.app.screen, row.place.task)
+    };
+    let hoist = (Screen::Overview, Some(TaskId(2)));
+    for keys in ["3\n", "5\n", "7\n", "6b", "4b", "1b"] {
+        let mut stage = Stage::busy(Theme::ASCII);
+        stage.lose(ms(1_500), 2);
+        stage.typed(ms(3_000), (80, 24), keys);
+        assert_eq!(place(&stage), hoist, "{keys}");
+    }
+    let mut stage = Stage::busy(Theme::ASCII);
+    stage.lose(ms(1_500), 2);
+    // The filter hides the row, and so does a folded node.
+    stage.typed(ms(3_000), (80, 24), "/armL\n6");
+    let kind = MouseEventKind::Down(MouseButton::Left);
+    stage
+        .app
+        .update(Msg::Mouse(MouseEvent { kind, column: 5, row: 1, modifiers: KeyModifiers::NONE }), ms(3_000));
+    assert_eq!(place(&stage), hoist);
+    assert_eq!(stage.app.filter(), "");
+    stage.key(ms(3_000), KeyCode::Left);
+    stage.key(ms(3_000), KeyCode::Left);
+    assert_eq!(place(&stage).1, None, "the node is folded");
+    stage.keys(ms(3_000), "b");
+    assert_eq!(place(&stage), hoist);
+    let mut calm = waiting(ms(100));
+    calm.keys(ms(1_200), "3b");
+    assert_eq!(calm.app.screen, Screen::Rendezvous);
+    assert!(calm.text(ms(1_200), 80, 24).lines().last().unwrap().contains("no single blocker"));
+}
+
+#[test]
+fn the_culprit_is_the_loudest_row_and_the_held_tasks_are_only_warned_of() {
+    let mut stage = Stage::busy(Theme::COLOUR);
+    stage.lose(ms(1_500), 2);
+    let buffer = stage.draw(ms(3_000), 120, 40);
+    let shown = crate::common::text(&buffer);
+    let row = |word: &str| {
+        shown.lines().position(|l| l.trim_start().starts_with(&format!("▾ {word}"))).unwrap() as u16
+    };
+    let colour = |y: u16| (buffer[(6, y)].fg, buffer[(6, y)].bg);
+    let alarm = Theme::COLOUR.style(imrs_monitor::theme::Ink::Alarm);
+    assert_eq!(colour(row("hoist")), (alarm.fg.unwrap(), alarm.bg.unwrap()));
+    let warn = Theme::COLOUR.style(imrs_monitor::theme::Ink::Warn).fg.unwrap();
+    for arm in ["armL", "armR"] {
+        assert_eq!(colour(row(arm)).0, warn, "{arm}");
+    }
+    assert!(shown.lines().nth(row("hoist").into()).unwrap().contains("!! holds 2 of 3"), "{shown}");
+}
+
+#[test]
+fn what_follows_from_a_block_is_told_apart_from_its_cause() {
+    let mut stage = Stage::busy(Theme::ASCII);
+    stage.lose(ms(1_500), 2);
+    let now = ms(3_000);
+    let found = findings(stage.app.store(), &beam(), now);
+    let blocked = blocked(&stage, now);
+    let caused = |code: &str| {
+        let of: Vec<_> = found.iter().filter(|f| f.code == code).collect();
+        assert!(!of.is_empty(), "{code}: {found:?}");
+        of.iter().all(|f| blocked.iter().any(|b| b.explains(f)))
+    };
+    assert!(caused("rendezvous-lost-member"));
+    assert!(!caused("node-dead"));
+    let foot = stage.text(now, 120, 24).lines().last().unwrap().to_owned();
+    assert!(foot.starts_with(" !! nh: dead"), "{foot}");
+}
