@@ -4,6 +4,7 @@ mod command;
 mod jump;
 pub mod lanes;
 mod mouse;
+mod problems;
 mod shown;
 mod steer;
 
@@ -15,6 +16,7 @@ use crate::history::History;
 use crate::keys;
 use crate::name::Name;
 use crate::options::Endpoint;
+use crate::problems::ProblemKey;
 use crate::replay::Player;
 use crate::rows::Shape;
 pub use crate::screen::Screen;
@@ -133,6 +135,11 @@ pub struct App {
     chosen_on: Screen,
     /// The selected message of the shown queue. It stays selected while other messages come and go.
     entry: Option<(TaskId, MessageId)>,
+    /// The selected row of the problems.
+    problem: Option<ProblemKey>,
+    /// The code whose page is shown, and the screen on which it was chosen.
+    explained: Option<&'static str>,
+    explained_on: Screen,
     lanes: Lanes,
     /// The user's mark: moment and store to compare with.
     mark: Option<Box<(Moment, Store)>>,
@@ -181,6 +188,9 @@ impl App {
             message: None,
             chosen_on: Screen::Port,
             entry: None,
+            problem: None,
+            explained: None,
+            explained_on: Screen::Problems,
             lanes: Lanes::default(),
             mark: None,
             since_mark: false,

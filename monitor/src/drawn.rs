@@ -1,5 +1,6 @@
 //! The layout of a drawn frame: where a click leads, and how much of a list fitted.
 
+use crate::problems::ProblemKey;
 use crate::rows::Sort;
 use crate::screen::Screen;
 use crate::store::health::Place;
@@ -17,6 +18,8 @@ pub enum Hit {
     Place(Place),
     /// The title of a sortable column.
     Title(Sort),
+    /// A row of the problems.
+    Problem(ProblemKey),
     /// A message of a queue: its source and its id.
     Entry(TaskId, MessageId),
 }

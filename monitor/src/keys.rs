@@ -80,6 +80,8 @@ pub enum Action {
     PreviousMatch,
     /// The next cell.
     Cell,
+    /// Shows the page about a finding's code.
+    Explain,
     /// Goes to what blocks the cell.
     Culprit,
     /// The next theme.
@@ -144,6 +146,11 @@ pub const BINDINGS: &[Binding] = &[
     everywhere(&[key('5')], Action::Show(Screen::Timers), "what runs out when"),
     everywhere(&[key('6')], Action::Show(Screen::Events), "what happened"),
     everywhere(&[key('7')], Action::Show(Screen::Model), "do the nodes do what the model does"),
+    everywhere(
+        &[key('8')],
+        Action::Show(Screen::Problems),
+        "what needs attention, and the nearest deadlines",
+    ),
     everywhere(&[key('?')], Action::Show(Screen::Help), "this help"),
     everywhere(&[key('k'), code(KeyCode::Up)], Action::Up, "up"),
     everywhere(&[key('j'), code(KeyCode::Down)], Action::Down, "down"),
@@ -188,6 +195,13 @@ pub const BINDINGS: &[Binding] = &[
         &[key('b')],
         Action::Culprit,
         "to the task or node that blocks the cell (or click the banner)",
+    ),
+    on(&[Screen::Problems], &[code(KeyCode::Enter)], Action::Enter, "to the place or the message"),
+    on(
+        &[Screen::Problems, Screen::Overview],
+        &[key('x')],
+        Action::Explain,
+        "what the finding of this row means, and what to do",
     ),
     on(&[Screen::Overview], &[code(KeyCode::Enter)], Action::Enter, "open: node, task, port, rendezvous"),
     everywhere(&[code(KeyCode::Esc)], Action::Back, "back; clear the filter"),

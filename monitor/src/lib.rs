@@ -22,6 +22,7 @@ pub mod keys;
 pub mod name;
 mod options;
 mod plain;
+pub mod problems;
 pub mod query;
 pub mod record;
 pub mod replay;

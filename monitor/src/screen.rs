@@ -20,13 +20,17 @@ pub enum Screen {
     Events,
     /// Whether the nodes conform to the model.
     Model,
+    /// Findings and the nearest deadlines, over all nodes.
+    Problems,
+    /// The page about the code of a finding.
+    Explain,
     /// The keys and signs.
     Help,
 }
 
 impl Screen {
     /// All of them.
-    pub const ALL: [Self; 9] = [
+    pub const ALL: [Self; 11] = [
         Self::Overview,
         Self::Port,
         Self::Message,
@@ -35,6 +39,8 @@ impl Screen {
         Self::Timers,
         Self::Events,
         Self::Model,
+        Self::Problems,
+        Self::Explain,
         Self::Help,
     ];
 }

@@ -12,6 +12,7 @@ mod large;
 mod layout;
 mod live;
 mod missing;
+mod problems;
 mod query;
 mod reduce;
 mod replay;

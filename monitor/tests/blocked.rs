@@ -137,7 +137,7 @@ fn a_cycle_is_named_as_a_cycle() {
 #[test]
 fn ten_seconds_after_a_death_every_screen_names_the_culprit() {
     let dead = ms(1_500);
-    let keys = ["1", "2l", "2l\n", "3", "4", "5", "6", "7", "?"];
+    let keys = ["1", "2l", "2l\n", "3", "4", "5", "6", "7", "8", "8x", "?"];
     for theme in Theme::ALL {
         for (width, height) in SIZES {
             for keys in keys {

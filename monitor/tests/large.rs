@@ -67,7 +67,7 @@ fn only_rows_in_sight_are_made() {
 #[test]
 fn every_screen_of_a_hundred_nodes_is_built_from_what_is_in_sight() {
     let attached = stage(Specimen::CELL);
-    for keys in ["1", "1G", "2", "3", "4", "5", "6", "7"] {
+    for keys in ["1", "1G", "2", "3", "4", "5", "6", "7", "8"] {
         let mut stage = Stage { app: attached.app.clone() };
         stage.keys(ms(1_000), keys);
         let mut before = stage.buffer(ms(1_050), 200, 60);

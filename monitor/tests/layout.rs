@@ -24,10 +24,10 @@ fn warned() -> Stage {
 fn from_sixty_columns_on_every_tab_and_the_health_are_visible() {
     for width in 60..=130 {
         let mut stage = warned();
-        for key in ["2", "3", "4", "5", "6", "7", "1"] {
+        for key in ["2", "3", "4", "5", "6", "7", "8", "1"] {
             let shown = stage.typed(NOW, (width, 24), key);
             let head = shown.lines().next().unwrap();
-            for tab in ["1", "2", "3", "4", "5", "6", "7", "?"] {
+            for tab in ["1", "2", "3", "4", "5", "6", "7", "8", "?"] {
                 assert!(head.contains(tab), "{tab} at {width}: {head}");
             }
             assert!(head.contains(&format!("[{key} ")) && head.contains("2/3 nodes"), "{width}: {head}");
@@ -68,7 +68,7 @@ fn the_selected_row_has_one_style() {
 /// On a light terminal, what has no colour of its own would be dark on light, and white text would vanish.
 #[test]
 fn the_contrast_theme_colours_every_cell_itself() {
-    for key in ["1", "2", "3", "4", "5", "6", "7", "?"] {
+    for key in ["1", "2", "3", "4", "5", "6", "7", "8", "?"] {
         let mut stage = Stage::busy(Theme::CONTRAST);
         stage.typed(NOW, (120, 40), key);
         let buffer = stage.draw(NOW, 120, 40);

@@ -241,7 +241,7 @@ fn what_a_node_sends_is_not_trusted() {
     strange.uptime_us = u64::MAX;
     stage.frame(ms(1), 0, ServerFrame::Snapshot(strange));
     assert_eq!(stage.app.cell(), Some(beam()), "a table cannot move a node into another cell");
-    for keys in ["1", "2", "3", "4", "5", "6", "7", "?"] {
+    for keys in ["1", "2", "3", "4", "5", "6", "7", "8", "?"] {
         stage.keys(ms(2), keys);
         let text = stage.text(ms(2), 120, 40);
         assert!(!text.contains(|c: char| c.is_control() && c != '\n' || c == '\u{202e}'), "{text}");
@@ -354,7 +354,7 @@ fn port_of(n: u32) -> imrs_protocol::PortId {
 #[test]
 fn keys_that_end_or_suspend_do_so_everywhere_also_while_typing() {
     let mut stage = Stage::cell(Theme::ASCII);
-    for screen in ["1", "2", "3", "4", "5", "6", "7", "?"] {
+    for screen in ["1", "2", "3", "4", "5", "6", "7", "8", "?"] {
         stage.keys(ms(1_000), screen);
         assert_eq!(stage.key(ms(1_000), KeyCode::Char('q')), Effect::Quit);
         assert_eq!(stage.ctrl(ms(1_000), 'c'), Effect::Quit);

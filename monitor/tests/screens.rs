@@ -10,7 +10,7 @@ use imrs_protocol::{Event, MeetingState, Reason, TaskId, TaskState, Ticks};
 use imrs_wire::obs::{HeldBack, HeldTask, ServerFrame};
 use std::time::Duration;
 
-const SIZES: [(u16, u16); 4] = [(40, 12), (80, 24), (120, 40), (200, 60)];
+const SIZES: [(u16, u16); 5] = [(40, 12), (64, 20), (80, 24), (120, 40), (200, 60)];
 const STYLES: [Theme; 3] = [Theme::COLOUR, Theme::MONO, Theme::ASCII];
 const NOW: Duration = ms(1_150);
 const LATER: Duration = ms(1_700);
@@ -105,7 +105,7 @@ fn cycle(theme: Theme) -> Stage {
     stage
 }
 
-const SCENES: [Scene; 24] = [
+const SCENES: [Scene; 27] = [
     ("overview", stage, ""),
     ("overview_dead", dead, "jjjj"),
     ("overview_filter", stage, "/bea"),
@@ -128,6 +128,9 @@ const SCENES: [Scene; 24] = [
     ("timers", Stage::busy, "5"),
     ("model", Stage::busy, "7"),
     ("overview_marked", marked, "d"),
+    ("problems", Stage::busy, "8"),
+    ("problems_dead", dead, "8j"),
+    ("explain", dead, "8x"),
     ("command", stage, ":port be"),
     ("overview_held_back", held_back, ""),
 ];
@@ -237,6 +240,8 @@ fn press(event: &KeyEvent, screen: Screen, action: Action) {
     let mut stage = Stage::busy(Theme::ASCII);
     if screen == Screen::Message {
         stage.keys(NOW, "2l\n");
+    } else if screen == Screen::Explain {
+        stage.keys(NOW, "8x");
     } else if let Some(show) = BINDINGS.iter().find(|b| b.action == Action::Show(screen)) {
         stage.key(NOW, show.keys[0].code);
     }

@@ -316,7 +316,7 @@ fn the_mouse_selects_opens_scrolls_and_sorts_and_can_be_off() {
     assert!(shown(&mut stage).lines().nth(row.into()).unwrap().starts_with('>'));
     mouse(&mut stage, click, 20, row);
     assert_eq!(stage.app.message().map(|key| key.number), Some(8_815));
-    let tab = text.lines().next().unwrap().find("1 Over").unwrap();
+    let tab = text.lines().next().unwrap().find(" 1 ").unwrap() + 1;
     mouse(&mut stage, click, u16::try_from(tab).unwrap(), 0);
     assert_eq!(stage.app.screen, Screen::Overview);
     let title = shown(&mut stage).lines().nth(2).unwrap().find("SLACK").unwrap();

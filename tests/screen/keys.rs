@@ -9,12 +9,13 @@ use imrs_wire::obs::ServerFrame;
 #[test]
 fn each_screen_opens_by_its_key() {
     let Some((_demo, terminal)) = watched("") else { return };
-    let screens: [(&str, &str, &[&str]); 8] = [
+    let screens: [(&str, &str, &[&str]); 9] = [
         ("2", "[2 Port]", &["buffer", "since start"]),
         ("3", "[3 Rdv]", &["lift", "WAITS FOR", "hoist"]),
         ("4", "[4 Time]", &["armL", "armR", "each event"]),
         ("5", "[5 Timers]", &["OWNER", "Timer:"]),
         ("6", "[6 Events]", &["AGO", "DETAIL"]),
+        ("8", "[8 Prob]", &["PLACE", "CODE"]),
         ("7", "[7 Model]", &["transition kinds seen", "never:"]),
         ("?", "KEYS: model", &["KEYS EVERYWHERE", "quit"]),
         ("1", "[1 Over]", &["NODE/TASK/PORT", "hoist"]),

@@ -62,6 +62,8 @@ impl App {
             | Screen::Timeline
             | Screen::Timers
             | Screen::Model
+            | Screen::Problems
+            | Screen::Explain
             | Screen::Help => {}
         }
     }

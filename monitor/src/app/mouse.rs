@@ -24,6 +24,11 @@ impl App {
                     self.selected = Some(place);
                     Effect::Draw
                 }
+                Some(Hit::Problem(key)) if self.problem == Some(key) => self.act(Action::Enter, now),
+                Some(Hit::Problem(key)) => {
+                    self.choose_problem(key, now);
+                    Effect::Draw
+                }
                 Some(Hit::Place(place)) => {
                     self.go_to(place, now);
                     Effect::Draw

@@ -95,6 +95,8 @@ impl App {
             | Screen::Rendezvous
             | Screen::Timers
             | Screen::Model
+            | Screen::Problems
+            | Screen::Explain
             | Screen::Help => "",
         }
     }
@@ -112,6 +114,12 @@ impl App {
     #[must_use]
     pub const fn helped(&self) -> Screen {
         self.before
+    }
+
+    /// The code whose page is shown.
+    #[must_use]
+    pub const fn explained(&self) -> Option<&'static str> {
+        self.explained
     }
 
     /// The message whose history is shown.

@@ -86,7 +86,9 @@ impl App {
             Action::NextError => self.jump_to_error(true),
             Action::PreviousError => self.jump_to_error(false),
             Action::Back => self.back(),
+            Action::Enter if self.screen == Screen::Problems => self.enter_problem(now),
             Action::Enter => self.enter(now),
+            Action::Explain => self.explain(now),
             Action::Left | Action::Right if self.screen == Screen::Port => {
                 self.turn(action == Action::Right);
             }
@@ -177,7 +179,7 @@ impl App {
             }
         }
         self.scroll = 0;
-        self.entry = None;
+        (self.entry, self.problem) = (None, None);
     }
 
     fn back(&mut self) {
@@ -187,6 +189,7 @@ impl App {
             self.screen = match self.screen {
                 Screen::Help => self.before,
                 Screen::Message => self.chosen_on,
+                Screen::Explain => self.explained_on,
                 _ => Screen::Overview,
             };
             self.scroll = 0;
@@ -264,7 +267,13 @@ impl App {
                 }
             }
             Screen::Message => self.message,
-            Screen::Overview | Screen::Rendezvous | Screen::Timers | Screen::Model | Screen::Help => None,
+            Screen::Overview
+            | Screen::Rendezvous
+            | Screen::Timers
+            | Screen::Model
+            | Screen::Problems
+            | Screen::Explain
+            | Screen::Help => None,
         }
     }
 
@@ -329,7 +338,13 @@ impl App {
             Screen::Events => self.step_events(by),
             Screen::Timeline => self.step_chart(by),
             Screen::Port => self.step_queue(by, now),
-            Screen::Message | Screen::Rendezvous | Screen::Timers | Screen::Model | Screen::Help => {
+            Screen::Problems => self.step_problem(by, now),
+            Screen::Message
+            | Screen::Rendezvous
+            | Screen::Timers
+            | Screen::Model
+            | Screen::Explain
+            | Screen::Help => {
                 // Before the screen was drawn its length is unknown; drawing then limits the position.
                 let known = self.drawn.screen == self.screen;
                 let most = if known { self.drawn.lines.saturating_sub(self.drawn.page) } else { usize::MAX };

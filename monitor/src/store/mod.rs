@@ -9,6 +9,7 @@ pub mod journal;
 pub mod meeting;
 pub mod message;
 mod names;
+pub mod nearest;
 pub mod queue;
 pub mod rounds;
 pub mod service;

@@ -76,6 +76,8 @@ const fn title(screen: Screen) -> &'static str {
         Screen::Timers => "timers",
         Screen::Events => "events",
         Screen::Model => "model",
+        Screen::Problems => "problems",
+        Screen::Explain => "explanation",
         Screen::Help => "help",
     }
 }
@@ -181,6 +183,12 @@ const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
         Screen::Events => &[
             ("AGO", "when it happened; if it repeats, when it began"),
             ("x37 12/s", "so many times, each within ten seconds of the one before, and so often"),
+        ],
+        Screen::Problems | Screen::Explain => &[
+            ("PLACE", "node, task and port; indented: a consequence of the row above"),
+            ("CODE", "of the finding: x explains it, and so does `imrs explain CODE`"),
+            ("next deadline", "a queued message; those with the least time to spare come first"),
+            ("needs", "when it is likely done: place in the queue x 99th percentile of service"),
         ],
         Screen::Model => &[
             ("conforms", "every recorded step was what the verified machine does"),

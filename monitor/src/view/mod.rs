@@ -5,11 +5,13 @@ mod below;
 mod canvas;
 mod columns;
 mod events;
+mod explain;
 mod help;
 mod message;
 mod model;
 mod overview;
 mod port;
+mod problems;
 mod rendezvous;
 mod replay;
 mod timeline;
@@ -79,6 +81,8 @@ fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
         Screen::Timers => timers::draw(app, now, &mut canvas),
         Screen::Events => events::draw(app, now, &mut canvas),
         Screen::Model => model::draw(app, now, &mut canvas),
+        Screen::Problems => problems::draw(app, &findings, &blockers, now, &mut canvas),
+        Screen::Explain => explain::draw(app, &mut canvas),
     }
 }
 
@@ -98,7 +102,7 @@ pub fn text(buffer: &Buffer) -> String {
 }
 
 /// The tabs in the header. Other screens belong to one of these.
-const TABS: [(Screen, char, &str); 7] = [
+const TABS: [(Screen, char, &str); 8] = [
     (Screen::Overview, '1', "Over"),
     (Screen::Port, '2', "Port"),
     (Screen::Rendezvous, '3', "Rdv"),
@@ -106,6 +110,7 @@ const TABS: [(Screen, char, &str); 7] = [
     (Screen::Timers, '5', "Timers"),
     (Screen::Events, '6', "Events"),
     (Screen::Model, '7', "Model"),
+    (Screen::Problems, '8', "Prob"),
 ];
 
 /// How many columns of the header the name of a cell takes at most.
@@ -193,7 +198,11 @@ fn tabs(shown: Screen, form: &Form) -> Vec<Piece> {
 
 /// The tab to which a screen belongs.
 fn tab_of(screen: Screen) -> Screen {
-    if screen == Screen::Message { Screen::Port } else { screen }
+    match screen {
+        Screen::Message => Screen::Port,
+        Screen::Explain => Screen::Problems,
+        _ => screen,
+    }
 }
 
 /// The cell's name, the number of nodes that are up, and warnings that concern everything shown.

@@ -1,0 +1,89 @@
+//! The rows of the problems: findings under their causes, then the messages nearest to their deadline.
+
+use crate::clock::Moment;
+use crate::name::Name;
+use crate::store::blocked::Blocker;
+use crate::store::health::{Finding, Place};
+use crate::store::nearest::{Near, nearest};
+use crate::store::{IncarnationId, Store};
+use imrs_protocol::{MessageId, PortId, TaskId};
+
+/// How many messages are listed.
+const NEAREST: usize = 40;
+
+/// A row.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Problem {
+    /// A block that no finding tells of.
+    Block(Blocker),
+    /// A finding.
+    Finding {
+        /// The finding.
+        finding: Finding,
+        /// Whether it is only a consequence of the row above it.
+        caused: bool,
+    },
+    /// A message near its deadline.
+    Message(Near),
+}
+
+/// Identifies a row independently of its position.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ProblemKey {
+    /// A finding, or a block, by its code and place.
+    At(&'static str, Place),
+    /// A message.
+    Message(IncarnationId, TaskId, PortId, Option<(TaskId, MessageId)>),
+}
+
+impl Problem {
+    /// Its identity.
+    #[must_use]
+    pub fn key(&self) -> ProblemKey {
+        match self {
+            Self::Block(blocker) => ProblemKey::At("", blocker.place),
+            Self::Finding { finding, .. } => ProblemKey::At(finding.code, finding.place),
+            Self::Message(near) => ProblemKey::Message(near.incarnation, near.task, near.port, near.message),
+        }
+    }
+}
+
+/// The rows of a cell with these findings and blocks.
+#[must_use]
+pub fn problems(
+    store: &Store,
+    cell: &Name,
+    findings: &[Finding],
+    blockers: &[Blocker],
+    now: Moment,
+) -> Vec<Problem> {
+    let mut rows = grouped(findings, blockers);
+    rows.extend(nearest(store, cell, now, NEAREST).into_iter().map(Problem::Message));
+    rows
+}
+
+/// The findings, each cause followed by what it causes.
+fn grouped(findings: &[Finding], blockers: &[Blocker]) -> Vec<Problem> {
+    let cause = |finding: &Finding| blockers.iter().position(|blocker| blocker.explains(finding));
+    let mut told = vec![false; blockers.len()];
+    let mut rows = Vec::new();
+    let caused_by = |at: usize| {
+        let of = findings.iter().filter(move |finding| cause(finding) == Some(at));
+        of.map(|finding| Problem::Finding { finding: finding.clone(), caused: true })
+    };
+    for finding in findings.iter().filter(|finding| cause(finding).is_none()) {
+        rows.push(Problem::Finding { finding: finding.clone(), caused: false });
+        // A finding of the whole node concerns its tasks too.
+        let about = |place: &Place| place.holds(&finding.place) || finding.place.holds(place);
+        for (at, blocker) in blockers.iter().enumerate() {
+            if !told[at] && blocker.is_alarming() && about(&blocker.place) {
+                told[at] = true;
+                rows.extend(caused_by(at));
+            }
+        }
+    }
+    let untold = blockers.iter().enumerate().filter(|(at, blocker)| !told[*at] && blocker.is_alarming());
+    let blocks = untold
+        .flat_map(|(at, blocker)| std::iter::once(Problem::Block(blocker.clone())).chain(caused_by(at)));
+    blocks.chain(rows).collect()
+}
