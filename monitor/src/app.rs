@@ -17,7 +17,7 @@ use crate::keys;
 use crate::name::Name;
 use crate::options::Endpoint;
 use crate::problems::ProblemKey;
-use crate::replay::Player;
+use crate::replay::{Player, Ribbon};
 use crate::rows::Shape;
 pub use crate::screen::Screen;
 use crate::source::{Arrival, Wanted};
@@ -91,6 +91,8 @@ pub struct App {
     live: Store,
     /// While paused: the store at the pause, and the moment of the pause.
     frozen: Option<(Box<Store>, Moment)>,
+    /// While paused: the extent of the history before the pause.
+    ribbon: Option<Ribbon>,
     /// Recent arrivals.
     history: History,
     /// While paused and moved back in the history: the position in it.
@@ -164,6 +166,7 @@ impl App {
         Self {
             live: Store::of_running_nodes(),
             frozen: None,
+            ribbon: None,
             history: History::default(),
             back: None,
             replay: None,
@@ -225,6 +228,12 @@ impl App {
     #[must_use]
     pub fn gone_back(&self) -> Option<&Player> {
         self.back.as_deref()
+    }
+
+    /// While paused: the extent of the history before the pause.
+    #[must_use]
+    pub const fn ribbon(&self) -> Option<&Ribbon> {
+        self.ribbon.as_ref()
     }
 
     /// The history of recent arrivals.

@@ -18,6 +18,8 @@ pub enum Hit {
     Place(Place),
     /// The title of a sortable column.
     Title(Sort),
+    /// A place of the scrub bar, in the unit of its ribbon.
+    Scrub(u64),
     /// A row of the problems.
     Problem(ProblemKey),
     /// A message of a queue: its source and its id.

@@ -1,6 +1,8 @@
 //! Tests of deltas, recordings and history: deltas give the same state as snapshots, and a recording may start at any time.
 
-use crate::common::{LIFT, Stage, events, identity, ms, observed, snapshot, table, whole_film};
+use crate::common::{LIFT, Stage, events, identity, ms, observed, snapshot, table, text, whole_film};
+use crossterm::event::{KeyCode, KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
+use imrs_monitor::app::Msg;
 use imrs_monitor::record::Tape;
 use imrs_monitor::replay::Player;
 use imrs_monitor::source::{Arrival, Feed, SourceId};
@@ -224,4 +226,52 @@ fn the_history_is_as_long_as_it_says() {
     assert_eq!(first.tasks[0].view.ports.len(), snapshot(0).tasks[0].view.ports.len());
     assert!(report::json(player.store(), None, player.moment()).contains("beam-lift"));
     assert_eq!(first.timers.first().map(|timer| timer.remaining), None::<Ticks>);
+}
+
+/// The bar's row, and where it is on the screen.
+fn bar(stage: &mut Stage, now: Duration) -> (usize, Vec<char>) {
+    let shown = text(&stage.draw(now, 100, 24));
+    let row =
+        shown.lines().position(|line| line.contains("{ } trouble")).unwrap_or_else(|| panic!("{shown}"));
+    (row, shown.lines().nth(row).unwrap().chars().collect())
+}
+
+#[test]
+fn the_bar_shows_where_something_went_wrong_and_a_click_leads_there() {
+    let mut stage = Stage::new(Theme::ASCII);
+    attached().into_iter().for_each(|arrival| {
+        stage.feed(arrival.at, 0, arrival.feed);
+    });
+    stage.frame(period(0), 0, whole(0, 0));
+    for n in 1..100 {
+        stage.frame(period(n), 0, change(0, n - 1, n));
+        if n == 30 {
+            let gave_up = observed(Event::GaveUp, LIFT, 2, 1);
+            stage.frame(period(n), 0, ServerFrame::Events(events(0, &[gave_up])));
+        }
+    }
+    let now = period(99);
+    assert!(!text(&stage.draw(now, 100, 24)).contains("{ } trouble"), "nothing is paused");
+    stage.key(now, KeyCode::Char(' '));
+    let (row, line) = bar(&mut stage, now);
+    let place = |line: &[char], sign: char| line.iter().position(|c| *c == sign).unwrap();
+    let (start, end) = (place(&line, '['), place(&line, ']'));
+    let trouble = place(&line, '!');
+    assert!((0.25..0.35).contains(&((trouble - start) as f64 / (end - start) as f64)), "{line:?}");
+    assert_eq!(place(&line, '#'), end - 1, "the moment of the pause: {line:?}");
+    let click = |stage: &mut Stage, column: usize| {
+        let kind = MouseEventKind::Down(MouseButton::Left);
+        let at = MouseEvent { kind, column: column as u16, row: row as u16, modifiers: KeyModifiers::NONE };
+        stage.app.update(Msg::Mouse(at), now)
+    };
+    click(&mut stage, trouble);
+    let moment = stage.app.moment(now);
+    assert!(moment >= period(28) && moment <= period(33), "{moment:?}");
+    let (_, line) = bar(&mut stage, now);
+    assert_eq!(place(&line, '#'), trouble, "{line:?}");
+    click(&mut stage, end - 1);
+    assert!(stage.app.gone_back().is_none(), "back at the pause");
+    stage.key(now, KeyCode::Char(' '));
+    assert!(!text(&stage.draw(now, 100, 24)).contains("{ } trouble"));
+    assert!(stage.app.ribbon().is_none());
 }

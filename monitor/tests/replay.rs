@@ -367,18 +367,18 @@ fn clicks_hit_what_is_drawn_beside_a_finding() {
             .update(Msg::Mouse(MouseEvent { kind, column: 10, row, modifiers: KeyModifiers::NONE }), ms(0));
     };
     let mut stage = stage(Theme::ASCII);
-    let shown = stage.typed(ms(0), (80, 13), "G");
+    let shown = stage.typed(ms(0), (80, 15), "G");
     let rows: Vec<_> = shown.lines().collect();
     let selected = |shown: &str| shown.lines().position(|line| line.starts_with('>'));
     let last = selected(&shown).unwrap();
     assert!(last > 3, "the list is on its last page: {shown}");
     click(&mut stage, last - 1);
-    let shown = text(&stage.draw(ms(0), 80, 13));
+    let shown = text(&stage.draw(ms(0), 80, 15));
     let name = rows[last - 1].split_whitespace().next().unwrap();
     assert!(shown.lines().nth(selected(&shown).unwrap()).unwrap().contains(name), "{name}: {shown}");
     let panel = rows.iter().position(|row| row.contains("step 0")).unwrap();
     click(&mut stage, panel);
-    assert_eq!(text(&stage.draw(ms(0), 80, 13)), shown);
+    assert_eq!(text(&stage.draw(ms(0), 80, 15)), shown);
 }
 
 #[test]

@@ -29,6 +29,10 @@ impl App {
                     self.choose_problem(key, now);
                     Effect::Draw
                 }
+                Some(Hit::Scrub(place)) => {
+                    self.scrub_to(place, now);
+                    Effect::Draw
+                }
                 Some(Hit::Place(place)) => {
                     self.go_to(place, now);
                     Effect::Draw

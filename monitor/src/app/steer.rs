@@ -4,7 +4,7 @@ use super::{App, Effect, PortEnd, Screen, port_end};
 use crate::clock::{Moment, Span};
 use crate::keys::Action;
 use crate::query::Filter;
-use crate::replay::{At, Player};
+use crate::replay::{At, Player, Ribbon};
 use crate::rows::Sort;
 use crate::store::health::Place;
 use crate::store::journal::What;
@@ -117,6 +117,9 @@ impl App {
             Some(_) => None,
             None => Some((Box::new(self.live.clone()), now)),
         };
+        // Only the extent is kept: the frames would stay in memory for as long as the pause lasts.
+        let film = if self.frozen.is_some() { self.history.film() } else { None };
+        self.ribbon = film.as_ref().map(Ribbon::of);
     }
 
     /// Sorts the overview, and goes to its first row: the user asked for what comes first in the new order.
@@ -142,24 +145,39 @@ impl App {
 
     /// Moves in the history before the pause. At its end, the moment of the pause is shown again.
     fn go_back(&mut self, action: Action, now: Moment) {
-        if self.back.is_none() {
-            let Some(film) = self.history.film() else { return };
-            let mut player = Player::new(Arc::new(film), 1.0);
-            let paused = self.frozen.as_ref().map_or(now, |(_, at)| *at);
-            player.seek(At::After(paused));
-            self.back = Some(Box::new(player));
-        }
-        self.held = None;
-        let paused = self.frozen.as_ref().map_or(now, |(_, at)| *at);
-        let Some(player) = &mut self.back else { return };
-        match action {
+        self.move_back(now, |player| match action {
             Action::StepBack => player.step_by(-1),
             Action::StepOn => player.step_by(1),
             Action::PreviousAnomaly => player.go_to_odd(false),
             Action::NextAnomaly => player.go_to_odd(true),
             Action::Oldest => player.go(0),
             _ => player.go_to_end(),
+        });
+    }
+
+    /// Moves to a place of the scrub bar.
+    pub(super) fn scrub_to(&mut self, place: u64, now: Moment) {
+        if let Some(player) = &mut self.replay {
+            self.held = None;
+            let ribbon = Ribbon::of(player.film());
+            player.go_to_place(&ribbon, place);
+        } else if let Some(ribbon) = self.ribbon.clone() {
+            self.move_back(now, |player| player.go_to_place(&ribbon, place));
         }
+    }
+
+    /// Moves the player of the history; the first time it is made.
+    fn move_back(&mut self, now: Moment, go: impl FnOnce(&mut Player)) {
+        let paused = self.frozen.as_ref().map_or(now, |(_, at)| *at);
+        if self.back.is_none() {
+            let Some(film) = self.history.film() else { return };
+            let mut player = Player::new(Arc::new(film), 1.0);
+            player.seek(At::After(paused));
+            self.back = Some(Box::new(player));
+        }
+        self.held = None;
+        let Some(player) = &mut self.back else { return };
+        go(player);
         let last = player.film().stop_at(paused);
         if player.stop() >= last {
             self.back = None;

@@ -4,10 +4,12 @@
 //! film, the keys and the given moments.
 
 mod film;
+mod ribbon;
 pub(crate) mod tell;
 
 pub(crate) use film::is_odd;
 pub use film::{Film, Reel, Stop};
+pub use ribbon::Ribbon;
 
 use crate::clock::{Moment, Span};
 use crate::source::Arrival;

@@ -110,6 +110,11 @@ fn signs(theme: &Theme) -> Vec<Line> {
         line(two(signs.way, signs.guessed), "a message's route: within a node, between nodes", Ink::Plain),
         line(two(signs.lane, signs.met), "a task; a rendezvous", Ink::Plain),
         line(signs.penalty.to_owned(), "rejected by rank; offered again, ranked higher", Ink::Plain),
+        line(
+            format!("{}!{}", signs.way, signs.full),
+            "the bar while paused or replaying: here something went wrong; this is shown",
+            Ink::Plain,
+        ),
         line("==".to_owned(), "events were lost here", Ink::Warn),
     ]
 }

@@ -14,6 +14,7 @@ mod port;
 mod problems;
 mod rendezvous;
 mod replay;
+mod scrub;
 mod timeline;
 mod timers;
 mod words;
@@ -61,11 +62,11 @@ fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let banner = banner::rows(app, &blockers, area.height);
     banner::draw(app, &findings, &blockers, now, &mut canvas.part(Rect { height: banner, ..middle }));
     let middle = Rect { y: middle.y + banner, height: middle.height - banner, ..middle };
+    let bar = scrub::rows(app, area.height);
+    let (middle, scrub) = split(middle, bar);
+    scrub::draw(app, now, &mut canvas.part(scrub));
     let told = app.replay().map_or(0, |player| replay::rows(player, middle.height));
-    let (middle, panel) = (
-        Rect { height: middle.height - told, ..middle },
-        Rect { y: middle.y + middle.height - told, height: told, ..middle },
-    );
+    let (middle, panel) = split(middle, told);
     if let Some(player) = app.replay() {
         replay::draw(player, &mut canvas.part(panel));
     }
@@ -84,6 +85,13 @@ fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
         Screen::Problems => problems::draw(app, &findings, &blockers, now, &mut canvas),
         Screen::Explain => explain::draw(app, &mut canvas),
     }
+}
+
+/// An area without its last `rows` rows, and these.
+const fn split(area: Rect, rows: u16) -> (Rect, Rect) {
+    let rows = if rows < area.height { rows } else { area.height };
+    let above = area.height - rows;
+    (Rect { height: above, ..area }, Rect { y: area.y + above, height: rows, ..area })
 }
 
 pub(crate) use overview::label;

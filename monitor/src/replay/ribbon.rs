@@ -1,0 +1,115 @@
+//! A recording from its beginning to its end, with the places at which something went wrong: what the scrub bar draws.
+
+use super::{Film, Player};
+use crate::clock::{Moment, Span, micros};
+
+/// Anomalies closer together than the length divided by this are one: no screen has more columns.
+const PLACES: u64 = 1_000;
+
+/// The extent of a recording and its anomalies. It refers to no frame, so it keeps no frame in memory.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Ribbon {
+    /// Whether places are steps of a counterexample; otherwise they are microseconds.
+    steps: bool,
+    first: u64,
+    last: u64,
+    /// Ascending.
+    odd: Vec<u64>,
+}
+
+impl Ribbon {
+    /// The ribbon of a film.
+    #[must_use]
+    pub fn of(film: &Film) -> Self {
+        let steps = film.story.is_some();
+        let place = |(index, at): (usize, Moment)| if steps { index as u64 } else { micros(at) };
+        let stops = || film.stops().iter().enumerate();
+        let first = film.stops().first().map_or(0, |stop| place((0, stop.at)));
+        let last = stops().next_back().map_or(0, |(index, stop)| place((index, stop.at)));
+        let odd = stops().filter(|(_, stop)| stop.odd).map(|(index, stop)| place((index, stop.at)));
+        let mut ribbon = Self { steps, first, last, odd: odd.collect() };
+        let apart = (last.saturating_sub(first) / PLACES).max(1);
+        ribbon.odd.dedup_by_key(|at| *at / apart);
+        ribbon
+    }
+
+    /// The place of the stop that a player shows.
+    #[must_use]
+    pub fn place(&self, player: &Player) -> u64 {
+        if self.steps { player.stop() as u64 } else { self.moment(player.moment()) }
+    }
+
+    /// The place of a moment.
+    #[must_use]
+    pub fn moment(&self, at: Moment) -> u64 {
+        micros(at).clamp(self.first, self.last)
+    }
+
+    /// The column, of `width`, in which a place is drawn.
+    #[must_use]
+    pub fn column(&self, place: u64, width: u16) -> u16 {
+        let length = u128::from(self.last.saturating_sub(self.first)).max(1);
+        let at = u128::from(place.saturating_sub(self.first)) * u128::from(width.saturating_sub(1)) / length;
+        u16::try_from(at).unwrap_or(u16::MAX).min(width.saturating_sub(1))
+    }
+
+    /// The place that a column of `width` shows: that of an anomaly if it has one, otherwise its beginning.
+    #[must_use]
+    pub fn place_of(&self, column: u16, width: u16) -> u64 {
+        if let Some(odd) = self.odd.iter().find(|place| self.column(**place, width) == column) {
+            return *odd;
+        }
+        let length = u128::from(self.last.saturating_sub(self.first));
+        let columns = u128::from(width.saturating_sub(1)).max(1);
+        let after = (u128::from(column) * length).div_ceil(columns);
+        self.first.saturating_add(u64::try_from(after).unwrap_or(u64::MAX)).min(self.last)
+    }
+
+    /// The columns, of `width`, in which something went wrong.
+    pub fn odd(&self, width: u16) -> impl Iterator<Item = u16> {
+        self.odd.iter().map(move |place| self.column(*place, width))
+    }
+
+    /// A place, and the end, as people read them: time since the beginning, or the number of a step.
+    #[must_use]
+    pub fn labels(&self, place: u64) -> (String, String) {
+        let label = |place: u64| {
+            let after = place.saturating_sub(self.first);
+            if self.steps { after.to_string() } else { Span::micros(after).to_string() }
+        };
+        (label(place), label(self.last))
+    }
+}
+
+impl Player {
+    /// Moves to a place of a ribbon, and pauses.
+    pub fn go_to_place(&mut self, ribbon: &Ribbon, place: u64) {
+        if ribbon.steps {
+            self.go(usize::try_from(place).unwrap_or(usize::MAX));
+        } else {
+            // A place is rounded down, and the stop may be within its microsecond.
+            self.seek(super::At::After(Moment::from_micros(place) + Moment::from_nanos(999)));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_click_on_a_column_leads_to_a_place_that_is_drawn_there() {
+        let ribbon =
+            Ribbon { steps: false, first: 1_000_000, last: 61_234_567, odd: vec![1_000_000, 61_234_567] };
+        for width in [1, 2, 40, 199] {
+            for column in 0..width {
+                let place = ribbon.place_of(column, width);
+                assert_eq!(ribbon.column(place, width), column, "{column} of {width}");
+            }
+            assert_eq!(ribbon.odd(width).collect::<Vec<_>>(), [0, width - 1]);
+        }
+        assert_eq!(ribbon.column(u64::MAX, 0), 0);
+        assert_eq!(Ribbon::default().column(7, 10), 9);
+        assert_eq!(ribbon.labels(3_500_000), ("2.50s".to_owned(), "1m00s".to_owned()));
+    }
+}

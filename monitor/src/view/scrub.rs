@@ -1,0 +1,64 @@
+//! The scrub bar above the bottom line, while the screen is paused or shows a recording: the whole of it, where
+//! something went wrong, and the position shown. A click moves there.
+
+use super::canvas::{Canvas, columns};
+use crate::app::App;
+use crate::clock::Moment;
+use crate::drawn::Hit;
+use crate::replay::Ribbon;
+use crate::theme::Ink;
+use std::borrow::Cow;
+
+/// The texts about the keys, longest first.
+const KEYS: [&str; 3] = ["  [ ] step  { } trouble  Home End  space ", "  [ ] { } space ", ""];
+
+/// The ribbon shown, and the place in it.
+fn ribbon(app: &App, now: Moment) -> Option<(Cow<'_, Ribbon>, u64)> {
+    if let Some(player) = app.replay().or(app.gone_back()) {
+        let ribbon = Ribbon::of(player.film());
+        let place = ribbon.place(player);
+        return Some((Cow::Owned(ribbon), place));
+    }
+    let ribbon = app.ribbon()?;
+    Some((Cow::Borrowed(ribbon), ribbon.moment(now)))
+}
+
+/// How many rows the bar takes.
+pub(super) fn rows(app: &App, height: u16) -> u16 {
+    let is_shown = app.replay().is_some() || app.ribbon().is_some();
+    u16::from(is_shown && height >= 8)
+}
+
+pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
+    let Some((ribbon, place)) = ribbon(app, now).filter(|_| canvas.height() > 0) else { return };
+    let width = canvas.area.width;
+    let (at, end) = ribbon.labels(place);
+    // The position changes its length, and the bar must not move with it.
+    let at = format!(" {at:>6} ");
+    let end = format!(" {end}");
+    let fixed = columns(&at) + columns(&end) + 2;
+    let keys = match width {
+        100.. => KEYS[0],
+        60..100 => KEYS[1],
+        _ => KEYS[2],
+    };
+    let bar = width.saturating_sub(fixed + columns(keys));
+    if bar < 8 {
+        canvas.line(0, &[(&at, Ink::Plain), ("of", Ink::Dim), (&end, Ink::Plain)]);
+        return;
+    }
+    let signs = app.theme.glyphs;
+    let x = canvas.at(0, 0, u16::MAX, &at, Ink::Head);
+    let start = canvas.at(x, 0, 1, "[", Ink::Dim);
+    canvas.at(start, 0, bar, &signs.way.repeat(bar.into()), Ink::Dim);
+    for column in ribbon.odd(bar) {
+        canvas.at(start + column, 0, 1, "!", Ink::Warn);
+    }
+    canvas.at(start + ribbon.column(place, bar), 0, 1, signs.full, Ink::Head);
+    for column in 0..bar {
+        canvas.target(start + column, 0, 1, Hit::Scrub(ribbon.place_of(column, bar)));
+    }
+    let x = canvas.at(start + bar, 0, 1, "]", Ink::Dim);
+    let x = canvas.at(x, 0, u16::MAX, &end, Ink::Plain);
+    canvas.at(x, 0, u16::MAX, keys, Ink::Dim);
+}
