@@ -260,6 +260,57 @@ pub fn action(event: &KeyEvent, screen: Screen) -> Option<Action> {
     BINDINGS.iter().find(fits).map(|b| b.action)
 }
 
+/// The actions that a screen's bottom line names, most useful first.
+const fn hinted(screen: Screen) -> &'static [(Action, &'static str)] {
+    match screen {
+        Screen::Overview => &[
+            (Action::Enter, "open"),
+            (Action::Filter, "filter"),
+            (Action::Explain, "explain"),
+            (Action::Sort, "sort"),
+            (Action::Pause, "pause"),
+        ],
+        Screen::Port => {
+            &[(Action::Enter, "history"), (Action::Left, "previous"), (Action::Right, "next port")]
+        }
+        Screen::Message | Screen::Explain | Screen::Help => {
+            &[(Action::Back, "back"), (Action::Down, "scroll")]
+        }
+        Screen::Rendezvous => {
+            &[(Action::Culprit, "culprit"), (Action::Cycles, "cycles"), (Action::Pause, "pause")]
+        }
+        Screen::Timeline => &[
+            (Action::Right, "next lane"),
+            (Action::Closer, "closer"),
+            (Action::Wider, "wider"),
+            (Action::Enter, "history"),
+            (Action::Filter, "filter"),
+        ],
+        Screen::Timers | Screen::Model => &[(Action::Culprit, "culprit"), (Action::Pause, "pause")],
+        Screen::Events => &[
+            (Action::NextError, "next error"),
+            (Action::Everything, "all"),
+            (Action::Filter, "filter"),
+            (Action::Last, "follow"),
+        ],
+        Screen::Problems => &[(Action::Enter, "go there"), (Action::Explain, "explain")],
+    }
+}
+
+/// The key hints of a screen, the help first: `? help`, `Enter open`.
+pub fn hints(screen: Screen) -> impl Iterator<Item = String> {
+    let help = [(Action::Show(Screen::Help), "help")];
+    let all = help.into_iter().chain(hinted(screen).iter().copied()).chain([(Action::Quit, "quit")]);
+    all.filter_map(move |(action, word)| {
+        let binding = BINDINGS.iter().find(|binding| binding.action == action && binding.is_on(screen))?;
+        // A special key says more than a letter that does the same.
+        let is_letter = |key: &Key| matches!(key.code, KeyCode::Char('a'..='z'));
+        let key = binding.keys.iter().find(|key| !is_letter(key)).or_else(|| binding.keys.first())?;
+        let key = if action == Action::Quit { binding.keys.first()? } else { key };
+        Some(format!("{} {word}", key.label()))
+    })
+}
+
 impl Binding {
     /// Whether the binding applies on `screen`.
     #[must_use]

@@ -1,6 +1,8 @@
 //! Tests of what stays legible: at narrow widths, with wide names, in the selected row, and after a restart.
 
 use crate::common::{NODES, Stage, identity, ms, snapshot, table, text};
+use imrs_monitor::app::Screen;
+use imrs_monitor::keys;
 use imrs_monitor::rows::Sort;
 use imrs_monitor::source::Feed;
 use imrs_monitor::theme::Theme;
@@ -209,6 +211,32 @@ fn no_title_is_overwritten() {
             let whole =
                 |title: &&str| shown.lines().any(|line| line.split_whitespace().any(|word| word == *title));
             assert!(titles.iter().all(whole), "{keys} at {width}: {shown}");
+        }
+    }
+}
+
+/// Findings, a pause, a recording and a trouble share the bottom line with the keys of the screen.
+#[test]
+fn key_hints_are_on_every_screen_whatever_is_wrong() {
+    for screen in Screen::ALL {
+        for (width, height) in [(40, 12), (64, 20), (80, 24), (120, 40), (200, 60)] {
+            let mut stage = warned();
+            stage.app.screen = screen;
+            let shown = stage.draw(NOW, width, height);
+            let foot = text(&shown).lines().last().unwrap().to_owned();
+            assert!(foot.contains("? help"), "{screen:?} {width}: {foot}");
+            let named = keys::hints(screen).filter(|hint| foot.contains(hint.as_str())).count();
+            assert!(width < 80 || named > 1, "{screen:?} {width}: {foot}");
+            assert!(width < 64 || foot.starts_with(" paused at"), "{screen:?} {width}: {foot}");
+        }
+        // Every hint names a key that does what the help says.
+        let all = keys::hints(screen).count();
+        assert!(all >= 4, "{screen:?}");
+        for hint in keys::hints(screen) {
+            let label = hint.split(' ').next().unwrap();
+            let binding =
+                keys::BINDINGS.iter().find(|b| b.is_on(screen) && b.label().split(' ').any(|l| l == label));
+            assert!(binding.is_some(), "{screen:?}: {hint}");
         }
     }
 }

@@ -6,6 +6,7 @@ mod canvas;
 mod columns;
 mod events;
 mod explain;
+mod foot;
 mod help;
 mod message;
 mod model;
@@ -23,8 +24,6 @@ use crate::app::{App, Msg, Screen};
 use crate::clock::{Moment, Span};
 pub use crate::drawn::{Drawn, Hit};
 use crate::name::Name;
-use crate::store::blocked::Blocker;
-use crate::store::health::Finding;
 use crate::store::journal::Severity;
 use crate::store::{Condition, Presence};
 use crate::theme::Ink;
@@ -57,7 +56,7 @@ fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let foot = u16::from(area.height > 2);
     let middle = Rect { y: area.y + 1, height: area.height.saturating_sub(1 + foot), ..area };
     if foot == 1 {
-        self::foot(app, &findings, &blockers, now, canvas);
+        foot::draw(app, &findings, &blockers, now, canvas);
     }
     let banner = banner::rows(app, &blockers, area.height);
     banner::draw(app, &findings, &blockers, now, &mut canvas.part(Rect { height: banner, ..middle }));
@@ -262,60 +261,6 @@ fn nodes(app: &App, now: Moment) -> (usize, usize) {
     let up = store.incarnations_of(&cell).filter(up).count();
     let known = store.names(&cell).map_or(0, |n| n.nodes.len());
     (up, known.max(store.incarnations_of(&cell).filter(|l| l.condition == Condition::Attached).count()))
-}
-
-fn foot(app: &App, findings: &[Finding], blockers: &[Blocker], now: Moment, canvas: &mut Canvas<'_>) {
-    let y = canvas.height() - 1;
-    if app.typing {
-        canvas.line(y, &[(" /", Ink::Head), (app.filter(), Ink::Plain), ("_", Ink::Plain)]);
-        return;
-    }
-    if let Some(command) = &app.command {
-        canvas.line(y, &[(" :", Ink::Head), (command, Ink::Plain), ("_", Ink::Plain)]);
-        return;
-    }
-    let mut pieces: Vec<(String, Ink)> = Vec::new();
-    if let Some(told) = &app.told {
-        pieces.push((format!(" {told}"), Ink::Head));
-    }
-    if let Some((at, _)) = app.mark().filter(|_| app.since_mark) {
-        pieces.push((
-            format!(" counters since the mark, {} ago; d ends it", Span(now.saturating_sub(at))),
-            Ink::Warn,
-        ));
-    }
-    if let Some(at) = app.paused() {
-        let text = match before_pause(app, now) {
-            Some(before) => {
-                format!(" {} before the pause; [ ] step, End returns to it, space goes on", Span(before))
-            }
-            None => format!(" paused at {}; [ steps back, space goes on", Span(at)),
-        };
-        pieces.push((text, Ink::Warn));
-    }
-    if let Some(file) = &app.recording {
-        pieces.push((format!(" recording to {file}; r ends it"), Ink::Warn));
-    }
-    if !app.filter().is_empty() {
-        pieces.push((format!(" filter /{}", app.filter()), Ink::Warn));
-    }
-    if let Some(trouble) = app.store().troubles().next() {
-        pieces.push((format!(" ! {trouble}"), Ink::Warn));
-    } else if let Some(worst) = root(findings, blockers).filter(|f| f.level >= Severity::Warn) {
-        let place = overview::label(app, worst.place);
-        let ink = if worst.level == Severity::Bad { Ink::Bad } else { Ink::Warn };
-        pieces.push((format!(" {} {place}: {}", mark(worst.level), worst.text), ink));
-    } else if pieces.is_empty() {
-        pieces.push((" q quit  ? help  space pause  / filter  Enter open".to_owned(), Ink::Dim));
-    }
-    let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
-    canvas.line(y, &pieces);
-}
-
-/// The most severe finding that is no consequence of a block.
-fn root<'a>(findings: &'a [Finding], blockers: &[Blocker]) -> Option<&'a Finding> {
-    let is_root = |finding: &&Finding| !blockers.iter().any(|blocker| blocker.explains(finding));
-    findings.iter().find(is_root).or_else(|| findings.first())
 }
 
 /// The sign of a severity.
