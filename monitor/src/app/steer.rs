@@ -63,10 +63,10 @@ impl App {
                 self.only_cycles = !self.only_cycles;
                 self.scroll = 0;
             }
-            Action::Closer => self.zoom(true),
-            Action::Wider => self.zoom(false),
-            Action::NextMatch => self.jump_to_match(true, now),
-            Action::PreviousMatch => self.jump_to_match(false, now),
+            Action::Closer | Action::Wider => self.zoom(action == Action::Closer),
+            Action::NextMatch | Action::PreviousMatch => {
+                self.jump_to_match(action == Action::NextMatch, now);
+            }
             Action::Oldest => self.step(isize::MIN, now),
             Action::Newest => self.step(isize::MAX, now),
             Action::Culprit => self.go_to_culprit(now),
@@ -83,8 +83,7 @@ impl App {
                 self.held = None;
             }
             Action::Discards => self.hide_discards(),
-            Action::NextError => self.jump_to_error(true),
-            Action::PreviousError => self.jump_to_error(false),
+            Action::NextError | Action::PreviousError => self.jump_to_error(action == Action::NextError),
             Action::Back => self.back(),
             Action::Enter if self.screen == Screen::Problems => self.enter_problem(now),
             Action::Enter => self.enter(now),
@@ -95,8 +94,7 @@ impl App {
             Action::Left | Action::Right if self.screen == Screen::Timeline => {
                 self.next_lane(action == Action::Right);
             }
-            Action::Left => self.fold(true, now),
-            Action::Right => self.fold(false, now),
+            Action::Left | Action::Right => self.fold(action == Action::Left, now),
             Action::Up => self.step(-1, now),
             Action::Down => self.step(1, now),
             Action::PageUp => self.step(-self.page(), now),

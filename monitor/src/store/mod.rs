@@ -10,6 +10,7 @@ pub mod meeting;
 pub mod message;
 mod names;
 pub mod nearest;
+mod presence;
 pub mod queue;
 pub mod rounds;
 pub mod service;
@@ -19,9 +20,10 @@ mod unseen;
 pub mod waits;
 
 pub use incarnation::{
-    ClockOffset, Condition, IncarnationId, Left, NodeIncarnation, Presence, Received, SILENT, Sample, Watched,
+    ClockOffset, Condition, IncarnationId, Left, NodeIncarnation, Received, SILENT, Sample, Watched,
 };
 pub use names::{Names, PortInfo, TaskInfo};
+pub use presence::Presence;
 pub use unseen::{Unseen, is_killed, unseen};
 
 use crate::clock::Moment;

@@ -130,6 +130,14 @@ fn colours(theme: &Theme) -> Vec<Line> {
     ]
 }
 
+/// Explanations of the problems.
+const PROBLEMS: &[(&str, &str)] = &[
+    ("PLACE", "node, task and port; indented: a consequence of the row above"),
+    ("CODE", "of the finding: x explains it, and so does `imrs explain CODE`"),
+    ("next deadline", "a queued message; those with the least time to spare come first"),
+    ("needs", "when it is likely done: place in the queue x 99th percentile of service"),
+];
+
 /// Explanations of a screen's columns.
 const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
     match screen {
@@ -189,12 +197,7 @@ const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
             ("AGO", "when it happened; if it repeats, when it began"),
             ("x37 12/s", "so many times, each within ten seconds of the one before, and so often"),
         ],
-        Screen::Problems | Screen::Explain => &[
-            ("PLACE", "node, task and port; indented: a consequence of the row above"),
-            ("CODE", "of the finding: x explains it, and so does `imrs explain CODE`"),
-            ("next deadline", "a queued message; those with the least time to spare come first"),
-            ("needs", "when it is likely done: place in the queue x 99th percentile of service"),
-        ],
+        Screen::Problems | Screen::Explain => PROBLEMS,
         Screen::Model => &[
             ("conforms", "every recorded step was what the verified machine does"),
             ("UNKNOWN", "nothing is recorded, or a part of it is missing"),
