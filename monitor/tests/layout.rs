@@ -240,3 +240,31 @@ fn key_hints_are_on_every_screen_whatever_is_wrong() {
         }
     }
 }
+
+/// Words in capitals are titles; each stands in the help of its screen.
+#[test]
+fn the_help_of_a_screen_explains_each_of_its_columns() {
+    for (keys, least) in [("1", 10), ("2l", 8), ("2l\n", 6), ("3", 5), ("5", 6), ("6", 5), ("8", 3)] {
+        let mut stage = Stage::busy(Theme::ASCII);
+        let shown = stage.typed(NOW, (200, 60), keys);
+        let is_title =
+            |word: &&str| word.len() > 1 && word.chars().all(|c| c.is_ascii_uppercase() || c == '/');
+        let is_titles = |line: &&str| {
+            line.split_whitespace().filter(is_title).count() >= 3
+                && !line.contains(|c: char| c.is_ascii_digit())
+        };
+        let titles = shown.lines().skip(2).find(is_titles).unwrap_or_else(|| panic!("{keys}: {shown}"));
+        let titles: Vec<&str> = titles.split_whitespace().filter(is_title).collect();
+        assert!(titles.len() >= least, "{keys}: {titles:?}");
+        let help = stage.typed(NOW, (200, 200), "?");
+        let explained: Vec<&str> = help
+            .lines()
+            .skip_while(|line| !line.contains("COLUMNS AND FIGURES"))
+            .take_while(|line| !line.contains("THE BANNER"))
+            .collect();
+        for title in titles {
+            let is_key = |line: &&str| line.get(..16).unwrap_or(line).contains(title);
+            assert!(explained.iter().any(|line| is_key(&line)), "{keys}: {title} in {explained:#?}");
+        }
+    }
+}

@@ -2,6 +2,7 @@
 //! screen from which it was opened.
 
 use super::canvas::Canvas;
+use super::explained::{BANNER, columns};
 use crate::app::{App, COMMANDS, Screen};
 use crate::keys::{BINDINGS, Binding};
 use crate::theme::{Ink, Theme};
@@ -54,6 +55,8 @@ fn lines(app: &App) -> Vec<Line> {
         lines.push(heading(&format!("COLUMNS AND FIGURES: {}", title(screen))));
         lines.extend(columns.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned(), Ink::Plain)));
     }
+    lines.push(heading("THE BANNER BELOW THE HEADER"));
+    lines.extend(BANNER.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned(), Ink::Plain)));
     lines.push(heading("KEYS ON OTHER SCREENS"));
     lines.extend(BINDINGS.iter().filter(elsewhere).map(|b| {
         let on: Vec<_> = b.on.iter().map(|screen| title(*screen)).collect();
@@ -128,81 +131,4 @@ fn colours(theme: &Theme) -> Vec<Line> {
         line("bar", "remaining time", Ink::Bar),
         line("dim", "of less weight, or old", Ink::Dim),
     ]
-}
-
-/// Explanations of the problems.
-const PROBLEMS: &[(&str, &str)] = &[
-    ("PLACE", "node, task and port; indented: a consequence of the row above"),
-    ("CODE", "of the finding: x explains it, and so does `imrs explain CODE`"),
-    ("next deadline", "a queued message; those with the least time to spare come first"),
-    ("needs", "when it is likely done: place in the queue x 99th percentile of service"),
-];
-
-/// Explanations of a screen's columns.
-const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
-    match screen {
-        Screen::Overview | Screen::Help => &[
-            ("QUEUE", "messages waiting / space; of a waitfor: arrived / members"),
-            ("SLACK", "remaining time of the most urgent message, or of the wait"),
-            ("MSG/s", "sent and served by this end, over the last seconds"),
-            ("EXP", "messages that expired here"),
-            ("OVF", "messages refused or evicted for space"),
-            ("REJ", "messages the task rejected by rank"),
-            ("RES", "copies sent again"),
-            ("T/O", "own requests that ended by time_out"),
-            ("HEALTH", "the worst of what is within the row"),
-            ("links", "ok: a packet arrived in the last second; quiet: none for so long"),
-            ("model", "the validator's verdict on the recorded inputs"),
-        ],
-        Screen::Port => &[
-            ("#", "the place in the order of service: earliest deadline first"),
-            ("CLS", "class 1: status; class 2: command, answered"),
-            ("REMAIN", "its remaining time"),
-            ("AGE", "how much of its TTL is used up"),
-            ("REJ", "how often it was rejected by rank"),
-            ("PEN", "how long it is not offered again, because of rejections"),
-            ("VERDICT", "place x 99th percentile of the service time against REMAIN"),
-            ("service", "how long the task takes for one, once it is its turn"),
-            ("Jain", "1: all sources fare alike; 1/n: one has everything"),
-            ("by source", "served / offered, of what was seen since the monitor attached"),
-            ("since start", "what the node has counted since it started"),
-            ("slack p5", "5 of 100 samples had less left for the most urgent message"),
-        ],
-        Screen::Message => &[
-            ("AT", "on the clock of the node that sent it, since that started"),
-            ("LEFT", "its remaining time then"),
-            ("CHARGED", "what the protocol took off since the stage named in SINCE"),
-            ("CLOCKS", "what clocks saw pass since then; ~ between two nodes"),
-        ],
-        Screen::Rendezvous => &[
-            ("ARRIVED", "whether the member waits in the round shown, since when"),
-            ("CONFIRMS", "confirmations this member holds from others"),
-            ("WAITS FOR", "members whose arrival it does not know of"),
-            ("history", "the last 50 rounds: how they ended"),
-            ("gather", "from the first arrival to the last"),
-            ("slowest", "the member that came last most often"),
-        ],
-        Screen::Timeline => &[
-            ("TIME", "on the clock of the selected lane's node, since it started"),
-            ("#12 r3", "a message's number; a round"),
-            ("+2", "so many more in this row"),
-        ],
-        Screen::Timers => &[
-            ("KIND", "timer, delay: of the Timer; receive, reply, waitfor: waits with an end"),
-            ("LENGTH", "its time_out; of a timer the most that was ever seen left"),
-            ("LEFT", "until it runs out"),
-            ("late", "how late the node's Timer was, and how often later than the cell's tick"),
-        ],
-        Screen::Events => &[
-            ("AGO", "when it happened; if it repeats, when it began"),
-            ("x37 12/s", "so many times, each within ten seconds of the one before, and so often"),
-        ],
-        Screen::Problems | Screen::Explain => PROBLEMS,
-        Screen::Model => &[
-            ("conforms", "every recorded step was what the verified machine does"),
-            ("UNKNOWN", "nothing is recorded, or a part of it is missing"),
-            ("seen", "transition kinds that were observed, and how often"),
-            ("never", "kinds that the task's ports make possible, and that did not occur"),
-        ],
-    }
 }

@@ -6,6 +6,7 @@ mod canvas;
 mod columns;
 mod events;
 mod explain;
+mod explained;
 mod foot;
 mod help;
 mod message;
