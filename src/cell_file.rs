@@ -27,7 +27,7 @@ pub fn replace(path: &Path, text: &str) -> Result<(), Unwritable> {
 }
 
 fn replaced(path: &Path, text: &str) -> io::Result<()> {
-    // A symbolic link stays a link: its target is replaced.
+    // If the path is a symbolic link, its target is replaced, and the link stays.
     let path = fs::canonicalize(path)?;
     access(&path, Access::WRITE_OK)?;
     let old = fs::metadata(&path)?;

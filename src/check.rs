@@ -20,7 +20,7 @@ struct Checked<'a> {
     warnings: usize,
     notes: usize,
     diagnostics: Vec<Located<'a>>,
-    /// A sentence about what was not checked because of errors; none if everything was.
+    /// A sentence about what was not checked because of errors; none if everything was checked.
     unchecked: Option<&'a str>,
 }
 

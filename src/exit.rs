@@ -45,14 +45,15 @@ impl From<Verdict> for Exit {
     }
 }
 
-/// Whether an error says that the operating system has run out of memory, descriptors or threads.
+/// Whether an error says that the operating system has run out of memory, file descriptors or threads.
 pub fn is_exhausted(error: &(dyn Error + 'static)) -> bool {
     let of_system = |error: &io::Error| error.raw_os_error().is_some_and(|code| EXHAUSTED.contains(&code));
     std::iter::successors(Some(error), |error| (*error).source())
         .any(|error| error.downcast_ref().is_some_and(of_system))
 }
 
-/// The error codes for that: no memory, no descriptors (of this process, of the system), no thread or process.
+/// The error codes by which the operating system says so: no memory, no file descriptors (of this process, of the system),
+/// no thread or process.
 pub(crate) const EXHAUSTED: [i32; 4] = [
     Errno::NOMEM.raw_os_error(),
     Errno::MFILE.raw_os_error(),
@@ -60,8 +61,8 @@ pub(crate) const EXHAUSTED: [i32; 4] = [
     Errno::AGAIN.raw_os_error(),
 ];
 
-/// Whether a panic message says so, in either of the forms of an [`io::Error`]: libraries may panic on such an error, as the
-/// standard library does when a new thread gets no memory for its signal stack.
+/// Whether a panic message says that the operating system has run out of these, in one of the two forms of an [`io::Error`].
+/// Libraries may panic on such an error, as the standard library does when a new thread gets no memory for its signal stack.
 pub fn says_exhausted(panic: &str) -> bool {
     let says = |code| {
         [format!("Os {{ code: {code},"), format!("(os error {code})")].map(|form| panic.contains(&form))
@@ -69,8 +70,8 @@ pub fn says_exhausted(panic: &str) -> bool {
     EXHAUSTED.iter().any(|code| says(code).contains(&true))
 }
 
-/// The exit code if the compiler rejects a cell. A cell beyond the compiler's limits is bad input, like a file that is too
-/// long.
+/// The exit code if the compiler rejects a cell. A cell that exceeds a limit of the compiler is bad input, like a file that
+/// is too long.
 pub fn turned_down(found: &[Diagnostic]) -> Exit {
     if found.iter().any(Diagnostic::is_limit) { Exit::Usage } else { Exit::Finding }
 }

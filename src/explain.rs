@@ -11,7 +11,7 @@ use imrs_language::{Word, codes};
 use imrs_monitor::store::health::codes as lints;
 use serde_json::json;
 
-/// A code and its page.
+/// A code and the page that explains it.
 #[derive(Clone, Copy)]
 struct Entry {
     code: &'static str,
@@ -66,7 +66,7 @@ fn page(code: &str) -> Result<Entry, Failure> {
     if let Some(found) = entries().find(is_asked) {
         return Ok(found);
     }
-    // The likeliest misspelling is an O for a zero.
+    // The likeliest misspelling of a code is an O in place of a zero.
     let slip = upper.replace('O', "0");
     let near = did_you_mean(&slip, codes::ALL.iter().map(|entry| entry.code));
     let lower = code.to_ascii_lowercase();

@@ -40,7 +40,7 @@ pub fn run(args: &ExportArgs, out: &mut Output) -> Result<Exit, Failure> {
     }
     let path = args.out.clone().unwrap_or_else(|| free_name(&args.file.with_extension(args.to.ending())));
     kept::check(&path, args.force)?;
-    // A partial export could be taken for a complete one, so it never gets the name.
+    // A reader could take a partial export for a complete one, so an export gets its name only when it is complete.
     let done = kept::keep_or(&path, args.force, |file| {
         export(&film, &wanted, BufWriter::new(file))
             .map_err(|error| Failure::from(failed(&path, error.to_string())))

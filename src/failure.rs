@@ -47,9 +47,9 @@ pub enum Failure {
 }
 
 impl Failure {
-    /// The exit code it leads to.
+    /// The exit code to which the error leads.
     pub fn exit(&self) -> Exit {
-        // On a non-blocking stream this error code means a slow reader, not a system that has run out of anything.
+        // On a non-blocking stream this error code means a slow reader. The system has not run out of anything.
         if matches!(self, Self::Output(error) if error.kind() == io::ErrorKind::WouldBlock) {
             return Exit::Usage;
         }
@@ -86,7 +86,7 @@ impl Failure {
 pub fn exit_of_node(error: &NodeError) -> Exit {
     match error {
         _ if is_exhausted(error) => Exit::System,
-        // This machine cannot provide what the command line asked for.
+        // This machine cannot provide something that the command line asked for.
         NodeError::Link(_) | NodeError::Place(_) | NodeError::Record(_) | NodeError::Observe(_) => {
             Exit::Usage
         }

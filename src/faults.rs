@@ -17,7 +17,7 @@ pub struct Rate(pub f64);
 pub struct Kill {
     /// The name of the node or the task.
     pub name: String,
-    /// When, counted from the start.
+    /// The time of the kill, counted from the start.
     pub at: Duration,
 }
 
@@ -33,14 +33,14 @@ impl FromStr for Restart {
     }
 }
 
-/// Cuts a link for a while: it carries nothing.
+/// Cuts a link for a while: no packet passes it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Cut {
     /// The names of the two nodes, or of tasks on them.
     pub ends: [String; 2],
-    /// When, counted from the start.
+    /// The time of the cut, counted from the start.
     pub at: Duration,
-    /// For how long.
+    /// How long the link stays cut.
     pub length: Duration,
 }
 
@@ -66,46 +66,46 @@ impl FromStr for ActionCommand {
     }
 }
 
-/// What is wrong with a fault as written.
+/// What is wrong with a fault as the user wrote it.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FaultError {
-    /// Not a fraction.
+    /// The text is not a fraction.
     #[error("write a share from 0% to 100%: 10% or 0.1")]
     Rate,
-    /// A number of packets, as `imrs verify` takes.
+    /// The text is a number of packets, as `imrs verify` takes it.
     #[error(
         "write a share: 10% or 0.1, and 100% for all (`imrs verify --loss {0}` takes a number of packets)"
     )]
     Packets(u32),
-    /// Not `NAME@TIME`.
+    /// The text does not have the form `NAME@TIME`.
     #[error("write what and when: hoist@2s")]
     Kill,
-    /// Not `NAME=CMD`.
+    /// The text does not have the form `NAME=CMD`.
     #[error("write which action and which command: grip=./grip")]
     Action,
-    /// Not `A--B@TIME+TIME`.
+    /// The text does not have the form `A--B@TIME+TIME`.
     #[error("write which link, when and for how long: nl--nr@1s+40ms")]
     Cut,
-    /// The time cannot be read.
+    /// The time in the text cannot be read.
     #[error("`{text}`: {error}")]
     Time {
-        /// What was written.
+        /// The text of the time.
         text: String,
-        /// What is wrong with it.
+        /// What is wrong with that text.
         error: TimeError,
     },
     /// The cell has neither a node nor a task of this name.
     #[error("the cell has no node or task `{name}`{hint}")]
     NoNode {
-        /// The name.
+        /// The unknown name.
         name: String,
-        /// What may have been meant.
+        /// A name that the user may have meant.
         hint: String,
     },
     /// No link joins the two nodes.
     #[error("no link joins `{0}` and `{1}`")]
     NoLink(String, String),
-    /// The node to be restarted is not killed before.
+    /// A node that should be restarted is not killed before.
     #[error("`{0}` is not killed before it is started again: add --kill {1}@TIME")]
     NotKilled(String, String),
     /// The fault concerns nodes that this run does not start.
@@ -131,7 +131,7 @@ impl FromStr for Rate {
 
 impl fmt::Display for Rate {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        // Rounded, so that 0.07 is not shown as 7.000000000000001%.
+        // The share is rounded, so that 0.07 is not shown as 7.000000000000001%.
         write!(f, "{}%", (self.0 * 1e6).round() / 1e4)
     }
 }
@@ -177,7 +177,7 @@ fn time(text: &str) -> Result<Duration, FaultError> {
     crate::time::parse(text).map_err(|error| FaultError::Time { text: text.into(), error })
 }
 
-/// The faults that were asked for.
+/// The faults that the user asked for.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Wanted<'a> {
     /// Nodes that are killed.
@@ -285,7 +285,7 @@ mod tests {
         for text in ["", "%", "x", "-1%", "101%", "2.0", "NaN", "inf"] {
             assert_eq!(text.parse::<Rate>(), Err(FaultError::Rate), "{text}");
         }
-        // `imrs verify` takes a number of packets. Read as a share, 1 would lose everything.
+        // `imrs verify` takes a number of packets. As a share, 1 would lose every packet.
         assert_eq!("1".parse::<Rate>(), Err(FaultError::Packets(1)));
         assert_eq!(Rate(0.07).to_string(), "7%");
         assert_eq!(Rate(0.125).to_string(), "12.5%");

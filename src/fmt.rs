@@ -68,7 +68,7 @@ fn difference(file: &str, old: &str, new: &str) -> String {
     let mut shown = format!("{file}:{}: would be written as\n", same + 1);
     for (sign, lines) in [('-', &old[same..old.len() - rest]), ('+', &new[same..new.len() - rest])] {
         for line in lines.iter().take(SHOWN) {
-            // A carriage return would hide the text before it.
+            // The terminal would use a carriage return to overwrite the text before it.
             shown.push_str(&format!("{sign} {}\n", line.trim_end_matches('\r')));
         }
         if lines.len() > SHOWN {

@@ -15,15 +15,15 @@ pub enum KeptError {
     /// The file exists already.
     #[error("{}: {}", .0.display(), FileError::Exists)]
     Taken(PathBuf),
-    /// It cannot be written.
+    /// The file cannot be written.
     #[error(
         "{}: cannot be written: {source}: name another file, in a folder that exists and has room",
         path.display()
     )]
     Unwritable {
-        /// The file.
+        /// The path of the file.
         path: PathBuf,
-        /// Why.
+        /// The error of the operating system.
         source: io::Error,
     },
 }
@@ -50,7 +50,7 @@ pub fn check(path: &Path, force: bool) -> Result<(), KeptError> {
     files::check(path, force).map_err(KeptError::of(path))
 }
 
-/// Whether a path can be written, as far as that shows before there is data.
+/// Whether a path can be written, as far as can be known before there is data.
 fn writable(path: &Path) -> io::Result<()> {
     let target = match fs::metadata(path) {
         Ok(of) if of.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),

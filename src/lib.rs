@@ -75,13 +75,13 @@ pub fn command() -> ExitCode {
     exit
 }
 
-/// What a panic says.
+/// The message of a panic.
 fn panic_text(panic: &(dyn Any + Send)) -> Option<&str> {
     panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied())
 }
 
-/// Gives an abort for lack of memory its own exit code: the standard library reports the lack and aborts. An abort after a
-/// panic of another cause remains a fault of this program.
+/// Gives an abort for lack of memory an exit code of its own, because the standard library then only reports the lack and
+/// aborts. While `sound` is false, something has panicked for another cause, and an abort remains a fault of this program.
 fn end_without_memory(sound: Arc<AtomicBool>) {
     // If the handler cannot be registered, an abort ends the process by its signal, as usual.
     let _ = signal_hook::flag::register_conditional_shutdown(SIGABRT, Exit::System as i32, sound);
@@ -99,7 +99,8 @@ fn answer() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => {
             if error.use_stderr() {
-                // The message quotes the arguments, which may hold terminal escapes: `complain_in_full` neutralises them.
+                // The message quotes the arguments, which may contain terminal escapes: `complain_in_full` makes them
+                // harmless.
                 let color = match early_color(arguments()) {
                     ColorChoice::Always => Color::Always,
                     ColorChoice::Never => Color::Never,

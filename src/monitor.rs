@@ -24,7 +24,7 @@ use std::time::{Duration, Instant};
 
 /// Time limit for the nodes of `--demo` to appear.
 const READY_WITHIN: Duration = Duration::from_secs(20);
-/// The niceness of the thread that judges recordings: nodes go first.
+/// The niceness of the thread that judges recordings, so that nodes run before it.
 const LEAST_PRIORITY: i32 = 19;
 /// Time limit for the nodes of `--demo` to stop.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
@@ -105,7 +105,7 @@ fn options(
     })
 }
 
-/// Judges the recordings of nodes by replaying them: for the cell in this file, or for the demos.
+/// The judge of the recordings of nodes, which replays them: with the cell of this file, or with the cells of the demos.
 fn validator(cell: Option<&Path>) -> Result<Arc<dyn Judge>, Failure> {
     let known = match cell {
         Some(path) => vec![cells::open(path, false)?.1],
@@ -124,14 +124,15 @@ impl fmt::Debug for Validator {
 
 impl Judge for Validator {
     fn sit(&self) -> Box<dyn FollowSession + '_> {
-        // Only this thread, which judges: if it is far behind, it must not take a core from the nodes.
+        // This sets the priority of the judging thread alone. Even if it is far behind, it must not take a core from the
+        // nodes.
         let _ = setpriority_process(None, LEAST_PRIORITY);
         Box::new(self.0.follow())
     }
 }
 
 /// The nodes of `--demo`: three arms and a belt that lift together. One after another is killed and restarted, so that the
-/// others wait for it. They use a folder of their own, and stop when this is dropped.
+/// others wait for it. The nodes use a folder of their own, and stop when this value is dropped.
 struct Stage {
     nodes: Child,
     folder: PathBuf,
@@ -198,7 +199,7 @@ impl Stage {
 impl Drop for Stage {
     fn drop(&mut self) {
         if let Some(pid) = i32::try_from(self.nodes.id()).ok().and_then(Pid::from_raw) {
-            // If this fails, the launcher has ended already.
+            // If this fails, the launcher has already ended.
             let _ = kill_process(pid, Signal::TERM);
         }
         let end = Instant::now() + STOP_WITHIN;

@@ -1,4 +1,4 @@
-//! The command as the program that nodes are a part of.
+//! The command in its role as the program that launches nodes, and that runs as one.
 
 use crate::exit::Exit;
 use crate::failure::exit_of_node;
@@ -8,7 +8,7 @@ use indicatif::ProgressBar;
 use std::fmt::Display;
 use std::io;
 
-/// This program: it launches nodes, and `imrs node` is one.
+/// This program, for the launcher: it launches nodes, and `imrs node` runs one.
 pub struct NodeProgram;
 
 impl Host for NodeProgram {

@@ -11,12 +11,12 @@ use std::panic::PanicHookInfo;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-/// The name of a thread, and the source line of a panic.
+/// Where a panic happened: the name of its thread, and the source line.
 type Place = (Option<String>, Option<String>);
 
 /// The panics of this process.
 pub struct Panics {
-    /// False once a panic had another cause than a lack of memory, descriptors or threads.
+    /// Whether every panic so far had a lack of memory, file descriptors or threads as its cause.
     sound: Arc<AtomicBool>,
     counts: Mutex<BTreeMap<Place, u64>>,
 }
@@ -26,14 +26,14 @@ pub fn report() -> Arc<Panics> {
     let panics = Arc::new(Panics { sound: Arc::new(AtomicBool::new(true)), counts: Mutex::default() });
     let (default, own) = (std::panic::take_hook(), Arc::clone(&panics));
     std::panic::set_hook(Box::new(move |panic| {
-        // A panic for lack of resources leaves `sound` true: printing it may abort for the same lack.
+        // A panic for lack of resources leaves `sound` true, because printing that panic may abort for the same lack.
         if !panic.payload_as_str().is_some_and(says_exhausted) {
             own.sound.store(false, Ordering::SeqCst);
         }
         let place = place(panic);
         match own.count(&place) {
             1 => default(panic),
-            // Only at 2, 4, 8, and so on: thousands of panics must not fill the screen.
+            // The line is printed only at 2, 4, 8 panics and so on, so that thousands of panics do not fill the screen.
             times if times.is_power_of_two() => {
                 // If standard error is closed, the line is lost.
                 let message = panic.payload_as_str().unwrap_or("no message");
@@ -58,12 +58,12 @@ fn again((thread, line): &Place, times: u64) -> String {
 }
 
 impl Panics {
-    /// A flag that is true until something panics.
+    /// A flag that is true until something panics for another cause than a lack of resources.
     pub fn sound(&self) -> Arc<AtomicBool> {
         Arc::clone(&self.sound)
     }
 
-    /// The total of each place whose last printed count is out of date.
+    /// The total count of each place whose last printed count is out of date.
     pub fn untold(&self) -> Vec<String> {
         let counts = self.counts();
         let untold = counts.iter().filter(|(_, times)| !times.is_power_of_two());
@@ -99,7 +99,8 @@ mod tests {
         assert!(main.join().expect("the panic was caught"));
     }
 
-    /// Run as a child program by another test: one thread name panics five times at one line, another once.
+    /// The body of a child process that another test starts: a thread of one name panics five times at one line, a thread of
+    /// another name once.
     #[test]
     fn panics_again_and_again() {
         if std::env::var_os("IMRS_PANICS").is_none() {
@@ -114,7 +115,8 @@ mod tests {
         eprintln!("untold: {:?}", panics.untold());
     }
 
-    /// Run as a child program by another test: it panics, then aborts, as when memory runs out while a panic is printed.
+    /// The body of a child process that another test starts: it panics, then aborts, as when memory runs out while a panic
+    /// is printed.
     #[test]
     fn a_panic_that_cannot_be_written_down() {
         let Ok(says) = std::env::var("IMRS_PANICS_OF") else { return };
@@ -145,7 +147,7 @@ mod tests {
         let all = |word: &str| said.matches(word).count();
         assert_eq!((all("no part"), all("thread 'dress'")), (4, 1), "{said}");
         for (times, is_said) in [(2, 1), (3, 0), (4, 1), (5, 1)] {
-            // The last count comes from `untold`.
+            // The last count comes from `untold`, not from the hook.
             let pieces = said.lines().flat_map(|line| line.split('"'));
             let pieces = pieces.map(|piece| piece.trim_end_matches(", this time with: no part"));
             let told = pieces.filter(|piece| {

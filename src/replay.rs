@@ -48,7 +48,7 @@ struct Replayed {
 #[derive(Debug, Serialize)]
 struct Task {
     name: String,
-    /// Steps that gave the recorded outputs again.
+    /// Steps that gave the same outputs as in the recording.
     steps: usize,
     /// Recorded steps that could not be judged, because the state before them is not known.
     unjudged: usize,
@@ -56,12 +56,12 @@ struct Task {
     lost: u64,
     /// `same`, `unknown` (something is missing) or `differs`.
     verdict: &'static str,
-    /// The first step whose outputs differ, if any.
+    /// A text about the first step whose outputs differ, if one does.
     divergence: Option<String>,
 }
 
 impl Task {
-    /// Whether all of its steps could be judged.
+    /// Whether all steps of the task could be judged.
     const fn is_judged(&self) -> bool {
         self.lost == 0 && self.unjudged == 0
     }
@@ -103,7 +103,7 @@ struct Opened<'a> {
     cell: &'a Loaded,
 }
 
-/// Opens a recording of one of the `known` cells; `given` is the file of the only one, if the user named it.
+/// Opens a recording of one of the `known` cells. If the user named the only cell, `given` is its file.
 fn open<'a>(path: &Path, known: &'a [Loaded], given: Option<&str>) -> Result<Opened<'a>, ReplayError> {
     let own = || path.to_owned();
     let file = files::open(path).map_err(|source| ReplayError::Open { path: own(), source })?;
@@ -172,7 +172,7 @@ fn read(path: &Path, known: &[Loaded], given: Option<&str>) -> Result<Replayed, 
     })
 }
 
-/// How a task of this name differs from its recording.
+/// How a task of this name differs from its recording, in words; none if it does not.
 fn divergence(verdict: Verdict, name: &str) -> Option<String> {
     match verdict {
         Verdict::Differs(Divergence { index, .. }) => {

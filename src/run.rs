@@ -102,8 +102,8 @@ pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Fail
     Ok(only)
 }
 
-/// Refuses to replace recordings of an earlier run without `--force`. Changes nothing: a node replaces its file only once it is
-/// bound and locked, so that a run that never begins loses no recording.
+/// Refuses to replace recordings of an earlier run without `--force`. This changes nothing: a node replaces its file only
+/// once it is bound and locked, so that a run that never begins destroys no recording.
 fn recordings_are_free(loaded: &Loaded, only: Option<NodeId>, args: &LaunchArgs) -> Result<(), Failure> {
     let Some(file) = &args.record else { return Ok(()) };
     let nodes = loaded.table.cell().nodes.iter().enumerate();

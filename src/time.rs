@@ -11,7 +11,7 @@ pub enum TimeError {
     /// The text does not parse.
     #[error("{0}: write a number and a unit, as in 500ms, 500 msec, 2s or 1min 30s")]
     Text(humantime::DurationError),
-    /// It is longer than a century.
+    /// The duration is longer than a century.
     #[error("longer than a century: write a shorter time, such as 1h")]
     TooLong,
 }

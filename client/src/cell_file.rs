@@ -11,29 +11,29 @@ pub enum CellFileError {
     /// The file does not exist.
     #[error("{}: there is no such file: name a cell file, such as first.cell", .0.display())]
     Missing(PathBuf),
-    /// It is a folder.
+    /// The name belongs to a folder.
     #[error("{}: this is a folder: name one cell file in it", .0.display())]
     Folder(PathBuf),
-    /// It is a pipe, a device or the like: reading it might never end.
+    /// The name belongs to a pipe, a device or the like: reading it might never end.
     #[error("{}: not a regular file: name a cell file, or `-` for standard input", .0.display())]
     NotAFile(PathBuf),
-    /// It is larger than a cell file may be.
+    /// The file is larger than a cell file may be.
     #[error("{}: larger than {} MiB, the most that is read: is it a cell file?", .0.display(), LONGEST_FILE >> 20)]
     TooLarge(PathBuf),
-    /// It is not UTF-8 text.
+    /// The file is not UTF-8 text.
     #[error("{}: {message}: save the file as UTF-8", path.display())]
     NotText {
-        /// The file.
+        /// The file that is not text.
         path: PathBuf,
-        /// The first invalid place.
+        /// Where the first invalid bytes are, as text.
         message: String,
     },
-    /// It cannot be read.
+    /// The operating system cannot read the file.
     #[error("{}: cannot be read: {source}", path.display())]
     Unreadable {
-        /// The file.
+        /// The file that could not be read.
         path: PathBuf,
-        /// Why.
+        /// The error of the operating system.
         source: io::Error,
     },
 }

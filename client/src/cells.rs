@@ -14,10 +14,10 @@ use std::sync::Arc;
 /// Why a cell cannot be used.
 #[derive(Debug, thiserror::Error)]
 pub enum CellError {
-    /// Its file cannot be read.
+    /// The cell's file cannot be read.
     #[error(transparent)]
     File(#[from] CellFileError),
-    /// It has errors: the diagnostics of the compiler.
+    /// The cell has errors: the diagnostics of the compiler, as text.
     #[error("{0}")]
     Text(String),
 }
@@ -33,7 +33,7 @@ pub struct Loaded {
     pub addresses: Vec<Address>,
     /// The checks of the cell.
     pub checks: Vec<Check>,
-    /// Its text.
+    /// The cell's text.
     pub source: Source,
 }
 
@@ -109,8 +109,8 @@ impl Loaded {
         self.all_actions().map(|action| action.name.as_str())
     }
 
-    /// The ranges of simulated results: the declared range, else the values that the cell compares them with, else a small
-    /// default.
+    /// The ranges from which simulated results of actions are drawn: the declared range; else the values with which the cell
+    /// compares the results; else a small default.
     #[must_use]
     pub fn results(&self) -> Vec<Results> {
         let mut results: BTreeMap<&str, (i64, i64, bool)> = BTreeMap::new();
@@ -118,7 +118,8 @@ impl Loaded {
             if let Some((least, most)) = range(action) {
                 let real = action.result == Some(Type::Real);
                 let known = results.entry(&action.name).or_insert((least, most, real));
-                // Statements with the same action share the intersection of their ranges, or the hull if that is empty.
+                // Statements with the same action share the intersection of their ranges, or the smallest range that covers
+                // both if they do not overlap.
                 let common = (known.0.max(least), known.1.min(most));
                 let all = (known.0.min(least), known.1.max(most));
                 let (least, most) = if common.0 <= common.1 { common } else { all };
@@ -144,7 +145,7 @@ impl Loaded {
 
 /// The least and the greatest result of an action.
 fn range(action: &Action) -> Option<(i64, i64)> {
-    // For a `real`, the whole numbers below and above it.
+    // The bounds for a `real` are the whole numbers below and above its value.
     let around = |&value: &i64| match action.result {
         Some(Type::Real) => {
             let x = f32::from_bits(i32::try_from(value).unwrap_or(0).cast_unsigned());

@@ -77,7 +77,7 @@ pub enum ProgramError {
     /// Monitors cannot be served.
     #[error(transparent)]
     Observe(#[from] ObserverError),
-    /// The operating system refused a thread.
+    /// The operating system could not start the threads that carry out actions.
     #[error("cannot start the actions: {0}")]
     Actions(io::Error),
 }
@@ -105,28 +105,28 @@ pub enum ProgramError {
 /// ```
 #[derive(Debug, thiserror::Error)]
 pub enum PlaceError {
-    /// The cell declares no host for it.
+    /// The cell declares no host for the node.
     #[error("node `{0}` has no address: write `node {0} at \"10.0.0.11\" port 7000;`")]
     NoHost(String),
-    /// The cell declares no port for it.
+    /// The cell declares no port for the node.
     #[error("node `{0}` has no UDP port: write `node {0} at \"{1}\" port 7000;`")]
     NoPort(String, String),
-    /// Its host name does not resolve.
+    /// The node's host name does not resolve.
     #[error("node `{node}` at \"{host}\": {source}")]
     Unknown {
-        /// The node.
+        /// The node whose host name does not resolve.
         node: String,
-        /// Its host.
+        /// The node's host.
         host: String,
-        /// Why.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The incarnation of the node cannot be stored.
     #[error("cannot remember in {path} that the node ran: {source}")]
     Unstored {
-        /// The file.
+        /// The file in which the incarnation should be stored.
         path: PathBuf,
-        /// Why.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// Another process runs this node.
@@ -134,7 +134,7 @@ pub enum PlaceError {
         "node `{node}` of this cell runs already on this machine, as process {process}: stop that first, or give this one a state of its own with XDG_STATE_HOME"
     )]
     Runs {
-        /// The node.
+        /// The node that already runs.
         node: String,
         /// The id of the process that runs it.
         process: String,

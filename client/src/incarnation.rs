@@ -28,8 +28,8 @@ const LOCK_WITHIN: Duration = Duration::from_millis(50);
 /// Interval between attempts to lock.
 const LOCK_EVERY: Duration = Duration::from_millis(5);
 
-/// The stored incarnation of a node: `$XDG_STATE_HOME/imrs/<cell>/<node>.life`. Locked as long as this exists, by the file
-/// `<node>.lock` beside it, which holds the process id.
+/// The stored incarnation of a node: `$XDG_STATE_HOME/imrs/<cell>/<node>.life`. As long as this value exists, it holds the
+/// lock on the file `<node>.lock` beside it, in which the id of this process stands.
 #[derive(Debug)]
 pub struct State {
     folder: PathBuf,
@@ -40,9 +40,9 @@ pub struct State {
 /// The incarnation with which a node starts.
 #[derive(Debug)]
 pub struct Counted {
-    /// Keeps the node locked until it is dropped.
+    /// The lock and the stored state. The node stays locked until this is dropped.
     pub state: State,
-    /// The incarnation.
+    /// The incarnation with which the node starts.
     pub incarnation: Incarnation,
     /// Whether an earlier incarnation may have taken requests.
     pub restarted: bool,
@@ -67,13 +67,13 @@ where
     let options = UdpOptions { statements, ..UdpOptions::new(Incarnation(0), false) };
     let link = UdpLink::bind(NodeTable::new(Arc::clone(&loaded.table), node), address, options);
     if let Err(UdpError::Bind { .. }) = link {
-        // The address may be taken by this very node in another process.
+        // The address may be in use because another process runs this very node.
         State::refuse_running(&cell.name, name)?;
     }
     let link = link?;
     for (i, peer) in cell.nodes.iter().enumerate() {
         if let Some(&address) = neighbours.get(&peer.name) {
-            // All of these are neighbours, so this cannot fail.
+            // All these nodes are neighbours, so setting their addresses cannot fail.
             let _ = link.set_address(NodeId::from_index(i), Some(address));
         }
     }
@@ -108,7 +108,8 @@ fn count(link: &UdpLink, cell: &str, node: &str) -> Result<Counted, PlaceError> 
     Ok(Counted { state, incarnation, restarted, notice })
 }
 
-/// The incarnation after the stored one and after all that neighbours remember, and whether theirs were ahead.
+/// The incarnation after the stored one and after all that neighbours remember, and whether the neighbours were ahead of the
+/// stored one.
 fn next(before: Option<Incarnation>, remembered: &[Incarnation]) -> (Incarnation, bool) {
     let after = |Incarnation(number): Incarnation| Incarnation(number.wrapping_add(1));
     // A node without stored state has no count of its own. A neighbour that does not answer may consider incarnation 0 old.
@@ -151,7 +152,7 @@ impl State {
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
             Err(error) => return Err(failed(error)),
         };
-        // The lock is shared, so that several processes that ask do not block each other.
+        // The lock is shared, so that processes that only ask do not block each other.
         match flock(&lock, FlockOperation::NonBlockingLockShared) {
             Ok(()) => Ok(()),
             Err(Errno::WOULDBLOCK) => Err(runs(&mut lock, node).map_err(failed)?),
@@ -255,7 +256,8 @@ mod tests {
         let refused = lock("n/1").unwrap_err().to_string();
         assert!(refused.contains(&format!("process {}", std::process::id())), "{refused}");
         drop((state, lock("other").unwrap()));
-        // A child process that another test starts holds this process's open files until it executes its program.
+        // Wait, because a child process of another test may hold this process's open files, and with them the lock, until it
+        // executes its program.
         let end = Instant::now() + Duration::from_secs(100);
         while let Err(error) = asked("n/1") {
             assert!(Instant::now() < end, "{error}");

@@ -98,130 +98,17 @@ mod program;
 pub use error::{PlaceError, ProgramError};
 pub use program::Program;
 
-/// The argument of a function that a [`Program`] has for an action.
-///
-/// ```
-/// use imrs_client::{Call, Program};
-/// use std::{thread::sleep, time::Duration};
-///
-/// /// Closes the gripper to a width in mm. Gives up if the script does.
-/// fn grip(call: &Call) -> Result<i32, String> {
-///     let [width, force] = call.arguments[..] else { return Err("two arguments are needed".into()) };
-///     assert_eq!((call.task.as_str(), width), ("robot", 40));
-///     // A `real` is passed as its bits.
-///     assert_eq!(u32::try_from(force).map(f32::from_bits), Ok(2.5));
-///     assert_eq!(call.most, Duration::from_secs(5));
-///     for _step in 0..3 {
-///         if call.is_cut_short() {
-///             return Err("stopped".into());
-///         }
-///         sleep(call.least / 3);
-///     }
-///     Ok(0)
-/// }
-///
-/// # fn main() -> Result<(), imrs_client::ProgramError> {
-/// const CELL: &str = "cell lift;
-/// tick 1 msec;
-/// node here;
-/// task robot on here
-/// begin
-///   run grip 40, 2.5 takes 10..5000 msec;
-/// end robot;
-/// ";
-/// let ends = Program::of_text("lift.cell", CELL)?.action("grip", grip).run(None)?;
-/// # assert!(matches!(ends[0].1, imrs_client::TaskEnd::Script(imrs_runtime::protocol::script::End::Finished)), "{ends:?}");
-/// # Ok(())
-/// # }
-/// ```
+/// The argument that a [`Program`] passes to its function for an action.
 #[doc(inline)]
 pub use imrs_runtime::script::Call;
 
-/// The argument of a program that a [`Program`] has for an extern task: its ports, and everything that a script can do with
-/// them.
-///
-/// ```
-/// use imrs_client::{Context, Program, TaskError};
-/// use std::time::Duration;
-///
-/// fn left(ctx: &mut Context) -> Result<(), TaskError> {
-///     let news = ctx.port("news")?;
-///     for count in 0..3_i16 {
-///         // Class 1: no receiver answers, and what arrives too late is dropped.
-///         let _copies = ctx.send(news, &count.to_le_bytes())?;
-///         ctx.delay(Duration::from_millis(1))?;
-///     }
-///     Ok(())
-/// }
-///
-/// fn right(ctx: &mut Context) -> Result<(), TaskError> {
-///     let news = ctx.port("news")?;
-///     // `None`: no message came within the time.
-///     while let Some(message) = ctx.receive(Some(news), Some(Duration::from_millis(100)))? {
-///         println!("{:?}", message.contents.as_bytes());
-///     }
-///     Ok(())
-/// }
-///
-/// # fn main() -> Result<(), imrs_client::ProgramError> {
-/// const CELL: &str = "cell both;
-/// tick 1 msec;
-/// node here;
-/// task left on here extern
-///   port news(count: int16) usage = send user_list = {right} time_out = 50 msec class = 1;
-/// end left;
-/// task right on here extern
-///   use_port news(count: int16) usage = receive;
-/// end right;
-/// ";
-/// let ends = Program::of_text("both.cell", CELL)?.task("left", left).task("right", right).run(None)?;
-/// # assert!(ends.iter().all(|(_, end)| *end == imrs_client::TaskEnd::Returned), "{ends:?}");
-/// # Ok(())
-/// # }
-/// ```
+/// The argument that a [`Program`] passes to its function for an extern task: the task's ports, and everything that a script
+/// can do with them.
 #[doc(inline)]
 pub use imrs_runtime::Context;
 
-/// The argument of a program that a [`Program`] has for an extern task if that program is a future: the calls of [`Context`], and
-/// those that wait are awaited. The futures of a node share one thread.
-///
-/// ```
-/// use imrs_client::{AsyncContext, Program, TaskEnd, TaskError};
-///
-/// /// Counts three commands of `robot`, and answers each.
-/// async fn counter(mut ctx: AsyncContext<i32>) -> Result<(), TaskError> {
-///     let news = ctx.port("news")?;
-///     while ctx.state < 3 {
-///         let Some(message) = ctx.receive(Some(news), None).await? else { continue };
-///         ctx.reply(&message.from, &[])?;
-///         ctx.state += 1;
-///     }
-///     Ok(())
-/// }
-///
-/// # fn main() -> Result<(), imrs_client::ProgramError> {
-/// const CELL: &str = "cell both;
-/// tick 1 msec;
-/// node here;
-/// task robot on here
-///   var n: int16;
-///   port news(n: int16) usage = send user_list = {counter} time_out = 10 sec class = 2;
-/// begin
-///   while n < 3 do
-///     send news(n);
-///     n := n + 1;
-///   end;
-/// end robot;
-/// task counter on here extern
-///   use_port news(n: int16) usage = receive;
-/// end counter;
-/// ";
-/// let program = Program::of_text("both.cell", CELL)?;
-/// let ends = program.async_task("counter", AsyncContext::with_state(0, counter)).run(None)?;
-/// assert_eq!(ends[1], ("counter".to_owned(), TaskEnd::Returned));
-/// # Ok(())
-/// # }
-/// ```
+/// The argument that a [`Program`] passes to its function for an extern task if that function is a future. It has the calls
+/// of [`Context`]; those that wait are awaited. The futures of a node share one thread.
 #[doc(inline)]
 pub use imrs_runtime::AsyncContext;
 
@@ -332,8 +219,8 @@ pub use imrs_runtime::Sent;
 #[doc(inline)]
 pub use imrs_runtime::TaskEnd;
 
-/// Why a call of a [`Context`] was not carried out. Pass each on with `?`: one of them says that the node stops, and counts as
-/// a return.
+/// Why a call of a [`Context`] was not carried out. Pass each error on with `?`: the error that says that the node stops
+/// counts as a return of the task.
 ///
 /// ```
 /// use imrs_client::{Program, TaskEnd, TaskError};

@@ -31,7 +31,8 @@ pub fn neighbours(loaded: &Loaded, node: NodeId) -> Result<BTreeMap<String, Sock
     loaded.table.neighbours(node).map(of).collect()
 }
 
-/// The observer address of the node with the index `after`. Port 0 means any free port for each.
+/// The observer address of the node with the index `after`: successive ports from the port of `first`. Port 0 means any free
+/// port for each node.
 #[must_use]
 pub fn observed_at(first: SocketAddr, after: usize) -> SocketAddr {
     let port = first.port();

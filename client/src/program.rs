@@ -24,7 +24,7 @@ const PATIENCE: Duration = Duration::from_secs(2);
 /// Poll interval for the ends of the tasks.
 const LOOK_EVERY: Duration = Duration::from_millis(10);
 
-/// Gives an extern task of a node its program, which begins when the gate says so.
+/// Adds the program of an extern task to the builder of the task's node. The program begins when the gate opens.
 type Adds = Box<dyn FnOnce(Builder, Gate) -> Builder + Send>;
 
 /// Nodes of a cell file, with Rust functions for its actions and its extern tasks.
@@ -77,7 +77,8 @@ pub struct Program {
 
 type Function = Box<dyn Fn(&Call) -> Result<i32, String> + Send + Sync>;
 
-/// Says once whether the programs of extern tasks begin: all nodes of the program have started, or one of them has not.
+/// The gate says once whether the programs of extern tasks begin: true if all nodes of this process have started, false if
+/// one of them has not.
 type Gate = Arc<OnceLock<bool>>;
 
 /// A running node.
@@ -85,7 +86,7 @@ struct Running {
     runtime: Runtime,
     /// The lock on the node's stored incarnation, if the node runs on its own.
     _state: Option<State>,
-    /// Monitors are served until these are dropped.
+    /// The servers of the node's monitors, which end when these values are dropped.
     _observers: Vec<Observer>,
 }
 
@@ -150,7 +151,7 @@ impl Program {
         let of = name.to_owned();
         self.adds(name, move |builder, gate| {
             builder.async_task(&of, move |ctx| async move {
-                // The gate opens once all nodes have started, and no future of this node may begin before.
+                // This waits until all nodes have started: no future of this node may begin before.
                 begins(&gate)?;
                 program(ctx).await
             })
@@ -163,8 +164,8 @@ impl Program {
     }
 
     /// Runs only this node, at the address that the cell declares; the others run elsewhere, as by `imrs run --node`. Its
-    /// incarnation is stored in `$XDG_STATE_HOME/imrs` (else `~/.local/state/imrs`). Standard error says so if neighbours
-    /// remember a later one, or if none answers.
+    /// incarnation is stored in `$XDG_STATE_HOME/imrs` (else `~/.local/state/imrs`). If neighbours remember a later
+    /// incarnation, or if no neighbour answers, a line on standard error says so.
     pub fn node(mut self, name: &str) -> Self {
         self.node = Some(name.into());
         self
@@ -215,10 +216,11 @@ impl Program {
             let _ = gate.set(false);
             return Err(error);
         }
-        // Scripts of a restarted node are held back at first (D94). `length` counts from when all have begun.
+        // Scripts of a restarted node are held back at first (D94). `length` counts from the instant at which all scripts
+        // have begun.
         let begin = || running.iter().filter_map(|node: &Running| node.runtime.begin()).min();
         let (mut begins, mut end) = (begin(), None);
-        // The programs begin when all nodes are there: the network drops what is sent to a node that has not joined it.
+        // The programs begin only now, because the network drops messages to a node that has not joined it.
         let _ = gate.set(true);
         loop {
             if begins.is_some_and(|at| at <= Instant::now()) {
@@ -238,7 +240,7 @@ impl Program {
         Ok(running.into_iter().flat_map(|node| node.runtime.stop(PATIENCE)).collect())
     }
 
-    /// The nodes that run here.
+    /// The nodes that run in this process.
     fn nodes(&self) -> Result<Vec<NodeId>, ProgramError> {
         let all = &self.loaded.table.cell().nodes;
         let Some(name) = &self.node else { return Ok((0..all.len()).map(NodeId::from_index).collect()) };
@@ -308,13 +310,14 @@ impl Program {
             builder = match (&self.loaded.scripts[task.index()], self.tasks.remove(name)) {
                 (Some(script), _) => builder.script(name, Arc::clone(&script.program)),
                 (None, Some(adds)) => adds(builder, Arc::clone(gate)),
-                // `check` has refused this already.
+                // `check` has already returned an error for such a task.
                 (None, None) => return Err(ProgramError::NoBody(name.clone())),
             };
         }
         let runtime = builder.start()?;
         let mut observers = vec![];
-        // A node runs without its Unix socket, too. A TCP address was asked for, so failing to bind it is an error.
+        // A node runs without its Unix socket, too. But the user asked for the TCP address, so failing to bind that is an
+        // error.
         observers.extend(Observer::start(Arc::clone(runtime.node())).ok());
         if let Some(first) = self.observe {
             let address = place::observed_at(first, after);
@@ -331,7 +334,7 @@ impl Program {
         let address = place::address(&self.loaded, node)?;
         let (link, counted) = incarnation::bind::<ProgramError>(&self.loaded, node, address)?;
         if let Some(notice) = &counted.notice {
-            // Standard error may have no reader: the node runs all the same.
+            // Standard error may be closed. The node runs all the same.
             let _ = writeln!(io::stderr(), "imrs: {}", one_line(notice));
         }
         link.greet();
@@ -339,7 +342,7 @@ impl Program {
     }
 }
 
-/// Waits until the programs begin.
+/// Waits until the gate opens, and says whether the programs begin.
 fn begins(gate: &Gate) -> Result<(), TaskError> {
     if *gate.wait() { Ok(()) } else { Err(TaskError::Stopped) }
 }

@@ -1,4 +1,4 @@
-//! What a program is refused, and a cell whose two nodes are two programs.
+//! Tests which programs are refused, and runs a cell whose two nodes are two programs.
 
 use imrs_client::{Context, Program, ProgramError, TaskEnd, TaskError};
 use std::path::PathBuf;
@@ -36,7 +36,7 @@ fn monitors_of_other_machines_need_a_token() {
     assert!(matches!(watched(open().observe_token("short")), Err(ProgramError::Token(_))));
 }
 
-/// The cell of two programs, at an address that no other process uses.
+/// The cell that the two programs share, at an address that no other process uses.
 const CELL: &str = r#"
 cell apart;
 tick 1 msec;
@@ -50,33 +50,33 @@ task right on nb extern
   use_port ask(x: int16) usage = receive;
 end right;
 "#;
-/// The environment variables that name the node of a child process, and the address.
+/// The environment variable that names the node of a child process; the next one has the node's address.
 const NODE: &str = "IMRS_TEST_CLIENT_NODE";
 const ADDRESS: &str = "IMRS_TEST_CLIENT_ADDRESS";
-/// How long the nodes have. It ends the test only if they do not find each other.
+/// How long the nodes may run. This limit ends the test only if they do not find each other.
 const LENGTH: Duration = Duration::from_secs(300);
 
-/// Asks until it gets an answer: the other program may start later.
+/// Asks until an answer comes, because the other program may start later.
 fn left(ctx: &mut Context) -> Result<(), TaskError> {
     let ask = ctx.port("ask")?;
     while ctx.send(ask, &7_i16.to_le_bytes())?.reply().is_none() {}
     Ok(())
 }
 
-/// Answers until no task has asked for a while: an answer may be lost.
+/// Answers until no task has asked for a while, because an answer may be lost.
 fn right(ctx: &mut Context) -> Result<(), TaskError> {
     let ask = ctx.port("ask")?;
     let mut wait = None;
     while let Some(question) = ctx.receive(Some(ask), wait)? {
         assert_eq!(question.contents.as_bytes(), 7_i16.to_le_bytes());
-        // A late answer is an error: the asker asks again.
+        // If the answer is too late, the asker asks again.
         let _ = ctx.reply(&question.from, &[]);
         wait = Some(Duration::from_secs(2));
     }
     Ok(())
 }
 
-/// Run as a child process by the next test.
+/// The body of a child process, which the next test starts.
 #[test]
 fn the_program_of_one_node() {
     let Ok(node) = std::env::var(NODE) else { return };
@@ -92,7 +92,7 @@ fn the_program_of_one_node() {
 fn two_programs_run_a_node_each() {
     let state = tempfile::tempdir().expect("a folder");
     let [_, a, b, c] = std::process::id().to_be_bytes();
-    // Other programs use 127.0.x.y.
+    // Other programs on this machine use addresses 127.0.x.y.
     let address = format!("127.{}.{b}.{c}", 64 | a);
     let start = |node: &str| -> Child {
         let mut program = Command::new(std::env::current_exe().expect("this program"));
@@ -116,7 +116,7 @@ fn two_programs_run_a_node_each() {
 
 #[test]
 fn a_body_finds_the_other_nodes_when_it_begins() {
-    // The nodes start in this order, and those in between take a while.
+    // The nodes start in this order. The nodes in between take so long that a message sent too early would find no receiver.
     let between: String = (0..40).map(|i| format!("node n{i};\n")).collect();
     let cell = format!(
         r#"
@@ -139,7 +139,7 @@ end right;
     );
     let program = Program::of_text("together.cell", &cell).expect("a cell").task("left", |ctx| {
         let ask = ctx.port("ask")?;
-        // Sent once: a copy that finds no node gets no answer.
+        // The message is sent once: a copy that finds no node gets no answer.
         assert!(ctx.send(ask, &[7, 0])?.reply().is_some(), "no answer");
         Ok(())
     });

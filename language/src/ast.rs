@@ -10,7 +10,7 @@ use imrs_protocol::script::{Binary, Type};
 pub struct Name {
     /// The name, as written.
     pub text: String,
-    /// Its span.
+    /// The name's span.
     pub span: Span,
 }
 
@@ -19,16 +19,16 @@ pub struct Name {
 pub struct Duration {
     /// The duration in microseconds.
     pub usec: u64,
-    /// Its span.
+    /// The duration's span.
     pub span: Span,
 }
 
 /// A whole number, as in `class = 2` or `retry = 3`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Number {
-    /// Its value.
+    /// The number's value.
     pub value: u32,
-    /// Its span.
+    /// The number's span.
     pub span: Span,
 }
 
@@ -62,14 +62,14 @@ pub enum Item {
     Check(CheckDecl),
 }
 
-/// How late timers may fire, or the step of the model (D42, D133).
+/// `tick` or `model tick`: how late a node's timers may fire, or the step of time in the checker (D42, D133).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TickDecl {
     /// Whether this declares the `model tick`.
     pub model: bool,
     /// The duration of one tick.
     pub length: Duration,
-    /// Its span.
+    /// The declaration's span.
     pub span: Span,
 }
 
@@ -82,40 +82,40 @@ pub struct LinkDecl {
     pub b: Name,
     /// The longest delay of a packet that is not lost (D20).
     pub delay: Duration,
-    /// Its span.
+    /// The link's span.
     pub span: Span,
 }
 
 /// A node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct NodeDecl {
-    /// Its name.
+    /// The node's name.
     pub name: Name,
-    /// Its host, with its span.
+    /// The node's host, with its span.
     pub at: Option<(String, Span)>,
-    /// Its UDP port.
+    /// The node's UDP port.
     pub port: Option<Number>,
-    /// Its span.
+    /// The node's span.
     pub span: Span,
 }
 
 /// A record: the format of a message, or the type of a variable.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TypeDecl {
-    /// Its name.
+    /// The record's name.
     pub name: Name,
-    /// Its fields.
+    /// The record's fields.
     pub fields: Vec<Field>,
-    /// Its span.
+    /// The record's span.
     pub span: Span,
 }
 
 /// A field of a record, or a parameter of a port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Field {
-    /// Its name.
+    /// The field's name.
     pub name: Name,
-    /// Its type. A parameter without a type takes it from the port's record, or is a `word` (C7, D93).
+    /// The field's type. A parameter without a type takes it from the port's record, or is a `word` (C7, D93).
     pub of: Option<TypeName>,
 }
 
@@ -126,14 +126,14 @@ pub enum TypeName {
     Plain(Type, Span),
     /// `timer`: for variables only.
     Timer(Span),
-    /// A record.
+    /// The name of a record type.
     Record(Name),
 }
 
 /// A task.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TaskDecl {
-    /// Its name.
+    /// The task's name.
     pub name: Name,
     /// `on n`: the node that runs the task.
     pub on: Name,
@@ -145,18 +145,18 @@ pub struct TaskDecl {
     pub is_extern: Option<Span>,
     /// `rate = n/dur` of an `extern` task.
     pub rate: Option<Rate>,
-    /// Its ports.
+    /// The task's ports.
     pub ports: Vec<PortDecl>,
-    /// Its variables and timers.
+    /// The task's variables and timers.
     pub variables: Vec<VarDecl>,
-    /// Its handlers, in the order of the file.
+    /// The task's handlers, in the order of the file.
     pub handlers: Vec<Handler>,
-    /// Its body. Handlers and statements may alternate in the text. An `order` in front of the handlers is the first
+    /// The task's body. Handlers and statements may alternate in the text. An `order` in front of the handlers is the first
     /// statement of the body.
     pub body: Vec<Statement>,
     /// `takeover ...`: what the task runs when it takes over from its primary (D61).
     pub takeover: Option<Vec<Statement>>,
-    /// The span of its head: `task armL on nl`.
+    /// The span of the task's head: `task armL on nl`.
     pub span: Span,
     /// The name after `end`.
     pub end: Option<Name>,
@@ -176,24 +176,24 @@ pub struct Rate {
 pub struct PortDecl {
     /// Whether the owner declares it with `port`, not a user with `use_port`.
     pub owner: bool,
-    /// Its name.
+    /// The port's name.
     pub name: Name,
-    /// Its parameters. A single parameter of a record type stands for the record's fields.
+    /// The port's parameters. A single parameter of a record type stands for the record's fields.
     pub parameters: Vec<Field>,
     /// `-> type`: the type of an answer.
     pub answer: Option<TypeName>,
-    /// Its options, in the order of the file.
+    /// The port's options, in the order of the file.
     pub options: Vec<PortOption>,
-    /// Its span.
+    /// The port's span.
     pub span: Span,
 }
 
 /// An option of a port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PortOption {
-    /// Which option it is, and its value.
+    /// The option with the value that is set.
     pub kind: PortOptionKind,
-    /// Its span.
+    /// The option's span.
     pub span: Span,
 }
 
@@ -232,22 +232,22 @@ pub enum PortOptionKind {
 /// `var a, b: int8;`
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct VarDecl {
-    /// Their names.
+    /// The names of the variables.
     pub names: Vec<Name>,
-    /// Their type.
+    /// The type of the variables.
     pub of: TypeName,
-    /// Its span.
+    /// The declaration's span.
     pub span: Span,
 }
 
 /// `on ... do ... end;`
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Handler {
-    /// The event that runs it.
+    /// The event that runs the handler.
     pub trigger: Trigger,
     /// The handler's statements.
     pub body: Vec<Statement>,
-    /// The span of its head.
+    /// The span of the handler's head.
     pub span: Span,
 }
 
@@ -256,18 +256,18 @@ pub struct Handler {
 pub enum Trigger {
     /// `on query p(a)`, `on receive p(a)`
     Message {
-        /// Whether it is `on query`.
+        /// Whether the trigger is `on query`, not `on receive`.
         query: bool,
-        /// The port.
+        /// The port whose message runs the handler.
         port: Name,
         /// The variables for the message's fields.
         variables: Vec<Name>,
     },
     /// `on silence p 10 msec when expr`: no message came through the port for this long.
     Silence {
-        /// The port.
+        /// The port whose silence runs the handler.
         port: Name,
-        /// How long no message came.
+        /// How long no message must come.
         length: Duration,
         /// The condition that must hold all the time.
         when: Option<Expr>,
@@ -281,26 +281,26 @@ pub enum Trigger {
 /// A statement.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Statement {
-    /// What it does.
+    /// What the statement does.
     pub kind: StatementKind,
     /// What runs if the statement times out, is refused or fails: `on time_out do ... end`.
     pub branches: Vec<Branch>,
-    /// Its span, without its branches and inner statements.
+    /// The statement's span, without its branches and inner statements.
     pub span: Span,
 }
 
 /// A branch of a statement: `on time_out do ... end`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Branch {
-    /// The end of the statement for which it runs.
+    /// The outcome of the statement for which this branch runs.
     pub when: BranchKind,
     /// The branch's statements.
     pub body: Vec<Statement>,
-    /// The span of its head.
+    /// The span of the branch's head.
     pub span: Span,
 }
 
-/// The end of a statement for which a branch runs.
+/// The outcomes of a statement for which branches can be written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum BranchKind {
     /// `on time_out`: also for a command that is unsent, unknown or whose peer restarted.
@@ -317,9 +317,9 @@ pub enum StatementKind {
     /// `send p({t,} args)`, `use_send p(args)`, `query p({t,} args) -> vars`. Tasks or modules named in front of the
     /// arguments are the recipients; name resolution tells them from arguments.
     Send {
-        /// The word: `send`, `use_send` or `query`.
+        /// The keyword: `send`, `use_send` or `query`.
         verb: Verb,
-        /// The port.
+        /// The port through which the message goes.
         port: Name,
         /// The recipients and the values.
         arguments: Vec<Expr>,
@@ -336,7 +336,7 @@ pub enum StatementKind {
         into: Vec<Place>,
         /// The only sender from which it receives.
         from: Option<Name>,
-        /// How long it waits at most. The task's own time_out of the port limits it, too; without either it waits for ever.
+        /// The longest wait of the statement. The task's time_out of the port limits it, too. With neither it never ends.
         within: Option<Duration>,
     },
     /// `reply(args)` and `response(args)` answer the last message. `reply p(args) for t` answers an earlier one.
@@ -344,9 +344,9 @@ pub enum StatementKind {
     Reply {
         /// Whether the keyword is `response`.
         response: bool,
-        /// The port.
+        /// The port whose message is answered.
         port: Option<Name>,
-        /// The values.
+        /// The values of the answer.
         arguments: Vec<Expr>,
         /// The task whose message the reply answers.
         asker: Option<Name>,
@@ -355,9 +355,9 @@ pub enum StatementKind {
     },
     /// `waitfor p(args)`
     Waitfor {
-        /// The port.
+        /// The port of the rendezvous.
         port: Name,
-        /// The values that the other members are told.
+        /// The values that this task sends to the other members.
         arguments: Vec<Expr>,
         /// How long the task waits at most, if less than the port's time_out.
         within: Option<Duration>,
@@ -368,11 +368,11 @@ pub enum StatementKind {
     Delay(Duration),
     /// `run weld p.spot -> x takes 2..3 sec`
     Run {
-        /// The action.
+        /// The action that runs.
         action: Name,
-        /// Its arguments.
+        /// The action's arguments.
         arguments: Vec<Expr>,
-        /// The variables for its result.
+        /// The variables that get the action's result.
         into: Vec<Place>,
         /// `in 0 .. 1000`: the least and the greatest result.
         range: Option<(Expr, Expr)>,
@@ -394,7 +394,7 @@ pub enum StatementKind {
     Assign {
         /// The variable or the port.
         place: Place,
-        /// The value.
+        /// The value that the variable gets.
         value: Expr,
     },
     /// `if .. then .. elsif .. else .. end`
@@ -434,16 +434,16 @@ pub enum Verb {
 pub struct Place {
     /// The names, outermost first.
     pub path: Vec<Name>,
-    /// Its span.
+    /// The place's span.
     pub span: Span,
 }
 
 /// An expression.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Expr {
-    /// Its kind.
+    /// The expression's kind.
     pub kind: ExprKind,
-    /// Its span.
+    /// The expression's span.
     pub span: Span,
 }
 
@@ -472,7 +472,7 @@ pub enum ExprKind {
     Not(Box<Expr>),
     /// `-x`
     Negate(Box<Expr>),
-    /// `x + y` and the like, as integers until types are known.
+    /// `x + y` and the like. The parser marks each as an operation on integers, because types are not known yet.
     Binary(Binary, Box<Expr>, Box<Expr>),
 }
 
@@ -481,7 +481,7 @@ pub enum ExprKind {
 pub struct CoupleDecl {
     /// The process class (Table 1), and the coupled tasks.
     pub kind: CoupleKind,
-    /// Its span.
+    /// The declaration's span.
     pub span: Span,
 }
 
@@ -490,9 +490,9 @@ pub struct CoupleDecl {
 pub enum CoupleKind {
     /// `loose {a, b} over t`
     Loose {
-        /// The sharing tasks.
+        /// The tasks that share something.
         tasks: Vec<Name>,
-        /// The task that administers what they share.
+        /// The task that administers what the others share.
         over: Name,
     },
     /// `tight {a, b}`
@@ -523,7 +523,7 @@ pub enum CoupleKind {
 pub struct FaultsDecl {
     /// The faults, in the order of the file.
     pub faults: Vec<Fault>,
-    /// Its span.
+    /// The declaration's span.
     pub span: Span,
 }
 
@@ -549,11 +549,11 @@ pub enum Fault {
 /// `check name: never expr;`
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CheckDecl {
-    /// Its name.
+    /// The check's name.
     pub name: Name,
-    /// The property.
+    /// The property that must hold.
     pub kind: CheckKind,
-    /// Its span.
+    /// The check's span.
     pub span: Span,
 }
 
@@ -566,7 +566,7 @@ pub enum CheckKind {
     Always(Expr),
     /// `expr leads expr within 25 msec`
     Leads {
-        /// The premise.
+        /// The premise of the property.
         when: Expr,
         /// The consequence: whenever the premise is true, it must be true then or later.
         then: Expr,

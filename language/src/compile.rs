@@ -93,8 +93,9 @@ fn behaviour((file, source): (&File, &Source), hir: &Hir, options: Options) -> V
         return found;
     }
     let checked = checks::all(hir, options.paper);
-    // The checks explain a deadline better than the table does; both point at its port. A time_out that cannot cover its
-    // route is not also reported as short.
+    // The checks and the cell's table may both find the same deadline too short; both findings mark the deadline's port. The
+    // finding of the checks explains more, so only that one stays. A time_out that cannot cover its route is not also
+    // reported as short.
     let port = |found: &Diagnostic| found.secondary.first().map(|label| label.span);
     let of = |all: &[Diagnostic], code| -> Vec<Option<Span>> {
         all.iter().filter(|found| found.code == code).map(port).collect()

@@ -30,7 +30,7 @@ impl fmt::Display for Severity {
 /// A span, and what is to say about it.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Label {
-    /// The span.
+    /// The text that the label marks.
     pub span: Span,
     /// The text; may be empty on the primary label.
     pub text: String,
@@ -39,9 +39,9 @@ pub struct Label {
 /// A diagnostic.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Diagnostic {
-    /// Its code, one of [`codes::ALL`](crate::codes::ALL): `E104`.
+    /// The diagnostic's code, one of [`codes::ALL`](crate::codes::ALL): `E104`.
     pub code: &'static str,
-    /// Its severity.
+    /// The diagnostic's severity.
     pub severity: Severity,
     /// What is wrong, in one line without a full stop, names in backquotes.
     pub message: String,
@@ -72,7 +72,7 @@ impl Diagnostic {
         Self::new(code, Severity::Note, span, message.into())
     }
 
-    /// Whether it reports that the file exceeds a limit of size or depth.
+    /// Whether the diagnostic reports that the file exceeds a limit of size or depth.
     #[must_use]
     pub fn is_limit(&self) -> bool {
         matches!(self.code, codes::LIMIT | codes::TOO_MANY)

@@ -8,11 +8,12 @@ use crate::span::Span;
 /// Words that mean the same thing, in lower case, and what to write here.
 type Row = (&'static [&'static str], &'static str);
 
-/// The diagnostic for a line that begins with an unknown word, which is told as `shown`. `follows` is the token behind it.
+/// The diagnostic for a line that begins with an unknown word, which the message shows as `shown`. `follows` is the token
+/// behind it.
 pub(crate) fn unknown_statement(name: &str, shown: &str, span: Span, follows: Option<Kind>) -> Diagnostic {
     let found = Diagnostic::error(MISSPELT, span, format!("`{shown}` does not begin a statement"));
     match follows {
-        // `n++;` and `n--;`: what changes a variable is an assignment.
+        // `n++;` and `n--;` of other languages: here an assignment changes a variable.
         Some(sign @ (Kind::Plus | Kind::Link)) => {
             let sign = if sign == Kind::Plus { '+' } else { '-' };
             found.help(format!("write `{shown} := {shown} {sign} 1;`"))

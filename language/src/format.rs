@@ -53,7 +53,7 @@ enum What {
 struct Piece<'t> {
     what: What,
     text: Cow<'t, str>,
-    /// How many line breaks were in front of it.
+    /// How many line breaks the source has in front of the piece.
     breaks: usize,
     /// The column of a comment in the source, from 1; 0 for a token.
     column: usize,

@@ -16,7 +16,7 @@ pub use crate::ast::Duration;
 /// A whole cell.
 #[derive(Clone, Debug, Default)]
 pub struct Hir {
-    /// Its name.
+    /// The cell's name.
     pub name: String,
     /// Whether the paper's own rules replace this project's decisions (D92).
     pub paper: bool,
@@ -26,7 +26,7 @@ pub struct Hir {
     pub model_tick: Option<Duration>,
     /// The nodes, by [`NodeId`].
     pub nodes: Vec<Node>,
-    /// The links.
+    /// The links of the cell.
     pub links: Vec<Link>,
     /// The record types.
     pub records: Vec<Record>,
@@ -83,11 +83,11 @@ impl Hir {
 /// A node.
 #[derive(Clone, Debug)]
 pub struct Node {
-    /// Its name.
+    /// The node's name.
     pub name: String,
-    /// Its host.
+    /// The node's host.
     pub host: Option<String>,
-    /// Its UDP port.
+    /// The node's UDP port.
     pub port: Option<u16>,
     /// The span of the node's name.
     pub span: Span,
@@ -98,20 +98,20 @@ pub struct Node {
 pub struct Link {
     /// One end.
     pub a: NodeId,
-    /// The other.
+    /// The node at the other end.
     pub b: NodeId,
     /// The longest delay of a packet that is not lost (D20).
     pub delay: Duration,
-    /// Its span.
+    /// The link's span.
     pub span: Span,
 }
 
 /// A record.
 #[derive(Clone, Debug)]
 pub struct Record {
-    /// Its name.
+    /// The record's name.
     pub name: String,
-    /// Its fields.
+    /// The record's fields.
     pub fields: Vec<Field>,
     /// The span of the record's name.
     pub span: Span,
@@ -120,26 +120,26 @@ pub struct Record {
 /// A field of a record, or a parameter of a port.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Field {
-    /// Its name.
+    /// The field's name.
     pub name: String,
-    /// Its type.
+    /// The field's type.
     pub of: Type,
-    /// Its span.
+    /// The field's span.
     pub span: Span,
 }
 
 /// A port (Figure 1): its owner's and its users' declarations in one.
 #[derive(Clone, Debug)]
 pub struct Port {
-    /// Its name.
+    /// The port's name.
     pub name: String,
     /// The owning task.
     pub owner: TaskId,
     /// The owner's usage; the users have its counterpart (D11).
     pub usage: Usage,
-    /// Its users, in the order of the `user_list`. A module is replaced by its tasks (D32).
+    /// The port's users, in the order of the `user_list`. A module is replaced by its tasks (D32).
     pub users: Vec<User>,
-    /// The span of its `user_list`.
+    /// The span of the port's `user_list`.
     pub user_list: Option<Span>,
     /// The record type of its messages, by position in [`Hir::records`], if they have one.
     pub record: Option<usize>,
@@ -147,23 +147,23 @@ pub struct Port {
     pub message: Vec<Field>,
     /// The fields of an answer. By default a query's answer has the fields of the message, any other answer has none.
     pub answer: Vec<Field>,
-    /// Its class, declared or by default.
+    /// The port's class, declared or by default.
     pub class: Class,
-    /// Its time_out.
+    /// The port's time_out.
     pub time_out: Option<Duration>,
-    /// `bounded_buffer`.
+    /// The value of `bounded_buffer`: how many messages the port's buffer holds.
     pub bounded_buffer: u16,
     /// The span of `bounded_buffer`.
     pub buffer_span: Option<Span>,
-    /// `retry`.
+    /// The value of `retry`: how often a message of class 2 is retransmitted.
     pub retry: u8,
-    /// `resend`.
+    /// The value of `resend`: the time between two transmissions.
     pub resend: Option<Duration>,
     /// `penalty`: the time, and whether the paper's literal rule applies (D4).
     pub penalty: Option<(Duration, bool)>,
-    /// `rate`.
+    /// The value of `rate`: at most so many messages in each such time.
     pub rate: Option<(u16, Duration)>,
-    /// `latest`.
+    /// Whether the port has the option `latest`.
     pub latest: bool,
     /// The work couple whose lease covers this port, by position in [`Hir::couples`] (D61, D88). Only the couple's tasks send
     /// on such a port, and only to tasks outside of the couple.
@@ -208,44 +208,44 @@ impl Port {
 /// A user of a port.
 #[derive(Clone, Debug)]
 pub struct User {
-    /// The task.
+    /// The task that uses the port.
     pub task: TaskId,
-    /// Its own time_out.
+    /// The user's own time_out.
     pub time_out: Option<Duration>,
-    /// Its own rate.
+    /// The user's own rate.
     pub rate: Option<(u16, Duration)>,
-    /// Its own `retry`.
+    /// The user's own `retry`.
     pub retry: Option<u8>,
     /// The span of its name in the `user_list`, or in its `use_port` if the port has no such list.
     pub listed: Span,
-    /// The span of the port's name in the task's `use_port`; none until that is found.
+    /// The span of the port's name in the task's `use_port`; none until name resolution has found that declaration.
     pub span: Option<Span>,
 }
 
 /// A task.
 #[derive(Clone, Debug)]
 pub struct Task {
-    /// Its name.
+    /// The task's name.
     pub name: String,
-    /// Its node.
+    /// The task's node.
     pub node: NodeId,
-    /// Its module.
+    /// The task's module.
     pub module: Option<String>,
-    /// The task whose standby it is.
+    /// The task that this task takes over from, if this one is a standby.
     pub standby_of: Option<TaskId>,
     /// Whether a Rust program provides its behaviour.
     pub is_extern: bool,
     /// The highest rate at which an `extern` task acts.
     pub rate: Option<(u16, Duration)>,
-    /// Its variables, by the position in [`Slot::Task`]. The fields of a record are adjacent: `me.height`.
+    /// The task's variables, by the position in [`Slot::Task`]. The fields of a record are adjacent: `me.height`.
     pub variables: Vec<Variable>,
-    /// Its timers, by [`TimeId`].
+    /// The task's timers, by [`TimeId`].
     pub timers: Vec<Timer>,
-    /// Its handlers.
+    /// The task's handlers.
     pub handlers: Vec<Handler>,
-    /// Its statements.
+    /// The task's statements.
     pub body: Vec<Statement>,
-    /// The statements that it runs when it takes over.
+    /// The statements that a standby runs when it takes over.
     pub takeover: Option<Vec<Statement>>,
     /// The values that its body and its take-over save for later expressions.
     pub captures: Vec<Capture>,
@@ -257,7 +257,7 @@ pub struct Task {
 /// statements later.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Capture {
-    /// Which value.
+    /// The saved value.
     pub what: Captured,
     /// The variable: [`Slot::Task`] in a body, [`Slot::Local`] in a handler.
     pub slot: Slot,
@@ -276,8 +276,8 @@ pub enum Captured {
     Answered(PortId, TaskId),
     /// `p.refused(t)`: whether the task refused that message.
     Refused(PortId, TaskId),
-    /// `p.told(t)`, `p.x(t)`: whether the values are known that the task brought to the waitfor or sent in its answer. Its
-    /// fields are in the slots behind.
+    /// `p.told(t)`, `p.x(t)`: whether this thread knows the values that the task brought to the waitfor or sent in its
+    /// answer. The slots behind this one hold the values, one for each field.
     Told(PortId, TaskId),
     /// `ticket`: the number of the last received message.
     Ticket,
@@ -286,37 +286,37 @@ pub enum Captured {
 /// A variable.
 #[derive(Clone, Debug)]
 pub struct Variable {
-    /// Its name. A field of a record is called `record.field`.
+    /// The variable's name. A field of a record is called `record.field`.
     pub name: String,
-    /// Its type.
+    /// The variable's type.
     pub of: Type,
-    /// The span of its declaration.
+    /// The span of the variable's declaration.
     pub span: Span,
 }
 
 /// A timer: a declared one, or the one that measures a silence.
 #[derive(Clone, Debug)]
 pub struct Timer {
-    /// Its name.
+    /// The timer's name.
     pub name: String,
-    /// The span of its declaration.
+    /// The span of the timer's declaration.
     pub span: Span,
 }
 
 /// A handler.
 #[derive(Clone, Debug)]
 pub struct Handler {
-    /// The event that runs it.
+    /// The event that runs the handler.
     pub trigger: Trigger,
-    /// Its variables, by the position in [`Slot::Local`]. Those of the message come first.
+    /// The handler's variables, by the position in [`Slot::Local`]. Those of the message come first.
     pub locals: Vec<Variable>,
     /// The number of variables that take fields of the message: all fields, or none if the handler ignores them.
     pub reads: usize,
-    /// The values that it saves.
+    /// The values that the handler saves.
     pub captures: Vec<Capture>,
-    /// Its statements.
+    /// The handler's statements.
     pub body: Vec<Statement>,
-    /// The span of its head.
+    /// The span of the handler's head.
     pub span: Span,
 }
 
@@ -327,11 +327,11 @@ pub enum Trigger {
     Message(PortId),
     /// No message came through the port for this long, while the condition held all the time.
     Silence {
-        /// The port.
+        /// The port whose silence runs the handler.
         port: PortId,
         /// The timer that measures the silence.
         timer: TimeId,
-        /// How long.
+        /// How long no message must come.
         length: Duration,
         /// The condition; none means that it always holds.
         when: Option<Expr>,
@@ -345,11 +345,11 @@ pub enum Trigger {
 /// A statement.
 #[derive(Clone, Debug)]
 pub struct Statement {
-    /// What it does.
+    /// What the statement does.
     pub kind: StatementKind,
     /// What runs if it times out, is refused or fails.
     pub branches: Vec<Branch>,
-    /// Its span, without its branches and inner statements.
+    /// The span of the statement, without its branches and inner statements.
     pub span: Span,
 }
 
@@ -358,9 +358,9 @@ pub struct Statement {
 pub struct Branch {
     /// How the statement must have ended for this branch to run.
     pub when: BranchKind,
-    /// Its statements.
+    /// The branch's statements.
     pub body: Vec<Statement>,
-    /// The span of its head.
+    /// The span of the branch's head.
     pub span: Span,
 }
 
@@ -392,9 +392,9 @@ pub enum Answered {
 /// The variable for one field of a message or a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Destination {
-    /// The variable.
+    /// The variable, or the first field of the record, that gets the value.
     pub slot: Slot,
-    /// Its type.
+    /// The variable's type.
     pub of: Type,
 }
 
@@ -403,9 +403,9 @@ pub struct Destination {
 pub enum StatementKind {
     /// SEND, or a query, with one value for each field.
     Send {
-        /// The port.
+        /// The port through which the message goes.
         port: PortId,
-        /// Its recipients.
+        /// The message's recipients.
         to: Recipients,
         /// The values, each converted to the type of its field.
         values: Vec<Expr>,
@@ -414,57 +414,57 @@ pub enum StatementKind {
         /// A TTL below the port's time_out.
         within: Option<Duration>,
     },
-    /// GET.
+    /// A `receive` statement: GET.
     Receive {
-        /// The port.
+        /// The port; none for a plain `receive`, which takes messages of all ports without a handler.
         port: Option<PortId>,
         /// The variables for the message.
         into: Vec<Destination>,
         /// The only sender from which it receives.
         from: Option<TaskId>,
-        /// How long it waits at most.
+        /// How long the statement waits at most.
         within: Option<Duration>,
     },
     /// Answers a message.
     Reply {
         /// The port of the answered message; one of usage `reply` for a third party. None if several ports are possible.
         port: Option<PortId>,
-        /// The message that it answers.
+        /// The message that this statement answers.
         to: Answered,
-        /// The fields.
+        /// The value of each field of the answer.
         values: Vec<Expr>,
     },
-    /// ARRIVE.
+    /// A `waitfor` statement: ARRIVE.
     Waitfor {
-        /// The port.
+        /// The port of the rendezvous.
         port: PortId,
-        /// The values that the other members are told.
+        /// The values that this task sends to the other members.
         values: Vec<Expr>,
         /// A wait below the port's time_out.
         within: Option<Duration>,
     },
-    /// ORDER.
+    /// An `order` statement: ORDER.
     Order(Vec<Ranked>),
-    /// DELAY.
+    /// A `delay` statement: DELAY.
     Delay(Duration),
     /// An action of a robot or another machine.
     Run {
-        /// Its name.
+        /// The action's name.
         action: String,
-        /// Its arguments.
+        /// The action's arguments.
         arguments: Vec<Expr>,
-        /// The variable for its result.
+        /// The variable that gets the action's result.
         into: Option<Destination>,
         /// The least and the greatest result.
         range: Option<(i64, i64)>,
-        /// Its shortest and its longest duration.
+        /// The action's shortest and its longest duration.
         takes: (Duration, Duration),
     },
     /// Starts a timer.
     Start {
-        /// Which.
+        /// The timer to start.
         timer: TimeId,
-        /// How long.
+        /// How long the timer runs until it expires.
         length: Duration,
     },
     /// Stops a timer.
@@ -473,42 +473,42 @@ pub enum StatementKind {
     Atomic(Vec<Statement>),
     /// An assignment.
     Assign {
-        /// The variable and its type.
+        /// The variable that gets the value.
         to: Destination,
-        /// Its new value.
+        /// The variable's new value.
         value: Expr,
     },
     /// An assignment of a whole record. No handler interrupts it.
     AssignAll {
         /// The variables and their types.
         to: Vec<Destination>,
-        /// Their new values.
+        /// The new values, one for each variable.
         values: Vec<Expr>,
     },
     /// Sets the values that the answers to this port's heartbeats carry (D61).
     Publish {
-        /// The port.
+        /// The port of the heartbeats.
         port: PortId,
-        /// The fields.
+        /// The values that the answers carry, one for each field.
         values: Vec<Expr>,
     },
     /// Reads what the couple's partner published last. The variables keep their values if it has published nothing.
     Published {
         /// The port of the heartbeats.
         port: PortId,
-        /// The variables.
+        /// The variables that get the published values.
         into: Vec<Destination>,
     },
-    /// `if`.
+    /// An `if` statement.
     If {
         /// The conditions, each with the statements that run if it holds.
         arms: Vec<(Expr, Vec<Statement>)>,
         /// The statements that run if no condition holds.
         otherwise: Vec<Statement>,
     },
-    /// `loop`.
+    /// A `loop` statement, with its body.
     Loop(Vec<Statement>),
-    /// `while`.
+    /// A `while` statement, with its condition and its body.
     While(Expr, Vec<Statement>),
     /// Leaves the innermost loop.
     Exit,
@@ -525,8 +525,8 @@ pub enum StatementKind {
 pub struct Expr {
     /// Bool, real or an integer type. A constant or a sum of integers is an `int32`.
     pub of: Type,
-    /// The operations.
+    /// The operations that compute the value.
     pub ops: Vec<Op>,
-    /// Its span.
+    /// The expression's span.
     pub span: Span,
 }

@@ -13,7 +13,7 @@ use logos::Logos;
 pub(crate) enum Kind {
     #[regex(r"[A-Za-z_][A-Za-z0-9_]*")]
     Name,
-    /// A keyword.
+    /// A keyword of the language.
     Word(Word),
     #[regex(r"[0-9](_?[0-9])*", priority = 10)]
     Int,
@@ -136,7 +136,7 @@ impl Kind {
         }
     }
 
-    /// Whether it may be a name: words that are not reserved are names, too.
+    /// Whether a token of this kind may be a name: keywords that are not reserved are names, too.
     pub(crate) const fn may_be_name(self) -> bool {
         match self {
             Self::Name => true,
@@ -168,7 +168,7 @@ pub(crate) type Token = (Kind, Span);
 
 /// The result of lexing a text.
 pub(crate) struct Lexed {
-    /// The tokens.
+    /// The tokens of the file, in its order.
     pub tokens: Vec<Token>,
     /// The spans of the comments, in order.
     pub comments: Vec<Span>,

@@ -1,7 +1,7 @@
 //! Records which parts of a file could not be parsed, and drops later findings that may only follow from that.
 //!
-//! Names, types and times of the other parts are checked nevertheless. A finding is dropped if it misses something that a
-//! lost part may contain.
+//! Names, types and times of the other parts are checked nevertheless. A finding is dropped if it reports something as
+//! missing that a lost part may contain.
 
 use crate::codes::{
     ACTION, ACTS_EARLY, ARGUMENTS, DEADLINE, DISAGREE, DUPLICATE, HANDLERS, INTERVAL, LEASE_TOO_SHORT,
@@ -22,7 +22,7 @@ pub(crate) struct Lost {
     /// The offsets of the file's declarations, parsed or not, in the order of the text, and whether each may change routes
     /// between nodes.
     pub items: Vec<(u32, bool)>,
-    /// Whether a lost part is outside of tasks and records, or is a whole task or record.
+    /// Whether a lost part lies outside of tasks and records, or is itself a whole task or record.
     pub outside: bool,
     /// Whether so much is lost that nothing else can be checked.
     pub all: bool,

@@ -106,13 +106,13 @@ fn labels(found: &Diagnostic) -> impl Iterator<Item = (&Label, bool)> {
 pub struct Located<'a> {
     /// `E005`
     pub code: &'a str,
-    /// Its severity.
+    /// The diagnostic's severity.
     pub severity: Severity,
     /// What is wrong, in one line.
     pub message: &'a str,
     /// The name of the file.
     pub file: &'a str,
-    /// Its labels; the primary one is the first.
+    /// The diagnostic's labels; the primary one is the first.
     pub labels: Vec<LocatedLabel<'a>>,
     /// What to write instead.
     pub help: &'a [String],
@@ -121,11 +121,11 @@ pub struct Located<'a> {
 /// A label with lines and columns.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct LocatedLabel<'a> {
-    /// Its text; may be empty.
+    /// The label's text; may be empty.
     pub text: &'a str,
-    /// Its first character.
+    /// The label's first character.
     pub start: Position,
-    /// The character behind its last one.
+    /// The position behind the last character of the label.
     pub end: Position,
 }
 

@@ -6,7 +6,7 @@ use crate::span::Span;
 
 /// How many diagnostics are kept and shown.
 pub(crate) const SHOWN: usize = 100;
-/// After this many diagnostics the search for more stops.
+/// After this many diagnostics the compiler stops looking for more.
 const COUNTED: usize = 1000;
 
 /// The diagnostics so far.

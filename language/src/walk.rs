@@ -56,7 +56,7 @@ pub(crate) fn orders_and_rest(task: &Task) -> (&[Statement], &[Statement]) {
     task.body.split_at(task.body.iter().take_while(is_order).count())
 }
 
-/// Whether a task is there for its handlers alone: it waits for ever, in a plain `receive`.
+/// Whether the body of a task only waits for ever in a plain `receive`, so that its handlers do all its work.
 pub(crate) fn only_serves(task: &Task) -> bool {
     orders_and_rest(task).1.is_empty() && !task.handlers.is_empty()
 }
@@ -73,7 +73,8 @@ pub(crate) fn any(task: &Task, mut is: impl FnMut(&Statement) -> bool) -> bool {
     has
 }
 
-/// Calls `see` with each statement that no condition guards: it runs whenever the thread gets so far. Loops are passed once.
+/// Calls `see` with each statement that no condition guards: it runs whenever the thread gets so far. The body of a loop is
+/// visited once.
 pub(crate) fn certain<'h>(statements: &'h [Statement], see: &mut dyn FnMut(&'h Statement)) {
     for statement in statements {
         see(statement);

@@ -16,13 +16,13 @@ macro_rules! words {
             /// All free keywords: they may also be names.
             pub const FREE: &[Self] = &[$(Self::$f,)*];
 
-            /// Its text, as the formatter writes it.
+            /// The keyword's text, as the formatter writes it.
             #[must_use]
             pub const fn text(self) -> &'static str {
                 match self { $(Self::$r => $rt,)* $(Self::$f => $ft,)* }
             }
 
-            /// Whether it cannot be a name.
+            /// Whether the keyword is reserved, so that it cannot be a name.
             #[must_use]
             pub const fn is_reserved(self) -> bool {
                 match self { $(Self::$r => true,)* $(Self::$f => false,)* }
@@ -61,7 +61,7 @@ words! {
     }
 }
 
-/// The size of a buffer for any keyword, in bytes.
+/// The size of a buffer that any keyword fits, in bytes.
 const LONGEST: usize = 16;
 
 impl Word {

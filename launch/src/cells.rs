@@ -13,11 +13,11 @@ use std::path::Path;
 /// The text of a cell; the launcher sends it to each node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Source {
-    /// The name of its file.
+    /// The name of the cell's file.
     pub name: String,
-    /// The text.
+    /// The text of the cell.
     pub text: String,
-    /// Whether it is compiled by the paper's own rules (`--paper`).
+    /// Whether the cell is compiled by the paper's own rules (`--paper`).
     pub paper: bool,
 }
 
@@ -77,7 +77,8 @@ impl Loaded {
         Some(self.line_of(*script.spans.get(usize::from(at))?))
     }
 
-    /// The line, from 1, on which the handler begins that has a statement on the given line; none if that is one of the body.
+    /// The line, from 1, on which the handler of a statement begins; `line` is the statement's. None if the statement is
+    /// part of the body.
     pub fn handler(&self, task: TaskId, line: usize) -> Option<usize> {
         let script = self.script(task)?;
         let has_line = |entry: u16| {
@@ -104,7 +105,7 @@ impl Loaded {
         self.one_action(task, action).map_or("?", |action| action.name.as_str())
     }
 
-    /// A line of the text, from 1.
+    /// The text of a line; lines count from 1.
     pub fn text_of(&self, line: usize) -> &str {
         self.source.text().lines().nth(line.saturating_sub(1)).unwrap_or_default().trim()
     }
@@ -159,7 +160,7 @@ impl Loaded {
         self.program(task)?.variables.get(usize::from(variable))
     }
 
-    /// The time within which the check of this name must be fulfilled, if it is a `leads`.
+    /// The time limit of the check of this name; none if the check is no `leads`.
     pub fn within(&self, check: &str) -> Option<u64> {
         let check = self.checks.iter().find(|one| one.name == check)?;
         match &check.kind {
@@ -185,7 +186,7 @@ fn shown(of: Option<Type>, value: i64) -> String {
 pub(crate) mod tests {
     use super::*;
 
-    /// The cell of the beam lift.
+    /// The compiled cell of the beam lift.
     pub fn beam_lift() -> Loaded {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/beam_lift.cell");
         open(Path::new(path), false).expect("a sound cell").1

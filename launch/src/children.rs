@@ -39,10 +39,10 @@ pub struct Children {
 struct Process {
     node: NodeId,
     name: String,
-    /// The number of its incarnations before this one.
+    /// The number of the node's incarnations before this one.
     incarnation: usize,
     body: Body,
-    /// The pipe for orders; none once it has failed or been closed.
+    /// The pipe for orders to the node; none once it has failed or been closed.
     orders: Option<Box<dyn Write + Send>>,
     killed: bool,
 }
@@ -50,7 +50,7 @@ struct Process {
 /// What a node runs in.
 enum Body {
     Process(Child),
-    /// None once it has been joined.
+    /// The thread; none once it has been joined.
     Thread(Option<JoinHandle<Result<(), NodeError>>>),
 }
 
@@ -84,7 +84,7 @@ impl Children {
     pub fn restart(&mut self, node: NodeId, setup: &Setup) -> Result<(), LaunchError> {
         let Some(at) = self.processes.iter().position(|process| process.node == node) else { return Ok(()) };
         let before = &mut self.processes[at];
-        // The previous incarnation ends first.
+        // The previous incarnation must end first.
         before.orders = None;
         before.end(Instant::now() + BURIAL, self.host);
         let incarnation = before.incarnation + 1;
@@ -98,7 +98,7 @@ impl Children {
             None => as_process(),
         }
         .map_err(LaunchError::Start)?;
-        // If the node has exited already, the end of its pipe reports that.
+        // If the node has already exited, writing fails; the end of its pipe reports that.
         let _ = say(&mut orders, setup);
         let messages = self.messages.clone();
         let reader = thread::Builder::new().name(format!("imrs {}", setup.node));
@@ -106,12 +106,12 @@ impl Children {
         Ok(Process { node, name: setup.node.clone(), incarnation, body, orders: Some(orders), killed: false })
     }
 
-    /// The program that started them.
+    /// The program that started the nodes.
     pub const fn host(&self) -> &'static dyn Host {
         self.host
     }
 
-    /// How many there are.
+    /// How many nodes there are.
     pub fn len(&self) -> usize {
         self.processes.len()
     }
@@ -171,7 +171,7 @@ impl Children {
     pub fn kill(&mut self, node: NodeId) {
         let Some(process) = self.processes.iter_mut().find(|process| process.node == node) else { return };
         match &mut process.body {
-            // If this fails, the process has exited already: the end of its pipe reports that.
+            // If this fails, the process has already exited; the end of its pipe reports that.
             Body::Process(child) => drop(child.kill()),
             Body::Thread(_) => process.order(&Order::Die),
         }
@@ -183,7 +183,7 @@ impl Children {
         let Some(process) = self.of(node) else { return false };
         let Body::Process(child) = &process.body else { return false };
         let signal = if stands { Signal::STOP } else { Signal::CONT };
-        // If this fails, the process has exited already: the end of its pipe reports that.
+        // If this fails, the process has already exited; the end of its pipe reports that.
         let _ = kill_process(Pid::from_child(child), signal);
         true
     }
@@ -191,7 +191,7 @@ impl Children {
     /// Waits for all processes to end, at most for `patience`, then kills the rest. Returns how each ended.
     pub fn wait(&mut self, patience: Duration) -> Vec<(NodeId, End)> {
         let deadline = Instant::now() + patience;
-        // A node that missed the order stops at the end of the pipe.
+        // A node that did not get the order to stop stops when its pipe ends.
         self.processes.iter_mut().for_each(|process| process.orders = None);
         let host = self.host;
         self.processes.iter_mut().map(|process| (process.node, process.end(deadline, host))).collect()
@@ -218,7 +218,7 @@ impl Process {
                     thread::sleep(Duration::from_millis(2));
                 }
                 match thread.take().map(JoinHandle::join) {
-                    // A node whose restart failed was joined before.
+                    // A node whose restart failed was joined before, so it has no thread here.
                     Some(Ok(Ok(()))) | None if killed => End::Killed,
                     Some(Ok(Ok(()))) => End::Clean,
                     Some(Ok(Err(error))) => End::Code(host.exit_code(Some(&error))),
@@ -260,7 +260,7 @@ fn as_process() -> io::Result<(Body, Box<dyn Write + Send>, Words)> {
         .arg("node")
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())
-        // In its own process group the node does not get Ctrl-C: the launcher does, and stops its nodes in order.
+        // In its own process group the node does not get Ctrl-C. The launcher gets it, and stops its nodes in order.
         .process_group(0)
         .spawn()?;
     let (orders, words) = (child.stdin.take(), child.stdout.take());
@@ -292,15 +292,15 @@ const BURIAL: Duration = Duration::from_secs(3);
 /// How a node's process ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// With exit code 0.
+    /// The process ended with exit code 0.
     Clean,
-    /// Killed by the launcher, as a scheduled fault.
+    /// The launcher killed the process, as a scheduled fault.
     Killed,
-    /// With an exit code that names the problem.
+    /// The process ended with an exit code that names the problem.
     Code(i32),
-    /// By a signal that the launcher did not send.
+    /// A signal that the launcher did not send ended the process.
     Signal(i32),
-    /// It did not exit in time, and was killed.
+    /// The process did not exit in time, and was killed.
     Hung,
 }
 
@@ -314,7 +314,7 @@ impl End {
         }
     }
 
-    /// `None` if it ended as it should; otherwise whether the node itself is at fault.
+    /// `None` if the process ended as it should; otherwise whether the node itself is at fault.
     pub fn at_fault(self) -> Option<bool> {
         match self {
             Self::Clean | Self::Killed => None,

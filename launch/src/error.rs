@@ -12,12 +12,12 @@ pub enum LaunchError {
     /// A node failed before all were ready.
     #[error("node `{name}` did not get ready")]
     NotReady {
-        /// Its name.
+        /// The node's name.
         name: String,
         /// Whether the node exited because of the request or the system, not by a fault of this program.
         refused: bool,
     },
-    /// Ctrl-C came before all nodes were ready.
+    /// The user pressed Ctrl-C before all nodes were ready.
     #[error("interrupted before node `{0}` was ready: nothing has run")]
     Interrupted(String),
     /// The node cannot run on its own.

@@ -1,4 +1,4 @@
-//! The event log of a run: every fact passes through it once, to all folds.
+//! The event log of a run: it passes every fact once to all folds.
 
 use crate::checks::Judge;
 use crate::fact::{Fact, Fold};
@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 /// The folds of a run. The facts themselves are not kept: a run may last for months.
 pub struct EventLog<'a> {
-    /// The summary.
+    /// Gathers the figures of the run's summary.
     pub gatherer: Gatherer,
     /// The verdicts on the checks.
     pub judge: Judge<'a>,
@@ -25,16 +25,16 @@ pub struct EventLog<'a> {
     pub trouble: TaskTrouble,
     /// The lines for people, if they are shown.
     pub timeline: Option<Timeline<'a>>,
-    /// What an explanation needs, if there is one.
+    /// The events that an explanation of the run needs; none if there will be no explanation.
     pub events: Option<Events>,
-    /// When the run began.
+    /// When the run began, in microseconds of the clock that all processes of one machine share.
     pub began: u64,
     /// Whether the run is over.
     pub is_over: bool,
 }
 
 impl<'a> EventLog<'a> {
-    /// A run in which these nodes report, without any facts yet.
+    /// An event log for a run in which these nodes report; there are no facts yet.
     pub fn new(run: &Run<'a>, here: Vec<NodeId>) -> Self {
         let (loaded, table) = (run.loaded, &run.loaded.table);
         Self {
@@ -49,7 +49,8 @@ impl<'a> EventLog<'a> {
         }
     }
 
-    /// Passes a fact of this instant, in microseconds of the clock that all processes of one machine share, to all folds.
+    /// Passes a fact to all folds. `at` is its instant, in microseconds of the clock that all processes of one machine
+    /// share.
     pub fn note(&mut self, at: u64, fact: &Fact) {
         match fact {
             Fact::Began => self.began = at,
@@ -67,7 +68,7 @@ impl<'a> EventLog<'a> {
         }
     }
 
-    /// Judges the checks as far as everything is reported. Each new break is a fact, too.
+    /// Lets the judge judge the checks up to the instant before which everything is reported. Each new break is a fact, too.
     pub fn judge(&mut self) {
         for broken in self.judge.settle() {
             let at = broken.at;
@@ -76,7 +77,8 @@ impl<'a> EventLog<'a> {
     }
 }
 
-/// The judge also judges recordings, which have no launcher: it knows no facts.
+/// The judge also judges recordings, which have no launcher. So it has methods of its own, and this turns facts into calls
+/// of them.
 impl Fold for Judge<'_> {
     fn take(&mut self, at: u64, fact: &Fact) {
         match fact {

@@ -1,4 +1,4 @@
-//! The facts of a run, and what takes them.
+//! The facts of a run, and the trait of the folds that take them.
 
 use crate::checks::Broken;
 use crate::faults::Fault;
@@ -6,10 +6,10 @@ use crate::pipe::Word;
 use imrs_protocol::{NodeId, TaskId};
 use imrs_runtime::guard::Notice;
 
-/// Something that the launcher did or learnt. What a node reported keeps the form in which it came.
+/// Something that the launcher did or learnt. A node's report keeps the form in which it came.
 #[derive(Debug)]
 pub enum Fact {
-    /// The nodes get their addresses: the run begins.
+    /// The nodes get their addresses, and the run begins.
     Began,
     /// A node has reported something.
     Said(NodeId, Word),
@@ -29,9 +29,9 @@ pub enum Fact {
     Over,
 }
 
-/// A fold over the facts of a run: it takes each one, in the order in which the launcher learnt them, and keeps what its result
-/// needs.
+/// A fold over the facts of a run: it takes each fact, in the order in which the launcher learnt them, and keeps only what
+/// its result needs.
 pub trait Fold {
-    /// Takes a fact of this instant, in microseconds of the clock that all processes of one machine share.
+    /// Takes a fact. `at` is its instant, in microseconds of the clock that all processes of one machine share.
     fn take(&mut self, at: u64, fact: &Fact);
 }

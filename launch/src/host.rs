@@ -1,4 +1,4 @@
-//! What this room needs of the program that it is a part of.
+//! What this crate needs from the program that it is a part of.
 
 use crate::node::error::NodeError;
 use std::fmt::Display;
@@ -9,15 +9,13 @@ pub trait Host: Sync {
     /// Shows people a complaint.
     fn complain(&self, what: &dyn Display);
 
-    /// From now on no complaint waits for its reader.
-    ///
-    /// # Errors
-    /// The operating system refuses a thread.
+    /// From now on the program writes complaints on a thread of its own, so that no complaint waits for its reader.
     fn complain_aside(&self) -> io::Result<()>;
 
-    /// The exit code of a process whose node failed; without an error: it panicked.
+    /// The exit code of a process whose node failed; without an error, the node panicked.
     fn exit_code(&self, error: Option<&NodeError>) -> i32;
 
-    /// Whether a node's process with this exit code could not do what was asked, without a fault of this program.
+    /// Whether this exit code of a node's process says that the node could not do what the user asked for, without a fault
+    /// of this program.
     fn is_refusal(&self, exit_code: i32) -> bool;
 }

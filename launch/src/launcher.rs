@@ -30,11 +30,12 @@ use std::time::{Duration, Instant};
 
 /// Time limit for all nodes to become ready.
 const READY_WITHIN: Duration = Duration::from_secs(20);
-/// How long a process may take to end after its last message; also how long nodes have after a second Ctrl-C.
+/// How long a process may take to end after its last message. After a second Ctrl-C the nodes have this long, too.
 const EXIT_WITHIN: Duration = Duration::from_secs(1);
-/// Capacity of the queue from the nodes to the launcher. When it is full, nodes keep their own messages and count the dropped.
+/// Capacity of the queue of messages from the nodes to the launcher. When it is full, nodes keep their own messages and
+/// count those that they drop.
 const WORDS: usize = 8_192;
-/// The length of a run without a declared end.
+/// The length of a run for which the user gave none.
 const WITHOUT_END: Duration = Duration::from_secs(u32::MAX as u64);
 
 /// A run whose nodes run.
@@ -58,10 +59,10 @@ pub struct Launcher<'a> {
     observed: BTreeMap<String, SocketAddr>,
     /// Faults that are still to be injected, by their time since the start.
     faults: Vec<(Duration, Fault)>,
-    /// The fault that waits for an action, and how often that action has begun so far.
+    /// The fault that waits for an action to begin, and how often that action has begun so far.
     moment: Option<(Moment, usize)>,
     started: Instant,
-    /// Whether it was told that only servers are left.
+    /// Whether the event log has been told that only servers are left.
     idle_told: bool,
     interrupts: Interrupts,
     /// The earlier deadline for readiness, set by the first Ctrl-C.
@@ -71,15 +72,15 @@ pub struct Launcher<'a> {
 /// A running node.
 #[derive(Clone, Debug, Serialize)]
 pub struct StartedNode<'a> {
-    /// Its name.
+    /// The node's name.
     pub name: &'a str,
-    /// Its tasks.
+    /// The node's tasks.
     pub tasks: Vec<&'a str>,
-    /// The id of its process.
+    /// The id of the node's process.
     pub pid: u32,
-    /// Its socket, if it has one.
+    /// The node's socket, if it has one.
     pub address: Option<SocketAddr>,
-    /// The TCP address at which it serves monitors.
+    /// The TCP address at which the node serves monitors.
     pub observe: Option<SocketAddr>,
 }
 
@@ -176,7 +177,7 @@ impl<'a> Launcher<'a> {
                     });
                     return Err(LaunchError::NotReady { name: self.name(node), refused });
                 }
-                // Only a wake-up: `interrupts` has counted the signal.
+                // This message only wakes the launcher: `interrupts` has already counted the signal.
                 Ok(Message::Interrupted) => {}
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
                     let late = self.children.nodes().find(|node| !heard.contains_key(node));
@@ -235,13 +236,13 @@ impl<'a> Launcher<'a> {
         self.interrupts.clone()
     }
 
-    /// Whether lines for people wait to be taken.
+    /// Whether there are lines for people that can be taken.
     #[must_use]
     pub fn has_lines(&self) -> bool {
         self.log.timeline.as_ref().is_some_and(|timeline| !timeline.is_empty())
     }
 
-    /// Takes the lines for people before which no other can come any more.
+    /// Takes the lines for people that no earlier line can precede any more.
     pub fn lines(&mut self) -> Vec<Line> {
         self.log.timeline.as_mut().map(|timeline| timeline.settled(now_us())).unwrap_or_default()
     }

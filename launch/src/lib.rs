@@ -1,7 +1,7 @@
 //! Runs a cell: one process per node over loopback UDP, or all nodes in one process.
 //!
-//! The launcher starts this executable again for every node and collects the addresses of their sockets over pipes. It then
-//! distributes the address book, injects the faults on time, and takes what the nodes report. It is not part of the cell:
+//! The launcher starts this executable once more for every node, and collects the addresses of their sockets over pipes. It
+//! then distributes the address book, injects the faults on time, and takes the nodes' reports. It is not part of the cell:
 //! no message between nodes passes through it.
 //!
 //! Every fact of a run passes once through the event log to its folds: the summary with the tallies of the rounds, the judge of

@@ -1,5 +1,6 @@
-//! Notices about the commands of actions: a node writes one before a command begins, and its guard when all of it has ended.
-//! They come through a named pipe, and so arrive even if the node is dead (D142).
+//! Notices about the commands of actions: a node writes a notice before a command begins, and the command's guard writes one
+//! when the command and all that it started have ended. The notices come through a named pipe, so they arrive even if the
+//! node is dead (D142).
 
 use imrs_runtime::guard::Notice;
 use rustix::fs::{CWD, FileType, Mode, OFlags, mknodat, open};
@@ -26,18 +27,18 @@ impl Noticed {
         let dir = tempfile::Builder::new().prefix("imrs").tempdir()?;
         let path = dir.path().join("commands");
         mknodat(CWD, &path, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0)?;
-        // Opened for writing, too, so that reading never meets the end of the file.
+        // The pipe is opened for writing, too, so that reading never meets the end of the file.
         let flags = OFlags::RDWR | OFlags::NONBLOCK | OFlags::CLOEXEC;
         let pipe = File::from(open(&path, flags, Mode::empty())?);
         Ok(Self { path, pipe, begun: Vec::new(), _dir: dir })
     }
 
-    /// The path at which nodes and guards write.
+    /// The path at which nodes and guards write notices.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Reads all pending notices. What a process wrote before it was killed is among them.
+    /// Reads all pending notices. They include everything that a process wrote before it was killed.
     pub fn drain(&mut self) -> Vec<Notice> {
         let mut bytes = [0; 1 << 14];
         while let Ok(read @ 1..) = self.pipe.read(&mut bytes) {

@@ -15,7 +15,7 @@ use std::path::PathBuf;
 /// The first line to a node: its identity and how it runs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Setup {
-    /// The cell.
+    /// The cell that the node belongs to.
     pub cell: Source,
     /// The name of the node.
     pub node: String,
@@ -25,13 +25,13 @@ pub struct Setup {
     pub restarted: bool,
     /// Whether the node counts its incarnations itself, because it is the only one that this launcher runs.
     pub counts: bool,
-    /// The address of its socket; none: any free port of the loopback.
+    /// The address of the node's socket; none: any free port of the loopback.
     pub bind: Option<SocketAddr>,
-    /// The TCP address at which it serves monitors.
+    /// The TCP address at which the node serves monitors.
     pub observe: Option<SocketAddr>,
-    /// The token that monitors must present there.
+    /// The token that monitors must present at that address.
     pub observe_token: Option<Token>,
-    /// Whether it runs under the real-time scheduler.
+    /// Whether the node runs under the real-time scheduler.
     pub rt: bool,
     /// The seed of the injected losses and of the durations of simulated actions.
     pub seed: u64,
@@ -39,7 +39,7 @@ pub struct Setup {
     pub loss: f64,
     /// The file in which the inputs of the node's communication tasks are recorded.
     pub record: Option<PathBuf>,
-    /// Whether that file may replace an existing one.
+    /// Whether the recording may replace an existing file.
     pub force: bool,
     /// The command to execute for each action.
     pub actions: BTreeMap<String, Vec<String>>,
@@ -73,12 +73,12 @@ pub enum Order {
 pub enum Word {
     /// The node has bound its link.
     Bound {
-        /// The address of its socket, if it has one.
+        /// The address of the node's socket, if it has one.
         address: Option<SocketAddr>,
-        /// The TCP address at which it serves monitors.
+        /// The TCP address at which the node serves monitors.
         observe: Option<SocketAddr>,
     },
-    /// The node was restarted: the scripts of these tasks are held back for so many microseconds.
+    /// The node was restarted, and the scripts of these tasks are held back, each for so many microseconds.
     HeldBack(Vec<(TaskId, u64)>),
     /// The node's tasks run.
     Started,
@@ -90,11 +90,11 @@ pub enum Word {
     Did(Did),
     /// A script ended by itself.
     TaskEnded {
-        /// Its task.
+        /// The script's task.
         task: TaskId,
-        /// How it ended, for people.
+        /// How the script ended, in words for people.
         how: String,
-        /// How that counts for the verdict.
+        /// How that end counts for the verdict.
         sort: EndSort,
     },
     /// Values of a task that checks read have changed.
@@ -114,24 +114,24 @@ pub enum Word {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum EndSort {
-    /// It finished, or lost its lease.
+    /// The script finished, or lost its lease.
     Well,
-    /// It aborted.
+    /// The script aborted.
     Aborted,
-    /// An assertion failed, or a statement could not be executed.
+    /// An assertion of the script failed, or a statement could not be executed.
     Failed,
 }
 
-/// Something that happened at a waitfor.
+/// An event of one task at a waitfor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Event {
-    /// When, in microseconds of the boot-time clock that all processes of one machine share.
+    /// The instant of the event, in microseconds of the boot-time clock that all processes of one machine share.
     pub at: u64,
-    /// The task.
+    /// The task of the event.
     pub task: TaskId,
     /// The port of the waitfor.
     pub port: PortId,
-    /// The round.
+    /// The round of the rendezvous.
     pub round: Round,
     /// What happened.
     pub what: What,
@@ -143,13 +143,13 @@ pub struct Event {
 pub enum What {
     /// The task's arrival in this round was announced.
     Announced,
-    /// All have arrived: the task runs on.
+    /// All members have arrived, and the task goes on.
     Released,
     /// The task's time_out ended before all had arrived.
     GaveUp {
         /// Time waited, in microseconds.
         waited: u64,
-        /// Bit `i`: party `i` of the port (owner first) had not arrived.
+        /// A bit mask: bit `i` says that party `i` of the port (the owner is party 0) had not arrived.
         missing: u64,
     },
 }
@@ -159,36 +159,36 @@ pub enum What {
 pub struct Figures {
     /// Counters of each port of each task.
     pub ports: Vec<(TaskId, PortId, PortCounters)>,
-    /// How the class-2 messages of its tasks ended.
+    /// How the class-2 messages of the node's tasks ended.
     pub outcomes: Outcomes,
-    /// Packets and messages that its state machines dropped, by reason.
+    /// Packets and messages that the node's state machines dropped, by reason.
     pub discards: BTreeMap<String, u64>,
-    /// Packets that its link dropped, by reason.
+    /// Packets that the node's link dropped, by reason.
     pub link_discards: BTreeMap<String, u64>,
-    /// Other counters of its link.
+    /// Other counters of the node's link.
     pub link: BTreeMap<String, u64>,
-    /// Packets that left through its transit buffer: its own, and those that it relayed.
+    /// Packets that left through the node's transit buffer: its own, and those that it relayed.
     pub forwarded: u64,
-    /// Packets that its link lost on purpose.
+    /// Packets that the node's link lost on purpose.
     pub lost_on_purpose: u64,
-    /// Packets that its link dropped because of a cut.
+    /// Packets that the node's link dropped because of a cut.
     pub cut_off: u64,
-    /// The neighbours that it refuses, because their cells differ.
+    /// The neighbours that the node refuses, because their cells differ.
     pub refusals: Vec<RefusalFigures>,
     /// How many events were not reported: they came too fast, or the launcher did not read its pipe fast enough.
     pub untold: u64,
-    /// What its recording lacks, for people.
+    /// What the node's recording lacks, in words for people.
     pub unrecorded: Vec<String>,
 }
 
 /// A neighbour whose cell differs, so that the two nodes do not communicate. Digests are hexadecimal.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RefusalFigures {
-    /// The neighbour.
+    /// The neighbour whose datagrams the node refused.
     pub neighbour: String,
     /// `other_cell` or `other_statements`.
     pub reason: String,
-    /// This node's digest, which differs.
+    /// This node's digest, which differs from the neighbour's.
     pub ours: String,
     /// The neighbour's digest.
     pub theirs: String,
@@ -208,15 +208,15 @@ impl RefusalFigures {
 /// How class-2 messages ended.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Outcomes {
-    /// Answered.
+    /// Commands that were answered.
     pub replies: u64,
-    /// Refused, because there was no space.
+    /// Commands that were refused, because there was no space.
     pub refused: u64,
-    /// Timed out before any copy left.
+    /// Commands that timed out before any copy left.
     pub timed_out_unsent: u64,
-    /// Timed out after a copy left: they may have run.
+    /// Commands that timed out after a copy left: they may have run.
     pub timed_out_unknown: u64,
-    /// The peer restarted before the answer: they may have run.
+    /// Commands whose peer restarted before it answered: they may have run.
     pub peer_restarted: u64,
 }
 

@@ -10,13 +10,13 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-/// A cell that is run, and how.
+/// A cell to run, and how to run it.
 pub struct Run<'a> {
     /// The text of the cell.
     pub source: Source,
-    /// The cell.
+    /// The cell that runs.
     pub loaded: &'a Loaded,
-    /// How long it runs; none: without end.
+    /// How long the cell runs; none: without end.
     pub length: Option<Duration>,
     /// Whether the run ends when only tasks are left that serve for ever.
     pub until_idle: bool,
@@ -34,15 +34,15 @@ pub struct Run<'a> {
     pub observe_token: Option<Token>,
     /// Whether the nodes are to run under the real-time scheduler.
     pub rt: bool,
-    /// Whether the kernel refuses a part of that ([`rt::refused`](crate::rt::refused)).
+    /// Whether the kernel refuses a part of the real-time settings ([`rt::refused`](crate::rt::refused)).
     pub rt_refused: bool,
-    /// Seeds the lost packets and the lengths of the tasks' work.
+    /// The seed of the lost packets and of the durations of simulated actions.
     pub seed: u64,
     /// The share of datagrams that are dropped on purpose.
     pub loss: f64,
-    /// The faults, by time since the start.
+    /// The faults to inject, by their time since the start.
     pub faults: Vec<(Duration, Fault)>,
-    /// A fault that waits for an action.
+    /// A fault that waits for an action to begin; none if there is no such fault.
     pub moment: Option<Moment>,
     /// The file beside which each node writes its recording.
     pub record: Option<PathBuf>,
@@ -58,14 +58,14 @@ pub struct Run<'a> {
 /// A fault that is injected when a task has begun an action for the given time.
 #[derive(Clone, Debug)]
 pub struct Moment {
-    /// The task that begins the action.
+    /// The task that runs the action.
     pub task: TaskId,
     /// The name of the task's action, as after `run`.
     pub action: String,
-    /// Which beginning of the action, counted from 1.
+    /// At which beginning of the action the fault comes, counted from 1.
     pub time: usize,
-    /// The delay from that beginning to the fault.
+    /// The delay from the beginning of the action to the fault.
     pub after: Duration,
-    /// The fault and its end, by the time since the fault.
+    /// The fault and its end, each with its time after that delay.
     pub faults: Vec<(Duration, Fault)>,
 }

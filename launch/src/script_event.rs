@@ -6,13 +6,13 @@ use serde::{Deserialize, Serialize};
 /// An event of a script.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Did {
-    /// When, in microseconds of the boot-time clock that all processes of one machine share.
+    /// The instant of the event, in microseconds of the boot-time clock that all processes of one machine share.
     pub at: u64,
-    /// The task.
+    /// The task whose script acted.
     pub task: TaskId,
     /// The line in the cell file.
     pub line: Option<usize>,
-    /// What it did.
+    /// What the script did.
     pub what: ScriptEvent,
 }
 
@@ -20,61 +20,61 @@ pub struct Did {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum ScriptEvent {
-    /// It arrived at a waitfor.
+    /// The task arrived at a waitfor.
     Waits(PortId),
-    /// A waitfor released it: all had arrived.
+    /// A waitfor released the task, because all members had arrived.
     Met(PortId),
-    /// Its time_out at a waitfor ended.
+    /// The task gave up at a waitfor, because its time_out ended.
     GaveUp {
-        /// The port.
+        /// The port of the statement that gave up.
         port: PortId,
         /// The tasks that had not arrived.
         missing: Vec<TaskId>,
     },
-    /// It sends a message.
+    /// The script sends a message.
     Sends(PortId),
     /// A class-2 message or a query ended without a reply.
     Unanswered {
-        /// Its port.
+        /// The message's port.
         port: PortId,
-        /// How it ended.
+        /// How the request ended.
         how: Unanswered,
     },
     /// An action begins.
     Begins {
-        /// Its name.
+        /// The action's name.
         action: String,
-        /// Its arguments, as text.
+        /// The action's arguments, as text.
         arguments: Vec<String>,
     },
     /// An action succeeded.
     Ends {
-        /// Its name.
+        /// The action's name.
         action: String,
-        /// Its result, if it has one.
+        /// The action's result, if it has one.
         value: Option<String>,
     },
     /// An action has failed.
     Fails(String),
     /// An action was cut short.
     CutShort(String),
-    /// Its lease was granted or lost.
+    /// The task's lease was granted or lost.
     Lease(Lease),
     /// The script has ended.
     Ended(String),
 }
 
-/// Why there was no answer.
+/// Why a class-2 message or a query was not answered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Unanswered {
-    /// Refused, because there was no space.
+    /// The message was refused, because there was no space.
     Refused,
-    /// Timed out before any copy left.
+    /// The request timed out before any copy left.
     NeverLeft,
-    /// Timed out after a copy left: it may have run.
+    /// The request timed out after a copy left: it may have run.
     Unknown,
-    /// The peer restarted before the answer: it may have run.
+    /// The peer restarted before it answered: the request may have run.
     PeerRestarted,
 }
 
@@ -91,12 +91,12 @@ pub enum Lease {
 }
 
 impl ScriptEvent {
-    /// Whether the event log shows it even if the task does more than fits.
+    /// Whether the event log shows the event even when the task has more events than it shows.
     pub const fn is_rare(&self) -> bool {
         matches!(self, Self::Lease(_) | Self::Ended(_))
     }
 
-    /// The text for people.
+    /// The event as text for people.
     pub fn words(&self, table: &CellTable) -> String {
         let port = |port: &PortId| table.port(*port).map_or("?", |port| port.decl.name.as_str());
         match self {

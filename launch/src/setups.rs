@@ -24,10 +24,11 @@ pub fn setups(run: &Run<'_>, notices: Option<&Path>) -> Result<Vec<(NodeId, Setu
             node: node.name.clone(),
             incarnation: 0,
             restarted: false,
-            // Its neighbours may have heard of an earlier incarnation of it (D49).
+            // A node that runs alone counts its incarnations itself, because its neighbours may have heard of an earlier one
+            // (D49).
             counts: run.only.is_some(),
             bind: None,
-            // Several nodes take successive ports.
+            // The nodes take successive ports.
             observe: run.observe.map(|first| observed_at(first, all.len())),
             observe_token: run.observe_token.clone(),
             rt: run.rt,

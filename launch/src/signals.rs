@@ -1,4 +1,4 @@
-//! Ctrl-C, SIGTERM and SIGHUP: they end the run in order, with its summary.
+//! Counts Ctrl-C, SIGTERM and SIGHUP. Each ends the run in order, with its summary.
 
 use crate::children::Message;
 use crate::error::LaunchError;
@@ -25,7 +25,7 @@ impl Interrupts {
         let watch = move || {
             for _ in signals.forever() {
                 counted.0.fetch_add(1, Ordering::Relaxed);
-                // If the queue is full, its receiver is awake. If nothing receives, the count is enough.
+                // If the queue is full, its receiver is awake. If the receiver is gone, the count is enough.
                 let _ = messages.try_send(Message::Interrupted);
             }
         };

@@ -25,7 +25,7 @@ pub fn span(us: u64) -> String {
     }
 }
 
-/// `1 round`, `2 rounds`.
+/// A number with its noun: `1 round`, `2 rounds`.
 #[must_use]
 pub fn count(number: u64, one: &str) -> String {
     let plural = if number == 1 { "" } else { "s" };

@@ -1,4 +1,4 @@
-//! Explains the demo `beam-lift`. Forbidden: one arm goes on alone.
+//! Explains the demo `beam-lift`. Its promise: no arm goes on alone.
 
 use crate::output::{count, span};
 use imrs_launch::Fault;
@@ -7,10 +7,10 @@ use imrs_launch::{Outcome, Story};
 use imrs_protocol::TaskId;
 
 /// Longest delay in microseconds from the stop of one arm to that of the other, even on a busy machine. An arm that moves
-/// longer goes on alone.
+/// longer than that counts as going on alone.
 const ALONE: u64 = 1_000_000;
 
-/// A movement of an arm, from its start to its stop, if it stopped.
+/// A movement of an arm: when it started, and when it stopped, if it did.
 #[derive(Clone, Copy, Debug)]
 struct Movement {
     from: u64,
@@ -87,7 +87,7 @@ fn movements(story: &Story<'_>, arm: TaskId) -> Vec<Movement> {
     all
 }
 
-/// Describes why an arm stopped after this instant.
+/// Says in words why an arm stopped after the instant `at`.
 fn why(story: &Story<'_>, arm: TaskId, at: u64) -> Option<String> {
     let after = || story.of(arm).filter(move |did| did.at >= at);
     let begins = |did: &&Did| matches!(&did.what, ScriptEvent::Begins { action, .. } if action == "stop_now");
@@ -107,7 +107,7 @@ fn why(story: &Story<'_>, arm: TaskId, at: u64) -> Option<String> {
     })
 }
 
-/// Describes how an arm moved on after its partner had stopped, if it did.
+/// Says in words how an arm moved on after its partner had stopped, if it did.
 fn alone(story: &Story<'_>, own: &[Movement], partner: &[Movement], arm: TaskId) -> Option<String> {
     if story.died(arm).is_some() {
         return None;

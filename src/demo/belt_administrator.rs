@@ -1,4 +1,5 @@
-//! Explains the demo `belt-administrator`. Forbidden: two robots change the speed at once, each from the same old value.
+//! Explains the demo `belt-administrator`. Its promise: two robots never change the speed at once, each from the same old
+//! value.
 
 use crate::output::count;
 use imrs_launch::script_event::{Did, ScriptEvent};
@@ -7,7 +8,7 @@ use imrs_protocol::TaskId;
 
 /// The most that one change may alter the speed, in mm/s.
 const STEP: i64 = 100;
-/// Two requests so close together belong to one period, in microseconds.
+/// Two requests that are at most this far apart, in microseconds, belong to one period.
 const TOGETHER: u64 = 10_000;
 
 /// Explains how the speed changed, and what happened when two robots wanted to change it at once.

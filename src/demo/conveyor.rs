@@ -1,4 +1,4 @@
-//! Explains the demo `conveyor`. Forbidden: a pick acts on an old pose, or the belt jams.
+//! Explains the demo `conveyor`. Its promise: no pick acts on an old pose, and the belt does not jam.
 
 use crate::output::{count, span};
 use imrs_launch::script_event::ScriptEvent;
@@ -16,7 +16,7 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     let grips = begins(story, pick, "grip_at");
     let handed = begins(story, place, "put_away").len();
     let boxed = begins(story, pick, "drop_into_box").len();
-    // The parts that pick holds, or that place has not put away, when the run ends.
+    // When the run ends, the robot `pick` may still hold a part, and `place` may not have put one away.
     let rest = grips.len().saturating_sub(handed + boxed);
     let on_the_way = match rest {
         0 => String::new(),

@@ -1,4 +1,4 @@
-//! Explains the demo `failover-weld`. Forbidden: both robots are active, or a spot is welded twice without a look.
+//! Explains the demo `failover-weld`. Its promise: never are both robots active, and no spot is welded twice without a look.
 
 use crate::output::span;
 use imrs_launch::Fault;
@@ -30,7 +30,7 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     if let Some(at) = taken {
         words.push(spot_in_words(story, primary, standby, at));
     }
-    // The cell's own check counts the end of a lease on time, even if a suspended node notices it late.
+    // The cell's own check takes the end of a lease on time, even if a suspended node notices that end late.
     let one_active = story.summary.checks.named("one_active");
     let twice = welded_twice(story, primary, standby);
     let killed = story.died(primary).is_some_and(|at| at + 2 * couple.takeover.0 < story.ended);

@@ -23,19 +23,19 @@ use std::time::Duration;
 /// A demo: a cell, a fault, and an explanation.
 #[derive(Clone, Copy, Debug)]
 pub struct Scene {
-    /// Its name on the command line.
+    /// The demo's name on the command line.
     name: &'static str,
-    /// What it shows, in one line.
+    /// What the demo shows, in one line.
     about: &'static str,
-    /// The name of its file.
+    /// The name of the cell file.
     file: &'static str,
-    /// Its text.
+    /// The text of the cell.
     text: &'static str,
     /// The text that is printed before the run.
     introduction: &'static str,
-    /// How long it runs.
+    /// How long the demo runs.
     length: Duration,
-    /// Its fault; none if the cell itself causes the trouble.
+    /// The demo's fault; none if the cell itself causes the trouble.
     moment: Option<Moment>,
     /// How results of simulated actions change with time: the action, the action that starts the change, and its duration.
     ramps: &'static [(&'static str, &'static str, Duration)],
@@ -176,7 +176,7 @@ pub fn cells() -> impl Iterator<Item = Loaded> {
 /// [`Failure`].
 pub fn run(args: &DemoArgs, out: &mut Output) -> Result<Exit, Failure> {
     let (options, loaded) = (&args.launch, args.cell.load()?);
-    // The scene in `SCENES` is static, and so its moment is, too.
+    // The scene in `SCENES` is static, so its moment has the lifetime that the plan of the run needs.
     let scene = SCENES.iter().find(|scene| scene.name == args.cell.name);
     let own_faults =
         options.loss.0 > 0.0 || !options.kill.is_empty() || !options.cut.is_empty() || options.node.is_some();
@@ -214,7 +214,7 @@ mod tests {
         assert!(lift.decl.time_out.0 > 10 * lift.margin.0, "{:?} on {:?}", lift.decl.time_out, lift.margin);
     }
 
-    /// The explanation tells by the handler why an arm has stopped.
+    /// The explanation finds out why an arm has stopped by the handler in which it stopped.
     #[test]
     fn a_statement_of_a_handler_leads_to_its_head() {
         let (loaded, text) = (SCENES[0].load().expect("a sound cell"), SCENES[0].text);
@@ -224,7 +224,7 @@ mod tests {
         let arm = TaskId::from_index(arm.expect("an arm"));
         let heads = stops.iter().map(|line| loaded.handler(arm, *line).map(|head| loaded.text_of(head)));
         let expected = ["on receive halt(s) do", "on silence beat 10 msec when me.moving do"].map(Some);
-        // The first one stands in the body of the other arm.
+        // The first of these statements stands in the body of the other arm, not in a handler.
         assert_eq!(heads.collect::<Vec<_>>(), [&[None][..], &expected].concat());
     }
 

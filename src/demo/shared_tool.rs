@@ -1,4 +1,5 @@
-//! Explains the demo `shared-tool`. Forbidden: two robots have the tool, or it stays with a killed one.
+//! Explains the demo `shared-tool`. Its promise: two robots never have the tool at once, and a killed robot does not keep
+//! it.
 
 use crate::output::{count, span};
 use imrs_launch::Fault;
@@ -6,8 +7,8 @@ use imrs_launch::script_event::ScriptEvent;
 use imrs_launch::{Outcome, Story};
 use imrs_protocol::TaskId;
 
-/// Tolerance in microseconds, for a busy machine, beyond the time that the cell allows until the tool of a killed robot is
-/// free.
+/// How much later than the cell allows the tool of a killed robot may become free, in microseconds, because the machine may
+/// be busy.
 const LATE: u64 = 3_000_000;
 
 /// A time in which a robot has the tool.
@@ -98,8 +99,8 @@ fn turns(story: &Story<'_>, robot: TaskId, held: &[Holding]) -> String {
     format!("{} had it {}.", story.name(robot), count(u64::try_from(had).unwrap_or(u64::MAX), "time"))
 }
 
-/// Describes what happened to the tool of a killed robot. Returns whether another robot had it in time; `None` if the run ended
-/// before.
+/// Describes what happened to the tool of a killed robot. Returns whether another robot had the tool in time; `None` if the
+/// run ended before that.
 fn after_death(story: &Story<'_>, dead: Holding, held: &[Holding], words: &mut Vec<String>) -> Option<bool> {
     let name = story.name(dead.by);
     words.push(format!("At {} the node of {name} was killed, and {name} had the tool.", story.at(dead.to)));

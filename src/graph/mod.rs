@@ -59,7 +59,7 @@ const fn flow(usage: Usage) -> Flow {
         Usage::Receive => (false, true, None),
         Usage::Query => (true, false, Some(true)),
         Usage::Response => (false, true, Some(false)),
-        // Every party tells all others that it has arrived.
+        // At a waitfor, every party tells all others that it has arrived.
         Usage::Waitfor => (true, true, None),
     };
     Flow { to_users, to_owner, answer_to_owner }

@@ -35,24 +35,24 @@ pub const FAINT: Style = Style::new().dimmed();
 /// Standard output.
 pub struct Output {
     lines: Lines,
-    /// When colour is used, as requested.
+    /// When the output has colour, as the user asked for.
     pub color: Color,
 }
 
-/// How lines are written.
+/// The ways in which lines are written.
 enum Lines {
-    /// The caller writes, and may block on the reader.
+    /// The calling thread writes, and may block on the reader.
     Direct {
         stream: Box<AutoStream<Stdout>>,
         /// Whether the reader has closed the pipe.
         closed: bool,
     },
-    /// A thread writes. If `plain`, escapes are removed.
+    /// A thread of its own writes. If `plain`, it removes escapes.
     Aside { printer: Printer, plain: bool },
 }
 
 impl Output {
-    /// Standard output with colour as asked for.
+    /// Standard output, with colour as the user asked for.
     pub fn new(color: Color) -> Self {
         let stream = Box::new(AutoStream::new(io::stdout(), color.into()));
         Self { lines: Lines::Direct { stream, closed: false }, color }
@@ -176,9 +176,9 @@ impl Output {
     }
 }
 
-/// Escapes a text from a cell, a recording or a peer for a terminal. Line breaks and the styles of this program stay; any other
-/// character that a terminal acts on is written out. Texts that must stay on one line are treated where they come in
-/// ([`text::one_line`]).
+/// Escapes a text from a cell, a recording or a peer for a terminal. Line breaks and the styles of this program stay; any
+/// other character that a terminal acts on is written out. Texts that must stay on one line are escaped where the program
+/// receives them ([`text::one_line`]).
 pub fn harmless(text: &str) -> Cow<'_, str> {
     if !text.contains(acts) {
         return Cow::Borrowed(text);
@@ -201,7 +201,7 @@ pub fn harmless(text: &str) -> Cow<'_, str> {
     Cow::Owned(out)
 }
 
-/// Parameters of styles that cannot hide text: reset, bold, faint, underlined, and colours of letters.
+/// The parameters of styles that cannot hide text: reset, bold, faint, underlined, and colours of letters.
 const HARMLESS: [&str; 17] =
     ["", "0", "1", "2", "4", "31", "32", "33", "34", "35", "36", "91", "92", "93", "94", "95", "96"];
 
@@ -224,7 +224,7 @@ const COMPLAINED_WITHIN: Duration = Duration::from_secs(1);
 /// The operating system refuses a thread.
 pub fn complain_aside(progress: ProgressBar) -> io::Result<()> {
     let printer = Printer::start(io::stderr(), notice, progress)?;
-    // A process starts at most one of these; the first one stays.
+    // A process starts at most one such thread, so the value is never set twice.
     let _ = ERRORS.set(printer);
     Ok(())
 }
@@ -239,12 +239,12 @@ pub fn complain(what: impl Display) {
     }
 }
 
-/// Waits, for at most a second, until all complaints are written. Called when the process ends.
+/// Waits, for at most a second, until all complaints are written. The process calls this at its end.
 pub fn settle_complaints() {
     ERRORS.get().map(|printer| printer.settle(COMPLAINED_WITHIN, || false));
 }
 
-/// Prints diagnostics on standard error, for verbs whose standard output is another answer.
+/// Prints diagnostics on standard error, for verbs that print another answer on standard output.
 pub fn complain_in_full(color: Color, text: &str) {
     let mut stream = AutoStream::new(io::stderr(), color.into());
     let _ = stream.write_all(harmless(text).as_bytes());

@@ -21,7 +21,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(50);
 /// Formats how many lines are missing, and why.
 pub type Notice = fn(u64, &str) -> String;
 
-/// The notice for people.
+/// The notice about missing lines, for people.
 pub fn notice(lines: u64, why: &str) -> String {
     format!("... {} not shown: {why}", count(lines, "line"))
 }
@@ -35,7 +35,7 @@ pub struct Printer(Arc<Shared>);
 
 struct Shared {
     queue: Mutex<Queue>,
-    /// Signalled when something was added, or written.
+    /// Signals that something was added, or written.
     changed: Condvar,
     notice: Notice,
 }
@@ -48,9 +48,9 @@ struct Queue {
     in_hand: InHand,
     /// Lines that were not shown, and that no notice has counted yet.
     missing: u64,
-    /// How many of them were marked as kept: their write failed.
+    /// How many of the missing lines were marked as kept: their write failed.
     missing_kept: u64,
-    /// Kept lines whose write failed, and that a notice has counted.
+    /// Lines that were marked as kept, whose write failed, and that a notice has counted.
     lost: u64,
     /// Why the last write failed.
     failed: Option<String>,
@@ -70,7 +70,7 @@ struct InHand {
     lines: u64,
     /// How many of the counted lines were marked as kept.
     failed_before: u64,
-    /// Whether the line after the notice is marked as kept.
+    /// Whether the line behind the notice is marked as kept.
     is_kept: bool,
 }
 
@@ -80,7 +80,7 @@ enum Item {
         kept: bool,
     },
     Dropped(u64),
-    /// Remove the progress line.
+    /// Remove the progress line from the terminal.
     Clear,
 }
 
@@ -94,9 +94,9 @@ enum Work {
 /// The lines that were not written.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Untaken {
-    /// How many lines.
+    /// How many lines were not written.
     pub lines: u64,
-    /// Why writing failed; `None`: the reader did not read in time.
+    /// Why writing failed; `None` if the reader did not read in time.
     pub failed: Option<String>,
 }
 
@@ -153,7 +153,8 @@ impl Printer {
         self.0.changed.notify_all();
     }
 
-    /// Waits until everything is written, at most for `within`, and only until `interrupted`. Returns what is not written.
+    /// Waits until everything is written, at most for `within`, and only until `interrupted`. Returns the lines that are not
+    /// written.
     pub fn settle(&self, within: Duration, interrupted: impl Fn() -> bool) -> Untaken {
         let end = Instant::now() + within;
         let mut queue = self.0.lock();
@@ -319,7 +320,7 @@ mod tests {
             reader.read_line(&mut line).expect("a line");
             lines.push(line.trim_end().to_owned());
         }
-        // Every line is either there, in order, or counted in the notice that takes its place.
+        // Every line is either there, in its place, or counted in the notice that replaces it.
         let mut number = 0;
         for line in &lines[..lines.len() - 1] {
             let second = line.split(' ').nth(1).expect("a number").replace(',', "");

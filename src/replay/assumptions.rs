@@ -9,36 +9,36 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::fmt;
 
-/// What an assumption is about.
+/// The kind of a breach: something that happened in the run although the checks assume that it does not.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
-    /// Packets that never arrive.
+    /// A packet never arrived.
     Loss,
-    /// Packets that arrive more than once.
+    /// A packet arrived more than once.
     Dup,
-    /// Packets that take longer than their links.
+    /// A packet took longer than its links allow.
     Delay,
-    /// Clocks that run at different rates.
+    /// Clocks ran at different rates.
     Drift,
-    /// Tasks that act more than a tick after their deadline.
+    /// A task acted more than a tick after its deadline.
     Late,
-    /// Actions that fail.
+    /// An action failed.
     Fail,
-    /// Nodes that crash.
+    /// A node crashed.
     Crash,
-    /// Faults that are declared one by one, but not for the same run.
+    /// Several faults happened together that the cell declares only for different runs.
     Together,
 }
 
-/// An assumption of the cell about links, clocks, nodes or actions that the run did not keep.
+/// A breach of an assumption of the cell about links, clocks, nodes or actions.
 #[derive(Debug, Serialize)]
 pub struct Breach {
-    /// What it is about.
+    /// The kind of the breach.
     pub kind: Kind,
-    /// What happened, and what the cell declares.
+    /// What happened in the run, and what the cell declares.
     pub what: String,
-    /// How often.
+    /// How often the run broke the assumption.
     pub times: u64,
     /// When it first happened, in seconds since the first task began; 0 for clocks.
     pub first: f64,
@@ -62,27 +62,27 @@ impl fmt::Display for Breach {
 
 /// The assumptions of the cell, and the start of the run.
 pub struct Assumed<'a> {
-    /// The cell.
+    /// The cell whose assumptions are judged.
     pub loaded: &'a Loaded,
-    /// The fault hypotheses that it declares. Each stands alone.
+    /// The fault hypotheses that the cell declares. A run may have the faults of only one of them.
     pub faults: &'a [CellFaults],
     /// The length of a tick in microseconds.
     pub tick: u64,
-    /// When the run started.
+    /// When the run started, in microseconds of the clock that all nodes share.
     pub start: u64,
 }
 
 /// The faults of one kind in a run.
 struct Had {
     kind: Kind,
-    /// What happened, of one: `packet never arrived`.
+    /// What happened, in the singular: `packet never arrived`.
     one: &'static str,
     many: &'static str,
     /// The word of the cell language for this kind.
     word: &'static str,
     times: u64,
     first: u64,
-    /// How many a hypothesis allows.
+    /// How many faults of this kind a hypothesis allows.
     allows: fn(&CellFaults) -> u8,
 }
 
@@ -195,7 +195,7 @@ impl Assumed<'_> {
 
     /// The breaches by tasks that acted late, by task and line.
     fn late(&self, late: &[Late]) -> Vec<Breach> {
-        // For each place: the greatest lateness, the count, and the first time.
+        // Here each place stands for the greatest lateness, the number of late acts, and the time of the first one.
         let mut places: BTreeMap<(TaskId, Option<usize>), (u64, u64, u64)> = BTreeMap::new();
         for one in late {
             let line = self.loaded.line(one.task, one.address);

@@ -10,17 +10,17 @@ pub enum ReplayError {
     /// The file cannot be opened.
     #[error("{path}: {source}")]
     Open {
-        /// The file.
+        /// The recording that could not be opened.
         path: PathBuf,
-        /// Why.
+        /// Why the file cannot be opened.
         source: FileError,
     },
     /// The file is not a recording, or it is damaged.
     #[error("{path}: {source}")]
     Read {
-        /// The file.
+        /// The recording that could not be read.
         path: PathBuf,
-        /// Where and why.
+        /// Where the file is damaged, and how.
         source: record::ReplayError,
     },
     /// No cell was given, and no built-in demo has the recording's cell.
@@ -28,11 +28,11 @@ pub enum ReplayError {
         "{path} is of cell `{cell}` (digest {digest:08x}), which is not that of a demo as it is built in: name its file with --cell"
     )]
     OtherCell {
-        /// The file.
+        /// The recording of another cell.
         path: PathBuf,
         /// The name of the cell.
         cell: String,
-        /// The digest of its table.
+        /// The digest of the cell's table.
         digest: u32,
     },
     /// The recording was made from another text of the cell.
@@ -41,7 +41,7 @@ pub enum ReplayError {
          file have {now:08x}. Replay it with the text that was run"
     )]
     OtherText {
-        /// The recording.
+        /// The recording that was made with another text of the cell.
         path: PathBuf,
         /// The name of the cell.
         cell: String,
@@ -49,9 +49,9 @@ pub enum ReplayError {
         given: String,
         /// What differs: the declarations, or only the statements of the node.
         what: &'static str,
-        /// Its digest in the recording.
+        /// The digest of these in the recording.
         recorded: u32,
-        /// Its digest in the file.
+        /// The digest of these in the file.
         now: u32,
     },
     /// The recording is of a cell other than the given one.
@@ -59,20 +59,20 @@ pub enum ReplayError {
         "{path} is a recording of cell `{cell}` (digest {recorded:08x}), and {given} is cell `{other}` (digest {now:08x})"
     )]
     NotThisCell {
-        /// The recording.
+        /// The recording that is not of the given cell.
         path: PathBuf,
-        /// The name of its cell.
+        /// The name of the recording's cell.
         cell: String,
         /// The given file.
         given: String,
-        /// The name of the cell in it.
+        /// The name of the cell in the given file.
         other: String,
         /// The digest in the recording.
         recorded: u32,
         /// The digest of the given cell.
         now: u32,
     },
-    /// The recording holds what a monitor saw, not inputs.
+    /// The recording contains what a monitor saw, and no inputs.
     #[error(
         "{0} shows nodes as a monitor saw them, and has no inputs to run again: look at it with `imrs monitor --replay {0}`"
     )]

@@ -1,6 +1,6 @@
 //! Replays recordings while they are still being written, so that the monitor can judge running nodes.
 //!
-//! The state machines and the reader keep their state between two looks, so a look costs only what is new.
+//! The state machines and the reader keep their state from one look to the next, so a look costs time only for new records.
 
 use super::{Opened, divergence, open};
 use imrs_launch::cells::Loaded;
@@ -27,12 +27,12 @@ pub struct Cells {
     known: Vec<Loaded>,
     /// For each cell, the tables of its nodes.
     tables: Vec<Vec<NodeTable>>,
-    /// The file of the only cell, if the user named it.
+    /// The file of the only cell, if the user named that file.
     given: Option<String>,
 }
 
 impl Cells {
-    /// These cells.
+    /// Makes the value from compiled cells, and the file of the only one, if the user named that file.
     pub fn new(known: Vec<Loaded>, given: Option<String>) -> Self {
         let tables = |cell: &Loaded| {
             let nodes = (0..cell.table.cell().nodes.len()).map(NodeId::from_index);
@@ -41,7 +41,7 @@ impl Cells {
         Self { tables: known.iter().map(tables).collect(), known, given }
     }
 
-    /// The file of the only cell, if the user named it.
+    /// The file of the only cell, if the user named that file.
     pub fn given(&self) -> Option<&str> {
         self.given.as_deref()
     }
@@ -80,13 +80,13 @@ impl FollowSession for Following<'_> {
 }
 
 struct Followed<'a> {
-    /// Device and inode of the file.
+    /// Device number and inode of the file.
     identity: (u64, u64),
     header: Header,
     cell: &'a Cell,
-    /// The name of its node.
+    /// The name of the recording's node.
     node: String,
-    /// The replay, or why it cannot go on.
+    /// The reader and the replays, or why they cannot go on.
     runs: Result<(RecordingReader<File>, Replays<'a>), String>,
 }
 
@@ -95,7 +95,7 @@ fn identity(file: &Metadata) -> (u64, u64) {
 }
 
 impl<'a> Followed<'a> {
-    /// `None` if the file cannot be read, or its cell is not known.
+    /// Begins to replay a file; `None` if the file cannot be read, or its cell is not known.
     fn open(path: &Path, present: &Metadata, cells: &'a Cells) -> Option<Self> {
         let header = RecordingReader::new(files::open(path).ok()?).ok()?.header().clone();
         let cell = cells.known.iter().find(|cell| cell.table.digest() == header.digest)?.table.cell();
@@ -104,7 +104,7 @@ impl<'a> Followed<'a> {
         Some(Self { identity: identity(present), header, cell, node, runs })
     }
 
-    /// Whether this is still the same file: another one may have taken its name, or it may have been truncated.
+    /// Whether the path still leads to the same file: another one may have taken its name, or it may have been truncated.
     fn is_of(&self, present: &Metadata) -> bool {
         let read = self.runs.as_ref().map_or(0, |(reader, _)| reader.offset());
         identity(present) == self.identity && present.len() >= read
@@ -134,7 +134,7 @@ impl<'a> Followed<'a> {
     }
 }
 
-/// `read`: how much of the recording has been replayed, in percent; `None` if all.
+/// The verdict so far. `read` says how much of the recording has been replayed, in percent; `None` if all of it.
 fn said_of(replays: &Replays<'_>, cell: &Cell, read: Option<u64>) -> Conformance {
     let steps = replays.iter().map(|replay| replay.judged() as u64).sum();
     let missing: u64 = replays.iter().map(|replay| replay.lost() + replay.unjudged() as u64).sum();

@@ -29,7 +29,7 @@ struct Recorded {
     /// The events of each task.
     tasks: Vec<Vec<Happening>>,
     whole: Vec<bool>,
-    /// When the first task began.
+    /// When the first task began, in microseconds of the clock that all nodes share.
     start: u64,
     /// Changes of the values that checks read.
     changes: Vec<Change>,
@@ -109,7 +109,7 @@ fn plan(path: &Path, args: &ReplayArgs) -> Result<CellPlan, Failure> {
 enum Unfollowed {
     /// The recording of a task differs from what its own state machine does.
     Differs { task: TaskId, how: String },
-    /// Inputs are missing.
+    /// Some inputs are missing.
     Gap(String),
     /// A node was restarted. The model does not follow a node beyond its end.
     Restarted(String),
@@ -201,20 +201,20 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Unfollowe
 struct IncarnationRecording<'a> {
     path: &'a Path,
     incarnation: Incarnation,
-    /// Whether the node ran before.
+    /// Whether the node had an earlier incarnation.
     restarted: bool,
-    /// When it was made; none if it is empty.
+    /// When the recording was made; none if it is empty.
     span: Option<Span<'a>>,
 }
 
 impl IncarnationRecording<'_> {
-    /// When it begins; an empty one sorts last.
+    /// When the recording begins; an empty one sorts last.
     fn begins(&self) -> u64 {
         self.span.as_ref().map_or(u64::MAX, |span| span.first)
     }
 }
 
-/// The nodes with several recordings. An error if the recordings cannot be of one run.
+/// The nodes of which several recordings were given. An error if the recordings cannot be of one run.
 fn incarnations_of_one_run(
     incarnations: &mut [Vec<IncarnationRecording<'_>>],
 ) -> Result<Vec<NodeId>, Failure> {
@@ -237,7 +237,7 @@ fn incarnations_of_one_run(
             restarted.push(NodeId::from_index(node));
         }
     }
-    // In a cell with one node nothing is recorded while the node is down, so the gap proves nothing.
+    // In a cell with one node, no other node records anything while this one is down, so a gap proves nothing.
     if incarnations.len() > 1 {
         of_one_run(incarnations.iter().flatten().filter_map(|one| one.span.clone()).collect())?;
     }
@@ -276,7 +276,8 @@ struct Span<'a> {
     last: u64,
 }
 
-/// The nodes of a run begin together, so recordings with a longer gap between them, in microseconds, are of two runs.
+/// The longest gap in microseconds between two recordings of one run. The nodes of a run begin together, so a longer gap
+/// means two runs.
 const APART: u64 = 100_000;
 
 /// Fails if a recording begins after all earlier ones have ended.
@@ -307,15 +308,16 @@ fn of_two_runs(one: Option<&Span<'_>>, two: Option<&Span<'_>>, paths: (&Path, &P
     Failure::Usage(format!("these are of two runs: {one}, {two} of the machine's clock"))
 }
 
-/// The verdicts on the checks, up to where the nodes stopped, as the run itself judged them.
+/// The verdicts on the checks, up to the instant at which the nodes stopped, as the run itself judged them.
 fn judge(loaded: &Loaded, recorded: &Recorded) -> Settlement {
     let nodes: Vec<NodeId> = (0..recorded.whole.len()).map(NodeId::from_index).collect();
     let (mut judge, mut over) = (Judge::new(loaded, &nodes), recorded.start);
     recorded.changes.iter().for_each(|change| judge.change(change.clone()));
     for node in nodes {
-        // A node is unknown from its stop, or from its last record if it was killed. No recording shows when a node was killed,
-        // and it may have acted after its last record. So it is never taken for dead here. A check that needs it for more than
-        // 1 s is unknown, although the launcher, which knew of the kill, judged it (D142).
+        // A node is unknown from its stop, or from its last record if it was killed. No recording shows when a node was
+        // killed, and it may have acted after its last record. So a node never counts as dead here. A check that needs the
+        // node's values for more than 1 s after that is unknown, although the launcher, which knew of the kill, judged the
+        // check (D142).
         let tasks = loaded.table.tasks_on(node).map(|task| &recorded.tasks[task.index()]);
         let all: Vec<&Happening> = tasks.flatten().collect();
         let stop = all.iter().find(|happening| happening.what == Happened::Stopped);
@@ -332,8 +334,8 @@ fn judge(loaded: &Loaded, recorded: &Recorded) -> Settlement {
     judge.settlement(recorded.start)
 }
 
-/// Ends the run before any node receives packets by which a stopping node withdraws its tasks from their waits: the model has
-/// none.
+/// Ends the run before any node receives a packet by which a stopping node withdraws its tasks from their waits, because the
+/// model has no such packets.
 fn end_where_nodes_stop(tasks: &mut [Vec<Happening>]) {
     let mut taken_back = Vec::new();
     for task in tasks.iter() {

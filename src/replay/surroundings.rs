@@ -1,21 +1,23 @@
-//! Derives what links and clocks did in a run from its recordings, to be compared with the assumptions of the checks.
+//! Derives from the recordings of a run how its links and clocks behaved, so that this can be compared with the assumptions
+//! of the checks.
 //!
-//! Packets are equal if they differ only in what time and relays change. An arrival of one of several equal packets is matched
-//! with the last one that was sent before it.
+//! Two packets count as equal if they differ only in fields that time and relays change. An arrival of one of several equal
+//! packets is matched with the last one that was sent before it.
 
 use imrs_model::cell::{Happened, Happening};
 use imrs_protocol::{CellTable, NodeId, Packet, Ticks};
 use std::collections::{BTreeMap, HashMap};
 
-/// A packet sent within so many microseconds before the end of a run may still be in flight; one sent earlier was lost.
+/// How long before the end of a run a packet may have been sent and still be in flight, in microseconds. A packet that was
+/// sent earlier and never arrived was lost.
 const SETTLES: u64 = 500_000;
 
 /// What happened to the packets from one node to another.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct LinkHistory {
-    /// When packets were sent that never arrived, in microseconds of the run's clock.
+    /// When those packets were sent that never arrived, in microseconds of the run's clock.
     pub lost: Vec<u64>,
-    /// When packets arrived again.
+    /// When packets arrived that had arrived before.
     pub copies: Vec<u64>,
     /// When packets arrived that had taken longer than the bound, and how long they took.
     pub slow: Vec<(u64, u64)>,
@@ -25,7 +27,7 @@ pub struct LinkHistory {
     least: Option<i64>,
 }
 
-/// What links and clocks did in a run.
+/// How links and clocks behaved in a run.
 #[derive(Debug)]
 pub struct Surroundings {
     /// What happened to packets, by sending and receiving node.
@@ -41,13 +43,13 @@ pub struct Surroundings {
 /// A set of equal packets.
 #[derive(Default)]
 struct Alike {
-    /// When each was sent, and whether it should arrive.
+    /// When each of these packets was sent, and whether it should arrive.
     sent: Vec<(u64, bool)>,
     came: Vec<u64>,
 }
 
 impl Surroundings {
-    /// From the events of each task; `whole` says for each node whether its recording has its end.
+    /// Derives the history from the events of each task. `whole` says for each node whether its recording has its end.
     pub fn of(tasks: &[Vec<Happening>], whole: &[bool], table: &CellTable) -> Self {
         let known = |node: usize| {
             let here = table.tasks_on(NodeId::from_index(node)).filter_map(|task| tasks.get(task.index()));
@@ -63,7 +65,7 @@ impl Surroundings {
             alike.judge(link, whole[from.index()]);
         }
         for ((_, to), link) in &mut links {
-            // A killed node receives nothing more, and packets sent just before the end may still be in flight.
+            // A killed node receives nothing more, and packets that were sent just before the end may still be in flight.
             let settled = if whole[to.index()] { SETTLES } else { SETTLES.max(link.bound) };
             let over = ends[to.index()].saturating_sub(settled);
             link.lost.retain(|sent| *sent < over);
@@ -117,7 +119,7 @@ impl Alike {
             let before = self.sent.partition_point(|(sent, _)| *sent <= came);
             // If the receiver's clock is behind, a packet seems to arrive before it was sent.
             let Some(at) = before.checked_sub(1).or_else(|| (!self.sent.is_empty()).then_some(0)) else {
-                // A killed node may have sent it without recording that, so it is not a copy.
+                // A killed node may have sent the packet without recording that, so the packet does not count as a copy.
                 if all > 0 && sender_is_whole {
                     link.copies.push(came);
                 }

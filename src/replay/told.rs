@@ -19,10 +19,10 @@ fn since(start: u64, at: u64) -> f64 {
     at.saturating_sub(start) as f64 / 1e6
 }
 
-/// Why it is unknown whether a run is a path of the model.
+/// Why it may be unknown whether a run is a path of the model.
 const UNSURE: &str = "nodes acted late, or two things happened within one tick, and with times rounded otherwise the model may do what was not found";
 
-/// The answer.
+/// The result of `imrs replay --model`, as JSON.
 #[derive(Debug, Default, Serialize)]
 pub struct ReplayAnswer {
     version: u32,
@@ -40,7 +40,7 @@ pub struct ReplayAnswer {
     turns: u64,
     moves: u64,
     lost: Vec<Lost>,
-    /// Ticks.
+    /// The greatest lateness, in ticks.
     late_at_most: u64,
     early_at_most: u64,
     other_values: u64,
@@ -48,8 +48,8 @@ pub struct ReplayAnswer {
     guessed: u64,
     /// Times that were not rounded down to their own tick, but up or further down.
     rounded: u64,
-    /// The number of kinds of step of its scripts, and the lines of those that the walks in the state space of `imrs verify`
-    /// did not meet.
+    /// The number of different kinds of step that the scripts made, and the lines of those kinds that the walks in the state
+    /// space of `imrs verify` did not meet.
     kinds: usize,
     kinds_not_met: Vec<String>,
     breaches: Vec<Breach>,
@@ -66,7 +66,7 @@ pub struct Lost {
     packets: u64,
 }
 
-/// A place in the run and in the cell.
+/// A place in time and in the cell file.
 #[derive(Debug, Serialize)]
 pub struct Where {
     node: String,

@@ -73,7 +73,8 @@ pub fn run(
     Ok(if exit == Exit::Well && !is_written { Exit::Usage } else { exit })
 }
 
-/// Complains about lines of the answer that no reader took. False if writing failed; a slow or vanished reader is no error.
+/// Complains about lines of the answer that no reader took. Returns false if writing failed; a slow or vanished reader is no
+/// error.
 fn told(untaken: &Untaken) -> bool {
     let lines = count(untaken.lines, "line");
     match untaken {

@@ -4,10 +4,7 @@ use crate::failure::Failure;
 use crate::output::{BAD, FAINT, NOTE, Output, Styled, count};
 use imrs_launch::{Line, Run, Telling};
 
-/// Shows lines. Those about faults and broken checks are few, and never dropped for a slow reader.
-///
-/// # Errors
-/// [`Failure::Output`].
+/// Shows lines. Lines about faults and broken checks are few, and are never dropped for a slow reader.
 pub fn show(lines: &[Line], run: &Run<'_>, out: &mut Output) -> Result<(), Failure> {
     let cell = run.loaded.table.cell();
     let width = cell.tasks.iter().map(|task| task.name.len()).max().unwrap_or(0);

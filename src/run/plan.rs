@@ -1,4 +1,4 @@
-//! Plans a run as the command line or a demo asks for it, and resolves the names of the cell.
+//! Plans a run as the command line or a demo asks for it, and looks up the names that it uses in the cell.
 
 use crate::args::{Format, LaunchArgs};
 use crate::failure::Failure;
@@ -23,21 +23,21 @@ pub struct DemoPlan {
 /// A fault that is injected when a task has begun an action for the given time.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment {
-    /// The delay from that beginning to the fault.
+    /// The delay from the beginning of the action to the fault.
     pub after: Duration,
-    /// The name of the task that begins the action.
+    /// The name of the task that runs the action.
     pub task: &'static str,
     /// The name of the task's action, as after `run`.
     pub action: &'static str,
-    /// Which beginning of the action, counted from 1.
+    /// At which beginning of the action the fault comes, counted from 1.
     pub time: usize,
     /// The fault that is injected.
     pub fault: Planned,
-    /// The text about the fault that a user reads.
+    /// The text about the fault for the user.
     pub words: &'static str,
 }
 
-/// A fault, with the names of the cell.
+/// A fault that names nodes and tasks as the cell does.
 #[derive(Clone, Copy, Debug)]
 pub enum Planned {
     /// The link between two nodes is cut for so long.
@@ -61,8 +61,8 @@ impl DemoPlan {
     }
 }
 
-/// The run of a cell with these options, without what depends on the machine. Checks that faults and options fit the cell and
-/// each other.
+/// The run of a cell with these options, without the settings that depend on the machine. Checks that faults and options fit
+/// the cell and each other.
 ///
 /// # Errors
 /// [`Failure::Fault`], [`Failure::Usage`].
@@ -117,10 +117,7 @@ fn finishes(loaded: &Loaded, only: Option<NodeId>) -> bool {
 }
 
 impl Moment {
-    /// The moment with the tasks and nodes of a cell; none if the cell has no such task.
-    ///
-    /// # Errors
-    /// The cell has no such node.
+    /// Looks up the tasks and nodes of the moment in a cell; none if the cell has no such task.
     fn of(&self, cell: &Cell) -> Result<Option<imrs_launch::Moment>, FaultError> {
         let task = cell.tasks.iter().position(|task| task.name == self.task).map(TaskId::from_index);
         let faults = match self.fault {

@@ -262,7 +262,7 @@ fn listed(counts: &BTreeMap<String, u64>) -> String {
     counts.iter().map(one).collect::<Vec<_>>().join(", ")
 }
 
-/// What happened, in sentences.
+/// What happened in the run, in sentences.
 fn in_words(summary: &Summary, table: &CellTable, args: &LaunchArgs, demo: Option<DemoPlan>) -> Vec<String> {
     let mut words = Vec::new();
     if summary.checks.is_broken() {

@@ -12,9 +12,9 @@ pub(super) struct Answer<'a> {
     version: u32,
     cell: &'a str,
     file: &'a str,
-    /// Why the cell was not run; null if it was.
+    /// Why the cell was not simulated; null if it was.
     not_simulated: Option<verify::NotChecked<'a>>,
-    /// The first seed; null for the run of a file.
+    /// The first seed; null if the schedule of a file was run.
     seed: Option<u64>,
     runs: u64,
     with_faults: u64,
@@ -32,13 +32,13 @@ pub(super) struct Answer<'a> {
     idle: Vec<String>,
     /// Times of the cell that are not multiples of its tick: the rounding may cause a finding.
     rounded: Vec<verify::Rounded<'a>>,
-    /// What the answer does not cover.
+    /// Kinds of faults that the runs do not look for.
     not_looked_for: [&'static str; 1],
     /// The chart of a single run without findings.
     chart: Option<&'a str>,
 }
 
-/// Number of runs for each end.
+/// The number of runs, by how they ended.
 #[derive(Serialize)]
 struct Ends {
     over: u64,
@@ -51,9 +51,9 @@ struct Ends {
 struct One<'a> {
     #[serde(flatten)]
     told: verify::FindingAnswer<'a>,
-    /// The first seed that shows it; null for the run of a file.
+    /// The first seed that shows the finding; null if the schedule of a file was run.
     seed: Option<u64>,
-    /// Number of runs that show it.
+    /// Number of runs that show the finding.
     runs: u64,
     faults: Vec<String>,
     choices: usize,

@@ -10,17 +10,18 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
-/// The version of the file format. In version 1, a node's choices did not range over its waiting inputs (D170).
+/// The version of the file format. In version 1, the choices of a node did not include the order of its waiting inputs
+/// (D170).
 const VERSION: u32 = 2;
 /// Most bytes of a file.
 const LONGEST: u64 = 16 << 20;
 
-/// A file.
+/// A schedule as it stands in a file.
 #[derive(Deserialize, Serialize)]
 #[serde(deny_unknown_fields)]
 struct File {
     version: u32,
-    /// The cell that it was saved from.
+    /// The cell for which the schedule was saved.
     #[serde(skip_serializing_if = "Option::is_none")]
     cell: Option<String>,
     /// The digest of that cell's declarations.
@@ -28,7 +29,7 @@ struct File {
     digest: Option<String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     fault: Vec<Line>,
-    /// The choices of the schedule; none: each seed draws them.
+    /// The choices of the schedule. Without them each seed draws its own.
     #[serde(skip_serializing_if = "Option::is_none")]
     choices: Option<Choices>,
 }
@@ -64,7 +65,7 @@ struct Line {
     restart_after: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     lasts: Option<String>,
-    /// For a pause: `waits` if an action that the node has just begun starts only after it.
+    /// For a pause: `waits` if an action that the node has just begun starts only after the pause.
     #[serde(skip_serializing_if = "Option::is_none")]
     action: Option<String>,
     /// For a clock: `twice` or `missed`.
@@ -86,7 +87,7 @@ struct Choices {
 /// The faults of a file, and its choices if it has any.
 pub(super) type Plan = (Vec<Fault>, Option<Tape>);
 
-/// The names of a cell, and the length of its tick.
+/// The names in a cell, and the length of its tick, which the texts of a file need.
 pub(super) struct Names<'a> {
     pub table: &'a CellTable,
     pub tick_us: u64,
@@ -163,7 +164,7 @@ impl Names<'_> {
         }
         for (name, made) in choices.link {
             let (from, to) = self.link(&name)?;
-            // TOML refuses the same text twice, but not two spellings: `a -> b` and `a->b`.
+            // TOML refuses the same key twice, but does not notice two spellings of one link: `a -> b` and `a->b`.
             if tape.insert(Chooser::Link(from, to), made).is_some() {
                 return Err(format!("choices.link has `{}` twice: write it once", self.link_name(from, to)));
             }

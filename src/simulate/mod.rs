@@ -23,14 +23,14 @@ use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 /// Number of seeds without `--seeds`.
 const SEEDS: u64 = 1000;
-/// Seeds from the clock have at most nine digits, because a person types them again.
+/// The bound of seeds from the clock. They have at most nine digits, because a person may type them again.
 const SEEDS_OF_THE_CLOCK: u128 = 1_000_000_000;
 
-/// What is run.
+/// The runs that the user asked for.
 enum What {
-    /// `count` seeds from the first one, with these faults or with those that each seed draws.
+    /// `count` seeds from the first one, with the given faults or with those that each seed draws.
     Seeds { first: u64, count: u64, faults: Option<Vec<Fault>> },
-    /// One schedule.
+    /// One schedule of a file.
     Schedule(Schedule),
 }
 
@@ -40,7 +40,7 @@ struct Report<'a> {
     names: &'a Names<'a>,
     args: &'a SimulateArgs,
     what: &'a What,
-    /// Why the cell was not run.
+    /// Why the cell was not simulated; none if it was.
     refused: Option<&'a Refused>,
     all: &'a Simulated,
     /// Whether the selected finding was saved.
@@ -101,7 +101,7 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
         What::Schedule(schedule) => Some(simulator.chart_of(schedule)),
         What::Seeds { .. } => None,
     };
-    // The findings are shown even if saving fails.
+    // The findings are shown even if saving them fails.
     let kept = keep(args, &subject, &names, &all);
     let saved = matches!(kept, Ok(true));
     let report = Report {
@@ -116,7 +116,7 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
     };
     report.show(format, out)?;
     if text {
-        // On standard error, because the answer is independent of this machine's speed.
+        // The speed goes to standard error, because the answer must not depend on this machine.
         let speed = grouped((all.steps as f64 / seconds.max(1e-9)) as u64);
         let line = format!("{} in {seconds:.2} s, {speed} steps a second", count(all.runs, "run"));
         let _ = writeln!(io::stderr(), "{line}");
@@ -157,8 +157,8 @@ fn what(args: &SimulateArgs, names: &Names<'_>) -> Result<What, Failure> {
 /// A flag that Ctrl-C sets. A second Ctrl-C ends the process.
 fn stop_at_ctrl_c() -> Arc<AtomicBool> {
     let (stop, once) = (Arc::default(), Arc::default());
-    // A signal runs these actions in the order of registration, so one that arrives between two of these lines sets the flag,
-    // too. If none can be registered, Ctrl-C ends the process at once.
+    // A signal runs the registered actions in the order of registration, so a signal that arrives between these two lines
+    // sets the flag, too. If no action can be registered, Ctrl-C ends the process at once.
     let _ = signal_hook::flag::register(SIGINT, Arc::clone(&stop));
     let _ = signal_hook::flag::register_conditional_default(SIGINT, Arc::clone(&once));
     let _ = signal_hook::flag::register(SIGINT, once);
@@ -171,7 +171,7 @@ fn progress(seeds: u64, text: bool) -> ProgressBar {
     let line = ProgressBar::with_draw_target(Some(seeds), target);
     match ProgressStyle::with_template("{wide_bar} {pos} of {len} runs, {msg}") {
         Ok(style) => line.with_style(style),
-        // The default style is a fallback that shows less.
+        // The template is wrong. The default style takes its place, and shows less.
         Err(_) => line,
     }
 }
@@ -194,7 +194,7 @@ fn keep(args: &SimulateArgs, subject: &Subject, names: &Names<'_>, all: &Simulat
     Ok(true)
 }
 
-/// The command without seeds and plan.
+/// The command that the user gave, without seeds and plan.
 fn command(subject: &Subject, args: &SimulateArgs) -> String {
     let file = if cell_file::is_stdin(&args.cell) { "-" } else { &subject.file };
     let mut command = format!("imrs simulate {}", quoted(file));

@@ -1,4 +1,4 @@
-//! What is usually to be done about a finding.
+//! The usual remedy for each kind of finding.
 
 use imrs_model::cell::Kind;
 

@@ -25,7 +25,7 @@ pub(super) struct Answer<'a> {
     /// The checks of the file.
     claims: Vec<Settled<'a>>,
     findings: Vec<FindingAnswer<'a>>,
-    /// Possibly intended: tasks that go on for ever without progress.
+    /// Findings that may be intended: tasks that go on for ever without progress.
     warnings: Vec<FindingAnswer<'a>>,
     /// Statements that are never reached with these faults.
     not_exercised: Vec<Place<'a>>,
@@ -35,9 +35,9 @@ pub(super) struct Answer<'a> {
     /// Values that were not tried, because there are too many.
     outside_left_out: &'a [i64],
     outside_real_left_out: &'a [f32],
-    /// Statements that are never reached with these values: others may lead there.
+    /// Statements that are never reached with these values. Other values may lead there.
     not_tried: Vec<Place<'a>>,
-    /// Statements not reached before a search ended or a finding came: nothing is known about them.
+    /// Statements not reached before a search ended or a finding came. Nothing is known about these statements.
     not_seen: Vec<Place<'a>>,
     /// Times of the cell that are not multiples of its tick: the rounding may cause a finding.
     rounded: Vec<Rounded<'a>>,
@@ -75,7 +75,7 @@ struct Settled<'a> {
     expect: &'static str,
     outcome: &'static str,
     as_expected: bool,
-    /// Values it reads that never changed: `r2.active = false`.
+    /// Values that the check reads and that never changed: `r2.active = false`.
     never_changed: Vec<&'a str>,
 }
 
@@ -92,11 +92,11 @@ pub struct FindingAnswer<'a> {
     cause: &'a str,
     /// The usual remedy.
     help: &'static str,
-    /// The states of other tasks that it concerns.
+    /// The states of other tasks at the finding.
     meanwhile: Vec<Meanwhile<'a>>,
     at_ticks: u64,
     chart: &'a str,
-    /// Whether `--save` kept it.
+    /// Whether `--save` saved the finding.
     saved: bool,
 }
 
@@ -116,30 +116,31 @@ struct Meanwhile<'a> {
     does: &'a str,
 }
 
-/// A search.
+/// One search of the cell.
 #[derive(Serialize)]
 struct Searched<'a> {
     with_faults: bool,
     bounds: Bounds<'a>,
-    /// `ends`: packets take their link's bound, actions their least or most time; `between`: they also arrive and end right
-    /// after anything that happens meanwhile; `every`: at every tick, or model tick.
+    /// `ends`: packets take the bound of their link, actions their least or most time. `between`: packets may also arrive,
+    /// and actions end, right after anything that happens meanwhile. `every`: also at every tick, or every model tick.
     times: &'static str,
     /// Independent parts of the cell, each searched by itself.
     parts: u32,
     states: u64,
     transitions: u64,
-    /// In choices: the length of the longest shortest path to a state, and the depth up to which everything was explored.
+    /// The greatest distance of a state from the start, in choices. `whole_depth` is the depth up to which everything was
+    /// explored.
     depth: u64,
     whole_depth: u64,
     complete: bool,
     /// Whether states beyond a finding were not explored.
     pruned: bool,
-    /// Which budget ended it.
+    /// The budget that ended the search; null if none did.
     ended_by: Option<&'a str>,
     seconds: f64,
 }
 
-/// The fault bounds of a search: counts, the nodes that crash, the ends of the links that are cut.
+/// The faults that a search may use: counts, the nodes that crash, the ends of the links that are cut.
 #[derive(Serialize)]
 struct Bounds<'a> {
     loss: u8,
@@ -160,7 +161,7 @@ struct Pausing<'a> {
 }
 
 impl Subject {
-    /// `saved`: the number of the finding that `--save` kept.
+    /// The JSON answer. `saved` is the number of the finding that `--save` saved.
     pub(super) fn answer<'a>(
         &'a self,
         plan: &'a CellPlan,

@@ -27,7 +27,7 @@ pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Fai
         kept::check(file, args.faults.force)?;
     }
     let verdicts = check_cell(&plan);
-    // The findings are shown even if saving fails.
+    // The findings are shown even if saving them fails.
     let kept = keep(&subject, &plan, &verdicts, &args.faults);
     let saved = kept.as_ref().map_or(None, |saved| *saved);
     match format {
@@ -63,7 +63,7 @@ fn keep(
         None => all.iter().position(|finding| !finding.moves.is_empty()).unwrap_or(0),
     };
     let Some(finding) = all.get(at) else {
-        // Without findings there is nothing to save, which is no error.
+        // If there are no findings, nothing can be saved, and that is no error.
         let missed = args.finding.filter(|_| !all.is_empty());
         let missed = missed.map(|number| format!("--finding {number}: there are {}", all.len()));
         return missed.map_or(Ok(None), |missed| Err(Failure::Usage(missed)));

@@ -1,21 +1,21 @@
-//! The limits of a verdict: what it does not cover, and with which values it was tried.
+//! What a verdict does not cover, and the values with which it was reached.
 
 use crate::failure::Failure;
 use crate::output::{FAINT, Output, Styled};
 use imrs_model::cell::{CellPlan, Tried};
 
-/// Not covered in any cell.
+/// What the verdict on no cell covers.
 const STANDSTILLS: &str = "livelock: a task that polls for ever while other tasks make progress, or one that only asks again and again whether something came";
 
-/// Not covered in cells with extern tasks.
+/// What the verdict on a cell with extern tasks does not cover.
 const TIMES_OUTSIDE: &str =
     "extern tasks that use a port otherwise than once in each period of their rate, or in each tick";
 
-/// Not covered in cells that use results of actions otherwise than in comparisons.
+/// What the verdict does not cover if the cell uses results of actions otherwise than in comparisons.
 const OTHER_RESULTS: &str =
     "other results of actions than the ends of their ranges and what is compared with";
 
-/// Not covered in cells whose actions give numbers.
+/// What the verdict does not cover if actions of the cell give numbers.
 const UNFIT: &str =
     "results of actions that are outside their range, or do not fit the variable that takes them";
 

@@ -21,7 +21,7 @@ struct Line {
 }
 
 impl Lines {
-    /// No lines yet.
+    /// A display without lines.
     pub fn new(format: Format) -> Self {
         let target = match format {
             Format::Text => ProgressDrawTarget::stderr_with_hz(5),
@@ -32,7 +32,7 @@ impl Lines {
 
     /// Removes all lines.
     pub fn clear(&self) {
-        // If the terminal cannot be cleared, the lines stay.
+        // If the terminal cannot be cleared, the lines stay on the screen.
         let _ = self.all.clear();
     }
 
@@ -54,7 +54,7 @@ impl Progress for Lines {
     }
 
     fn states(&self, name: &str, states: u64) {
-        // If several rules of a claim are being checked, the newest line.
+        // If several rules of a claim are being checked, the newest line is changed.
         if let Some(line) = self.running().iter().rev().find(|line| line.name == name) {
             line.bar.set_message(format!("{}: {} states", line.title, grouped(states)));
         }

@@ -9,15 +9,12 @@ use std::time::Duration;
 
 /// The claim whose figures are shown as a table of their own.
 const UNDER_LOSS: &str = "rendezvous-under-loss";
-/// How many first lines of a counterexample are shown unless its claim was requested.
+/// How many lines of a counterexample are shown from its beginning, unless the user asked for its claim.
 const CHART_HEAD: usize = 6;
-/// How many last lines are shown: they say what is wrong.
+/// How many lines are shown from its end, which says what is wrong.
 const CHART_TAIL: usize = 3;
 
-/// Prints a report. `in_full`: counterexamples are printed whole.
-///
-/// # Errors
-/// [`Failure::Output`].
+/// Prints a report. With `in_full` the counterexamples are printed whole.
 pub fn show(report: &Report, in_full: bool, took: Duration, out: &mut Output) -> Result<(), Failure> {
     table(report, out)?;
     rules_under_loss(report, out)?;
@@ -65,7 +62,7 @@ fn table(report: &Report, out: &mut Output) -> Result<(), Failure> {
     out.line("")
 }
 
-/// The bounds of a verdict in short.
+/// The bounds of a verdict in short form: `L1 D1 R-`.
 fn bounds(v: &Verdict) -> String {
     let b = &v.bounds;
     let mut parts = vec![format!("L{}", b.loss)];
@@ -106,7 +103,7 @@ fn widest<'a>(names: impl Iterator<Item = &'a String>, head: &str) -> usize {
     names.map(String::len).chain([head.len()]).max().unwrap_or(0)
 }
 
-/// Prints the least number of lost packets that strands a member, by rule of confirmation and number of members.
+/// Prints how many lost packets suffice to strand a member, by rule of confirmation and number of members.
 fn rules_under_loss(report: &Report, out: &mut Output) -> Result<(), Failure> {
     let of: Vec<&Verdict> = report.claims.iter().filter(|v| v.name == UNDER_LOSS).collect();
     let sizes: BTreeSet<u32> = of.iter().map(|v| v.parties).collect();
@@ -167,7 +164,8 @@ fn margins(report: &Report, out: &mut Output) -> Result<(), Failure> {
 fn counterexamples(report: &Report, in_full: bool, out: &mut Output) -> Result<(), Failure> {
     for v in &report.claims {
         let Some(counterexample) = &v.counterexample else { continue };
-        // The table of rules says the same, so it is shown only if it was requested.
+        // The table of rules says the same as this counterexample, so the counterexample is shown only if the user asked for
+        // it.
         if v.name == UNDER_LOSS && !in_full && v.as_expected {
             continue;
         }

@@ -1,4 +1,5 @@
-//! Saves the counterexample of a finding as a recording: what monitors of all nodes would have seen, with a text for each step.
+//! Saves the counterexample of a finding as a recording. It holds the frames that monitors of all nodes would have seen,
+//! with a text for each step.
 
 use super::subject::Subject;
 use crate::failure::Failure;
@@ -16,7 +17,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 
 const BUILD: &str = concat!("imrs ", env!("CARGO_PKG_VERSION"));
 
-/// Saves the counterexample of a finding. False if it has none: an unreachable statement has no path.
+/// Saves the counterexample of a finding. Returns false if the finding has none: no path leads to an unreachable statement.
 ///
 /// # Errors
 /// The file cannot be written.
@@ -62,7 +63,7 @@ impl Subject {
     fn step(&self, number: usize, scene: &Scene) -> Step {
         let words = |happening: &Shows| match happening {
             Shows::Said(words) => Some(words.clone()),
-            // An extern task has no statements, so there is nothing to show.
+            // An extern task has no statements that could be shown.
             Shows::Began(task, at) => {
                 let (line, _, text) = self.place(*task, *at)?;
                 let name = self.task(*task);
@@ -88,11 +89,11 @@ impl Subject {
     }
 }
 
-/// Writes the recording.
+/// Writes the recording of a counterexample.
 struct Film<'a, W> {
     writer: RecordingWriter<W>,
     subject: &'a Subject,
-    /// For each node, the incarnation to which the recording is attached.
+    /// For each node, the incarnation of which the recording currently shows frames.
     attached: Vec<Option<imrs_protocol::Incarnation>>,
     at: u64,
 }

@@ -24,9 +24,9 @@ pub struct Subject {
     pub file: String,
     pub source: Source,
     pub lowered: Lowered,
-    /// The places of the tasks' heads.
+    /// The span of each task's head.
     tasks: Vec<Span>,
-    /// The places of the work couples, in the order of the table.
+    /// The span of each work couple, in the order of the table.
     couples: Vec<Span>,
     pub table: Arc<CellTable>,
     /// The length of a tick in microseconds.
@@ -36,7 +36,8 @@ pub struct Subject {
 }
 
 impl Subject {
-    /// Compiles a cell file. The inner error: the compiler rejected it, and the diagnostics have been printed.
+    /// Compiles a cell file. The inner error says that the compiler rejected the cell; its diagnostics have then been
+    /// printed.
     ///
     /// # Errors
     /// [`Failure`].
@@ -103,7 +104,7 @@ impl Subject {
         Ok(plan)
     }
 
-    /// The lines and the message formats that charts show.
+    /// The lines and the message formats that charts use.
     fn legend(&self) -> Legend {
         let line = |span: &Span| u32::try_from(self.source.position(span.start).0).unwrap_or(u32::MAX);
         let of_task = |behaviour: &Behaviour| match behaviour {
@@ -186,7 +187,7 @@ impl Subject {
         of_task.or_else(of_check).or_else(of_couple).or_else(of_head).unwrap_or_else(|| self.head())
     }
 
-    /// The declaration of the cell: the place of a finding that has no other.
+    /// The span of the cell's declaration: the place of a finding that has no other place.
     fn head(&self) -> (usize, usize, &str) {
         let mut lines = (1..).zip(self.source.text().lines());
         let head = lines.find(|(_, text)| text.trim_start().starts_with("cell "));
@@ -195,7 +196,7 @@ impl Subject {
     }
 }
 
-/// What a task does in the model.
+/// What the model lets a task do.
 pub fn conduct(behaviour: &Behaviour) -> Conduct {
     match behaviour {
         Behaviour::Script(script) => {

@@ -13,9 +13,9 @@ use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
 use std::fmt::Write as _;
 
-/// How many last lines of a chart are shown, for every finding but the first.
+/// How many lines of a chart are shown from its end, for every finding but the first.
 const CHART_TAIL: usize = 8;
-/// Up to so many statements are shown with their text.
+/// At most this many statements are shown with their text.
 const FEW: usize = 6;
 /// The most columns of a statement's text.
 const EXCERPT: usize = 48;
@@ -204,8 +204,8 @@ impl Telling<'_> {
 }
 
 impl Subject {
-    /// Prints a finding: what, where, the other tasks, the counterexample, and the usual remedy. `all`: what shows the whole
-    /// chart; if given, only its end is printed.
+    /// Prints a finding: what is wrong and where, the other tasks, the counterexample, and the usual remedy. `all` is the
+    /// command that shows the whole chart; if it is given, only the end of the chart is printed.
     ///
     /// # Errors
     /// [`Failure::Output`].
@@ -228,7 +228,7 @@ impl Subject {
         out.line(format!("  help: {}", help(finding.kind)))
     }
 
-    /// Prints the times that are not multiples of the tick. `found`: whether there are findings, which rounding may cause.
+    /// Prints the times that are not multiples of the tick. `found`: there are findings, perhaps caused by rounding.
     ///
     /// # Errors
     /// [`Failure::Output`].
@@ -248,7 +248,7 @@ impl Subject {
         Ok(())
     }
 
-    /// The tasks with the same finding: `b (line 39), c (line 50), which have the same statements`.
+    /// The tasks with the same finding, as text: `b (line 39), c (line 50), which have the same statements`.
     fn also(&self, finding: &Finding) -> String {
         let place = |&task: &TaskId| {
             let line = finding.address.and_then(|at| self.place(task, at)).map(|place| place.0);
@@ -260,7 +260,7 @@ impl Subject {
         format!("{}, which {have} the same statements", tasks.join(", "))
     }
 
-    /// The state of another task at the finding: `camera is at line 22: run look`.
+    /// The state of another task at the finding, as text: `camera is at line 22: run look`.
     fn meanwhile(&self, other: &Concerned) -> String {
         let name = self.task(other.task);
         let place = other.at.and_then(|at| self.place(other.task, at));
@@ -274,7 +274,7 @@ impl Subject {
         format!("{name} is at line {line}: {}", short(text))
     }
 
-    /// Prints statements and their lines, by task: `armL line 12, 14; hoist line 31`; a few with their text.
+    /// Prints statements by task: `armL line 12, 14; hoist line 31`; a few statements with their text.
     pub fn statements(
         &self,
         what: &str,
@@ -316,7 +316,7 @@ pub fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', r"'\''"))
 }
 
-/// The beginning of a long text.
+/// The beginning of a text, if it is long.
 fn short(text: &str) -> String {
     if text.chars().count() <= EXCERPT {
         return text.to_owned();
@@ -325,7 +325,7 @@ fn short(text: &str) -> String {
     format!("{}...", kept.trim_end())
 }
 
-/// Prints a chart. `all`: what shows the whole chart; if given, only the end is printed.
+/// Prints a chart. If `all` is given, it names the command that shows the whole chart, and only the end is printed.
 ///
 /// # Errors
 /// [`Failure::Output`].

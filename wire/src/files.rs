@@ -19,22 +19,22 @@ use thiserror::Error;
 /// Why a file cannot be used.
 #[derive(Debug, Error)]
 pub enum FileError {
-    /// It is a folder.
+    /// The name belongs to a folder.
     #[error("this is a folder: name a file in it")]
     Folder,
-    /// It is a pipe, a device or a socket: reading it might never end.
+    /// The name belongs to a pipe, a device or a socket: reading it might never end.
     #[error("not a regular file, and reading it might never end: name a file")]
     NotAFile,
-    /// It has more bytes than the caller reads.
+    /// The file has more bytes than the caller reads.
     #[error("larger than {0} bytes, the most that is read: is it the right file?")]
     TooLarge(u64),
-    /// It is not UTF-8 text.
+    /// The file is not UTF-8 text.
     #[error("not a text in UTF-8")]
     NotText,
-    /// It holds a secret, and users other than its owner can read it.
+    /// The file holds a secret, and users other than its owner can read it.
     #[error("other users can read it (mode {0:03o}): make it yours alone with `chmod 600`")]
     NotPrivate(u32),
-    /// The name exists, and its contents would be lost.
+    /// A file of this name exists, and its contents would be lost.
     #[error("there is a file of this name: name another one, or give --force to replace it")]
     Exists,
     /// The operating system refused.
@@ -59,7 +59,7 @@ pub fn open(path: &Path) -> Result<File, FileError> {
     let flags = OFlags::RDONLY | OFlags::NONBLOCK | OFlags::NOCTTY | OFlags::CLOEXEC;
     let file = match rustix::fs::open(path, flags, Mode::empty()) {
         Ok(file) => File::from(file),
-        // A socket, or a device without a driver.
+        // The name belongs to a socket, or to a device without a driver.
         Err(rustix::io::Errno::NXIO | rustix::io::Errno::NODEV) => return Err(FileError::NotAFile),
         Err(error) => return Err(FileError::Io(error.into())),
     };
@@ -154,7 +154,7 @@ pub fn check(path: &Path, force: bool) -> Result<(), FileError> {
 /// Removes an unfinished output file. Anything but a regular file, such as a device or a link, stays.
 pub fn discard(path: &Path) {
     if path.symlink_metadata().is_ok_and(|of| of.is_file()) {
-        // An error is ignored: the file then stays behind.
+        // If the file cannot be removed, it stays: the caller already reports the error that made the output useless.
         let _ = std::fs::remove_file(path);
     }
 }

@@ -325,7 +325,7 @@ fn golden(version: &str, name: &str) -> std::path::PathBuf {
     folder.join(format!("{name}.hex"))
 }
 
-/// Compares samples with their golden files, and returns all their bytes. With `write` the files are written first.
+/// Compares samples with their golden files, and returns all their bytes. If `write` is true, it writes the files first.
 fn kept(version: &str, samples: Vec<(&'static str, Vec<u8>)>, write: bool) -> Vec<u8> {
     let mut all = Vec::new();
     for (name, bytes) in samples {
@@ -514,7 +514,7 @@ impl Write for Dribble {
     }
 }
 
-/// Records the largest buffer that a reader passes to its source: the memory that it has allocated.
+/// A source that records the largest buffer that a reader passes to it: that is the memory that the reader has allocated.
 struct Greedy<'a> {
     bytes: &'a [u8],
     most: usize,

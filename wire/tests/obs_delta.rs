@@ -177,7 +177,8 @@ proptest! {
         prop_assert_eq!(&got, &old);
     }
 
-    /// Any delta of one snapshot, applied to any other, gives an error and no change, or some snapshot.
+    /// Any delta of one snapshot, applied to any other snapshot, either gives an error and changes nothing, or gives some
+    /// snapshot.
     #[test]
     fn what_changed_elsewhere_is_borne(seed in 0..50_u64, after in edits(), damage in (any::<usize>(), any::<u8>()), tasks in 0..5_u16) {
         let (old, mut new) = (snapshot(4, 5, seed), snapshot(4, 5, seed + 1));
@@ -204,7 +205,7 @@ fn what_only_grew_older_costs_nothing() {
     let bytes = postcard::to_allocvec(&ServerFrame::Delta(Delta::between(&old, &quiet))).unwrap();
     println!("an idle node of 10,000 ports: {} bytes a period", bytes.len());
     assert!(bytes.len() <= 32, "{} bytes", bytes.len());
-    // Time that advances in a task costs a few bytes, and nothing for its ports.
+    // If time advances in a task, that costs a few bytes for the task, and nothing for its ports.
     let busy = later(&old, 100_000, |i| if i == 7 { 99_000 } else { 0 });
     let one = postcard::to_allocvec(&ServerFrame::Delta(Delta::between(&old, &busy))).unwrap();
     assert!(one.len() <= bytes.len() + 16, "{} bytes", one.len());

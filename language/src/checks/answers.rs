@@ -57,7 +57,7 @@ fn variable(variables: &[Variable], slot: Slot) -> Option<Span> {
     variables.get(usize::from(at)).map(|variable| variable.span)
 }
 
-/// Reports `p.x(t)` and the like in a thread without a statement that can bring the value (D93).
+/// Reports an expression such as `p.x(t)` if no statement of its thread can bring the value (D93).
 fn unasked(
     hir: &Hir,
     captures: &[Capture],

@@ -29,7 +29,7 @@ fn joins(port: &Port, a: TaskId, b: TaskId) -> bool {
     port.usage_of(a).is_some() && port.peers(a).any(|peer| peer == b)
 }
 
-/// The tasks of `among` that ports like this join with `from`, directly or through others.
+/// The tasks of `among` that `from` reaches over ports for which `like` is true, directly or through other tasks.
 fn reached(hir: &Hir, from: TaskId, among: &[TaskId], like: impl Fn(&Port) -> bool) -> Vec<TaskId> {
     let mut known = vec![from];
     let mut at = 0;
@@ -74,7 +74,7 @@ fn heartbeats(hir: &Hir, couple: &Couple, [primary, standby]: [TaskId; 2], found
     });
 }
 
-/// Checks that queries join the members.
+/// Checks that ports of usage query or response connect all members of a `tight` couple.
 fn tight(hir: &Hir, couple: &Couple, tasks: &[TaskId], found: &mut Vec<Diagnostic>) {
     let Some(&first) = tasks.first() else { return };
     let known = reached(hir, first, tasks, |port| matches!(port.usage, Usage::Query | Usage::Response));
@@ -89,7 +89,7 @@ fn tight(hir: &Hir, couple: &Couple, tasks: &[TaskId], found: &mut Vec<Diagnosti
     }
 }
 
-/// Checks that a `waitfor` or class-2 messages make the second task wait for the first.
+/// Checks that the second task of a `serial` couple waits for the first, by a `waitfor` or by class-2 messages.
 fn serial(hir: &Hir, couple: &Couple, [first, second]: [TaskId; 2], found: &mut Vec<Diagnostic>) {
     let all: Vec<TaskId> = (0..hir.tasks.len()).map(TaskId::from_index).collect();
     if reached(hir, first, &all, |port| port.class == Class::Command).contains(&second) {
@@ -103,7 +103,8 @@ fn serial(hir: &Hir, couple: &Couple, [first, second]: [TaskId; 2], found: &mut 
     );
 }
 
-/// Checks that the members use the administrator's ports, and that no `receive` waits for it without end.
+/// Checks that the members of a `loose` couple use the administrator's ports, and that no `receive` waits for the
+/// administrator without end.
 fn loose(hir: &Hir, couple: &Couple, tasks: &[TaskId], over: TaskId, found: &mut Vec<Diagnostic>) {
     let owner = task(hir, over);
     for &member in tasks.iter().filter(|&&member| member != over) {
@@ -145,7 +146,7 @@ fn waits_for_ever(hir: &Hir, member: TaskId, over: TaskId) -> Vec<(PortId, Span)
     places
 }
 
-/// Checks that a standby runs no action before it takes over (D61).
+/// Checks that the standby of a `work` couple runs no action before it takes over (D61).
 fn waits(hir: &Hir, couple: &Couple, standby: TaskId, found: &mut Vec<Diagnostic>) {
     let standby = task(hir, standby);
     if is_draft(standby) {
@@ -164,7 +165,7 @@ fn waits(hir: &Hir, couple: &Couple, standby: TaskId, found: &mut Vec<Diagnostic
     });
 }
 
-/// Checks that a standby does not come to its end before it takes over: no task grants the lease after that.
+/// Checks that a standby does not end before it takes over: after its end no task can grant the lease.
 fn ends(hir: &Hir, couple: &Couple, [primary, standby]: [TaskId; 2], found: &mut Vec<Diagnostic>) {
     let (primary, standby) = (task(hir, primary), task(hir, standby));
     if standby.is_extern || is_draft(standby) || walk::only_serves(standby) || !walk::all_go_on(&standby.body)

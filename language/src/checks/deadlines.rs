@@ -1,8 +1,8 @@
 //! Checks that time_outs cover the link delays and the work of an answer.
 //!
-//! What a time_out certainly cannot cover is an error. Each link subtracts its whole delay from a message's TTL (D20). The
-//! delay back to the sender is reserved (D18). No answer comes before the actions in front of it end.
-//! A tick is how late a node may act, not how late it always acts (D42). What only late ticks and slow actions exceed is a
+//! A time_out that is certainly too short is an error. Each link subtracts its whole delay from a message's TTL (D20). The
+//! delay back to the sender is reserved (D18). No answer comes before the actions in front of it end. A node may act up to a
+//! tick late, but need not (D42). If a time_out is too short only when nodes act late and actions are slow, that is a
 //! warning (D99).
 
 use super::messages::{carries_heartbeats, senders, sends_to};
@@ -40,8 +40,9 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// The least time_out of a port in microseconds, a whole number of ticks, about which no check complains: neither E206 (the
-/// tick), E201 (delays and work) nor W318 (their ticks). With `of`, only messages with that time_out count.
+/// The least time_out of a port in microseconds, a whole number of ticks, that no check reports: neither E206 (too few
+/// ticks), E201 (shorter than delays and work) nor W318 (too short if nodes act late). With `of`, only messages with that
+/// time_out count.
 pub(crate) fn least(hir: &Hir, id: PortId, of: Option<Duration>) -> u64 {
     let tick = tick(hir);
     let port = &hir.ports[id.index()];
@@ -82,7 +83,8 @@ fn meeting(hir: &Hir, port: &Port) -> u64 {
     least
 }
 
-/// After this many rounds even a margin for 255 losses, which grows with its time_out, has converged.
+/// Most iterations of the search for the least time_out of a `waitfor`. The margin grows with the time_out; even one for 255
+/// losses has converged by then.
 const ROUNDS: usize = 10_000;
 
 /// The first whole tick after a time.
@@ -94,12 +96,12 @@ fn tick(hir: &Hir) -> u64 {
     hir.tick.map_or(1, |tick| tick.usec.max(1))
 }
 
-/// The time_out of this task's messages.
+/// The time_out of the messages that `from` sends on the port.
 fn ttl(port: &Port, from: TaskId) -> Option<Duration> {
     port.user(from).and_then(|user| user.time_out).or(port.time_out)
 }
 
-/// What one message from a sender to a receiver needs, with its answer.
+/// The time that a message from one sender to one receiver needs, with its answer.
 struct Need {
     from: TaskId,
     to: TaskId,
@@ -116,25 +118,26 @@ impl Need {
         if self.answered { 2 } else { 1 }
     }
 
-    /// The time that it certainly takes: a time_out that is not longer always ends first.
+    /// The time that message and answer take in any case. A time_out that is not longer always ends first.
     fn certain(&self) -> u64 {
         self.way.saturating_mul(self.ways()).saturating_add(self.work.least)
     }
 
-    /// The time that it may take without faults: each node on the route acts a tick late, and the actions are slow.
+    /// The time that message and answer may take without faults: each node on the route acts a tick late, and the actions
+    /// are slow.
     fn enough(&self, hir: &Hir) -> u64 {
         let ticks = self.links.saturating_mul(tick(hir));
         let way = self.way.saturating_add(ticks).saturating_mul(self.ways());
         way.saturating_add(self.work.slow)
     }
 
-    /// `a -> b -> a`
+    /// The route there and back, as text: `a -> b -> a`.
     fn round(&self, hir: &Hir) -> String {
         let (from, to) = (&task(hir, self.from).name, &task(hir, self.to).name);
         if self.answered { format!("{from} -> {to} -> {from}") } else { format!("{from} -> {to}") }
     }
 
-    /// `2 x 3 msec on the links`, with `more` for each link, and with this work.
+    /// The parts of the time, as text: `2 x 3 msec on the links`, with `more` added for each link, and then `work`.
     fn parts(&self, more: u64, work: u64) -> String {
         let ways = if self.answered { "2 x " } else { "" };
         let tick = match more {
@@ -170,12 +173,12 @@ fn needs(hir: &Hir, id: PortId) -> Vec<Need> {
     needs
 }
 
-/// The total delay of these links.
+/// The total delay of `links`.
 fn delay(hir: &Hir, links: &[usize]) -> u64 {
     links.iter().fold(0, |sum: u64, &link| sum.saturating_add(hir.links[link].delay.usec))
 }
 
-/// The diagnostic for a time_out, or a `within`, that these messages have.
+/// The diagnostic for a time_out or a `within` that is too short for messages with these needs.
 fn too_short(hir: &Hir, port: &Port, ttl: Duration, needs: &[&Need]) -> Option<Diagnostic> {
     let enough = needs.iter().map(|need| need.enough(hir)).max()?;
     let tick = tick(hir);

@@ -54,7 +54,7 @@ fn everybody_comes(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnosti
     }
 }
 
-/// Reports members that meet only on a condition if another member always meets.
+/// Reports members that reach a `waitfor` only on some condition, if another member always reaches it.
 fn on_no_condition(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
     let mut always = Vec::new();
     let mut sometimes = Vec::new();

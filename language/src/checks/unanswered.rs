@@ -5,7 +5,7 @@ use crate::walk::{self, is_true};
 use imrs_protocol::PortId;
 use imrs_protocol::script::{Op, Slot, Term};
 
-/// The message whose paths are followed.
+/// The message that the analysis follows.
 #[derive(Clone, Copy)]
 pub(super) enum Question<'h> {
     /// The message that called the handler.
@@ -26,8 +26,8 @@ pub(super) fn forgets(body: &[Statement], captures: &[Capture], question: Questi
     paths.forgets || end.unanswered()
 }
 
-/// The variables that tell whether the message is there: the saved `received`, and if the `receive` can fail, the saved
-/// `outcome` and those that its branches assign. The message of a handler is always there.
+/// The variables from which the thread can tell whether it has the message: the saved `received`, and if the `receive` can
+/// fail, the saved `outcome` and the variables that its branches assign. A handler always has its message.
 fn tells(question: Question<'_>, captures: &[Capture]) -> Vec<Slot> {
     let Question::Of(receive, _) = question else { return Vec::new() };
     let fails = !receive.branches.is_empty();
@@ -45,14 +45,14 @@ fn tells(question: Question<'_>, captures: &[Capture]) -> Vec<Slot> {
     slots
 }
 
-/// The states in which paths reach a point of the thread.
+/// The states that the message can have at one point of the thread, over all paths to that point.
 #[derive(Clone, Copy, Default, PartialEq, Eq)]
 struct States {
-    /// The message is not there: not taken yet, or answered.
+    /// The thread does not have the message: it is not taken yet, or it is answered.
     none: bool,
-    /// It was received last: a `reply` answers it.
+    /// The message was received last: a `reply` answers it.
     open: bool,
-    /// Another message was received since: a `reply` answers that one.
+    /// The thread has received another message since: a `reply` answers that one.
     buried: bool,
 }
 
@@ -77,7 +77,7 @@ impl States {
     }
 }
 
-/// The states in which paths leave statements: at their end, or by `exit`.
+/// The states of the message where paths leave some statements: at their end, or by `exit`.
 #[derive(Clone, Copy, Default)]
 struct Left {
     next: States,
@@ -97,7 +97,7 @@ impl Left {
 struct Paths<'h> {
     question: Question<'h>,
     tells: Vec<Slot>,
-    /// Whether a path forgot the message before the end of the thread.
+    /// Whether some path has lost the message unanswered before the end of the thread.
     forgets: bool,
 }
 
@@ -112,7 +112,7 @@ impl Paths<'_> {
     }
 
     fn through(&mut self, statement: &Statement, from: States) -> Left {
-        // No path comes here. Without this, a `receive` behind `abort` would take messages.
+        // No path comes here. Without this return, a `receive` behind `abort` would count as taking messages.
         if !from.any() {
             return Left::default();
         }
@@ -127,14 +127,15 @@ impl Paths<'_> {
             StatementKind::Loop(body) => self.endless(body, from),
             StatementKind::While(condition, body) if is_true(condition) => self.endless(body, from),
             StatementKind::While(_, body) => {
-                // The condition may ask whether the message is there, so the message leaves the loop after one turn.
+                // One pass through the body counts, because the condition may ask whether the message is still there.
                 let once = self.through_all(body, from);
                 Left::by_end(from.or(once.next).or(once.exit))
             }
             StatementKind::If { arms, otherwise } => self.choice(arms, otherwise, from),
             _ => Left::by_end(from),
         };
-        // A `reply` fails if there is nothing to answer. The branches of other statements begin in the states before them.
+        // A `reply` fails if there is nothing to answer, so its branches begin without the message. The branches of other
+        // statements begin in the states before the statement.
         let failed = match statement.kind {
             StatementKind::Reply { .. } => left.next,
             _ => from,
@@ -185,7 +186,8 @@ impl Paths<'_> {
             .collect();
         let mut all = lefts.iter().fold(Left::default(), |all, left| all.or(*left));
         if asks && from.open && lefts.iter().any(|left| left.next.any() && !left.next.open) {
-            // If the condition asks whether there is a message, and one arm answers it, the other arms have none.
+            // If the condition asks whether there is a message, and one arm answers it, then no message remains in the other
+            // arms.
             all.next = States { none: true, open: false, buried: all.next.buried };
         }
         all

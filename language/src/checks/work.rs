@@ -37,13 +37,13 @@ struct Search<'h> {
     hir: &'h Hir,
     /// Whether actions are as slow as declared.
     slow: bool,
-    /// How many answers wait for this one.
+    /// How many answers wait for the one of this search.
     depth: usize,
     /// How many statements may still be visited. Nested loops are visited again and again.
     steps: &'h Cell<u32>,
 }
 
-/// The least time for which a message is open at a point; none if no path reaches the point with an open message.
+/// The least time for which a message has been open at a point; none if no path reaches the point with an open message.
 type Open = Option<u64>;
 
 /// The times at which paths leave statements: at the end, by `exit`, or with an answer.

@@ -5,17 +5,17 @@ const GAP: usize = 2;
 
 /// A `//` comment behind code.
 struct Trailing {
-    /// Where its text begins in the output, as yet without spaces in front of it.
+    /// Where the comment's text begins in the output, before the spaces in front of it are inserted.
     at: usize,
-    /// Its line in the output.
+    /// The comment's line in the output.
     line: usize,
-    /// How many characters its line has in front of it.
+    /// How many characters the comment's line has in front of the comment.
     width: usize,
-    /// Its column in the source.
+    /// The comment's column in the source.
     column: usize,
 }
 
-/// Collects the trailing comments while the lines are written, and then pads them.
+/// Collects the trailing comments while the lines are written, and then aligns them with spaces.
 ///
 /// Comments of consecutive lines that began in the same column of the source are one group: they begin in the same column of
 /// the output. A comment of another column is a group of its own, even if it happens to end up below the group.

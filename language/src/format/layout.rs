@@ -13,7 +13,7 @@ const STEP: usize = 2;
 #[derive(Default)]
 struct Blocks {
     open: Vec<(Word, usize)>,
-    /// The token in front.
+    /// The previous token of the line.
     last: Option<What>,
     /// The level of the current line.
     level: usize,

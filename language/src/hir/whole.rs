@@ -7,20 +7,20 @@ use imrs_protocol::{NodeId, PortId, TaskId};
 /// A process class (D24).
 #[derive(Clone, Debug)]
 pub struct Couple {
-    /// Which class.
+    /// The class, with the tasks of the couple.
     pub kind: CoupleKind,
-    /// Its span.
+    /// The declaration's span.
     pub span: Span,
 }
 
 /// The process classes of Table 1.
 #[derive(Clone, Debug)]
 pub enum CoupleKind {
-    /// Tasks that share what one task administers.
+    /// Tasks that share something, which another task administers for them.
     Loose {
-        /// The sharing tasks.
+        /// The tasks that share the tool.
         tasks: Vec<TaskId>,
-        /// The administrator.
+        /// The administrator of the shared tool.
         over: TaskId,
     },
     /// Tasks that act together.
@@ -70,20 +70,20 @@ pub struct Faults {
 /// A pause of a node: for a while it takes no step, as when its process is stopped (SIGSTOP) or gets no processor.
 #[derive(Clone, Copy, Debug)]
 pub struct Pause {
-    /// Which node.
+    /// The paused node.
     pub node: NodeId,
-    /// Its longest duration. Without one it lasts until every time_out and take-over that began before it has passed.
+    /// The pause's longest duration. Without one it lasts until every time_out and take-over that began before it has passed.
     pub most: Option<Duration>,
 }
 
 /// A property to check.
 #[derive(Clone, Debug)]
 pub struct Check {
-    /// Its name.
+    /// The property's name.
     pub name: String,
-    /// Its kind and its expressions.
+    /// The property's kind and its expressions.
     pub kind: CheckKind,
-    /// The span of its name.
+    /// The span of the check's name.
     pub span: Span,
 }
 
@@ -96,9 +96,9 @@ pub enum CheckKind {
     Never(Expr),
     /// Whenever `when` is true, `then` is true at the same time or within `within`.
     Leads {
-        /// The premise.
+        /// The premise of the property.
         when: Expr,
-        /// The consequence.
+        /// The consequence, which must follow in time.
         then: Expr,
         /// The time limit.
         within: Duration,

@@ -103,8 +103,8 @@ fn exprs(hir: &Hir) -> impl Iterator<Item = &Expr> {
     })
 }
 
-/// Adds the values on both sides of each constant that the variable is compared with.
-/// For a real they are the bits of its neighbours, as a driver returns them.
+/// Adds the values on both sides of each constant with which the variable is compared. For a real constant these are the
+/// bits of the next smaller and the next greater real, as a driver returns them.
 fn both_sides(terms: &[Option<Term>], is: impl Fn(Term) -> bool, reals: bool, into: &mut Vec<i64>) {
     for window in terms.windows(3) {
         let &[Some(a), Some(b), Some(operator)] = window else { continue };
@@ -156,7 +156,7 @@ fn given(value: i64) -> Option<f32> {
     x.is_finite().then_some(x)
 }
 
-/// Whether a variable is read anywhere else than in a comparison with a constant.
+/// Whether a variable is read anywhere but in a comparison with a constant.
 fn goes_elsewhere(terms: &[Option<Term>], is: impl Fn(Term) -> bool) -> bool {
     let compares = |window: &[Option<Term>]| {
         let mut into = Vec::new();
@@ -174,7 +174,8 @@ fn goes_elsewhere(terms: &[Option<Term>], is: impl Fn(Term) -> bool) -> bool {
 /// How many values from comparisons of other tasks and checks are tried at most.
 const MOST: usize = 16;
 
-/// Adds values to each action whose result travels: those that any task or check of the cell compares anything with.
+/// Adds values to each action whose result is read outside of comparisons with constants: every value with which any task or
+/// check of the cell compares something.
 pub(super) fn try_what_others_compare(hir: &Hir, tasks: &mut [Behaviour]) {
     let any = |term| matches!(term, Term::Load(_) | Term::Of { .. });
     let [wholes, reals] = [false, true].map(|reals| {

@@ -9,7 +9,7 @@ pub(super) struct Emitter {
     pub spans: Vec<Span>,
     /// The span of the operations that come next.
     pub at: Span,
-    /// Aborts that are emitted behind the thread that jumps to them.
+    /// The aborts to which the current thread jumps. [`flush`](Self::flush) emits them behind that thread.
     aborts: Vec<(Label, String, Span)>,
 }
 
@@ -64,7 +64,7 @@ impl Emitter {
         self.aborts.push((label, reason, self.at));
     }
 
-    /// Emits the aborts to which this thread jumps.
+    /// Emits the aborts to which the current thread jumps.
     pub fn flush(&mut self) {
         for (label, reason, at) in std::mem::take(&mut self.aborts) {
             self.put(label);

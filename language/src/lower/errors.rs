@@ -86,7 +86,7 @@ impl Mapping<'_> {
 
     fn deadline(&self, name: &str, time_out: Ticks, least: Ticks, waitfor: bool) -> Diagnostic {
         let (has, needs) = (self.time(time_out), self.time(least));
-        // The end of the port with the shortest time_out.
+        // The party of the port that declares the shortest time_out.
         let own = self.port(name).and_then(|port| {
             let ends = port.users.iter().filter_map(|user| user.time_out).chain(port.time_out);
             ends.min_by_key(|length| length.usec)
@@ -115,7 +115,7 @@ impl Mapping<'_> {
             .help(format!("give it {} or more", self.time(Ticks(more.div_ceil(self.usec)))))
     }
 
-    /// `60/1 msec x 1 receiver x 200 sec = 12000000 > 2^23`
+    /// The load that exceeds the message numbers, as text: `60 in 1 msec x 1 at the other end x 200 sec = 12000000 > 2^23`.
     fn numbers(&self, name: &str) -> String {
         let said = self.port(name).and_then(|port| {
             let ttls = port.users.iter().filter_map(|user| user.time_out).chain(port.time_out);

@@ -56,7 +56,7 @@ pub struct Formats {
 /// The behaviour of a task.
 #[derive(Clone, Debug)]
 pub enum Behaviour {
-    /// A script.
+    /// The task runs a script.
     Script(Box<Script>),
     /// A Rust program, which acts at most this often.
     Extern(Option<Rate>),
@@ -65,7 +65,7 @@ pub enum Behaviour {
 /// A task's script, with spans of its source.
 #[derive(Clone, Debug)]
 pub struct Script {
-    /// The operations.
+    /// The operations of the script.
     pub program: Arc<Program>,
     /// The span of the statement for each operation.
     pub spans: Vec<Span>,
@@ -78,9 +78,9 @@ pub struct Script {
 /// An action of a robot or another machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Action {
-    /// Its name.
+    /// The action's name.
     pub name: String,
-    /// The types of its arguments.
+    /// The types of the action's arguments.
     pub arguments: Vec<Type>,
     /// The type of its result; none if nothing reads it.
     pub result: Option<Type>,
@@ -96,20 +96,20 @@ pub struct Action {
 /// The address of a node.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Address {
-    /// Its host.
+    /// The node's host.
     pub host: Option<String>,
-    /// Its UDP port.
+    /// The node's UDP port.
     pub port: Option<u16>,
 }
 
 /// A property to check.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Check {
-    /// Its name.
+    /// The property's name.
     pub name: String,
-    /// Its kind and its terms.
+    /// The property's kind and its terms.
     pub kind: CheckKind,
-    /// The span of its name.
+    /// The span of the check's name.
     pub span: Span,
 }
 
@@ -120,9 +120,9 @@ pub enum CheckKind {
     Always(Vec<Term>),
     /// Whenever `when` is true, `then` is true at the same time or within `within`.
     Leads {
-        /// The premise.
+        /// The premise of the property.
         when: Vec<Term>,
-        /// The consequence.
+        /// The consequence, which must follow in time.
         then: Vec<Term>,
         /// The time limit.
         within: Ticks,

@@ -7,11 +7,11 @@ use crate::resolve::after;
 use imrs_protocol::script::{Binary, Mark, Op, Outcomes, Slot, StatementOutcome, Term, Type};
 use imrs_protocol::{PortId, TaskId};
 
-/// A bad end of a statement: the branch for it, and the reason for which the task ends without that branch.
+/// A bad outcome of a statement: the branch for it, and the reason for which the task ends without that branch.
 pub(super) struct Bad {
     branch: Option<BranchKind>,
     outcomes: Outcomes,
-    /// `None`: the task continues.
+    /// The keyword of the branch; `None` if the task continues without one.
     word: Option<&'static str>,
 }
 
@@ -26,7 +26,7 @@ pub(super) const FAILED: Bad = Bad {
     outcomes: Outcomes::of(&[StatementOutcome::Failed, StatementOutcome::Fenced]),
     word: Some("failure of"),
 };
-/// A reply that comes too late ends no task: the asker has given up already.
+/// A reply that comes too late ends no task, because the asker has already given up.
 pub(super) const TOO_LATE: Bad = Bad {
     branch: Some(BranchKind::Failed),
     outcomes: Outcomes::of(&[StatementOutcome::Unanswerable]),
@@ -34,7 +34,7 @@ pub(super) const TOO_LATE: Bad = Bad {
 };
 
 impl<'h> Writer<'h, '_> {
-    /// Emits the branches of a statement. A bad end without a branch ends the task (D33, D45).
+    /// Emits the branches of a statement. A bad outcome without a branch ends the task (D33, D45).
     pub fn branches(&mut self, statement: &'h Statement, name: &str, ways: &[Bad]) {
         let taken: Vec<(&'h Branch, Outcomes)> = statement
             .branches
@@ -116,8 +116,8 @@ impl<'h> Writer<'h, '_> {
         }
     }
 
-    /// Saves what members brought to a waitfor, or what the `asked` tasks answered, if an expression reads it. An unknown
-    /// value is zero.
+    /// Saves the values that members brought to a waitfor, or that the `asked` tasks answered, if an expression reads them.
+    /// An unknown value is zero.
     pub fn keep_told(&mut self, port: PortId, asked: Option<&[TaskId]>) {
         let declared = &self.hir.ports[port.index()];
         let fields = if asked.is_some() { &declared.answer } else { &declared.message };

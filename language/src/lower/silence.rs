@@ -60,7 +60,7 @@ impl Silence {
         }
     }
 
-    /// Starts or stops the timer if the value of `when` has changed. The old value is on top of the stack.
+    /// Starts or stops the timer if the value of `when` has changed. The value before the change is on top of the stack.
     fn changed(&self, emit: &mut Emitter) {
         let Some(when) = &self.when else { return };
         let (was_false, on) = (emit.label(), emit.label());

@@ -27,19 +27,19 @@ pub(super) enum Failure {
         span: Span,
         expected: Vec<Expected>,
     },
-    /// It was parsed, but is wrong.
+    /// The grammar parsed the part, but found it wrong.
     Said(Box<Diagnostic>),
 }
 
 /// A label of the grammar that diagnostics treat specially.
 pub(super) const NAME: &str = "a name";
-/// Likewise.
+/// A label of the grammar that diagnostics treat specially.
 pub(super) const TYPE: &str = "a type";
-/// Likewise.
+/// A label of the grammar that diagnostics treat specially.
 pub(super) const OPTION: &str = "an option";
-/// Likewise.
+/// A label of the grammar that diagnostics treat specially.
 pub(super) const USAGE: &str = "a usage (`send`, `receive`, `reply`, `query`, `response`, `waitfor`)";
-/// Likewise.
+/// A label of the grammar that diagnostics treat specially.
 pub(super) const FAULT: &str = "a fault (`loss`, `dup`, `fail`, `drift`, `crash`, `pause`, `cut`)";
 
 impl<'t> Error<'t, Tokens<'t>> for Failure {
@@ -91,22 +91,22 @@ impl<'t> LabelError<'t, Tokens<'t>, &'static str> for Failure {
     }
 }
 
-/// The token at a failure.
+/// The token at which the grammar stopped.
 pub(super) struct Found<'t> {
-    /// Its kind; none at the end of the file.
+    /// The token's kind; none at the end of the file.
     pub kind: Option<Kind>,
-    /// Its text.
+    /// The token's text.
     pub text: &'t str,
-    /// Its span.
+    /// The token's span.
     pub span: Span,
     /// The span of the token in front of it.
     pub after: Span,
-    /// Whether it is the first token of its line.
+    /// Whether the token is the first of its line.
     pub first_of_line: bool,
 }
 
 impl Found<'_> {
-    /// How a diagnostic names it.
+    /// How a diagnostic names the token.
     pub(super) fn describe(&self) -> String {
         match self.kind {
             None => "the end of the file".to_owned(),

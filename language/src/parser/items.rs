@@ -108,7 +108,7 @@ impl Driver<'_> {
         if let Some(stopped) = head.stopped
             && self.word(to - 1) != Some(Word::Record)
         {
-            // Without `record` it is unknown whether fields follow.
+            // Without the word `record` the parser cannot know whether fields follow.
             self.recover(from, to, stopped);
             return None;
         }
@@ -121,7 +121,7 @@ impl Driver<'_> {
                     let before = self.at;
                     let line = self.line(|d| &d.lines.fields, Context::Field);
                     fields.extend(line.into_iter().flatten());
-                    // A word that ends lines may stand in place of a field: it is skipped, or the loop would never end.
+                    // A word that ends lines may stand in place of a field. The parser skips it, or this loop never ends.
                     self.at = self.at.max(before + 1);
                 }
                 _ => {
@@ -149,7 +149,7 @@ impl Driver<'_> {
 
     fn task(&mut self) -> Option<TaskDecl> {
         let from = self.at;
-        // The first `on` belongs to the head.
+        // The `on` directly behind the name belongs to the head.
         let mut to = self.reach(from + 1, Context::Head);
         if self.word(to) == Some(Word::On) && to == from + 2 {
             to = self.reach(to + 1, Context::Head);
@@ -176,7 +176,7 @@ impl Driver<'_> {
         (!task.name.text.is_empty()).then_some(task)
     }
 
-    /// Parses the declarations in front of `begin`. Returns whether a body follows.
+    /// Parses the declarations of a task in front of its `begin`. Returns whether a body follows.
     fn task_head(&mut self, task: &mut TaskDecl) -> bool {
         loop {
             match self.kind(self.at) {
@@ -275,11 +275,11 @@ impl Driver<'_> {
         Some(PortDecl { owner, name, parameters, answer, options, span })
     }
 
-    /// Whether an option begins here, a known one or not.
+    /// Whether an option of a port begins here, a known one or an unknown one.
     fn is_option(&self, index: usize) -> bool {
         let opens = matches!(self.kind(index + 1), Some(Kind::Equal | Kind::BracketOpen));
         let known = self.word(index).is_some_and(|word| Word::OPTIONS.contains(&word));
-        // An option without its `=` begins a part, too, unless it is a name: behind `=`, or in a list.
+        // An option without its `=` begins a part, too. But behind `=`, or in a list, the word is a name.
         let before = self.kind(index.saturating_sub(1));
         let behind_value = !matches!(
             before,

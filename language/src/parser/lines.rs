@@ -62,7 +62,7 @@ impl<'t> Lines<'t> {
     }
 }
 
-/// Declarations of one line.
+/// The declarations that take one line.
 fn item<'t>(source: &'t str) -> impl Part<'t, Item> {
     let tick = word(Word::Model).or_not().then_ignore(word(Word::Tick)).then(duration(source));
     let tick = tick.map_with(|(model, length), extra| {
@@ -87,7 +87,7 @@ fn item<'t>(source: &'t str) -> impl Part<'t, Item> {
     ))
 }
 
-/// Names in braces.
+/// A list of names in braces.
 fn set<'t>(source: &'t str) -> impl Part<'t, Vec<Name>> {
     let names = name(source).separated_by(just(Kind::Comma)).at_least(1).collect();
     names.delimited_by(just(Kind::BraceOpen), just(Kind::BraceClose))

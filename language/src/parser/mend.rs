@@ -10,7 +10,7 @@ use crate::source::Source;
 use crate::span::Span;
 use crate::words::Word;
 
-/// How many names are compared with all keywords at most, because comparing takes time.
+/// How many names the parser compares with all keywords at most, because comparing takes time.
 const MOST: usize = 1000;
 
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -65,7 +65,7 @@ fn begins_line(tokens: &[Token], index: usize, region: Region, source: &Source) 
     behind || region == Region::Head && gap()
 }
 
-/// The keyword that was meant, and the diagnostic.
+/// The keyword that was probably meant, and the diagnostic about the misspelling.
 fn meant(text: &str, span: Span, region: Region, index: usize) -> Option<(Word, Diagnostic)> {
     let near = |among: &[Word]| Word::near(text, among).map(|word| (word, misspelt(span, text, word)));
     match region {

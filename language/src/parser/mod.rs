@@ -103,13 +103,13 @@ fn nothing(report: Report) -> Parsed {
 /// The kind of line that is parsed: it decides which words end the line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Context {
-    /// A declaration of the file.
+    /// A declaration at the top level of the file.
     Top,
     /// A field of a record.
     Field,
     /// A declaration of a task, in front of `begin`.
     Head,
-    /// A statement.
+    /// A statement is expected.
     Body,
 }
 
@@ -124,7 +124,7 @@ struct Opener {
 struct Driver<'t> {
     source: &'t Source,
     tokens: &'t [Token],
-    /// The next token.
+    /// The position of the next token.
     at: usize,
     report: Report,
     lines: Lines<'t>,
@@ -155,7 +155,7 @@ struct Read<O> {
 /// Where and how the grammar stopped.
 #[derive(Clone, Copy)]
 struct Stopped {
-    /// The token.
+    /// The position of the token at which the grammar stopped.
     at: usize,
     /// Whether the line could have ended in front of that token.
     can_end: bool,
@@ -301,7 +301,7 @@ impl<'t> Driver<'t> {
                 self.is_first_of_line(index) && (word == Word::Port || self.is_declaration(index))
             }
             Context::Field => word == Word::Port,
-            // `usage = send`
+            // As in `usage = send`: the keyword behind `=` does not begin a statement.
             Context::Head => {
                 word == Word::Port || of_statement && index > 0 && self.kind(index - 1) != Some(Kind::Equal)
             }

@@ -91,7 +91,7 @@ fn targets<'t>(source: &'t str) -> impl Part<'t, Vec<Place>> {
 fn receive<'t>(source: &'t str) -> impl Part<'t, StatementKind> {
     let from = word(Word::From).ignore_then(name(source)).or_not();
     let port = name(source).then(targets(source)).then(from);
-    // `within` may be the name of a port, too: then parentheses follow.
+    // `within` may also be the name of a port; parentheses then follow it.
     let of_port = port.map(|((port, into), from)| (Some(port), into, from));
     let of_any = empty().to((None, Vec::new(), None::<Name>));
     let line = word(Word::Receive).ignore_then(of_port.or(of_any)).then(within(source));

@@ -88,7 +88,7 @@ impl Cell<'_, '_> {
         at.filter(|at| !self.resolver.poisoned_ports.contains(at)).map(PortId::from_index)
     }
 
-    /// `lift.arrived(armR)`
+    /// Resolves `lift.arrived(armR)`: whether a member has arrived at a rendezvous.
     fn arrived(&mut self, port: &Name, task: &Name, span: Span) -> Option<Typed> {
         let (id, task_id) = (self.port(port), self.task(task));
         let (id, task_id) = (id?, task_id?);
@@ -109,7 +109,8 @@ impl Cell<'_, '_> {
         Some(is(Predicate::Arrived { port: id, task: task_id }, span))
     }
 
-    /// `r2.asked(grab)`, `r2.answered(grab)`
+    /// Resolves `r2.asked(grab)` and `r2.answered(grab)`: whether a task has an outstanding request on a port, or has got
+    /// its answer.
     fn requested(&mut self, task: &Name, word: &Name, port: &Name, span: Span) -> Option<Typed> {
         let (task_id, id) = (self.task(task), self.port(port));
         let (task_id, id) = (task_id?, id?);

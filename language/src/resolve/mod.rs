@@ -41,7 +41,7 @@ use std::collections::{BTreeMap, BTreeSet};
 pub struct Resolved {
     /// The cell. Parts of it are missing if a diagnostic is an error.
     pub hir: Hir,
-    /// The diagnostics.
+    /// The diagnostics that resolution found.
     pub diagnostics: Vec<Diagnostic>,
 }
 
@@ -72,7 +72,7 @@ pub(crate) fn resolve_rest(file: &ast::File, text: &str, lost: &Lost) -> Resolve
     Resolved { hir, diagnostics: found }
 }
 
-/// Keeps one diagnostic for an unknown name in each declaration of the file: its other uses mean the same thing.
+/// Keeps one diagnostic for an unknown name in each declaration of the file, because all its uses have the same cause.
 fn said_once(found: &mut Vec<Diagnostic>, lost: &Lost) {
     let mut said = BTreeSet::new();
     found.retain(|found| {

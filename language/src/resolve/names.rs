@@ -40,7 +40,7 @@ pub(super) struct Poison<'a> {
     pub ports: BTreeSet<&'a str>,
 }
 
-/// How many names are listed if none is similar: of more, those that are nearest.
+/// How many known names a diagnostic lists if none is similar; of more names it lists the nearest.
 const SHOWN: usize = 12;
 
 /// The name among `known` that was probably meant.
@@ -90,7 +90,7 @@ pub(super) fn duplicate(what: &str, name: &Name, first: Span) -> Diagnostic {
 }
 
 impl<'a> Resolver<'a> {
-    /// Reports an unknown name once: its other uses mean the same thing.
+    /// The node of this name. Reports an unknown name once, because all its uses have the same cause.
     pub(super) fn node(&mut self, name: &'a Name) -> Option<NodeId> {
         if let Some(at) = self.nodes.get(&name.text) {
             return Some(NodeId::from_index(at));

@@ -160,7 +160,7 @@ impl<'a> Resolver<'a> {
         }
     }
 
-    /// Reports options that have no meaning for this usage.
+    /// Reports options that have no meaning for the port's usage.
     pub(super) fn fitting(&mut self, decl: &'a PortDecl, usage: Usage, options: &Options<'a>) {
         let class = options.class.map(|(class, _)| class);
         if let (Some(retry), Usage::Send | Usage::Receive, None | Some(Class::Status)) =

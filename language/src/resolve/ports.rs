@@ -33,7 +33,7 @@ pub(super) struct Options<'a> {
     pub penalty: Option<(Duration, bool, Span)>,
     pub rate: Option<(u16, Duration)>,
     pub latest: Option<Span>,
-    /// Whether an option is unusable: the port is then not fully known.
+    /// Whether an option could not be used, so that the port is not fully known.
     pub broken: bool,
 }
 
@@ -50,7 +50,7 @@ impl<'a> Resolver<'a> {
         if let Err(first) = self.ports.add(&decl.name, self.hir.ports.len()) {
             return self.second_owner(owner, decl, first);
         }
-        // A wrong port is added, too, because names map to positions.
+        // A wrong port is added, too, because the names of the ports map to positions in this list.
         let at = self.hir.ports.len();
         let options = self.options(decl);
         let message = self.message(decl, options.format).unwrap_or_else(|| {
@@ -132,7 +132,7 @@ impl<'a> Resolver<'a> {
             }
             _ => duplicate("ports", &decl.name, first),
         };
-        // The statements of this task mean a port that does not exist.
+        // The statements of this task name a port that does not exist; poisoning avoids a second report for each.
         self.poison.ports.insert(&decl.name.text);
         self.poisoned_ports.extend(self.ports.get(&decl.name.text));
         self.report(found);

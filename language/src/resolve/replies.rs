@@ -11,7 +11,7 @@ use imrs_protocol::script::Type;
 use imrs_protocol::{Class, PortId, Usage};
 
 impl<'a> Thread<'_, 'a> {
-    /// `reply grab(true) for r1`, `reply back(7) for r1 ticket n`
+    /// Resolves `reply grab(true) for r1` and `reply back(7) for r1 ticket n`.
     pub fn reply_for(
         &mut self,
         (response, name): (bool, Option<&'a Name>),

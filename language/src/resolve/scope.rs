@@ -17,7 +17,7 @@ pub(super) enum Entity {
     Plain(Slot, Type),
     /// A record: its first field has this slot, the others follow.
     Record { record: usize, first: Slot },
-    /// A timer.
+    /// The name of a timer.
     Timer(TimeId),
     /// A variable of an unknown type.
     Unknown,
@@ -137,7 +137,7 @@ pub(super) fn slot(at: usize) -> Slot {
     Slot::Task(u16::try_from(at).unwrap_or(u16::MAX))
 }
 
-/// The slot `by` positions behind `first`.
+/// The slot that lies `by` positions behind `first`.
 pub(crate) fn after(first: Slot, by: usize) -> Slot {
     let by = u16::try_from(by).unwrap_or(u16::MAX);
     match first {

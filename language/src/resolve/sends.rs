@@ -316,7 +316,7 @@ impl<'a> Thread<'_, 'a> {
         Some(StatementKind::Published { port, into })
     }
 
-    /// Reports a branch for an end that the statement cannot have.
+    /// Reports a branch for an outcome that the statement cannot have.
     pub fn branch_fits(&mut self, statement: &StatementKind, branch: &ast::Branch) {
         let port = |port: PortId| &self.resolver.hir.ports[port.index()];
         let (fits, why) = match (statement, branch.when) {

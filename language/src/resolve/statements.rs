@@ -22,7 +22,7 @@ pub(super) struct Thread<'r, 'a> {
     pub received: Vec<PortId>,
     /// Whether a message may have been received from an unknown port.
     pub received_unknown: bool,
-    /// How many loops are around the statement.
+    /// How many loops enclose the current statement.
     loops: usize,
 }
 
@@ -60,7 +60,7 @@ impl<'r, 'a> Thread<'r, 'a> {
     fn statement(&mut self, written: &'a ast::Statement) -> Option<Statement> {
         let span = written.span;
         let kind = self.kind(written);
-        // Branches are resolved even if the statement is wrong: their faults are independent of it.
+        // Branches are resolved even if the statement is wrong, because their faults are independent of it.
         let branches = self.branches(written, kind.as_ref());
         Some(Statement { kind: kind?, branches, span })
     }
@@ -114,7 +114,7 @@ impl<'r, 'a> Thread<'r, 'a> {
         })
     }
 
-    /// Resolves the body of a loop. What it receives at its end it may answer at its beginning, one turn later.
+    /// Resolves the body of a loop. Its beginning may answer a message that its end received in the iteration before.
     fn looped(&mut self, body: &'a [ast::Statement]) -> Vec<Statement> {
         let before = self.received.clone();
         let mut later = Vec::new();
@@ -384,7 +384,7 @@ impl<'r, 'a> Thread<'r, 'a> {
         }
     }
 
-    /// The slot that says whether a task's values are known. Its fields follow.
+    /// The slot that says whether the values of a task are known. The slots of their fields follow.
     pub fn told(&mut self, port: PortId, task: TaskId, fields: &[Field], span: Span) -> Slot {
         let what = Captured::Told(port, task);
         let is_new = self.captures.iter().all(|known| known.what != what);

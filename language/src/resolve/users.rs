@@ -57,7 +57,8 @@ impl<'a> Resolver<'a> {
                 self.report(found);
             }
             let (listed, span) = (decl.name.span, None);
-            // Added even if it is not listed, so that its statements on the port are not reported, too.
+            // The user is added even if the `user_list` does not name it, so that its statements on the port are not
+            // reported, too.
             let user = User { task, time_out: None, rate: None, retry: None, listed, span };
             self.hir.ports[id.index()].users.push(user);
         }

@@ -1,4 +1,5 @@
-//! Judges the checks by the changes that the nodes of a run reported, in the order of their times.
+//! Judges the checks of a cell in a run. It takes the changes of values that the nodes reported, in the order of their
+//! times.
 
 mod evaluate;
 
@@ -15,9 +16,10 @@ use std::collections::{BTreeMap, BTreeSet};
 /// Resolution in microseconds of the order of two steps on different nodes: each time is rounded up to a whole microsecond. A
 /// state that lasted no longer may never have existed.
 const READING: u64 = 1;
-/// How many events may wait for a silent node. Beyond that, waiting changes are dropped.
+/// How many events may wait until a silent node reports. If more come, the judge drops waiting changes.
 const WAITING: usize = if cfg!(test) { 64 } else { 1 << 20 };
-/// Longest silence before a kill that does not count, in microseconds: a node reports every 20 ms, or later if busy.
+/// Longest silence of a node before it is killed that is normal, in microseconds: a node reports every 20 ms, or later if
+/// busy.
 const LAST_WORDS: u64 = 1_000_000;
 /// How many breaks of each check are reported in detail.
 const TOLD: usize = 3;
@@ -27,9 +29,10 @@ pub struct Judge<'a> {
     loaded: &'a Loaded,
     /// For each task, the values that checks read.
     asks: Vec<Vec<Ask>>,
-    /// For each task, these values; `None` if a value is not known.
+    /// For each task, the known values in the order of `asks`; `None` if a value is not known.
     stand: Vec<Vec<Option<i64>>>,
-    /// For each task, why values of it are not known; `None` while its node reports all of them, and before its first report.
+    /// For each task, why some of its values are not known; `None` while its node reports all of them, and before its first
+    /// report.
     unknown: Vec<Option<Doubt>>,
     /// The state of each check.
     states: Vec<CheckState>,
@@ -39,7 +42,7 @@ pub struct Judge<'a> {
     came: u64,
     /// For each node, the instant up to which it has reported everything; `None` if it does not report here.
     told: Vec<Option<u64>>,
-    /// For each node, when it was killed, until its pipe has ended.
+    /// For each node, when it was killed; `None` again once its pipe has ended.
     killed: Vec<Option<u64>>,
     /// The first instant after the run.
     over: u64,
@@ -65,22 +68,22 @@ enum Event {
 /// The state of one check during the judgement.
 #[derive(Default)]
 struct CheckState {
-    /// The first of its tasks whose node does not report here.
+    /// The first task of the check whose node does not report here.
     elsewhere: Option<TaskId>,
-    /// Whether it could be evaluated at any time so far.
+    /// Whether the check could be evaluated at any time so far.
     judged: bool,
-    /// For `leads`: how often its condition came, and whether it is true now.
+    /// For `leads`: how often the premise became true, and whether it is true now.
     mattered: u64,
     matters: bool,
     /// Since when an `always` or `never` is broken, and the values then.
     since: Option<(u64, Vec<String>)>,
-    /// Why it is unknown whether it holds now.
+    /// Why it is unknown whether the check holds now.
     doubt: Option<Doubt>,
-    /// For how long that was unknown, by reason.
+    /// For how long it was unknown whether the check held, by reason.
     doubted: BTreeMap<Doubt, u64>,
     /// Whether the current break has been reported.
     is_told: bool,
-    /// For `leads`: since when the second condition is awaited, and when it is late.
+    /// For `leads`: since when the consequence is awaited, and when it is late.
     due: Option<(u64, u64)>,
     times: u64,
     broken: Vec<Broken>,
@@ -88,7 +91,7 @@ struct CheckState {
 
 impl CheckState {
     /// For how long it is unknown whether the check held, and the main reason. The last messages of a killed node are always
-    /// missing: that alone does not count.
+    /// missing, so their absence alone does not count.
     fn unvouched(&self) -> Option<(Doubt, u64)> {
         let counts = |(doubt, length): &(&Doubt, &u64)| match doubt {
             Doubt::Silent(_) => **length > LAST_WORDS,
@@ -106,14 +109,14 @@ pub struct Broken {
     pub check: usize,
     /// When, in microseconds of the clock that all nodes share.
     pub at: u64,
-    /// For `leads`: since when the second condition was awaited.
+    /// For `leads`: since when the consequence was awaited.
     pub since: Option<u64>,
     /// The values that the check reads: `armL.me.moving = true`.
     pub values: Vec<String>,
 }
 
 impl<'a> Judge<'a> {
-    /// A run in which these nodes report, without any events yet.
+    /// Starts to judge a run in which these nodes report; there are no events yet.
     pub fn new(loaded: &'a Loaded, here: &[NodeId]) -> Self {
         let cell = loaded.table.cell();
         let asks = asks(loaded);
@@ -156,8 +159,8 @@ impl<'a> Judge<'a> {
         self.came += 1;
     }
 
-    /// Drops pending changes to make room. Events of nodes and commands stay, because they are not repeated. A task that loses a
-    /// change is unknown until its next one.
+    /// Drops pending changes to make room. Events of nodes and commands stay, because they are not repeated. If a change of
+    /// a task is dropped, the task's values are unknown until its next change.
     fn drop_changes(&mut self) {
         let mut tasks = BTreeSet::new();
         self.changes.retain(|_, event| match event {
@@ -182,14 +185,15 @@ impl<'a> Judge<'a> {
         self.unknown[task.index()] = Some(why);
     }
 
-    /// A node has reported everything before this instant.
+    /// A node has reported everything before `until`.
     pub fn told(&mut self, node: NodeId, until: u64) {
         if let Some(Some(told)) = self.told.get_mut(node.index()) {
             *told = until.max(*told);
         }
     }
 
-    /// A live node could not report some changes since this instant. Each of its tasks is known again at its next change.
+    /// A live node could not report some changes since this instant. The values of each of its tasks are known again at the
+    /// task's next change.
     pub fn untold(&mut self, node: NodeId, since: u64) {
         if let Some(missing) = self.missing.get_mut(node.index()) {
             missing.get_or_insert(Doubt::Untold(node));
@@ -316,7 +320,7 @@ impl<'a> Judge<'a> {
         matches!(self.loaded.checks[check].kind, CheckKind::Leads { .. })
     }
 
-    /// Lets time pass until `until` without a change, and notes breaks that last or come due.
+    /// Lets time pass up to `until` without a change of values. Notes the breaks that last, or that come due before `until`.
     fn pass(&mut self, until: u64, broken: &mut Vec<Broken>) {
         let length = until.saturating_sub(std::mem::replace(&mut self.settled, until));
         for check in 0..self.states.len() {
@@ -355,7 +359,7 @@ impl<'a> Judge<'a> {
                 table.tasks_on(node).for_each(|task| self.forget(task, Doubt::Silent(node)));
                 self.vouched.silent(node, table.tasks_on(node));
             }
-            // The node lives, and still controls its commands.
+            // The node lives, and so still controls its commands.
             Event::Untold(node) => {
                 table.tasks_on(node).for_each(|task| self.forget(task, Doubt::Untold(node)));
             }

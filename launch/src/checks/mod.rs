@@ -1,11 +1,4 @@
-//! Judges the checks of a cell (`never`, `always`, `leads … within`) by what happened in a run (D101).
-//!
-//! ```text
-//!   node:      after every step of a script, the values of its task that checks read; sent when they change    Sight
-//!   launcher:  all changes in the order of their times, up to where every node has reported everything         Judge
-//! ```
-//!
-//! Replaying a recording gives the same changes, so `imrs replay --model` judges as the run did.
+//! Judges the checks of a cell (`never`, `always`, `leads … within`) by the values that its tasks had in a run (D101).
 
 mod judge;
 mod sampler;
@@ -32,12 +25,12 @@ pub enum Ask {
     Asked(PortId),
     /// Whether the task's last request on this port was answered.
     Answered(PortId),
-    /// How far the task has come at the waitfor of this port. −1: not reached in this incarnation; 0: reached, but no round yet;
-    /// else the number of its last round plus 1.
+    /// How far the task has come at the waitfor of this port. −1: it has not reached the waitfor in this incarnation. 0: it
+    /// has reached it, but no round yet. Otherwise the number of its last round plus 1.
     Arrived(PortId),
 }
 
-/// For each task, the values that the checks of the cell read.
+/// For each task, its values that the checks of the cell read.
 pub fn asks(loaded: &Loaded) -> Vec<Vec<Ask>> {
     let mut asks = vec![Vec::new(); loaded.table.cell().tasks.len()];
     for term in loaded.checks.iter().flat_map(terms) {
@@ -68,7 +61,7 @@ fn of(table: &CellTable, term: Term) -> Vec<(TaskId, Ask)> {
         Some(Reading::Predicate(Predicate::Active(task))) => vec![(task, Ask::Active)],
         Some(Reading::Predicate(Predicate::Asked { task, port })) => vec![(task, Ask::Asked(port))],
         Some(Reading::Predicate(Predicate::Answered { task, port })) => vec![(task, Ask::Answered(port))],
-        // Whether a task has arrived depends on the rounds of all parties (D85).
+        // All parties are read, because the rounds of all of them decide whether one has arrived (D85).
         Some(Reading::Predicate(Predicate::Arrived { port, .. })) => {
             let parties = table.port(port).map_or(&[][..], |port| &port.parties);
             parties.iter().map(|party| (party.task, Ask::Arrived(port))).collect()

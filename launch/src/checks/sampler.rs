@@ -21,20 +21,21 @@ pub struct ValueSampler {
 struct Known {
     /// The values of the last sample.
     values: Vec<i64>,
-    /// When its lease ends unless it is renewed, in microseconds of the node's clock.
+    /// When the task's lease ends unless it is renewed, in microseconds of the node's clock.
     leased_until: Option<u64>,
-    /// The ports of its requests without an end yet, the newest last: a handler may send while its task waits.
+    /// The ports of the task's requests without an outcome yet, the newest last. There may be several, because a handler may
+    /// send while its task waits.
     open: Vec<PortId>,
-    /// Whether its last request was a send: if that is merely accepted, it has no other end.
+    /// Whether the task's last request was a send. If the communication task merely accepts a send, no outcome follows.
     sends: bool,
-    /// For each port, whether the last request there was answered.
+    /// For each port, whether the task's last request there was answered.
     answered: BTreeMap<PortId, bool>,
-    /// The waitfors that it has reached.
+    /// The waitfors that the task has reached.
     reached: Vec<PortId>,
 }
 
 impl ValueSampler {
-    /// No samples yet.
+    /// A sampler without samples yet.
     pub fn new(loaded: &Loaded) -> Self {
         let asks = asks(loaded);
         Self { known: vec![Known::default(); asks.len()], asks }
@@ -78,7 +79,8 @@ impl ValueSampler {
 }
 
 impl Known {
-    /// If the lease of an active task ended before `at`, when the node noticed: the time of that end, and the values since.
+    /// If the lease of an active task ended before `at`, the instant at which the node noticed: the time of that end, and
+    /// the values since then.
     fn lease_ends(&mut self, asks: &[Ask], at: u64, stands: &Stands<'_>) -> Option<(u64, Vec<i64>)> {
         let now = stands.machine.lease_left().map(|left| at.saturating_add(left.0));
         let before = std::mem::replace(&mut self.leased_until, now).filter(|&until| until < at);
@@ -121,7 +123,7 @@ impl Known {
         }
     }
 
-    /// The value, by the definition that the checker uses.
+    /// The value that a check reads, by the definition that the checker uses.
     fn value(&self, ask: Ask, stands: &Stands<'_>) -> i64 {
         let Stands { script, machine } = *stands;
         match ask {
@@ -146,11 +148,12 @@ fn round(machine: &CommTask, port: PortId) -> i64 {
 /// A change of the values of a task.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Change {
-    /// Since when, in microseconds of the boot-time clock that all processes of one machine share.
+    /// The instant since which the values hold, in microseconds of the boot-time clock that all processes of one machine
+    /// share.
     pub at: u64,
-    /// The task.
+    /// The task whose values changed.
     pub task: TaskId,
-    /// All its values that checks read, in the order of [`asks`].
+    /// All values of the task that checks read, in the order of [`asks`].
     pub values: Vec<i64>,
 }
 
@@ -158,7 +161,7 @@ pub struct Change {
 pub struct ReplaySampler(Mutex<(ValueSampler, Vec<Change>)>);
 
 impl ReplaySampler {
-    /// No samples yet.
+    /// A sampler without samples yet.
     pub fn new(loaded: &Loaded) -> Self {
         Self(Mutex::new((ValueSampler::new(loaded), Vec::new())))
     }

@@ -10,15 +10,15 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Outcome {
-    /// It held.
+    /// The check held.
     Held,
-    /// It did not.
+    /// The check was broken.
     Broken,
-    /// The condition of a `leads` never came.
+    /// The premise of a `leads` never became true.
     Untested,
-    /// One of its tasks runs on a node that does not run here.
+    /// A task of the check is on a node that does not run here.
     Elsewhere,
-    /// One of its tasks reported nothing, or for some time its values were not known.
+    /// A task of the check reported nothing, or for some time its values were not known.
     Unknown,
 }
 
@@ -32,21 +32,21 @@ pub struct Settlement(pub Vec<Settled>);
 pub struct Settled {
     /// The name of the check.
     pub name: String,
-    /// Its line in the cell file.
+    /// The check's line in the cell file.
     pub line: usize,
-    /// The verdict.
+    /// The verdict on the check.
     pub outcome: Outcome,
-    /// For `leads`: how often its condition came.
+    /// For `leads`: how often its premise became true.
     mattered: Option<u64>,
-    /// How often it was broken.
+    /// How often the check was broken.
     times: u64,
-    /// The first time at which it was broken.
+    /// The first time at which the check was broken.
     pub first: Option<First>,
-    /// The name of its first task that runs elsewhere.
+    /// The name of the check's first task that runs elsewhere.
     elsewhere: Option<String>,
-    /// For how long it is unknown whether it held.
+    /// For how long it is unknown whether the check held.
     unvouched: Option<Unvouched>,
-    /// The text of that line.
+    /// The text of the check's line in the cell file.
     #[serde(skip)]
     text: String,
 }
@@ -54,14 +54,14 @@ pub struct Settled {
 /// For how long it is unknown whether a check held.
 #[derive(Clone, Debug, Serialize)]
 pub struct Unvouched {
-    /// The total, in seconds.
+    /// The total of these times, in seconds.
     seconds: f64,
     /// The reason for the largest part.
     why: String,
 }
 
 impl Unvouched {
-    /// From a total of microseconds and the main reason.
+    /// Makes the value from a total of microseconds and the main reason.
     pub(super) fn new(loaded: &Loaded, doubt: Doubt, length: u64) -> Self {
         let cell = loaded.table.cell();
         let why = match doubt {
@@ -80,7 +80,7 @@ impl Unvouched {
         Self { seconds: length as f64 / 1e6, why }
     }
 
-    /// ``unknown for 0.250 s: node `m` told nothing``.
+    /// The text for people: ``unknown for 0.250 s: node `m` told nothing``.
     fn words(&self) -> String {
         let Self { seconds, why } = self;
         let length = if *seconds > 0.0 { format!(" for {seconds:.3} s") } else { String::new() };
@@ -93,7 +93,7 @@ impl Unvouched {
 pub struct First {
     /// Seconds since the run began.
     pub seconds: f64,
-    /// The values that it reads: `armL.me.moving = true`.
+    /// The values that the check reads: `armL.me.moving = true`.
     pub values: Vec<String>,
     #[serde(skip)]
     words: String,
@@ -116,8 +116,8 @@ impl Broken {
 }
 
 impl Settled {
-    /// The verdict on the check at this position. `counts`: how often it mattered, and how often it was broken. `why`: why it
-    /// was never judged, and why not all the time.
+    /// The verdict on the check at this position. `counts` says how often the check mattered, and how often it was broken.
+    /// `why` says why it was never judged, and why not all the time.
     pub(super) fn new(
         loaded: &Loaded,
         at: usize,
@@ -139,7 +139,7 @@ impl Settled {
         Self { name, line, outcome, mattered, times, first, elsewhere, unvouched, text }
     }
 
-    /// Whether it held; `None` if that is unknown.
+    /// Whether the check held; `None` if that is unknown.
     #[must_use]
     pub const fn held(&self) -> Option<bool> {
         match self.outcome {
@@ -149,7 +149,7 @@ impl Settled {
         }
     }
 
-    /// When it was first broken, in seconds since the run began.
+    /// When the check was first broken, in seconds since the run began.
     pub fn broke_at(&self) -> Option<f64> {
         self.first.as_ref().map(|first| first.seconds)
     }

@@ -1,5 +1,5 @@
-//! Tracks which tasks may act unobserved. A node reports what its tasks do. Once it is dead or silent, commands of its actions
-//! may go on until their guards confirm the end (D142).
+//! Tracks which tasks may act while no node reports it. A node reports what its tasks do. Once the node is dead or silent,
+//! commands of its actions may go on until their guards confirm the end (D142).
 
 use imrs_protocol::{NodeId, TaskId};
 use std::collections::BTreeMap;
@@ -18,38 +18,38 @@ pub struct Vouched {
 /// An event of a command.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum CommandEvent {
-    /// A node starts it for this task.
+    /// A node starts the command for this task.
     Began(TaskId),
     /// The command, and all that it started, has ended.
     Ended,
-    /// Its guard died, so that the command may go on.
+    /// The command's guard died, so that the command may go on.
     Lost,
 }
 
 /// Why values of a task are not known. If several reasons apply, the first one is reported.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Doubt {
-    /// The end of one of its commands was not confirmed.
+    /// The end of one of the task's commands was not confirmed.
     Command(TaskId),
-    /// Its node reported nothing.
+    /// The task's node reported nothing.
     Silent(NodeId),
-    /// Its live node could not report some events.
+    /// The task's live node could not report some events.
     Untold(NodeId),
     /// Changes were dropped, because too many waited to be judged.
     Dropped,
-    /// Its node is dead, and a value depends on what other tasks have done since.
+    /// The task's node is dead, and a value depends on what other tasks have done since.
     Dead(NodeId),
 }
 
 impl Doubt {
-    /// Whether no later report resolves this doubt.
+    /// Whether no later report can resolve this doubt.
     pub const fn lasts(self) -> bool {
         matches!(self, Self::Untold(_) | Self::Dropped | Self::Dead(_))
     }
 }
 
 impl Vouched {
-    /// So many nodes, all of which report what their tasks do.
+    /// The state for this many nodes, all of which report what their tasks do.
     pub fn new(nodes: usize) -> Self {
         Self { down: vec![false; nodes], running: BTreeMap::new(), orphans: BTreeMap::new() }
     }

@@ -15,15 +15,15 @@ use std::sync::Arc;
 pub struct Gatherer {
     table: Arc<CellTable>,
     tallies: BTreeMap<PortId, Tally>,
-    /// The counters of each node, by incarnation.
+    /// For each node, the counters of its incarnations.
     figures: Vec<Vec<Figures>>,
     /// The nodes that report here: all, or the only one that runs here.
     here: Vec<NodeId>,
     kills: Vec<(NodeId, u64)>,
     after_kill: Vec<AfterKill>,
     ended: Vec<TaskSummary>,
-    /// When the run was over. Events while the nodes stop are not part of it: a stopped task leaves its waitfor, and the others
-    /// move on to another round, which is not a fault.
+    /// When the run was over. Events after that, while the nodes stop, do not count: a stopped task leaves its waitfor, and
+    /// the others move on to another round, which is not a fault.
     end: u64,
 }
 
@@ -45,7 +45,7 @@ impl Fold for Gatherer {
 }
 
 impl Gatherer {
-    /// A run of these nodes, without any reports.
+    /// The summary of a run of these nodes, before any report.
     pub fn new(table: Arc<CellTable>, here: Vec<NodeId>) -> Self {
         let waitfors = table.ports().iter().filter(|port| port.decl.usage == Usage::Waitfor);
         let heard = |task: &TaskId| table.location(*task).is_some_and(|node| here.contains(&node));
@@ -174,7 +174,7 @@ impl Gatherer {
         }
     }
 
-    /// Keeps a give-up if it is the task's first since a kill, and a task on the killed node was missing.
+    /// Keeps a give-up if it is the task's first since a kill, and a task on the killed node had not arrived.
     fn note_give_up(&mut self, event: &Event, waited: u64, missing: u64) {
         let Some(port) = self.table.port(event.port) else { return };
         let task = self.table.cell().tasks[event.task.index()].name.clone();
@@ -202,7 +202,7 @@ impl Gatherer {
         for &(task, port, mut counters) in figures.iter().flat_map(|f| &f.ports) {
             let usage = self.table.port(port).and_then(|p| p.party(task)).map(|p| p.usage);
             if matches!(usage, Some(Usage::Send | Usage::Query)) {
-                // At the sending end, deliveries are answers.
+                // At the end that sends, the counter of deliveries counts answers.
                 counters.delivered = 0;
             }
             if let Some(sum) = sums.get_mut(port.index()) {
@@ -282,7 +282,7 @@ mod tests {
         gatherer.figures(NodeId(0), &figures(1));
         gatherer.figures(NodeId(0), &figures(5));
         gatherer.figures(NodeId(1), &figures(2));
-        // The next incarnation counts from zero.
+        // The counters of the next incarnation begin at zero.
         gatherer.killed(NodeId(1), 7);
         gatherer.revived(NodeId(1), 9);
         gatherer.figures(NodeId(1), &figures(3));

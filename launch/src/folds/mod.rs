@@ -1,4 +1,4 @@
-//! What is made of the facts of a run: each fold takes them one by one, and keeps no more than its result needs.
+//! The folds over the facts of a run. Each takes the facts one by one, and keeps no more than its result needs.
 
 pub mod gatherer;
 pub mod rounds;

@@ -8,11 +8,11 @@ use serde::Serialize;
 pub struct Rounds {
     /// Rounds that have ended.
     pub rounds: u64,
-    /// Rounds that released all members.
+    /// Rounds in which all members were released.
     pub released: u64,
-    /// Rounds that released no member: all waiting members gave up.
+    /// Rounds in which no member was released: all waiting members gave up.
     pub timed_out: u64,
-    /// Rounds that released some members and not others.
+    /// Rounds in which some members were released and others gave up.
     pub divergent: u64,
     /// Rounds whose outcome is unknown: a killed node may have taken part, and its last messages are missing.
     pub unknown: u64,

@@ -12,7 +12,7 @@ const DOUBTFUL: usize = 4_096;
 /// The outcomes of old rounds. Sets of members are bit masks by position.
 #[derive(Clone, Debug, Default)]
 pub struct Settled {
-    /// Their sums, without the start skew, and without the false releases of the `doubtful` rounds.
+    /// The sums over the settled rounds, without the start skew, and without the false releases of the `doubtful` rounds.
     pub sum: Rounds,
     pub skews: Spreading,
     /// The settled rounds, as ranges without gaps: first round to last round.
@@ -42,7 +42,7 @@ impl Settled {
             last = end;
         }
         self.spans.insert(first, last);
-        // No event names rounds that old, so the oldest gap is closed.
+        // No later event names a round that is so old, so the oldest gap can be closed.
         if self.spans.len() > GAPS
             && let Some((first, _)) = self.spans.pop_first()
             && let Some((_, last)) = self.spans.pop_first()
@@ -51,7 +51,7 @@ impl Settled {
         }
     }
 
-    /// Notes that this settled round released members although the `absent` ones had not announced it.
+    /// Notes that this settled round released members although the `absent` members had not announced it.
     pub fn doubt(&mut self, round: i64, absent: u64, released: u64) {
         if falsely(absent, released) == 0 {
             return;
@@ -64,14 +64,14 @@ impl Settled {
         }
     }
 
-    /// Notes a late report: this member had announced a settled round.
+    /// Notes a late report that this member had announced a settled round.
     pub fn announced(&mut self, round: i64, member: u64) {
         if let Some((absent, _)) = self.doubtful.get_mut(&round) {
             *absent &= !member;
         }
     }
 
-    /// The number of false releases, if some announcements of the `untold` members were not reported.
+    /// The number of false releases, if some announcements of the `untold` members may exist unreported.
     pub fn false_releases(&self, untold: u64) -> u64 {
         let kept = self.doubtful.values().map(|(absent, released)| falsely(absent & !untold, *released));
         self.sum.false_releases + kept.sum::<u64>()

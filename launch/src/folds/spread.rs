@@ -2,17 +2,17 @@
 
 use serde::Serialize;
 
-/// Up to so many values are kept exactly.
+/// How many values are kept exactly at most.
 const KEPT: usize = 4_096;
-/// Beyond that, values are counted in buckets with a relative width of at most 1 / `PARTS`. A power of two.
+/// More values than that are counted in buckets with a relative width of at most 1 / `PARTS`. A power of two.
 const PARTS: u64 = 128;
 
 /// The median, the 99th percentile and the maximum of some values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Spread {
-    /// Half of the values are no larger.
+    /// The median: half of the values are no larger.
     pub p50: u64,
-    /// 99 of 100 values are no larger.
+    /// The 99th percentile: 99 of 100 values are no larger.
     pub p99: u64,
     /// The largest value.
     pub max: u64,
@@ -24,7 +24,7 @@ pub struct Spread {
 pub struct Spreading {
     /// The values, as long as there are at most `KEPT`.
     kept: Vec<u64>,
-    /// The number of values in each bucket; empty up to `KEPT` values.
+    /// The number of values in each bucket; empty while there are at most `KEPT` values.
     counts: Vec<u64>,
     max: u64,
 }
@@ -70,7 +70,7 @@ impl Spreading {
         (all > 0).then(|| Spread { p50: rank(50), p99: rank(99), max: self.max })
     }
 
-    /// How many numbers are held.
+    /// How many numbers are held in memory.
     #[cfg(test)]
     pub fn size(&self) -> usize {
         self.kept.len() + self.counts.len()
@@ -127,7 +127,7 @@ mod tests {
         let mut value = 1_u64;
         for _ in 0..1_000_000 {
             value = value.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
-            // Most are short, a few are long.
+            // Most of these values are short, a few are long.
             let us = (value >> 44) >> (value >> 20 & 15);
             all.add(us);
             plain.push(us);

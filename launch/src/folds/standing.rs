@@ -1,4 +1,4 @@
-//! Which tasks of a run still stand: their scripts have not ended, and their nodes are not gone.
+//! Which tasks of a run still run: their scripts have not ended, and their nodes are not gone.
 
 use crate::cells::Loaded;
 use crate::fact::{Fact, Fold};
@@ -33,7 +33,7 @@ impl Fold for Standing<'_> {
 }
 
 impl<'a> Standing<'a> {
-    /// A run of these nodes, before anything has ended.
+    /// The state of a run of these nodes, before anything has ended.
     pub const fn new(loaded: &'a Loaded, here: Vec<NodeId>) -> Self {
         Self { loaded, here, ended: Vec::new(), gone: Vec::new() }
     }
@@ -43,7 +43,7 @@ impl<'a> Standing<'a> {
         self.gone.len() == self.here.len()
     }
 
-    /// Whether there were tasks here, and none is left.
+    /// Whether tasks ran here, and none is left.
     pub fn has_ended(&self) -> bool {
         self.tasks().next().is_some() && self.left().next().is_none()
     }

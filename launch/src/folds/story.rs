@@ -8,10 +8,10 @@ use crate::pipe::Word;
 use crate::script_event::{Did, ScriptEvent};
 use imrs_protocol::{NodeId, TaskId};
 
-/// Most events that are kept; later ones are left out.
+/// Most events that are kept for the story; later ones are left out.
 const LONGEST: usize = 100_000;
 
-/// What is kept of a run for its story.
+/// The events that are kept of a run for its story.
 #[derive(Default)]
 pub struct Events {
     began: u64,
@@ -45,11 +45,11 @@ impl Events {
 
 /// A finished run, for its explanation.
 pub struct Story<'a> {
-    /// The cell.
+    /// The cell that ran.
     pub loaded: &'a Loaded,
     /// When the tasks began, in microseconds of the clock that all processes of one machine share.
     pub began: u64,
-    /// When the tasks were stopped, on that clock.
+    /// When the tasks were stopped, in microseconds of the same clock.
     pub ended: u64,
     /// The events of the scripts, by time.
     pub events: Vec<Did>,
@@ -87,7 +87,7 @@ impl Story<'_> {
         format!("{}.{:03} s", ms / 1_000, ms % 1_000)
     }
 
-    /// When the node of a task was last killed; none if it was not, or was restarted since.
+    /// When the node of a task was last killed; none if it was never killed, or has been restarted since.
     pub fn died(&self, task: TaskId) -> Option<u64> {
         let node = self.loaded.table.location(task)?;
         let of_it = self
@@ -129,7 +129,7 @@ impl Story<'_> {
         head.map_or("", |head| self.loaded.text_of(head))
     }
 
-    /// The times of a task's events that satisfy a predicate.
+    /// The times of a task's events for which `is` is true.
     pub fn when(&self, task: TaskId, is: impl Fn(&ScriptEvent) -> bool) -> Vec<u64> {
         self.of(task).filter(|did| is(&did.what)).map(|did| did.at).collect()
     }

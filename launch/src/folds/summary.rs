@@ -11,7 +11,7 @@ use std::collections::BTreeMap;
 pub struct Summary {
     /// The version of this JSON format.
     pub version: u32,
-    /// The cell.
+    /// The name of the cell that ran.
     pub cell: String,
     /// How long the tasks ran.
     pub seconds: f64,
@@ -21,11 +21,12 @@ pub struct Summary {
     pub loss: f64,
     /// The ports, each summed over all its ends.
     pub ports: Vec<PortSummary>,
-    /// The waitfors.
+    /// The figures of each `waitfor`.
     pub rendezvous: Vec<RendezvousSummary>,
     /// How the class-2 messages of the tasks ended.
     pub commands: Outcomes,
-    /// For each kill, the first time_out of each task that waited for the killed node.
+    /// The tasks that gave up because a node was killed: for each kill, the first time_out of each task that waited for a
+    /// task there.
     pub after_kill: Vec<AfterKill>,
     /// The scripts that ended by themselves.
     pub tasks: Vec<TaskSummary>,
@@ -44,18 +45,18 @@ pub struct Summary {
 /// A script that ended by itself.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct TaskSummary {
-    /// The name of its task.
+    /// The name of the script's task.
     pub name: String,
-    /// How it ended.
+    /// How the script ended.
     pub end: String,
 }
 
 /// One port, summed over all its ends.
 #[derive(Clone, Debug, Serialize)]
 pub struct PortSummary {
-    /// Its name.
+    /// The port's name.
     pub name: String,
-    /// What its owner does with it.
+    /// What the port's owner does with it.
     pub usage: &'static str,
     /// Messages sent; of a waitfor, arrivals.
     pub sent: u64,
@@ -76,12 +77,13 @@ pub struct PortSummary {
 /// One waitfor.
 #[derive(Clone, Debug, Serialize)]
 pub struct RendezvousSummary {
-    /// The name of its port.
+    /// The name of the waitfor's port.
     pub port: String,
-    /// The outcomes of its rounds.
+    /// The outcomes of the waitfor's rounds.
     #[serde(flatten)]
     pub rounds: Rounds,
-    /// Releases before all had arrived. `None` if only some nodes ran here, because arrivals elsewhere are not known.
+    /// Releases before all members had arrived. `None` if only some nodes ran here, because arrivals elsewhere are not
+    /// known.
     pub false_releases: Option<u64>,
 }
 
@@ -90,39 +92,39 @@ pub struct RendezvousSummary {
 pub struct AfterKill {
     /// The killed node.
     pub killed: String,
-    /// The task that waited for a task there.
+    /// The task that waited for a task on the killed node.
     pub task: String,
-    /// How long it had waited, in microseconds: its time_out plus the lateness of this machine.
+    /// How long the task had waited, in microseconds: its time_out plus the lateness of this machine.
     pub waited_us: u64,
     /// The time_out, in microseconds.
     pub time_out_us: u64,
-    /// The time from the kill to the give-up, in microseconds.
+    /// The time from the kill to the instant at which the task gave up, in microseconds.
     pub after_kill_us: u64,
 }
 
 /// One node.
 #[derive(Clone, Debug, Serialize)]
 pub struct NodeSummary {
-    /// Its name.
+    /// The node's name.
     pub name: String,
-    /// How its process ended: `clean`, `killed` by the launcher, or what went wrong.
+    /// How the node's process ended: `clean`, `killed` by the launcher, or what went wrong.
     pub exit: String,
-    /// The number of its incarnations in this run: 1 plus one per restart.
+    /// The number of the node's incarnations in this run: 1 plus one per restart.
     #[serde(rename = "lives")]
     pub incarnations: usize,
-    /// Packets that it sent over links: its own, and those that it relayed.
+    /// Packets that the node sent over links: its own, and those that it relayed.
     pub forwarded: u64,
-    /// Packets and messages that its state machines dropped, by reason.
+    /// Packets and messages that the node's state machines dropped, by reason.
     pub discards: BTreeMap<String, u64>,
-    /// Packets that its link dropped, by reason.
+    /// Packets that the node's link dropped, by reason.
     pub link_discards: BTreeMap<String, u64>,
-    /// Other counters of its link.
+    /// Other counters of the node's link.
     pub link: BTreeMap<String, u64>,
-    /// The neighbours that it refused at the end, because their cells differ.
+    /// The neighbours that the node refused at the end, because their cells differ.
     pub refusals: Vec<RefusalFigures>,
-    /// Packets that its link dropped on purpose.
+    /// Packets that the node's link dropped on purpose.
     pub lost_on_purpose: u64,
-    /// Packets that its link dropped because of a cut.
+    /// Packets that the node's link dropped because of a cut.
     pub cut_off: u64,
 }
 

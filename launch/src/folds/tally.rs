@@ -25,24 +25,24 @@ pub struct Tally {
 #[derive(Clone, Debug)]
 struct Member {
     task: TaskId,
-    /// The round of its last event, extended across the wrap of [`Round`].
+    /// The round of the member's last event, extended across the wrap of [`Round`].
     last: i64,
-    /// The last round that it announced.
+    /// The last round that the member announced.
     announced: i64,
-    /// The last kill of its node. Events from just before it were not reported.
+    /// The last kill of the member's node. Events from just before the kill were not reported.
     died: Option<Death>,
-    /// Whether some of its announcements were not reported.
+    /// Whether some of the member's announcements were not reported.
     untold: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
 struct Death {
     at: u64,
-    /// The last round that the member had announced by then.
+    /// The last round that the member had announced before the kill.
     announced: i64,
     /// The last settled round that began before the kill and released a member.
     released: Option<i64>,
-    /// When its node was restarted.
+    /// When the member's node was restarted.
     revived: Option<u64>,
 }
 
@@ -52,14 +52,14 @@ struct Meeting {
     announced: u64,
     released: u64,
     gave_up: u64,
-    /// The time of its earliest event.
+    /// The time of the round's earliest event.
     begun: u64,
     first_start: u64,
     last_start: u64,
 }
 
 impl Tally {
-    /// A waitfor of these tasks (at most 64), without any events.
+    /// The tally of a waitfor of these tasks (at most 64), before any events.
     pub fn new(members: impl IntoIterator<Item = TaskId>) -> Self {
         let member = |task| Member { task, last: 0, announced: i64::MIN, died: None, untold: false };
         let members = members.into_iter().map(member).collect();
@@ -125,7 +125,7 @@ impl Tally {
         self.settled = settled;
     }
 
-    /// Whether a live member still waits in this round. Each member waits in at most one.
+    /// Whether a live member still waits in this round. Each member waits in at most one round.
     fn is_awaited(&self, round: i64, meeting: &Meeting) -> bool {
         let ended = meeting.released | meeting.gave_up;
         self.members.iter().enumerate().any(|(place, member)| {
@@ -156,7 +156,7 @@ impl Tally {
         }
     }
 
-    /// Some of the member's announcements were not reported.
+    /// Notes that some of the member's announcements were not reported.
     pub fn untold(&mut self, task: TaskId) {
         if let Some(place) = self.place(task) {
             self.members[place].untold = true;
@@ -205,14 +205,15 @@ impl Tally {
         u64::MAX >> (64 - self.members.len().clamp(1, 64))
     }
 
-    /// The set of members that satisfy a predicate.
+    /// The set of members for which `is_so` is true.
     fn members(&self, is_so: impl Fn(&Member) -> bool) -> u64 {
         let bit = |(place, member): (usize, &Member)| u64::from(is_so(member)) << place;
         self.members.iter().enumerate().map(bit).fold(0, |set, bit| set | bit)
     }
 
-    /// The members that may have announced this round unreported: their nodes were killed after it began. Or they were killed
-    /// before, but its announcement may have been their last message, which the others keep for the rest of its TTL.
+    /// The members whose announcement of this round may be unreported, because their nodes were killed after it began. Or a
+    /// node was killed before the round began, and the announcement may have been its last message, which the other members
+    /// keep for the rest of its TTL.
     fn killed(&self, round: i64, meeting: &Meeting) -> u64 {
         self.members(|member| {
             let Some(death) = member.died else { return false };
@@ -220,15 +221,15 @@ impl Tally {
         })
     }
 
-    /// The last round that a member can have announced before it was killed. It is the successor of the last round that it
-    /// announced, or that began before the kill and released a member.
+    /// The last round that a member can have announced before it was killed. That round follows the last round that the
+    /// member announced, or the last one that began before the kill and released a member.
     fn last_words(&self, death: &Death) -> i64 {
         let spoken = |(round, meeting): (&i64, &Meeting)| {
             (meeting.begun <= death.at && meeting.released != 0).then_some(*round)
         };
         let heard = self.rounds.iter().filter_map(spoken).max().max(death.released);
         let said = Some(death.announced).filter(|&round| round != i64::MIN);
-        // Nothing was reported before the kill: it is the first round of all.
+        // The member reported nothing before the kill, so the first round of all is the last that it can have announced.
         let before = self.first.map_or(0, |first| first - 1);
         heard.max(said).unwrap_or(before) + 1
     }
@@ -271,12 +272,12 @@ impl Tally {
         }
     }
 
-    /// Whether one of these members has announced a later round.
+    /// Whether one of the members in `of` has announced a later round.
     fn moved_on(&self, round: i64, of: u64) -> bool {
         self.members.iter().enumerate().any(|(place, m)| of & 1 << place != 0 && m.announced > round)
     }
 
-    /// Whether a node of one of these members was down when the round began.
+    /// Whether a node of one of the members in `of` was down when the round began.
     fn buried(&self, meeting: &Meeting, of: u64) -> bool {
         let dead = |m: &Member| {
             m.died.is_some_and(|death| {
@@ -297,7 +298,7 @@ enum End {
 }
 
 impl Member {
-    /// Extends a round number across the wrap: it takes the value nearest to the last one.
+    /// Extends a round number across the wrap: the result is the value nearest to the last one.
     fn count_on(&mut self, round: Round) -> i64 {
         let last = Round(self.last.rem_euclid(1 << 16) as u16);
         let (ahead, behind) = (round.steps_from(last), last.steps_from(round));

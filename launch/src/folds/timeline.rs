@@ -9,11 +9,12 @@ use crate::words::span;
 use imrs_protocol::{NodeId, TaskId};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Nodes report events every few milliseconds. Events this old, in microseconds, are shown: no earlier ones can still come.
+/// The age in microseconds from which events are shown. Nodes report events every few milliseconds, so no earlier event can
+/// still come then.
 const SETTLED: u64 = 100_000;
-/// Most lines of one task that are shown within one `SPAN`.
+/// Most lines of one task that are shown within one interval of `SPAN`.
 const PER_SPAN: u32 = 20;
-/// The interval for `PER_SPAN`, in microseconds.
+/// The interval for [`PER_SPAN`], in microseconds.
 const SPAN: u64 = 1_000_000;
 
 /// Collects lines until they can be shown.
@@ -21,18 +22,18 @@ pub struct Timeline<'a> {
     loaded: &'a Loaded,
     /// Whether the nodes share this process.
     in_process: bool,
-    /// When the run began.
+    /// When the run began, in microseconds of the clock that all processes of one machine share.
     began: u64,
     /// Lines by time, then by the order in which they were reported.
     waiting: BTreeMap<(u64, u64), Entry>,
     told: u64,
     /// For each task, the span of its last line, and how many lines it has had in that span.
     paces: Vec<(u64, u32)>,
-    /// Refusals between neighbours that have a line already.
+    /// Refusals between neighbours that a line has already reported.
     refused: BTreeSet<String>,
 }
 
-/// A line that waits.
+/// A line that is not shown yet.
 enum Entry {
     Did(Did),
     Fault(String),
@@ -45,7 +46,7 @@ enum Entry {
 pub struct Line {
     /// When, in microseconds since the run began.
     pub at: u64,
-    /// What it tells.
+    /// What the line tells.
     pub what: Telling,
 }
 
@@ -54,20 +55,20 @@ pub struct Line {
 pub enum Telling {
     /// A script did something.
     Did {
-        /// Its task.
+        /// The script's task.
         task: TaskId,
         /// The line in the cell file.
         line: Option<usize>,
         /// How many lines of the task were left out before this one.
         left_out: u32,
-        /// What it did.
+        /// What the script did, in words.
         words: String,
     },
     /// Something about a fault or the nodes. There are few of these.
     Fault(String),
     /// Something does not hold, or nodes refuse each other. There are few of these.
     Broken(String),
-    /// Only tasks are left that serve for ever. Told once.
+    /// Only tasks are left that serve for ever. The run tells this once.
     Idle(String),
 }
 
@@ -90,7 +91,7 @@ impl Fold for Timeline<'_> {
 }
 
 impl<'a> Timeline<'a> {
-    /// A run without any lines yet.
+    /// The lines of a run, before any event.
     pub fn new(loaded: &'a Loaded, in_process: bool) -> Self {
         Self {
             loaded,
@@ -113,7 +114,7 @@ impl<'a> Timeline<'a> {
         self.waiting.is_empty()
     }
 
-    /// Takes all lines that are older than `SETTLED` at `now`.
+    /// Takes all lines that are older than `SETTLED` at the instant `now`.
     pub fn settled(&mut self, now: u64) -> Vec<Line> {
         let later = self.waiting.split_off(&(now.saturating_sub(SETTLED), 0));
         let settled = std::mem::replace(&mut self.waiting, later);
@@ -137,7 +138,7 @@ impl<'a> Timeline<'a> {
         lines
     }
 
-    /// If this line is shown, how many were left out before it; `None` if it is left out.
+    /// If the line of this event is shown, how many lines were left out before it; `None` if it is left out itself.
     fn pace(&mut self, did: &Did) -> Option<u32> {
         let span = did.at.saturating_sub(self.began) / SPAN;
         let pace = self.paces.get_mut(did.task.index())?;
@@ -172,7 +173,7 @@ impl<'a> Timeline<'a> {
         }
     }
 
-    /// Tells once of each neighbour that a node refuses.
+    /// Adds a line for each neighbour that a node refuses, once.
     fn refusals(&mut self, at: u64, node: NodeId, figures: &Figures) {
         for refusal in &figures.refusals {
             let words = refusal.words(self.name(node));
@@ -182,7 +183,7 @@ impl<'a> Timeline<'a> {
         }
     }
 
-    /// Tells how long each script of a restarted node is held back.
+    /// Adds a line for each script of a restarted node that is held back, with the time for which it is.
     fn held_back(&mut self, at: u64, node: NodeId, held: &[(TaskId, u64)]) {
         let all = self.loaded.table.tasks_on(node).count() == held.len();
         let mut by_time: BTreeMap<u64, Vec<&str>> = BTreeMap::new();

@@ -1,4 +1,4 @@
-//! The trouble of a run: what makes it a finding, beyond its summary.
+//! The trouble of a run: problems that make the run a finding, beyond those in its summary.
 
 use crate::fact::{Fact, Fold};
 use crate::pipe::{EndSort, Word};
@@ -19,7 +19,7 @@ pub struct TaskTrouble {
     table: Arc<CellTable>,
     /// Whether an explanation judges the tasks that abort after a fault.
     is_explained: bool,
-    /// Whether there was a fault, or packets are lost on purpose.
+    /// Whether a fault was injected, or packets are lost on purpose.
     is_disturbed: bool,
     found: Vec<Trouble>,
 }
@@ -41,12 +41,12 @@ impl Fold for TaskTrouble {
 }
 
 impl TaskTrouble {
-    /// A run without any trouble yet.
+    /// The trouble of a run, before any fact.
     pub const fn new(table: Arc<CellTable>, is_explained: bool, loses: bool) -> Self {
         Self { table, is_explained, is_disturbed: loses, found: Vec::new() }
     }
 
-    /// All of it.
+    /// All trouble of the run.
     pub fn found(self) -> Vec<Trouble> {
         self.found
     }

@@ -20,9 +20,9 @@ const STOP_WITHIN: Duration = Duration::from_secs(5);
 /// A run that has ended.
 pub struct Ended<'a> {
     loaded: &'a Loaded,
-    /// Its summary.
+    /// The run's summary.
     pub summary: Summary,
-    /// Its trouble, beyond the summary.
+    /// The run's trouble, beyond the summary.
     pub trouble: Vec<Trouble>,
     events: Option<Events>,
 }
@@ -30,9 +30,9 @@ pub struct Ended<'a> {
 /// How a run is judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// Nothing is wrong, and everything was judged.
+    /// Nothing is wrong, and everything could be judged.
     Well,
-    /// A promise was broken, or something else than the launcher killed a node.
+    /// A promise was broken, or something other than the launcher killed a node.
     Finding,
     /// Without a finding, some evidence is missing.
     Incomplete,
@@ -47,7 +47,8 @@ impl Ended<'_> {
         self.summary.outcome = story.map(|story| explain(&story));
     }
 
-    /// Broken promises are a finding, and so is a node that something else killed. The effects of injected faults are not.
+    /// The verdict on the run. Broken promises are a finding, and so is a node that something other than the launcher
+    /// killed. The effects of injected faults are no finding.
     #[must_use]
     pub fn verdict(&self) -> Verdict {
         let summary = &self.summary;
@@ -105,7 +106,7 @@ impl<'a> Launcher<'a> {
 
     /// Stops the nodes. Returns how each ended.
     fn stop(&mut self) -> Vec<(NodeId, End)> {
-        // A process that is stopped by SIGSTOP cannot read the order.
+        // A process that SIGSTOP has stopped cannot read the order, so it is resumed first.
         for (_, fault) in std::mem::take(&mut self.faults) {
             if let Fault::Resume(node) = fault {
                 self.children.stand_still(node, false);

@@ -15,10 +15,7 @@ use imrs_protocol::NodeId;
 use std::time::{Duration, Instant};
 
 impl Launcher<'_> {
-    /// Does what is due: injects faults, and judges the checks. False if the run is over.
-    ///
-    /// # Errors
-    /// A node cannot be started again.
+    /// Does the work that is due: injects faults, and judges the checks. Returns false if the run is over.
     pub fn advance(&mut self) -> Result<bool, LaunchError> {
         for message in std::mem::take(&mut self.early) {
             self.take(message);
@@ -51,8 +48,8 @@ impl Launcher<'_> {
         self.run.length.unwrap_or(WITHOUT_END)
     }
 
-    /// Whether nothing can happen any more: every script has ended, or its node is gone for good. With `until_idle` also
-    /// when only servers are left.
+    /// Whether nothing can happen any more: every script has ended, or its node is gone for good. With `until_idle` the run
+    /// is also over when only servers are left.
     fn is_over(&self) -> bool {
         let standing = &self.log.standing;
         !self.restarts()
@@ -79,7 +76,8 @@ impl Launcher<'_> {
 
     fn carry_out(&mut self, fault: Fault) -> Result<(), LaunchError> {
         let name = |node: NodeId| self.cell.nodes[node.index()].name.clone();
-        // What a killed node did until then may be unreported, so that the kill is noted with a time before it.
+        // Events of the killed node from just before the kill may be unreported. So the kill is noted with a time from
+        // before it.
         let before = now_us();
         match fault {
             Fault::Kill(node) => self.children.kill(node),
@@ -137,7 +135,7 @@ impl Launcher<'_> {
         match message {
             Message::Said(node, word) => {
                 match &word {
-                    // The node was restarted: all nodes get its address, and it gets all of theirs.
+                    // The node was restarted: all nodes get its address, and it gets the addresses of all nodes.
                     Word::Bound { address: Some(address), observe } => {
                         self.book.insert(self.name(node), *address);
                         let book = Order::Book(self.book.clone());
@@ -155,18 +153,19 @@ impl Launcher<'_> {
                 }
             }
             Message::Gone(node, incarnation) => {
-                // The launcher did not kill it: something else did, or it failed. Its last messages are missing.
+                // The launcher did not kill this node: something else did, or the node failed. Its last messages are
+                // missing.
                 if !self.log.is_over && self.children.runs(node, incarnation) {
                     self.log.note(now_us(), &Fact::Died(node));
                 }
                 if self.children.incarnation(node) == incarnation {
-                    // First the judge gets the notices that the node wrote about its commands before it died.
+                    // The judge must first get the notices that the node wrote about its commands before it died.
                     self.hear_of_commands();
                     self.log.note(now_us(), &Fact::Gone(node));
                     self.tell_idle();
                 }
             }
-            // Only a wake-up: `interrupts` has counted the signal.
+            // This message only wakes the launcher: `interrupts` has already counted the signal.
             Message::Interrupted => {}
         }
     }
@@ -177,7 +176,7 @@ impl Launcher<'_> {
         notices.into_iter().for_each(|notice| self.log.note(now_us(), &Fact::Noticed(notice)));
     }
 
-    /// Schedules the fault that waits for an action, if this is its beginning.
+    /// Schedules the fault that waits for an action, if this event is the beginning of that action.
     fn watch(&mut self, did: &Did) {
         let Some((moment, been)) = self.moment.as_mut().filter(|_| !self.log.is_over) else { return };
         let ScriptEvent::Begins { action, .. } = &did.what else { return };
@@ -192,7 +191,8 @@ impl Launcher<'_> {
         }
     }
 
-    /// Schedules a fault and its end: their action began at `at`, in microseconds of the shared clock.
+    /// Schedules a fault and its end. `at` is the beginning of the action on which they depend, in microseconds of the clock
+    /// that all processes share.
     fn plan(&mut self, moment: &Moment, at: u64) {
         let passed = Duration::from_micros(now_us().saturating_sub(at));
         let due = self.elapsed() + moment.after.saturating_sub(passed);

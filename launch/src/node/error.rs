@@ -13,7 +13,7 @@ pub enum NodeError {
     /// The pipes to the launcher failed.
     #[error("node: the launcher's pipe failed: {0}")]
     Pipe(#[from] io::Error),
-    /// The setup from the launcher does not fit its cell.
+    /// The setup that the launcher sent does not fit the cell.
     #[error("node: the launcher asked for {0}")]
     Setup(String),
     /// The UDP socket of the node cannot be opened.
@@ -25,7 +25,7 @@ pub enum NodeError {
     /// The node did not start.
     #[error("node: {0}")]
     Start(#[from] StartError),
-    /// The node cannot record.
+    /// The recording of the node cannot be written.
     #[error("node: cannot record: {0}")]
     Record(#[from] WriteError),
     /// Monitors cannot be served at the requested address.

@@ -6,7 +6,7 @@ use std::io::{self, Write};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 
-/// Queue length from which a node defers messages that can also be sent later.
+/// The length of the queue from which on a node defers messages that may also be sent later.
 const WAITING: usize = 16_384;
 
 /// An unbounded queue of messages to the launcher, and the thread that writes them in order.
@@ -24,10 +24,10 @@ struct Shared {
 #[derive(Default)]
 struct Words {
     waiting: VecDeque<Word>,
-    /// How many messages the thread has taken out, and has not written yet.
+    /// How many messages the thread has taken out of the queue, and has not written yet.
     in_hand: usize,
     ended: bool,
-    /// Why the pipe failed: most likely the launcher has exited.
+    /// The error of the pipe; most likely the launcher has exited.
     failed: Option<io::Error>,
 }
 
@@ -57,7 +57,7 @@ impl MessageQueue {
         Ok(())
     }
 
-    /// Whether the queue has room. If not, only messages that cannot wait should be added.
+    /// Whether the queue has room. If not, the node should add only messages that cannot wait.
     pub fn has_room(&self) -> bool {
         let words = self.shared.lock();
         words.waiting.len() + words.in_hand < WAITING
@@ -123,7 +123,7 @@ mod tests {
     fn a_launcher_that_stands_still_keeps_nobody_waiting_and_hears_everything_later() {
         let (words, pipe) = io::pipe().expect("a pipe");
         let queue = MessageQueue::start(Box::new(pipe)).expect("a thread");
-        // More than the pipe holds: writing to it directly would block here for ever.
+        // These are more messages than the pipe holds. Writing to the pipe directly would block here for ever.
         let mut told = 0;
         while queue.has_room() {
             queue.say(Word::Told(told)).expect("nobody has gone");

@@ -40,7 +40,7 @@ use way::Way;
 const TELL_EVERY: Duration = Duration::from_millis(20);
 /// How often the node reports its counters. The counters of a killed node are at most this old.
 const COUNT_EVERY: Duration = Duration::from_millis(200);
-/// How often a neighbour that does not answer is greeted again: with each report of the counters, for two seconds.
+/// How often a node greets a neighbour that does not answer: with each report of the counters, for two seconds.
 const GREETINGS: u32 = 10;
 /// How long the tasks have to end when the node stops.
 const PATIENCE: Duration = Duration::from_secs(2);
@@ -54,12 +54,12 @@ struct Process {
     link: Arc<FaultyWay>,
     /// The lock on the node's stored incarnation, if the node runs on its own.
     _state: Option<incarnation::State>,
-    /// How many more times silent neighbours are greeted.
+    /// How many more times the node greets silent neighbours.
     greetings: u32,
-    /// None once it has been stopped.
+    /// The running node; none once it has been stopped.
     runtime: Option<Runtime>,
     node: Arc<imrs_runtime::Node>,
-    /// Monitors are served until these two are dropped. A node also runs without the first one, at the Unix socket.
+    /// The servers of monitors, which end when they are dropped. The first one, at the Unix socket, may be missing.
     _observer: Option<Observer>,
     over_tcp: Option<Observer>,
     /// The TCP addresses at which the other nodes serve monitors.
@@ -69,9 +69,9 @@ struct Process {
     /// Collects the events of the scripts.
     narrator: Arc<Narrator>,
     untold: u64,
-    /// What the recording lacks, known once it has ended.
+    /// What the recording lacks, which is known once the recording has ended.
     unrecorded: Option<String>,
-    /// Whether the address book has come. The scripts then begin, unless they are held back.
+    /// Whether the address book has come. The scripts begin then, unless they are held back.
     has_book: bool,
     /// When the next held-back script begins.
     begins: Option<Instant>,
@@ -89,7 +89,7 @@ pub fn run_process(host: &'static dyn Host) -> Result<(), NodeError> {
 }
 
 /// Runs the node that `input` describes until the launcher orders a stop, or exits. If several nodes share this process,
-/// `network` joins them.
+/// `network` connects them.
 ///
 /// # Errors
 /// [`NodeError`].
@@ -118,7 +118,7 @@ pub fn run(
     }
 }
 
-/// How a node ends its run.
+/// How a node leaves the run: in order, or as after a power cut.
 enum Leave {
     InOrder,
     AtOnce,
@@ -145,10 +145,11 @@ impl Process {
         let id = cell.cell().nodes.iter().position(|n| n.name == setup.node).map(NodeId::from_index);
         let id = id.ok_or_else(|| NodeError::Setup(format!("the node `{}`", setup.node)))?;
         let table = NodeTable::new(Arc::clone(&cell), id);
-        // Set before any other thread of the node starts: threads inherit the scheduling.
+        // This is set before any other thread of the node starts, because threads inherit the scheduling.
         let real_time = if setup.rt { rt::begin(id.index()) } else { RealTime::NotAsked };
         if network.is_none() {
-            // A slow reader of standard error must not block the node. For nodes in its own process the launcher has done this.
+            // A slow reader of standard error must not block the node. If the node shares the launcher's process, the
+            // launcher has already seen to this.
             rt::behind(|| host.complain_aside())?;
         }
 
@@ -166,7 +167,7 @@ impl Process {
             .hold_scripts();
         let mut builder = with_scripts(builder, &loaded, id)?;
         let recording = match &setup.record {
-            // The recorder's thread runs below the tasks, like the observer's.
+            // The recorder's thread runs at a lower priority than the tasks, like the observer's.
             Some(path) => Some(rt::behind(|| NodeRecording::start(host, path, setup, &loaded, &table))?),
             None => None,
         };
@@ -223,8 +224,8 @@ impl Process {
                 Err(RecvTimeoutError::Timeout) if tell_at > Instant::now() => {}
                 Err(RecvTimeoutError::Timeout) => {
                     tell_at = Instant::now() + TELL_EVERY;
-                    // A stopped launcher must not block the node. While its queue is full, events stay in bounded buffers,
-                    // which count what they drop.
+                    // A stopped launcher must not block the node. While the queue to the launcher is full, events stay in
+                    // bounded buffers, which count what they drop.
                     if !self.out.has_room() {
                         continue;
                     }
@@ -242,7 +243,7 @@ impl Process {
     fn begin(&mut self, book: &BTreeMap<String, SocketAddr>) -> Result<(), NodeError> {
         for (name, &address) in book {
             if let Some(node) = self.node_named(name).filter(|&node| node != self.table.node) {
-                // A node without a link to this one needs no address here, so that error is ignored.
+                // A node without a link to this one gives an error here, which is ignored: it needs no address.
                 let _ = self.link.inner().udp().map(|udp| udp.set_address(node, Some(address)));
             }
         }
@@ -259,7 +260,7 @@ impl Process {
         Ok(self.out.say(Word::Started)?)
     }
 
-    /// Greets the neighbours that have not been heard yet, so that both sides learn early whether they can communicate.
+    /// Greets the neighbours that were not heard yet, so that both sides learn early whether they can communicate.
     fn greet(&mut self) {
         if self.greetings > 0 {
             self.greetings -= 1;
@@ -286,7 +287,7 @@ impl Process {
         self.table.cell().nodes.iter().position(|n| n.name == name).map(NodeId::from_index)
     }
 
-    /// Stops as after a power cut: all links are cut first, so that nothing more leaves the node.
+    /// Stops the node as a power cut would: all links are cut first, so that nothing more leaves the node.
     fn die(mut self) {
         for neighbour in self.table.neighbours(self.table.node) {
             self.link.set_cut(neighbour, true);
@@ -296,11 +297,11 @@ impl Process {
 
     /// Stops the tasks, reports all remaining events, and ends the recording.
     fn end(mut self) -> Result<(), NodeError> {
-        // The ends of scripts have been reported already, so the returned ends are not needed.
+        // The events have already reported how the scripts ended, so the returned ends are not needed.
         drop(self.runtime.take().map(|runtime| runtime.stop(PATIENCE)));
         self.tell()?;
         self.count()?;
-        // The counters above reach the launcher even if the disk takes longer than the launcher waits.
+        // This follows the counters: they must reach the launcher even if the disk takes longer than the launcher waits.
         self.unrecorded = self.recording.take().and_then(|recording| recording.stop(PATIENCE));
         if self.unrecorded.is_some() {
             self.count()?;
@@ -345,7 +346,7 @@ fn with_scripts(mut builder: Builder, loaded: &Loaded, node: NodeId) -> Result<B
     Ok(builder)
 }
 
-/// Serves monitors at the Unix socket, without which the node runs as well, and over TCP if that is asked for.
+/// Starts the servers of monitors: at the Unix socket, which may fail, and over TCP if the setup asks for that.
 fn observers(
     host: &'static dyn Host,
     setup: &Setup,

@@ -22,8 +22,8 @@ pub struct NodeRecording {
 }
 
 impl NodeRecording {
-    /// Begins a recording in a new file that only its owner can read. Called once the node is bound and locked: only then may
-    /// it replace the recording of an earlier run, if `--force` allows that (D151).
+    /// Begins a recording in a new file that only its owner can read. The node must be bound and locked before: only then
+    /// may it replace the recording of an earlier run, if `--force` allows that (D151).
     ///
     /// # Errors
     /// The file cannot be created or written.
@@ -63,12 +63,12 @@ impl NodeRecording {
         })
     }
 
-    /// What the recording lacks so far; `None`: nothing.
+    /// What the recording lacks so far, in words; `None` if it lacks nothing.
     pub fn missing(&self) -> Option<String> {
         self.recorder.status().and_then(|status| self.words(&status))
     }
 
-    /// Ends the recording, and returns what it lacks; `None`: nothing.
+    /// Ends the recording. Returns what it lacks, in words; `None` if it lacks nothing.
     pub fn stop(self, patience: Duration) -> Option<String> {
         let status = self.recorder.stop(patience)?;
         self.words(&status)

@@ -11,19 +11,20 @@ use imrs_wire::envelope::Refused;
 use imrs_wire::obs::{Count, TimedEvent};
 use std::collections::BTreeMap;
 
-/// How many observations of each machine are read at once: all that it keeps.
+/// How many observations of each state machine are read at once: all that it keeps.
 const ROOM: usize = usize::MAX;
 
 impl Process {
     /// Reports all events since the last report.
     pub(super) fn tell(&mut self) -> Result<(), NodeError> {
         let until = self.narrator.is_asked().then(|| self.node.told_until());
-        // Script events are taken before the observations and sent after them: an announcement always precedes its release.
+        // Script events are taken before the observations and sent after them, so that an announcement always precedes its
+        // release.
         let (narrated, lost) = self.narrator.take();
         let mut observed = Vec::new();
         let missed = self.observations.drain(ROOM, &mut observed);
         self.untold += missed;
-        // The counters go first: the receiver must know that events are missing before it judges the others.
+        // The counters go first, because the receiver must know that events are missing before it judges the others.
         if missed > 0 || lost.is_some() {
             self.count()?;
         }
@@ -42,7 +43,7 @@ impl Process {
         until.map_or(Ok(()), |until| Ok(self.out.say(Word::Told(until))?))
     }
 
-    /// The neighbours that this node refuses, because their cells differ.
+    /// The neighbours whose datagrams this node refuses, because their cells differ.
     fn refusals(&self) -> Vec<RefusalFigures> {
         let Some(link) = self.link.inner().udp() else { return Vec::new() };
         let one = |refusal: Refusal| {

@@ -1,5 +1,5 @@
-//! Sets up the kernel's real-time scheduling: SCHED_FIFO, locked memory, and one core per node. If the kernel refuses
-//! any of these, the launcher says so once, every node shows it to monitors, and the nodes run without it.
+//! Sets up the kernel's real-time scheduling: SCHED_FIFO, locked memory, and one core per node. If the kernel refuses one of
+//! these, the nodes run without it; the launcher says so once, and every node shows it to monitors.
 
 use imrs_wire::obs::RealTime;
 use rustix::io::Errno;
@@ -33,7 +33,7 @@ pub enum RtError {
         "the kernel does not let this user choose SCHED_FIFO ({0}): set `rtprio` to 50 in /etc/security/limits.conf, or give the program the right with `setcap cap_ipc_lock,cap_sys_nice+ep`"
     )]
     Scheduler(String),
-    /// A core may not be chosen.
+    /// The process may not be bound to a core.
     #[error("the kernel does not let this user choose a core ({0})")]
     Core(Errno),
 }
@@ -48,15 +48,16 @@ pub fn begin(place: usize) -> RealTime {
     }
 }
 
-/// Runs `what` on a thread with the lowest real-time priority, on any allowed core; threads that it starts inherit both.
-/// Observers must never preempt tasks. Yet ordinary programs must not preempt an observer that holds the lock of a
-/// communication task: a task would wait for that lock. A task of another node on the same core still may.
+/// Runs `what` on a thread with the lowest real-time priority, on any allowed core; threads that it starts inherit both. An
+/// observer must never preempt a task. Yet no ordinary program may preempt an observer that holds the lock of a
+/// communication task, because the task would wait for that lock. A task of another node on the same core can still preempt
+/// the observer.
 pub fn behind<T: Send>(what: impl FnOnce() -> T + Send) -> T {
     // Without `--rt` all threads are ordinary ones.
     let Some(cores) = CORES.get() else { return what() };
     thread::scope(|scope| {
         let likeness = scope.spawn(|| {
-            // If the kernel refuses this, the tasks run as ordinary threads, and so does this one.
+            // If the kernel refuses this, the tasks run as ordinary threads, and so does this thread.
             let _ = choose(LAST);
             let _ = sched_setaffinity(None, cores);
             what()
@@ -74,7 +75,7 @@ pub fn cores() -> Vec<usize> {
 /// What the kernel would refuse to [`begin`], without a lasting effect.
 pub fn refused() -> Vec<RtError> {
     let memory = lock();
-    // On a thread of its own, because the settings of a thread end with it.
+    // This runs on a thread of its own, because the settings of a thread end with the thread.
     let tried = thread::spawn(|| [choose(PRIORITY), pin(0)]).join();
     let all = tried.unwrap_or_else(|_| [Err(RtError::Scheduler("no thread".into())), Ok(())]);
     // If locking was refused, there is nothing to unlock.

@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// Most messages that are kept until they can be sent.
+/// Most events that are queued until they can be sent.
 const KEPT: usize = 65_536;
 
 /// Watches the scripts, and queues the events that the launcher shows or judges.
@@ -25,7 +25,7 @@ pub struct Narrator {
     waiting: AtomicUsize,
     /// How many messages were dropped.
     lost: AtomicU64,
-    /// When the first message after the last [`Self::take`] was dropped; `u64::MAX` if none was.
+    /// When the first event after the last [`Self::take`] was dropped, in microseconds; `u64::MAX` if none was.
     lost_since: AtomicU64,
     state: Mutex<State>,
 }
@@ -40,9 +40,10 @@ struct State {
 #[derive(Clone, Debug, Default)]
 struct Progress {
     statement: Option<Address>,
-    /// By port, the time and the statement of its last request there: a handler may run before the end.
+    /// By port, the time and the statement of the script's last request there, until its outcome: a handler may run in
+    /// between.
     asked: BTreeMap<PortId, (u64, Option<Address>)>,
-    /// Its last message: the port, and the statement that sent it.
+    /// The script's last message: the port, and the statement that sent it.
     sends: Option<(PortId, Option<Address>)>,
     /// The action that runs on each activation.
     acts: Vec<Acts>,
@@ -54,12 +55,13 @@ struct Acts {
     level: u8,
     action: u16,
     statement: Option<Address>,
-    /// Whether it takes no time: it reads something, or gives an order. These are too frequent to report.
+    /// Whether the action takes no time, because it reads something or gives an order. Such actions are too frequent to
+    /// report.
     at_once: bool,
 }
 
 impl Narrator {
-    /// Watches the scripts of this cell.
+    /// Starts to watch the scripts of this cell.
     pub fn new(loaded: Arc<Loaded>) -> Self {
         let (told, kept) = mpsc::channel();
         let tasks = vec![Progress::default(); loaded.scripts.len()];
@@ -76,7 +78,7 @@ impl Narrator {
         }
     }
 
-    /// Takes the messages since the last call, and the instant of the first one that was dropped since then.
+    /// Takes the events since the last call, and the instant of the first one that was dropped since then.
     pub fn take(&self) -> (Vec<Word>, Option<u64>) {
         let lost = self.lost_since.swap(u64::MAX, Ordering::AcqRel);
         let words: Vec<Word> = self.kept.lock().unwrap_or_else(PoisonError::into_inner).try_iter().collect();
@@ -84,7 +86,7 @@ impl Narrator {
         (words, Some(lost).filter(|&lost| lost < u64::MAX))
     }
 
-    /// How many messages were dropped so far, because the launcher did not read its pipe fast enough.
+    /// How many events were dropped so far, because the launcher did not read its pipe fast enough.
     pub fn lost(&self) -> u64 {
         self.lost.load(Ordering::Relaxed)
     }
@@ -99,7 +101,8 @@ impl Narrator {
         !self.state.lock().unwrap_or_else(PoisonError::into_inner).sampler.is_blind()
     }
 
-    /// Queues a message about this instant. Only the ends of tasks are never dropped: there is one per task.
+    /// Queues a message about this instant. Messages about the end of a task are never dropped, because there is only one
+    /// per task.
     fn tell(&self, at: u64, word: Word) {
         let is_end =
             matches!(&word, Word::TaskEnded { .. } | Word::Did(Did { what: ScriptEvent::Ended(_), .. }));
@@ -175,7 +178,7 @@ impl Narrator {
             }
             End::Fault { fault, at } => (format!("failed: {fault}"), EndSort::Failed, Some(at)),
         };
-        // The reason of an abort may already name its line.
+        // The reason of an abort may already name the line of the statement.
         let how = match at_line(place).filter(|line| sort != EndSort::Well && !words.ends_with(line)) {
             Some(line) => format!("{words} ({line})"),
             None => words.clone(),
@@ -200,7 +203,7 @@ impl Watch for Narrator {
             }
             Note::Asked(Request::Send { port, .. }) => {
                 progress.sends = Some((*port, progress.statement));
-                // Queries are heartbeats and polls: too frequent to report.
+                // Queries are not reported: heartbeats and polls are queries, and too frequent.
                 let usage = self.loaded.table.port(*port).and_then(|port| port.party(task)).map(|p| p.usage);
                 if usage == Some(Usage::Send) {
                     self.did(task, at, progress.statement, ScriptEvent::Sends(*port));

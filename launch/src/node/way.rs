@@ -1,4 +1,4 @@
-//! A node's link to its neighbours: its own UDP socket, or a network within this process.
+//! A node's connection to its neighbours: its own UDP socket, or a network within this process.
 
 use imrs_protocol::{NodeId, Packet};
 use imrs_runtime::link::in_process::InProcess;

@@ -21,13 +21,13 @@ impl Default for Datagram {
 }
 
 impl Datagram {
-    /// Whether no packet is in it.
+    /// Whether the datagram contains no packet.
     #[must_use]
     pub const fn is_empty(&self) -> bool {
         self.packets == 0
     }
 
-    /// How many packets are in it.
+    /// How many packets the datagram contains.
     #[must_use]
     pub const fn len(&self) -> usize {
         self.packets as usize

@@ -119,9 +119,9 @@ pub struct Envelope {
     pub purpose: Purpose,
 }
 
-/// The receiver's own clock, returned to it. It is the `tx_mono` of the receiver's last datagram that reached the
-/// sender, plus the time for which the sender has held it. So at the sender's `tx_mono` the receiver's clock showed
-/// `mono` or more. The round trip took the receiver's clock on arrival minus `mono`.
+/// A reading of the receiver's own clock, which the sender returns to it. It is the `tx_mono` of the receiver's last
+/// datagram that reached the sender, plus the time for which the sender has held it. So at the sender's `tx_mono` the
+/// receiver's clock showed `mono` or more. The round trip took the receiver's clock on arrival minus `mono`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Echo {
     /// The session of the receiver that this clock belongs to: each session's clock has its own origin.
@@ -133,11 +133,11 @@ pub struct Echo {
 /// What a datagram is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// It carries packets, at least one.
+    /// The datagram carries packets, at least one.
     Packets,
-    /// It introduces the sender, and carries no packet.
+    /// The datagram introduces the sender, and carries no packet.
     Greeting(Greeting),
-    /// It tells the receiver that the sender drops all of its datagrams, and carries no packet.
+    /// The datagram tells the receiver that the sender drops all of the receiver's datagrams. It carries no packet.
     Refusal(Refused),
 }
 
@@ -183,9 +183,9 @@ impl Refused {
 pub struct Opened<'a> {
     /// The sender's digests.
     pub digests: Digests,
-    /// Its decoded header.
+    /// The datagram's decoded header.
     pub envelope: Envelope,
-    /// Its packets, still encoded.
+    /// The datagram's packets, still encoded.
     pub packets: &'a [[u8; PACKET_BYTES]],
 }
 

@@ -53,8 +53,8 @@ impl ReplayWindow {
         counter >= self.next
     }
 
-    /// Accepts `counter` and continues from it, although newer counters were accepted: those were errors. Every earlier
-    /// counter counts as seen.
+    /// Accepts `counter` and continues from it, although newer counters were accepted, because those were wrong. Every
+    /// earlier counter counts as seen.
     pub const fn resume(&mut self, counter: u64) {
         self.next = counter.saturating_add(1);
         self.seen = [u64::MAX; WORDS];
@@ -142,7 +142,7 @@ mod tests {
     }
 
     proptest! {
-        /// Compares with the plain rule: a counter is accepted if it is unseen and not too far behind the newest.
+        /// Compares the window with the plain rule: a counter is accepted if it is unseen and not too far behind the newest.
         #[test]
         fn behaves_as_an_unbounded_memory_would(
             steps in proptest::collection::vec((0..3000_u64, any::<bool>()), 1..400), start in 0..1_u64 << 55,

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 /// A node of the cell; [`NodeId`] is the position in [`Table::nodes`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NodeName {
-    /// Its name.
+    /// The node's name.
     pub name: String,
 }
 
@@ -30,31 +30,31 @@ pub struct LinkName {
 /// A task; [`TaskId`] is the position in [`Table::tasks`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskName {
-    /// Its name.
+    /// The task's name.
     pub name: String,
-    /// The node on which it runs.
+    /// The node on which the task runs.
     pub node: NodeId,
 }
 
 /// One end of a port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PartyName {
-    /// The task.
+    /// The id of the task.
     pub task: TaskId,
-    /// Its use of the port.
+    /// The task's use of the port.
     pub usage: Usage,
-    /// Its time_out.
+    /// The task's time_out.
     pub time_out: Ticks,
 }
 
 /// A port; [`PortId`](imrs_protocol::PortId) is the position in [`Table::ports`].
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PortName {
-    /// Its name.
+    /// The port's name.
     pub name: String,
-    /// Its class.
+    /// The port's class.
     pub class: Class,
-    /// `bounded_buffer`.
+    /// The value of `bounded_buffer`: how many messages the port's buffer holds.
     pub capacity: u16,
     /// The margin of a `waitfor`; zero on other ports.
     pub margin: Ticks,
@@ -69,13 +69,13 @@ pub struct Table {
     pub cell: String,
     /// The declared lateness of timers.
     pub tick: Ticks,
-    /// The nodes.
+    /// The nodes of the cell.
     pub nodes: Vec<NodeName>,
-    /// The links.
+    /// The links of the cell.
     pub links: Vec<LinkName>,
-    /// The tasks.
+    /// The tasks of the cell.
     pub tasks: Vec<TaskName>,
-    /// The ports.
+    /// The ports of the cell.
     pub ports: Vec<PortName>,
 }
 
@@ -111,7 +111,7 @@ pub struct TimedEvent {
     pub mono_us: u64,
     /// The task; `None` for the transit buffer.
     pub task: Option<TaskId>,
-    /// The observation.
+    /// The observed event.
     pub what: Observation,
 }
 
@@ -136,7 +136,7 @@ pub enum Goodbye {
 /// The last frame before the node closes a connection itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Bye {
-    /// Why.
+    /// Why the node closes it.
     pub reason: Goodbye,
 }
 

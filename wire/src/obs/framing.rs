@@ -32,7 +32,7 @@ pub enum FrameError {
     TooLong {
         /// The announced length.
         length: usize,
-        /// The limit.
+        /// The greatest length of a frame here, in bytes.
         limit: usize,
     },
     /// The stream would block. Call again later: the bytes read or written so far are kept.

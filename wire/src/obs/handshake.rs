@@ -11,19 +11,19 @@ use thiserror::Error;
 pub const SCHEMA: u32 = 0xed49_0a48;
 
 const MAGIC: [u8; 4] = *b"IMOB";
-/// Length of the magic and of the major and minor version: the part that no version changes.
+/// Length of the magic, the major and the minor version: the bytes whose meaning no version changes.
 const HEADER: usize = 8;
 
 /// A node's introduction of itself.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NodeIdentity {
-    /// The name of its cell.
+    /// The name of the node's cell.
     pub cell: String,
     /// The digest of its cell's table. Nodes with different digests do not talk to each other.
     pub digest: u32,
-    /// Its own name.
+    /// The name of the node.
     pub node: String,
-    /// Its position in the cell's list of nodes.
+    /// The position of the node in the cell's list of nodes.
     pub id: u16,
     /// The node's incarnation.
     pub incarnation: Incarnation,
@@ -79,7 +79,7 @@ pub enum Refusal {
     /// The node already serves its maximum number of monitors.
     #[error("the node serves {limit} monitors already: close one")]
     TooMany {
-        /// That maximum.
+        /// The maximum number of monitors.
         limit: u16,
     },
     /// The first frame was a node's, not a monitor's.

@@ -13,7 +13,7 @@ use thiserror::Error;
 
 /// The longest path of a Unix socket, in bytes.
 pub const MAX_PATH: usize = 107;
-/// The longest part of a file name that encodes the name of a cell or node.
+/// The longest encoded name of a cell or node in a file name.
 const MAX_NAME: usize = 32;
 
 /// Why a socket path cannot be used.
@@ -28,9 +28,9 @@ pub enum PlaceError {
     /// The folder could not be created or inspected.
     #[error("cannot use the socket folder {path}: {source}")]
     Io {
-        /// The folder.
+        /// The folder in which the operation failed.
         path: PathBuf,
-        /// Why.
+        /// The error of the operating system.
         source: io::Error,
     },
 }

@@ -6,11 +6,11 @@ use serde::{Deserialize, Serialize};
 /// Whether a task still runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Liveness {
-    /// It runs or waits.
+    /// The task runs or waits.
     Alive,
-    /// It returned.
+    /// The task returned.
     Ended,
-    /// It panicked.
+    /// The task panicked.
     Crashed,
 }
 
@@ -22,16 +22,16 @@ pub struct TaskSnapshot {
     /// How long before [`Snapshot::mono_us`] the communication task last advanced, in microseconds. The remaining times
     /// in `view` are as of that moment; at the snapshot each is shorter by this.
     pub age_us: u64,
-    /// Its state, with at most the subscribed number of messages per port.
+    /// The task's state, with at most the subscribed number of messages per port.
     pub view: TaskView,
 }
 
 /// An entry of the node's Timer (Figure 3).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TimerEntry {
-    /// The task that set it.
+    /// The task that set the timer.
     pub owner: TaskId,
-    /// Its identifier, unique within that task.
+    /// The entry's identifier, unique within that task.
     pub id: TimeId,
     /// The remaining time at the snapshot.
     pub remaining: Ticks,
@@ -40,16 +40,16 @@ pub struct TimerEntry {
 /// A named counter. It only grows during one incarnation of the node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Count {
-    /// What is counted: snake_case, as [`Reason::name`](imrs_protocol::Reason::name).
+    /// The name of what is counted, in snake_case, as [`Reason::name`](imrs_protocol::Reason::name).
     pub name: String,
-    /// How many.
+    /// How many were counted.
     pub count: u64,
 }
 
 /// A link of the node to a neighbour.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LinkView {
-    /// The neighbour.
+    /// The neighbour at the other end of the link.
     pub peer: NodeId,
     /// Time since the last datagram from it, in microseconds; `None` before the first one.
     pub heard_us: Option<u64>,
@@ -62,18 +62,18 @@ pub struct LinkView {
 /// Whether a node runs in real time.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RealTime {
-    /// It was not requested.
+    /// Real time was not requested.
     #[default]
     NotAsked,
-    /// Granted: SCHED_FIFO, locked memory, one core.
+    /// Real time was granted: SCHED_FIFO, locked memory, one core.
     Had,
     /// The kernel refused a part of the request.
     Refused {
-        /// Its memory is not locked.
+        /// The node's memory is not locked.
         memory: bool,
-        /// It runs under the ordinary scheduler.
+        /// The node runs under the ordinary scheduler.
         scheduler: bool,
-        /// It may migrate between cores.
+        /// The node may migrate between cores.
         core: bool,
     },
 }
@@ -88,20 +88,21 @@ pub struct Snapshot {
     pub uptime_us: u64,
     /// Whether packets travel without authentication.
     pub insecure: bool,
-    /// Whether it runs in real time.
+    /// Whether the node runs in real time.
     pub real_time: RealTime,
-    /// Its tasks, ascending.
+    /// The node's tasks, ascending.
     pub tasks: Vec<TaskSnapshot>,
-    /// Its transit buffer.
+    /// The node's transit buffer.
     pub transit: TransitView,
     /// How long before the sample the transit buffer last advanced, in microseconds; see [`TaskSnapshot::age_us`].
     pub transit_age_us: u64,
-    /// Its Timer's entries.
+    /// The entries of the node's Timer.
     pub timers: Vec<TimerEntry>,
-    /// Its links.
+    /// The node's links.
     pub links: Vec<LinkView>,
-    /// Messages dropped by its state machines, by reason; reasons with a count of zero may be missing.
+    /// Counts of the messages that the node's state machines dropped, by reason; reasons with a count of zero may be
+    /// missing.
     pub discards: Vec<Count>,
-    /// Datagrams and packets that its links dropped before a state machine saw them, by reason.
+    /// Counts of the datagrams and packets that the node's links dropped before a state machine saw them, by reason.
     pub link_discards: Vec<Count>,
 }

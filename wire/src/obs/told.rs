@@ -22,11 +22,11 @@ pub struct Detail {
 pub struct PortDetail {
     /// The task that receives.
     pub task: TaskId,
-    /// The port.
+    /// The port that the detail belongs to.
     pub port: PortId,
     /// How long before [`Detail::mono_us`] the remaining times in `queue` were measured, in microseconds.
     pub age_us: u64,
-    /// Its queued messages.
+    /// The port's queued messages.
     pub queue: QueueView,
 }
 
@@ -35,40 +35,40 @@ pub struct PortDetail {
 pub struct Vitals {
     /// The node's monotonic clock, in microseconds.
     pub mono_us: u64,
-    /// How late its Timer was.
+    /// How late the node's Timer was.
     pub timer: Lateness,
     /// Link diagnostics other than drops: irregular datagrams, and how well the node knows the time that they waited in
     /// the kernel. Drops are in [`Snapshot::link_discards`](super::Snapshot::link_discards).
     pub links: Vec<super::Count>,
     /// The recording of the node's inputs, if there is one.
     pub recording: Option<RecordingFacts>,
-    /// Processor time of the process, in microseconds.
+    /// Processor time that the process used, in microseconds.
     pub cpu_us: u64,
-    /// Its resident memory, in bytes; zero if unknown.
+    /// Resident memory of the process, in bytes; zero if unknown.
     pub memory: u64,
-    /// Its threads; zero if unknown.
+    /// The number of threads of the process; zero if unknown.
     pub threads: u32,
 }
 
 /// How late the Timer handled expiries for which no task's thread slept.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Lateness {
-    /// How many expiries since the start.
+    /// How many expiries the Timer handled since the start.
     pub count: u64,
     /// How many of those were later than the declared tick of the cell.
     pub late: u64,
     /// Median lateness of the expiries since the previous frame of this kind, in microseconds.
     pub p50_us: u64,
-    /// Their 99th percentile, in microseconds.
+    /// The 99th percentile of their lateness, in microseconds.
     pub p99_us: u64,
-    /// Their maximum, in microseconds.
+    /// Their greatest lateness, in microseconds.
     pub max_us: u64,
 }
 
 /// A recording that a node writes.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RecordingFacts {
-    /// The file.
+    /// The recording's file.
     pub path: String,
     /// How many inputs were lost to the recording.
     pub lost: u64,
@@ -88,7 +88,7 @@ pub struct Pong {
 /// The address at which a node of the cell serves monitors.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NodePlace {
-    /// The node.
+    /// The node that listens there.
     pub node: NodeId,
     /// `unix:PATH` on the same machine, or `tcp:HOST:PORT`.
     pub address: String,
@@ -98,7 +98,7 @@ pub struct NodePlace {
 /// to the whole cell. Sent again when it changes.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Places {
-    /// The addresses.
+    /// The address of each node.
     pub nodes: Vec<NodePlace>,
 }
 
@@ -108,26 +108,26 @@ pub struct Places {
 pub struct HeldBack {
     /// The node's monotonic clock, in microseconds.
     pub mono_us: u64,
-    /// The tasks, ascending.
+    /// The held-back tasks, ascending.
     pub tasks: Vec<HeldTask>,
 }
 
 /// A task whose script has not begun yet, because commands of its previous incarnation may still arrive.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeldTask {
-    /// The task.
+    /// The task that is held.
     pub task: TaskId,
-    /// How long it is still held back, counted from [`HeldBack::mono_us`].
+    /// How long the script is still held back, counted from [`HeldBack::mono_us`].
     pub remaining: Ticks,
 }
 
 /// Why a node denies access to a monitor.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
 pub enum Denied {
-    /// It requires a token, and the monitor sent none.
+    /// The node requires a token, and the monitor sent none.
     #[error("it asks for a token: give the one it was started with (--token FILE)")]
     NoToken,
-    /// It requires another token.
+    /// The node requires another token than the one that the monitor sent.
     #[error("it was started with another token: give the same one on both sides (--token FILE)")]
     WrongToken,
 }

@@ -35,7 +35,7 @@ pub struct EventFilter {
 }
 
 impl EventFilter {
-    /// All events.
+    /// The filter that selects all events.
     pub const ALL: Self = Self { kinds: Kinds::ALL, tasks: Vec::new() };
 
     /// Whether the filter selects an event of this task (`None` for the transit buffer).
@@ -58,7 +58,7 @@ pub struct Kinds(u64);
 impl Kinds {
     /// Every kind, including those of later versions.
     pub const ALL: Self = Self(u64::MAX);
-    /// None.
+    /// No kind of event.
     pub const NONE: Self = Self(0);
 
     /// This set plus the kind of `event`. All drops are one kind, whatever their reason.

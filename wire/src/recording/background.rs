@@ -22,16 +22,16 @@ const BUFFER_BYTES: usize = 64 * 1024;
 /// The longest state or frame in bytes; the other fields of its record fit the remaining 64.
 pub const LONGEST: usize = MAX_RECORD_BYTES - 64;
 
-/// The thread makes its next pass by itself, soon.
+/// State: the writing thread makes its next pass by itself, soon.
 const AWAKE: u8 = 0;
-/// The thread found nothing, and is parked or about to park.
+/// State: the writing thread found nothing, and is parked or about to park.
 const ASLEEP: u8 = 1;
-/// The thread has ended: nothing is written any more.
+/// State: the writing thread has ended, and nothing is written any more.
 const OVER: u8 = 2;
 
 #[derive(Default)]
 struct Shared {
-    /// Of the queue, in records.
+    /// How many records the queue can hold.
     capacity: usize,
     /// The thread that writes, to unpark it.
     writer: OnceLock<Thread>,
@@ -94,7 +94,7 @@ impl Alert {
 /// The loss counters of a stream.
 struct Losses {
     stream: Stream,
-    /// Since its last gap record.
+    /// Lost records since the stream's last gap record.
     unannounced: AtomicU64,
     total: AtomicU64,
 }
@@ -134,7 +134,7 @@ pub struct Status {
 pub struct Recording {
     queue: SyncSender<Record>,
     shared: Arc<Shared>,
-    /// Returns whether everything was written.
+    /// The writing thread, which returns whether everything was written.
     thread: Option<JoinHandle<bool>>,
 }
 
@@ -193,8 +193,8 @@ impl Recording {
         self.shared.status(false)
     }
 
-    /// Ends the recording: writes the queued records, the gaps and the end. Waits at most `patience`; a slower disk is
-    /// left to its thread.
+    /// Ends the recording: writes the queued records, the gaps and the end. Waits at most `patience`; if the disk is slower,
+    /// the thread goes on alone.
     #[must_use]
     pub fn stop(mut self, patience: Duration) -> Status {
         self.shared.stop();
@@ -276,9 +276,9 @@ fn write<W: Write>(
 ) -> Result<(), WriteError> {
     let mut sleeps_since = None;
     loop {
-        // Read before the last pass, so that all records queued before the stop are written.
+        // This flag is read before the last pass, so that all records queued before the stop are written.
         let stopping = shared.stopping.load(Ordering::Acquire);
-        // Also read before the pass: this pass may be the last one before a park without timeout.
+        // This is read before the pass, too, because the pass may be the last one before a park without timeout.
         let seen = sleeps_since.is_some_and(|since: Instant| since.elapsed() >= SLEEP);
         let mut found = false;
         for record in queue.try_iter().take(shared.capacity) {
@@ -300,7 +300,7 @@ fn write<W: Write>(
     finish(writer, queue, shared)
 }
 
-/// Pauses until there may be records again. `seen`: every producer had seen [`ASLEEP`] before this pass.
+/// Pauses until there may be records again. `seen` says that every producer had seen [`ASLEEP`] before the last pass.
 fn pause(shared: &Shared, found: bool, seen: bool, sleeps_since: &mut Option<Instant>) {
     if found {
         shared.state.store(AWAKE, Ordering::Relaxed);
@@ -348,7 +348,8 @@ struct Outlet {
 }
 
 impl Outlet {
-    /// Queues a record that fits, after a gap record if records were lost before it. Returns false if this one is lost as well.
+    /// Queues a record, after a gap record if records were lost before it. Returns false if this record is lost, too, or if
+    /// it does not fit.
     fn hand_over_if(&self, fits: bool, record: Record) -> bool {
         let taken = fits && self.announce() && self.hand_over(record);
         if !taken {

@@ -8,34 +8,34 @@ use imrs_protocol::{NodeId, Packet, TaskId};
 pub struct Happening {
     /// The node's monotonic clock, in microseconds. All nodes of one machine share this clock.
     pub at: u64,
-    /// The task.
+    /// The task whose script did it.
     pub task: TaskId,
-    /// The event.
+    /// The event in the script.
     pub what: Happened,
 }
 
 /// The kind of an event.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Happened {
-    /// Its communication task started.
+    /// The communication task of the task started.
     Started,
-    /// Its script began.
+    /// The task's script began.
     Begun,
     /// A packet arrived, with its remaining time in microseconds.
     Came(Packet),
-    /// It observed that time has passed.
+    /// The task observed that time has passed.
     Time,
     /// Another node has a new incarnation.
     PeerRestarted(NodeId),
-    /// The action of a thread ended: the thread, whether it succeeded, and its result.
+    /// The action of one of the task's threads ended: the thread, whether the action succeeded, and its result.
     Acted(u8, bool, i32),
-    /// A nondeterministic choice was made for its script.
+    /// A nondeterministic choice was made for the task's script.
     Chosen(u16),
-    /// Its communication task sent a packet.
+    /// The communication task of the task sent a packet.
     Sent(Packet),
-    /// Its script processed an input.
+    /// The task's script processed an input.
     Turn(Turn),
-    /// Its node stopped, or was cut off for good. Nothing that it does after this is judged.
+    /// The node of the task stopped, or was cut off for good. Nothing that the task does after this is judged.
     Stopped,
 }
 
@@ -44,7 +44,7 @@ pub enum Happened {
 pub struct Turn {
     /// The operation in which the script waited.
     pub at: Address,
-    /// The input.
+    /// The input that the script took.
     pub input: ScriptInput,
     /// The statements that the script began.
     pub passed: Vec<Address>,

@@ -49,13 +49,13 @@ const RECORD_HEAD_BYTES: usize = 12;
 pub struct Header {
     /// The name of the cell.
     pub cell: String,
-    /// The digest of its table. Inputs can be replayed only with the same table.
+    /// The digest of the cell's table. Inputs can be replayed only with the same table.
     pub digest: u32,
     /// The digest of the statements that the node's scripts ran; zero if there were none or it is unknown.
     pub statements: u32,
-    /// The node whose inputs these are; `None` in a recording of observations.
+    /// The node whose inputs the recording has; `None` in a recording of observations.
     pub node: Option<NodeId>,
-    /// Its incarnation.
+    /// The incarnation of the node.
     pub incarnation: Incarnation,
     /// Whether an earlier incarnation of the node may have taken requests.
     pub restarted: bool,
@@ -75,29 +75,29 @@ pub enum Record {
     /// An input of a communication task. Inputs before the task's first [`Record::Keyframe`] continue from the start of
     /// its incarnation.
     Input {
-        /// The task.
+        /// The task that took the input.
         task: TaskId,
-        /// How long after its previous input, in microseconds.
+        /// How long after the task's previous input this one came, in microseconds.
         elapsed: Ticks,
-        /// The input.
+        /// The input of the task.
         input: Input,
-        /// A digest of all its outputs, including those for this input.
+        /// A digest of all outputs of the task, including those for this input.
         outputs: u64,
     },
     /// The state of a communication task between two inputs.
     Keyframe {
-        /// The task.
+        /// The task whose state the keyframe holds.
         task: TaskId,
-        /// The encoded state of its state machine.
+        /// The encoded state of the communication task.
         state: Vec<u8>,
-        /// The digest of all its outputs so far.
+        /// The digest of all outputs of the task so far.
         outputs: u64,
     },
-    /// Records of a stream are missing here. Its state is unknown until its next keyframe.
+    /// Records of a stream are missing here. The state of that stream is unknown until its next keyframe.
     Gap {
-        /// The stream.
+        /// The stream of records in which some are missing.
         stream: Stream,
-        /// How many records.
+        /// How many records are missing.
         lost: u64,
     },
     /// A frame that a monitor received, unchanged.
@@ -109,49 +109,49 @@ pub enum Record {
         /// An encoded [`Shown`].
         bytes: Vec<u8>,
     },
-    /// The recording was ended, and is complete except for its gaps. The last record.
+    /// The last record: the recording was ended, and is complete except for its gaps.
     End,
-    /// An input of a task's script, other than the signals of its communication task, which follow from the task's
-    /// inputs. Its time is that of the task's previous record.
+    /// An input of a task's script, other than the signals of its communication task, which follow from the task's inputs.
+    /// The input has the time of the task's previous record.
     Script {
-        /// The task.
+        /// The task whose script took the step.
         task: TaskId,
-        /// The input.
+        /// The script's step.
         step: ScriptStep,
         /// A digest of everything that the script did before.
         done: u64,
     },
     /// The node has stopped, and the task has no further inputs. Losses right before the stop are detected with it.
     Close {
-        /// The task.
+        /// The task whose records end here.
         task: TaskId,
-        /// How many inputs it took since the start of its incarnation, missing ones included.
+        /// How many inputs the task took since the start of its incarnation, missing ones included.
         inputs: u64,
-        /// The digest of all its outputs.
+        /// The digest of all outputs of the task.
         outputs: u64,
     },
 }
 
-/// A script's input that does not follow from other records.
+/// An input of a script that does not follow from other records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ScriptStep {
-    /// It begins.
+    /// The script begins.
     Begin {
         /// The node's monotonic clock, in microseconds. Only nodes of one machine share it.
         at: u64,
     },
-    /// An action of one of its threads ended.
+    /// An action of one of the script's threads ended.
     Acted {
-        /// The thread.
+        /// The thread of the script that acted.
         level: u8,
         /// Whether the action succeeded.
         ok: bool,
         /// The action's result.
         value: i32,
     },
-    /// A nondeterministic choice was made for it.
+    /// A nondeterministic choice was made for the script.
     Chosen(u16),
-    /// It does nothing more, because its node stops.
+    /// The script does nothing more, because its node stops.
     Stopped,
 }
 

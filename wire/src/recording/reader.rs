@@ -15,7 +15,7 @@ const STEP: usize = 64 * 1024;
 pub struct ReadError {
     /// Offset of the record that cannot be read, or zero for the file's first bytes.
     pub offset: u64,
-    /// The cause.
+    /// The cause of the error.
     pub cause: Cause,
 }
 
@@ -25,7 +25,7 @@ pub enum Cause {
     /// The first bytes are not those of a recording.
     #[error("not a recording")]
     NotARecording,
-    /// Its version is another one.
+    /// The recording has another version.
     #[error("a recording of version {0}, this program reads {VERSION}")]
     Version(u16),
     /// The first record is not a header, or is cut off.
@@ -54,11 +54,11 @@ pub enum Cause {
 /// How the part of a recording that was read ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ending {
-    /// It has an end record.
+    /// The recording has an end record.
     Ended,
-    /// It stops after a whole record: its writer still runs, or was killed.
+    /// The recording stops after a whole record: its writer still runs, or was killed.
     Open,
-    /// It stops within a record: its writer still runs or was killed, or the medium was full.
+    /// The recording stops within a record: its writer still runs or was killed, or the medium was full.
     Torn {
         /// Offset at which the last whole record ends.
         offset: u64,
@@ -119,7 +119,7 @@ impl<R: Read> RecordingReader<R> {
         self.offset
     }
 
-    /// How the recording ends. Meaningful once [`next_record`](Self::next_record) has returned `None`.
+    /// How the recording ends. This is meaningful once [`next_record`](Self::next_record) has returned `None`.
     pub const fn ending(&self) -> Ending {
         match (self.ended, self.at == self.bytes.len()) {
             (true, _) => Ending::Ended,

@@ -14,9 +14,9 @@ use thiserror::Error;
 pub enum Shown {
     /// A node introduced itself.
     Attached {
-        /// The version of its frames.
+        /// The version of the node's frames.
         version: Version,
-        /// Its introduction.
+        /// The node's introduction.
         hello: Hello,
     },
     /// The node sent a frame.
@@ -69,9 +69,9 @@ pub struct Step {
     pub number: u32,
     /// Ticks since the start.
     pub tick: u64,
-    /// Whether a fault occurs in it, or the finding itself.
+    /// Whether a fault occurs in the step, or the finding itself.
     pub odd: bool,
-    /// What happened, in words, in order.
+    /// What happened in the step, in words, in order.
     pub happened: Vec<String>,
     /// The activity of each task after the step.
     pub tasks: Vec<Doing>,
@@ -80,18 +80,18 @@ pub struct Step {
 /// The activity of a task.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Doing {
-    /// The task.
+    /// The task that has this activity.
     pub task: TaskId,
     /// A description in words.
     pub text: String,
-    /// The line of its statement, from 1.
+    /// The line of the task's statement, from 1.
     pub line: Option<u32>,
 }
 
 /// Why a frame of a recording cannot be decoded.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ShownError {
-    /// It is not a frame of this version.
+    /// The bytes are not a frame of this version.
     #[error(transparent)]
     Decode(#[from] DecodeError),
     /// The recorded node used another version of the protocol.

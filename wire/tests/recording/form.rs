@@ -203,7 +203,7 @@ fn records_out_of_place_are_refused() {
     assert!(matches!(writer.append(&too_long), Err(WriteError::TooLong(_))));
 }
 
-/// A file that grows while it is read.
+/// A file that another thread extends while it is read.
 struct Growing(Arc<Mutex<Vec<u8>>>, usize);
 
 impl Read for Growing {
@@ -244,7 +244,7 @@ proptest! {
     #[test]
     fn contents_behind_a_right_checksum_are_read_or_refused(contents in proptest::collection::vec(any::<u8>(), 0..100)) {
         let mut file = written(&[Record::Frame { source: 0, at: 0, bytes: contents.clone() }]);
-        // The same file with one record of arbitrary contents.
+        // This file is the same except for one record of arbitrary contents.
         file.truncate(usize::try_from(boundaries(&[])[1]).unwrap());
         let length = u32::try_from(contents.len()).unwrap().to_le_bytes();
         let crc = crc::Crc::<u32>::new(&crc::CRC_32_MEF);

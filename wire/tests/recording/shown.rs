@@ -12,7 +12,7 @@ fn hello(schema: u32) -> Hello {
 /// The schema of the released programs that speak version 1.0.
 const SCHEMA_1_0: u32 = 0x3723_afbb;
 
-/// One of each kind.
+/// One value of each kind of [`Shown`].
 fn every() -> [Shown; 5] {
     let place = Some(Place { line: 3, column: 4, text: "send a;".into() });
     let story = Story {

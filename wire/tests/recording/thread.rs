@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 /// A time limit far above what any test needs on a busy machine.
 const PATIENCE: Duration = Duration::from_secs(120);
 
-/// A simulated disk with a size. It may need a token for each write.
+/// A simulated disk of limited size. It may need a token for each write.
 struct Disk {
     bytes: Arc<Mutex<Vec<u8>>>,
     size: usize,
@@ -31,7 +31,7 @@ impl Disk {
     fn held_back(mut self) -> (Self, Sender<()>) {
         let (give, tokens) = channel();
         self.tokens = Some(tokens);
-        // For the header.
+        // This token lets the header be written.
         give.send(()).unwrap();
         (self, give)
     }
@@ -113,10 +113,11 @@ fn what_is_handed_over_is_on_disk_soon_without_a_stop() {
     }
 }
 
-/// Numbers that another thread left for the writing thread.
+/// A source of numbers that another thread leaves for the writing thread.
 struct Numbers {
     waiting: Arc<Mutex<Vec<u64>>>,
-    /// Added right after the first pass that finds nothing, so the writing thread parks without seeing it.
+    /// A number that is added right after the first pass that finds nothing, so that the writing thread parks without seeing
+    /// it.
     missed: Option<u64>,
 }
 
@@ -147,9 +148,10 @@ fn a_source_is_emptied_soon_and_once_more_at_the_end() {
     let (waiting, alert) = (Arc::clone(&numbers.waiting), recording.alert());
     let on_disk = || read(&bytes.lock().unwrap()).0.len();
     recording.attach(Box::new(numbers));
-    // The writer may be parked without a source yet. This call makes it find 0, and its next pass finds nothing.
+    // The writer may already be parked without a source. This call makes the writer find 0; its next pass then finds
+    // nothing.
     assert!(alert.call());
-    // No call reports the 1, but the writer finds it.
+    // The producer does not call the writer for the 1, and the writer finds it nevertheless.
     wait_for("a record on disk", || on_disk() == 2);
     wait_for("the writer to sleep", || alert.is_due());
     waiting.lock().unwrap().push(2);
@@ -172,7 +174,7 @@ fn a_slow_disk_makes_a_gap_and_never_a_wait() {
     let recording = Recording::start(disk, &header(), 8, no_failure).unwrap();
     let (mut stream, mut other) = (recording.frames(0), recording.frames(1));
     assert!(stream.frame(0, Vec::new()));
-    // Before the writer is stuck, it could drain the full queue once more.
+    // The writer may drain the full queue once more before it is stuck.
     wait_for("the writer to be stuck", || stuck.load(Ordering::Acquire));
     let mut number = 1;
     let start = Instant::now();

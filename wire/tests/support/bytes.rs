@@ -39,7 +39,7 @@ fn server(bytes: &[u8]) -> Option<ServerFrame> {
     Some(frame)
 }
 
-/// Encoding and decoding a value again gives the same value.
+/// Checks that encoding a value and decoding it gives the same value.
 fn again<T: Serialize + PartialEq + std::fmt::Debug>(value: &T, decode: impl FnOnce(&[u8]) -> T) {
     let bytes = postcard::to_allocvec(value).expect("a value that can be encoded");
     assert_eq!(decode(&bytes), *value);
@@ -50,7 +50,7 @@ fn change(state: &mut Snapshot, delta: &Delta) {
     let before = state.clone();
     if state.apply(delta).is_err() {
         assert_eq!(*state, before);
-        // The same delta with this state as its base.
+        // Apply the same delta again, with this state as its base.
         let delta = Delta { base_us: delta.base_us.map(|_| state.mono_us), ..delta.clone() };
         if state.apply(&delta).is_err() {
             assert_eq!(*state, before);

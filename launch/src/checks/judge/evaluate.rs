@@ -8,11 +8,12 @@ use imrs_language::lower::CheckKind;
 use imrs_protocol::script::{Predicate, Term, Type, eval};
 use imrs_protocol::{PortId, Round, TaskId};
 
-/// Up to so many unknown truth values a check is still evaluated, with each of them true and false.
+/// A check with at most this many unknown truth values is evaluated all the same, once for each combination of true and
+/// false.
 const MOST_OPEN: usize = 6;
 
 impl Judge<'_> {
-    /// Evaluates all checks at this instant.
+    /// Evaluates all checks at this instant, and notes breaks.
     pub(super) fn look(&mut self, now: u64) {
         let loaded = self.loaded;
         for (at, check) in loaded.checks.iter().enumerate() {
@@ -66,7 +67,7 @@ impl Judge<'_> {
 
     /// Whether an expression is true; `None` if that is not known.
     fn is(&self, terms: &[Term]) -> Option<bool> {
-        // The unknown truth values. Bit `i` of `case` is the value that the `i`-th of them is assumed to have.
+        // Each truth value that is not known. Bit `i` of `case` is the value that the `i`-th of them is assumed to have.
         let (mut open, mut case, mut found) = (Vec::new(), 0_u64, None);
         loop {
             let mut known = true;
@@ -79,7 +80,7 @@ impl Judge<'_> {
                 known &= value.is_some() || bit.is_some_and(|bit| bit < MOST_OPEN);
                 value.or_else(|| bit.map(|bit| i64::from(case >> bit.min(MOST_OPEN) & 1 == 1)))
             });
-            // As in the checker, an expression that cannot be computed is not true.
+            // As in the checker, an expression that cannot be computed counts as false.
             let value = value.is_ok_and(|value| value != 0);
             if !known || found.replace(value).is_some_and(|before| before != value) {
                 return None;
@@ -91,7 +92,7 @@ impl Judge<'_> {
         }
     }
 
-    /// Whether a term is an unknown truth value. The check may still have the same result with both values.
+    /// Whether a term is a truth value that is not known. The check may still have the same result with both values.
     fn is_in_doubt(&self, term: Term) -> bool {
         if let Term::Of { task, variable } = term {
             let program = self.loaded.program(task);
@@ -103,7 +104,7 @@ impl Judge<'_> {
         of(&self.loaded.table, term).into_iter().any(|(task, _)| self.doubt_of(task).is_some())
     }
 
-    /// Why values in an expression are not known.
+    /// The reasons for which values in an expression are not known.
     fn doubts(&self, terms: &[Term]) -> impl Iterator<Item = Doubt> {
         let unknown = terms.iter().filter(|term| self.value(**term).is_none());
         let tasks = unknown.flat_map(|term| of(&self.loaded.table, *term)).map(|(task, _)| task);
@@ -127,7 +128,8 @@ impl Judge<'_> {
     }
 
     fn seen(&self, task: TaskId, ask: Ask) -> Option<i64> {
-        // Whatever the node reported last, and even if it is dead, the command may still move the robot.
+        // A command that no task controls may still move the robot, whatever the node reported last, and even if the node is
+        // dead.
         if self.vouched.has_orphan(task) {
             return None;
         }
@@ -166,8 +168,8 @@ impl Judge<'_> {
     }
 }
 
-/// The values of a task on a dead node, as in the checker: initial variables, no activity. Whether it still counts as arrived
-/// is unknown, because the others may have moved on.
+/// The values of a task on a dead node, as in the checker: initial variables, no activity. Whether the task still counts as
+/// arrived is unknown, because the other members may have moved on.
 pub(super) fn dead(loaded: &Loaded, (task, asks): (TaskId, &[Ask])) -> Vec<Option<i64>> {
     let program = loaded.program(task);
     let value = |ask: &Ask| match ask {

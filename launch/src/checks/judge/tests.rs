@@ -69,13 +69,14 @@ fn what_should_come_may_be_a_tick_late_and_the_end_of_the_run_is_no_end_of_waiti
 #[test]
 fn after_its_last_words_nothing_is_known_of_a_killed_node_until_it_is_dead() {
     let loaded = loaded();
-    // The node of b had reported everything before 300. Its change at 350 is dropped: others since 300 may be missing.
+    // The node of b had reported everything before 300. The change at 350 is dropped, because other changes since 300 may be
+    // missing.
     let mut judge = judge(&loaded, &[(100, 1, 1), (350, 1, 1), (310, 0, 1)]);
     judge.told(NodeId(0), 10_000);
     judge.told(NodeId(1), 300);
     judge.killed(NodeId(1), 400);
     judge.gone(NodeId(1));
-    // A dead task has its initial variables, so b.y stays false from then on.
+    // A dead task has its initial variables, so `b.y` stays false from then on.
     assert_eq!(broken(&mut judge), [(1, 400 + 5_000 + 1_000 + READING)]);
 }
 
@@ -105,7 +106,7 @@ fn after_a_kill(notices: &[Notice]) -> serde_json::Value {
 fn a_killed_node_is_not_dead_before_the_end_of_its_command_is_confirmed() {
     let told = after_a_kill(&[began("b", 200), ended("b", 450)]);
     assert_eq!((&told["outcome"], &told["unvouched"]), (&"held".into(), &serde_json::Value::Null), "{told}");
-    // Only the time counts in which the check depends on `b`: from when `a.x` is true.
+    // Only the time in which the check depends on `b` counts: from the instant at which `a.x` is true.
     for (last, seconds) in [(Some(ended("b", 900)), 0.0003), (None, 0.0044)] {
         let notices: Vec<Notice> = [began("b", 200)].into_iter().chain(last).collect();
         let told = after_a_kill(&notices);
@@ -113,7 +114,7 @@ fn a_killed_node_is_not_dead_before_the_end_of_its_command_is_confirmed() {
         assert_eq!(told["unvouched"]["seconds"], seconds, "{told}");
         assert_eq!(told["unvouched"]["why"], "the command of `b` was not confirmed to have ended");
     }
-    // A command of which the node told just before its death, and a command that ended in time.
+    // First a command that the node reported just before its death; then a command that ended in time.
     assert_eq!(after_a_kill(&[began("b", 410)])["outcome"], "unknown");
     assert_eq!(after_a_kill(&[began("b", 200), ended("b", 350)])["outcome"], "held");
 }

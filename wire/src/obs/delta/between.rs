@@ -15,7 +15,7 @@ impl Delta {
         Self { base_us: None, ..Self::between(&Snapshot::default(), new) }
     }
 
-    /// Whether it contains a whole snapshot, and needs no previous one.
+    /// Whether the delta contains a whole snapshot, and needs no previous one.
     #[must_use]
     pub const fn is_whole(&self) -> bool {
         self.base_us.is_none()

@@ -21,14 +21,14 @@ const COUNTERS: usize = 11;
 pub struct At<T> {
     /// How many unchanged elements lie between the previous changed one and this one.
     pub skip: u32,
-    /// What changed.
+    /// The changed element.
     pub what: T,
 }
 
 /// The change of a list.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Changed<P, W> {
-    /// It has as many elements as before, and these changed.
+    /// The list has as many elements as before, and these changed.
     Parts(Vec<At<P>>),
     /// The whole new list.
     Whole(Vec<W>),
@@ -42,21 +42,21 @@ pub struct Delta {
     pub base_us: Option<u64>,
     /// The time between the two samples, in microseconds; for a whole delta, the time since the origin of the clock.
     pub passed_us: u64,
-    /// The fields of a node that belong to no part, if they changed.
+    /// The fields of the node that belong to no part, if they changed.
     pub node: Option<NodeFacts>,
-    /// Its tasks.
+    /// The node's tasks.
     pub tasks: Changed<TaskChange, TaskAnew>,
     /// By how much the transit buffer's own time advanced, in microseconds.
     pub transit_passed_us: u64,
     /// The transit buffer, if more than its time changed.
     pub transit: Option<TransitView>,
-    /// The Timer's entries, if more than their time changed.
+    /// The entries of the node's Timer, if more than their remaining times changed.
     pub timers: Option<Vec<TimerEntry>>,
-    /// Its links.
+    /// The entries of the node's Timer, if more than their time changed.
     pub links: Changed<LinkView, LinkView>,
-    /// By how much the counters of messages that its state machines dropped grew.
+    /// By how much the counters of the messages that the node's state machines dropped have grown.
     pub discards: Changed<u64, Count>,
-    /// By how much the counters of drops at its links grew.
+    /// By how much the counters of drops at the node's links have grown.
     pub link_discards: Changed<u64, Count>,
 }
 
@@ -76,7 +76,7 @@ pub struct NodeFacts {
 pub enum TaskChange {
     /// Some of its parts changed.
     Parts(TaskParts),
-    /// Its identity, its ports or the number of its meetings differ from before.
+    /// The task's identity, its ports or the number of its meetings differ from before.
     Anew(TaskAnew),
 }
 
@@ -85,13 +85,13 @@ pub enum TaskChange {
 pub struct TaskParts {
     /// By how much the communication task's own time advanced, in microseconds.
     pub passed_us: u64,
-    /// Its liveness, if that changed.
+    /// The task's liveness, if that changed.
     pub liveness: Option<Liveness>,
-    /// Its state, if more than the time changed.
+    /// The task's state, if more than the time changed.
     pub state: Option<TaskState>,
-    /// Its ports.
+    /// The task's ports.
     pub ports: Vec<At<PortChange>>,
-    /// Its `waitfor` ports.
+    /// The task's `waitfor` ports.
     pub meetings: Vec<At<MeetingView>>,
 }
 
@@ -100,9 +100,9 @@ pub struct TaskParts {
 pub struct PortChange {
     /// A bit for each counter that grew, in the order of [`PortCounters`](imrs_protocol::PortCounters), lowest bit first.
     pub grown: u16,
-    /// By how much each of those grew.
+    /// By how much each of the counters in `grown` grew.
     pub by: Vec<u64>,
-    /// Its queue, if more than the time changed.
+    /// The port's queue, if more than the time changed.
     pub waiting: Option<Waiting>,
 }
 
@@ -126,7 +126,7 @@ pub struct TaskAnew {
 /// The whole state of a port, independent of the previous snapshot.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PortAnew {
-    /// Its number minus that of the previous port (0 for the first), with wrap-around.
+    /// The port's number minus that of the previous port (0 for the first), with wrap-around.
     pub further: u16,
     /// [`PortView::usage`](imrs_protocol::PortView::usage).
     pub usage: Usage,
@@ -134,7 +134,7 @@ pub struct PortAnew {
     pub class: Class,
     /// [`PortView::capacity`](imrs_protocol::PortView::capacity).
     pub capacity: u16,
-    /// Its difference from a port that was never used.
+    /// The port's difference from a port that was never used.
     pub change: PortChange,
 }
 
@@ -152,7 +152,7 @@ pub struct Waiting {
 /// Why a delta cannot be applied. The snapshot stays unchanged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
 pub enum DeltaError {
-    /// It applies to another snapshot.
+    /// The delta applies to another snapshot.
     #[error("a change of the snapshot at {wanted} us, the last one is of {have} us")]
     OtherBase {
         /// The sample time of the snapshot to which it applies, in microseconds.
@@ -160,7 +160,7 @@ pub enum DeltaError {
         /// The sample time of the present snapshot, in microseconds.
         have: u64,
     },
-    /// It changes a part that the snapshot does not have.
+    /// The delta changes a part that the snapshot does not have.
     #[error("a change of something that the snapshot does not have")]
     NoSuchPart,
     /// The number of growths differs from the number of counters named, or a named counter does not exist.
