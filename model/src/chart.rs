@@ -13,10 +13,10 @@ use imrs_protocol::{Call, Control, Event, Kind, Observation, Outcome, Packet, Po
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// A shortest path to a violation.
+/// A shortest path to a violation of a claim.
 #[derive(Clone, Debug, Serialize)]
 pub struct Counterexample {
-    /// How many steps it has.
+    /// How many steps the path has.
     pub length: u32,
     /// The steps in words.
     pub steps: Vec<String>,
@@ -27,15 +27,15 @@ pub struct Counterexample {
 /// A line of a chart, not yet drawn. Lanes are positions among the chart's names.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Note {
-    /// Something happens at a lane.
+    /// Something happens at one task, on its lane.
     Event {
         /// Ticks since the start.
         tick: u32,
-        /// The lane.
+        /// The number of the lane in which the event stands.
         lane: usize,
         /// What happens.
         text: String,
-        /// The line of the cell's source text that it belongs to, from 1.
+        /// The line of the cell's source text to which the event belongs, from 1.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         line: Option<u32>,
     },
@@ -56,7 +56,7 @@ pub enum Note {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         line: Option<u32>,
     },
-    /// Something that happens at no lane.
+    /// Something happens that belongs to no lane.
     Remark {
         /// Ticks since the start.
         tick: u32,
@@ -72,7 +72,7 @@ impl Note {
         *tick
     }
 
-    /// The line of the cell's source text that it belongs to.
+    /// The line of the cell's source text to which the note belongs; none if it belongs to none.
     pub(crate) const fn line(&self) -> Option<u32> {
         match self {
             Self::Event { line, .. } | Self::Packet { line, .. } => *line,
@@ -80,7 +80,7 @@ impl Note {
         }
     }
 
-    /// Adds what the cell's source text says of the note: its line, and values behind the words.
+    /// Adds to the note what the cell's source text says: the line `of`, and the values behind the words.
     pub(crate) fn explain(&mut self, of: Option<u32>, values: Option<&str>) {
         let (Self::Event { text, line, .. } | Self::Packet { label: text, line, .. }) = self else { return };
         *line = of;
@@ -104,7 +104,7 @@ impl Note {
     }
 }
 
-/// Words for what became of a packet.
+/// Words for the outcome of a packet.
 fn outcome_words(outcome: &str) -> &str {
     match outcome {
         "LOST" => "is LOST",
@@ -115,13 +115,14 @@ fn outcome_words(outcome: &str) -> &str {
     }
 }
 
-/// Draws the path of an exploration; `None` where it found no violation.
+/// Draws the path to the violation that an exploration found; `None` if it found none.
 #[must_use]
 pub fn draw(scenario: &Arc<Scenario>, exploration: &Exploration) -> Option<Counterexample> {
     conclude(exploration, |states| walk(scenario, states))
 }
 
-/// Draws the path of an exploration as `walk` records it; `None` where it found no violation.
+/// Draws the path to the violation that an exploration found, with `walk` as the recorder of its steps; `None` if it found
+/// none.
 pub(crate) fn conclude<A>(
     exploration: &Exploration<A>,
     walk: impl FnOnce(&[Packed]) -> Option<ChartRecorder>,
@@ -132,7 +133,7 @@ pub(crate) fn conclude<A>(
     Some(walk(states)?.conclude(violation.text(), length))
 }
 
-/// Draws a path. `None` where its states do not follow from each other.
+/// Records a path as notes. `None` if one of its states does not follow from the one before.
 pub(crate) fn walk(scenario: &Arc<Scenario>, states: &[Packed]) -> Option<ChartRecorder> {
     let mut recorder = recorder(scenario);
     let mut world = World::new(scenario);
@@ -163,7 +164,7 @@ fn carried_by(world: &World, action: Action) -> Option<InFlight> {
     }
 }
 
-/// Draws one step from a packed state. Members stand where the packed state has them.
+/// Records one step from a packed state. Each member gets the lane of its position in that state.
 pub(crate) fn one_step(scenario: &Arc<Scenario>, state: &Packed, action: Action) -> ChartRecorder {
     let (mut recorder, mut world) = (recorder(scenario), World::new(scenario));
     world.load(state, None);
@@ -175,8 +176,8 @@ pub(crate) fn one_step(scenario: &Arc<Scenario>, state: &Packed, action: Action)
     recorder
 }
 
-/// The step of `world` whose canonical result is `target`. States on a path have their members sorted, but a chart
-/// must keep each member's name: so the path is walked again without sorting.
+/// The step of `world` whose canonical result is `target`. The states on a path have their members sorted, but in a chart
+/// each member must keep its name. So the path is walked again without sorting.
 fn concrete_step(world: &World, target: &Packed) -> Option<(Action, World)> {
     let mut actions = Vec::new();
     world.actions(&mut actions);
@@ -193,12 +194,12 @@ fn concrete_step(world: &World, target: &Packed) -> Option<(Action, World)> {
     })
 }
 
-/// Records what happens as notes, with a lane for each name.
+/// Records a run as notes, with a lane for each name.
 pub(crate) struct ChartRecorder {
     names: Vec<String>,
-    /// Names of the ports, by port; empty if notes name no ports.
+    /// The names of the ports, in the order of their ids; empty if notes name no ports.
     ports: Vec<String>,
-    /// Names of each task's timers, by task; empty if notes name no timers.
+    /// The names of each task's timers, in the order of the tasks; empty if notes name no timers.
     timers: Vec<Vec<String>>,
     /// The notes recorded so far.
     pub notes: Vec<Note>,
@@ -224,7 +225,7 @@ impl ChartRecorder {
         &self.ports
     }
 
-    /// Adds an event at a lane. An event that repeats the last note is left out.
+    /// Adds an event at a lane. An event that repeats the previous note is left out.
     pub fn event(&mut self, tick: u32, lane: usize, text: &str) {
         let same = |note: &Note| matches!(note, Note::Event { tick: t, lane: l, text: x, .. } if (*t, *l, &x[..]) == (tick, lane, text));
         if !self.notes.last().is_some_and(same) {
@@ -265,7 +266,7 @@ impl ChartRecorder {
         }
     }
 
-    /// Adds what a step showed of a task.
+    /// Adds what a step showed about a task.
     pub fn shown(&mut self, tick: u32, lane: usize, shown: &Shown) {
         let text = match shown {
             Shown::Seen(seen) => self.told(seen),
@@ -321,7 +322,7 @@ impl ChartRecorder {
     }
 }
 
-/// A message or a round, with the name of its port if ports have names.
+/// A message or a round as text, with the name of its port if ports have names.
 fn named(port: PortId, ports: &[String], what: std::fmt::Arguments<'_>) -> String {
     match ports.get(port.index()) {
         Some(name) => format!("{name} {what}"),
@@ -368,7 +369,7 @@ fn said(signal: &Signal, ports: &[String], timers: &[String]) -> Option<String> 
             Some(name) => format!("timer {name} ends, its handler runs"),
             None => "a timer ends, its handler runs".into(),
         }),
-        // The event before it says that the task is fenced or takes over.
+        // The previous event already says that the task is fenced or takes over.
         Signal::Interrupt(Call::Fenced | Call::TakeOver(_)) => Some("is interrupted".into()),
         Signal::Fault(fault) => Some(format!("gets an error: {fault}")),
         _ => None,

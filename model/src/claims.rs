@@ -24,10 +24,10 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
-/// What to verify, and with which resources.
+/// Which claims to settle, and with which resources.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// Whether to take the large bounds.
+    /// Whether to search within the large bounds.
     pub full: bool,
     /// The only claim to settle; `None`: all.
     pub claim: Option<String>,
@@ -53,7 +53,7 @@ pub trait Progress: Sync {
     }
 }
 
-/// Ignores progress.
+/// A [`Progress`] that ignores everything.
 #[derive(Clone, Copy, Debug)]
 pub struct Silent;
 
@@ -66,7 +66,7 @@ pub(crate) struct Claim {
     pub parties: u32,
     pub about: &'static str,
     pub expect: Outcome,
-    /// Whether it belongs to the quick run.
+    /// Whether the claim belongs to the quick run.
     pub smoke: bool,
     pub settle: Box<dyn Fn(&mut Work<'_>) -> Settled + Send + Sync>,
 }
@@ -77,25 +77,26 @@ pub(crate) struct Settled {
     pub bounds: Bounds,
     pub found: Found,
     pub counterexample: Option<Counterexample>,
-    /// Whether the claim's own checks passed: numbers were found, and it does not hold vacuously.
+    /// Whether the claim's own checks passed: the search found every number that it looks for, and the claim does not hold
+    /// vacuously.
     pub sound: bool,
     /// A variant that the same search settled, and that must fail.
     pub variant: Option<Box<Variant>>,
 }
 
 impl Settled {
-    /// An outcome with nothing else to report.
+    /// The result of a search that found no numbers.
     fn new(outcome: Outcome, bounds: Bounds, counterexample: Option<Counterexample>) -> Self {
         Self { outcome, bounds, found: Found::NOTHING, counterexample, sound: true, variant: None }
     }
 
-    /// No search could settle the claim.
+    /// The result if no search could settle the claim.
     fn unsettled(bounds: Bounds) -> Self {
         Self { sound: false, ..Self::new(Outcome::Unknown, bounds, None) }
     }
 }
 
-/// A variant that another claim's search settles.
+/// A variant of a claim that the search of another claim settles, too.
 pub(crate) struct Variant {
     pub rule: &'static str,
     pub about: &'static str,
@@ -103,7 +104,7 @@ pub(crate) struct Variant {
     pub counts: Counts,
 }
 
-/// How much was explored.
+/// How much the searches explored.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Counts {
     states: u64,
@@ -135,9 +136,9 @@ pub(crate) enum Explored {
     CellState(Arc<CellScenario>),
 }
 
-/// The first state space that the rows of a claim explore.
+/// The first state space that is explored for a claim.
 pub(crate) fn first_explored(name: &str) -> Option<Explored> {
-    // One state is enough to know which state space it is.
+    // One state is enough to find out which state space is explored first.
     let limits = Limits { states: 1, ..Limits::default() };
     all().into_iter().filter(|claim| claim.name == name).find_map(|claim| {
         let mut work =
@@ -178,7 +179,7 @@ impl Work<'_> {
         self.progress.states(self.name, self.counts.states);
     }
 
-    /// Explores a cell: the outcome, and the counterexample if there is one.
+    /// Explores a whole cell. Returns the outcome, and the counterexample if there is one.
     pub fn judge_cell_state(&mut self, plan: &Arc<CellScenario>) -> (Outcome, Option<Counterexample>) {
         self.first.get_or_insert_with(|| Explored::CellState(Arc::clone(plan)));
         let found = explore_cell_state(plan, self.limits);
@@ -201,14 +202,14 @@ impl Work<'_> {
         (result, counts)
     }
 
-    /// Explores a scenario: the outcome, and the counterexample if there is one.
+    /// Explores a scenario. Returns the outcome, and the counterexample if there is one.
     pub fn judge(&mut self, scenario: &Arc<Scenario>) -> (Outcome, Option<Counterexample>) {
         let found = self.explore(scenario);
         (outcome(&found), unless_it_panics(|| draw(scenario, &found)))
     }
 }
 
-/// Draws a chart, for which the transitions of a counterexample are made again; `None` if the last of them panics.
+/// Draws the chart of a counterexample, which repeats its transitions; `None` if the last transition panics.
 pub(crate) fn unless_it_panics<T>(draw: impl FnOnce() -> Option<T>) -> Option<T> {
     catch_unwind(AssertUnwindSafe(draw)).unwrap_or(None)
 }
@@ -273,7 +274,7 @@ fn take<'a>(claims: &'a [Claim], next: &AtomicUsize) -> Option<(usize, &'a Claim
     claims.get(at).map(|claim| (at, claim))
 }
 
-/// Settles a claim, and the variant that the same search settles.
+/// Settles a claim, and the variant that the same search settles, if there is one.
 fn settle(claim: &Claim, limits: Limits, progress: &dyn Progress) -> Vec<Verdict> {
     progress.started(claim.name, claim.rule, claim.parties);
     let mut work = Work { first: None, name: claim.name, limits, progress, counts: Counts::NONE };

@@ -1,4 +1,4 @@
-//! The search of a state space: stateright's breadth-first search, and what stateright 0.31 leaves to its user.
+//! The search of a state space: stateright's breadth-first search, with the parts that stateright 0.31 leaves to its user.
 //!
 //! There is one property and one thread, so the first counterexample is a shortest one (with several properties
 //! stateright would replace it by a later, longer one). A search cannot be cancelled: when its budget ends, no more
@@ -17,9 +17,9 @@ use std::time::Instant;
 /// Limits of an exploration.
 #[derive(Clone, Copy, Debug)]
 pub struct Limits {
-    /// Most states to expand.
+    /// Most states that are expanded.
     pub states: u64,
-    /// Resident memory of the whole process, in bytes.
+    /// Most resident memory of the whole process, in bytes.
     pub memory: u64,
 }
 
@@ -42,7 +42,7 @@ pub struct Exploration<A = Action> {
     pub states: u64,
     /// Transitions taken.
     pub transitions: u64,
-    /// The depth: the longest shortest path from the initial state.
+    /// The depth of the state space: the length of the longest shortest path from the initial state.
     pub depth: u64,
     /// Whether everything within the bounds was explored, or a violation found.
     pub complete: bool,
@@ -63,11 +63,11 @@ pub(crate) trait Ground: Send {
     fn actions(&mut self, state: &Packed, actions: &mut Vec<Self::Action>);
     /// The state after a transition. May panic if the machine does.
     fn step(&mut self, state: &Packed, action: Self::Action) -> Packed;
-    /// Makes the pad fit for use again after a panic.
+    /// Repairs the scratch pad after a panic, so that it can be used again.
     fn renew(&mut self);
 }
 
-/// Receives progress: the number of states expanded.
+/// Receives the progress of a search: the number of states expanded.
 pub(crate) type Hear = Arc<dyn Fn(u64) + Send + Sync>;
 
 /// A state space as a stateright model.
@@ -81,11 +81,11 @@ pub(crate) struct Grounded<G> {
     progress: Option<Hear>,
 }
 
-/// States between two looks at the memory, and between two reports of progress.
+/// How many states are expanded between two looks at the memory, and between two reports of progress.
 const LOOK: u64 = 8192;
 
 impl<G: Ground> Grounded<G> {
-    /// The model over a scratch pad.
+    /// The stateright model over a scratch pad.
     pub fn new(pad: G, limits: Limits, progress: Option<Hear>) -> Self {
         Self {
             scratch: Mutex::new(pad),
@@ -154,7 +154,8 @@ impl<G: Ground> Model for Grounded<G> {
     }
 }
 
-/// Makes a public type over a [`Grounded`] state space a stateright model, without showing the type of the scratch pad.
+/// Implements stateright's model for a public type that wraps a [`Grounded`] state space, without showing the type of the
+/// scratch pad.
 macro_rules! shows_its_ground {
     ($model:ty, $action:ty) => {
         impl stateright::Model for $model {
@@ -245,7 +246,7 @@ enum Touch {
     Destination,
 }
 
-/// Which nodes a transition needs unpacked: only one, if neither the property nor a reduction looks at others.
+/// Which nodes must be unpacked for a transition: only one, if neither the property nor a reduction looks at other nodes.
 fn touched(scenario: &Scenario, action: Action) -> Touch {
     let local = scenario.is_meeting()
         && !scenario.reductions.ignores
@@ -264,7 +265,7 @@ fn touched(scenario: &Scenario, action: Action) -> Touch {
 pub struct WorldModel(Grounded<World>);
 
 impl WorldModel {
-    /// The model of a scenario.
+    /// The stateright model of a scenario.
     #[must_use]
     pub fn new(scenario: &Arc<Scenario>, limits: Limits) -> Self {
         Self(Grounded::new(World::new(scenario), limits, None))
@@ -280,7 +281,7 @@ impl WorldModel {
         })
     }
 
-    /// The state in which the member `order[k]` stands at position `k`.
+    /// The state with its members renamed: the member `order[k]` stands at position `k`.
     #[doc(hidden)]
     #[must_use]
     pub fn renamed(&self, state: &Packed, order: &[usize]) -> Packed {
@@ -290,7 +291,7 @@ impl WorldModel {
         })
     }
 
-    /// The state without its turns. Just after a tick it is the same with and without that reduction.
+    /// The state with its turns forgotten. Just after a tick this is the same state with and without the reduction by turns.
     #[doc(hidden)]
     #[must_use]
     pub fn without_turns(&self, state: &Packed) -> Packed {
@@ -342,7 +343,7 @@ mod tests {
         let model = WorldModel::new(&scenario, Limits::default());
         let start = model.init_states().remove(0);
         let expected = model.next_state(&start, Action::Act(0));
-        // Without its nodes the world indexes past the end, as a fault of the machine would.
+        // A world without nodes indexes past the end, and so panics as a fault of the machine would.
         model.0.scratch.lock().expect("nobody panicked with it").nodes.clear();
         let broken = model.next_state(&start, Action::Act(0)).expect("a state in any case");
         assert_eq!(broken.violation(), Some(crate::Violation::Panic));

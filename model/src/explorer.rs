@@ -18,7 +18,7 @@ use std::sync::Arc;
 pub enum ExplorerError {
     /// The address is not loopback: the Explorer has no authentication.
     NotLoopback(SocketAddr),
-    /// The claim is settled without a search, or no claim has this name.
+    /// The claim is settled without a search, or no claim has the name.
     NothingToExplore,
     /// The address cannot be served.
     Unavailable(SocketAddr, io::Error),
@@ -53,10 +53,7 @@ impl Explorer {
         crate::claims::first_explored(name).map(Self).ok_or(ExplorerError::NothingToExplore)
     }
 
-    /// Serves the Explorer until the process ends. Calls `ready` with the address before. Port 0: any free port.
-    ///
-    /// # Errors
-    /// [`ExplorerError::NotLoopback`] and [`ExplorerError::Unavailable`].
+    /// Serves the Explorer until the process ends. Calls `ready` with the address first. Port 0 means any free port.
     pub fn serve(
         self,
         address: SocketAddr,
@@ -128,10 +125,10 @@ impl<G: Ground + 'static> Model for Drawn<G> {
         vec![Property::always("claim", |_, state: &Packed| state.violation().is_none())]
     }
 
-    /// Tells a step and its violation in words: the bytes of a state say nothing to a person.
+    /// A step and its violation in words, because the bytes of a state mean nothing to a person.
     fn format_step(&self, state: &Packed, action: G::Action) -> Option<String> {
         let wrong = self.next_state(state, action)?.violation();
-        // A step that panics has no notes; the violation below says that it panicked.
+        // A step that panics leaves no notes. The violation below says that it panicked.
         let recorder = catch_unwind(AssertUnwindSafe(|| (self.step)(state, action))).ok();
         let words = recorder
             .iter()

@@ -1,4 +1,4 @@
-//! Verdicts, as the command prints them and as JSON carries them.
+//! Verdicts on the claims, as the command prints them and as JSON contains them.
 
 use crate::chart::Counterexample;
 use serde::Serialize;
@@ -7,7 +7,7 @@ use serde::Serialize;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Outcome {
-    /// It holds in every state within the bounds.
+    /// The property holds in every state within the bounds.
     Holds,
     /// A counterexample was found.
     Fails,
@@ -15,18 +15,18 @@ pub enum Outcome {
     Unknown,
 }
 
-/// The bounds of a verdict.
+/// The bounds within which a claim was searched.
 #[derive(Clone, Copy, Debug, Default, Serialize)]
 pub struct Bounds {
-    /// Lost packets.
+    /// How many packets may be lost.
     pub loss: u32,
-    /// Duplicated packets.
+    /// How many packets may arrive twice.
     pub dup: u32,
     /// The longest link delay, in ticks; absent: no time passes, and packets arrive in any order.
     pub delay: Option<u32>,
-    /// Crashes.
+    /// How many crashes may happen.
     pub crash: u32,
-    /// Meetings that each member tries, or messages that are sent; absent: without limit.
+    /// How many meetings each member tries, or how many messages are sent; absent: without limit.
     pub rounds: Option<u32>,
     /// The time_out, in ticks; absent: no member gives up.
     pub time_out: Option<u64>,
@@ -47,7 +47,7 @@ pub struct Found {
     pub least_safe_margin: Option<u64>,
     /// The margin the compiler uses for the same bounds (D56).
     pub closed_form_margin: Option<u64>,
-    /// The closed form of a bound, in ticks.
+    /// The value of a bound by its closed form, in ticks.
     pub bound_ticks: Option<u64>,
     /// The least bound that the search found to be enough, in ticks.
     pub least_bound_ticks: Option<u64>,
@@ -56,7 +56,7 @@ pub struct Found {
 }
 
 impl Found {
-    /// No numbers.
+    /// No number was found.
     pub const NOTHING: Self = Self {
         least_losses_to_strand: None,
         least_losses_with_resending: None,
@@ -81,15 +81,15 @@ pub struct Verdict {
     pub about: String,
     /// The expected outcome.
     pub expect: Outcome,
-    /// The outcome.
+    /// The result of the exploration.
     pub outcome: Outcome,
-    /// Whether the outcome is the expected one, and every number searched for was found and is the pinned one.
+    /// Whether the outcome is the expected one, and the search found every number that it looked for, with the pinned value.
     pub as_expected: bool,
     /// The bounds of the verdict.
     pub bounds: Bounds,
     /// Distinct states, over all explorations of this verdict.
     pub states: u64,
-    /// Transitions, likewise.
+    /// Transitions, over all explorations of this verdict.
     pub transitions: u64,
     /// The depth: the longest of the shortest paths to a state.
     pub depth: u32,
@@ -114,7 +114,7 @@ pub struct Verdict {
 pub struct Report {
     /// The version of this format.
     pub version: u32,
-    /// The cell file; absent: the protocol's own claims.
+    /// The cell file; absent if the protocol's own claims were checked.
     pub cell: Option<String>,
     /// The verdicts, in the order of the claims.
     pub claims: Vec<Verdict>,
@@ -127,7 +127,7 @@ impl Report {
         self.claims.iter().all(|claim| claim.as_expected)
     }
 
-    /// Whether a budget ended an exploration.
+    /// Whether a budget ended an exploration before its verdict.
     #[must_use]
     pub fn cut(&self) -> bool {
         self.claims.iter().any(|claim| !claim.complete)

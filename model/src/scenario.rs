@@ -3,29 +3,29 @@
 use imrs_protocol::{CellTable, NodeId, NodeTable, PortId, TaskId};
 use std::sync::Arc;
 
-/// What a task may do whenever it is idle. It may also stay idle for any time, so every program that uses its port
-/// this way is covered.
+/// What a task may do whenever it is idle. The task may also stay idle for any time, so the search covers every program that
+/// uses the port in this way.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Behaviour {
-    /// Reaches the waitfor of a port.
+    /// The task reaches the waitfor of a port.
     Member {
-        /// The port.
+        /// The port of the rendezvous.
         port: PortId,
-        /// How many times at most; `None`: without limit.
+        /// How many times the task reaches it at most; `None`: without limit.
         attempts: Option<u8>,
     },
-    /// Sends commands or statuses on a port.
+    /// The task sends commands or statuses on a port.
     Sender {
-        /// The port.
+        /// The port through which the task sends.
         port: PortId,
-        /// How many at most.
+        /// How many messages the task sends at most.
         sends: u8,
     },
-    /// Receives from any of its ports and answers commands, each at any time.
+    /// The task receives from any of its ports and answers commands, each at any time.
     Receiver,
 }
 
-/// The property that is checked. Each belongs to one claim; a scenario checks one.
+/// The property that is checked. Each property belongs to one claim, and a scenario checks one of them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Watch {
     /// No member is released from a waitfor before all have arrived in its round.
@@ -42,14 +42,14 @@ pub enum Watch {
     Reachable,
     /// After the faults end, every member is released within this many attempts.
     MeetAgain {
-        /// How many attempts.
+        /// The number of attempts.
         attempts: u8,
     },
     /// No message is handed over after its sender's time_out.
     Stale,
-    /// Every command ends in one outcome within its time_out and one tick, never with another command's answer.
+    /// Every command ends with one outcome within its time_out and one tick, and never with the answer to another command.
     Resolves,
-    /// As `Resolves`, whenever the outcome comes: no command ends twice or with another command's answer.
+    /// The same without a time limit: no command ends twice, or with the answer to another command.
     ResolvesOnce,
     /// Every command ends with its answer.
     Answered,
@@ -63,15 +63,15 @@ pub enum Watch {
 /// How many faults a world may have.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Budget {
-    /// Lost packets.
+    /// How many packets may be lost.
     pub loss: u8,
-    /// Duplicated packets.
+    /// How many packets may be duplicated.
     pub dup: u8,
-    /// Crashes; a crashed node restarts at any time, or never.
+    /// How many nodes may crash; a crashed node restarts at any time, or never.
     pub crash: u8,
 }
 
-/// Deviations of time, beside link delays, which take any time up to the link's bound.
+/// Deviations of time that a scenario allows, beside link delays, which take any time up to the link's bound.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Timing {
     /// How many ticks above the link's bound a packet may be charged.
@@ -80,13 +80,13 @@ pub struct Timing {
     pub late: u8,
 }
 
-/// Which reductions of the state space are on. Without each of them the verdict is the same, and so is the length of
+/// Which reductions of the state space are on. With or without each of them the verdict is the same, and so is the length of
 /// the shortest counterexample (except for [`Watch::MeetAgain`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reductions {
-    /// Symmetry: members that are alike are sorted into a canonical order.
+    /// Symmetry: members that are alike are sorted, so that states which differ only in their order count as one.
     pub symmetry: bool,
-    /// Packets that no future can notice are dropped.
+    /// Packets that can have no effect in any future are dropped.
     pub ignores: bool,
     /// A packet is lost only at its last tick, because an earlier loss cannot be observed.
     pub lose_last: bool,
@@ -95,9 +95,9 @@ pub struct Reductions {
 }
 
 impl Reductions {
-    /// All of them.
+    /// All reductions are on.
     pub const ALL: Self = Self { symmetry: true, ignores: true, lose_last: true, turns: true };
-    /// None of them.
+    /// No reduction is on.
     pub const NONE: Self = Self { symmetry: false, ignores: false, lose_last: false, turns: false };
 }
 
@@ -110,11 +110,11 @@ pub struct Scenario {
     pub behaviours: Vec<Behaviour>,
     /// The longest link delay, in ticks; `None`: no time passes, and packets arrive in any order.
     pub delay: Option<u8>,
-    /// How many faults there may be.
+    /// The fault budgets.
     pub budget: Budget,
-    /// Deviations of time.
+    /// The deviations of time.
     pub timing: Timing,
-    /// After how many messages sequence numbers wrap (a variant); `None`: never.
+    /// A variant of the rules: after how many messages sequence numbers wrap; `None`: never.
     pub wrap: Option<u8>,
     /// The property that is checked.
     pub watch: Watch,
@@ -145,7 +145,7 @@ impl Scenario {
         self.cell.cell().tasks.get(task.index()).map_or("?", |t| &t.name)
     }
 
-    /// Whether all tasks are members of one waitfor port, the only port: then they are interchangeable.
+    /// Whether all tasks are members of one waitfor, on the only port. Then the tasks are interchangeable.
     #[must_use]
     pub fn is_meeting(&self) -> bool {
         self.behaviours.iter().all(|b| matches!(b, Behaviour::Member { .. })) && self.cell.ports().len() == 1

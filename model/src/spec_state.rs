@@ -1,4 +1,4 @@
-//! The specification state of a world: what its judge must remember and no task of the cell can see.
+//! The specification state of a world: what the judge of a property must remember and no task of the cell can see.
 
 use crate::scenario::{Behaviour, Scenario, Watch};
 use crate::state::Violation;
@@ -6,36 +6,38 @@ use imrs_protocol::{
     Contents, Event, Frame, MessageId, Observation, Outcome, Overflow, ReplyTo, Round, Seq24, Signal, TaskId,
 };
 
-/// The specification state of one task: rounds and counts that the property needs, and attempts or sends left.
+/// The specification state of one task: the rounds and counts that the property needs, and how many attempts or sends the
+/// task has left.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct SpecState {
-    /// Attempts or sends left; [`SpecState::ENDLESS`] for no limit.
+    /// How many attempts or sends the task has left; [`SpecState::ENDLESS`] for no limit.
     pub left: u8,
     /// The round that the task waits in.
     pub waits_in: Option<Round>,
     /// Rounds that the task announced: bit `i` stands for round `base + i`, with the base of [`Judge`].
     pub announced: u32,
-    /// Rounds from which the task was released, as bits in the same way.
+    /// Rounds from which the task was released: the same kind of bit mask as `announced`.
     pub released: u32,
-    /// Rounds that the task left without a release, as bits in the same way.
+    /// Rounds that the task left without a release: the same kind of bit mask as `announced`.
     pub gave_up: u32,
-    /// Rounds that another member had left when this node restarted: the new incarnation cannot meet it there.
+    /// Rounds that another member had left when this node restarted, so that the new incarnation cannot meet it there: the
+    /// same kind of bit mask.
     pub missed: u32,
-    /// How often the task reached and was released, and its last round (for pairing).
+    /// How often the task reached the waitfor, how often it was released, and its last round. For the property of pairing.
     pub reached: u8,
     pub releases: u8,
     pub last_released: Option<Round>,
-    /// Attempts since the faults ended, up to the first release since then.
+    /// How many attempts the task has made since the faults ended, up to its first release after that.
     pub since_heal: u8,
     /// Whether the task was released since the faults ended.
     pub met: bool,
     /// The command that the task must answer.
     pub serving: Option<ReplyTo>,
-    /// Ticks since its outstanding command was sent, or its wait at the waitfor began.
+    /// Ticks since the task's outstanding command was sent, or since its wait at the waitfor began.
     pub open: Option<u8>,
-    /// Bit `i`: its message `next - 1 - i` was handed over.
+    /// A bit mask: bit `i` says that the task's message `next - 1 - i` was handed over.
     pub executed: u8,
-    /// True remaining times of its status messages: `(sequence, ticks)`.
+    /// The true remaining times of the task's status messages: `(sequence, ticks)`.
     pub statuses: Vec<(Seq24, u8)>,
 }
 
@@ -62,13 +64,13 @@ fn bit(round: Round, base: Round) -> Result<u32, Violation> {
     1_u32.checked_shl(u32::from(round.steps_from(base))).ok_or(Violation::Overflow)
 }
 
-/// Judges what one step showed. `base` is the round that bit 0 of the masks stands for.
+/// Judges the effects of one step. `base` is the round for which bit 0 of the masks stands.
 pub(crate) struct Judge<'a> {
     pub scenario: &'a Scenario,
     pub spec_states: &'a mut [SpecState],
     pub healed: bool,
     pub base: Round,
-    /// Set when the property is shown: the state is then final.
+    /// Set when the property is shown to be reachable; the state is then final.
     pub done: bool,
 }
 
@@ -123,7 +125,7 @@ impl Judge<'_> {
                 let command = delivery.class == imrs_protocol::Class::Command;
                 if command {
                     self.spec_states[at.index()].serving = Some(delivery.from);
-                    // The contents identify the command, even where sequence numbers wrap.
+                    // The contents identify the command, even if sequence numbers wrap.
                     let left = delivery.contents.as_bytes().first().copied().unwrap_or(0);
                     let back = left.saturating_sub(self.spec_states[source.index()].left).saturating_add(1);
                     self.executed(source, back)?;
@@ -184,7 +186,7 @@ impl Judge<'_> {
         }
     }
 
-    /// Records a delivery: of the command that `source` sent `back - 1` commands before its last one.
+    /// Records that a command was handed over: the one that `source` sent `back - 1` commands before its last one.
     fn executed(&mut self, source: TaskId, back: u8) -> Result<(), Violation> {
         let bit = 1_u8.checked_shl(u32::from(back.saturating_sub(1))).ok_or(Violation::Overflow)?;
         let spec_state = &mut self.spec_states[source.index()];
@@ -211,7 +213,8 @@ impl Judge<'_> {
         }
     }
 
-    /// Judges all rounds after a step: no round may be released at one member and left without a release by another.
+    /// Judges all rounds after a step: if one member was released from a round, no member may leave that round without a
+    /// release.
     pub fn judge_round(&self) -> Result<(), Violation> {
         if self.scenario.watch != Watch::AllOrNone {
             return Ok(());
@@ -222,12 +225,12 @@ impl Judge<'_> {
     }
 }
 
-/// The contents of the command after which `left` sends remain. Its answer must repeat them.
+/// The contents of the command after which its sender has `left` sends left. The answer must repeat these contents.
 pub(crate) fn question(left: u8) -> Contents {
     Contents::new(&[left]).unwrap_or_default()
 }
 
-/// Packs what the property needs of the specification state of one task. `shift` is how far the base has moved.
+/// Packs the part of a task's specification state that the property needs. `shift` is how many rounds the base has moved.
 pub(crate) fn store(
     spec_state: &SpecState,
     watch: Watch,

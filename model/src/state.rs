@@ -1,4 +1,4 @@
-//! Packed states: what a search hashes and compares, one block of bytes each.
+//! Packed states, one block of bytes each: the searches hash and compare them.
 
 use std::fmt;
 
@@ -10,7 +10,7 @@ pub(crate) const HEADER: usize = 7;
 pub struct Packed(pub(crate) Box<[u8]>);
 
 impl Packed {
-    /// The violation, if there is one: the state is then absorbing.
+    /// The violation in the state, if there is one. Such a state is absorbing: no transition leaves it.
     #[must_use]
     pub fn violation(&self) -> Option<Violation> {
         Violation::from_code(self.0.first().copied().unwrap_or(0))
@@ -22,13 +22,13 @@ impl Packed {
         self.violation().is_some() || self.0.len() <= HEADER
     }
 
-    /// Its length in bytes.
+    /// The length of the state in bytes.
     #[must_use]
     pub fn len(&self) -> usize {
         self.0.len()
     }
 
-    /// Never: every state has at least a violation code.
+    /// Always false: every state has at least a violation code.
     #[must_use]
     pub fn is_empty(&self) -> bool {
         self.0.is_empty()

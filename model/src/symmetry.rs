@@ -1,6 +1,6 @@
-//! The symmetry reduction: members of a meeting are interchangeable, so of all their renamings the least bytes are
-//! the canonical form. It is computed inside `next_state`, so that every search uses it (stateright's breadth-first
-//! search ignores stateright's own `symmetry`).
+//! The symmetry reduction: members of a meeting are interchangeable, so the canonical form is the one of all renamings whose
+//! bytes are least. It is computed inside `next_state`, so that every search uses it (stateright's breadth-first search
+//! ignores stateright's own `symmetry`).
 
 use crate::network::{Codec, InFlight, Packed};
 use crate::state::HEADER;
@@ -9,7 +9,7 @@ use imrs_protocol::{Frame, Overflow, TaskId};
 /// With this many members, `views` costs less than trying all renamings of members that differ in nothing else.
 const MANY: usize = 4;
 
-/// The parts that a packed state is put together from.
+/// The parts from which a packed state is composed.
 pub(crate) struct Parts<'a> {
     pub header: [u8; HEADER],
     pub specs: &'a [Vec<u8>],
@@ -20,7 +20,7 @@ pub(crate) struct Parts<'a> {
 }
 
 impl Parts<'_> {
-    /// The packed state with its members as they are.
+    /// The packed state with its members in their present order.
     pub fn in_order(&self) -> Result<Vec<u8>, Overflow> {
         let mut bytes = Vec::with_capacity(96);
         bytes.extend(self.header);
@@ -30,8 +30,8 @@ impl Parts<'_> {
         Ok(bytes)
     }
 
-    /// The canonical form: the least bytes of all renamings, and its order of the members. Only orders that sort the
-    /// members by their renaming-invariant features are tried.
+    /// The canonical form: the least bytes of all renamings, and the order of members that gives them. Only orders that sort
+    /// the members by their renaming-invariant features are tried.
     pub fn least(&self) -> Result<(Vec<u8>, Vec<usize>), Overflow> {
         let n = self.blocks.len();
         let mut order: Vec<usize> = (0..n).collect();
@@ -53,7 +53,7 @@ impl Parts<'_> {
         Ok(best)
     }
 
-    /// More renaming-invariant features of each member: what it knows of the others, what they know of it, and the
+    /// More renaming-invariant features of each member: what it knows of the others, what the others know of it, and the
     /// packets in flight from it and to it.
     fn views(&self) -> Result<Vec<Vec<u8>>, Overflow> {
         let n = self.blocks.len();
@@ -82,7 +82,7 @@ impl Parts<'_> {
         Ok((0..n).map(view).collect())
     }
 
-    /// The packed state in which the member `order[k]` stands at position `k`.
+    /// The packed state with its members renamed: the member `order[k]` stands at position `k`.
     pub fn renamed(&self, order: &[usize]) -> Result<Vec<u8>, Overflow> {
         let mut bytes = Vec::with_capacity(96);
         bytes.extend(self.header);
@@ -114,16 +114,16 @@ impl Parts<'_> {
     }
 }
 
-/// A packed node, split into what a renaming leaves as it is and what it permutes.
+/// A packed node, split into the bytes that a renaming keeps and those that it permutes.
 struct Block<'a> {
     len: u8,
-    /// Its least round and, if nodes can restart, whether it is up and its incarnation.
+    /// The node's least round and, if nodes can restart, whether it is up and its incarnation.
     node: &'a [u8],
-    /// If nodes can restart: the incarnation in which it knows each of the others.
+    /// If nodes can restart: the incarnation of each other node that this node knows.
     known: &'a [u8],
-    /// Its task without the entries for the members.
+    /// The node's task without the entries for the members.
     task: &'a [u8],
-    /// The entries for the members.
+    /// The entries of the node's task for the members.
     members: &'a [u8],
 }
 
@@ -131,11 +131,13 @@ impl Parts<'_> {
     fn block(&self, i: usize) -> Block<'_> {
         let block = self.blocks[i].as_slice();
         let incarnations = self.frame.incarnations;
-        // See `store_place`: length, least round; if nodes can restart: up, own incarnation, known incarnations.
+        // This follows the layout of `store_place`: length, least round; if nodes can restart, also up, own incarnation,
+        // known incarnations.
         let known = if incarnations { 4 } else { 2 };
         let start = if incarnations { known + self.blocks.len() } else { known };
-        // See `CommTask::walk`: the ranks of the order, the wait (one byte for a task that only meets), three more
-        // bytes if nodes can restart, then the meeting's flags, round and the fields that the flags announce.
+        // This follows the layout of `CommTask::walk`: the ranks of the order, the wait (one byte for a task that only
+        // meets), three more bytes if nodes can restart, then the meeting's flags, round and the fields that the flags
+        // announce.
         let mut at = start;
         at += 1 + 2 * usize::from(block.get(at).copied().unwrap_or(0) & 0x0f);
         at += if incarnations { 4 } else { 1 };
@@ -154,7 +156,7 @@ impl Parts<'_> {
         }
     }
 
-    /// The entries for the members, in order.
+    /// The entries of a node's task for the members, in order.
     fn entries<'a>(&self, block: &Block<'a>) -> Vec<&'a [u8]> {
         let mut entries = Vec::with_capacity(4);
         let mut bytes = block.members;
@@ -168,10 +170,12 @@ impl Parts<'_> {
     }
 }
 
-/// Steps to the next permutation that only exchanges members alike in `same`. Ranks are positions in `order`.
+/// Advances `p` to the next permutation among those that only exchange members alike in `same`. Ranks are positions in
+/// `order`.
 fn next_permutation(p: &mut [usize], same: impl Fn(usize, usize) -> bool, order: &[usize]) -> bool {
     let rank = |i: usize| order.iter().position(|&o| o == i).unwrap_or(0);
-    // Odometer over the runs of equal members: advance the last run that has a next arrangement, reset those after it.
+    // This counts like an odometer over the runs of equal members: it advances the last run that has a next arrangement, and
+    // resets the runs behind it.
     let mut end = p.len();
     while end > 0 {
         let mut start = end - 1;
@@ -207,7 +211,7 @@ mod tests {
         let class = |i: usize| usize::from(i == 7 || i == 1);
         let mut p = order;
         let mut seen = vec![p];
-        // 4, 2 | 7, 1 | 0: two runs of two, and one alone.
+        // Members 4 and 2, and members 7 and 1, form two runs of two; member 0 is alone.
         while next_permutation(&mut p, |a, b| class(a) == class(b), &order) {
             seen.push(p);
         }

@@ -32,7 +32,7 @@ pub enum Action {
     Late(u8),
     /// The packet at this position in the state arrives.
     Deliver(u8),
-    /// The packet at the first position arrives, charged the second number of ticks above the link's bound.
+    /// The packet at the first given position arrives, charged the given number of ticks more than the link's bound.
     Overcharge(u8, u8),
     /// The packet at this position is lost.
     Lose(u8),
@@ -40,7 +40,7 @@ pub enum Action {
     Duplicate(u8),
     /// The task makes the API call that its behaviour allows.
     Act(u8),
-    /// A receiver answers the command it holds.
+    /// A receiver answers the command that it holds.
     Answer(u8),
     /// The node crashes.
     Crash(u8),
@@ -54,7 +54,7 @@ pub enum Action {
 #[derive(Clone, Debug)]
 pub(crate) struct World {
     pub scenario: Arc<Scenario>,
-    /// Every node runs one task, with the same index. It owes a tick while its timer is late.
+    /// Every node runs one task, with the same index. A node owes a tick while its timer is late.
     pub nodes: Vec<NodeState>,
     pub in_flight: Vec<InFlight>,
     pub spec_states: Vec<SpecState>,
@@ -62,26 +62,26 @@ pub(crate) struct World {
     pub loss: u8,
     pub dup: u8,
     pub crash: u8,
-    /// How often a timer may still be late.
+    /// How often a timer may still be late on this path.
     pub late: u8,
     /// Transitions since the last tick; counted only for [`Watch::Waits`].
     pub steps: u16,
     pub healed: bool,
     pub done: bool,
-    /// For each port, the round that loaded rounds are relative to.
+    /// For each port, the round to which the loaded rounds are relative.
     rounds: Vec<Round>,
     codec: Codec,
     effects: Effects,
-    /// Packed nodes; those of the loaded state that [`World::load`] left packed.
+    /// The packed nodes. Nodes that [`World::load`] did not unpack are only here.
     blocks: Vec<Vec<u8>>,
     loaded: Vec<bool>,
-    /// For each node, whether its turn is not over yet (see `turns`).
+    /// For each node, whether its turn is still open (see `turns`).
     open: Vec<bool>,
     /// The order in which the nodes take turns.
     order: Vec<usize>,
-    /// The order of the members in the state stored last.
+    /// The order of the members in the state that was packed last.
     pub named: Vec<usize>,
-    /// What the last transition showed of each task, for charts.
+    /// What the last transition showed about each task, for charts.
     pub log: Vec<(TaskId, Shown)>,
     pub keep_log: bool,
 }
@@ -92,13 +92,13 @@ const TRANSIT: u16 = 64;
 /// What a step showed about a task.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Shown {
-    /// An event that its communication task reported.
+    /// The task's communication task reported an event.
     Seen(Observation),
-    /// A signal to the task.
+    /// The task got a signal.
     Signalled(Signal),
 }
 
-/// What one step of a node sent and showed.
+/// What one step of a node sent, and what it showed.
 #[derive(Clone, Debug, Default)]
 struct Effects {
     sent: Vec<Packet>,
@@ -169,7 +169,7 @@ impl World {
         }
     }
 
-    /// Lists the enabled transitions without the reduction by turns.
+    /// Lists the transitions that are enabled without the reduction by turns.
     fn free_actions(&self, actions: &mut Vec<Action>) {
         for i in 0..self.n() {
             self.task_actions(i, actions);
@@ -238,7 +238,7 @@ impl World {
         }
     }
 
-    /// Whether a task must act before time passes.
+    /// Whether some task must act before time passes.
     fn is_urgent(&self) -> bool {
         let mut acts = Vec::new();
         if self.scenario.hurry || self.healed {
@@ -342,7 +342,7 @@ impl World {
         }
     }
 
-    /// The rounds that members other than `i` announced and no longer wait in, as a mask.
+    /// The rounds that members other than `i` announced and no longer wait in, as a bit mask.
     fn left_by_others(&self, i: usize) -> u32 {
         let others = (0..self.n()).filter(|&other| other != i);
         others.fold(0, |mask, other| {
@@ -356,7 +356,7 @@ impl World {
         })
     }
 
-    /// A packet arrives. It is charged the link's bound and `extra` ticks.
+    /// Lets a packet arrive. It is charged the link's bound and `extra` ticks.
     fn deliver(&mut self, mut carried: InFlight, extra: u8) -> Result<(), Violation> {
         self.wrap_around(&mut carried);
         let to = carried.packet.destination.index();
@@ -397,7 +397,7 @@ impl World {
     fn answer(&mut self, i: usize) -> Result<(), Violation> {
         self.catch_up(i)?;
         let Some(to) = self.spec_states[i].serving.take() else { return Ok(()) };
-        // The answer repeats the question, so that a mix-up shows. The question is derived from the sends left.
+        // The answer repeats the contents of the command, so that a mix-up shows. These contents follow from the sends left.
         let asked = self.spec_states[to.source.index()].left;
         let back = self.next_sequence(to.source.index()).steps_from(to.id.sequence).saturating_sub(1);
         let contents = question(asked.saturating_add(u8::try_from(back).unwrap_or(u8::MAX)));
@@ -408,7 +408,7 @@ impl World {
         self.task(i).next_sequence()
     }
 
-    /// Steps one node after `elapsed` ticks and judges the effects.
+    /// Lets `elapsed` ticks pass on one node, gives it an input, and judges the effects.
     fn step(&mut self, i: usize, elapsed: Ticks, input: NodeInput) -> Result<(), Violation> {
         let task = TaskId::from_index(i);
         self.spec_states[i].waits_in = match self.task(i).state() {

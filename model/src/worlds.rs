@@ -101,7 +101,7 @@ pub struct Exchange {
     pub delay: u8,
     /// How often a command is retransmitted, and the period in ticks.
     pub retry: (u8, u64),
-    /// `bounded_buffer[n]`.
+    /// The value of `bounded_buffer`: how many messages the port's buffer holds.
     pub buffer: u16,
     /// How many messages are sent.
     pub sends: u8,

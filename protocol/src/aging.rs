@@ -1,8 +1,8 @@
 //! The longest time that a message waits for service, in closed form (D58, D59).
 //!
-//! The declaration of a task bounds how often GETs bypass the head of a port, and how often an offer is rejected by rank. That
-//! number times the longest service is a time, and a message with a longer TTL is served. The model checker searches for the
-//! least TTL that is served and shows it beside the closed form, which must never be smaller.
+//! The declaration of a task bounds how often GETs bypass the head of a port, and how often an offer is rejected by rank.
+//! The product of that number and the longest service is a bound: a message with a longer TTL is served. The model checker
+//! searches for the least TTL that is served and shows it beside the closed form, which must never be smaller.
 
 use crate::ticks::Ticks;
 
@@ -15,7 +15,7 @@ pub struct Service {
     pub levels: u8,
     /// The rank of the message: how many entries of the `order` rank above it. Only for ports with a handler.
     pub rank: u8,
-    /// How many messages may be ahead of it in its own port: at most `bounded_buffer - 1` if all have the same TTL.
+    /// How many messages may be ahead of the message in its own port: at most `bounded_buffer - 1` if all have the same TTL.
     pub ahead: u16,
     /// How many earlier rejected messages may wait in other ports with a handler: the sum of the `bounded_buffer`s of
     /// those ports whose messages can be rejected. Only for ports with a handler.
@@ -59,7 +59,8 @@ impl Service {
     }
 
     /// A sufficient TTL for a message of a port with a handler. It assumes that handlers do not wait, and that the message
-    /// outranks the task's own thread only once it is capped: no rank lies between the first one and that of `self` (D76).
+    /// outranks the task's own thread only once it is capped, because no rank lies between the first one and that of `self`
+    /// (D76).
     ///
     /// The message is rejected at most [`most_refusals`](Self::most_refusals) times. It is offered again each time when the
     /// penalty is over and the task can be interrupted. Then all earlier rejected messages of any port go before it. Before each
@@ -69,7 +70,8 @@ impl Service {
         let refusals = u64::from(self.most_refusals());
         let refused = refusals.saturating_mul(self.penalty.0.saturating_add(self.longest.0));
         let before = u64::from(self.ahead) + u64::from(self.rivals);
-        // The first 1 is the service that runs when the message comes.
+        // The first 1 is the service that runs when the message comes; the last 1 is the message that may go before this
+        // one.
         let turns = 1 + 2 * before + 1;
         Ticks(refused) + Ticks(turns.saturating_mul(self.longest.0)) + Ticks(1)
     }

@@ -14,25 +14,25 @@ use alloc::vec::Vec;
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
-/// What a task does with a port at its end (Figure 1).
+/// What a task does at its end of a port (Figure 1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Usage {
-    /// Sends messages.
+    /// The task sends messages.
     Send,
-    /// Receives messages.
+    /// The task receives messages.
     Receive,
-    /// Serves replies to third parties.
+    /// The task serves replies of third parties.
     Reply,
-    /// Asks, interrupting its target.
+    /// The task asks questions, which may interrupt their targets.
     Query,
-    /// Answers queries.
+    /// The task answers queries.
     Response,
-    /// Takes part in a rendezvous.
+    /// The task takes part in a rendezvous.
     Waitfor,
 }
 
 impl Usage {
-    /// The usage of the users, if this is the owner's (D11).
+    /// The usage of the users of a port if this is the usage of its owner (D11).
     #[must_use]
     pub const fn counterpart(self) -> Self {
         match self {
@@ -44,7 +44,7 @@ impl Usage {
         }
     }
 
-    /// The paper's word.
+    /// The paper's word for this usage.
     #[must_use]
     pub const fn word(self) -> &'static str {
         match self {
@@ -67,29 +67,29 @@ impl fmt::Display for Usage {
 /// A node of the cell.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NodeDecl {
-    /// Its name, unique in the cell.
+    /// The node's name, unique in the cell.
     pub name: String,
 }
 
 /// A link between two nodes.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LinkDecl {
-    /// One end.
+    /// The node at one end.
     pub a: NodeId,
-    /// The other end.
+    /// The node at the other end.
     pub b: NodeId,
     /// The bound of the link delay: the longest time that a packet takes unless it is lost (D20).
     pub delay: Ticks,
 }
 
-/// A task of the cell and where it runs.
+/// A task of the cell, and the node on which it runs.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskDecl {
     /// The task's name, unique in the cell.
     pub name: String,
-    /// The node it is assigned to (§5.1).
+    /// The node to which the task is assigned (§5.1).
     pub node: NodeId,
-    /// The module that it belongs to (§2), which a `user_list` may name (D32).
+    /// The module to which the task belongs (§2). A `user_list` may name the module (D32).
     pub module: Option<String>,
 }
 
@@ -102,7 +102,7 @@ pub struct CoupleDecl {
     pub standby: TaskId,
     /// How long the primary may act after sending an answer that the standby has since echoed.
     pub lease: Ticks,
-    /// How long after the last answer that it received the standby takes over.
+    /// How long the standby waits after the last answer that it received before it takes over.
     pub takeover: Ticks,
     /// The period of the heartbeats.
     pub every: Ticks,
@@ -117,18 +117,18 @@ pub struct CoupleDecl {
 /// The time penalty of a port (§5.1.1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Penalty {
-    /// How long until a rejected message is offered again.
+    /// How long a rejected message waits until it is offered again.
     pub length: Ticks,
     /// Whether the literal rule holds: the penalty is added to the message's time_out (Appendix, `save`; D4).
     pub literal: bool,
 }
 
-/// The most messages in a period (D53).
+/// The highest rate of messages: so many in each period (D53).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Rate {
-    /// The number of messages
+    /// The number of messages in each period.
     pub count: u16,
-    /// in this time.
+    /// The time in which at most that many messages are sent.
     pub per: Ticks,
 }
 
@@ -137,20 +137,20 @@ pub struct Rate {
 pub struct UserDecl {
     /// The using task.
     pub task: TaskId,
-    /// Its own time_out, where it differs from the owner's.
+    /// The user's own time_out, where it differs from the owner's.
     pub time_out: Option<Ticks>,
     /// `class`, which must be the owner's (D9).
     pub class: Option<Class>,
     /// `message_format`, which must be the owner's (D9).
     pub format: Option<String>,
-    /// How often its own class-2 messages are retransmitted, where that differs from the owner's.
+    /// How often the user's own class-2 messages are retransmitted, where that differs from the owner's number.
     pub retry: Option<u8>,
-    /// The highest rate at which it sends, where that differs from the owner's.
+    /// The highest rate at which the user sends, where that differs from the owner's rate.
     pub rate: Option<Rate>,
 }
 
 impl UserDecl {
-    /// A user with the owner's options.
+    /// A user that takes over all of the owner's options.
     #[must_use]
     pub const fn new(task: TaskId) -> Self {
         Self { task, time_out: None, class: None, format: None, retry: None, rate: None }
@@ -160,19 +160,19 @@ impl UserDecl {
 /// A port: `port` of Figure 1 with its options.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PortDecl {
-    /// Its name, unique in the cell.
+    /// The port's name, unique in the cell.
     pub name: String,
     /// The owning task.
     pub owner: TaskId,
     /// The owner's usage; the users have its [`Usage::counterpart`].
     pub usage: Usage,
-    /// `user_list`: tasks.
+    /// `user_list`: the tasks that it names.
     pub users: Vec<UserDecl>,
-    /// `user_list`: modules, which stand for all their tasks but the owner (D32).
+    /// `user_list`: the modules that it names. A module stands for all its tasks but the owner (D32).
     pub modules: Vec<String>,
     /// `time_out`: the TTL of a message, which is also its priority and the time that its sender waits (§III).
     pub time_out: Ticks,
-    /// `class`.
+    /// `class`: whether senders wait for answers.
     pub class: Class,
     /// `bounded_buffer[n]`: how many messages wait for one receiver.
     pub bounded_buffer: u16,
@@ -186,13 +186,13 @@ pub struct PortDecl {
     pub losses: u8,
     /// The margin of a `waitfor`; `None` takes the closed form (D56).
     pub margin: Option<Ticks>,
-    /// `penalty`: how long until a rejected message is offered again.
+    /// `penalty`: how long a rejected message waits until it is offered again.
     pub penalty: Option<Penalty>,
     /// `latest`: a message replaces a waiting one of the same source.
     pub latest: bool,
     /// How many packets a message takes (D28).
     pub fragments: u8,
-    /// How many packets an answer takes.
+    /// How many packets an answer takes (D28).
     pub answer_fragments: u8,
     /// `rate`: the highest rate at which messages are sent.
     pub rate: Option<Rate>,
@@ -323,13 +323,13 @@ impl PortDecl {
 /// A whole cell, as declared.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Cell {
-    /// Its name.
+    /// The cell's name.
     pub name: String,
     /// The declared timer lateness: a node acts on a time_out at most this late (D42).
     pub tick: Ticks,
     /// The nodes; [`NodeId`] is the position here.
     pub nodes: Vec<NodeDecl>,
-    /// The links.
+    /// The links of the cell.
     pub links: Vec<LinkDecl>,
     /// The tasks; [`TaskId`] is the position here.
     pub tasks: Vec<TaskDecl>,

@@ -1,5 +1,5 @@
-//! Identifiers of tasks, nodes, ports, messages and rounds. Message ids and rounds are only compared (for equality and in
-//! wrap-safe order) and incremented, so adding a constant to all ids of one source changes no behaviour (D51).
+//! Identifiers of tasks, nodes, ports, messages and rounds. The protocol only compares message ids and rounds (for equality,
+//! and in wrap-safe order) and increments them. So adding a constant to all ids of one source changes no behaviour (D51).
 
 use core::fmt;
 use serde::{Deserialize, Serialize};
@@ -17,20 +17,20 @@ pub struct NodeId(pub u16);
 pub struct PortId(pub u16);
 
 impl PortId {
-    /// No port: a cell has fewer.
+    /// The number that stands for no port. A cell has fewer ports than that.
     pub const NONE: Self = Self(u16::MAX);
 }
 
 macro_rules! index {
     ($($name:ident $letter:literal),*) => {$(
         impl $name {
-            /// The position in the cell's list.
+            /// The position of the port in the cell's list.
             #[must_use]
             pub const fn index(self) -> usize {
                 self.0 as usize
             }
 
-            /// The identifier of position `index`; the cell's limits keep it within 16 bits.
+            /// The identifier of the port at position `index`. The cell's limits keep it within 16 bits.
             #[must_use]
             #[expect(clippy::cast_possible_truncation, reason = "a cell has at most 65,536 of each")]
             pub const fn from_index(index: usize) -> Self {
@@ -52,7 +52,7 @@ index!(TaskId "T", NodeId "N", PortId "P");
 pub struct Incarnation(pub u8);
 
 impl Incarnation {
-    /// Whether it is an earlier incarnation than `other`, in wrap-safe order.
+    /// Whether this incarnation is earlier than `other`, in wrap-safe order.
     pub(crate) const fn is_older_than(self, other: Self) -> bool {
         let steps = other.0.wrapping_sub(self.0);
         steps != 0 && steps < 0x80
@@ -71,7 +71,7 @@ impl From<Seq24> for u32 {
     }
 }
 
-/// Validates a number from a file: the arithmetic relies on values below 2^24.
+/// Validates a sequence number from a file, because the arithmetic relies on values below 2^24.
 impl TryFrom<u32> for Seq24 {
     type Error = &'static str;
 
@@ -132,7 +132,7 @@ pub struct MessageId {
 }
 
 impl MessageId {
-    /// A placeholder, to be overwritten when an id is read.
+    /// A placeholder id, which is overwritten when an id is read.
     pub const BLANK: Self = Self { incarnation: Incarnation(0), sequence: Seq24::new(0) };
 }
 

@@ -4,7 +4,8 @@ use crate::queue::Slot;
 use alloc::boxed::Box;
 use alloc::vec;
 
-/// The low bits of an entry hold the slot, the bits above them the key plus one. So no entry is zero, which marks a free place.
+/// The number of low bits of an entry that hold the slot. The bits above them hold the key plus one, so no entry is zero:
+/// zero marks a free place.
 const SLOT_BITS: u32 = 16;
 const EMPTY: u64 = 0;
 
@@ -12,7 +13,7 @@ const EMPTY: u64 = 0;
 #[derive(Clone, Debug)]
 pub(crate) struct Index {
     places: Box<[u64]>,
-    /// The shift that reduces the hash of a key to its home place.
+    /// The shift that reduces the hash of a key to the place where probing for it begins.
     shift: u32,
 }
 
@@ -70,7 +71,7 @@ impl Index {
     pub fn remove(&mut self, key: u32) -> Option<Slot> {
         let (Place(mut hole), found) = self.look(key);
         found?;
-        // Displaced entries move back into the hole, so that every search still finds its key.
+        // Entries that probing had moved on move back into the hole, so that every search still finds its key.
         let mut place = self.after(hole);
         loop {
             let word = self.places[place];

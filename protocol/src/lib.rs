@@ -107,7 +107,7 @@ mod node;
 mod observe;
 mod packet;
 mod task;
-// Public only for the measurements in `benches/`; not part of the API.
+// This module is public only for the measurements in `benches/`. It is not part of the API.
 #[doc(hidden)]
 pub mod queue;
 mod request;

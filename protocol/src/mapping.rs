@@ -8,7 +8,7 @@ use crate::table::{NodeTable, Party, Peer, Port};
 use crate::task::Parts;
 use crate::ticks::Ticks;
 
-/// The end of a port that `task` has.
+/// The task's end of a port: the port, and the task as a party of it.
 #[inline]
 pub(crate) fn own_end(table: &NodeTable, port: PortId, task: TaskId) -> Result<(&Port, &Party), Fault> {
     let port = table.port(port).ok_or(Fault::NotYourPort)?;
@@ -16,8 +16,8 @@ pub(crate) fn own_end(table: &NodeTable, port: PortId, task: TaskId) -> Result<(
     Ok((port, party))
 }
 
-/// The tasks a message goes to, a copy each, if there is not [only one](only_peer), each with its position among the
-/// recipients (§4.3, R39, R40).
+/// The tasks to which a message goes, each with its position among the recipients; each of them gets a copy (§4.3, R39,
+/// R40). For messages with several possible recipients: for one see [`only_peer`].
 pub(crate) fn destinations(
     port: &Port,
     from: TaskId,
@@ -25,7 +25,7 @@ pub(crate) fn destinations(
 ) -> Result<impl Iterator<Item = (usize, TaskId)> + '_, Fault> {
     let wanted = match to {
         Target::All => None,
-        // A peer would be the only destination.
+        // A message to one peer has been handled by `only_peer`, so this task is no peer.
         Target::One(_) => return Err(Fault::NotAPeer),
         Target::Some(named) => Some(named),
     };
@@ -42,7 +42,7 @@ pub(crate) fn destinations(
     Ok(port.peers(from).enumerate().filter(is_wanted))
 }
 
-/// The only destination of a message, if the port and the target leave only one: found without a scan of the parties.
+/// The only destination of a message, if the port and the target leave only one. It is found without a scan of the parties.
 #[inline]
 pub(crate) fn only_peer(own: &Party, to: Target) -> Option<&Peer> {
     match (&*own.peers, to) {
@@ -68,7 +68,7 @@ pub(crate) const fn answer_kind(port: &Port) -> Kind {
     }
 }
 
-/// A message packet.
+/// The packet of a message.
 pub(crate) fn message(
     port: &Port,
     from: TaskId,
@@ -90,7 +90,7 @@ pub(crate) fn message(
     }
 }
 
-/// The answer of `from` to a class-2 message: it carries the request's id (D47).
+/// The packet with which `from` answers a class-2 message. It carries the request's id (D47).
 pub(crate) fn answer(to: ReplyTo, from: TaskId, kind: Kind, remaining: Ticks, contents: Contents) -> Packet {
     Packet {
         kind,
@@ -105,7 +105,7 @@ pub(crate) fn answer(to: ReplyTo, from: TaskId, kind: Kind, remaining: Ticks, co
     }
 }
 
-/// An answer to a class-2 message from the communication task of `from` itself.
+/// The packet with which the communication task of `from` itself answers a class-2 message.
 pub(crate) fn control(to: ReplyTo, from: TaskId, control: Control, remaining: Ticks) -> Packet {
     answer(to, from, Kind::Control, remaining, control.to_contents())
 }

@@ -2,15 +2,16 @@
 
 use crate::ticks::Ticks;
 
-/// The greatest difference in speed between the clocks of two nodes, in parts per million: twice the specified
-/// tolerance of cheap oscillators.
+/// The greatest difference in speed between the clocks of two nodes, in parts per million: twice the specified tolerance of
+/// cheap oscillators.
 pub const DRIFT_PPM: u64 = 200;
 
 /// How much longer than the lease the standby of a couple must wait, so that the two never act at the same time.
 ///
-/// The lease counts from the sending of an answer, and the take-over from its arrival, which is no earlier: the link
-/// delay needs no margin. What remains is `drift` over both waits, a `tick` by which the owner may notice the end of
-/// its lease late, and `residence`: the bound of the port that the owner's last command goes through.
+/// The lease counts from the sending of an answer, and the take-over counts from its arrival. The arrival is no earlier, so
+/// the link delay needs no margin. The margin is the sum of three parts: the `drift` over both waits; the `tick` by which
+/// the holder may notice the end of its lease late; and `residence`, the longest time that the holder's last command may
+/// stay under way on its port.
 #[must_use]
 pub fn takeover_margin(
     lease: Ticks,
@@ -26,20 +27,21 @@ pub fn takeover_margin(
 
 /// The shortest lease that never ends while no packet is lost: heartbeats every `every`, link delays up to `delay` (D78).
 ///
-/// The lease must last while one answer is the newest echoed one. The heartbeat that echoes it leaves a round trip and at most a
-/// period later. The one that echoes the next answer leaves a period after that and takes `delay`. `tick`: the end is noticed late.
+/// The lease must last while one answer is the newest echoed one. The heartbeat that echoes this answer leaves a round trip
+/// and at most a period after the answer. The heartbeat that echoes the next answer leaves a period later, and takes
+/// `delay`. A node may act up to a `tick` late.
 #[must_use]
 pub fn least_lease(delay: Ticks, every: Ticks, tick: Ticks) -> Ticks {
     let heartbeats = (delay + delay).0 / every.0.max(1);
     Ticks(every.0.saturating_mul(heartbeats.saturating_add(2))) + delay + tick
 }
 
-/// The least patience that every arrival must have left when a member releases. If each packet takes at most `delay`
-/// and at most `losses` packets of the meeting are lost, then no member is released while another one gives up.
+/// The least patience that every arrival must have left when a member releases. If each packet takes at most `delay`, and at
+/// most `losses` packets of the meeting are lost, then no member is released while another one gives up.
 ///
-/// The releasing member sends its CONFIRM at once and `losses` more copies, `resend` apart. The last copy leaves
-/// `losses x resend` after the release and takes `delay`; each copy may leave one `tick` late. The model checker
-/// searches for the least margin that holds and shows it beside the closed form, which must never be smaller.
+/// The releasing member sends its CONFIRM at once and `losses` more copies, `resend` apart. The last copy leaves `losses x
+/// resend` after the release and takes `delay`; each copy may leave one `tick` late. The model checker searches for the
+/// least margin that holds and shows it beside the closed form, which must never be smaller.
 #[must_use]
 pub fn least_margin(delay: Ticks, losses: u8, resend: Ticks, tick: Ticks) -> Ticks {
     if losses == 0 {

@@ -11,35 +11,35 @@ use serde::{Deserialize, Serialize};
 /// Why a message was dropped. Every drop has a reason, is counted and is visible (D19).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Reason {
-    /// Its remaining time ended in a task's buffer.
+    /// The message's remaining time ended in a task's buffer.
     Expired,
-    /// Its remaining time ended on a link or in a kernel queue.
+    /// The message's remaining time ended on a link or in a kernel queue.
     ExpiredOnTheWay,
-    /// Its remaining time ended in the transit buffer, or would end on the route ahead.
+    /// The message's remaining time ended in the transit buffer, or would end on the route ahead.
     ExpiredInTransit,
-    /// The buffer was full, and no message in it had to make room.
+    /// The buffer was full, and no message in it had to make room for this one.
     Refused,
-    /// It made room for a more urgent message.
+    /// The message was removed from a full buffer, to make room for a more urgent one.
     Evicted,
-    /// It is a copy of a message that was received before.
+    /// The message is a copy of one that was received before.
     Duplicate,
-    /// It belongs to a meeting that is over.
+    /// The packet belongs to a meeting that is over.
     OldRound,
-    /// Its source may not use its port this way, or it came from the wrong neighbour.
+    /// The message's source may not use its port this way, or it came from the wrong neighbour.
     NotAllowed,
-    /// It is for a task that this node neither runs nor can reach.
+    /// The message is for a task that this node neither runs nor can reach.
     Unroutable,
-    /// It has passed too many relays.
+    /// The packet has passed too many relays.
     HopLimit,
-    /// It answers a request that is not outstanding any more.
+    /// The packet answers a request that is no longer outstanding.
     Unexpected,
-    /// It comes from, or may be meant for, an earlier incarnation of a node.
+    /// The packet comes from, or may be meant for, an earlier incarnation of a node.
     StaleIncarnation,
-    /// A newer message of its source replaced it.
+    /// A newer message of the same source replaced the message.
     Superseded,
-    /// Fragments of it are missing (D28).
+    /// Fragments of the message are missing (D28).
     Incomplete,
-    /// It was sent under a lease that has passed to another task (D61).
+    /// The message was sent under a lease that has passed to another task (D61).
     StaleEpoch,
 }
 
@@ -63,7 +63,7 @@ impl Reason {
         Self::StaleEpoch,
     ];
 
-    /// A short name for tables and counters.
+    /// A short name of the reason, for tables and counters.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -115,9 +115,9 @@ pub enum Event {
     Reached,
     /// The task moved on to a fresher round while waiting.
     Rejoined,
-    /// A partner's arrival came in.
+    /// The arrival of another member at the waitfor came in.
     PartnerArrived,
-    /// A partner gave up.
+    /// Another member gave up the waitfor.
     PartnerAborted,
     /// A CONFIRM was sent.
     Confirmed,
@@ -125,7 +125,7 @@ pub enum Event {
     ReleasedComplete,
     /// The task was released by a CONFIRM.
     ReleasedByConfirm,
-    /// All had arrived, but with too little time left to release (D2).
+    /// All members had arrived, but with too little time left to release (D2).
     WithinMargin,
     /// The task gave up a waitfor.
     GaveUp,
@@ -143,24 +143,24 @@ pub enum Event {
     Fenced,
 }
 
-/// One observation. The event decides what `number` means: a message's sequence, a meeting's round, the name of the timer
+/// One observation. The event decides what `number` means: a message's sequence, a meeting's round, the id of the timer
 /// whose handler began, how many handlers still run after one ended, or the epoch of a lease.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Observation {
     /// What happened.
     pub event: Event,
-    /// On which port; [`PortId::NONE`] for the end of a timer and of a handler.
+    /// The port on which it happened; [`PortId::NONE`] for the end of a timer and of a handler.
     pub port: PortId,
-    /// With which other task; at the end of a timer or of a handler, the task itself.
+    /// The other task that was involved; at the end of a timer or of a handler, the task itself.
     pub peer: TaskId,
-    /// The number that belongs to the event; see above.
+    /// The number that belongs to the event; see [`Observation`].
     pub number: u32,
     /// The remaining time of the message or of the wait.
     pub remaining: Ticks,
 }
 
 impl Observation {
-    /// What happened to a message, or to a packet of it.
+    /// The observation of an event about a message, or about a packet of it.
     pub(crate) const fn of(
         event: Event,
         port: PortId,
@@ -175,25 +175,25 @@ impl Observation {
 /// Counters of one port at one task. They only grow during an incarnation of the node.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct PortCounters {
-    /// Messages the task sent, or waitfors it reached; retransmitted copies not counted.
+    /// Messages that the task sent, or waitfors that it reached, without retransmitted copies.
     pub sent: u64,
-    /// Copies retransmitted.
+    /// Copies that were retransmitted.
     pub resent: u64,
     /// Messages put into the buffer, or handed over at once.
     pub enqueued: u64,
     /// Messages handed to the task, or waitfors released.
     pub delivered: u64,
-    /// Messages that expired here.
+    /// Messages whose remaining time ended at this task.
     pub expired: u64,
-    /// Messages that found no space.
+    /// Messages that were refused, because there was no space.
     pub refused: u64,
     /// Messages that the task rejected by rank.
     pub rejected: u64,
-    /// Messages dropped to make room.
+    /// Messages that were removed to make room for more urgent ones.
     pub evicted: u64,
-    /// Copies of messages received before.
+    /// Copies of messages that were received before.
     pub duplicates: u64,
-    /// The task's own requests that ended by time_out.
+    /// Requests of the task itself that ended by time_out.
     pub timed_out: u64,
     /// Other drops: old rounds, not allowed, unexpected.
     pub dropped: u64,
@@ -202,68 +202,68 @@ pub struct PortCounters {
 /// What a task is doing, as its communication task knows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum TaskState {
-    /// It runs: it has no outstanding request.
+    /// The task runs: it has no outstanding request.
     Running,
-    /// It waits for a message.
+    /// The task waits for a message.
     Receiving {
-        /// On this port, or on any.
+        /// The port on which it waits; `None` if it waits on any.
         port: Option<PortId>,
-        /// The remaining time; `None` waits without end.
+        /// The remaining time of the wait; `None` if it waits without end.
         remaining: Option<Ticks>,
     },
-    /// It waits for the answer to its class-2 message.
+    /// The task waits for the answer to its class-2 message.
     AwaitingReply {
-        /// On this port.
+        /// The port of the message.
         port: PortId,
-        /// The task that sent it.
+        /// The recipient from which the answer must come.
         from: TaskId,
-        /// The remaining time.
+        /// The remaining time of the message.
         remaining: Ticks,
     },
-    /// It waits for others at a waitfor.
+    /// The task waits for the other members at a waitfor.
     Waiting {
-        /// On this port.
+        /// The port of the waitfor.
         port: PortId,
-        /// The round.
+        /// The round in which the task waits.
         round: Round,
-        /// The remaining time.
+        /// The remaining time of the wait.
         remaining: Ticks,
     },
-    /// It waits in a `delay`.
+    /// The task waits in a `delay`.
     Delaying,
 }
 
 /// A waiting message, as a monitor shows it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct QueueEntry {
-    /// Who sent it.
+    /// The task that sent the message.
     pub source: TaskId,
-    /// Its id.
+    /// The message's id.
     pub id: MessageId,
-    /// Its class.
+    /// The message's class.
     pub class: Class,
-    /// Its remaining time.
+    /// The message's remaining time.
     pub remaining: Ticks,
 }
 
 /// A port of one task.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct PortView {
-    /// Which port.
+    /// The port that the view shows.
     pub port: PortId,
-    /// What the task does with it.
+    /// What the task does with the port.
     pub usage: Usage,
-    /// Its class.
+    /// The port's class.
     pub class: Class,
-    /// How many messages wait.
+    /// How many messages wait on the port.
     pub len: u16,
-    /// How many may wait; zero if this end receives nothing.
+    /// How many messages may wait; zero if this end receives nothing.
     pub capacity: u16,
-    /// The remaining time of the most urgent one.
+    /// The remaining time of the most urgent waiting message.
     pub min_slack: Option<Ticks>,
-    /// The waiting messages in the order they will be served, as many as were asked for.
+    /// The waiting messages in the order in which they will be served, at most as many as the monitor asked for.
     pub queue: Vec<QueueEntry>,
-    /// The counters.
+    /// The counters of the port.
     pub counters: PortCounters,
 }
 
@@ -271,100 +271,101 @@ pub struct PortView {
 /// separate things (D4).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct HeldView {
-    /// The message.
+    /// The message that the server holds.
     pub entry: QueueEntry,
-    /// Its arrival number among all messages that the task stored: a lower one arrived earlier. In a task that was read from
-    /// packed bytes, only the numbers of one source and port compare.
+    /// The message's arrival number among all messages that the task stored: a lower one arrived earlier. In a task that was
+    /// read from packed bytes, only the numbers of messages of one source and port can be compared.
     pub arrival: u64,
-    /// How many packets it takes (D28).
+    /// How many packets the message takes (D28).
     pub fragments: u8,
-    /// On a port with a handler, its rank: the rank that the task's `order` gives, less the rejections. Zero is the most urgent.
+    /// On a port with a handler, the rank of the message: the rank that the task's `order` gives, less the rejections. Zero
+    /// is the most urgent.
     pub rank: Option<u8>,
-    /// How often it was rejected by rank, as far as rejections count (D58).
+    /// How often the message was rejected by rank, as far as rejections count (D58).
     pub rejections: u8,
-    /// Whether it was rejected so often that it outranks the task's own thread (D58).
+    /// Whether the message was rejected so often that it outranks the task's own thread (D58).
     pub capped: bool,
-    /// How long until it is offered again: its penalty.
+    /// How long until the message is offered again: its penalty.
     pub back_off: Ticks,
 }
 
 /// The queue of a port, in the detail that a monitor shows for a watched port.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct QueueView {
-    /// Whether the task has a handler for its messages.
+    /// Whether the task has a handler for the port's messages.
     pub handled: bool,
-    /// How often other ports were served while this one had something to offer (D58).
+    /// How often other ports were served while this port had a message to serve (D58).
     pub bypassed: u16,
     /// How often this port may be bypassed at most (D58).
     pub bypass_limit: u16,
-    /// The waiting messages in the order of their remaining times, as many as were asked for.
+    /// The waiting messages in the order of their remaining times, at most as many as the monitor asked for.
     pub queue: Vec<HeldView>,
 }
 
 /// The state of one task in a rendezvous.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum MeetingState {
-    /// It has not reached the waitfor.
+    /// The task has not reached the waitfor.
     Away,
-    /// It waits for the others.
+    /// The task waits for the other members.
     Gathering,
-    /// It holds every arrival, but too little time is left to release; only a CONFIRM can help (D2).
+    /// The task holds every arrival, but too little time is left to release; only a CONFIRM can release it (D2).
     WithinMargin,
 }
 
 /// What one task knows of one member of a rendezvous.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct MemberView {
-    /// Which member.
+    /// The member that the task knows of.
     pub task: TaskId,
-    /// Whether it has arrived in the round shown.
+    /// Whether the member has arrived in the round that is shown.
     pub arrived: bool,
-    /// Whether it is known to have released that round.
+    /// Whether the member is known to have been released from that round.
     pub confirmed: bool,
-    /// Its remaining patience, if it has arrived.
+    /// The member's remaining patience, if it has arrived.
     pub remaining: Option<Ticks>,
 }
 
 /// A rendezvous as one task sees it.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct MeetingView {
-    /// The port.
+    /// The port of the rendezvous.
     pub port: PortId,
-    /// The round waited in, or the next one to wait in.
+    /// The round in which the task waits, or the next one in which it will.
     pub round: Round,
-    /// The round this task last released.
+    /// The last round from which this task was released.
     pub released: Round,
-    /// The state of this task.
+    /// The state of this task in the rendezvous.
     pub state: MeetingState,
-    /// Its remaining patience, if it waits.
+    /// The remaining patience of this task, if it waits.
     pub remaining: Option<Ticks>,
-    /// All members, owner first; the task itself included.
+    /// All members, the owner first; this task is among them.
     pub members: Vec<MemberView>,
 }
 
 /// A task and its communication task at one instant.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct TaskView {
-    /// Which task.
+    /// The task that the view shows.
     pub task: TaskId,
-    /// What it is doing.
+    /// What the task is doing.
     pub state: TaskState,
-    /// Its ports, ascending.
+    /// The task's ports, ascending.
     pub ports: Vec<PortView>,
-    /// Its waitfors, ascending by port.
+    /// The task's waitfors, ascending by port.
     pub meetings: Vec<MeetingView>,
 }
 
 /// The transit buffer of a node at one instant.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct TransitView {
-    /// How many packets wait.
+    /// How many packets wait in the buffer.
     pub len: u16,
-    /// How many may wait.
+    /// How many packets may wait in the buffer.
     pub capacity: u16,
-    /// The remaining time of the most urgent one.
+    /// The remaining time of the most urgent waiting packet.
     pub min_slack: Option<Ticks>,
-    /// Packets relayed or sent since the start.
+    /// Packets relayed or sent since the node started.
     pub forwarded: u64,
     /// Packets dropped, by [`Reason::ALL`] position.
     pub discarded: Vec<u64>,

@@ -36,7 +36,7 @@ pub const PACKET_VERSION: u8 = 1;
 /// The finest step of remaining time on the wire, in microseconds.
 pub const WIRE_STEP_US: u64 = 10;
 
-/// What a packet is for. The verb a program used is recovered at the destination from the port's usage (R44).
+/// What a packet is for. The port's usage tells the destination which verb the sending program used (R44).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[repr(u8)]
 pub enum Kind {
@@ -72,7 +72,7 @@ impl Kind {
     ];
 }
 
-/// The paper's two classes of message (§III; D7).
+/// The paper's two classes of messages (§III; D7).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Class {
     /// Class 2: has meaning until its time_out; the sender waits for the answer. Sorts before status.
@@ -121,10 +121,10 @@ impl TryFrom<WrittenContents> for Contents {
 }
 
 impl Contents {
-    /// No contents.
+    /// Contents without any bytes.
     pub const EMPTY: Self = Self { len: 0, bytes: [0; CONTENTS_BYTES] };
 
-    /// The contents `bytes`, or `None` if they are longer than one packet carries.
+    /// Contents of these bytes, or `None` if they are longer than one packet carries.
     #[must_use]
     pub fn new(bytes: &[u8]) -> Option<Self> {
         let mut contents = Self::EMPTY;
@@ -139,7 +139,7 @@ impl Contents {
         &self.bytes[..usize::from(self.len)]
     }
 
-    /// The bytes, padded with zeros to a fixed length for code that copies them word by word.
+    /// The bytes of the contents, padded with zeros to a fixed length, for code that copies them word by word.
     #[must_use]
     pub const fn padded(&self) -> &[u8; CONTENTS_BYTES] {
         &self.bytes
@@ -149,11 +149,11 @@ impl Contents {
 /// The contents of ARRIVE, CONFIRM and ABORT (D47, D54).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub struct Meeting {
-    /// The round that the packet belongs to.
+    /// The round to which the packet belongs.
     pub round: Round,
-    /// The round its sender last released.
+    /// The round from which its sender was last released.
     pub released: Round,
-    /// The arguments of the `waitfor`; in an ABORT the first two bytes are the round to continue with.
+    /// The arguments of the `waitfor`. In an ABORT the first two bytes are the round with which to continue.
     pub arguments: [u8; 8],
 }
 
@@ -181,13 +181,13 @@ impl Meeting {
         }
     }
 
-    /// The round that an ABORT asks its receivers to continue with.
+    /// The round with which an ABORT asks its receivers to continue.
     #[must_use]
     pub fn next_round(self) -> Round {
         Round(u16::from_le_bytes([self.arguments[0], self.arguments[1]]))
     }
 
-    /// The arguments of an ABORT that asks its receivers to continue with `next`.
+    /// The arguments of an ABORT that asks its receivers to continue with the round `next`.
     #[must_use]
     pub fn abort_arguments(next: Round) -> [u8; 8] {
         let [low, high] = next.0.to_le_bytes();
@@ -200,7 +200,7 @@ impl Meeting {
 pub struct Packet {
     /// What the packet is for.
     pub kind: Kind,
-    /// Command or status.
+    /// The class of the message.
     pub class: Class,
     /// Whether more fragments of the same message follow (D28).
     pub more: bool,
@@ -209,16 +209,16 @@ pub struct Packet {
     /// How many more relays the packet may pass.
     #[serde(deserialize_with = "at_most::<_, MAX_HOPS>")]
     pub hops: u8,
-    /// The position among the fragments of one message.
+    /// The position of the packet among the fragments of one message.
     #[serde(deserialize_with = "at_most::<_, LAST_FRAGMENT>")]
     pub fragment: u8,
-    /// The task the packet is for.
+    /// The task for which the packet is.
     pub destination: TaskId,
-    /// The task the packet comes from.
+    /// The task from which the packet comes.
     pub source: TaskId,
-    /// The port it travels on.
+    /// The port of the message.
     pub port: PortId,
-    /// A request's own id; in an answer, the id of the request.
+    /// In a request, its own id; in an answer, the id of the request.
     pub id: MessageId,
     /// The remaining time: the rest of the time_out, never an instant (§III, D37).
     pub remaining: Ticks,
@@ -231,14 +231,14 @@ pub struct Packet {
 
 /// The end-to-end checksum with which a packet arrived over a link; empty for a packet that this node made.
 ///
-/// A relay forwards it unchanged. A recomputed checksum would also cover bits that flipped in the relay's memory, so the
+/// A relay forwards it unchanged. A recomputed checksum would also cover bits that flipped in the relay's memory, and the
 /// destination would accept the damage (D154).
 ///
 /// Comparisons ignore it: packets that differ only in their seals are equal, hash alike and pack into the same bytes of a
 /// state. The checker makes all packets itself, so its states hold no seals.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Seal(
-    /// A checksum of zero counts as absent and is recomputed: about once in 2^32 packets.
+    /// The checksum. A checksum of zero counts as absent and is recomputed, which happens about once in 2^32 packets.
     Option<NonZeroU32>,
 );
 
@@ -262,7 +262,7 @@ impl core::hash::Hash for Seal {
 /// The highest position of a fragment: the field has four bits.
 const LAST_FRAGMENT: u8 = 15;
 
-/// Deserialises a number and rejects one above `MOST`: a file may hold a number that does not fit the field on the wire.
+/// Deserialises a number, and rejects one above `MOST`, because a number in a file may not fit the packet's field.
 fn at_most<'de, D: Deserializer<'de>, const MOST: u8>(from: D) -> Result<u8, D::Error> {
     let number = u8::deserialize(from)?;
     if number <= MOST { Ok(number) } else { Err(D::Error::custom(PacketError::Malformed)) }
@@ -271,13 +271,13 @@ fn at_most<'de, D: Deserializer<'de>, const MOST: u8>(from: D) -> Result<u8, D::
 /// Why 32 bytes are not a packet for this node.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum PacketError {
-    /// Made by another version of the packet format.
+    /// Another version of the packet format made the bytes.
     Version(u8),
-    /// Names a port that the cell does not have.
+    /// The packet names a port that the cell does not have.
     UnknownPort(PortId),
-    /// The end-to-end checksum is wrong: damaged, or made for another cell or another declaration of the port.
+    /// The end-to-end checksum is wrong: the packet is damaged, or was made for another cell or declaration of the port.
     Checksum,
-    /// A length field beyond the contents, or a bit that must be zero is set.
+    /// The length field exceeds the contents, or a bit that must be zero is set.
     Malformed,
 }
 
@@ -294,7 +294,7 @@ impl fmt::Display for PacketError {
 
 impl core::error::Error for PacketError {}
 
-/// The lookup table handles sixteen bytes per step.
+/// The checksum of packets. The lookup table handles sixteen bytes per step.
 static CRC: crc::Crc<u32, crc::Table<16>> = crc::Crc::<u32, crc::Table<16>>::new(&crc::CRC_32_AUTOSAR);
 
 /// The bits of byte 1 that relays change.
@@ -328,8 +328,8 @@ fn from_wire(mantissa: u32, exponent: u8) -> Ticks {
 }
 
 impl Packet {
-    /// The bytes of this packet. `digest` is the cell's, `port_hash` that of the packet's port. A packet that arrived over a
-    /// link keeps its checksum.
+    /// The bytes of this packet. `digest` is the digest of the cell, `port_hash` the hash of the packet's port. A packet
+    /// that arrived over a link keeps its checksum.
     #[must_use]
     pub fn encode(&self, digest: u32, port_hash: u32) -> [u8; PACKET_BYTES] {
         let mut b = [0; PACKET_BYTES];
@@ -399,7 +399,7 @@ impl Packet {
         })
     }
 
-    /// A meeting packet's contents.
+    /// The contents of a packet of a meeting.
     #[must_use]
     pub fn meeting(&self) -> Meeting {
         Meeting::from_contents(&self.contents)
@@ -418,7 +418,7 @@ impl Packet {
 }
 
 impl Control {
-    /// The packet contents for this code.
+    /// The packet contents for this control code.
     #[must_use]
     pub fn to_contents(self) -> Contents {
         let mut contents = Contents { len: 1, ..Contents::EMPTY };

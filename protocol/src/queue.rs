@@ -15,21 +15,21 @@ use alloc::vec;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
-/// Identifies an entry while it is in the queue.
+/// Identifies an entry as long as the entry is in the queue.
 pub type Slot = u16;
 
-/// No slot: a queue has at most 65,535 entries.
+/// The number that stands for no slot: a queue has at most 65,535 entries.
 const NONE: Slot = Slot::MAX;
 
-/// An instant, and what decides between entries of the same instant.
+/// An instant, and the number that decides between entries of the same instant.
 ///
-/// Not one packed number: a checker's instants may be symbols, which only compare ([`Instant`]).
+/// The two are not one packed number: a checker's instants may be symbols, which can only be compared ([`Instant`]).
 pub type Key = (Instant, u64);
 
 /// The key of an empty slot.
 const LAST: Key = (Instant::NEVER, u64::MAX);
 
-/// What the queue orders its entries by.
+/// An entry of a queue, with the keys by which the queue orders its entries.
 pub trait Entry {
     /// Data stored beside each entry of a watched queue. It decides when the entry is due.
     type Side: Copy + Default;
@@ -38,7 +38,7 @@ pub trait Entry {
     fn key(&self) -> Key;
     /// The instant at which the caller must look at the entry again.
     fn due(&self, side: &Self::Side) -> Instant;
-    /// Whether the entry is evicted before those that do not yield, however urgent it is.
+    /// Whether the entry is evicted before all entries that do not yield, however urgent it is.
     fn yields(&self) -> bool;
 }
 
@@ -49,11 +49,11 @@ pub trait Entry {
 ))]
 pub struct Queue<T: Entry> {
     entries: Box<[Option<T>]>,
-    /// Absent for a capacity of at most one, unless the queue is watched.
+    /// The orders over the slots. Absent for a capacity of at most one, unless the queue is watched.
     order: Option<Box<Order<T::Side>>>,
 }
 
-/// The orders over the slots.
+/// The orders that a queue keeps over its slots.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Order<S> {
     /// The heap by urgency. For a free slot it stores the next free slot instead: a free list.
@@ -63,7 +63,7 @@ struct Order<S> {
     #[serde(skip)]
     last: Option<Slot>,
     watch: Option<Watch<S>>,
-    /// Whether no entry came since all slots were free in their first order.
+    /// Whether no entry has come since the queue was created or cleared: then all slots are free, in their first order.
     #[serde(skip)]
     is_as_new: bool,
 }
@@ -92,7 +92,7 @@ fn due<T: Entry>(entries: &[Option<T>], sides: &[T::Side], slot: Slot) -> (Insta
 }
 
 impl<S: Copy + Default> Order<S> {
-    /// All slots are free, and the lowest is taken first.
+    /// The orders of an empty queue: all slots are free, and the lowest is taken first.
     fn new(capacity: u16) -> Self {
         let urgent = Heap::new(capacity);
         let mut new = Self { urgent, free: NONE, last: None, watch: None, is_as_new: true };
@@ -138,7 +138,7 @@ impl<S: Copy + Default> Order<S> {
         self.forget(entries, slot);
     }
 
-    /// Completes a removal from the heap by urgency: the due order, the free list and the eviction cache.
+    /// Completes the removal of an entry from the heap by urgency: updates due order, free list and eviction cache.
     #[inline]
     fn forget<T: Entry<Side = S>>(&mut self, entries: &[Option<T>], slot: Slot) {
         if let Some(Watch { sides, due: order }) = &mut self.watch {
@@ -169,14 +169,14 @@ impl<T: Entry> Queue<T> {
         Self { entries, order: (capacity > 1).then(|| Box::new(Order::new(capacity))) }
     }
 
-    /// As [`new`](Self::new), but watched.
+    /// As [`new`](Self::new), but with the order by due instants.
     pub fn watched(capacity: u16) -> Self {
         let mut new = Self::new(capacity);
         new.watch();
         new
     }
 
-    /// From here on the queue knows which entry is due first.
+    /// Adds the order by due instants: from now on the queue knows which entry is due first.
     pub fn watch(&mut self) {
         if self.watching().is_some() {
             return;
@@ -219,7 +219,7 @@ impl<T: Entry> Queue<T> {
         self.push_with(entry, T::Side::default())
     }
 
-    /// As [`push`](Self::push), with the side data, which only a watched queue stores.
+    /// As [`push`](Self::push), with side data for the entry, which only a watched queue stores.
     #[inline]
     pub fn push_with(&mut self, entry: T, side: T::Side) -> Result<Slot, T> {
         let slot = self.order.as_ref().map_or(0, |order| order.free);
@@ -252,8 +252,8 @@ impl<T: Entry> Queue<T> {
         self.named(self.order.as_ref().map_or(Some(0), |order| order.urgent.first()))
     }
 
-    /// The entry to evict: the least urgent of those that yield, or of all if none yields. A linear search finds it,
-    /// and the result is cached until an entry changes.
+    /// The entry to evict: the least urgent of the entries that yield, or of all entries if none yields. A linear search
+    /// finds it, and its result is cached until an entry changes.
     pub fn last(&mut self) -> Option<(Slot, &T)> {
         let Some(order) = &self.order else { return self.first() };
         let last = order.last.or_else(|| {
@@ -381,12 +381,12 @@ impl<T: Entry> Queue<T> {
         if let Some(watch) = &mut order.watch {
             watch.due.clear();
         }
-        // Resets the free list, so that equal queues hand out the same slots from here on, whatever went before.
+        // This resets the free list, so that equal queues hand out the same slots from here on, whatever they held before.
         order.free_all();
         order.last = None;
     }
 
-    /// Whether no entry came since the queue was made or cleared. In a queue of one slot this is whether it is empty.
+    /// Whether no entry has come since the queue was made or cleared. A queue of one slot answers whether it is empty.
     fn is_as_new(&self) -> bool {
         match &self.order {
             Some(order) => order.is_as_new,

@@ -8,69 +8,70 @@ use serde::{Deserialize, Serialize};
 /// The members of a rendezvous that send CONFIRM. §4.3 can be read in three ways; a fourth is to send none (D1).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Confirmation {
-    /// No member.
+    /// No member sends it.
     None,
-    /// A member that holds all arrivals before it hears of another one that does.
+    /// A member sends it if it holds all arrivals before it hears of another member that does.
     FirstComplete,
-    /// Every member that holds all arrivals, even if a CONFIRM has released it already.
+    /// Every member that holds all arrivals sends it, even if a CONFIRM has already released that member.
     EveryComplete,
-    /// Every released member, however it was released.
+    /// Every released member sends it, however it was released.
     PassOn,
 }
 
 /// The form in which a packet carries its time (§5.1, D37).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum TimeStamp {
-    /// As remaining time.
+    /// The packet carries the remaining time.
     Remaining,
-    /// As an instant on the sender's clock, which the receiver compares with its own. Wrong without a global clock.
+    /// The packet carries an instant on the sender's clock, which the receiver compares with its own. This is wrong without
+    /// a global clock.
     Absolute,
 }
 
 /// How long a receiver keeps the dedup entry of a class-2 message (D6, D52).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Memory {
-    /// For the TTL and the link delay: until no copy can arrive any more.
+    /// The entry is kept for the TTL and the link delay, until no copy can arrive any more.
     TtlAndLink,
-    /// Until the message is answered.
+    /// The entry is kept until the message is answered.
     UntilAnswered,
-    /// Not at all.
+    /// No entry is kept.
     None,
 }
 
 /// The effect of a rejection by rank on a message, besides the port's time penalty (§5.1.1, D4, D58).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Aging {
-    /// Each rejection raises the message by one rank, and heads that were bypassed too often go first.
+    /// Each rejection raises the message by one rank, and heads of ports that were bypassed too often go first.
     Bounded,
-    /// None: a message may be rejected and bypassed for ever.
+    /// A rejection has no effect, so a message may be rejected and bypassed for ever.
     Off,
-    /// Heads that were bypassed too often go first, but rejections do not count.
+    /// Heads of ports that were bypassed too often go first, but rejections do not count.
     Unbounded,
 }
 
 /// The message that a full transit buffer evicts (D60).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Eviction {
-    /// Status messages before commands, then the least urgent.
+    /// Evict status messages before commands, and the least urgent among them.
     ByClass,
-    /// The least urgent, whatever its class.
+    /// Evict the least urgent message, whatever its class.
     ByTime,
 }
 
 /// How the primary of a couple renews its lease (D30, D61).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum LeaseRule {
-    /// By heartbeats that echo one of its answers; the lease counts from the sending of that answer.
+    /// The primary renews it by heartbeats that echo one of its answers. The lease counts from the sending of that answer.
     Echoed,
-    /// By any heartbeat; the lease counts from its arrival.
+    /// The primary renews it by any heartbeat. The lease counts from the arrival of that heartbeat.
     Heartbeat,
 }
 
 /// How the Timer accepts a task's job (Figure 3, D22).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum JobRequest {
-    /// At any time: JOB_REQUEST is a standing offer.
+    /// The Timer accepts a job at any time: JOB_REQUEST is a standing offer.
     Standing,
     /// The Timer waits for every busy task before it counts on.
     Blocking,
@@ -85,14 +86,14 @@ pub struct Rules {
     pub rounds: bool,
     /// Whether a member joins a fresher round that it hears of. If not, it only counts its own attempts (D54).
     pub join_fresher: bool,
-    /// Whether an ARRIVE carries the round that its sender released last (D54).
+    /// Whether an ARRIVE carries the round from which its sender was last released (D54).
     pub last_released: bool,
-    /// Whether a late ARRIVE is answered: by CONFIRM if its round was released last, by ABORT if it is older. If not, it is
-    /// dropped, as in the literal reading of §4.3 (D54, D55).
+    /// Whether a late ARRIVE is answered: by CONFIRM if its round is the one from which the receiver was last released, by
+    /// ABORT if its round is older. If not, the receiver drops it, as in the literal reading of §4.3 (D54, D55).
     pub answer_late_arrivals: bool,
     /// Whether a member that gives up sends ABORT, so that the others go on in a fresher round (D2, D54).
     pub aborts: bool,
-    /// Whether residence in a buffer is charged to the message's TTL (§5.1.1).
+    /// Whether the time that a message spends in a buffer is subtracted from its TTL (§5.1.1).
     pub charge_residence: bool,
     /// Whether the sender drops a reply that comes after its time_out (§4.1).
     pub refuse_late_replies: bool,

@@ -26,7 +26,7 @@ pub struct Ticks(pub u64);
 impl Ticks {
     /// No time at all.
     pub const ZERO: Self = Self(0);
-    /// Longer than every other duration: without an end.
+    /// A duration without an end, longer than every other one.
     pub const FAR: Self = Self(u64::MAX);
 
     /// `self - other`, or zero if `other` is longer. [`Ticks::FAR`] stays [`Ticks::FAR`].
@@ -35,7 +35,7 @@ impl Ticks {
         Self(number::difference(self.0, other.0))
     }
 
-    /// How many whole periods fit into the duration. A period of zero counts as one tick.
+    /// How many whole periods fit into the duration. A period of zero counts as a period of one tick.
     #[must_use]
     pub fn whole(self, period: Self) -> u64 {
         number::quotient(self.0, period.0.max(1))
@@ -63,11 +63,11 @@ pub struct Instant(pub u64);
 impl Instant {
     /// The first instant of the clock.
     pub const START: Self = Self(0);
-    /// Later than every instant that a clock reaches.
+    /// An instant later than every one that a clock reaches.
     pub const NEVER: Self = Self(u64::MAX);
 }
 
-/// The order of times, by `number`.
+/// Implements the order of times with the operations of `number`.
 macro_rules! ordered {
     ($($time:ty),*) => {$(
         impl PartialEq for $time {
@@ -112,7 +112,7 @@ macro_rules! ordered {
 
 ordered!(Ticks, Instant);
 
-/// Saturating at [`Ticks::FAR`].
+/// The sum saturates at [`Ticks::FAR`].
 impl Add for Ticks {
     type Output = Self;
     fn add(self, other: Self) -> Self {
@@ -126,7 +126,7 @@ impl AddAssign for Ticks {
     }
 }
 
-/// Saturating at zero, as [`Ticks::saturating_sub`].
+/// The difference saturates at zero, as [`Ticks::saturating_sub`].
 impl Sub for Ticks {
     type Output = Self;
     fn sub(self, other: Self) -> Self {
@@ -134,7 +134,7 @@ impl Sub for Ticks {
     }
 }
 
-/// Saturating at [`Instant::NEVER`].
+/// The sum saturates at [`Instant::NEVER`].
 impl Add<Ticks> for Instant {
     type Output = Self;
     fn add(self, length: Ticks) -> Self {
@@ -148,7 +148,7 @@ impl AddAssign<Ticks> for Instant {
     }
 }
 
-/// Saturating at [`Instant::START`]. [`Instant::NEVER`] stays [`Instant::NEVER`].
+/// The difference saturates at [`Instant::START`]. [`Instant::NEVER`] stays [`Instant::NEVER`].
 impl Sub<Ticks> for Instant {
     type Output = Self;
     fn sub(self, length: Ticks) -> Self {
@@ -156,7 +156,8 @@ impl Sub<Ticks> for Instant {
     }
 }
 
-/// The duration from an earlier instant to this one: zero if that is not earlier, and [`Ticks::FAR`] up to [`Instant::NEVER`].
+/// The duration from an earlier instant to this one. It is zero if that instant is not earlier, and [`Ticks::FAR`] if this
+/// one is [`Instant::NEVER`].
 impl Sub for Instant {
     type Output = Ticks;
     fn sub(self, earlier: Self) -> Ticks {

@@ -35,8 +35,8 @@ impl Timer {
         Self { now: Instant::START, armed: 0, fresh: Fresh::NONE, queue, index }
     }
 
-    /// Arms an entry, in place of one of the same owner and id. False if the Timer is full. `turn` is returned when
-    /// the entry ends: by it, the owner recognises entries that it has restarted since.
+    /// Arms an entry, in place of one of the same owner and id. Returns false if the Timer is full. When the entry ends, the
+    /// Timer returns `turn`, by which the owner recognises entries that it has restarted since.
     pub fn arm(&mut self, owner: TaskId, id: TimeId, turn: u8, length: Ticks) -> bool {
         let (expires, armed) = (self.now + length, self.armed);
         self.armed += 1;
@@ -65,7 +65,8 @@ impl Timer {
         self.queue.len() + self.fresh.iter().count() >= self.queue.capacity()
     }
 
-    /// Moves one of the recently armed entries into the queue and returns its place, now free; `None` if the Timer is full.
+    /// Moves one of the recently armed entries into the queue. Returns its place among them, which is now free; `None` if
+    /// the Timer is full.
     #[inline(never)]
     fn settle_one(&mut self) -> Option<usize> {
         if self.is_full() {
@@ -82,7 +83,7 @@ impl Timer {
         Some(at)
     }
 
-    /// Removes an entry. False if there is none.
+    /// Removes an entry. Returns false if there is none.
     pub fn disarm(&mut self, owner: TaskId, id: TimeId) -> bool {
         let name = name(owner, id);
         if let Some(at) = self.fresh.find(name) {
@@ -93,9 +94,9 @@ impl Timer {
         slot.and_then(|slot| self.queue.remove(slot)).is_some()
     }
 
-    /// Sets the remaining time of an entry, whatever it was armed for. Zero ends it with the next `advance`, even if
-    /// no time passes. Only for a checker that follows a recorded node: there, entries that end within one tick may
-    /// end in any order, and a node may notice late. False if there is no such entry.
+    /// Sets the remaining time of an entry, whatever it was armed for. Zero ends it with the next `advance`, even if no time
+    /// passes. Only for a checker that follows a recorded node: there, entries that end within one tick may end in any
+    /// order, and a node may notice late. Returns false if there is no such entry.
     #[cfg(feature = "checker")]
     pub fn put(&mut self, owner: TaskId, id: TimeId, left: Ticks) -> bool {
         let (name, expires) = (name(owner, id), self.now + left);
@@ -221,7 +222,8 @@ mod tests {
     }
 
     proptest! {
-        /// Compares the Timer with a plain list: arm, disarm, put and advance, with more entries than the unsorted ones.
+        /// Compares the Timer with a plain list under arm, disarm, put and advance, with more entries than fit into the
+        /// unsorted set.
         #[test]
         fn behaves_like_a_list(steps in proptest::collection::vec((0..8_u8, 0..12_u16, 0..6_u64), 0..200)) {
             let mut timer = Timer::new(9);

@@ -1,7 +1,7 @@
-//! The transit buffer and message scheduling of the route layer (§5.1.1, §5.2.3), one per node. Packets leave smallest
-//! time_out first, by [`Transit::next`], whenever a link is ready. Packets that can no longer arrive in time are removed
-//! here, so that they delay no others (D83). With n packets waiting each operation costs O(log n). Linear searches happen
-//! only while the link of the most urgent packet is busy, or when a full buffer must evict.
+//! The transit buffer and message scheduling of the route layer (§5.1.1, §5.2.3), one per node. Whenever a link is ready,
+//! [`Transit::next`] takes out the packet with the smallest remaining time. Packets that can no longer arrive in time are
+//! removed here, so that they delay no others (D83). While n packets wait, each operation costs O(log n). Linear searches
+//! happen only while the link of the most urgent packet is busy, or when a full buffer must evict.
 //!
 //! Refusals (D19) wait in a small queue of their own. If they shared the room of messages, a full buffer could not report
 //! that it is full, or would drop one command to report on another (D79).
@@ -19,13 +19,13 @@ use crate::table::{Hop, NodeTable};
 use crate::ticks::Instant;
 use alloc::vec::Vec;
 
-/// Where the effects of the transit buffer go.
+/// The receiver of the transit buffer's effects.
 pub trait RouteOutbox {
     /// Tells a task of this node that a copy of its request was dropped before it left.
     fn unsent(&mut self, task: TaskId, id: MessageId);
     /// Hands a packet to the route layer: a refusal for the source of a command.
     fn transmit(&mut self, packet: Packet);
-    /// Notes what happened.
+    /// Notes an observation about a packet.
     fn observe(&mut self, observation: Observation) {
         let _ = observation;
     }
@@ -35,13 +35,13 @@ pub trait RouteOutbox {
 struct Waiting {
     packet: Packet,
     expires: Instant,
-    /// From this instant on it cannot arrive in time: its deadline less the bounds of the links ahead (D20).
+    /// The instant from which on the packet cannot arrive in time: its deadline less the bounds of the links ahead (D20).
     leave_by: Instant,
     arrival: u64,
     next: NodeId,
 }
 
-/// Smallest time_out first (§5.1.1), commands before status, then in order of arrival.
+/// The order of packets: smallest remaining time first (§5.1.1), then commands before status, then the order of arrival.
 impl Entry for Waiting {
     type Side = ();
 
@@ -59,7 +59,7 @@ impl Entry for Waiting {
     }
 }
 
-/// How many refusals wait at most.
+/// How many refusals can wait at most.
 const WORDS: u16 = 4;
 
 /// The transit buffer of one node.
@@ -68,7 +68,7 @@ pub struct Transit {
     now: Instant,
     arrivals: u64,
     queue: Queue<Waiting>,
-    /// Refusals for the sources of commands.
+    /// The refusals that wait to leave, for the sources of commands.
     words: Queue<Waiting>,
     forwarded: u64,
     discarded: [u64; Reason::ALL.len()],
@@ -118,7 +118,7 @@ impl Transit {
             return self.discard(table, &packet, Reason::ExpiredInTransit, out);
         }
         if packet.control() == Some(Control::RefusedOnTheWay) && packet.kind == Kind::Control {
-            // A refusal without room is dropped: its command then ends with its time_out (D66).
+            // If there is no room, the refusal is dropped; its command then ends with its time_out (D66).
             if self.words.push(waiting).is_err() {
                 self.discard(table, &packet, Reason::Refused, out);
             }
@@ -136,8 +136,8 @@ impl Transit {
         let _ = self.queue.push(waiting);
     }
 
-    /// [`offer`](Self::offer) and [`next`](Self::next) in one: a packet that finds an empty buffer and a ready link leaves
-    /// without being queued. Any other packet is offered.
+    /// [`offer`](Self::offer) and [`next`](Self::next) in one: if the buffer is empty and the link is ready, the packet
+    /// leaves without being queued. Otherwise it is offered.
     pub fn pass(
         &mut self,
         table: &NodeTable,
@@ -159,10 +159,10 @@ impl Transit {
         Some((way.next, waiting.left(self.now)))
     }
 
-    /// The held packet to evict for a newcomer; `None` if the newcomer is refused.
+    /// The stored packet that is evicted for a newcomer; `None` if the newcomer is refused.
     fn victim(&mut self, table: &NodeTable, newcomer: &Waiting) -> Option<Slot> {
         if table.rules().eviction == Eviction::ByTime {
-            // The literal reading of §III: time_out alone decides.
+            // Under the literal reading of §III, time_out alone decides.
             let (slot, least_urgent) = self.queue.iter().max_by_key(|(_, waiting)| waiting.key())?;
             return (least_urgent.key() > newcomer.key()).then_some(slot);
         }
@@ -226,7 +226,8 @@ impl Transit {
         let word = open(&self.words, &mut ready);
         let waiting = match (message, word) {
             (None, None) => return None,
-            // Of equal urgency the refusal goes first: packed states do not record which of the two arrived first.
+            // If both are equally urgent, the refusal goes first, because packed states do not record which of the two
+            // arrived first.
             (message, Some((expires, slot))) if message.is_none_or(|(other, _)| expires <= other) => {
                 self.words.remove(slot)?
             }
@@ -254,7 +255,7 @@ impl Transit {
         self.queue.sorted().into_iter().map(|(_, w)| w.left(self.now)).collect()
     }
 
-    /// The waiting refusals, likewise.
+    /// The waiting refusals, most urgent first, with their remaining times.
     #[must_use]
     pub fn words(&self) -> Vec<Packet> {
         self.words.sorted().into_iter().map(|(_, w)| w.left(self.now)).collect()
@@ -302,7 +303,7 @@ impl Transit {
 }
 
 impl Waiting {
-    /// The packet with its residence charged.
+    /// The packet with its residence in this buffer charged.
     fn left(&self, now: Instant) -> Packet {
         Packet { remaining: self.expires - now, ..self.packet }
     }

@@ -5,7 +5,8 @@ pub(crate) use loom::sync::{Condvar, Mutex as PlainMutex};
 pub(crate) use loom::thread;
 use std::collections::BTreeMap;
 use std::ops::{Deref, DerefMut};
-/// Not loom's `Arc`: loom counts its operations as steps, and a thread abandoned in a deadlock cannot drop it.
+/// This is not loom's `Arc`: loom counts each of its operations as a step, and a thread that is abandoned in a deadlock
+/// cannot drop it.
 pub(crate) use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -14,9 +15,11 @@ pub(crate) const SEES_OLD_VALUES: bool = true;
 
 /// The most preemptions of one execution.
 const PREEMPTIONS: usize = 3;
-/// The same in a large scene: one preemption more takes 15,000 to 225,000 executions instead of at most a tenth of that.
+/// The most preemptions in a large scene: one preemption more would take 15,000 to 225,000 executions instead of at most a
+/// tenth of that.
 const PREEMPTIONS_IF_LARGE: usize = 2;
-/// An exploration that takes longer fails, because it proves nothing. Each needs only seconds; the rest is for a busy machine.
+/// The time limit of an exploration. One that takes longer fails, because it proves nothing. Each needs only seconds; the
+/// rest is for a busy machine.
 const CAP: Duration = Duration::from_secs(600);
 
 /// How often each outcome was seen.
@@ -27,7 +30,8 @@ pub(crate) fn explore<O: Ord + Send + 'static>(body: impl Fn() -> O + Send + Syn
     explore_within(PREEMPTIONS, body)
 }
 
-/// As [`explore`], with at most [`PREEMPTIONS_IF_LARGE`]; with `IMRS_FULL_SCENES=1`, which `.ci/long` sets, [`PREEMPTIONS`].
+/// As [`explore`], with at most [`PREEMPTIONS_IF_LARGE`] preemptions; if `.ci/long` sets `IMRS_FULL_SCENES=1`, with at most
+/// [`PREEMPTIONS`].
 pub(crate) fn explore_large<O: Ord + Send + 'static>(
     body: impl Fn() -> O + Send + Sync + 'static,
 ) -> Histogram<O> {
@@ -55,8 +59,8 @@ fn explore_within<O: Ord + Send + 'static>(
     seen
 }
 
-/// loom explores no `try_lock` against the release of its own mutex, because it does not branch there. This mutex keeps `held` in
-/// an atomic of its own, which loom explores with stale values: no correct lock is weaker.
+/// loom explores no `try_lock` against the release of its own mutex, because it does not branch there. This mutex keeps
+/// `held` in an atomic of its own, which loom explores, stale values included. No correct lock is weaker than that.
 #[derive(Debug)]
 pub(crate) struct Mutex<T> {
     held: AtomicBool,

@@ -1,4 +1,4 @@
-//! Locks for values that are consistent at every moment, so that a poisoned lock is no error.
+//! Locks for values that are consistent at every moment. For such a value a poisoned lock is no error.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 

@@ -10,9 +10,9 @@ const LANES: usize = 36;
 const NARROW: usize = 8;
 /// Fewest columns for the words. If lanes leave fewer, there are no lanes.
 const WORDS: usize = 30;
-/// The longest cycle that is looked for, in notes.
+/// The longest cycle of repeated notes that is searched for, in notes.
 const CYCLE: usize = 64;
-/// Fewest notes that a fold must save.
+/// Fewest notes that folding a cycle must save.
 const WORTH: usize = 4;
 
 /// How a chart shows notes that repeat.
@@ -72,7 +72,7 @@ struct Sheet<'a> {
     names: &'a [String],
     /// Columns for the tick.
     margin: usize,
-    /// Columns for each lane; 0 if there are too many lanes.
+    /// Columns for each lane; 0 if there are too many lanes to draw any.
     lane: usize,
     /// Columns for the line of the cell's source text; 0 if no note has one.
     line: usize,
@@ -103,12 +103,12 @@ impl<'a> Sheet<'a> {
         vec![head.trim_end().to_owned()]
     }
 
-    /// The column for source lines, with this text.
+    /// The column for source lines, filled with this text.
     fn beside(&self, line: &str) -> String {
         if self.line == 0 { String::new() } else { format!("{line:>width$}  ", width = self.line - 2) }
     }
 
-    /// The lanes without marks.
+    /// The lanes of one line, without marks.
     fn empty(&self) -> Vec<char> {
         let mut line = vec![' '; self.lane * self.names.len()];
         line.iter_mut().step_by(self.lane.max(1)).for_each(|column| *column = '|');
@@ -197,7 +197,7 @@ fn wrapped(text: &str, room: usize) -> Vec<String> {
     lines
 }
 
-/// Notes that repeat.
+/// A run of notes that repeats.
 struct Cycle {
     /// How many notes one repetition has.
     length: usize,
@@ -314,7 +314,7 @@ mod tests {
             drawn,
             "tick  armL    armR     line\n   3  |       *           7  armR: goes on\n   4  |       *              armR: goes on\n   5  |       *       12345  armR: goes on\n      => so"
         );
-        // The same words at another line are another step.
+        // The same words at another line of the source are another step.
         let notes: Vec<Note> = (0..9).map(|i| event(i, Some(i))).collect();
         assert!(!chart(&names(), &notes, "so", Folding::Repeats).contains("..."));
     }

@@ -14,7 +14,7 @@ pub(super) type Plan = Result<Arc<CellScenario>, Vec<CellError>>;
 /// A scenario to explore, and whether it must violate its property.
 pub(super) struct Part {
     plan: Box<dyn Fn() -> Plan + Send + Sync>,
-    /// Whether a violation must be found, which shows that the other parts do not hold vacuously.
+    /// Whether the search must find a violation. Such a part shows that the other parts do not hold vacuously.
     reached: bool,
 }
 
@@ -38,7 +38,7 @@ fn relay(relay: Relay) -> Part {
     holds(move || relay.plan())
 }
 
-/// A claim that holds if all parts hold; parts that must find a violation do not count.
+/// A claim that holds if all parts hold. Parts that must find a violation do not count for that.
 pub(super) fn claim(
     (name, rule, about): (&'static str, &'static str, &'static str),
     expect: Outcome,
@@ -195,8 +195,8 @@ fn relays() -> Vec<Claim> {
     claims
 }
 
-/// What senders learn about commands that did not run: full buffers refuse and hold them, or one copy is refused
-/// while another runs.
+/// The claim about what senders learn of commands that did not run: a full buffer refuses or holds them, or one copy is
+/// refused while another runs.
 fn did_not_run() -> Claim {
     let about = "a command that is reported as refused or never sent has not run and does not run later";
     let copies = Relay {
@@ -216,8 +216,8 @@ fn did_not_run() -> Claim {
     claim(("at-most-once", "default, told that it did not run", about), Outcome::Holds, true, parts)
 }
 
-/// What the exchange of two tasks cannot show: it drops packets that their task would ignore, and only its receivers
-/// crash.
+/// Claims about copies that worlds with one task per node cannot show: those drop packets that their task would ignore, and
+/// only their receivers crash.
 fn copies() -> Vec<Claim> {
     let twice =
         |faults, watch| relay(Relay { sends: (2, 0), faults, watches: vec![watch], ..Relay::default() });
@@ -280,7 +280,7 @@ fn nothing_waits_for_ever() -> Vec<Claim> {
 fn no_global_clock() -> Vec<Claim> {
     let offsets = [[0, 0, 0], [0, 3, 0], [200, 7, 99]];
     let faults = Faults { drift: 1, loss: 1, ..Faults::default() };
-    // A node that missed a tick may hand over a message one tick late; a wait may last one tick longer anyhow.
+    // A node that missed a tick may hand over a message one tick late. A wait may always last one tick longer.
     let watches = vec![CellProperty::Stale { slack: 1 }, CellProperty::Waits { slack: 0 }];
     let cell_states: Vec<Relay> = offsets
         .into_iter()
@@ -303,7 +303,7 @@ fn no_global_clock() -> Vec<Claim> {
     }]
 }
 
-/// Every scenario must hold, with the same number of states.
+/// Settles a claim for which every scenario must hold, with the same number of states.
 fn equal_states(work: &mut Work<'_>, cell_states: &[Relay]) -> Settled {
     let mut counts = Vec::new();
     let mut last = settle(work, &[]);

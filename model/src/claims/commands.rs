@@ -102,7 +102,8 @@ fn at_most_once() -> Vec<Claim> {
     let eager = Rules { quarantine: false, ..Rules::DEFAULT };
     vec![
         claim((name, "default", about), Outcome::Holds, true, vec![crash.clone()]),
-        // A restart multiplies the states: with it the larger scenario has one fault of each kind, without it two.
+        // A restart multiplies the states. So the larger scenario has one fault of each kind if there is a restart, and two
+        // if there is none.
         claim((name, "default", about), Outcome::Holds, false, vec![calm, shaken]),
         claim(
             (name, "no-memory", "without memory a copy runs again (D6)"),
@@ -167,7 +168,8 @@ fn no_global_clock() -> Vec<Claim> {
     ]
 }
 
-/// Every scenario must hold with equal clocks, so that a failure with others is due to the clocks.
+/// Settles a claim that depends on the clocks: every scenario must hold if the clocks are equal, so that a failure with
+/// other clocks is due to them.
 fn only_apart(work: &mut Work<'_>, worlds: &[Exchange]) -> Settled {
     let (together, apart): (Vec<_>, Vec<_>) = worlds.iter().cloned().partition(|e| e.clocks.0 == e.clocks.1);
     let equal = settle(work, &together).outcome == Outcome::Holds;
@@ -175,7 +177,8 @@ fn only_apart(work: &mut Work<'_>, worlds: &[Exchange]) -> Settled {
     Settled { sound: settled.sound && equal, ..settled }
 }
 
-/// Every scenario must hold, and those that differ only in their clocks must have the same number of states.
+/// Settles a claim for which every scenario must hold, and scenarios that differ only in their clocks must have the same
+/// number of states.
 fn equal_states(work: &mut Work<'_>, worlds: &[Exchange]) -> Settled {
     let mut settled = settle(work, worlds);
     let mut counts: Vec<(Watch, u64, u64)> = Vec::new();

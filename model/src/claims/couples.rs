@@ -11,7 +11,8 @@ use imrs_protocol::rules::LeaseRule;
 
 const NAME: &str = "one-active";
 
-/// Any number of lost packets, packets that overtake each other, and a lease that outlasts two lost heartbeats.
+/// A couple with any number of lost packets, packets that overtake each other, and a lease that outlasts two lost
+/// heartbeats.
 const COUPLE: Couple = Couple {
     delay: 1,
     lease: 8,
@@ -30,10 +31,10 @@ pub(super) fn claims() -> Vec<Claim> {
     let crash =
         |base: Couple| Couple { faults: Faults { crash: base.faults.crash + 1, ..base.faults }, ..base };
     let copy = |base: Couple| Couple { faults: Faults { dup: 1, ..base.faults }, ..base };
-    // A lease that outlasts one lost heartbeat: fewer heartbeats are in flight.
+    // The same couple with a lease that outlasts only one lost heartbeat, so that fewer heartbeats are in flight.
     let seldom = |base: Couple| Couple { every: 3, ..base };
     let slow = |base: Couple| Couple { delay: 2, lease: 14, takeover: 14, every: 5, ..base };
-    // Each exchange of roles raises the epoch, so with unlimited losses there would be no end of epochs.
+    // Each exchange of roles raises the epoch. With unlimited losses the epochs would never end.
     let mutual =
         |loss: u8, base: Couple| Couple { mutual: true, faults: Faults { loss, ..base.faults }, ..base };
     let mut claims = vec![
@@ -80,11 +81,12 @@ pub(super) fn claims() -> Vec<Claim> {
 /// A first epoch with which the primary's epoch is the last before the wrap, and the standby's the first after it.
 const WRAPS: u8 = 252;
 
-/// First epochs about half the circle away from where a restarted node begins: there it is unclear which of the two
-/// is newer.
+/// First epochs that are about half the circle of numbers away from where a restarted node begins. At that distance it is
+/// unclear which of the two is newer.
 const HALF_WAY: std::ops::RangeInclusive<u8> = 120..=136;
 
-/// A restarted node has forgotten the epochs: it adopts its partner's, and never its partner the guessed one (D135).
+/// The claim about a restarted node, which has forgotten the epochs: it adopts its partner's epoch, and the partner never
+/// adopts the one that the node guessed (D135).
 fn half_way(rule: &'static str, smoke: bool, couple: Couple) -> Claim {
     Claim {
         name: NAME,
@@ -134,10 +136,10 @@ fn least(rule: &'static str, smoke: bool, couple: Couple) -> Claim {
     }
 }
 
-/// Most ticks past the lease that a take-over is tried with.
+/// Most ticks beyond the lease after which a take-over is tried.
 const MOST: u64 = 6;
 
-/// The closed form of the margin for the couple's clocks: drift over both waits, and the tick that a node may notice
+/// The closed form of the margin for the couple's clocks: the drift over both waits, and the tick by which a node may notice
 /// late.
 fn closed_form(couple: &Couple) -> u64 {
     let Couple { lease, faults, .. } = *couple;
@@ -146,8 +148,8 @@ fn closed_form(couple: &Couple) -> u64 {
     takeover_margin(Ticks(lease), Ticks(lease), ppm, Ticks::ZERO, Ticks(1)).0
 }
 
-/// Searches for the least margin that holds; the one below it is the variant that must fail. Checks also that the
-/// standby can take over at all.
+/// Searches for the least margin that holds; the one below it is the variant that must fail. It also checks that the standby
+/// can take over at all.
 fn margin(work: &mut Work<'_>, couple: &Couple) -> Settled {
     let mut one_less: Option<(Settled, _)> = None;
     let mut held = None;
@@ -187,7 +189,8 @@ fn margin(work: &mut Work<'_>, couple: &Couple) -> Settled {
     }
 }
 
-/// A heartbeat that only says "alive" cannot tell a dead partner from lost answers: no take-over is late enough.
+/// The claim that a heartbeat which only says "alive" is not enough: it cannot tell a dead partner from lost answers, so no
+/// take-over is late enough.
 fn heartbeat() -> Claim {
     let couple = |takeover: u64| Couple { rule: LeaseRule::Heartbeat, takeover, ..COUPLE };
     Claim {
@@ -212,7 +215,7 @@ fn heartbeat() -> Claim {
 /// The TTL of an order, and its link delay, in ticks.
 const ORDER: (u64, u64) = (4, 1);
 
-/// Orders of both tasks to one arm. The take-over exceeds the lease by `margin` ticks.
+/// A scenario in which both tasks of a couple send orders to one arm. The take-over comes `margin` ticks after the lease.
 fn ordered(margin: u64, heed: bool, watch: CellProperty) -> Orders {
     let couple = Couple { takeover: COUPLE.lease + margin, every: 3, watch, ..COUPLE };
     Orders { couple, delay: ORDER.1, ttl: ORDER.0, orders: 1, heed }
@@ -252,7 +255,8 @@ fn orders() -> Vec<Claim> {
         }),
     };
     vec![
-        // A couple declared as trusted may take over while the last order still runs: then only the guard protects.
+        // A couple that is declared as trusted may take over while the last order still runs. Then only the guard of the
+        // order protects.
         claim("default", Outcome::Holds, 1, true),
         wraps,
         claim("no-guard", Outcome::Fails, 1, false),

@@ -5,7 +5,7 @@ use crate::report::{Bounds, Outcome};
 use crate::scenario::{Budget, Watch};
 use crate::worlds::Exchange;
 
-/// Commands with one retransmission, one loss, one duplicate.
+/// A scenario of commands with one retransmission, one loss and one duplicate.
 pub(super) fn commands(watch: Watch) -> Exchange {
     Exchange {
         retry: (1, 2),

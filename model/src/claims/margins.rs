@@ -22,13 +22,13 @@ pub(super) struct Search {
     pub resend: Option<u64>,
 }
 
-/// The time_outs a margin is tried with.
+/// The time_outs with which a margin is tried.
 #[derive(Clone, Copy)]
 pub(super) enum TimeOuts {
-    /// The least one with which a release is reachable, and `more` longer ones, so that the margin does not depend on
-    /// how the period of retransmissions divides the time_out.
+    /// The least time_out with which a release is reachable, and `more` longer ones. So the result does not depend on how
+    /// the period of retransmissions divides the time_out.
     Least { more: u64 },
-    /// Only this one.
+    /// Only this time_out.
     Only(u64),
 }
 
@@ -59,7 +59,8 @@ impl Search {
         }
     }
 
-    /// The claim that no margin is enough. It tries all up to three times the closed form of the default rules.
+    /// The claim that no margin is enough. The search tries all margins up to three times the closed form of the default
+    /// rules.
     pub fn claim_none(self, rule: &'static str, about: &'static str) -> Claim {
         Claim {
             about,
@@ -69,7 +70,7 @@ impl Search {
         }
     }
 
-    /// Settles that claim: every margin must fail. The counterexample of the closed form is shown.
+    /// Settles the claim that no margin is enough: every margin must fail. The counterexample of the closed form is shown.
     fn none(&self, work: &mut Work<'_>) -> Settled {
         let closed_form = self.closed_form();
         let mut shown = None;
@@ -114,14 +115,14 @@ impl Search {
         }
     }
 
-    /// The result with the first time_out with which the margin does not hold, if there is one.
+    /// The result for the first time_out with which the margin does not hold; none if it holds with all.
     fn fails_at(&self, work: &mut Work<'_>, margin: u64) -> Option<Settled> {
         let mut settled = self.time_outs(margin).map(|time_out| once(work, &self.meeting(margin, time_out)));
         settled.find(|settled| settled.outcome != Outcome::Holds)
     }
 
-    /// Searches for the least margin that holds; the one below it is the variant that must fail. Checks also that a
-    /// member can be released with it at all, because otherwise the claim holds vacuously.
+    /// Searches for the least margin that holds; the one below it is the variant that must fail. It also checks that a
+    /// member can be released with that margin at all; otherwise the claim would hold vacuously.
     fn margin(&self, work: &mut Work<'_>) -> Settled {
         let closed_form = self.closed_form();
         let mut one_less = None;
@@ -157,7 +158,7 @@ impl Search {
     }
 }
 
-/// The claim of a search for the least margin, with deviations of time.
+/// The claim that a search finds the least margin, with deviations of time.
 pub(super) fn margins(rule: &'static str, members: usize, losses: u8, timing: Timing, smoke: bool) -> Claim {
     Search { timing, ..Search::of(members, losses) }.claim(rule, smoke)
 }

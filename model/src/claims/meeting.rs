@@ -10,7 +10,7 @@ use imrs_protocol::rules::{Confirmation, Rules};
 pub(super) const DELAY: u8 = 1;
 pub(super) const RESEND: u64 = 2;
 
-/// A meeting in which time passes. It must bear `losses` losses, and gets as many.
+/// A meeting in which time passes. Its margin must bear `losses` losses, and as many happen.
 pub(super) fn timed(members: usize, watch: Watch, losses: u8, margin: u64, time_out: u64) -> Meeting {
     Meeting {
         time_out: Some(time_out),
@@ -36,7 +36,7 @@ pub(super) fn bounds(meeting: &Meeting) -> Bounds {
     }
 }
 
-/// Settles a claim that is one exploration.
+/// Settles a claim by a single exploration.
 pub(super) fn once(work: &mut Work<'_>, meeting: &Meeting) -> Settled {
     let (outcome, counterexample) = match meeting.scenario() {
         Ok(scenario) => work.judge(&scenario),
@@ -60,7 +60,7 @@ pub(super) fn simple(
     Claim { name, rule, parties, about, expect, smoke, settle: Box::new(settle) }
 }
 
-/// Whether the property would hold vacuously if no member were ever released.
+/// Whether the property speaks only of releases, so that it would hold vacuously if no member were ever released.
 const fn says_of_releases(meeting: &Meeting) -> bool {
     matches!(meeting.watch, Watch::FalseRelease | Watch::Pairing | Watch::AllOrNone)
 }
@@ -71,7 +71,7 @@ pub(super) fn releases(work: &mut Work<'_>, meeting: &Meeting) -> bool {
     once(work, &reachable).outcome == Outcome::Fails
 }
 
-/// The claim about how many losses strand a member under a rule of confirmation.
+/// The claim about how many losses strand a member (leave it waiting after all have arrived) under a rule of confirmation.
 pub(super) fn strand_claim(
     members: usize,
     rule: &'static str,
@@ -89,7 +89,7 @@ pub(super) fn strand_claim(
     }
 }
 
-/// Searches for the fewest losses that strand a member: with every packet sent once, and with retransmission.
+/// Searches for the fewest losses that strand a member: if every packet is sent once, and with retransmission.
 fn strand(work: &mut Work<'_>, members: usize, confirmation: Confirmation) -> Settled {
     let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
     let literal = Meeting { rules, ..Meeting::new(members, Watch::Stranded) };

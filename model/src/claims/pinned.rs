@@ -1,12 +1,12 @@
-//! Pinned numbers that the searches must find. A search that finds another number makes its verdict unexpected, so no
-//! change that makes the protocol weaker or stronger goes unnoticed.
+//! Pinned numbers that the searches must find. A search that finds another number makes its verdict unexpected, so every
+//! change that makes the protocol weaker or stronger is noticed.
 
 use crate::report::Found;
 
-/// A row: claim, rule, parties, lost packets.
+/// The key of a pinned number: claim, rule, parties, lost packets.
 type Row = (&'static str, &'static str, u32, u32);
 
-/// The fewest losses that strand a member: with every packet sent once, and with retransmission.
+/// The fewest losses that strand a member: if every packet is sent once, and with retransmission.
 const fn losses(once: u32, again: Option<u32>) -> Found {
     Found { least_losses_to_strand: Some(once), least_losses_with_resending: again, ..Found::NOTHING }
 }
@@ -31,7 +31,7 @@ const ALL_OR_NONE: &str = "all-or-none";
 const FAIR: &str = "penalty-is-fair";
 const AGAIN: &str = "they-meet-again";
 const ACTIVE: &str = "one-active";
-/// Any number of lost packets, as a row has it.
+/// The number of lost packets of a row with any number of losses.
 const ANY: u32 = u8::MAX as u32;
 const OFF: &str = "default, late timer and charge";
 
@@ -110,7 +110,7 @@ mod tests {
         assert!(agrees(("all-or-none", "default", 9, 0), &Found::NOTHING));
     }
 
-    /// A margin within its closed form is still another margin.
+    /// A margin below its closed form differs from the pinned margin all the same.
     #[test]
     fn the_margin_of_a_couple_is_written_down_too() {
         let row = (ACTIVE, "default, slow link and a copy", 2, ANY);

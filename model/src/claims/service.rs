@@ -246,8 +246,8 @@ impl TtlPlan for Workshop {
     }
 }
 
-/// The claim that a message whose TTL is K is served. The least such TTL is searched for; one tick less is the
-/// variant that must fail (D59).
+/// The claim that a message whose TTL is K is served. The least such TTL is searched for; the variant that must fail has one
+/// tick less (D59).
 fn served_claim<L: TtlPlan>(
     rule: &'static str,
     smoke: bool,
@@ -267,7 +267,8 @@ fn served_claim<L: TtlPlan>(
 fn least_ttl<L: TtlPlan>(work: &mut Work<'_>, with: &impl Fn(u8) -> L) -> Settled {
     let closed = u8::try_from(with(1).closed_form()).unwrap_or(u8::MAX);
     let mut settled = settle(work, &[with(closed).part()]);
-    // Down from the closed form: the last TTL that holds is the least one, and the one below it shows why.
+    // The search goes down from the closed form. The last TTL that holds is the least, and the one below it is the
+    // counterexample.
     let mut least = closed;
     let mut below = None;
     while settled.outcome == Outcome::Holds && least > 1 {
@@ -340,12 +341,12 @@ fn literal_penalty() -> Vec<Claim> {
     ]
 }
 
-/// A penalty as long as the wait for the next offer, and the same added to the remaining time.
+/// A penalty as long as the wait for the next offer, and the same penalty added to the remaining time.
 const PENALTY: (u64, bool) = (2, false);
 const LITERAL: (u64, bool) = (PENALTY.0, true);
 
-/// The literal penalty adds to the remaining time what each wait takes, so the message neither expires nor is taken.
-/// The search covers the whole state space of that. A penalty of zero adds nothing.
+/// The claim about the literal penalty: it adds to the remaining time as much as each wait takes, so the message neither
+/// expires nor is taken. The search covers the whole state space. A penalty of zero adds nothing.
 fn never_expires() -> Claim {
     let about = "each rejection adds as much time as passes until the next offer: rejected again and again, a message never expires (D4)";
     let row = ("no-stale-delivery", "literal time_penalty, for ever", about);

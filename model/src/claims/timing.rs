@@ -9,7 +9,7 @@ use crate::report::Outcome;
 use crate::scenario::{Budget, Timing, Watch};
 use crate::worlds::{Exchange, Meeting};
 
-/// Any packet may be charged one tick above the link's bound, and one timer may fire a tick late.
+/// Deviations of time: any packet may be charged one tick more than the link's bound, and one timer may fire a tick late.
 const OFF: Timing = Timing { overcharge: 1, late: 1 };
 const RULE: &str = "default, late timer and charge";
 

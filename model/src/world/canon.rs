@@ -13,7 +13,7 @@ use imrs_protocol::{
 };
 
 impl World {
-    /// Unpacks a state. With `touch`, only that node is unpacked, and only steps of that node may follow.
+    /// Unpacks a state. If `touch` names a node, only that node is unpacked, and only steps of that node may follow.
     pub fn load(&mut self, state: &Packed, touch: Option<usize>) {
         let bytes = &state.0;
         self.violation = state.violation();
@@ -46,7 +46,7 @@ impl World {
         while at < bytes.len() {
             let (mut carried, len) = self.codec.decode(&bytes[at..]);
             if carried.packet.source == carried.packet.destination {
-                // Packed without its sender, see `anonymous`: any other member will do.
+                // The packet was packed without its sender (see `anonymous`), so any other member may stand for it.
                 let other = (carried.packet.destination.index() + 1) % self.nodes.len();
                 carried.packet.source = TaskId::from_index(other);
             }
@@ -79,7 +79,7 @@ impl World {
         self.store_as(Form::Canonical)
     }
 
-    /// Packs the state with its turns as they are, for tests.
+    /// Packs the state with its turns unchanged, for tests.
     pub fn store_plain(&mut self) -> Packed {
         self.store_as(Form::Plain)
     }
@@ -88,14 +88,14 @@ impl World {
     pub fn store_as(&mut self, form: Form<'_>) -> Packed {
         match self.try_store(form) {
             Ok(packed) => packed,
-            // A relative number outgrew its field: an absorbing, visible failure, never a saturated value.
+            // A relative number outgrew its field. The result is an absorbing violation, never a saturated value.
             Err(Overflow) => Packed(Box::new([Violation::Overflow.code(), 0, 0, 0, 0])),
         }
     }
 
     fn try_store(&mut self, form: Form<'_>) -> Result<Packed, Overflow> {
         if let Some(violation) = self.violation {
-            // An absorbing state has no successors, so nothing else need be distinguished.
+            // An absorbing state has no successors, so no other part of it needs to be kept.
             return Ok(Packed(Box::new([violation.code(), 0, 0, 0, 0])));
         }
         if self.done {
@@ -138,7 +138,7 @@ impl World {
             specs.push(bytes);
         }
         let reduces = self.scenario.reductions.ignores && !self.scenario.incarnations();
-        // A CONFIRM releases a member waiting in its round, independent of the sender: the receiver is packed as its sender.
+        // A CONFIRM releases a waiting member whatever its sender, so the receiver is packed in the sender's place.
         let anonymous = |carried: &InFlight| {
             let mut carried = *carried;
             if reduces && self.releases(&carried) {
@@ -167,7 +167,7 @@ impl World {
         Ok(Packed(bytes.into_boxed_slice()))
     }
 
-    /// Unpacks the nodes that are still packed, because the numbers that they are relative to have moved.
+    /// Unpacks the nodes that are still packed, because the round or sequence to which their numbers are relative has moved.
     fn load_rest(&mut self) {
         for i in 0..self.n() {
             if !self.loaded[i] {
@@ -182,12 +182,14 @@ impl World {
         }
     }
 
-    /// Whether no running node can crash any more: its next incarnation would notice what the present one ignores.
+    /// Whether no running node can crash any more. If one could, its next incarnation might notice packets that the present
+    /// one ignores.
     fn is_settled(&self) -> bool {
         !self.scenario.incarnations() || self.crash == 0
     }
 
-    /// Whether both nodes are up and `i` knows the present incarnation of `of`: no envelope from `of` is news.
+    /// Whether both nodes are up and node `i` knows the present incarnation of node `of`, so that no envelope from `of`
+    /// brings news.
     fn knows(&self, i: usize, of: usize) -> bool {
         let up = self.nodes[i].up && self.nodes[of].up;
         !self.scenario.incarnations() || (up && self.nodes[i].known[of] == self.nodes[of].incarnation)
@@ -205,8 +207,8 @@ impl World {
             || (self.knows(from.index(), to.index()) && heard(from, to) && heard(to, from))
     }
 
-    /// Drops CONFIRMs still to be sent that every member would ignore, then packets in flight that no task can notice.
-    /// The order matters, because a member that still owes a CONFIRM notices arrivals.
+    /// Drops CONFIRMs that are still to be sent and that every member would ignore, then packets in flight that no task can
+    /// notice. The order matters, because a member that still owes a CONFIRM notices arrivals.
     fn drop_unnoticed(&mut self) {
         let port = PortId(0);
         for i in 0..self.n() {
@@ -242,8 +244,8 @@ impl World {
         self.nodes[to].up && (confirmed || (self.acquainted(carried) && ignores()))
     }
 
-    /// A member that waits in a round is released by the first CONFIRM of it and ignores the others. So only the
-    /// oldest of those in flight to a member are kept: one more than can still be lost.
+    /// The first CONFIRM of a round releases a member that waits in it; the member ignores later ones. So only the oldest
+    /// CONFIRMs in flight to a member are kept: one more than can still be lost.
     fn drop_more_confirms(&mut self) {
         let enough = usize::from(self.loss) + 1;
         let releases: Vec<bool> = self.in_flight.iter().map(|carried| self.releases(carried)).collect();
@@ -272,12 +274,13 @@ impl World {
             }
     }
 
-    /// For each port the least round in use, and for each task the next sequence.
+    /// For each port the least round in use, and for each task the next sequence number.
     fn bases(&mut self) -> (Vec<Round>, Vec<Seq24>) {
         let sequence = |i: usize| if self.loaded[i] { self.next_sequence(i) } else { Frame::SEQUENCE };
         let sequences = (0..self.n()).map(sequence).collect();
         if self.scenario.incarnations() {
-            // A restarted node counts rounds from the first one: only absolute rounds compare with those of others.
+            // A restarted node counts rounds from the first one, so only absolute rounds can be compared with those of other
+            // nodes.
             return (self.rounds.clone(), sequences);
         }
         let mut least = Least(vec![None; self.rounds.len()]);
@@ -298,7 +301,7 @@ impl World {
         (rounds, sequences)
     }
 
-    /// Drops what the packed form would leave out, without packing.
+    /// Drops what the packed form of the state would leave out, without packing it.
     pub fn tidy(&mut self) {
         if self.scenario.reductions.ignores && self.is_settled() && self.violation.is_none() {
             for place in &mut self.nodes {
@@ -309,16 +312,16 @@ impl World {
         self.tidy_turns();
     }
 
-    /// Lets nodes take turns in the order `named`: that of the members in the state stored last.
+    /// Lets the nodes take turns in the order `named`: the order of the members in the state that was packed last.
     pub fn reorder(&mut self, named: &[usize]) {
         self.order.clear();
         self.order.extend(named);
     }
 }
 
-/// A bit beside a node's least round: its turn is not over.
+/// A flag beside a node's least round: the node's turn is not over.
 const OPEN: u8 = 0x80;
-/// Likewise: its timer is late.
+/// A flag beside a node's least round: the node's timer is late.
 const OWED: u8 = 0x40;
 
 /// The form in which a state is packed.
@@ -326,9 +329,9 @@ const OWED: u8 = 0x40;
 pub(crate) enum Form<'a> {
     /// One form for all states that the reductions identify.
     Canonical,
-    /// The same, with the turns as they are: for tests.
+    /// As `Canonical`, but with the turns unchanged: for tests.
     Plain,
-    /// With the members in this order: for tests of the symmetry reduction.
+    /// As `Canonical`, but with the members in this order: for tests of the symmetry reduction.
     Named(&'a [usize]),
 }
 
@@ -350,7 +353,7 @@ fn store_node_state(place: &mut NodeState, frame: &Frame<'_>, out: &mut Vec<u8>)
     if place.up {
         task.walk(&place.table, &mut least);
     }
-    // A node that is down has no task: the one in `place` is left over from another state.
+    // A node that is down has no task. The task in `place` is left over from another state.
     let low = least.0.first().copied().flatten().map_or(0, |round| round.steps_from(frame.rounds[0]));
     out.extend([0, u8::try_from(low).ok().filter(|low| low & (OPEN | OWED) == 0).ok_or(Overflow)?]);
     Encode::append(out, frame, |w| walk_node_state(place, w))?;

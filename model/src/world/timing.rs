@@ -55,7 +55,7 @@ impl World {
         Ok(())
     }
 
-    /// Lets a late node read its clock, before it takes any other input.
+    /// Lets a node whose timer is late read its clock, before the node takes any other input.
     pub(super) fn catch_up(&mut self, i: usize) -> Result<(), Violation> {
         if std::mem::take(&mut self.nodes[i].owed) > 0 && self.nodes[i].up {
             self.step(i, Ticks(1), NodeInput::Time)?;
@@ -64,8 +64,8 @@ impl World {
         Ok(())
     }
 
-    /// Sets a node's clock back to its offset: states distinguish offsets between clocks, not how long clocks have
-    /// run. [`World::tick`] subtracts the same tick from absolute time stamps in flight.
+    /// Sets a node's clock back to its initial offset, because states distinguish offsets between clocks, and not how long
+    /// the clocks have run. [`World::tick`] subtracts the same tick from absolute time stamps in flight.
     fn keep_clock(&mut self, i: usize) {
         let ahead = Ticks(self.scenario.clocks[i]);
         if self.scenario.cell.cell().rules.time_stamp == TimeStamp::Absolute {
@@ -87,7 +87,8 @@ impl World {
         }
     }
 
-    /// If sequence numbers wrap after `wrap` messages (a variant), a number means the latest message that has it.
+    /// Maps a packet's sequence number to the latest message that has it, if sequence numbers wrap after `wrap` messages (a
+    /// variant).
     pub(super) fn wrap_around(&self, carried: &mut InFlight) {
         let Some(wrap) = self.scenario.wrap.map(u32::from) else { return };
         let source = match carried.packet.kind {
@@ -101,8 +102,8 @@ impl World {
         }
     }
 
-    /// A bound on the steps between two ticks: each node sends at most two packets to each other node for each round
-    /// that a task can begin and for each packet in flight, and each packet arrives once.
+    /// A bound on the steps between two ticks: for each round that a task can begin, and for each packet in flight, a node
+    /// sends at most two packets to each other node; each packet arrives once.
     pub(super) fn most_steps(&self) -> u16 {
         let n = self.n();
         let attempts = |behaviour: &Behaviour| match behaviour {
@@ -116,7 +117,7 @@ impl World {
         u16::try_from(rounds * (1 + 2 * n * (n - 1) * ticks) + faults).unwrap_or(u16::MAX)
     }
 
-    /// Judges progress after a step: no endless loop between two ticks, and no deadlock.
+    /// Judges progress after a step: there must be no endless loop between two ticks, and no deadlock.
     pub(super) fn judge_progress(&self) -> Result<(), Violation> {
         if self.scenario.watch != Watch::Waits {
             return Ok(());

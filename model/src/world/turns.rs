@@ -6,22 +6,24 @@
 //! interleaving: at a turn's end the node's next step, if it has one in this tick, needs a packet that has not been
 //! sent yet. The order of the turns may be any function of the state.
 //!
-//! A property must not depend on the order of independent steps, or must already be violated when only the steps that
-//! the judged step depends on were made: every such prefix of a run is explored, too. A loss waits for the last
-//! moment before a tick. A crash, a restart and the end of faults are barriers: afterwards all nodes are open.
+//! The reduction keeps a property's verdict if the property does not depend on the order of independent steps. It also keeps
+//! the verdict if a violation at a step already shows after only those steps on which it depends, because every such prefix
+//! of a run is explored, too. A loss waits for the last moment before a tick. A crash, a restart and the end of faults are
+//! barriers: afterwards all nodes are open.
 
 use super::{Action, World, small};
 use crate::scenario::Watch;
 
 impl World {
-    /// Whether this reduction is on.
+    /// Whether the reduction by turns is on.
     pub(super) fn takes_turns(&self) -> bool {
-        // `Stale` depends on what another node knows when a message is handed over, so there the order matters.
+        // The property `Stale` depends on what another node knows when a message is handed over, so for it the order of
+        // steps matters.
         self.scenario.reductions.turns && self.scenario.delay.is_some() && self.scenario.watch != Watch::Stale
     }
 
-    /// Lists the enabled transitions: first the steps of each node, which close every node before it in the order; at
-    /// last those that need all nodes closed.
+    /// Lists the enabled transitions: first the steps of each node, each of which closes every node before it in the order;
+    /// then those that need all nodes closed.
     pub(super) fn actions_in_turns(&self, actions: &mut Vec<Action>) {
         for &i in &self.order {
             self.events(i, actions);
@@ -34,13 +36,13 @@ impl World {
         for (at, carried) in self.in_flight.iter().enumerate() {
             overdue += usize::from(carried.age >= delay);
             let again = at > 0 && self.in_flight[at - 1] == *carried;
-            // A packet that is lost just before the faults end may be of any age.
+            // If the faults may end, a packet of any age may be lost just before that.
             if self.loss > 0 && !self.healed && !again && (may_heal || carried.age >= delay) {
                 actions.push(Action::Lose(small(at)));
             }
         }
         if !may_heal && overdue > 0 {
-            // All overdue packets must be lost before time passes. One order of these losses is enough.
+            // All overdue packets must be lost before time passes. It is enough to try one order of these losses.
             let enough = overdue <= usize::from(self.loss);
             actions.truncate(before + usize::from(enough));
         }
@@ -91,7 +93,7 @@ impl World {
         }
     }
 
-    /// Forgets all turns: for tests.
+    /// Forgets all turns, for tests.
     pub fn forget_turns(&mut self) {
         self.set_open(false);
     }
@@ -106,7 +108,8 @@ impl World {
         here.for_each(|carried| carried.fresh = false);
     }
 
-    /// Makes turns canonical: a node with nothing to do is closed; one with only fresh packets to take is open.
+    /// Makes the turns canonical: a node with nothing to do is closed, and a node that has only fresh packets to take is
+    /// open.
     pub(super) fn tidy_turns(&mut self) {
         if !self.takes_turns() {
             return;

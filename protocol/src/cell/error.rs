@@ -12,7 +12,7 @@ pub enum CellError {
     DuplicateName(&'static str, String),
     /// A declaration points at a node, task or link end that is not in the cell.
     Dangling(String),
-    /// More than 65,535 of something.
+    /// There are more than 65,535 nodes, tasks, ports or the like.
     TooMany(&'static str, usize),
     /// A link joins a node with itself.
     LinkToItself(String),
@@ -24,7 +24,7 @@ pub enum CellError {
     TooManyMembers(String),
     /// A bounded buffer without room for a message.
     NoBuffer(String),
-    /// A zero time_out.
+    /// The time_out of a port is zero.
     NoTimeOut(String),
     /// Class 1 has no answer: `waitfor`, `query` and `retry` need class 2.
     NeedsClass2(String),
@@ -39,7 +39,7 @@ pub enum CellError {
     /// A rate that cannot be served: a class-2 message may block its sender for a round trip, however fast the receiver is
     /// (D53).
     CannotBeServed {
-        /// The port.
+        /// The port with that rate.
         port: String,
         /// The period of the declared rate.
         per: Ticks,
@@ -54,16 +54,16 @@ pub enum CellError {
     Unreachable(String, String, String),
     /// The time_out cannot cover the margin and the link delays: no member could ever be released (D56).
     MarginTooLong {
-        /// The port.
+        /// The port of the rendezvous.
         port: String,
-        /// The smallest time_out of its members.
+        /// The smallest time_out of the rendezvous.
         time_out: Ticks,
-        /// What it must exceed.
+        /// The value that the time_out must exceed.
         least: Ticks,
     },
     /// A couple's heartbeats need a port that joins only its two tasks: the standby queries, the primary responds.
     NotForHeartbeats(String),
-    /// A task is in two couples.
+    /// A task belongs to two couples.
     CoupledTwice(String),
     /// A port guarded by a lease has a sender outside the couple, or is a `waitfor`.
     NotOfTheCouple(String),
@@ -72,7 +72,7 @@ pub enum CellError {
     NoRoomForEpoch(String),
     /// The lease ends before a heartbeat can renew it (D61).
     LeaseTooShort {
-        /// The couple.
+        /// The couple whose lease is too short.
         couple: String,
         /// The declared lease.
         lease: Ticks,
@@ -81,7 +81,7 @@ pub enum CellError {
     },
     /// The standby may take over while the primary still acts (D61).
     TakeoverTooSoon {
-        /// The couple.
+        /// The couple whose standby would take over too soon.
         couple: String,
         /// The declared time until the take-over.
         takeover: Ticks,
@@ -90,11 +90,11 @@ pub enum CellError {
     },
     /// The time_out cannot cover the link delays: to the peer and, for a class-2 message, back.
     DeadlineTooShort {
-        /// The port.
+        /// The port whose deadline is too short.
         port: String,
-        /// Its time_out.
+        /// The port's time_out.
         time_out: Ticks,
-        /// What it must exceed.
+        /// The value that the time_out must exceed.
         least: Ticks,
     },
 }

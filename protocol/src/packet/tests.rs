@@ -50,8 +50,8 @@ proptest! {
 
     #[test]
     fn any_bytes_behind_a_right_checksum_are_a_packet_or_an_error(mut bytes: [u8; 32], digest: u32, hash: u32) {
-        // Most random bytes have another version or nonzero padding: force the version, a length of at least 12
-        // and the zero bit.
+        // Most random bytes have another version or nonzero padding. So this sets the version, a length of at least 12 and
+        // the zero bit.
         bytes[0] = (bytes[0] & 0x3f) | (PACKET_VERSION << 6);
         bytes[1] = (bytes[1] | 0xc0) & !1;
         let crc = checksum(&bytes, digest, hash);
@@ -149,7 +149,7 @@ fn lengths_and_padding_are_checked_behind_a_right_checksum() {
     assert_eq!(forge(|b| b[1] |= 1), Err(PacketError::Malformed), "the bit after the hops");
 }
 
-/// Flips each bit that a relay holds of a packet, except hops and remaining time, which relays change themselves. The
+/// Flips each bit of a packet in a relay's memory, except hops and remaining time, which relays change themselves. The
 /// destination detects every flip.
 #[test]
 fn a_bit_that_falls_over_in_a_relay_is_found_at_the_destination() {

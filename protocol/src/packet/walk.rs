@@ -4,15 +4,15 @@ use super::{Class, Kind, Meeting, Packet};
 use crate::ids::TaskId;
 use crate::state::{Pass, Walk, mark};
 
-/// The low bits of the first byte: the kind. The constants below are the flags above it.
+/// The low bits of the first byte, which hold the kind. The constants below are the flags in the bits above them.
 const KIND: u8 = 0x07;
 const STATUS: u8 = 0x08;
 const MORE: u8 = 0x10;
 const FRAGMENT: u8 = 0x20;
-/// Set if an ARRIVE has arguments.
+/// The flag of an ARRIVE that has arguments.
 const BRINGS: u8 = 0x40;
 
-/// The highest task number: source and destination share a byte.
+/// The highest task number that fits: source and destination share a byte.
 const MOST_TASKS: u16 = 15;
 
 impl Packet {
@@ -23,7 +23,7 @@ impl Packet {
         self.kind.id_source(self.source, self.destination)
     }
 
-    /// Whether the packet belongs to a rendezvous: then it carries rounds and no id.
+    /// Whether the packet belongs to a rendezvous. Such a packet carries rounds and no id.
     #[must_use]
     pub const fn is_of_meeting(&self) -> bool {
         self.kind.is_of_meeting()
@@ -38,9 +38,9 @@ impl Packet {
             kind,
             class,
             more,
-            // Only observers read it.
+            // Only observers read this field.
             resent: _,
-            // Routes are static: a packet's position determines how many relays it has passed.
+            // Routes are static, so the place of a packet determines how many relays it has passed.
             hops: _,
             fragment,
             destination,
@@ -49,7 +49,7 @@ impl Packet {
             id,
             remaining,
             contents,
-            // Comparisons ignore it (D154).
+            // Comparisons of packets ignore this field (D154).
             seal: _,
         } = self;
         let mut meeting = Meeting::from_contents(contents);
@@ -172,7 +172,7 @@ mod tests {
 
     const HOME: (Round, Seq24) = (Frame::ROUND, Frame::SEQUENCE);
 
-    /// Moves all ids of a source, and all rounds of a port.
+    /// A pass that moves all ids of a source, and all rounds of a port.
     struct Shift(u16);
 
     impl Walk for Shift {
@@ -194,7 +194,7 @@ mod tests {
             prop_assert_eq!(back, p);
         }
 
-        /// Shifting all ids of a source and all rounds of a port does not change the bytes.
+        /// Packets that differ only by a shift of all ids of a source and all rounds of a port have the same bytes.
         #[test]
         fn equal_up_to_a_shift_are_equal_bytes(p in packet(), by: u16) {
             let mut moved = p;

@@ -31,7 +31,7 @@ impl<T: Entry> Queue<T> {
             return false;
         }
         let held = urgent.iter().all(|slot| self.get(slot).is_some());
-        // Every free slot is in the free list exactly once, and the list ends there.
+        // Every free slot must be in the free list exactly once, and the list must end after that many slots.
         let mut next = order.free;
         let mut ends = true;
         let mut seen = vec![false; capacity];

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 /// The number of low bits of a word that hold the slot number; the upper bits hold the instant.
 const NUMBER_BITS: u32 = 16;
-/// Words of empty places, one per position in a group: greater than every other word, and pairwise different.
+/// The words of empty places, one per position in a group: greater than every other word, and pairwise different.
 const NOTHING: [u64; 4] = {
     let step = 1 << NUMBER_BITS;
     [u64::MAX - 3 * step, u64::MAX - 2 * step, u64::MAX - step, u64::MAX]
@@ -30,12 +30,13 @@ struct Group([u64; 4]);
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Heap {
     groups: Box<[Group]>,
-    /// For each number its place, counted from `ROOT`. For a number outside the heap: what [`keep`](Self::keep) stored.
+    /// For each number in the heap, its place, counted from `ROOT`. For a number outside the heap, the value that
+    /// [`keep`](Self::keep) stored.
     places: Box<[u16]>,
     len: u16,
 }
 
-/// All instants from here on count as equal.
+/// The instant from which on all instants count as equal.
 const LAST: u64 = (1 << (u64::BITS - NUMBER_BITS)) - 5;
 
 /// Packs a number and its instant into a word.
@@ -75,7 +76,7 @@ fn least<K: Ord>(Group(group): &Group, key: &impl Fn(Slot) -> K) -> usize {
     if (a ^ b).min(c ^ d).min(low ^ high) >> NUMBER_BITS == 0 { least_of_equals(group, at, key) } else { at }
 }
 
-/// Breaks a tie by key: `at` is one of several least words with the same instant.
+/// Breaks a tie by key. `at` is the position of one of several least words with the same instant.
 #[cold]
 fn least_of_equals<K: Ord>(group: &[u64; 4], at: usize, key: &impl Fn(Slot) -> K) -> usize {
     let equal = (0..4).filter(|&i| is_tie(group[i], group[at]));
@@ -155,7 +156,7 @@ impl Heap {
         })
     }
 
-    /// The next place in that walk, without the subtree below `place`.
+    /// The place that follows `place` in that walk if the subtree below `place` is skipped.
     fn beside(&self, mut place: usize) -> Option<usize> {
         while place > ROOT {
             if place % 4 < 3 && place + 1 < ROOT + self.len() {
@@ -237,7 +238,7 @@ impl Heap {
         }
     }
 
-    /// Adds, moves or removes a number, so that it is in the heap exactly if it has an instant.
+    /// Adds, moves or removes a number: afterwards it is in the heap exactly if it has an instant.
     pub fn set<K: Ord>(&mut self, number: Slot, instant: Option<Instant>, key: impl Fn(Slot) -> K) {
         match (self.place_of(number), instant) {
             (Some(place), Some(instant)) if self.len == 1 => self.put(place, word(instant, number)),

@@ -3,7 +3,7 @@
 use super::*;
 use proptest::prelude::*;
 
-/// The side data are the instant at which the item is due.
+/// A test entry. Its side data are the instant at which it is due.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Item {
     key: Key,
@@ -49,7 +49,7 @@ fn agrees(queue: &mut Queue<Item>, model: &[(Slot, Item, u64)]) -> Result<(), Te
 }
 
 proptest! {
-    /// Compares the queue with a plain list: pushes, pops, removals, and changes of one entry or of all.
+    /// Compares the queue with a plain list under pushes, pops, removals, and changes of one entry or of all.
     #[test]
     fn behaves_like_a_list(steps in proptest::collection::vec((0..9_u8, any::<u16>(), 0..10_u64, any::<bool>()), 0..200)) {
         let mut queue = Queue::watched(20);

@@ -1,4 +1,4 @@
-//! The passes that write and read canonical bytes.
+//! The passes that write the canonical bytes of a state, and read them.
 
 use super::{Pass, Walk};
 use crate::ids::{PortId, Round, Seq24, TaskId};
@@ -6,21 +6,21 @@ use crate::ticks::{Instant, Ticks};
 use alloc::vec::Vec;
 use core::fmt;
 
-/// The reference points of packed ids.
+/// The numbers to which packed ids are relative.
 #[derive(Clone, Copy, Debug)]
 pub struct Frame<'a> {
-    /// For each port, the least round in use anywhere in the cell.
+    /// For each port, the least round that is in use anywhere in the cell.
     pub rounds: &'a [Round],
-    /// For each task, the next sequence number it will use.
+    /// For each task, the next sequence number that it will use.
     pub sequences: &'a [Seq24],
     /// Whether nodes restart. If not, every incarnation is the first one and takes no bytes.
     pub incarnations: bool,
 }
 
 impl Frame<'_> {
-    /// The round that a packed zero is read as.
+    /// The round as which a packed zero is read.
     pub const ROUND: Round = Round(0x1000);
-    /// The next sequence number after reading: packed sequences are relative to it.
+    /// The next sequence number of a task after reading. Packed sequence numbers are relative to it.
     pub const SEQUENCE: Seq24 = Seq24::new(0x1000);
 }
 
@@ -48,10 +48,7 @@ pub struct Encode<'a> {
 }
 
 impl<'a> Encode<'a> {
-    /// Appends to `out` what `walk` walks.
-    ///
-    /// # Errors
-    /// [`Overflow`] when a distance or a number outgrows its field.
+    /// Appends to `out` the bytes of everything that `walk` walks.
     pub fn append(
         out: &'a mut Vec<u8>,
         frame: &Frame<'a>,
@@ -62,10 +59,7 @@ impl<'a> Encode<'a> {
         if pass.overflows { Err(Overflow) } else { Ok(()) }
     }
 
-    /// The bytes of what `walk` walks.
-    ///
-    /// # Errors
-    /// [`Overflow`] when a distance or a number outgrows its field.
+    /// The bytes of everything that `walk` walks.
     pub fn bytes(frame: &Frame<'_>, walk: impl FnOnce(&mut Encode<'_>)) -> Result<Vec<u8>, Overflow> {
         let mut out = Vec::new();
         Encode::append(&mut out, frame, walk)?;
@@ -147,7 +141,7 @@ pub struct Decode<'a> {
 }
 
 impl<'a> Decode<'a> {
-    /// Reads what `walk` walks, and returns how many bytes it took.
+    /// Reads everything that `walk` walks, and returns how many bytes that took.
     pub fn read(bytes: &'a [u8], incarnations: bool, walk: impl FnOnce(&mut Self)) -> usize {
         let mut pass = Self { bytes, at: 0, incarnations };
         walk(&mut pass);

@@ -21,60 +21,60 @@ use crate::packet::{CONTENTS_BYTES, Contents};
 use crate::ticks::{Instant, Ticks};
 use alloc::vec::Vec;
 
-/// What a pass does.
+/// What a pass does with the fields of a state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Pass {
-    /// It writes bytes.
+    /// The pass writes bytes.
     Encode,
-    /// It reads bytes and overwrites the earlier values.
+    /// The pass reads bytes and overwrites the earlier values.
     Decode,
-    /// It looks at values and changes none.
+    /// The pass looks at values and changes none.
     Look,
-    /// It changes relative values and keeps the order of instants.
+    /// The pass changes relative values and keeps the order of instants.
     Change,
 }
 
 /// A pass over a state. A method that a pass does not override does nothing.
 pub trait Walk {
-    /// What it does.
+    /// What the pass does with the fields.
     const PASS: Pass;
-    /// Whether it reads bytes: then containers are filled, and derived fields are rebuilt.
+    /// Whether the pass reads bytes: if so, containers are filled, and derived fields are rebuilt.
     const READS: bool = matches!(Self::PASS, Pass::Decode);
-    /// Whether it writes or reads bytes.
+    /// Whether the pass writes or reads bytes.
     const PACKS: bool = matches!(Self::PASS, Pass::Encode | Pass::Decode);
 
-    /// The clock of the instants that are walked after it.
+    /// Visits the clock to which the instants that follow belong.
     fn clock(&mut self, now: &mut Instant) {
         let _ = now;
     }
 
-    /// An instant on that clock.
+    /// Visits an instant on the clock that was visited last.
     fn instant(&mut self, instant: &mut Instant) {
         let _ = instant;
     }
 
-    /// A round of a port.
+    /// Visits a round of a port.
     fn round(&mut self, port: PortId, round: &mut Round) {
         let _ = (port, round);
     }
 
-    /// A sequence number of a source.
+    /// Visits a sequence number of a source.
     fn sequence(&mut self, source: TaskId, sequence: &mut Seq24) {
         let _ = (source, sequence);
     }
 
-    /// The next sequence number of a source, which its others are relative to.
+    /// Visits the next sequence number of a source, to which its other sequence numbers are relative.
     fn next_sequence(&mut self, source: TaskId, next: &mut Seq24) {
         self.sequence(source, next);
     }
 
-    /// An epoch of the couple at this position in the cell. The primary's epochs are odd, so only an even shift preserves
-    /// behaviour.
+    /// Visits an epoch of the couple at this position in the cell. The primary's epochs are odd, so only an even shift
+    /// preserves behaviour.
     fn epoch(&mut self, couple: u8, epoch: &mut u8) {
         let _ = (couple, epoch);
     }
 
-    /// A byte, unchanged.
+    /// Visits a byte, whose value no pass changes.
     fn byte(&mut self, byte: &mut u8) {
         let _ = byte;
     }
@@ -93,7 +93,7 @@ pub trait Walk {
         byte
     }
 
-    /// A number that fits a byte in all states that are checked.
+    /// Visits a number that fits a byte in all states that are checked.
     fn count(&mut self, count: usize) -> usize {
         let byte = u8::try_from(count).unwrap_or_else(|_| {
             self.overflows();
@@ -102,7 +102,7 @@ pub trait Walk {
         if Self::PACKS { usize::from(self.put(byte)) } else { count }
     }
 
-    /// The same for a `u16`.
+    /// Visits a `u16` that fits a byte in all states that are checked.
     fn small(&mut self, number: &mut u16) {
         let read = self.count(usize::from(*number));
         if Self::READS {
@@ -110,7 +110,7 @@ pub trait Walk {
         }
     }
 
-    /// Up to eight booleans, the first one in the lowest bit.
+    /// Visits up to eight booleans; the first one is the lowest bit.
     fn flags<const N: usize>(&mut self, flags: [bool; N]) -> [bool; N] {
         if !Self::PACKS {
             return flags;
@@ -120,33 +120,33 @@ pub trait Walk {
         if Self::READS { core::array::from_fn(|i| bits & (1 << i) != 0) } else { flags }
     }
 
-    /// A boolean that takes a byte.
+    /// Visits a boolean that takes a byte.
     fn flag(&mut self, flag: &mut bool) {
         *flag = self.flags([*flag])[0];
     }
 
-    /// Bytes, unchanged.
+    /// Visits bytes, whose values no pass changes.
     fn raw(&mut self, bytes: &mut [u8]) {
         if Self::PACKS {
             bytes.iter_mut().for_each(|byte| self.byte(byte));
         }
     }
 
-    /// A number of two bytes.
+    /// Visits a number of two bytes.
     fn word(&mut self, word: &mut u16) {
         let mut bytes = word.to_le_bytes();
         self.raw(&mut bytes);
         *word = u16::from_le_bytes(bytes);
     }
 
-    /// A number of eight bytes.
+    /// Visits a number of eight bytes.
     fn long(&mut self, long: &mut u64) {
         let mut bytes = long.to_le_bytes();
         self.raw(&mut bytes);
         *long = u64::from_le_bytes(bytes);
     }
 
-    /// A number in one byte, or 255 followed by four bytes.
+    /// Visits a number that takes one byte, or 255 followed by four bytes.
     fn number(&mut self, number: &mut u32) {
         match self.put(u8::try_from(*number).unwrap_or(u8::MAX)) {
             u8::MAX => {
@@ -159,7 +159,8 @@ pub trait Walk {
         }
     }
 
-    /// A length of time in one byte: 255 stands for [`Ticks::FAR`], and 254 is followed by four bytes for a longer one.
+    /// Visits a length of time that takes one byte: 255 stands for [`Ticks::FAR`], and 254 is followed by four bytes for a
+    /// longer one.
     fn length(&mut self, length: &mut Ticks) {
         const LONG: u8 = u8::MAX - 1;
         if !Self::PACKS {
@@ -183,7 +184,7 @@ pub trait Walk {
         }
     }
 
-    /// A byte that is packed only if `is`; otherwise it is zero.
+    /// Visits a byte that is packed only if `is`; otherwise it is zero.
     fn byte_if(&mut self, is: bool, byte: &mut u8) {
         if is {
             self.byte(byte);
@@ -192,7 +193,7 @@ pub trait Walk {
         }
     }
 
-    /// A list: its length, then each element.
+    /// Visits a list: its length, then each element.
     fn list<T: Clone>(&mut self, list: &mut Vec<T>, blank: T, mut walk: impl FnMut(&mut T, &mut Self))
     where
         Self: Sized,
@@ -205,7 +206,7 @@ pub trait Walk {
         list.iter_mut().for_each(|one| walk(one, self));
     }
 
-    /// A list that is packed only if `is`; otherwise it is empty.
+    /// Visits a list that is packed only if `is`; otherwise it is empty.
     fn list_if<T: Clone>(
         &mut self,
         is: bool,
@@ -222,7 +223,7 @@ pub trait Walk {
         }
     }
 
-    /// The contents of a packet.
+    /// Visits the contents of a packet.
     fn contents(&mut self, contents: &mut Contents) {
         if !Self::PACKS {
             return;
@@ -238,7 +239,7 @@ pub trait Walk {
         }
     }
 
-    /// The arguments of a member's arrival, without trailing zeros.
+    /// Visits the arguments of a member's arrival, without trailing zeros.
     fn arguments(&mut self, arguments: &mut [u8; 8]) {
         if !Self::PACKS {
             return;
@@ -251,14 +252,14 @@ pub trait Walk {
         self.raw(&mut arguments[..len]);
     }
 
-    /// The incarnation of a node.
+    /// Visits the incarnation of a node.
     fn incarnation(&mut self, incarnation: &mut Incarnation) {
         if self.incarnations() {
             self.byte(&mut incarnation.0);
         }
     }
 
-    /// An incarnation that may not be known yet. If no node restarts, it is the first one.
+    /// Visits an incarnation that may not be known yet. If no node restarts, it is the first one.
     fn known_incarnation(&mut self, incarnation: &mut Option<Incarnation>) {
         if !self.incarnations() {
             if Self::READS {
@@ -272,7 +273,7 @@ pub trait Walk {
         }
     }
 
-    /// The id of a message. If no node restarts, its incarnation is `incarnation`.
+    /// Visits the id of a message. If no node restarts, its incarnation is `incarnation`.
     fn id(&mut self, source: TaskId, incarnation: Incarnation, id: &mut MessageId) {
         if Self::READS {
             id.incarnation = incarnation;
@@ -281,8 +282,8 @@ pub trait Walk {
         self.sequence(source, &mut id.sequence);
     }
 
-    /// The variant of a value, packed as its position in `among`. A pass that reads sets the value to the template at the
-    /// position read. The caller then walks the fields of the variant.
+    /// Visits the variant of a value, packed as its position in `among`. A pass that reads sets the value to the template at
+    /// the position read. The caller then walks the fields of the variant.
     fn one_of<T: Copy>(&mut self, among: &[T], value: &mut T, is_like: impl Fn(&T, &T) -> bool) {
         if !Self::PACKS {
             return;
@@ -306,7 +307,7 @@ pub trait Walk {
     }
 }
 
-/// `bit` if `set`, otherwise zero.
+/// A flag for a packed byte: `bit` if `set`, otherwise zero.
 #[must_use]
 pub const fn mark(set: bool, bit: u8) -> u8 {
     if set { bit } else { 0 }
@@ -322,10 +323,10 @@ pub(crate) fn same_variant<T>(a: &T, b: &T) -> bool {
     core::mem::discriminant(a) == core::mem::discriminant(b)
 }
 
-/// Moves a clock, and every instant on it.
+/// A pass that moves a clock, and every instant on it.
 pub(crate) struct Clock<F>(pub F);
 
-/// Sets a clock back to its start. Instants that are past become the start.
+/// A pass that sets a clock back to its start. Instants in the past become the start.
 pub(crate) fn restart(now: Instant) -> Clock<impl FnMut(Instant) -> Instant> {
     Clock(move |instant| Instant::START + (instant - now))
 }

@@ -39,7 +39,8 @@ pub(crate) struct Client {
     overdue: Option<Overdue>,
 }
 
-/// The command that timed out last: under the variant that accepts late replies, its answer may still come.
+/// The command that timed out last. It is kept for the variant that accepts late replies, under which its answer may still
+/// come.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Overdue {
     port: PortId,
@@ -59,7 +60,7 @@ pub(crate) enum Sent {
 type Message<'a> = (&'a Port, Ticks, Contents);
 
 impl Client {
-    /// A client with room for one request on each port on which the task asks.
+    /// A client without requests. It has room for one request on each port on which the task asks.
     pub fn new(table: &NodeTable, own: &Own) -> Self {
         let ports = own.ports(table, |role| matches!(role, Role::Asks(_)));
         let requests = ports.map(|(endpoint, port)| Outstanding::new(port, own.task, endpoint)).collect();
@@ -124,12 +125,12 @@ impl Client {
         }
     }
 
-    /// Whether the request at a position has ended, and the task knows it.
+    /// Whether the request at a position is closed: it has ended, and the task knows how.
     pub fn is_closed(&self, request: u16) -> bool {
         self.requests[usize::from(request)].phase == Phase::Closed
     }
 
-    /// [`send`](Self::send) in a fused step: the message to one task has been taken already.
+    /// [`send`](Self::send) in a fused step, for one recipient that has already taken the message.
     pub fn open_fused(
         &mut self,
         request: u16,
@@ -182,14 +183,15 @@ impl Client {
         (request.port, request.answers())
     }
 
-    /// Reports an answer of several fragments: returns the first one. The others stay readable likewise.
+    /// Reports an answer of several fragments: returns the first one. The others stay readable until the next request on the
+    /// port.
     pub fn tell_long(&mut self, request: u16) -> Contents {
         let request = &mut self.requests[usize::from(request)];
         request.tell();
         request.long_answer().unwrap_or_default()
     }
 
-    /// Fragment `index` of a task's answer to the last request on a request's port.
+    /// Fragment `index` of a task's answer. The answer is to the last request on the port of `request`.
     pub fn answer_fragment(&self, request: u16, task: TaskId, index: u8) -> Option<&Contents> {
         let recipient =
             self.requests[usize::from(request)].recipients.iter().find(|recipient| recipient.task == task)?;
@@ -203,7 +205,7 @@ impl Client {
             .flat_map(|request| request.open().map(|recipient| (request.port, recipient.task, recipient.id)))
     }
 
-    /// The port of a request, the first task whose answer is missing there, and the deadline.
+    /// Where and until when a request waits: its port, the first task whose answer is missing, and the deadline.
     pub fn wait_at(&self, request: u16) -> (PortId, Option<TaskId>, Instant) {
         let request = &self.requests[usize::from(request)];
         (request.port, request.open().next().map(|recipient| recipient.task), request.deadline)
@@ -255,18 +257,18 @@ impl Client {
         }
     }
 
-    /// Validates a deserialised client: its requests are those of a new one.
+    /// Validates a deserialised client: its requests must match those of a new one.
     pub fn is_like(&self, new: &Self) -> bool {
         are_alike(&self.requests, &new.requests, Outstanding::is_like)
     }
 
-    /// Whether there is such a request.
+    /// Whether a request exists at this position.
     pub fn has(&self, request: u16) -> bool {
         usize::from(request) < self.requests.len()
     }
 }
 
-/// Sends a class-2 message to one of the tasks that are asked, and notes its id.
+/// Sends a class-2 message to one of its recipients, and notes the message's id.
 fn ask(
     step: &mut Step<'_, impl Outbox>,
     (request, place): (&mut Outstanding, usize),

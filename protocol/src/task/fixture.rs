@@ -12,11 +12,11 @@ use crate::ticks::{Instant, Ticks};
 use alloc::sync::Arc;
 use alloc::vec::Vec;
 
-/// A may send commands to B here, with retransmissions.
+/// On this port, A may send commands to B, with retransmissions.
 pub(super) const MOVE: PortId = PortId(0);
-/// The waitfor of A and B.
+/// The port of a waitfor of A and B.
 pub(super) const LIFT: PortId = PortId(1);
-/// The heartbeats of the couple: A is the primary, B the standby.
+/// The port of the couple's heartbeats: A is the primary, B the standby.
 pub(super) const ALIVE: PortId = PortId(2);
 pub(super) const A: TaskId = TaskId(0);
 pub(super) const B: TaskId = TaskId(1);
@@ -80,7 +80,7 @@ impl Fixture {
         Self { table, own, effects: Effects::default() }
     }
 
-    /// The port as the task meets the source of a packet there.
+    /// The port of a packet, with this task and the source of the packet as its two ends.
     pub fn ends<'a>(table: &'a NodeTable, packet: &Packet) -> Ends<'a> {
         let port = table.port(packet.port).expect("a port");
         port.ends(packet.destination, packet.source).expect("admitted")

@@ -1,5 +1,5 @@
-//! Messages and answers longer than one packet: fragments with one id, complete before their one deadline or dropped
-//! (D28).
+//! Messages and answers longer than one packet: the fragments share one id and one deadline. If a fragment is missing at the
+//! deadline, all are dropped (D28).
 
 #[cfg(feature = "checker")]
 mod walk;
@@ -17,7 +17,7 @@ pub(crate) struct Parts(Option<Box<Room>>);
 
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Room {
-    /// Bit `i`: fragment `i + 1` is here.
+    /// A bit mask of the fragments that have come: bit `i` is fragment `i + 1`.
     have: u16,
     parts: Box<[Contents]>,
 }
@@ -40,7 +40,7 @@ impl Parts {
         self.0.is_some()
     }
 
-    /// The fragments that are here. Bit `i`: fragment `i + 1`.
+    /// A bit mask of the fragments that have come: bit `i` is fragment `i + 1`.
     pub fn have(&self) -> u16 {
         self.0.as_ref().map_or(0, |room| room.have)
     }
@@ -103,16 +103,16 @@ impl Parts {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Assembly {
     pub id: MessageId,
-    /// Bit `i`: fragment `i` is here. Zero: no message is being received.
+    /// A bit mask of the fragments that have come: bit `i` is fragment `i`. Zero means that no message is being received.
     pub have: u16,
-    /// The number of fragments, known once the last one is here.
+    /// The number of fragments of the message, which is known once the last fragment is here.
     pub fragments: Option<u8>,
     /// The earliest deadline of the fragments that are here. For a command, the link delay of the reply is subtracted.
     pub expires: Instant,
     pub contents: Box<[Contents]>,
 }
 
-/// The effect of a fragment.
+/// What a fragment changes in an assembly.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Progress {
     /// Other fragments are missing.
@@ -131,17 +131,17 @@ impl Assembly {
         Self { contents: vec![Contents::EMPTY; usize::from(fragments)].into_boxed_slice(), ..Self::default() }
     }
 
-    /// Whether any fragments are here.
+    /// Whether any fragments have come.
     pub const fn is_open(&self) -> bool {
         self.have != 0
     }
 
-    /// Drops all fragments, and expects those of `id`.
+    /// Drops all fragments, and from now on expects those of the message `id`.
     pub fn begin(&mut self, id: MessageId) {
         (self.id, self.have, self.fragments, self.expires) = (id, 0, None, Instant::NEVER);
     }
 
-    /// Drops the fragments of `id`; true if there were any.
+    /// Drops the fragments of the message `id`. Returns whether there were any.
     pub fn close(&mut self, id: MessageId) -> bool {
         let closes = self.have != 0 && self.id == id;
         if closes {
@@ -187,13 +187,13 @@ impl Assembly {
         }
     }
 
-    /// Fragment `index`, if it is here.
+    /// Fragment `index`, if it has come.
     pub fn get(&self, index: u8) -> Option<&Contents> {
         let here = index < 16 && self.have & (1 << index) != 0;
         self.contents.get(usize::from(index)).filter(|_| here)
     }
 
-    /// Validates a deserialised assembly: its capacity is that of `new`, and nothing is beyond it.
+    /// Validates a deserialised assembly: its capacity is that of `new`, and no fragment is beyond it.
     pub fn has_room_of(&self, new: &Self) -> bool {
         let most = self.contents.len();
         let known = self.fragments.is_none_or(|fragments| usize::from(fragments) <= most.max(1));
@@ -214,7 +214,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
-        /// Fragments in any order, with copies: the message is complete with its last missing fragment, and never before.
+        /// Fragments may come in any order and as copies. The message is complete with its last missing fragment, and never
+        /// before.
         #[test]
         fn a_message_is_whole_when_every_fragment_came(fragments in 1..=16_u8, order in proptest::collection::vec(0..16_u8, 0..60)) {
             let mut assembly = Assembly::new(16);

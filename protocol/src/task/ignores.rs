@@ -12,12 +12,12 @@ impl CommTask {
     #[must_use]
     pub fn ignores(&self, table: &NodeTable, packet: &Packet, source: &Self) -> bool {
         if let Some(meeting) = self.own.meeting(packet.port) {
-            // An ABORT as an answer would void an arrival that the source still needs for a CONFIRM that it owes.
+            // An ABORT as an answer would void an arrival that the source still needs, because it owes a CONFIRM.
             let round = packet.meeting().round;
             let over_there = source.is_over(packet.port, round) && source.owes(packet.port) != Some(round);
             return self.machines.meetings.at(meeting).ignores(table, packet, over_there);
         }
-        // It answers a request that has ended, or none.
+        // The packet answers a request that has ended, or no request at all.
         matches!(self.own.role(packet.port), Some(Role::Asks(_) | Role::Hears))
             && matches!(packet.kind, Kind::Reply | Kind::Response | Kind::Control)
             && table.rules().refuse_late_replies
@@ -43,7 +43,8 @@ impl CommTask {
         self.machines.meetings.at(self.own.meeting(port)?).heard_in(table.port(port)?, member)
     }
 
-    /// Drops the CONFIRM that this task has yet to send: for a checker that knows that every receiver would ignore it.
+    /// Drops the CONFIRM that this task has yet to send. A checker calls this if it knows that every receiver would ignore
+    /// the CONFIRM.
     pub fn settle(&mut self, port: PortId) {
         self.due = None;
         if let Some(meeting) = self.own.meeting(port) {

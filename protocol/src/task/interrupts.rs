@@ -41,11 +41,11 @@ pub(crate) const TIMERS: usize = 8;
 /// An activation: the task's own thread, or a handler.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Activation {
-    /// The rank that a message must outrank to interrupt this handler. The `order` has that of the task's own thread.
+    /// The rank that a message must outrank to interrupt this handler. For the task's own thread, `order` has that rank.
     rank: u8,
     atomic: bool,
     pub pending: Pending,
-    /// The end of its wait, kept because a handler ran above it.
+    /// How the activation's wait ended, kept because a handler ran above it.
     pub finished: Option<Finished>,
 }
 
@@ -63,7 +63,7 @@ pub(crate) struct Interrupts {
     depth: u8,
     /// Whether the handler that began last took a capped message (D76).
     capped_last: bool,
-    /// The number of the next start of a delay or timer, by which a stale report is recognised.
+    /// The number that the next start of a delay or timer gets. By this number a stale report is recognised.
     next_turn: u8,
     timers: Timers,
 }
@@ -92,7 +92,7 @@ impl Interrupts {
         matches!(self.running.pending, Pending::Nothing)
     }
 
-    /// The running activation waits from here on.
+    /// Notes that the running activation waits from now on.
     pub const fn wait(&mut self, pending: Pending) {
         self.running.pending = pending;
     }
@@ -129,7 +129,7 @@ impl Interrupts {
         self.running.atomic = atomic;
     }
 
-    /// Ends a wait. True if the running activation had it: then its end must be signalled now. Otherwise the end is
+    /// Ends a wait. Returns true if the running activation waited: then its end must be signalled now. Otherwise the end is
     /// kept until that activation [resumes](Self::resume).
     pub fn conclude(&mut self, wait: Pending, finished: &Finished) -> bool {
         if self.running.pending == wait {
@@ -143,7 +143,7 @@ impl Interrupts {
         false
     }
 
-    /// The external action of the running activation has ended.
+    /// Notes that the external action of the running activation has ended.
     pub fn done(&mut self) -> Result<(), Fault> {
         if self.running.pending == Pending::Work {
             self.end_wait();
@@ -152,8 +152,8 @@ impl Interrupts {
         Err(if self.waits(Pending::Work) { Fault::Busy } else { Fault::WrongUsage })
     }
 
-    /// Whether a handler may interrupt the running activation, because that waits or is between two statements.
-    /// `called`: the lease has a pending call.
+    /// Whether a handler may interrupt the running activation, because it waits or is between two statements. `called` says
+    /// that the lease has a pending call.
     pub fn is_interruptible(&self, at_boundary: bool, called: bool) -> bool {
         let running = &self.running;
         let room = usize::from(self.depth) < DEPTH;
@@ -162,17 +162,18 @@ impl Interrupts {
         room && open && (at_boundary || running.pending != Pending::Nothing)
     }
 
-    /// Whether the task's own thread waits in a GET: then a handler interrupts nothing.
+    /// Whether the task's own thread waits in a GET. A handler then interrupts nothing.
     fn is_idle_get(&self) -> bool {
         self.depth == 0 && matches!(self.running.pending, Pending::Get { .. })
     }
 
-    /// The rank that a message must outrank.
+    /// The rank that a message must outrank to interrupt the running activation.
     fn rank_of_running(&self, own: &Own) -> u8 {
         if self.depth == 0 { own.order.own() } else { self.running.rank }
     }
 
-    /// Whether something of this rank may interrupt the running activation. `capped`: it was rejected as often as it can be.
+    /// Whether something of this rank may interrupt the running activation. `capped` says that it was rejected as often as
+    /// it can be.
     pub fn outranks(&self, table: &NodeTable, own: &Own, rank: u8, capped: bool) -> bool {
         !table.rules().obey_order
             || self.is_idle_get()
@@ -186,17 +187,18 @@ impl Interrupts {
             if port.map_or(!handled, |port| port == id) && source.is_none_or(|source| source == from))
     }
 
-    /// The instant up to which messages are due to be offered: in a GET without a handler running, all are.
+    /// The instant up to which messages are due to be offered. If the task waits in a GET and no handler runs, all messages
+    /// are due.
     pub fn due_by(&self, now: Instant) -> Instant {
         if self.is_idle_get() { Instant::NEVER } else { now }
     }
 
-    /// The turn of a capped message, by its first rejection.
+    /// The turn of a capped message; among capped messages, the one with the earliest first rejection goes first.
     pub fn capped_turn(&self, rejected_first: u64) -> Turn {
         if self.capped_last { Turn::CappedAgain(rejected_first) } else { Turn::Capped(rejected_first) }
     }
 
-    /// Notes whose turn it was: that of the first offer.
+    /// Notes which turn the first offer had.
     pub fn note_turn(&mut self, turn: Turn) {
         match turn {
             Turn::Capped(_) | Turn::CappedAgain(_) => self.capped_last = true,
@@ -205,7 +207,7 @@ impl Interrupts {
         }
     }
 
-    /// Begins a handler. It never ranks lower than what it interrupts (D15).
+    /// Begins a handler of this rank. Handlers never rank lower than the activation that they interrupt (D15).
     pub fn begin(&mut self, own: &Own, rank: u8) {
         let rank = rank.min(self.rank_of_running(own));
         if self.running.pending == Pending::Nothing {
@@ -216,7 +218,8 @@ impl Interrupts {
         self.depth += 1;
     }
 
-    /// Ends the running handler and resumes the activation below it. Returns the end of that one's wait, if it was kept (R16).
+    /// Ends the running handler and resumes the activation below it. Returns how the wait of that activation ended, if it
+    /// ended meanwhile (R16).
     pub fn resume(&mut self) -> Result<Option<Finished>, Fault> {
         if self.depth == 0 {
             return Err(Fault::NotInterrupted);
@@ -225,8 +228,8 @@ impl Interrupts {
         Ok(self.running.finished.take())
     }
 
-    /// Drops the running handler and returns to the activation below. Without a handler, resets the task's own
-    /// thread. True if there was a handler.
+    /// Drops the running handler and returns to the activation below. Without a handler, resets the task's own thread.
+    /// Returns whether there was a handler.
     pub fn drop_running(&mut self) -> bool {
         self.running = Activation::NEW;
         let handler = self.depth > 0;
@@ -237,7 +240,7 @@ impl Interrupts {
         handler
     }
 
-    /// Validates deserialised activations: the stack has its capacity, and everything that they wait for exists.
+    /// Validates deserialised activations: the stack has its capacity, and everything for which they wait exists.
     pub fn is_whole(&self, is: impl Fn(Pending) -> bool) -> bool {
         let named = |activation: &Activation| {
             let ended = match activation.finished {

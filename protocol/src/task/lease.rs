@@ -41,7 +41,7 @@ use crate::table::{NodeTable, Port};
 use crate::ticks::{Instant, Ticks};
 use serde::{Deserialize, Serialize};
 
-/// How many recent answers are remembered, whose echoes may still come.
+/// How many recent answers are remembered because an echo of them may still come.
 const ANSWERS: usize = 4;
 
 /// The present role of one task of the couple.
@@ -57,8 +57,8 @@ enum Post {
     Passive,
 }
 
-/// A heartbeat that was answered. For the task that answered: until when an echo of it renews the lease. For the
-/// partner: until when it is worth echoing.
+/// A heartbeat that was answered. The task that answered notes until when an echo of that answer renews the lease. The
+/// partner notes until when the answer is worth echoing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Answered {
     heartbeat: Seq24,
@@ -68,7 +68,7 @@ struct Answered {
 /// The lease state of one task of a couple.
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Lease {
-    /// The couple's position in the cell.
+    /// The position of the couple in the cell.
     couple: u8,
     primary: bool,
     partner: TaskId,
@@ -79,27 +79,28 @@ pub(crate) struct Lease {
     proposed: bool,
     /// Whether `epoch` is a guess: since its restart, the task has neither heard of an epoch nor acted.
     guessed: bool,
-    /// The partner's incarnation: it received the answers below, and sent the echoed one.
+    /// The partner's incarnation that received the answers below, and that sent the echoed one.
     incarnation: Option<Incarnation>,
     /// The heartbeats that were answered last, newest first.
     answered: [Option<Answered>; ANSWERS],
-    /// The newest heartbeat that was answered. An older one or a copy is answered, too, but not recorded: the lease never counts
-    /// from the answer to a copy.
+    /// The newest heartbeat that was answered. An older heartbeat or a copy is answered, too, but not recorded, because the
+    /// lease never counts from the answer to a copy.
     newest: Option<Seq24>,
-    /// The newest own heartbeat that was answered. The next heartbeat echoes it, as long as that may renew the lease.
+    /// The newest heartbeat of this task that its partner answered. The next heartbeat echoes that answer, as long as this
+    /// may renew the lease.
     echo: Option<Answered>,
     /// When the next heartbeat is due.
     heartbeat_at: Instant,
-    /// When this task takes over if no answer comes before.
+    /// When this task takes over if no answer comes before that.
     takeover_at: Instant,
-    /// The data that this task's answers carry, and that the partner's last answer carried.
+    /// The data that this task's answers carry, and the data that the partner's last answer carried.
     published: Contents,
     said: Contents,
-    /// The pending call: a fence or a take-over of which the task has no signal yet.
+    /// The pending call: a fence or a take-over that the task has not been signalled yet.
     call: Option<Call>,
 }
 
-/// The sender's role in the answer to a heartbeat.
+/// The codes for the sender's role in the answer to a heartbeat.
 const WAITS: u8 = 0;
 const LEASED: u8 = 1;
 const ALONE: u8 = 2;
@@ -119,7 +120,7 @@ impl Lease {
             primary,
             partner: if primary { decl.standby } else { decl.primary },
             post: Post::Waits,
-            // Its earlier incarnation may have taken over without having heard of any epoch.
+            // An earlier incarnation of this task may have taken over without having heard of any epoch.
             epoch: if restarted { 2 } else { 0 },
             proposed: false,
             guessed: restarted,
@@ -149,13 +150,13 @@ impl Lease {
         }
     }
 
-    /// The task ended or panicked: it stops acting, so that its partner takes over.
+    /// Stops acting, because the task ended or panicked, so that its partner takes over.
     pub fn retire(&mut self) {
         self.stop(Post::Passive);
         self.call = None;
     }
 
-    /// The position of its couple in the cell.
+    /// The position of the task's couple in the cell.
     #[cfg(feature = "checker")]
     pub const fn couple(&self) -> u8 {
         self.couple
@@ -184,12 +185,12 @@ impl Lease {
         self.call.is_some()
     }
 
-    /// Takes the pending call, to tell the task.
+    /// Takes the pending call, so that the task can be told.
     pub const fn take_call(&mut self) -> Option<Call> {
         self.call.take()
     }
 
-    /// The task waits for the lease. Returns the epoch if it may act already.
+    /// Begins to wait for the lease. Returns the epoch if the task may act already.
     pub fn await_it(&mut self) -> Result<Option<u8>, Fault> {
         if self.post == Post::Passive {
             return Err(Fault::Fenced);
@@ -201,7 +202,7 @@ impl Lease {
         Ok(Some(self.epoch))
     }
 
-    /// Sets the data that answers carry from here on.
+    /// Sets the data that the task's answers carry from now on.
     pub fn publish(&mut self, contents: Contents) -> Result<(), Fault> {
         if contents.as_bytes().len() > PUBLISHED_BYTES {
             return Err(Fault::WrongLength);
@@ -221,12 +222,14 @@ impl Lease {
         Contents::new(&bytes[..=len]).ok_or(Fault::WrongLength)
     }
 
-    /// Does what is due: ends the lease, takes over, or sends a heartbeat. Returns the epoch if the task begins to act.
+    /// Does the work that is due: ends the lease, takes over, or sends a heartbeat. Returns the epoch if the task begins to
+    /// act.
     pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>) -> Option<u8> {
         self.noting(step, Self::pass)
     }
 
-    /// Takes a heartbeat of the partner, or its answer to one. Returns the epoch if the task begins to act.
+    /// Takes a heartbeat of the partner, or the partner's answer to a heartbeat. Returns the epoch if the task begins to
+    /// act.
     pub fn hear(&mut self, step: &mut Step<'_, impl Outbox>, port: &Port, packet: &Packet) -> Option<u8> {
         self.noting(step, |lease, step| lease.heartbeat_came(step, port, packet))
     }
@@ -287,7 +290,7 @@ impl Lease {
         }
     }
 
-    /// Ends the present role. The recorded answers are void: their epoch is over.
+    /// Ends the present role. The recorded answers become void, because their epoch is over.
     fn stop(&mut self, post: Post) {
         self.stand(post);
         self.disown();
@@ -300,13 +303,13 @@ impl Lease {
         self.echo = None;
     }
 
-    /// Voids the recorded answers: no echo of them makes the task act.
+    /// Voids the recorded answers, so that no echo of them lets the task act.
     fn disown(&mut self) {
         self.proposed = false;
         self.answered = [None; ANSWERS];
     }
 
-    /// Proposes the epoch in which the task would act, if it has not yet.
+    /// Proposes the epoch in which the task would act, if it has not proposed one yet.
     fn propose(&mut self) {
         if !self.proposed {
             self.disown();
@@ -320,13 +323,13 @@ impl Lease {
         self.epoch.wrapping_add(if own { 2 } else { 1 })
     }
 
-    /// Validates a deserialised lease: it is of the same couple and side as a new one.
+    /// Validates a deserialised lease: it belongs to the same couple and side as a new one.
     pub fn is_like(&self, new: &Self) -> bool {
         (self.couple, self.primary, self.partner) == (new.couple, new.primary, new.partner)
     }
 }
 
-/// Wrap-safe order of epochs.
+/// Whether `epoch` is newer than `than`, in wrap-safe order.
 pub(crate) const fn is_newer_epoch(epoch: u8, than: u8) -> bool {
     let steps = epoch.wrapping_sub(than);
     steps != 0 && steps < 128

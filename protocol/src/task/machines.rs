@@ -1,4 +1,4 @@
-//! The dispatcher: hands each input to the part that it is for, and the part's results to the other parts.
+//! The dispatcher: it hands each input to the part that the input concerns, and that part's results to the other parts.
 
 use super::client::Client;
 use super::interrupts::{Interrupts, Offer, What};
@@ -18,7 +18,7 @@ use crate::table::NodeTable;
 use crate::ticks::{Instant, Ticks};
 use serde::{Deserialize, Serialize};
 
-/// The parts of a communication task. Each owns its state.
+/// The parts of a communication task. Each part owns its state.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Machines {
     pub client: Client,
@@ -45,7 +45,7 @@ impl Machines {
         self.lease.as_ref().is_some_and(Lease::called)
     }
 
-    /// Whether a handler may interrupt the running activation while that waits.
+    /// Whether a handler may interrupt the running activation while that activation waits.
     fn is_interruptible(&self) -> bool {
         self.interrupts.is_interruptible(false, self.called())
     }
@@ -114,7 +114,7 @@ impl Machines {
         }
     }
 
-    /// Does what is due by now, and touches nothing else (§5.1.2).
+    /// Does everything that is due by now, and nothing else (§5.1.2).
     pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>) {
         self.server.advance(step);
         if let Pending::Get { deadline, .. } = self.interrupts.pending()
@@ -158,18 +158,18 @@ impl Machines {
             | Pending::Lease
             | Pending::Boundary => Instant::NEVER,
         };
-        // Fast path for most tasks between two inputs: nothing but this wait can be due.
+        // This is a fast path for most tasks between two inputs: only the wait of the running activation can be due.
         let quiet = self.server.is_empty() && self.meetings.are_quiet() && self.lease.is_none();
         if quiet && self.interrupts.depth() == 0 {
             return wait;
         }
-        // A rejected message that is offered again matters only if a handler could begin.
+        // The next offer of a rejected message matters only if a handler could begin.
         let offered = self.server.has_offers() && self.is_interruptible();
         let offer = if offered { self.server.next_offer() } else { Instant::NEVER };
         let lease = self.lease.as_ref().map_or(Instant::NEVER, Lease::due);
         let waits = wait.min(offer).min(lease).min(self.server.next_end()).min(self.meetings.next_act());
-        // Of the interrupted activations only those that wait for answers add a deadline: a GET resumes with its
-        // activation, and waitfors and the lease are included above.
+        // Of the interrupted activations only those that wait for answers add a deadline: the deadline of a GET counts once
+        // its activation resumes, and waitfors and the lease are already included.
         if self.interrupts.depth() == 0 {
             waits
         } else {
@@ -177,14 +177,14 @@ impl Machines {
         }
     }
 
-    /// The node's Timer reports the end of a delay or a timer.
+    /// Takes the report of the node's Timer that a delay or a timer has ended.
     pub fn time_is_over(&mut self, step: &mut Step<'_, impl Outbox>, (id, turn): (TimeId, u8)) {
         if self.interrupts.time_is_over(id, turn) {
             self.tell(step, &Finished::TimeOut(id));
         }
     }
 
-    /// A node has a new incarnation.
+    /// Notes that a node has a new incarnation.
     pub fn peer_restarted(&mut self, step: &mut Step<'_, impl Outbox>, node: NodeId) {
         while let Some(ended) = self.client.restarted(step, node) {
             self.end(step, Some(ended));
@@ -201,8 +201,8 @@ impl Machines {
         }
     }
 
-    /// From now on the task acts under this epoch: completes the request that waits for the lease. Without such a request, a
-    /// take-over stays a pending call, and a grant by an echo is only observed.
+    /// Lets the task act under this epoch from now on, and completes the request that waits for the lease. If there is no
+    /// such request, a take-over stays a pending call, and a grant by an echo is only observed.
     fn grant(&mut self, step: &mut Step<'_, impl Outbox>, epoch: Option<u8>) {
         let Some(epoch) = epoch.filter(|_| self.interrupts.waits(Pending::Lease)) else { return };
         self.lease.as_mut().and_then(Lease::take_call);
@@ -231,7 +231,7 @@ impl Machines {
         });
     }
 
-    /// Delivers the most urgent message that matches a GET; false if there is none.
+    /// Delivers the most urgent message that matches a GET. Returns false if there is none.
     pub fn serve(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -248,8 +248,8 @@ impl Machines {
         step.out.signal(Signal::Message(delivery));
     }
 
-    /// If the running activation waits, offers it everything that is due. O(1) while nothing is due; otherwise visits
-    /// each port and each due message.
+    /// If the running activation waits, offers it everything that is due. Takes constant time while nothing is due;
+    /// otherwise it visits each port and each due message.
     pub fn offer_to_waiting(&mut self, step: &mut Step<'_, impl Outbox>) {
         if self.interrupts.waits_for_nothing() {
             return;
@@ -263,7 +263,7 @@ impl Machines {
         }
     }
 
-    /// A statement boundary (D15).
+    /// Handles a statement boundary of the running activation (D15).
     pub fn boundary(&mut self, step: &mut Step<'_, impl Outbox>) {
         let open = self.interrupts.is_interruptible(true, self.called());
         if !(open && self.offer(step)) {
@@ -271,7 +271,7 @@ impl Machines {
         }
     }
 
-    /// Offers everything that is due to the running activation, which can be interrupted. True if a handler begins.
+    /// Offers everything that is due to the running activation, which can be interrupted. Returns whether a handler begins.
     fn offer(&mut self, step: &mut Step<'_, impl Outbox>) -> bool {
         let message = self.server.first_offer(step.table, step.own, &self.interrupts);
         let timer = self.interrupts.first_timer(step.table, step.own);
@@ -308,7 +308,7 @@ impl Machines {
         step.out.signal(Signal::Interrupt(call));
     }
 
-    /// A handler for a message interrupts the running activation.
+    /// Begins the handler for a message, which interrupts the running activation.
     fn interrupt(&mut self, step: &mut Step<'_, impl Outbox>, origin: Origin, held: &Held) {
         let port = self.server.port(origin.0);
         let rank = step.own.order.rank(port, held.source);
@@ -319,12 +319,12 @@ impl Machines {
         step.out.signal(Signal::Interrupt(Call::Message(delivery)));
     }
 
-    /// A handler ended: the activation below resumes its wait, which may have ended meanwhile (R16).
+    /// Ends a handler: the activation below resumes its wait, which may have ended meanwhile (R16).
     pub fn resume(&mut self, step: &mut Step<'_, impl Outbox>) -> Result<(), Fault> {
         let finished = self.interrupts.resume()?;
         note_handler(step, Event::Resumed, self.interrupts.depth());
         if let Some(finished) = finished {
-            // The lease was granted and lost again while the handler ran: the activation goes on waiting for it.
+            // The lease was granted and lost again while the handler ran, so the activation goes on waiting for it.
             if matches!(finished, Finished::Granted(_)) && !self.lease.as_ref().is_none_or(Lease::acts) {
                 self.interrupts.wait(Pending::Lease);
             } else {

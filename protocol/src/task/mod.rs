@@ -65,18 +65,18 @@ use wait::Pending;
 pub enum Input {
     /// No event: only the time passes.
     Time,
-    /// A request of its task.
+    /// The task makes a request.
     Request(Request),
-    /// A packet for its task. The link delays are already subtracted from its remaining time.
+    /// A packet arrives for the task. The link delays are already subtracted from its remaining time.
     Packet(Packet),
     /// The node's Timer reports that this delay or timer has ended.
     TimeOut {
         /// The name of the delay or timer.
         id: TimeId,
-        /// The number of its start: the report of an earlier start is stale.
+        /// The number of the start of this delay or timer. A report of an earlier start is stale.
         turn: u8,
     },
-    /// The transit buffer dropped a copy of this request before it left the node.
+    /// The transit buffer dropped a copy of the request with this id before the copy left the node.
     Unsent(MessageId),
     /// The named node has a new incarnation.
     PeerRestarted(NodeId),
@@ -101,8 +101,8 @@ impl CommTask {
     /// How many entries of the node's Timer one task can use: its timers, and one delay per activation.
     pub const ENTRIES: usize = Self::TIMERS + DEPTH + 1;
 
-    /// The communication task of `task` in this incarnation of its node. `restarted`: an earlier incarnation may have
-    /// run commands. Until no copy of those can arrive any more, commands are answered with RESTARTED (D49).
+    /// The communication task of `task` in this incarnation of its node. `restarted` says that an earlier incarnation may
+    /// have run commands. Until no copy of those commands can arrive any more, commands are answered with RESTARTED (D49).
     #[must_use]
     pub fn new(table: &NodeTable, task: TaskId, incarnation: Incarnation, restarted: bool) -> Self {
         let own = Own::new(table, task, incarnation, restarted);
@@ -110,22 +110,22 @@ impl CommTask {
         Self { own, machines, due: None }
     }
 
-    /// The task that it speaks for.
+    /// The task for which this communication task speaks.
     #[must_use]
     pub const fn task(&self) -> TaskId {
         self.own.task
     }
 
-    /// The incarnation of its node.
+    /// The incarnation of the task's node.
     #[must_use]
     pub const fn incarnation(&self) -> Incarnation {
         self.own.incarnation
     }
 
-    /// Takes one input at `now` and fills the outbox. First everything happens that became due since the last input, then the
-    /// input is taken. A retransmission that is overdue is sent once, with the time that remains now. An earlier `now` than the
-    /// last one counts as no time (D42). Total: no input in any state panics. The task gets at most one signal for the time and
-    /// one for the input.
+    /// Takes one input at `now` and fills the outbox. First everything happens that became due since the last input, then
+    /// the input is taken. A retransmission that is overdue is sent once, with the time that remains now. An earlier `now`
+    /// than the last one counts as no time (D42). The function is total: no input in any state makes it panic. The task gets
+    /// at most one signal for the time that passed, and one for the input.
     pub fn handle(&mut self, table: &NodeTable, now: Instant, input: &Input, out: &mut impl Outbox) {
         let only_time = matches!(input, Input::Time);
         if only_time || now > self.own.now {
@@ -134,7 +134,7 @@ impl CommTask {
                 return;
             }
         }
-        // A request of a waiting activation gets its signal below: an offer would be a second one.
+        // A request of a waiting activation gets its signal below; an offer would be a second signal.
         let answered = matches!(input, Input::Request(_)) && !self.is_idle();
         let Self { own, machines, due } = self;
         let step = &mut Step { table, own, out };
@@ -174,7 +174,7 @@ impl CommTask {
         self.due.unwrap_or_else(|| self.machines.due())
     }
 
-    /// Moves the task's clock to `now` and does what is due.
+    /// Moves the task's clock to `now`, and does everything that is due by then.
     #[inline(never)]
     fn pass(&mut self, table: &NodeTable, now: Instant, out: &mut impl Outbox) {
         let elapsed = now - self.own.now;
@@ -188,7 +188,7 @@ impl CommTask {
         }
     }
 
-    /// Does what time alone makes due.
+    /// Does everything that time alone makes due.
     fn act(&mut self, table: &NodeTable, out: &mut impl Outbox) {
         let step = &mut Step { table, own: &mut self.own, out };
         self.machines.advance(step);
@@ -234,7 +234,7 @@ impl CommTask {
         self.machines.client.outstanding()
     }
 
-    /// Whether a reply to this message would still be sent.
+    /// Whether the communication task would still send a reply to this message.
     #[must_use]
     pub fn can_answer(&self, to: &ReplyTo) -> bool {
         let server = &self.machines.server;
@@ -254,7 +254,7 @@ impl CommTask {
         self.machines.lease.as_ref().is_none_or(Lease::acts)
     }
 
-    /// The epoch under which this task acts, or the newest that it has heard of; `None` if it is in no couple.
+    /// The epoch under which this task acts, or the newest epoch of which it has heard; `None` if it is in no couple.
     #[must_use]
     pub fn epoch(&self) -> Option<u8> {
         self.machines.lease.as_ref().map(Lease::epoch)

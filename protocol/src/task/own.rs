@@ -15,22 +15,22 @@ use alloc::boxed::Box;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
-/// The task's use of a port, with the position of the state for it.
+/// The task's use of a port, with the position of the state that belongs to this use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) enum Role {
-    /// Sends class-1 messages, which are not answered.
+    /// The task sends class-1 messages, which are not answered.
     Sends,
-    /// Sends class-2 messages. The client keeps the outstanding one at this position.
+    /// The task sends class-2 messages. The client keeps the outstanding request at this position.
     Asks(u16),
-    /// Receives messages into this inbox of the server.
+    /// The task receives messages into this inbox of the server.
     Receives(u16),
-    /// Takes part in this rendezvous.
+    /// The task takes part in this rendezvous.
     Meets(u16),
-    /// Sends third-party replies (D11).
+    /// The task sends third-party replies (D11).
     Replies,
-    /// Receives third-party replies.
+    /// The task receives third-party replies.
     Hears,
-    /// Carries the heartbeats of its couple (D61).
+    /// The port carries the heartbeats of the task's couple (D61).
     Heartbeats,
 }
 
@@ -56,25 +56,25 @@ impl Endpoint {
     }
 }
 
-/// The shared state.
+/// The state that the parts share.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Own {
     pub task: TaskId,
     pub incarnation: Incarnation,
     pub restarted: bool,
-    /// The task's clock, which all its instants are on.
+    /// The task's clock, to which all its instants belong.
     pub now: Instant,
     pub next_sequence: Seq24,
     /// The end of the quarantine of a restarted task (D49).
     pub quarantine_until: Instant,
     /// The ranks that the task has set (D16).
     pub order: ServiceOrder,
-    /// Ascending by port.
+    /// The endpoints of the task, ascending by port.
     pub endpoints: Box<[Endpoint]>,
 }
 
 impl Own {
-    /// The state of a task at the start of an incarnation of its node.
+    /// The shared state of a task at the start of an incarnation of its node.
     pub fn new(table: &NodeTable, task: TaskId, incarnation: Incarnation, restarted: bool) -> Self {
         let (mut endpoints, [mut requests, mut inboxes, mut meetings]) = (Vec::new(), [0; 3]);
         for &id in table.ports_of(task) {
@@ -149,17 +149,17 @@ impl Own {
         Some(self.endpoints[self.place(port)?].role)
     }
 
-    /// The inbox of a port on which the task receives.
+    /// The position of the inbox of a port; `None` if the task does not receive on it.
     pub fn inbox(&self, port: PortId) -> Option<u16> {
         self.receiving(port).ok()
     }
 
-    /// The request of a port on which the task asks.
+    /// The position of the request of a port; `None` if the task does not ask on it.
     pub fn request(&self, port: PortId) -> Option<u16> {
         if let Role::Asks(request) = self.role(port)? { Some(request) } else { None }
     }
 
-    /// The position of its rendezvous on a port.
+    /// The position of the task's rendezvous on a port; `None` if it is no waitfor.
     pub fn meeting(&self, port: PortId) -> Option<u16> {
         if let Role::Meets(meeting) = self.role(port)? { Some(meeting) } else { None }
     }
@@ -170,7 +170,7 @@ impl Own {
         if let Role::Receives(inbox) = role { Ok(inbox) } else { Err(Fault::WrongUsage) }
     }
 
-    /// Whether all fragments of the staged message are here. If one is missing, drops them all.
+    /// Checks that all fragments of the staged message are here. If one is missing, drops them all.
     pub fn staged(&mut self, endpoint: usize) -> Result<(), Fault> {
         let staged = &mut self.endpoints[endpoint].staged;
         if staged.fragments().is_some() {
@@ -190,7 +190,7 @@ impl Own {
         if endpoint.staged.put(index, contents) {
             return Ok(Signal::Accepted(0));
         }
-        // All of a message is sent or nothing: its fragments must not end up in the next one (D28).
+        // Either all fragments of a message are sent or none, because the rest must not end up in the next message (D28).
         endpoint.staged.clear();
         Err(Fault::WrongLength)
     }
@@ -206,7 +206,7 @@ impl Own {
         index(self.endpoints.len() + self.order.ranked().len()).max(4)
     }
 
-    /// Validates deserialised shared state: its endpoints are those of a new one.
+    /// Validates deserialised shared state: its endpoints must match those of a new one.
     pub fn is_like(&self, new: &Self) -> bool {
         are_alike(&self.endpoints, &new.endpoints, |read, new| {
             (read.port, read.role) == (new.port, new.role) && read.staged.has_room_of(&new.staged)
@@ -214,7 +214,7 @@ impl Own {
     }
 }
 
-/// The couple whose heartbeats `port` carries, with its position in the cell, if any.
+/// The couple whose heartbeats `port` carries, with its position in the cell; `None` if the port carries none.
 pub(crate) fn couple_of(table: &NodeTable, port: PortId, task: TaskId) -> Option<(u8, &CoupleDecl)> {
     let couples = table.cell().couples.iter().enumerate();
     let mine = |c: &CoupleDecl| c.via == port && (c.primary == task || c.standby == task);

@@ -55,13 +55,13 @@ struct Member {
     arrived: Option<Arrived>,
     /// The freshest round that the member gave up: copies of its arrival in that round or an older one do not count (D54).
     barred: Option<Round>,
-    /// The member's incarnation, as last heard.
+    /// The incarnation of the member's node that was last heard.
     incarnation: Option<Incarnation>,
-    /// Whether the member restarted since this task's last release: its new incarnation was not part of that meeting.
+    /// Whether the member restarted since this task's last release. Its new incarnation was then not part of that meeting.
     reborn: bool,
-    /// Whether the member is known to have released this task's round. Shown to monitors only.
+    /// Whether the member is known to have been released from this task's round. Only monitors see this.
     confirmed: bool,
-    /// The member's arguments in the round that this task left last; later packets do not change them.
+    /// The member's arguments in the round that this task left last. Later packets do not change these arguments.
     told: Option<[u8; 8]>,
 }
 
@@ -69,13 +69,13 @@ struct Member {
 #[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Rendezvous {
     port: PortId,
-    /// Whether meetings are numbered: under the variant without rounds, all have the same number (D3).
+    /// Whether meetings are numbered. Under the variant without rounds, all meetings have the same number (D3).
     numbered: bool,
     /// The round that this task announced last. While it waits, it waits in this round.
     announced: Round,
     /// The freshest round that this task has heard of.
     fresh: Round,
-    /// The round that this task released last.
+    /// The round from which this task was last released.
     released: Option<Round>,
     /// While the task waits: the end of its patience.
     deadline: Option<Instant>,
@@ -86,9 +86,10 @@ pub(crate) struct Rendezvous {
     /// The remaining copies of the CONFIRM of `released`, and when the next one is sent.
     copies_left: u8,
     copy_at: Instant,
-    /// Whether a CONFIRM released the task before it held all arrivals. It confirms once it holds them (`EveryComplete`).
+    /// Whether a CONFIRM released the task before it held all arrivals. Under `EveryComplete` the task sends its CONFIRM
+    /// once it holds all arrivals.
     owes_confirm: bool,
-    /// This task's arguments to the other members.
+    /// The arguments that this task sends to the other members.
     arguments: [u8; 8],
 }
 
@@ -134,10 +135,10 @@ impl Rendezvous {
         self.deadline.unwrap_or(Instant::NEVER).min(self.resend_at).min(self.copy_at)
     }
 
-    /// The task reaches the waitfor.
+    /// Begins to wait: the task reaches the waitfor.
     fn reach(&mut self, at: &mut At<'_, '_, impl Outbox>, arguments: [u8; 8], patience: Ticks) {
         if self.numbered {
-            // Joins the round in which others wait, if there is one (D54).
+            // The task joins the round in which other members wait, if there is one (D54).
             let fresh = if at.step.table.rules().join_fresher { self.fresh } else { self.announced };
             self.enter(self.announced.next().fresher(fresh), at.now());
             self.fresh = self.announced;
@@ -155,7 +156,8 @@ impl Rendezvous {
         self.release_if_complete(at);
     }
 
-    /// Leaves without a release: the patience ended, or the wait was cancelled before. Returns the missing members as bits.
+    /// Ends the wait without a release, because the patience ended or the wait was cancelled. Returns the missing members as
+    /// a bit mask.
     fn leave(&mut self, at: &mut At<'_, '_, impl Outbox>) -> u64 {
         let in_vain = self.deadline.is_some_and(|deadline| deadline <= at.now());
         at.counters().timed_out += u64::from(in_vain);
@@ -175,7 +177,7 @@ impl Rendezvous {
         missing
     }
 
-    /// Retransmits what is due. The caller checks the deadline.
+    /// Retransmits the packets that are due. The caller checks the deadline.
     fn advance(&mut self, at: &mut At<'_, '_, impl Outbox>) {
         if self.copy_at <= at.now() {
             self.copies_left = self.copies_left.saturating_sub(1);
@@ -193,18 +195,19 @@ impl Rendezvous {
         }
     }
 
-    /// The node of a member restarted: its arrival is void, and its new incarnation was not in the meeting released last.
+    /// Forgets the arrival of a member whose node restarted. Its new incarnation was not part of the meeting that was
+    /// released last.
     fn forget(&mut self, member: usize) {
         let incarnation = self.members[member].incarnation;
         self.members[member] = Member { incarnation, reborn: true, ..Member::default() };
     }
 
-    /// Whether this task will never wait in `round` again: rounds only grow.
+    /// Whether this task will never wait in `round` again, because rounds only grow.
     fn is_over(&self, round: Round) -> bool {
         self.announced.is_newer_than(round) || (round == self.announced && self.deadline.is_none())
     }
 
-    /// Enters a round, and forgets what would seem fresh once the round numbers wrap: bars of earlier rounds, a
+    /// Enters a round, and forgets everything that would seem fresh once the round numbers wrap: bars of earlier rounds, a
     /// release half the number circle ago, and arrivals whose patience has ended.
     fn enter(&mut self, round: Round, now: Instant) {
         self.announced = round;
@@ -235,10 +238,10 @@ impl Rendezvous {
         member.arrived.is_some_and(|a| a.round == self.announced && a.expires > now)
     }
 
-    /// The least remaining patience of the other members, if all of them are here.
+    /// The least remaining patience of the other members, if all of them have arrived.
     fn least_patience(&self, at: &At<'_, '_, impl Outbox>) -> Option<Ticks> {
         let mut least = Ticks::FAR;
-        // From the end: if members arrive in the order of the list, the last ones are missing longest.
+        // This goes backwards: if members arrive in the order of the list, the last ones are missing longest.
         for (member, party) in self.members.iter().zip(&at.port.parties).rev() {
             if party.task != at.step.own.task {
                 let arrived = member.arrived.filter(|_| self.is_here(member, at.now()))?;
@@ -297,13 +300,14 @@ impl Rendezvous {
         }
     }
 
-    /// A member's arrival in this task's round. With numbered rounds it counts even if the member's patience has ended since.
+    /// A member's arrival in this task's round. With numbered rounds it counts even if the member's patience has ended since
+    /// then.
     fn came(&self, member: &Member, now: Instant) -> Option<Arrived> {
         let is_over = |arrived: &Arrived| !self.numbered && arrived.expires <= now;
         member.arrived.filter(|arrived| arrived.round == self.announced && !is_over(arrived))
     }
 
-    /// Keeps the members' arguments in the round that this task leaves now.
+    /// Keeps the arguments of the members in the round that this task now leaves.
     fn keep_told(&mut self, now: Instant) {
         for i in 0..self.members.len() {
             self.members[i].told = self.came(&self.members[i], now).map(|arrived| arrived.arguments);

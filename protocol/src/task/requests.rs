@@ -1,4 +1,4 @@
-//! The user layer, downwards: requests of the task (§5.2.1). `machines` takes in what comes up to it.
+//! The user layer, downwards: it carries out the requests of the task (§5.2.1). `machines` takes the inputs from below.
 
 use super::client::Sent;
 use super::machines::Machines;
@@ -12,7 +12,7 @@ use crate::packet::Contents;
 use crate::request::{Fault, ReplyTo, Request, Signal, Target};
 use crate::ticks::{Instant, Ticks};
 
-/// The signal that answers a request, or `None` if it was given already or comes later.
+/// The signal that answers a request; `None` if it was already given, or comes later.
 type Answer = Result<Option<Signal>, Fault>;
 
 const ACCEPTED: Option<Signal> = Some(Signal::Accepted(0));
@@ -25,7 +25,7 @@ impl Machines {
             Request::Abandon => Ok(Some(self.abandon(step))),
             Request::Reply { to, contents } => self.reply(step, to, contents),
             Request::Done => self.interrupts.done().map(|()| ACCEPTED),
-            // The requests above are allowed while another one is outstanding; those below are not (R93).
+            // The requests above are allowed while another request is outstanding; those below are not (R93).
             _ if !self.interrupts.waits_for_nothing() => Err(Fault::Busy),
             Request::Order(order) => {
                 let old = core::mem::replace(&mut step.own.order, order);
@@ -72,7 +72,7 @@ impl Machines {
             Ok(Some(signal)) => step.out.signal(signal),
             Ok(None) => {}
             Err(fault) => {
-                // Fragments staged for a message that is not sent must not end up in the next one.
+                // If a message is not sent, the fragments that were staged for it must not end up in the next message.
                 if let Request::Send { port, .. } | Request::Reply { to: ReplyTo { port, .. }, .. } = *request
                 {
                     step.own.unstage(port);
@@ -104,7 +104,7 @@ impl Machines {
         }
     }
 
-    /// Takes the most urgent message over the port heads, or waits for one (procedure `get`, §5.2.1).
+    /// Takes the most urgent message among the heads of the ports, or waits for one (procedure `get`, §5.2.1).
     fn get(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -192,7 +192,7 @@ impl Machines {
         Signal::Cancelled
     }
 
-    /// Ends every wait and every handler: the task starts again from its beginning. Waiting messages stay.
+    /// Ends every wait and every handler, because the task starts again from its beginning. Waiting messages stay.
     fn abandon(&mut self, step: &mut Step<'_, impl Outbox>) -> Signal {
         loop {
             self.cancel(step);

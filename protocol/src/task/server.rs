@@ -62,7 +62,7 @@ pub(crate) struct Server {
     ready: ReadySet,
     /// The number of GETs over all ports that were served (D58).
     served: u64,
-    /// Numbers messages in the order of storing: the last key of the service order (D14).
+    /// Numbers messages in the order in which they are stored: the last key of the order of service (D14).
     arrivals: u64,
     /// The number of the next round of rejections (D58).
     rejections: u64,
@@ -72,12 +72,12 @@ pub(crate) struct Server {
     guards: Box<[Guard]>,
     /// The message that the task took last (D28).
     taken: (Option<Contents>, Parts),
-    /// Scratch buffer for messages that are rejected together; empty between two inputs.
+    /// Scratch buffer for messages that are rejected together. It is empty between two inputs.
     #[serde(skip)]
     turned: Vec<Slot>,
 }
 
-/// The incarnation in which a source's node was last heard.
+/// A source, with the incarnation of its node that was last heard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 struct Known {
     task: TaskId,
@@ -88,14 +88,16 @@ struct Known {
 pub(crate) struct Arrival {
     pub origin: Origin,
     pub held: Held,
-    /// Whether a handler for it interrupts the running activation; otherwise that waits for it in a GET.
+    /// Whether a handler for the message interrupts the running activation; otherwise that activation waits for the message
+    /// in a GET.
     pub interrupts: bool,
 }
 
 /// An inbox, and the position of a source in it.
 pub(crate) type Origin = (usize, usize);
 
-/// Limit of counters in a deserialised state. They grow by one per input, so below it no recording makes them overflow.
+/// Limit of counters in a deserialised state. They grow by one per input, so no recording makes a counter below this limit
+/// overflow.
 const MOST: u64 = 1 << 62;
 
 impl Server {
@@ -131,7 +133,7 @@ impl Server {
         self.inboxes[inbox].port
     }
 
-    /// Takes a packet of a message. `threads`: the activations, and whether the lease has a pending call.
+    /// Takes a packet of a message. `threads` are the activations; `called` says whether the lease has a pending call.
     pub fn hear(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -202,7 +204,7 @@ impl Server {
     ) -> bool {
         let endpoint = ends.own.place;
         if packet.class == Class::Command && step.own.turns_away(step.table, ends.peer) {
-            // It may be a copy of a command that the earlier incarnation ran (D49).
+            // The message may be a copy of a command that the earlier incarnation ran (D49).
             control(step, packet, Control::Restarted);
             return false;
         }
@@ -229,8 +231,8 @@ impl Server {
         false
     }
 
-    /// Takes in a complete, new message. It is delivered at once if the task waits for it, offered if there is a
-    /// handler, and stored otherwise (R24, R25).
+    /// Takes in a complete, new message. If the task waits for it, it is delivered at once; if there is a handler, it is
+    /// offered; otherwise it is stored (R24, R25).
     fn take_in(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -316,7 +318,8 @@ impl Server {
         }
     }
 
-    /// The variant without residence: waiting does not reduce the remaining time.
+    /// Extends the deadlines of waiting messages by the time that passed: for the variant in which waiting does not reduce
+    /// the remaining time.
     pub fn give_back(&mut self, own: &Own, elapsed: Ticks) {
         for inbox in &mut self.inboxes {
             inbox.queue.change_all(|held, _| held.expires += elapsed);
@@ -337,7 +340,7 @@ impl Server {
         self.touch(own, inbox);
     }
 
-    /// Validates a deserialised server: its inboxes, sources and capacities are those of a new one.
+    /// Validates a deserialised server: its inboxes, sources and capacities must be those of a new one.
     pub fn is_like(&self, new: &Self) -> bool {
         let counts = [self.arrivals, self.rejections, self.served].into_iter().all(|count| count < MOST);
         are_alike(&self.inboxes, &new.inboxes, Inbox::is_like)
@@ -362,7 +365,7 @@ fn discard(step: &mut Step<'_, impl Outbox>, inbox: &Inbox, held: &Held, reason:
     step.note(Event::Discarded(reason), inbox.port, held.source, held.id(), left);
 }
 
-/// The bit set of the fragments after the first one.
+/// A bit mask of the fragments of a message after the first one.
 fn rest_of(fragments: u8) -> u16 {
     1_u16.checked_shl(u32::from(fragments.saturating_sub(1))).map_or(u16::MAX, |bit| bit.wrapping_sub(1))
 }

@@ -4,9 +4,9 @@ use super::{CommTask, Machines, Pending};
 use crate::table::NodeTable;
 
 impl CommTask {
-    /// Validates a deserialised state: a keyframe of a recording may come from anybody. Its lists have the lengths,
-    /// ports and tasks of a new machine of the same task, and every position in it exists. Then no input makes it
-    /// panic. [`invariants::check`](crate::invariants::check) checks everything else.
+    /// Validates a deserialised state, because a keyframe of a recording may come from anybody. The lists of the state must
+    /// have the lengths, ports and tasks of a new machine of the same task, and every position in the state must exist. Then
+    /// no input makes the machine panic. [`invariants::check`](crate::invariants::check) checks everything else.
     #[must_use]
     pub fn is_whole(&self, table: &NodeTable) -> bool {
         if table.location(self.own.task).is_none() {
@@ -53,7 +53,7 @@ mod tests {
         assert_eq!(check(&task, &table), Err(Violation::WrongDeadline));
     }
 
-    /// A keyframe may come from anybody, so everything that an input works on must exist.
+    /// A keyframe may come from anybody, so the validation must find a wait for an object that does not exist.
     #[test]
     fn a_wait_for_what_is_not_there_is_not_whole() {
         let table = Fixture::new(A).table;
@@ -65,7 +65,7 @@ mod tests {
         let get = |port| Pending::Get { port, source: None, deadline: Instant::NEVER };
         assert!(waiting(get(None)) && waiting(Pending::Reply(0)) && waiting(Pending::Meeting(0)));
         assert!(waiting(Pending::Lease) && waiting(Pending::Work));
-        // A sends commands on one of these ports, and meets B on the other: it receives on neither.
+        // A sends commands on one of these ports, and meets B on the other, so it receives on neither.
         assert!(!waiting(get(Some(MOVE))) && !waiting(get(Some(LIFT))));
         assert!(!waiting(Pending::Reply(1)) && !waiting(Pending::Meeting(1)));
     }

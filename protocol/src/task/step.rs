@@ -13,11 +13,11 @@ use crate::ticks::{Instant, Ticks};
 /// The receiver of the effects of [`CommTask::handle`](crate::CommTask::handle). A driver carries them out after `handle` has
 /// returned.
 pub trait Outbox {
-    /// Hands a packet to the route layer.
+    /// Hands a packet of the task to the route layer.
     fn transmit(&mut self, packet: Packet);
-    /// Answers the task.
+    /// Gives the task a signal.
     fn signal(&mut self, signal: Signal);
-    /// Arms an entry of the node's Timer. The Timer returns `turn` at its end.
+    /// Arms an entry of the node's Timer. When the entry ends, the Timer returns `turn` with it.
     fn arm(&mut self, id: TimeId, turn: u8, length: Ticks);
     /// Disarms an entry of the node's Timer.
     fn disarm(&mut self, id: TimeId);
@@ -44,7 +44,7 @@ impl<O: Outbox> Step<'_, O> {
         self.out.observe(Observation::of(event, port, peer, id, remaining));
     }
 
-    /// Counts at an endpoint, by its position.
+    /// Changes the counters of the endpoint at a position.
     pub fn count(&mut self, endpoint: u16, count: impl FnOnce(&mut Counts)) {
         if let Some(endpoint) = self.own.endpoints.get_mut(usize::from(endpoint)) {
             count(&mut endpoint.counters);
@@ -58,7 +58,8 @@ impl<O: Outbox> Step<'_, O> {
         id
     }
 
-    /// The time that a message carries: its remaining time (§5.1), or under the variant an instant on this node's clock.
+    /// The time that a message carries: its remaining time (§5.1), or under the variant with absolute times an instant on
+    /// this node's clock.
     pub fn stamp(&self, ttl: Ticks) -> Ticks {
         match self.table.rules().time_stamp {
             TimeStamp::Remaining => ttl,

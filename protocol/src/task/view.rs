@@ -1,4 +1,4 @@
-//! A communication task as a monitor sees it. Allocates; never called on the message path.
+//! A communication task as a monitor sees it. These functions allocate, and are never called on the message path.
 
 use super::CommTask;
 use crate::ids::{PortId, Round, TaskId};
@@ -10,7 +10,7 @@ use crate::ticks::Instant;
 use alloc::vec::Vec;
 
 impl CommTask {
-    /// The task and its ports now, with up to `queue_limit` waiting messages per port.
+    /// The task and its ports as they are now, with up to `queue_limit` waiting messages per port.
     #[must_use]
     pub fn view(&self, table: &NodeTable, queue_limit: usize) -> TaskView {
         self.view_of(table, |_| queue_limit)
@@ -33,8 +33,8 @@ impl CommTask {
         self.machines.meetings.at(self.own.meeting(port)?).told(table.port(port)?, of)
     }
 
-    /// The round that the task announced last at this waitfor in its present incarnation. While it waits there, it
-    /// waits in this round. Meaningless for a task that was never there.
+    /// The round that the task announced last at this waitfor in its present incarnation. While the task waits there, it
+    /// waits in this round. The value means nothing for a task that was never there.
     #[must_use]
     pub fn announced(&self, port: PortId) -> Option<Round> {
         Some(self.machines.meetings.at(self.own.meeting(port)?).announced())
@@ -92,13 +92,13 @@ impl CommTask {
         self.own.next_sequence
     }
 
-    /// The task that was asked and the id of the command, if an answer is missing; the first of several.
+    /// The first task whose answer to a command is missing, and the id of that command; `None` if no answer is missing.
     #[must_use]
     pub fn awaits(&self) -> Option<(TaskId, crate::ids::MessageId)> {
         self.outstanding().next().map(|(_, task, id)| (task, id))
     }
 
-    /// Whether the task works: it waits for nothing that its communication task or the Timer could give it.
+    /// Whether the task works: it waits neither for its communication task nor for the Timer.
     #[must_use]
     pub fn is_working(&self) -> bool {
         matches!(self.machines.interrupts.pending(), Pending::Nothing | Pending::Work)

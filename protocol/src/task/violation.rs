@@ -14,30 +14,33 @@ pub enum Violation {
     HoldsExpired(PortId, TaskId, MessageId),
     /// A buffer holds a message of a class or from a task that the port does not admit.
     HoldsForeign(PortId, TaskId, MessageId),
-    /// A buffer holds a command without a dedup entry that says so: a copy of it would run twice (D52).
+    /// A buffer holds a command, but no dedup entry says that it waits: a copy of the command would run twice (D52).
     NotRemembered(PortId, TaskId, MessageId),
     /// A dedup entry is forgotten while the sender still waits, or the execution budget ends after the entry (D6, D18).
     MemoryTooShort(TaskId, MessageId),
     /// The task waits past its deadline.
     Overdue(Instant),
-    /// The task waits for an answer though no request is open, or the other way round; or a request has a foreign id.
+    /// The task waits for an answer although no request is open, or a request is open although the task does not wait for an
+    /// answer; or a request has a foreign id.
     WaitsForNothing(PortId),
-    /// The task waits at a `waitfor` that has no deadline, or the other way round.
+    /// The task waits at a `waitfor` that has no deadline, or a `waitfor` has a deadline although the task does not wait
+    /// there.
     MeetingAndWaitDiffer(PortId),
     /// A retransmission is due at an instant that the deadline does not imply, or without a reason (D5, D55).
     ResendInstant(PortId),
-    /// A `waitfor` has released a round that it never announced, or forgotten the freshest round that it heard of (D54).
+    /// A `waitfor` has released its task from a round that it never announced, or has forgotten the freshest round of which
+    /// it heard (D54).
     Rounds(PortId),
     /// A `waitfor` holds the arrival of a member in a round that this member gave up (D54).
     HoldsBarred(PortId, TaskId, Round),
-    /// A `waitfor` owes a CONFIRM without a release, or while it waits for the next meeting (D1).
+    /// A `waitfor` owes a CONFIRM although it never released its task, or while it waits for the next meeting (D1).
     OwesConfirm(PortId),
-    /// Too many handlers run, or one ranks lower than what it interrupted, or an interrupted activation neither waits
-    /// nor is between two statements (D15).
+    /// Too many handlers run, or a handler ranks lower than the activation that it interrupted, or an interrupted activation
+    /// neither waits nor is between two statements (D15).
     Levels(u8),
     /// A message for a handler is due and was not offered, though the running activation can be interrupted (D15).
     NotOffered(PortId, TaskId, MessageId),
-    /// A message was rejected more often than ranks are above it, or at all where rejections do not count (D58).
+    /// A message was rejected more often than ranks stand above it, or was rejected although rejections do not count (D58).
     RejectedTooOften(PortId, TaskId, MessageId),
     /// A rejected message is not offered again when the port's penalty is over (D58).
     RejectedTooLong(PortId, TaskId, MessageId),
@@ -49,7 +52,7 @@ pub enum Violation {
     HoldsFragments(PortId, TaskId),
     /// The task acts past its lease, or has not taken over when it should have (D61).
     PastLease(Instant),
-    /// A pending call of the lease is not true.
+    /// The lease has a pending call that is not true any more.
     WrongCall,
     /// A heap disagrees with a scan of the entries that it orders.
     OutOfOrder(PortId),

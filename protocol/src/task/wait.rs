@@ -5,7 +5,7 @@ use crate::request::{Outcome, ReleasedBy, TimeId};
 use crate::ticks::Instant;
 use serde::{Deserialize, Serialize};
 
-/// The wait of an activation: each has at most one (R93).
+/// The wait of an activation. Each activation has at most one (R93).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) enum Pending {
     Nothing,
@@ -14,21 +14,21 @@ pub(crate) enum Pending {
         source: Option<TaskId>,
         deadline: Instant,
     },
-    /// For the answers to the outstanding request at this position, which has the deadline.
+    /// It waits for the answers to the outstanding request at this position, which has the deadline.
     Reply(u16),
-    /// At the rendezvous at this position, which has the deadline.
+    /// It waits at the rendezvous at this position, which has the deadline.
     Meeting(u16),
-    /// A delay, by its name and the number of its start.
+    /// It waits in a delay: the name, and the number of its start.
     Delay(TimeId, u8),
-    /// For the end of an external action.
+    /// It waits for the end of an external action.
     Work,
-    /// For the lease (D61).
+    /// It waits for the lease (D61).
     Lease,
-    /// For nothing: a handler runs between two of its statements.
+    /// It waits for nothing: a handler runs between two of its statements.
     Boundary,
 }
 
-/// The end of a wait. It is signalled at once, or when the handlers above the waiting activation have ended.
+/// How a wait ended. This is signalled at once, or when the handlers above the waiting activation have ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) enum Finished {
     Outcome(Outcome),
@@ -50,10 +50,10 @@ pub(crate) enum Finished {
     Granted(u8),
 }
 
-/// The end of a wait, as a part reports it to the dispatcher.
+/// The report of a part to the dispatcher that a wait ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Ended {
-    /// The wait that ended. `None` under the variant that accepts late replies: then the running activation is told.
+    /// The wait that ended. `None` under the variant that accepts late replies: the running activation is then told.
     pub wait: Option<Pending>,
     pub finished: Finished,
 }

@@ -1,4 +1,4 @@
-//! The state of a communication task for a checker: visiting its fields (D165), shifting its clock, and dropping dead state.
+//! The state of a communication task for a checker: this visits its fields (D165), shifts its clock, and drops dead state.
 
 use super::lease::Lease;
 use super::step::Outbox;
@@ -12,18 +12,18 @@ use crate::ticks::Ticks;
 /// answer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Coming {
-    /// Its port.
+    /// The message's port.
     pub port: PortId,
-    /// Its sender.
+    /// The message's sender.
     pub source: TaskId,
-    /// Its receiver.
+    /// The message's receiver.
     pub to: TaskId,
-    /// Its sequence number.
+    /// The message's sequence number.
     pub sequence: Seq24,
 }
 
 impl CommTask {
-    /// Visits the state. Call [`bury`](Self::bury) before the state is encoded.
+    /// Visits all fields of the state. Call [`bury`](Self::bury) before the state is encoded.
     ///
     /// A pass that changes the state must keep the order of instants. A pass that decodes must read bytes of the same task.
     pub fn walk<W: Walk>(&mut self, table: &NodeTable, w: &mut W) {
@@ -32,8 +32,8 @@ impl CommTask {
         if matches!(W::PASS, Pass::Decode | Pass::Change) {
             *due = None;
         }
-        // This is the order of the packed bytes (D51). A checker sorts equal members by their bytes, so another order
-        // would pick other representatives and change the numbers of states.
+        // This is the order of the packed bytes (D51). A checker sorts equal members by their bytes, so another order of
+        // fields would pick other representatives and change the numbers of states.
         own.walk(w);
         interrupts.walk(&mut own.order, lease.as_ref().map(Lease::couple), w);
         client.walk_overdue(table, (own.task, own.incarnation), w);
@@ -49,26 +49,27 @@ impl CommTask {
         server.walk_guards(w);
     }
 
-    /// Does what time alone makes due, without comparing the next deadline first. Does nothing if that has not come.
+    /// Does everything that time alone makes due, without comparing the next deadline first. If that deadline has not come,
+    /// this does nothing.
     pub fn look_around(&mut self, table: &NodeTable, out: &mut impl Outbox) {
         self.act(table, out);
     }
 
-    /// Sets the clock back to zero; behaviour does not change. Dead state is dropped first, so that no instant is
-    /// before the new zero.
+    /// Sets the clock back to zero, which changes no behaviour. Dead state is dropped first, so that no instant is before
+    /// the new zero.
     pub fn rebase(&mut self, table: &NodeTable) {
         self.bury();
         let now = self.own.now;
         self.walk(table, &mut restart(now));
     }
 
-    /// Moves the clock and every instant `ahead`. Behaviour does not change, however far, because no instant ever
+    /// Moves the clock and every instant forward by `ahead`. This changes no behaviour, however far, because no instant ever
     /// leaves the task (D37).
     pub fn set_ahead(&mut self, table: &NodeTable, ahead: Ticks) {
         self.walk(table, &mut Clock(|instant| instant + ahead));
     }
 
-    /// Drops dead state, so that equal futures have equal states. Behaviour does not change.
+    /// Drops dead state, so that states with equal futures are equal. This changes no behaviour.
     pub fn bury(&mut self) {
         self.due = None;
         let now = self.own.now;
@@ -81,8 +82,8 @@ impl CommTask {
         }
     }
 
-    /// Drops dedup entries whose messages can have no further copies. Only a checker knows all messages in `coming`
-    /// that may still arrive. Behaviour does not change.
+    /// Drops dedup entries whose messages can have no further copies. `coming` has all messages that may still arrive, which
+    /// only a checker knows. This changes no behaviour.
     pub fn bury_seen(&mut self, coming: &[Coming]) {
         let own = self.own.task;
         self.machines.server.bury_seen(|port, task| {

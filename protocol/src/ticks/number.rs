@@ -1,11 +1,11 @@
-//! The operations on times. A number is compared and added as it is. With the feature `checker`, a time may also be a symbol, and
-//! `symbolic` answers.
+//! The operations on times. A number is compared and added as it is. With the feature `checker`, a time may also be a
+//! symbol; `symbolic` then computes the result.
 
 #[cfg(feature = "checker")]
 use super::symbolic;
 use core::cmp::Ordering;
 
-/// Computes with numbers, unless one of them stands for a symbol.
+/// Computes with plain numbers; if one of the operands is a symbol, `symbolic` computes.
 macro_rules! either {
     ($symbols:path, $numbers:expr, $a:ident, $b:ident) => {{
         #[cfg(feature = "checker")]
@@ -36,7 +36,7 @@ pub(super) fn sum(a: u64, b: u64) -> u64 {
     either!(symbolic::sum, a.saturating_add(b), a, b)
 }
 
-/// Zero if `b` is greater. The greatest number, which stands for "never", stays.
+/// `a - b`, or zero if `b` is greater. The greatest number, which stands for "never", stays the same.
 #[inline]
 pub(super) fn difference(a: u64, b: u64) -> u64 {
     either!(symbolic::difference, if a == u64::MAX { a } else { a.saturating_sub(b) }, a, b)

@@ -1,4 +1,4 @@
-//! Times without values: a checker runs the machine once for all values that take the same way.
+//! Times without values: a checker runs the machine once for all values that lead to the same behaviour.
 //!
 //! A symbol is the difference of two variables and an offset, within the 64 bits of an [`Instant`] or of [`Ticks`]. To compare
 //! symbols, the machine asks the [`Zone`] of its thread, which holds what is known of the variables. Where both answers are
@@ -35,30 +35,30 @@ use std::cell::RefCell;
 use std::rc::Rc;
 use std::thread_local;
 
-/// The first variable: the start of all clocks, zero.
+/// The variable that stands for the start of all clocks: it is zero.
 pub const START: u8 = 0;
 
-/// `first - second + offset`, or zero if that is negative: as [`Instant`] and [`Ticks`] saturate. Variables are numbered by the
-/// checker.
+/// A symbolic time: `first - second + offset`, or zero if that is negative, as [`Instant`] and [`Ticks`] saturate. The
+/// checker numbers the variables.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Symbol {
     /// The variable that is added.
     pub first: u8,
     /// The variable that is subtracted.
     pub second: u8,
-    /// What is added to their difference, in ticks.
+    /// The number of ticks that is added to their difference.
     pub offset: i64,
 }
 
-/// What is known of the variables on the path that the machine takes.
+/// What the checker knows of the variables, on the path that the machine takes.
 pub trait Zone {
-    /// Whether `first - second + offset` is less than zero. If both are possible, the zone decides, and assumes its answer from
-    /// then on.
+    /// Whether `first - second + offset` is less than zero. If both answers are possible, the zone chooses one, and assumes
+    /// it from then on.
     fn is_negative(&mut self, symbol: Symbol) -> bool;
 
-    /// The sum of two symbols without their offsets, where more than two variables meet in one time. Variables that are equal on
-    /// this path cancel each other. Otherwise the zone makes a new variable, which may stand for more values than the sum has:
-    /// the checker then explores more than can happen.
+    /// The sum of two symbols without their offsets, for a time in which more than two variables meet. Variables that are
+    /// equal on this path cancel each other. Otherwise the zone makes a new variable, which may stand for more values than
+    /// the sum has: the checker then explores more than can happen.
     fn sum(&mut self, one: Symbol, other: Symbol) -> Symbol;
 }
 
@@ -66,9 +66,9 @@ thread_local! {
     static ZONE: RefCell<Option<Rc<RefCell<dyn Zone>>>> = const { RefCell::new(None) };
 }
 
-/// Runs `run` with symbols that mean what `zone` knows of them.
+/// Runs `run` with symbols whose meaning `zone` knows.
 pub fn within<R>(zone: Rc<RefCell<dyn Zone>>, run: impl FnOnce() -> R) -> R {
-    /// Puts the zone before this one back, also when `run` panics.
+    /// Restores the previous zone when it is dropped, also if `run` panics.
     struct Restore(Option<Rc<RefCell<dyn Zone>>>);
     impl Drop for Restore {
         fn drop(&mut self) {
@@ -85,13 +85,13 @@ pub fn instant(variable: u8) -> Instant {
     Instant(Symbol { first: variable, second: START, offset: 0 }.to_number())
 }
 
-/// The duration between two variables, zero if the first is earlier.
+/// The duration between the instants of two variables, zero if the first is earlier.
 #[must_use]
 pub fn between(first: u8, second: u8) -> Ticks {
     Ticks(Symbol { first, second, offset: 0 }.to_number())
 }
 
-/// What the number of an [`Instant`] or of [`Ticks`] stands for; `None` for a plain number.
+/// The symbol for which the number of an [`Instant`] or of [`Ticks`] stands; `None` for a plain number.
 #[must_use]
 pub fn symbol(number: u64) -> Option<Symbol> {
     is_symbol(number).then(|| Symbol::of(number))
@@ -99,7 +99,7 @@ pub fn symbol(number: u64) -> Option<Symbol> {
 
 /// Symbols have the two highest bits `10`, plain numbers have no high bit, and "never" has all bits.
 const SYMBOL: u64 = 0b10 << 62;
-/// Below this, as signed numbers, are the symbols.
+/// All symbols, as signed numbers, are below this.
 const END: i64 = i64::MIN + (1 << 62);
 const OFFSET_BITS: u32 = 46;
 const NEVER: u64 = u64::MAX;
@@ -114,14 +114,14 @@ pub(super) fn is_any(a: u64, b: u64) -> bool {
     (is_symbol(a) || is_symbol(b)) && has_zone()
 }
 
-/// Without a zone all numbers are plain, whatever a damaged recording says.
+/// Whether this thread has a zone. Without one all numbers are plain, whatever a damaged recording says.
 #[cold]
 fn has_zone() -> bool {
     ZONE.with_borrow(Option::is_some)
 }
 
 impl Symbol {
-    /// The number itself, which is the start moved by an offset.
+    /// The symbol of a plain number: the start moved by an offset.
     const fn plain(number: u64) -> Self {
         Self { first: START, second: START, offset: number.cast_signed() }
     }
@@ -136,7 +136,10 @@ impl Symbol {
         Self { first, second, offset }
     }
 
+    /// The number that stands for the symbol.
+    ///
     /// # Panics
+    ///
     /// If the offset exceeds 2^45 ticks: more than a year of microseconds.
     fn to_number(self) -> u64 {
         let Self { first, second, offset } = self;
@@ -168,14 +171,17 @@ impl Symbol {
         if self.first == self.second { self.offset < 0 } else { ask(|zone| zone.is_negative(self)) }
     }
 
-    /// The symbol, or zero if that is greater.
+    /// The symbol, or zero if it is negative.
     fn saturated(self) -> Self {
         if self.is_negative() { Self::plain(0) } else { self }
     }
 }
 
+/// Asks the zone of this thread.
+///
 /// # Panics
-/// Without a zone: callers have seen that there is one.
+///
+/// If there is no zone; callers check that first.
 fn ask<R>(question: impl FnOnce(&mut dyn Zone) -> R) -> R {
     ZONE.with_borrow(|zone| question(&mut *zone.as_ref().expect("a zone").borrow_mut()))
 }
@@ -191,7 +197,7 @@ pub(super) fn is_less(a: u64, b: u64) -> bool {
         return a != b && b == NEVER;
     }
     let (a, b) = (Symbol::of(a), Symbol::of(b));
-    // Of two times that saturate at zero, the greater one is positive and exceeds the other before that saturates.
+    // If both times saturate at zero, the greater one is positive, and exceeds the other one before that one saturates.
     b.negated().is_negative() && a.plus(b.negated()).is_negative()
 }
 
@@ -217,12 +223,12 @@ pub(super) fn difference(a: u64, b: u64) -> u64 {
     match () {
         () if a == NEVER => NEVER,
         () if a == b || b == NEVER => 0,
-        // `a` need not be saturated first: what is subtracted is not negative.
+        // `a` need not be saturated first, because the subtracted time is not negative.
         () => Symbol::of(a).plus(Symbol::of(b).saturated().negated()).to_number(),
     }
 }
 
-/// Compares multiples of `b` with `a`, so that the quotient is a plain number.
+/// How often `b` fits into `a`. It compares multiples of `b` with `a`, so that the quotient is a plain number.
 #[cold]
 pub(super) fn quotient(a: u64, b: u64) -> u64 {
     (1..).find(|times| is_less(a, times * b)).map_or(0, |times| times - 1)

@@ -1,4 +1,4 @@
-//! The entries of a Timer, and the small unsorted set of those armed last.
+//! The entries of a Timer, and the small unsorted set of the entries that were armed last.
 
 use crate::ids::TaskId;
 use crate::queue;
@@ -11,7 +11,7 @@ pub(super) struct Entry {
     pub id: TimeId,
     pub turn: u8,
     pub expires: Instant,
-    /// Counts the arming calls. It breaks ties: of entries that end together, the one armed first goes first.
+    /// Counts the arming calls. It breaks ties: of entries that end together, the one that was armed first goes first.
     pub armed: u64,
 }
 
@@ -37,14 +37,14 @@ pub(super) fn name(owner: TaskId, id: TimeId) -> u32 {
 
 /// The capacity of the unsorted set.
 pub(super) const FRESH: usize = 4;
-/// The name in an empty place.
+/// The name of an entry in an empty place.
 pub(super) const NOBODY: u32 = u32::MAX;
 
-/// The entries armed last, unsorted. Most are disarmed soon, and so never pay for a place in the queue (D123).
+/// The entries that were armed last, unsorted. Most are disarmed soon, and so never need a place in the queue (D123).
 #[derive(Clone, Debug)]
 pub(super) struct Fresh {
     pub names: [u32; FRESH],
-    /// An empty place has an entry that never ends.
+    /// The entries by place. An empty place has an entry that never ends.
     pub entries: [Entry; FRESH],
     /// The place whose entry moves to the queue next, modulo the number of places.
     pub next: u8,
@@ -68,7 +68,7 @@ impl Fresh {
         core::mem::replace(&mut self.entries[at], Self::HOLE)
     }
 
-    /// The instant at which the first of them ends.
+    /// The instant at which the first of these entries ends.
     pub fn end(&self) -> Instant {
         self.entries.iter().map(|entry| entry.expires).fold(Instant::NEVER, Instant::min)
     }

@@ -6,7 +6,7 @@ use crate::state::{Pass, Walk, restart};
 use alloc::vec::Vec;
 
 impl Timer {
-    /// Sets the clock back to zero, and all instants with it; behaviour does not change.
+    /// Sets the clock back to zero, and all instants with it. This changes no behaviour.
     pub fn rebase(&mut self) {
         let now = self.now;
         self.walk(&mut restart(now));
@@ -17,11 +17,11 @@ impl Timer {
         w.clock(&mut self.now);
         let Self {
             now: _,
-            // Not packed: entries are packed in the order of their ends, and ties in the order of arming.
+            // This is not packed: entries are packed in the order of their ends, and ties in the order of arming.
             armed,
             fresh,
             queue,
-            // Rebuilt when the entries are armed again.
+            // The index is rebuilt when the entries are armed again.
             index,
         } = self;
         if W::PASS == Pass::Change {
@@ -51,7 +51,7 @@ impl Entry {
         let Self {
             owner,
             id,
-            // Not packed: a single thread drives a packed node, so no message of an earlier start is in flight.
+            // This is not packed: a single thread drives a packed node, so no message of an earlier start is in flight.
             turn: _,
             expires,
             armed: _,

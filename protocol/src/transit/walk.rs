@@ -6,18 +6,18 @@ use crate::state::{Pass, Walk, restart};
 use crate::table::NodeTable;
 use alloc::vec::Vec;
 
-/// Set in the first packed byte if refusals wait.
+/// A flag in the first packed byte: refusals wait.
 const WITH_WORDS: u8 = 0x80;
 
 impl Transit {
-    /// Sets the internal clock back to zero. Behaviour does not change.
+    /// Sets the internal clock back to zero. This changes no behaviour.
     pub fn rebase(&mut self, table: &NodeTable) {
         let now = self.now;
         self.walk(table, &mut restart(now));
     }
 
-    /// Walks the waiting packets, most urgent first. The packed form is packets with their remaining times; a pass that reads
-    /// computes the rest from their routes.
+    /// Walks the waiting packets, most urgent first. The packed form is packets with their remaining times; a pass that
+    /// reads computes the other fields from their routes.
     pub fn walk<W: Walk>(&mut self, table: &NodeTable, w: &mut W) {
         w.clock(&mut self.now);
         let Self {
@@ -26,7 +26,7 @@ impl Transit {
             arrivals,
             queue,
             words,
-            // Counters only.
+            // This is only a counter.
             forwarded: _,
             discarded: _,
         } = self;
@@ -75,7 +75,7 @@ impl Waiting {
             packet,
             expires,
             leave_by,
-            // These two are not relative: an arrival number, and the next hop.
+            // These two fields are not relative: an arrival number, and the next hop.
             arrival: _,
             next: _,
         } = self;

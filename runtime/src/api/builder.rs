@@ -1,4 +1,4 @@
-//! Builds and starts a node: which task runs what, over which link.
+//! Builds and starts a node: its tasks with their programs, and its link.
 
 use crate::api::context::{AsyncContext, Context, TaskError};
 use crate::clock;
@@ -22,7 +22,7 @@ pub const TRANSIT_CAPACITY: u16 = 1024;
 /// For how long a waiting thread spins before it sleeps, by default: about what it takes to wake a thread on another core.
 pub const SPIN: Duration = Duration::from_micros(50);
 
-/// Collects what a node needs. Made by [`Runtime::builder`].
+/// Collects everything that a node needs before it starts. [`Runtime::builder`] makes one.
 #[must_use = "a node runs only once started"]
 pub struct Builder {
     cell: Arc<CellTable>,
@@ -72,45 +72,45 @@ impl Builder {
         }
     }
 
-    /// Which incarnation of the node this is, and whether an earlier one may have taken commands. If so, commands are answered
-    /// with RESTARTED for as long as a command to the earlier incarnation may still be in flight.
+    /// Sets the incarnation of the node, and whether an earlier incarnation may have taken commands. If so, tasks of the
+    /// node answer commands with RESTARTED for as long as a command to the earlier incarnation may still be in flight.
     pub fn incarnation(mut self, incarnation: Incarnation, restarted: bool) -> Self {
         (self.incarnation, self.restarted) = (incarnation, restarted);
         self
     }
 
-    /// The link to the neighbours.
+    /// Sets the link to the neighbours.
     pub fn link(mut self, link: Arc<dyn Link>) -> Self {
         self.link = Some(link);
         self
     }
 
-    /// Says that packets travel without authentication: shown wherever the node is shown.
+    /// Says that packets travel without authentication. Every display of the node shows this.
     pub fn insecure(mut self, insecure: bool) -> Self {
         self.insecure = insecure;
         self
     }
 
-    /// Says whether this thread, whose scheduling the node's threads inherit, runs in real time: shown wherever the node is
-    /// shown.
+    /// Says whether this thread, whose scheduling the node's threads inherit, runs in real time. Every display of the node
+    /// shows this.
     pub fn real_time(mut self, real_time: RealTime) -> Self {
         self.real_time = real_time;
         self
     }
 
-    /// How many packets for other nodes may wait at once.
+    /// Sets how many packets for other nodes may wait at once.
     pub fn transit_capacity(mut self, packets: u16) -> Self {
         self.capacity = packets;
         self
     }
 
-    /// The recorder, which gets every input of every communication task.
+    /// Sets the recorder, which gets every input of every communication task.
     pub fn recorder(mut self, recorder: Arc<dyn Recorder>) -> Self {
         self.recorder = Some(recorder);
         self
     }
 
-    /// The program of a task: run once, on a thread of its own. [`Context::with_state`] gives it a state.
+    /// Sets the program of a task. It runs once, on a thread of its own. [`Context::with_state`] gives it a state.
     pub fn task(
         mut self,
         name: &str,
@@ -121,9 +121,9 @@ impl Builder {
         self
     }
 
-    /// The program of a task, as a future. One thread of the node runs it together with all others that are futures, so nothing
-    /// in it may block that thread. It waits by `await`, for its communication task or for anything else, and any thread may wake
-    /// it. A panic is a crash of this task alone. [`AsyncContext::with_state`] gives it a state.
+    /// Sets the program of a task that is a future. One thread of the node runs all futures, so none of them may block that
+    /// thread. The future waits by `await`, for its communication task or for anything else, and any thread may wake it. If
+    /// it panics, only this task crashes. [`AsyncContext::with_state`] gives it a state.
     ///
     /// ```
     /// use imrs_protocol::{Cell, CellTable, PortDecl, Ticks, Usage};
@@ -172,50 +172,52 @@ impl Builder {
         self
     }
 
-    /// The script of a task, with durations in microseconds. It has no thread: the thread that brings it input runs it.
+    /// Sets the script of a task, with durations in microseconds. A script has no thread: the thread that brings input runs
+    /// it.
     pub fn script(mut self, name: &str, program: Arc<Program>) -> Self {
         self.programs.push((name.into(), TaskProgram::Script(program)));
         self
     }
 
-    /// Carries out the actions of the scripts [default: a simulation that knows no results].
+    /// Sets what carries out the actions of the scripts [default: a simulation that knows no results].
     pub fn actions(mut self, actions: Arc<dyn Actions>) -> Self {
         self.actions = Some(actions);
         self
     }
 
-    /// The watch, which is told what the scripts do.
+    /// Sets the watch, which gets every event of the scripts.
     pub fn watch(mut self, watch: Arc<dyn Watch>) -> Self {
         self.watch = Some(watch);
         self
     }
 
-    /// Seeds the random choices of the scripts.
+    /// Sets the seed of the scripts' random choices.
     pub fn seed(mut self, seed: u64) -> Self {
         self.seed = seed;
         self
     }
 
-    /// For how long the waiting thread of a task spins before it sleeps [default: [`SPIN`]]; zero: not at all. It spins only if
-    /// the last wait of that kind was brief, and while no other task's thread needs the core. So a long wait costs at most this
-    /// once, and idle tasks cost nothing.
+    /// Sets for how long the waiting thread of a task spins before it sleeps [default: [`SPIN`]]; zero means that it does
+    /// not spin. The thread spins only if its last wait of that kind was brief, and while no other task's thread needs the
+    /// core. So the first of several long waits costs this much, and idle tasks cost nothing.
     pub fn spin(mut self, budget: Duration) -> Self {
         self.spin = budget;
         self
     }
 
-    /// How long before the end of a delay or a time_out a task's thread wakes, to spin until then [default: [`SPIN_TAIL`], which
-    /// covers the thread's own way to its program]; zero: it does not. A longer tail also covers the kernel's wake-up, tens of
-    /// microseconds. Each wait that ends by its deadline costs at most this much of a core. A wait shorter than the tail is spun
-    /// from its beginning, unless this is the default. The Timer thread, which serves scripts and futures, spins for at most the
-    /// default. Waits in the socket have no tail: there a thread waits for messages, and for a delay alone unless this is set.
+    /// Sets how long before the end of a delay or a time_out a task's thread wakes, to spin until the end [default:
+    /// [`SPIN_TAIL`], which covers the thread's own way to its program]; zero means that it does not spin. A longer tail
+    /// also covers the kernel's wake-up, tens of microseconds. Each wait that ends by its deadline costs at most this much
+    /// of a core. In a wait that is shorter than the tail the thread spins from the beginning, unless the tail is the
+    /// default. The Timer thread, which serves scripts and futures, spins for at most the default. Waits in the socket have
+    /// no tail: there a thread waits for messages, and for a delay alone unless this is set.
     pub fn spin_tail(mut self, length: Duration) -> Self {
         self.spin_tail = Some(length);
         self
     }
 
-    /// Keeps the scripts from beginning until [`Runtime::begin`]. In a later incarnation they wait after its start for as long as
-    /// commands to the earlier incarnation may still arrive.
+    /// Keeps the scripts from beginning until [`Runtime::begin`]. In a later incarnation of the node they wait until no
+    /// command to the earlier incarnation can arrive any more.
     pub fn hold_scripts(mut self) -> Self {
         self.holds = true;
         self
@@ -268,7 +270,7 @@ impl Builder {
     }
 }
 
-/// Puts the programs into the order of the node's tasks.
+/// Puts the programs into the order of the node's tasks. It fails if a program has no task here, or a task has no program.
 fn assign(
     cell: &CellTable,
     node: NodeId,

@@ -1,4 +1,5 @@
-//! Cells that `imrs_macros::cell!` compiled into the program. For the code that the macro writes, not to be called by hand.
+//! Cells that `imrs_macros::cell!` compiled into the program. The code that the macro writes calls these functions; programs
+//! do not.
 
 use crate::{Builder, Runtime};
 use imrs_protocol::script::Program;

@@ -21,7 +21,7 @@ pub const LONGEST: usize = 16 * CONTENTS_BYTES;
 /// assert_eq!(<(i16, bool)>::decode(&[120, 0]), None, "too short");
 /// ```
 pub trait Message: Sized {
-    /// The length in bytes of each message of this type; for [`Bytes`], the most.
+    /// The length in bytes of each message of this type; for [`Bytes`] the greatest length.
     const SIZE: usize;
 
     /// Writes the message to the front of `out`. Returns its length in bytes, or `None` if a field holds a value that no message
@@ -38,7 +38,7 @@ pub trait Field: Copy {
     /// How many bytes the field takes.
     const BYTES: usize;
 
-    /// Writes the value to all of `out`, [`BYTES`](Self::BYTES) long; `None` for a value that no message can hold.
+    /// Writes the value to all of `out`, [`BYTES`](Self::BYTES) long. Returns `None` for a value that no message can hold.
     fn put(self, out: &mut [u8]) -> Option<()>;
 
     /// Reads a value from all of `bytes`; `None` if they are no value of this type.

@@ -1,4 +1,4 @@
-//! The API of a program: how a node is built, what tasks may ask for, and what messages are.
+//! The API for programs: how a node is built, what its tasks can do, and how messages are typed.
 
 pub(crate) mod builder;
 #[doc(hidden)]

@@ -1,11 +1,12 @@
-//! The combining lock: its holder works for the threads that found it taken.
+//! Scenes of the combining lock: its holder does the work of the threads that found the lock taken.
 
 use super::must_fail;
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, thread};
 use crate::sync::combining_lock::{self, CombiningLock};
 use crate::sync::{Mutex, lock};
 
-/// Two threads put something down and take a turn to carry it away. Returns the most that one of them carried.
+/// Two threads each leave some work and try to take the lock, whose holder does all work that was left. Returns the most
+/// work that one of them did.
 fn two_take_turns(plant: Option<combining_lock::Plant>) -> u32 {
     fn put_and_take(turn: &CombiningLock<(), Option<combining_lock::Plant>>, pile: &Mutex<u32>) -> u32 {
         *lock(pile) += 1;
@@ -23,7 +24,7 @@ fn two_take_turns(plant: Option<combining_lock::Plant>) -> u32 {
     own.max(others)
 }
 
-/// As [`two_take_turns`], but a thread that gets the turn at once carries its own without putting it down.
+/// As [`two_take_turns`], but a thread that gets the lock at once does its own work without leaving it.
 fn two_enter(blindly: bool) -> u32 {
     fn carry_or_put(turn: &CombiningLock<()>, pile: &Mutex<u32>, blindly: bool) -> u32 {
         let mut carried = 0;

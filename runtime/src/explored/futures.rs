@@ -10,7 +10,7 @@ use crate::sync::ready::ReadyFutures;
 use crate::sync::task_waker::TaskWaker;
 use std::task::{Wake, Waker};
 
-/// A machine whose task has asked, or not. As the real one, it confirms a cancellation even if there is no wait.
+/// A machine whose task has asked, or has not. Like the real machine, it confirms a cancellation even if there is no wait.
 #[derive(Default)]
 struct Asked {
     waits: bool,
@@ -176,7 +176,7 @@ fn a_message_left_while_the_future_entered_is_taken_when_it_leaves() {
     }
 }
 
-/// The future cancels its wait while another thread brings the message. Returns what it found.
+/// The future cancels its wait while another thread brings the message. Returns what the future got.
 fn give_up(blindly: bool) -> Got {
     let scene = Scene::new(None);
     scene.enter(Brought::Question, false);

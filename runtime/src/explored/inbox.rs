@@ -1,12 +1,12 @@
-//! The inbox of a hand-off, full or left by others: the scenes of several threads that bring input at once.
+//! Scenes of the inbox of a hand-off, in which several threads bring input at once, fill it, or leave input in it.
 
 use super::handoff::{Brought, Got, Toy, bring, toy};
 use super::{DEADLOCK, must_fail, must_fail_large};
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
 use crate::sync::handoff::{Handoff, Plant};
 
-/// A thread brings two answers. The task waits for one and takes what else is there, until it has both. Returns the most answers
-/// taken at once.
+/// A thread brings two answers. The task waits for one and takes every other that is there, until it has both. Returns the
+/// most answers taken at once.
 fn take_several(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let bringing = Arc::clone(&handoff);
@@ -43,7 +43,7 @@ fn taking_several_without_a_second_look_waits_for_what_was_left() {
     must_fail_large(DEADLOCK, || take_several(Some(Plant::NoSecondLook)));
 }
 
-/// Two threads bring input at once. Returns the larger number of inputs that one of them worked off.
+/// Two threads bring input at once. Returns the greater number of inputs that one of them handled.
 fn two_bring(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);
@@ -98,7 +98,7 @@ fn input_that_a_full_inbox_drops_is_missed() {
     must_fail_large("input stayed behind", || three_bring(Some(Plant::DropsWhenFull)));
 }
 
-/// One thread looks at the protected state while another brings input. Returns how many inputs the looking thread worked off.
+/// One thread looks at the protected state while another brings input. Returns how many inputs the looking thread handled.
 fn one_looks(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);
@@ -119,7 +119,8 @@ fn looking_without_a_second_look_leaves_input_behind() {
     must_fail("input stayed behind", || one_looks(Some(Plant::NoSecondLook)));
 }
 
-/// One thread leaves input and nudges while another brings some. Returns how many inputs the first one worked off.
+/// One thread leaves input and wakes the task, while another thread brings input. Returns how many inputs the first thread
+/// handled.
 fn one_leaves(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);

@@ -1,5 +1,5 @@
-//! Scenes of the lane from a task's steps to the recording thread: what is published is whole, and what was given back is not
-//! read any more.
+//! Scenes of the lane that carries records from a task's steps to the recording thread: a published record is whole, and a
+//! slot that was given back is not read any more.
 
 use super::must_fail;
 use crate::explorer::{SEES_OLD_VALUES, explore, thread};
@@ -15,16 +15,17 @@ fn take(drain: &mut Drain<1, Option<Plant>>, taken: &mut Vec<u64>) {
     }
 }
 
-/// No thread waits here, so drawn schedules need a hint where to switch threads. All schedules need none: loom would take a hint
-/// as the promise that nothing is to be done before another thread has run.
+/// Yields to other threads if schedules are drawn: no thread waits in these scenes, so the explorer needs a hint where to
+/// switch threads. If all schedules are explored, this does nothing: loom would take the hint as a promise that this thread
+/// has nothing to do before another thread has run.
 fn let_others_run() {
     if !SEES_OLD_VALUES {
         thread::yield_now();
     }
 }
 
-/// One thread puts two records into a lane with room for one, another takes them. `before` slots went through the lane before.
-/// Returns how many records found room, and whether any was taken while they came.
+/// One thread puts two records into a lane with room for one, another takes them. `before` slots went through the lane
+/// earlier. Returns how many records found room, and whether any was taken while they came.
 fn two_records(before: usize, plant: Option<Plant>) -> (u64, bool) {
     let (mut fill, mut drain) = used_lane::<1, _>(2, before, plant);
     let other = thread::spawn(move || {

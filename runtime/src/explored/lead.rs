@@ -1,5 +1,5 @@
-//! Scenes of leader and followers at a socket: a leader takes in its own answer, is called, or receives datagrams for others,
-//! beside the polling thread.
+//! Scenes of leader and followers at a socket. A leader takes its own answer, is woken, or receives datagrams for others,
+//! while the polling thread receives, too.
 
 use super::handoff::{Brought, Toy};
 use super::{DEADLOCK, must_fail_large};
@@ -17,14 +17,15 @@ pub(super) struct Socket {
 
 #[derive(Default)]
 struct State {
-    /// True for a datagram to the leader's task.
+    /// The datagrams in the socket: true for one to the leader's task.
     datagrams: Vec<bool>,
     /// How many datagrams, arrived or still to come, no thread has taken yet.
     open: u32,
     leads: bool,
     told: bool,
     called: bool,
-    /// For the test that must fail: edge-triggered, so a datagram that is still there is not reported again.
+    /// Whether reports are edge-triggered, so that a datagram that is still there is not reported again. For the test that
+    /// must fail.
     edges: bool,
 }
 
@@ -99,16 +100,16 @@ struct Scene {
     receiving: CombiningLock<(), Option<combining_lock::Plant>>,
 }
 
-/// The planted bugs.
+/// The planted bugs of a scene.
 #[derive(Clone, Copy, Debug, Default)]
 struct Planted {
-    /// A thread that waits in the link is not called.
+    /// A thread that waits in the link is not woken.
     no_waker: bool,
-    /// The leader leaves a reported datagram when its own wait is over.
+    /// The leader leaves a reported datagram in the socket when its own wait is over.
     leaves_told: bool,
     /// The kernel's reports are edge-triggered.
     edges: bool,
-    /// A receiving thread does not recheck whether another one wanted to receive meanwhile.
+    /// A receiving thread does not check again whether another thread wanted to receive meanwhile.
     leaves_blindly: bool,
 }
 
@@ -133,7 +134,7 @@ impl Scene {
         }
     }
 
-    /// The thread that receives for the node takes all that is reported to it. Returns how many datagrams it took.
+    /// The thread that receives for the node takes every datagram that is reported to it. Returns how many it took.
     fn run_poller(&self) -> u32 {
         let mut took = 0;
         while self.socket.poll() {
@@ -156,7 +157,8 @@ impl Scene {
         took
     }
 
-    /// The task asks and waits, after `looks` looks into the socket. Returns how the wait went, and how many datagrams it took.
+    /// The task asks and waits, after it has looked `looks` times into the socket. Returns how the wait went, and how many
+    /// datagrams the task's thread took.
     fn run_task(&self, looks: u32) -> (Led, u32) {
         let (mut worked, mut took, mut led) = (0, 0, Led::ToTheEnd);
         let mut entry = self.handoff.enter(Brought::Question, &mut worked);
@@ -222,8 +224,8 @@ fn a_look_into_the_socket_does_not_make_up_for_the_waker() {
     must_fail_large(DEADLOCK, || answer_by_datagram(Planted { no_waker: true, ..Planted::default() }, 1));
 }
 
-/// The answer comes from another task of the node, and a datagram for a third task meanwhile. Returns whether the leader was
-/// called, and whether it took that datagram.
+/// The answer comes from another task of the node; meanwhile a datagram for a third task comes. Returns whether the leader
+/// was woken, and whether it took that datagram.
 fn answer_by_another_task(planted: Planted) -> (Led, u32) {
     let scene = Scene::new(planted, 1);
     let (poller, other) = (Arc::clone(&scene), Arc::clone(&scene));

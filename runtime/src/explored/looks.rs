@@ -1,4 +1,4 @@
-//! Scenes of observers that look at a machine while it works, and of news that must arrive in time.
+//! Scenes of observers that look at a machine while it works, and of news that must not come late.
 
 use super::must_fail;
 use crate::clock::FAR;
@@ -41,8 +41,8 @@ impl Protected for Observed {
     }
 }
 
-/// A machine makes three observations while an observer follows, in a ring that keeps two. Returns how many the observer lost.
-/// What it reads is in order, and with the lost ones makes three.
+/// A machine makes three observations while an observer follows, in a ring that keeps two. Returns how many the observer
+/// lost. The observations that it reads are in order; together with the lost ones they are three.
 fn follow(forgets_the_loss: bool) -> u64 {
     let mut ring = Ring::of(2);
     ring.forgets_the_loss = forgets_the_loss;
@@ -87,14 +87,14 @@ struct Stamper {
     count: usize,
 }
 
-/// Where the stamp of a step comes from: the clock, or (the bug) the thread that brings the input.
+/// The source of a step's stamp: the clock, or (the bug) the thread that brings the input.
 struct Stamps {
     clock: Arc<AtomicU64>,
     brought: Option<u64>,
 }
 
 impl Stamps {
-    /// Each look at the clock advances it.
+    /// Reads the clock; each reading advances it.
     fn now(clock: &AtomicU64) -> u64 {
         clock.fetch_add(1, Ordering::AcqRel)
     }
@@ -121,8 +121,8 @@ impl Protected for Stamper {
     }
 }
 
-/// An observer asks up to which time all steps are reported, while steps are reported. Returns how many came before; later ones
-/// must not be older than the answer.
+/// An observer asks up to which time all steps are reported, while steps are reported. Returns how many steps came before
+/// the answer; later steps must not be older than the answer.
 fn told_until(stamped_outside: bool) -> usize {
     let clock = Arc::new(AtomicU64::new(0));
     let handoff = Arc::new(Handoff::new(Stamper::default(), None));
@@ -153,7 +153,7 @@ fn a_stamp_from_outside_the_lock_is_told_too_late() {
     must_fail("told too late", || told_until(true));
 }
 
-/// A machine that waits to hear whether its packet was sent.
+/// A machine that waits until it learns whether its packet was sent.
 #[derive(Default)]
 struct Sender {
     outcome: Option<Outcome>,
@@ -183,9 +183,9 @@ impl Protected for Sender {
     }
 }
 
-/// A packet expires in the buffer at the same time as its sender's time_out. The thread that drops it leaves the news; the sender
-/// checks the buffer before it decides. Returns whether the sender dropped the packet itself. The bug: the news is left after the
-/// buffer's lock is released.
+/// A packet expires in the buffer at the same time as its sender's time_out. The thread that drops the packet leaves the
+/// news of it; the sender checks the buffer before it decides. Returns whether the sender dropped the packet itself. The
+/// bug: the news is left after the buffer's lock is released.
 fn expire_in_the_buffer(news_comes_late: bool) -> bool {
     fn advance(buffer: &Mutex<bool>, handoff: &Handoff<Sender>, news_comes_late: bool) -> bool {
         let mut held = lock(buffer);

@@ -1,11 +1,11 @@
-//! Explores the concurrent pieces of the runtime, each in small scenes of two or three threads. An explorer runs a scene under
-//! many schedules. In the unit tests, loom takes all schedules with a bounded number of preemptions, stale values of atomics
-//! included. In `tests/schedules`, shuttle draws many more schedules. Both compile these same files (`crate::explorer` is
-//! either). A large scene has a smaller bound by default, which shows the same outcomes and finds the same bugs
-//! (`explore_large`).
+//! Explores the concurrent parts of the runtime, each in small scenes of two or three threads. An explorer runs a scene
+//! under many schedules. In the unit tests, loom takes all schedules with a bounded number of preemptions, stale values of
+//! atomics included. In `tests/schedules`, shuttle draws many more schedules. Both compile these same files;
+//! `crate::explorer` is the explorer in use. A large scene has a smaller bound by default, which shows the same outcomes and
+//! finds the same bugs (`explore_large`).
 //!
-//! A scene returns its outcome. Each test asserts the whole set of outcomes, and has twins with a planted bug that must be found:
-//! an exploration that sees one outcome or misses the bug proves nothing.
+//! A scene returns its outcome. Each test asserts the whole set of outcomes, and has twin tests in which a planted bug must
+//! be found. An exploration that sees only one outcome, or misses the bug, proves nothing.
 
 mod combining;
 mod futures;
@@ -25,12 +25,12 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 /// The explorer's message when every thread sleeps.
 const DEADLOCK: &str = "deadlock";
 
-/// Expects that the exploration finds a planted bug, by its symptom.
+/// Expects that the exploration finds a planted bug, which it recognises by the symptom.
 fn must_fail<O: Ord + Send + 'static>(symptom: &str, body: impl Fn() -> O + Send + Sync + 'static) {
     must_be_found(symptom, || explore(body));
 }
 
-/// As [`must_fail`] for a large scene, within the bound of its exploration.
+/// As [`must_fail`] for a large scene, which has a smaller bound.
 fn must_fail_large<O: Ord + Send + 'static>(symptom: &str, body: impl Fn() -> O + Send + Sync + 'static) {
     must_be_found(symptom, || explore_large(body));
 }

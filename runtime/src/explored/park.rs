@@ -1,4 +1,4 @@
-//! Scenes of the thread of the futures: it polls them, leads at the socket or sleeps, and every waker calls it.
+//! Scenes of the thread that runs the futures: it polls them, leads at the socket or sleeps, and every waker wakes it.
 
 use super::lead::Socket;
 use super::{DEADLOCK, must_fail};
@@ -39,7 +39,7 @@ impl Scene {
         u32::from(datagram.is_some())
     }
 
-    /// The thread that receives for the node. Returns how many datagrams it took.
+    /// Runs the thread that receives for the node. Returns how many datagrams it took.
     fn run_poller(&self) -> u32 {
         let mut took = 0;
         while self.socket.poll() {
@@ -49,7 +49,8 @@ impl Scene {
         took
     }
 
-    /// Polls until the future goes on. Returns how the last wait went, if there was one, and how many datagrams this thread took.
+    /// Polls the future until it can go on. Returns how the last wait went, if there was one, and how many datagrams this
+    /// thread took.
     fn run_futures(&self, leads: bool) -> (Option<Led>, u32) {
         let (mut went, mut took) = (None, 0);
         loop {

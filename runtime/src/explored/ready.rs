@@ -8,7 +8,8 @@ use crate::sync::{AtomicBool, Ordering};
 
 struct Scene {
     ready: ReadyFutures<Option<Plant>>,
-    /// What each future waits for: it ends when it finds this set. Relaxed, so that only the wake orders it.
+    /// For each future, a flag: the future ends when it finds the flag set. Its accesses are relaxed, so that only the
+    /// wake-up orders them.
     came: [AtomicBool; 2],
 }
 
@@ -62,7 +63,7 @@ fn each_wakes_one(plant: Option<Plant>) -> [u32; 2] {
     polls
 }
 
-/// Two threads wake the same future; the one that finds it marked does not call the thread.
+/// Two threads wake the same future. The thread that finds the future already marked does not wake the futures' thread.
 fn both_wake_one(plant: Option<Plant>) -> [u32; 2] {
     let scene = Scene::new(plant);
     let first = scene.bring(0);

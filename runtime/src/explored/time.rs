@@ -61,7 +61,7 @@ fn without_its_fence_the_alarm_hides_an_expiry() {
 /// The present instant of these scenes, for all threads.
 const NOW: Micros = 3;
 
-/// The Timer thread, until it is told to end. Returns how often it was needed.
+/// Runs the Timer thread until it is told to end. Returns how often it was needed.
 fn serve(alarm: &Planted, closing: &AtomicBool, mut tend: impl FnMut()) -> u32 {
     let mut served = 0;
     while alarm.next(0, || closing.load(Ordering::SeqCst), || NOW).is_some() {
@@ -71,7 +71,7 @@ fn serve(alarm: &Planted, closing: &AtomicBool, mut tend: impl FnMut()) -> u32 {
     served
 }
 
-/// The node closes while the Timer thread works or sleeps. Returns how often it was needed before.
+/// The node closes while the Timer thread works or sleeps. Returns how often that thread was needed before.
 fn close(plant: Option<Plant>) -> u32 {
     let alarm = alarm(1, plant);
     let closing = Arc::new(AtomicBool::new(false));
@@ -94,7 +94,7 @@ fn looking_for_the_end_too_soon_sleeps_through_it() {
     must_fail(DEADLOCK, || close(Some(Plant::EndBeforeRung)));
 }
 
-/// A machine with one thing to expire, now or in a long time.
+/// A machine that has one expiry, now or a long time ahead.
 struct Timed {
     alarm: Arc<Planted>,
     cover: Cover,
@@ -147,8 +147,8 @@ enum ServedBy {
     TheTimer,
 }
 
-/// A task goes to sleep for a long time while an expiry comes that is due at once. Either the task sees it before it sleeps, or
-/// the Timer thread serves it.
+/// A task goes to sleep for a long time while an expiry comes that is due at once. Either the task sees that expiry before
+/// it sleeps, or the Timer thread serves it.
 fn an_expiry_changes_hands(covers_all: bool) -> ServedBy {
     let alarm = alarm(1, None);
     let mut cover = Cover::new(0);

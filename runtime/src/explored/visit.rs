@@ -5,8 +5,8 @@ use super::{DEADLOCK, must_fail_large};
 use crate::explorer::{Arc, explore_large, thread};
 use crate::sync::handoff::{Handoff, Plant};
 
-/// The task asks and waits. One thread brings the answer, or leaves it while another one visits. Returns whether the visitor
-/// worked it off.
+/// The task asks and waits. One thread brings the answer, or leaves it while another thread visits. Returns whether the
+/// visitor handled the answer.
 fn ask_while_visited(plant: Option<Plant>) -> bool {
     let handoff = Arc::new(Handoff::planted(Toy::default(), None, plant));
     let [theirs, visited] = [(); 2].map(|()| Arc::clone(&handoff));

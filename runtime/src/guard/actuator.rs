@@ -1,9 +1,9 @@
-//! For the program at the tool: it acts for one task of a couple at a time.
+//! Helps a program that moves a tool to act for only one task of a couple at a time.
 //!
 //! Two work-coupled tasks never act at the same time, but the processes that act for them may be stopped, suspended, or left
-//! behind by nodes that die. So the program at the tool checks for itself. A *gate* is a file that holds the newest epoch; all
-//! processes that move the tool share it. A process shows its epoch there before it acts. From then on older epochs are refused,
-//! even in the middle of their work.
+//! behind by nodes that die. So the program that moves the tool checks for itself. A *gate* is a file that holds the newest
+//! epoch; all processes that move the tool share it. A process shows its epoch there before it acts. From then on older
+//! epochs are refused, even in the middle of their work.
 //!
 //! What a command learns from the runtime that started it:
 //!
@@ -52,7 +52,7 @@ pub const EPOCH: &str = "IMRS_EPOCH";
 /// The environment variable with the deadline. The runtime sets it for every command.
 pub const DEADLINE: &str = "IMRS_DEADLINE_US";
 
-/// How a gate's file begins. The newest epoch follows, in three digits.
+/// The beginning of a gate's file. The newest epoch follows, in three digits.
 const HEAD: &str = "imrs gate 1 epoch ";
 const BYTES: usize = HEAD.len() + 4;
 
@@ -62,12 +62,12 @@ pub enum GateError {
     /// The file cannot be opened, locked, read or written.
     #[error("cannot use the gate {path}: {source}")]
     File {
-        /// The file.
+        /// The file that the operation failed on.
         path: PathBuf,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// The file is not a gate's.
+    /// The file exists, but is not that of a gate.
     #[error("{0} is no file of a gate: name another file, or remove this one")]
     Foreign(PathBuf),
 }
@@ -80,7 +80,7 @@ pub enum Refused {
     Epoch {
         /// The epoch of this program.
         shown: u8,
-        /// The newest epoch.
+        /// The newest epoch in the gate.
         newest: u8,
     },
     /// The deadline has passed, or the runtime said that the program must stop.
@@ -91,7 +91,7 @@ pub enum Refused {
     Gate(#[from] GateError),
 }
 
-/// Now, on the clock of deadlines: microseconds of `CLOCK_BOOTTIME`.
+/// The present instant on the clock of deadlines: microseconds of `CLOCK_BOOTTIME`.
 #[must_use]
 pub fn now() -> u64 {
     clock::now()
@@ -116,13 +116,13 @@ impl Gate {
     /// [`GateError`] if the file cannot be used, or belongs to something else.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, GateError> {
         let gate = Self { path: path.as_ref().to_owned() };
-        // A foreign file is noticed now, and not when the tool should move.
+        // This finds a foreign file now, and not when the tool should move.
         gate.locked(FlockOperation::LockShared)?.newest()?;
         Ok(gate)
     }
 
-    /// Admits a program that acts under this epoch until `deadline`; from then on no older epoch acts. Waits for the end of a
-    /// step that another program is [in the middle of](Permit::act).
+    /// Admits a program that acts under this epoch until `deadline`; from then on no program may act under an older epoch.
+    /// Waits for the end of a step that another program is [in the middle of](Permit::act).
     ///
     /// Epochs wrap around: of two, the newer is the one less than half of 256 ahead. Returns once the epoch is on the disk.
     ///
@@ -138,7 +138,7 @@ impl Gate {
             Some(newest) if is_newer(newest, epoch) => return Err(Refused::Epoch { shown: epoch, newest }),
             Some(_) => held.write(Some(epoch))?,
             None => {
-                // The file may be new: a power cut must not lose its name.
+                // The file may be new, and a power cut must not lose its name.
                 self.sync_folder()?;
                 held.write(Some(epoch))?;
             }
@@ -171,7 +171,8 @@ impl Gate {
         open(&self.next_path())
     }
 
-    /// Takes the exclusive lock. `flock` prefers no writer, so steps that begin while this waits are held at `PATH.next`.
+    /// Takes the exclusive lock. `flock` does not prefer writers, so steps that begin while this waits must wait at
+    /// `PATH.next`.
     fn exclusive(&self) -> Result<Held<'_>, GateError> {
         let path = self.next_path();
         let _queue = Held::new(open(&path)?, &path, FlockOperation::LockExclusive)?;
@@ -216,7 +217,8 @@ impl<'a> Held<'a> {
         newest(&self.file, self.path)
     }
 
-    /// In one write, which is on the disk on return: after a power cut the file has the old content or the new one.
+    /// Writes the epoch in one write, which is on the disk on return. After a power cut the file has the old content or the
+    /// new one.
     fn write(&self, epoch: Option<u8>) -> Result<(), GateError> {
         let write = || match epoch {
             Some(epoch) => self.file.write_all_at(format!("{HEAD}{epoch:03}\n").as_bytes(), 0),
@@ -239,7 +241,7 @@ fn lock(file: &File, path: &Path, how: FlockOperation) -> Result<(), GateError> 
 
 /// The newest epoch in a file; `None` if no program was admitted yet.
 fn newest(file: &File, path: &Path) -> Result<Option<u8>, GateError> {
-    // One byte more than the file may have.
+    // The buffer has one byte more than the file may have, so that a file that is too long shows.
     let mut bytes = [0; BYTES + 1];
     let mut length = 0;
     loop {
@@ -262,7 +264,7 @@ fn newest(file: &File, path: &Path) -> Result<Option<u8>, GateError> {
 #[derive(Debug)]
 pub struct Permit {
     file: File,
-    /// `PATH.next`, which a program that waits for an admission locks first.
+    /// The file `PATH.next`, which a program that waits for an admission locks first.
     next: File,
     path: PathBuf,
     epoch: u8,
@@ -270,8 +272,8 @@ pub struct Permit {
 }
 
 impl Permit {
-    /// Whether the program may act now: its deadline is ahead, and no program was admitted under a newer epoch. Checks both anew,
-    /// which takes about a microsecond. Also false if the gate cannot be read.
+    /// Whether the program may act now: its deadline is ahead, and no program was admitted under a newer epoch. Each call
+    /// checks both, which takes about a microsecond. If the gate cannot be read, the answer is false.
     ///
     /// An action after this check may come late: a program that is stopped in between does not notice. [`act`](Self::act) keeps
     /// newer epochs waiting meanwhile.
@@ -280,9 +282,9 @@ impl Permit {
         self.check().is_ok()
     }
 
-    /// Does one step, if the program may act. No newer epoch is admitted before the step has ended, so steps of two epochs never
-    /// overlap, wherever a program is stopped. Keep the step short: the next program to act waits for it, forever if this program
-    /// is stopped in the step and not killed.
+    /// Runs `step`, one step of the work, if the program may act. No newer epoch is admitted before the step has ended, so
+    /// steps of two epochs never overlap, wherever a program is stopped. Keep the step short: the next program to act waits
+    /// for it, forever if this program is stopped in the step and not killed.
     ///
     /// # Errors
     /// [`Refused`]: nothing was done.
@@ -303,7 +305,7 @@ impl Permit {
         match newest(&self.file, &self.path)? {
             Some(newest) if newest == self.epoch => Ok(()),
             Some(newest) => Err(Refused::Epoch { shown: self.epoch, newest }),
-            // The gate was reset: the cell starts anew.
+            // The gate was reset, because the cell starts anew.
             None => Err(Refused::Deadline),
         }
     }
@@ -315,11 +317,11 @@ impl Permit {
     }
 }
 
-/// Until when a program may act. Clones share one deadline: renewing or ending one does so to all.
+/// The instant until which a program may act. Clones share one deadline: renewing or ending one does so for all.
 #[derive(Clone, Debug)]
 pub struct Deadline(Arc<AtomicU64>);
 
-/// The program must stop.
+/// The deadline of a program that must stop.
 const STOPPED: u64 = 0;
 
 impl Deadline {
@@ -338,7 +340,7 @@ impl Deadline {
     /// Moves the deadline to a later instant. An earlier one changes nothing, and so does any after a [`stop`](Self::stop).
     pub fn renew(&self, micros: u64) {
         let later = |now: u64| (now != STOPPED && micros > now).then_some(micros);
-        // Fails if there is nothing to change.
+        // The update fails if it would change nothing, and that is no error.
         let _ = self.0.fetch_update(Ordering::AcqRel, Ordering::Acquire, later);
     }
 
@@ -356,7 +358,7 @@ impl Deadline {
     /// Follows the runtime's lines until they end, and then [stops](Self::stop). Call it in a thread of its own, with the
     /// standard input. Unknown lines are skipped.
     pub fn follow(&self, input: impl BufRead) {
-        // A failed read counts as the end.
+        // A failed read counts as the end of the lines.
         for line in input.lines().map_while(Result::ok) {
             let micros = line.strip_prefix("deadline ").and_then(|micros| micros.trim().parse().ok());
             micros.into_iter().for_each(|micros| self.renew(micros));
@@ -365,12 +367,12 @@ impl Deadline {
     }
 }
 
-/// What the runtime told a command in its environment.
+/// The values that the runtime passes to a command in environment variables.
 #[derive(Clone, Debug)]
 pub struct Orders {
     /// The epoch of its task's lease; `None` if the task is in no couple.
     pub epoch: Option<u8>,
-    /// Until when it may act; [`Deadline::none`] if no runtime started the program.
+    /// Until when the command may act; [`Deadline::none`] if no runtime started the program.
     pub deadline: Deadline,
 }
 
@@ -378,17 +380,14 @@ pub struct Orders {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 #[error("{name} is `{value}`, not a whole number: is this command started by the runtime?")]
 pub struct OrdersError {
-    /// The variable.
+    /// The name of the variable.
     pub name: &'static str,
-    /// What it is set to.
+    /// The value of the variable.
     pub value: String,
 }
 
 impl Orders {
-    /// Reads the environment.
-    ///
-    /// # Errors
-    /// [`OrdersError`] if a variable is set to something else than a number.
+    /// Reads the orders from the environment.
     pub fn from_env() -> Result<Self, OrdersError> {
         Ok(Self {
             epoch: number(EPOCH)?,

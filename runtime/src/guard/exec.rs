@@ -1,5 +1,5 @@
-//! The process that becomes the command: it ties its end to the guard's, gives up a node's real-time privileges, and executes the
-//! program.
+//! The process that becomes the command. It ties its end to the guard's end, gives up a node's real-time privileges, and
+//! executes the program.
 
 use super::words::Errand;
 use rustix::process::{
@@ -14,14 +14,14 @@ use thread_priority::{
     NormalThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
 };
 
-/// Begins the line that says why the program cannot be executed; no program writes it by accident.
+/// The beginning of the line that says why the program cannot be executed. No program writes this by accident.
 pub const UNSTARTED: &[u8] = b"\0imrs-guard: ";
-/// As in a shell: there is no such program.
+/// The exit code if there is no such program, as in a shell.
 const NOT_FOUND: u8 = 127;
 /// A priority that `thread-priority` maps to niceness 0.
 const ORDINARY: u8 = 47;
 
-/// Becomes the command, or says on standard output why it cannot.
+/// Turns this process into the command. If that fails, writes the reason to standard output.
 pub fn exec(errand: &Errand) -> ExitCode {
     let error = match tie(errand) {
         Ok(()) => become_it(errand),
@@ -30,7 +30,7 @@ pub fn exec(errand: &Errand) -> ExitCode {
     let mut line = UNSTARTED.to_vec();
     line.extend(error.raw_os_error().unwrap_or_default().to_string().bytes());
     line.push(b'\n');
-    // Fails only if the guard is gone, and then no process needs the line.
+    // Writing fails only if the guard is gone, and then no process needs the line.
     let _ = io::stdout().write_all(&line);
     ExitCode::from(NOT_FOUND)
 }
@@ -38,7 +38,7 @@ pub fn exec(errand: &Errand) -> ExitCode {
 /// Ties this process, and the program that it becomes, to the guard: whatever ends the guard ends them.
 fn tie(errand: &Errand) -> io::Result<()> {
     set_parent_process_death_signal(Some(Signal::KILL))?;
-    // A guard that died before the call is no parent any more, so the signal would never come.
+    // If the guard died before the call, it is no longer this process's parent, and the signal would never come.
     let guard = errand.parent.and_then(Pid::from_raw);
     if guard.is_none() || getppid() != guard {
         return Err(io::Error::from_raw_os_error(rustix::io::Errno::SRCH.raw_os_error()));
@@ -65,7 +65,7 @@ fn be_ordinary(cores: Option<&str>) {
                 set.set(core);
             }
         });
-        // A core that no longer exists leaves the process where it is.
+        // If a core of the list no longer exists, the process stays on its present cores.
         let _ = sched_setaffinity(None, &set);
     }
     let is_ordinary = matches!(thread_schedule_policy(), Ok(ThreadSchedulePolicy::Normal(_)));
@@ -76,7 +76,7 @@ fn be_ordinary(cores: Option<&str>) {
     let niceness = getpriority_process(None);
     if let Ok(ordinary) = ThreadPriorityValue::try_from(ORDINARY) {
         let policy = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other);
-        // Giving up a privilege is never refused.
+        // Giving up a privilege is never refused, so the result is ignored.
         let _ = set_thread_priority_and_policy(
             thread_native_id(),
             ThreadPriority::Crossplatform(ordinary),

@@ -36,10 +36,10 @@ use std::process::{Command, ExitCode};
 
 /// The first argument of a program that is to be a guard.
 const WORD: &str = "imrs-guard";
-/// The second argument: for the guard itself, and for the process that becomes the command.
+/// The second argument of the guard itself; the process that becomes the command has another one.
 const WATCH: &str = "watch";
 const EXEC: &str = "exec";
-/// This program, even if its file was replaced or removed since.
+/// The path of this program's file, even if the file was replaced or removed since the start.
 const OWN_FILE: &str = "/proc/self/exe";
 /// The exit code of a guard that was called wrongly.
 const USAGE: u8 = 2;
@@ -93,7 +93,7 @@ pub enum GuardProgram {
 }
 
 impl GuardProgram {
-    /// Its path, for messages.
+    /// The path of the guard program, for messages.
     #[must_use]
     pub fn path(&self) -> PathBuf {
         match self {

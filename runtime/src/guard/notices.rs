@@ -1,4 +1,4 @@
-//! Tells a launcher which commands run: lines in a named pipe that the launcher owns, so that the end of a command is reported
+//! Tells a launcher which commands run, by lines in a named pipe that the launcher owns. So the end of a command is reported
 //! even if its node is dead.
 
 use crate::clock;
@@ -9,41 +9,41 @@ use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// A report on a command. Instants are microseconds of `CLOCK_BOOTTIME`, which all processes of a machine share.
+/// A notice about a command. Instants are microseconds of `CLOCK_BOOTTIME`, which all processes of a machine share.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Notice {
-    /// A node starts the command. Reported before anything runs.
+    /// A node starts the command. The notice comes before anything runs.
     Began {
         /// The key of the command in later lines.
         key: String,
-        /// The task whose action it is.
+        /// The task to which the action belongs.
         task: String,
-        /// When.
+        /// The instant of the start.
         at: u64,
     },
     /// The command and all that it started have ended.
     Ended {
-        /// Which.
+        /// The key of the command.
         key: String,
-        /// When.
+        /// The instant of the end.
         at: u64,
     },
-    /// The guard died first: whether all that the command started has ended is not known.
+    /// The guard died first, so it is not known whether everything that the command started has ended.
     Lost {
-        /// Which.
+        /// The key of the command.
         key: String,
-        /// When.
+        /// The instant at which this was noticed.
         at: u64,
     },
 }
 
 impl Notice {
-    /// The end of a command, now.
+    /// The notice that a command has ended now.
     pub(crate) fn ended(key: &str) -> Self {
         Self::Ended { key: key.to_owned(), at: clock::next() }
     }
 
-    /// As a line, such as `ended 1-0-4 81234567`.
+    /// The notice as a line, such as `ended 1-0-4 81234567`.
     #[must_use]
     pub fn line(&self) -> String {
         match self {
@@ -53,7 +53,7 @@ impl Notice {
         }
     }
 
-    /// From a line without its end; `None` for any other line.
+    /// The notice in a line, which is given without its line break; `None` for any other line.
     #[must_use]
     pub fn read(line: &str) -> Option<Self> {
         let mut words = line.splitn(4, ' ');
@@ -96,11 +96,11 @@ impl Notices {
         (&self.pipe).write_all(notice.line().as_bytes())
     }
 
-    /// Writes a line, as soon as the pipe has room for it.
+    /// Writes a line as soon as the pipe has room for it, and waits until then.
     pub(crate) fn tell_at_last(&self, notice: &Notice) {
         while let Err(error) = self.tell(notice) {
             if error.kind() != io::ErrorKind::WouldBlock {
-                // No process reads any more.
+                // No process reads the pipe any more.
                 return;
             }
             match poll(&mut [PollFd::new(&self.pipe, PollFlags::OUT)], None) {

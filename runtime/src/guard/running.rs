@@ -1,4 +1,4 @@
-//! A guard, as its node sees it.
+//! A running guard, from the point of view of its node.
 
 use super::kin::parent_of;
 use super::words::{Lines, Outcome, lease, read_began};
@@ -22,9 +22,9 @@ pub struct Running {
 }
 
 struct State {
-    /// Present until a thread follows the guard.
+    /// The process of the guard and its output; none once a thread follows the guard.
     guard: Option<(Child, ChildStdout)>,
-    /// The command may run as long as this is open.
+    /// The guard's standard input. The command may run as long as this is open.
     orders: Option<ChildStdin>,
     /// The end of the lease, as the guard knows it.
     until: u64,
@@ -32,18 +32,18 @@ struct State {
 }
 
 impl Running {
-    /// For a guard whose standard input and output are pipes.
+    /// Wraps a guard whose standard input and output are pipes.
     pub fn new(mut guard: Child) -> io::Result<Self> {
         let pipes = guard.stdin.take().zip(guard.stdout.take());
         let (orders, words) = pipes.ok_or(io::ErrorKind::BrokenPipe)?;
-        // A guard that stands still must not block its node.
+        // A guard that does not read must not block its node.
         never_wait(&orders)?;
         let state = State { guard: Some((guard, words)), orders: Some(orders), until: 0, is_over: false };
         Ok(Self { state: Mutex::new(state), over: Condvar::new() })
     }
 
-    /// Listens to the guard until it has ended. Returns how its command ended; `None` if the guard did not say. `renew` is called
-    /// now and then, and returns after how many microseconds to call it again.
+    /// Listens to the guard until it has ended. Returns how its command ended; `None` if the guard did not say. It calls
+    /// `renew` now and then; `renew` returns after how many microseconds the next call is due.
     pub fn follow(&self, renew: impl Fn() -> Option<u64>) -> Option<Outcome> {
         let (mut guard, mut words) = self.lock().guard.take()?;
         let (mut lines, mut group, mut outcome) = (Lines::default(), None, None);
@@ -53,24 +53,25 @@ impl Running {
                 outcome = Outcome::read(&line).or(outcome);
             }
         }
-        // The guard has said its last line, or was killed.
+        // The guard has written its last line, or was killed.
         let _ = guard.wait();
         if outcome.is_none()
             && let Some(group) = group
         {
-            // The command died with its guard. What the command started is in its group, or out of reach.
+            // The command died with its guard. The processes that the command started are in its group, or cannot be
+            // reached.
             group.kill();
         }
         outcome
     }
 
-    /// Tells the guard a later end of the lease. An earlier one changes nothing.
+    /// Tells the guard a later end of the lease. An earlier end changes nothing.
     pub fn renew(&self, until: u64) {
         let mut state = self.lock();
         if until <= state.until {
             return;
         }
-        // If the guard does not listen, the command ends at the end of the lease that the guard knows.
+        // If the guard does not read this, the command ends at the end of the lease that the guard knows.
         let told =
             state.orders.as_mut().is_some_and(|orders| orders.write_all(lease(until).as_bytes()).is_ok());
         if told {
@@ -83,13 +84,13 @@ impl Running {
         self.lock().orders = None;
     }
 
-    /// Waits until the command has ended with all that it started, at most `patience`. Returns whether it has.
+    /// Waits until the command and everything that it started have ended, at most for `patience`. Returns whether they have.
     pub fn wait(&self, patience: Duration) -> bool {
         let waited = self.over.wait_timeout_while(self.lock(), patience, |state| !state.is_over);
         waited.unwrap_or_else(PoisonError::into_inner).0.is_over
     }
 
-    /// Says that the command has ended.
+    /// Notes that the command has ended.
     pub fn set_over(&self) {
         self.lock().is_over = true;
         self.over.notify_all();
@@ -100,10 +101,11 @@ impl Running {
     }
 }
 
-/// The process group of a command, whose number is the command's own.
+/// The process group of a command. Its number is the process id of the command.
 struct Group {
     number: Pid,
-    /// The command; `None` if its guard died before the command could be told from another process of that number.
+    /// A handle on the command; `None` if its guard died before it was certain that this number still belonged to the
+    /// command.
     command: Option<OwnedFd>,
 }
 

@@ -1,4 +1,4 @@
-//! The guard itself: one thread that waits for the end of its node, of the lease, of the action's time, or of the command.
+//! The work of the guard: one thread waits for the end of its node, of the lease, of the action's time, or of the command.
 
 use super::exec::UNSTARTED;
 use super::notices::{Notice, Notices};
@@ -18,15 +18,15 @@ use std::os::unix::process::CommandExt;
 use std::path::Path;
 use std::process::{Child, ChildStdin, ChildStdout, ExitCode, Stdio};
 
-/// How much of the first line of a command's output is read as its answer.
+/// How many bytes of the first line of a command's output count as its answer.
 const LONGEST_ANSWER: usize = 64;
-/// No pipe holds more than this, so a command that has ended left no more.
+/// How many bytes are read at most from the output of a command that has ended. No pipe holds more.
 const LONGEST_REST: usize = 1 << 20;
 const PIECE: usize = 1 << 14;
 
-/// Guards a command until all of it has ended, and says how it ended.
+/// Guards a command until it and everything that it started have ended, and reports how it ended.
 pub fn watch(errand: &Errand) -> ExitCode {
-    // A launcher that is gone needs no notice.
+    // If the launcher is gone, no notice is needed.
     let notices = errand.notices.as_ref().and_then(|(path, key)| Some((Notices::open(path).ok()?, key)));
     let outcome = match over_before(errand) {
         Some(outcome) => outcome,
@@ -45,7 +45,7 @@ pub fn watch(errand: &Errand) -> ExitCode {
     ExitCode::SUCCESS
 }
 
-/// A guard may start late: an action that is over by then is not begun.
+/// The outcome of an action that was over before it could begin, because the guard started late; `None` if it may begin.
 fn over_before(errand: &Errand) -> Option<Outcome> {
     let stdin = io::stdin();
     let mut orders = [PollFd::new(&stdin, PollFlags::IN)];
@@ -58,19 +58,19 @@ fn over_before(errand: &Errand) -> Option<Outcome> {
     why_over(errand.limit, errand.lease).map(Why::outcome)
 }
 
-/// Which time is over, if any.
+/// Which of the two times is over; `None` if neither is.
 fn why_over(limit: u64, lease: Option<u64>) -> Option<Why> {
     let now = clock::now();
     if limit <= now { Some(Why::Late) } else { lease.filter(|lease| *lease <= now).map(|_| Why::LeaseEnded) }
 }
 
-/// Says a line to the node. If that fails, the node is gone and needs no line.
+/// Writes a line to the node. If that fails, the node is gone and needs no line.
 fn say(line: &str) {
     let mut out = io::stdout().lock();
     let _ = out.write_all(line.as_bytes()).and_then(|()| out.flush());
 }
 
-/// Why a command is over.
+/// The reason for which a command must end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Why {
     Ended,
@@ -84,29 +84,29 @@ impl Why {
         match self {
             Self::Late => Outcome::Late,
             Self::LeaseEnded => Outcome::LeaseEnded,
-            // For a command that ended, `Answer::outcome` decides.
+            // If the command ended by itself, `Answer::outcome` decides.
             Self::Stopped | Self::Ended => Outcome::Stopped,
         }
     }
 }
 
 struct Watch {
-    /// What the guard was started for. Renewals move its lease.
+    /// The guard's task. Renewals move the lease in it.
     errand: Errand,
     orders: Lines,
     pid: Pid,
-    /// Readable once the command has ended.
+    /// A file descriptor that is readable once the command has ended.
     ended: OwnedFd,
-    /// Readable once the deadline has passed, however long the machine was suspended.
+    /// A file descriptor that is readable once the deadline has passed, however long the machine was suspended.
     timer: OwnedFd,
-    /// The deadline to which the timer is set, and the one that the command was told.
+    /// The deadline to which the timer is set, and of which the command was told.
     armed: Option<u64>,
     told: Option<u64>,
     input: Option<ChildStdin>,
     output: Answer,
 }
 
-/// The output of a command: its first line is kept, the rest is dropped.
+/// The output of a command. The first line is kept, the other lines are dropped.
 struct Answer {
     pipe: ChildStdout,
     is_open: bool,
@@ -145,7 +145,7 @@ impl Watch {
         let (input, pipe) = (child.stdin.take(), child.stdout.take());
         let pipe = pipe.ok_or(io::ErrorKind::BrokenPipe)?;
         if let Some(input) = &input {
-            // A command that reads nothing must not block its guard.
+            // A command that does not read its input must not block its guard.
             never_wait(input)?;
         }
         let mut watch = Self {
@@ -166,9 +166,9 @@ impl Watch {
     /// Waits until the command is over, for whatever reason.
     fn wait(&mut self) -> Why {
         loop {
-            // Without poll nothing can be watched any more.
+            // If poll fails, the guard cannot watch anything any more, so it stops the command.
             let Ok([orders, ended, timer, output]) = self.poll() else { return Why::Stopped };
-            // First, because a renewal that has come counts.
+            // Orders come first, because a renewal that has arrived counts.
             if orders && !self.hear() {
                 return Why::Stopped;
             }
@@ -182,7 +182,8 @@ impl Watch {
                 return why;
             }
             if timer {
-                // The timer expired, but the deadline is ahead. Arming it again also clears the expiry, so that poll sleeps.
+                // The timer expired, but the deadline was renewed. Arming the timer again also clears the expiry, so that
+                // poll sleeps.
                 self.armed = None;
             }
             if self.note_deadline().is_err() {
@@ -191,8 +192,8 @@ impl Watch {
         }
     }
 
-    /// Sleeps until something happens. Returns whether there are orders, whether the command has ended, whether the
-    /// timer has expired, and whether the command says something.
+    /// Sleeps until something happens. Returns four flags: there are orders, the command has ended, the timer has expired,
+    /// the command has written something.
     fn poll(&self) -> io::Result<[bool; 4]> {
         let stdin = io::stdin();
         let mut fds = vec![
@@ -212,7 +213,7 @@ impl Watch {
         Ok([is_ready(0), is_ready(1), is_ready(2), is_ready(3)])
     }
 
-    /// Takes in what the node says; `false` if the node says nothing more.
+    /// Reads the lines of the node. Returns false if the node writes no more.
     fn hear(&mut self) -> bool {
         let mut bytes = [0; 1024];
         match rustix::io::read(io::stdin(), &mut bytes) {
@@ -222,7 +223,7 @@ impl Watch {
             Err(_) => return false,
         }
         while let Some(line) = self.orders.next() {
-            // A task that acted alone had no lease until its partner came back.
+            // A task that acted alone has a lease again once its partner has come back.
             self.errand.lease = read_lease(&line).max(self.errand.lease);
         }
         true
@@ -243,7 +244,7 @@ impl Watch {
         {
             match input.write_all(format!("deadline {deadline}\n").as_bytes()) {
                 Ok(()) => self.told = Some(deadline),
-                // The command does not read: it is told with the next renewal.
+                // The command does not read its input. The next renewal tells it the deadline.
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
                 Err(_) => self.input = None,
             }
@@ -251,17 +252,17 @@ impl Watch {
         Ok(())
     }
 
-    /// Ends everything that remains of the command.
+    /// Kills everything that remains of the command.
     fn end(mut self, why: Why) -> Outcome {
         let status = kin::end_all(self.pid);
-        // All writers are gone, so this ends.
+        // All processes that could write have ended, so this ends, too.
         self.output.read_rest();
         if why == Why::Ended { self.output.outcome(status, self.errand.real) } else { why.outcome() }
     }
 }
 
 impl Answer {
-    /// Reads once. Returns how many bytes there were.
+    /// Reads once from the output. Returns how many bytes there were.
     fn read(&mut self) -> usize {
         let mut bytes = [0; PIECE];
         match self.pipe.read(&mut bytes) {
@@ -288,7 +289,7 @@ impl Answer {
     }
 
     fn read_rest(&mut self) {
-        // Another process may have got the pipe: what is not there now is not waited for.
+        // Another process may still hold the pipe, so this reads only the bytes that are there now.
         if never_wait(&self.pipe).is_err() {
             return;
         }
@@ -311,7 +312,7 @@ impl Answer {
     }
 }
 
-/// The number that a command printed, a real as its bits. Anything else counts as zero.
+/// The number that a command printed; a real is given by its bits. Any other text counts as zero.
 fn result(printed: &str, real: bool) -> i32 {
     if !real {
         return printed.parse().unwrap_or(0);

@@ -1,9 +1,9 @@
-//! The protocol between a node and a guard: arguments at the guard's start, then lines.
+//! The protocol between a node and a guard: first the arguments with which the guard starts, then lines.
 
 use std::ffi::{OsStr, OsString};
 use std::path::PathBuf;
 
-/// What a guard is started for. Instants are microseconds of `CLOCK_BOOTTIME`.
+/// What a guard must do. Instants are microseconds of `CLOCK_BOOTTIME`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Errand {
     /// When the time of the action is over; `u64::MAX` never comes.
@@ -16,21 +16,21 @@ pub struct Errand {
     pub cores: Option<String>,
     /// Whether the command prints a real instead of a whole number.
     pub real: bool,
-    /// The pipe in which the end is reported, too, and the command's key there.
+    /// The pipe in which the guard also reports the end of the command, and the key of the command there.
     pub notices: Option<(PathBuf, String)>,
-    /// The process that started this one: the guard says it to the process that becomes the command.
+    /// The process that started this one. The guard passes its own id to the process that becomes the command.
     pub parent: Option<i32>,
-    /// The program and its arguments.
+    /// The program that runs, and its arguments.
     pub command: Vec<OsString>,
 }
 
 impl Errand {
-    /// By when the command must be over.
+    /// The instant by which the command must have ended.
     pub fn deadline(&self) -> u64 {
         self.lease.map_or(self.limit, |lease| lease.min(self.limit))
     }
 
-    /// The errand as arguments of a program.
+    /// The errand as arguments of the guard program.
     pub fn words(&self) -> Vec<OsString> {
         let mut words = vec!["--limit".into(), self.limit.to_string().into()];
         let mut add = |name: &str, value: Option<OsString>| {
@@ -50,7 +50,7 @@ impl Errand {
         words
     }
 
-    /// The errand from the arguments of a program; `None` if they are invalid.
+    /// The errand that the arguments of the program describe; `None` if they are invalid.
     pub fn read(words: &[OsString]) -> Option<Self> {
         let split = words.iter().position(|word| word == "--")?;
         let (options, command) = (&words[..split], &words[split + 1..]);
@@ -82,25 +82,25 @@ fn number<T: std::str::FromStr>(word: &OsStr) -> Option<T> {
     word.to_str()?.parse().ok()
 }
 
-/// How a command ended, as its guard says in its last line.
+/// How a command ended, as its guard reports it in its last line.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Outcome {
-    /// With exit code 0, and this number in the first line of its output.
+    /// The command ended with exit code 0, and with this number in the first line of its output.
     Done(i32),
-    /// With another exit code, or by a signal of another process.
+    /// The command ended with another exit code, or by a signal of another process.
     Failed,
-    /// The time of the action was over: it was killed.
+    /// The command was killed, because the time of the action was over.
     Late,
-    /// The lease of its task ended: it was killed.
+    /// The command was killed, because the lease of its task ended.
     LeaseEnded,
-    /// The node stopped it, or was gone: it was killed.
+    /// The command was killed, because the node stopped it or was gone.
     Stopped,
-    /// It could not be started, for this reason of the kernel.
+    /// The command could not be started; the number is the kernel's error code.
     Unstarted(i32),
 }
 
 impl Outcome {
-    /// As a line.
+    /// The outcome as a line.
     pub fn line(self) -> String {
         match self {
             Self::Done(value) => format!("done {value}\n"),
@@ -112,7 +112,7 @@ impl Outcome {
         }
     }
 
-    /// From a line.
+    /// The outcome in a line; `None` for any other line.
     pub fn read(line: &str) -> Option<Self> {
         let (word, value) = line.split_once(' ').unwrap_or((line, ""));
         Some(match word {
@@ -151,11 +151,11 @@ pub fn read_lease(line: &str) -> Option<u64> {
 #[derive(Debug, Default)]
 pub struct Lines(Vec<u8>);
 
-/// No line of these protocols is longer.
+/// The length limit of a line. No line of these protocols is longer.
 const LONGEST_LINE: usize = 4096;
 
 impl Lines {
-    /// Adds what was read.
+    /// Adds bytes that were read from the pipe.
     pub fn add(&mut self, bytes: &[u8]) {
         self.0.extend_from_slice(bytes);
         if self.0.len() > LONGEST_LINE && !self.0.contains(&b'\n') {

@@ -1,7 +1,7 @@
 //! A link with injected faults, around any other link: seeded loss, and neighbours cut off.
 //!
-//! Faults act on the sending side, so each end of a link has its own. What they drop is counted apart from real losses. A lost
-//! send loses its whole datagram, as on a network.
+//! Faults act on the sending side, so each end of a link has its own. Packets that they drop are counted apart from real
+//! losses. A lost send loses its whole datagram, as on a network.
 
 use super::{Leading, Link, LinkBusy, PollEnd, Sink};
 use crate::lock::lock;
@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Mutex, MutexGuard};
 use std::time::Instant;
 
-/// A link that loses some of what it is given.
+/// A link that drops some of the packets that it should send.
 #[derive(Debug)]
 pub struct FaultyLink<L> {
     inner: L,
@@ -29,7 +29,7 @@ struct Faults {
     cuts_to_come: Vec<(NodeId, Range<Instant>)>,
 }
 
-/// What the faults have dropped.
+/// How many packets the faults have dropped.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Injected {
     /// Packets lost by chance.
@@ -39,7 +39,7 @@ pub struct Injected {
 }
 
 impl<L> FaultyLink<L> {
-    /// `inner` without any fault yet. The same seed loses the same sends.
+    /// Wraps the link `inner`, without any fault yet. With the same seed the same sends are lost.
     #[must_use]
     pub fn new(inner: L, seed: u64) -> Self {
         let random = fastrand::Rng::with_seed(seed);
@@ -57,12 +57,12 @@ impl<L> FaultyLink<L> {
         &self.inner
     }
 
-    /// From now on loses each datagram with this probability (0 to 1).
+    /// From now on the link loses each datagram with this probability (0 to 1).
     pub fn set_loss(&self, probability: f64) {
         self.faults().loss = probability;
     }
 
-    /// From now on sends nothing to `neighbour`, or sends again.
+    /// Cuts a neighbour off, so that the link sends nothing to it, or ends the cut.
     pub fn set_cut(&self, neighbour: NodeId, cut: bool) {
         let mut faults = self.faults();
         faults.cut.retain(|&node| node != neighbour);
@@ -76,7 +76,7 @@ impl<L> FaultyLink<L> {
         self.faults().cuts_to_come.push((neighbour, span));
     }
 
-    /// What the faults have dropped so far.
+    /// How many packets the faults have dropped so far.
     #[must_use]
     pub fn injected(&self) -> Injected {
         Injected {
@@ -100,7 +100,7 @@ impl<L: Link> FaultyLink<L> {
         if !cut && !lost {
             return self.inner.send_at(next, packets, at);
         }
-        // What the inner link would not have taken is not lost.
+        // If the inner link would not take the packets, they are not lost: the node keeps them.
         if !self.inner.ready(next) {
             return Err(LinkBusy);
         }
@@ -141,7 +141,7 @@ impl<L: Link> Link for FaultyLink<L> {
         if self.faults().loss <= 0.0 {
             return self.send_or_lose(next, packets, at);
         }
-        // One draw for each datagram, so that the datagrams of one call are not all lost together.
+        // The loss is drawn for each datagram, so that the datagrams of one call are not all lost together.
         let mut taken = 0;
         for datagram in packets[..packets.len().min(self.at_once())].chunks(MAX_PACKETS) {
             match self.send_or_lose(next, datagram, at) {

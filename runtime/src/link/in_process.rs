@@ -13,7 +13,7 @@ use std::collections::BinaryHeap;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-/// How many packets wait for one node before its neighbours find it busy.
+/// How many packets can wait for one node before its neighbours find it busy.
 const CAPACITY: usize = 1024;
 /// How many packets are taken out under one lock.
 const AT_ONCE: usize = MAX_PACKETS;
@@ -33,32 +33,32 @@ pub struct Faults {
     pub most_delay: Duration,
 }
 
-/// Joins the nodes of one process.
+/// The network that joins the nodes of one process.
 pub struct Network {
     table: Arc<CellTable>,
     faults: Faults,
     ends: Box<[End]>,
 }
 
-/// Where one node receives.
+/// The receiving end of one node.
 struct End {
     state: Mutex<State>,
     changed: Condvar,
 }
 
 struct State {
-    /// Packets in flight to this node, the next to arrive first.
+    /// The packets in flight to this node, the next to arrive first.
     flights: BinaryHeap<Reverse<Flight>>,
     departures: u64,
-    /// The incarnation of the node that receives here; `None` while there is none.
+    /// The incarnation of the node at this end; `None` while there is no node.
     start: Option<Start>,
-    /// The incarnation of each node that was last heard of here.
+    /// For each node, its incarnation of which this node heard last.
     heard: Vec<Option<Incarnation>>,
-    /// Room for packets that have arrived. The polling thread has it while it works.
+    /// Reusable storage for packets that have arrived. The polling thread takes it while it works.
     landed: Vec<Landed>,
     /// Whether a neighbour found this node busy.
     starved: bool,
-    /// Whether a neighbour that was busy takes packets again.
+    /// Whether this node, after it was busy, takes packets again, and its neighbours must be told.
     ready: bool,
     woken: bool,
     draws: fastrand::Rng,
@@ -88,7 +88,7 @@ struct Landed {
 }
 
 impl Flight {
-    /// Whether both packets left one node at the same time.
+    /// Whether both packets left the same node at the same time.
     fn left_with(&self, other: &Self) -> bool {
         (self.from, self.start, self.left) == (other.from, other.start, other.left)
     }
@@ -115,7 +115,7 @@ impl Ord for Flight {
 }
 
 impl Network {
-    /// A network for the nodes of a cell.
+    /// A network for all nodes of a cell.
     #[must_use]
     pub fn new(table: Arc<CellTable>, faults: Faults) -> Arc<Self> {
         let nodes = table.cell().nodes.len();
@@ -179,7 +179,7 @@ impl State {
     }
 }
 
-/// One node's end of a [`Network`].
+/// The end of one node in a [`Network`]: its link.
 pub struct InProcess {
     network: Arc<Network>,
     node: NodeId,
@@ -196,12 +196,12 @@ impl InProcess {
         self.network.ends.get(node.index())
     }
 
-    /// Hands packets that left one node together to the sink.
+    /// Hands packets that left one node together to the sink of the receiving node.
     fn land(&self, together: &[Landed], sink: &dyn Sink) {
         let Some(&Landed { flight: Flight { from, start, left, .. }, known }) = together.first() else {
             return;
         };
-        // What a node sent before it ended is still good; what an earlier incarnation of a running node sent is not.
+        // Packets that a node sent before it ended still count. Packets of an earlier incarnation of a running node do not.
         let now_there = self.network.ends[from.index()].lock().start;
         if now_there.is_some_and(|now_there| now_there != start) {
             return together.iter().for_each(|_| sink.discarded(LinkDiscard::StaleIncarnation));
@@ -211,7 +211,7 @@ impl InProcess {
         }
         let mut packets = [together[0].flight.packet; AT_ONCE];
         packets.iter_mut().zip(together).for_each(|(packet, landed)| *packet = landed.flight.packet);
-        // The larger of the link's declared delay and the time that the packets took (D20).
+        // The charge is the larger of two times: the link's declared delay, and the time that the packets took (D20).
         let now = Instant::now();
         let took = now.saturating_duration_since(left);
         let charge = clock::micros(took.max(self.network.bound(from, self.node)));
@@ -241,7 +241,7 @@ impl Link for InProcess {
         let end = self.end(next).ok_or(LinkBusy)?;
         let mut state = end.lock();
         if state.start.is_none() {
-            // No node is there, as when a datagram goes to a closed port.
+            // No node is at the other end, as when a datagram goes to a closed port.
             return Ok(packets.len());
         }
         let free = CAPACITY.saturating_sub(state.flights.len());
@@ -311,7 +311,7 @@ impl Link for InProcess {
     }
 }
 
-/// The node is gone: packets to it are lost.
+/// The node is gone, so packets to it are lost from now on.
 impl Drop for InProcess {
     fn drop(&mut self) {
         let mut state = self.own().lock();

@@ -1,7 +1,7 @@
 //! The primitive layer (§5.2.4): how packets leave a node and come in.
 //!
-//! A link moves packets between neighbouring nodes and knows nothing of tasks. It may lose, repeat, delay and reorder them. With
-//! what it hands over, it says how much remaining time the hop has cost.
+//! A link moves packets between neighbouring nodes and knows nothing of tasks. It may lose, repeat, delay and reorder them.
+//! With the packets that it hands over, it says how much of their remaining time the hop has cost.
 
 pub mod faulty;
 pub mod in_process;
@@ -19,16 +19,16 @@ use std::time::{Duration, Instant};
 /// The sink deals with it at once, on the same thread, and may call [`Link::send_at`] before the call returns. While a link calls
 /// its sink, it holds no lock that a sender or a waiting task would wait for.
 pub trait Sink: Send + Sync {
-    /// Packets that came together, decoded and checked, in the order in which they were sent. `charge` is what the link and the
-    /// kernel's queue had cost each packet at `at`, in microseconds. The sink also charges the time since `at`, so that a node
-    /// that was stopped in between cannot make an old packet look young.
+    /// Takes packets that came together, decoded and checked, in the order in which they were sent. `charge` is the time
+    /// that the link and the kernel's queue had cost each packet at the instant `at`, in microseconds. The sink also charges
+    /// the time since `at`, so that a node that was stopped in between cannot make an old packet look young.
     fn packets(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Instant);
 
-    /// First contact with a neighbour, or its new session. `restarted`: whether an earlier incarnation of the neighbour may have
-    /// taken requests, as the neighbour says itself or as this node knows.
+    /// Reports the first contact with a neighbour, or its new session. `restarted` says whether an earlier incarnation of
+    /// the neighbour may have taken requests, as the neighbour itself says or as this node knows.
     fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool);
 
-    /// Something came in that is not for this node. Counted by reason.
+    /// Reports that something came in that is not for this node. Drops are counted by reason.
     fn discarded(&self, reason: LinkDiscard);
 }
 
@@ -108,41 +108,41 @@ pub trait Link: Send + Sync {
     /// (leader and followers). A wake-up that comes while no thread polls ends the next poll.
     fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd;
 
-    /// Ends a poll.
+    /// Ends a poll: the present one, or else the next one.
     fn wake(&self);
 
-    /// Failures of the link itself, counted by name, of which no sink was told.
+    /// The failures of the link itself that were reported to no sink, counted by name.
     fn failures(&self) -> Vec<(&'static str, u64)> {
         Vec::new()
     }
 
-    /// What else the link counts, by name: how much it does, and how sure it is of how long datagrams waited.
+    /// Other counters of the link, by name: how much it does, and how certain it is of the times for which datagrams waited.
     fn evidence(&self) -> Vec<(&'static str, u64)> {
         Vec::new()
     }
 
-    /// Where a task's thread may wait in the link itself while another thread polls; `None` if it may not.
+    /// The part of the link in which a task's thread may wait while another thread polls; `None` if the link has none.
     fn leading(&self) -> Option<&dyn Leading> {
         None
     }
 }
 
-/// A link in which a task's thread can wait, one thread at a time. While it waits, what arrives from neighbours is reported to
-/// it alone, and to no polling thread. What comes from elsewhere is reported to the polling thread.
+/// A link in which a task's thread can wait, one thread at a time. While it waits, datagrams from neighbours are reported to
+/// that thread alone, and to no polling thread. Datagrams from elsewhere are reported to the polling thread.
 pub trait Leading: Send + Sync {
     /// Waits until something arrives, for at most `left`, or until [`call`](Self::call). It takes nothing in, and may end early
     /// (spurious wake-up). It reports [`Came::Time`] only if `left` is zero.
     fn wait(&self, left: Option<Duration>) -> Came;
 
-    /// Takes in what [`wait`](Self::wait) reported or, without a wait, one datagram that is there, if any. False if the polling
-    /// thread is receiving: that thread takes it in, too.
+    /// Receives what [`wait`](Self::wait) reported or, without a wait, one datagram if there is one. Returns false if the
+    /// polling thread is receiving, because that thread then receives it, too.
     fn take_in(&self, sink: &dyn Sink) -> bool;
 
     /// Ends the present wait, or else the next one.
     fn call(&self);
 }
 
-/// The link takes nothing for this neighbour now.
+/// The error that the link takes no packet for this neighbour now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the link takes no packets now")]
 pub struct LinkBusy;
@@ -163,35 +163,36 @@ pub enum PollEnd {
 /// Why a link dropped something that came in. Every drop has a reason and is counted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum LinkDiscard {
-    /// Shorter than the least envelope.
+    /// The datagram is shorter than the least envelope.
     TooShort,
-    /// Does not begin as an envelope does.
+    /// The datagram does not begin as an envelope does.
     NotImrs,
-    /// An envelope of another version.
+    /// The envelope has another version.
     Version,
-    /// An envelope of another mode than this node's.
+    /// The envelope has another mode than this node's.
     Mode,
-    /// Of a cell with other declarations.
+    /// The datagram is of a cell with other declarations.
     OtherCell,
-    /// From a node that is not a neighbour.
+    /// The datagram is from a node that is not a neighbour.
     UnknownNode,
-    /// Damaged.
+    /// The datagram is damaged.
     Checksum,
-    /// Not a whole number of packets, or too many.
+    /// The length is not a whole number of packets, or the packets are too many.
     Length,
-    /// Seen before, or too old to tell.
+    /// The datagram was seen before, or is so old that this cannot be known.
     Replayed,
-    /// From an earlier incarnation of its sender.
+    /// The datagram is from an earlier incarnation of its sender.
     StaleIncarnation,
-    /// For a purpose that this version does not know.
+    /// The datagram has a purpose that this version does not know.
     Purpose,
-    /// Of a cell with the same declarations and other statements.
+    /// The datagram is of a cell with the same declarations and other statements.
     OtherStatements,
-    /// For another node.
+    /// The datagram is for another node.
     Misdelivered,
-    /// From an unknown session of its sender, which is not proven to be later than the known one. The sender is asked.
+    /// The datagram is from an unknown session of its sender, which is not proven to be later than the known one. The sender
+    /// is asked.
     UnprovenSession,
-    /// The sender says that it refuses what this node sends.
+    /// The sender says that it refuses the datagrams of this node.
     RefusedByPeer,
     /// A packet inside a good envelope is not one of this cell.
     Packet(PacketError),

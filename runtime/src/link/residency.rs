@@ -1,26 +1,26 @@
-//! Tells how long a datagram waited in the kernel (D50).
+//! Computes how long a datagram waited in the kernel (D50).
 //!
 //! The kernel stamps a datagram with the *wall clock* when it arrives, and the wall clock may be set at any time. So a stamp
-//! counts only if the wall clock and the monotonic clock advanced alike. Otherwise the datagram may have come at any moment since
-//! the socket was last seen empty, and that whole time is charged. No datagram can have waited longer.
+//! counts only if the wall clock and the monotonic clock advanced alike. Otherwise the datagram may have come at any moment
+//! since the socket was last seen empty, and that whole time is charged. No datagram can have waited longer.
 
 use crate::clock;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// How much the difference of the clocks may seem to change by rounding alone, in nanoseconds.
 const ROUNDING: i128 = 1_000;
-/// A reading that took longer than this was interrupted, and is taken again.
+/// The longest time that a reading of the clocks may take. A reading that took longer was interrupted, and is repeated.
 const INTERRUPTED: Duration = Duration::from_micros(20);
 const ATTEMPTS: usize = 4;
 
 /// Both clocks, read one after the other: the wall clock at some moment between the two monotonic instants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reading {
-    /// The monotonic clock, just before.
+    /// The monotonic clock, just before the wall clock was read.
     pub before: Instant,
     /// The wall clock: the time since 1970 (a clock set to earlier reads as 1970).
     pub realtime: Duration,
-    /// The monotonic clock, just after.
+    /// The monotonic clock, just after the wall clock was read.
     pub after: Instant,
     /// For how long the machine had been suspended since it started, as far as was known, in microseconds.
     pub suspended: u64,
@@ -46,7 +46,7 @@ impl Reading {
         Self { before, realtime, after: Instant::now(), suspended: clock::suspended() }
     }
 
-    /// How far apart the monotonic instants are: how uncertain it is when the wall clock was read.
+    /// How far apart the two monotonic instants are: the uncertainty of when the wall clock was read.
     fn width(&self) -> Duration {
         self.after.saturating_duration_since(self.before)
     }
@@ -55,20 +55,20 @@ impl Reading {
 /// How long a datagram waited, and whether its stamp could be believed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Residency {
-    /// Never less than the true time.
+    /// The time that the datagram waited, never less than the true time.
     pub waited: Duration,
-    /// The evidence for it.
+    /// The evidence on which that time rests.
     pub by: Evidence,
 }
 
-/// What a [`Residency`] rests on.
+/// The evidence on which a [`Residency`] rests.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Evidence {
-    /// The kernel's stamp.
+    /// The kernel's stamp shows the time.
     Stamp,
-    /// The kernel gave no stamp: the time since the socket was last seen empty.
+    /// The kernel gave no stamp, so the time since the socket was last seen empty counts.
     NoStamp,
-    /// The wall clock was set meanwhile: the time since the socket was last seen empty.
+    /// The wall clock was set meanwhile, so the time since the socket was last seen empty counts.
     ClockSet,
 }
 

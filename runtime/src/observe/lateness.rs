@@ -1,23 +1,24 @@
-//! How late the Timer thread was, counted where it begins to serve: one writer, relaxed stores, no clock reading of its own.
+//! Counts how late the Timer thread begins to serve expiries. There is one writer; its stores are relaxed, and it does not
+//! read the clock for this.
 
 use crate::clock::Micros;
 use imrs_wire::obs::Lateness;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// One counter for each number of binary digits that a lateness in microseconds may have.
+/// The number of counters: one for each number of binary digits that a lateness in microseconds may have.
 const SIZES: usize = 32;
 
-/// Counters with one writer.
+/// Counters of the Timer thread's lateness, with one writer.
 #[derive(Debug)]
 pub(crate) struct LatenessCounts {
-    /// By the number of binary digits: counter `n` counts values below `2^n` and not below half of that.
+    /// The counters, by the number of binary digits: counter `n` counts values below `2^n` that are not below half of `2^n`.
     sizes: [AtomicU64; SIZES],
     late: AtomicU64,
-    /// From which lateness on an expiry counts as late: above the tick that the cell declares.
+    /// The lateness above which an expiry counts as late: the tick that the cell declares.
     tick: Micros,
 }
 
-/// The counters at the last look.
+/// The counters, as they were at the last look.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Seen([u64; SIZES]);
 
@@ -42,7 +43,7 @@ impl LatenessCounts {
         let new: [u64; SIZES] = std::array::from_fn(|n| now[n] - seen.0[n]);
         seen.0 = now;
         let all: u64 = new.iter().sum();
-        // The upper end of the range that holds this percentile.
+        // The upper end of the range in which this percentile lies.
         let within = |share: u64| {
             let wanted = (all * share).div_ceil(100).max(1);
             let mut sum = 0;

@@ -1,4 +1,4 @@
-//! How a node looks from outside: its observations, its snapshots, and the socket for monitors.
+//! Everything that a node shows: its observations, its snapshots, and the socket for monitors.
 
 pub(crate) mod lateness;
 pub mod observer;

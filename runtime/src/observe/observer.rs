@@ -1,9 +1,9 @@
-//! Shows a running node to monitors ([`imrs_wire::obs`]): over a Unix socket that only its user can open and, where asked for,
-//! over TCP, where a token keeps others out, or nothing does.
+//! Shows a running node to monitors ([`imrs_wire::obs`]): over a Unix socket that only its user can open and, on request,
+//! over TCP. Over TCP a token keeps others out, if one is set.
 //!
-//! One thread serves all monitors. It only looks: nothing from here reaches a machine. Without a monitor it sleeps in the kernel.
-//! A monitor that does not read costs one frame of memory and no time: nothing more is made for it until that frame has left, so
-//! snapshots coalesce and events are counted as lost.
+//! One thread serves all monitors. It only looks: nothing that a monitor sends reaches a state machine. Without a monitor it
+//! sleeps in the kernel. A monitor that does not read costs one frame of memory and no time. No further frame is made for it
+//! until that frame has left. So it gets fewer snapshots, and the events that it misses are counted as lost.
 
 mod client;
 mod due;
@@ -31,17 +31,17 @@ use stream::Listener;
 
 /// How many monitors a node serves at once.
 pub const MAX_MONITORS: usize = 8;
-/// How many connections a node keeps besides, of clients that have not yet shown that they may look.
+/// How many further connections a node keeps, of clients that have not yet shown that they may look.
 const MAX_STRANGERS: usize = 16;
-/// The lowest priority, because the tasks go first.
+/// The niceness of the observer's thread: the lowest priority, because the tasks go first.
 const LEAST_PRIORITY: i32 = 19;
 /// How long the listener rests when the process has no file descriptor left for a new monitor.
 const REST: Duration = Duration::from_millis(500);
 
-/// Why a node cannot be observed. It runs all the same.
+/// Why a node cannot show itself to monitors. The node runs all the same.
 #[derive(Debug, thiserror::Error)]
 pub enum ObserverError {
-    /// There is no place for the socket.
+    /// There is no usable place for the socket.
     #[error(transparent)]
     Place(#[from] PlaceError),
     /// Another process serves this socket.
@@ -50,17 +50,17 @@ pub enum ObserverError {
     /// The operating system refused the TCP address.
     #[error("cannot serve monitors at tcp:{address}: {source}")]
     Tcp {
-        /// The address.
+        /// The address that the observer could not listen on.
         address: SocketAddr,
-        /// Why.
+        /// The error of the operating system.
         source: io::Error,
     },
-    /// The operating system refused.
+    /// The operating system refused the Unix socket.
     #[error("cannot serve monitors at {path}: {source}")]
     Io {
-        /// The socket.
+        /// The path of the socket.
         path: PathBuf,
-        /// Why.
+        /// The error of the operating system.
         source: io::Error,
     },
 }
@@ -90,20 +90,18 @@ pub struct Observer {
     thread: Option<JoinHandle<()>>,
 }
 
-/// Where monitors find a node.
+/// The place at which monitors find a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Place {
-    /// This Unix socket.
+    /// A Unix socket at this path.
     Unix(PathBuf),
-    /// This TCP address.
+    /// A TCP address.
     Tcp(SocketAddr),
 }
 
 impl Observer {
-    /// Shows `node` where monitors look for it, and removes what dead nodes of the same cell left there.
-    ///
-    /// # Errors
-    /// [`ObserverError`].
+    /// Shows `node` at the place where monitors look for it. Removes the sockets that dead nodes of the same cell left
+    /// there.
     pub fn start(node: Arc<Node>) -> Result<Self, ObserverError> {
         Showing::new(node).start()
     }
@@ -116,7 +114,7 @@ impl Observer {
         Showing::new(node).start_at(path)
     }
 
-    /// Shows `node` at a TCP address (port 0: any free one) to everybody who can reach it.
+    /// Shows `node` at a TCP address (port 0 means any free port) to everybody who can reach it.
     ///
     /// # Errors
     /// [`ObserverError::Tcp`].
@@ -127,7 +125,7 @@ impl Observer {
     fn serve_at(showing: Showing, path: &Path) -> Result<Self, ObserverError> {
         let io = |source: io::Error| ObserverError::Io { path: path.into(), source };
         let listener = bind(path)?;
-        // Until here the folder, which only this user can enter, kept others out.
+        // Until now the folder, which only this user can enter, has kept others out.
         fs::set_permissions(path, Permissions::from_mode(0o600)).map_err(io)?;
         Self::serve(showing, Listener::Unix(listener), Place::Unix(path.into())).map_err(io)
     }
@@ -151,7 +149,7 @@ impl Observer {
         Ok(Self { place, stop, thread: Some(thread) })
     }
 
-    /// Where monitors find the node.
+    /// The place at which monitors find the node.
     #[must_use]
     pub const fn place(&self) -> &Place {
         &self.place
@@ -171,8 +169,8 @@ impl Drop for Observer {
     }
 }
 
-/// Listens at `path`. Removes a socket that no process serves, because it blocks its successor, even one with the same process
-/// id.
+/// Listens at `path`. If no process serves an existing socket there, removes it, because otherwise a later process with the
+/// same id could not listen.
 fn bind(path: &Path) -> Result<UnixListener, ObserverError> {
     let io = |source| ObserverError::Io { path: path.into(), source };
     match UnixListener::bind(path) {
@@ -197,7 +195,8 @@ struct Server {
 
 impl Server {
     fn run(mut self) {
-        // For this thread alone. No system refuses it; if one did, the thread would have ordinary priority.
+        // This sets the priority of this thread alone. No system refuses it; if one did, the thread would run with ordinary
+        // priority.
         let _ = setpriority_process(None, LEAST_PRIORITY);
         loop {
             let Some(ready) = self.sleep() else { return self.say_goodbye() };
@@ -220,14 +219,14 @@ impl Server {
         }
     }
 
-    /// How many newcomers can be served: the free places, and those of monitors that make room.
+    /// How many newcomers can be served: the number of free places, and of monitors that would make room.
     fn room(&self, now: Instant) -> usize {
         let served = self.clients.iter().filter(|client| client.is_served()).count();
         let idle = self.clients.iter().filter(|client| client.idle_since(now).is_some()).count();
         (MAX_MONITORS + idle).saturating_sub(served)
     }
 
-    /// While more monitors are served than there are places, the one that has been idle longest goes.
+    /// Disconnects the monitor that has been idle longest, as long as more monitors are served than there are places.
     fn make_room(&mut self, now: Instant) {
         while self.clients.iter().filter(|client| client.is_served()).count() > MAX_MONITORS {
             let idle =
@@ -237,7 +236,7 @@ impl Server {
         }
     }
 
-    /// Sleeps until there is something to do. `None` at the end.
+    /// Sleeps until there is something to do. Returns `None` if the observer must end.
     fn sleep(&self) -> Option<Ready> {
         let due = self.clients.iter().filter_map(Client::due).chain(self.rest_until).min();
         let left = due.map(|due| due.saturating_duration_since(Instant::now()));
@@ -253,7 +252,7 @@ impl Server {
             fds.push(PollFd::from_borrowed_fd(client.as_fd(), wanted));
         }
         if poll(&mut fds, left.as_ref()).is_err() {
-            // Interrupted by a signal: nothing is ready.
+            // A signal interrupted the wait, so nothing is ready.
             return Some(Ready::default());
         }
         let happened = |fd: &PollFd<'_>| !fd.revents().is_empty();
@@ -268,7 +267,8 @@ impl Server {
 
     fn accept(&mut self, now: Instant) {
         match self.listener.accept() {
-            // Of too many strangers the oldest goes, because a client that may look says so at once.
+            // If there are too many strangers, the oldest is disconnected, because a client that may look shows that at
+            // once.
             Ok(Some(stream)) => {
                 let strangers = || self.clients.iter().enumerate().filter(|(_, client)| !client.is_served());
                 if strangers().count() >= MAX_STRANGERS

@@ -1,21 +1,21 @@
-//! The observations of one machine, for its subscribers: a bounded ring that many readers follow, each with its own position. A
-//! slow reader loses the oldest, and is told how many.
+//! The observations of one machine, for its subscribers: a bounded ring that many readers follow, each with its own
+//! position. A slow reader loses the oldest observations, and learns how many.
 
 use crate::clock::Micros;
 use imrs_protocol::Observation;
 
-/// How many observations one machine keeps.
+/// How many observations the ring of one state machine keeps.
 const KEPT: usize = 1024;
 
 pub(crate) struct Ring {
-    /// Empty until the first subscription.
+    /// The kept observations; empty until the first subscription.
     kept: Vec<(Micros, Observation)>,
-    /// How many were ever written.
+    /// How many observations were ever written.
     written: u64,
     readers: usize,
-    /// How many are kept, at most.
+    /// How many observations are kept at most.
     room: usize,
-    /// For the test that must fail: overwritten observations are read as if they were still there.
+    /// Whether overwritten observations are read as if they were still there. For the test that must fail.
     #[cfg(test)]
     pub forgets_the_loss: bool,
 }
@@ -37,7 +37,7 @@ impl Ring {
         }
     }
 
-    /// Records an observation, if anybody subscribes.
+    /// Records an observation, if there is a subscriber.
     pub fn push(&mut self, at: Micros, observation: Observation) {
         if self.readers == 0 {
             return;
@@ -52,7 +52,7 @@ impl Ring {
         self.written += 1;
     }
 
-    /// Begins to follow: returns the position to read from.
+    /// Begins to follow the ring. Returns the position from which to read.
     pub fn subscribe(&mut self) -> u64 {
         self.kept.reserve_exact(self.room.saturating_sub(self.kept.len()));
         self.readers += 1;
@@ -64,8 +64,8 @@ impl Ring {
         self.readers = self.readers.saturating_sub(1);
     }
 
-    /// Hands over what was written since `from`, oldest first, at most `room` observations. Returns where to go on, and how many
-    /// were overwritten before they were read.
+    /// Passes the observations since the position `from` to `each`, oldest first, at most `room` of them. Returns where to
+    /// go on, and how many were overwritten before they were read.
     pub fn read(&self, from: u64, room: usize, mut each: impl FnMut(Micros, Observation)) -> (u64, u64) {
         let oldest = self.written - self.kept.len() as u64;
         let begin = from.max(oldest);

@@ -1,5 +1,5 @@
-//! Snapshots of a running node. Looking takes nothing out and advances no clock. Input that was left to a task is taken in first
-//! (D130), with the time at which it came.
+//! Snapshots of a running node. A snapshot takes nothing out of the node and advances no clock. Input that was left for a
+//! task is handled first (D130), with the time at which it came.
 
 use crate::clock;
 use crate::link::LinkDiscard;
@@ -14,10 +14,10 @@ use imrs_wire::obs::{
 };
 use std::sync::Arc;
 
-/// The most waiting messages of a port that are shown.
+/// The most waiting messages of a port that a snapshot shows.
 pub(crate) const QUEUE_LIMIT: u8 = 64;
 
-/// How much of a node is to be shown.
+/// How much of a node a snapshot shows.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Watching {
     /// How many waiting messages of each port are shown.
@@ -47,14 +47,14 @@ impl Node {
         }
     }
 
-    /// The state of the node, with at most `queue_limit` waiting messages of each port. Each machine is looked at under
-    /// its own lock, one after the other: the parts of a snapshot are of slightly different instants.
+    /// The state of the node, with at most `queue_limit` waiting messages of each port. Each state machine is read under its
+    /// own lock, one after the other, so the parts of a snapshot are of slightly different instants.
     #[must_use]
     pub fn snapshot(&self, queue_limit: usize) -> Snapshot {
         self.snapshot_of(&Watching { queue_limit, ports: Vec::new() })
     }
 
-    /// As [`snapshot`](Self::snapshot), with more of some ports.
+    /// As [`snapshot`](Self::snapshot), with more waiting messages of the watched ports.
     #[must_use]
     pub fn snapshot_of(&self, watching: &Watching) -> Snapshot {
         let now = clock::now();
@@ -95,7 +95,7 @@ impl Node {
         HeldBack { mono_us: now, tasks: self.locals.list.iter().filter_map(held).collect() }
     }
 
-    /// What waits at the watched ports, as far as the node has them.
+    /// The waiting messages of the watched ports, as far as the node has these ports.
     #[must_use]
     pub fn detail(&self, ports: &[(TaskId, PortId)]) -> Detail {
         let now = clock::now();
@@ -107,7 +107,7 @@ impl Node {
         Detail { mono_us: now, ports: ports.iter().filter_map(one).collect() }
     }
 
-    /// Begins to follow what is observed from now on. Observations are kept only while a monitor follows.
+    /// Begins to follow the node's observations from now on. Observations are kept only while a monitor follows.
     #[must_use]
     pub fn observe(self: &Arc<Self>) -> Observations {
         let tasks = self.locals.list.iter().map(|local| self.look(local, |comm| comm.ring().subscribe()));
@@ -140,8 +140,8 @@ fn named(name: &str, count: u64) -> Count {
     Count { name: name.into(), count }
 }
 
-/// Follows the observations of a node. A reader that reads too seldom loses the oldest, and learns how many; the node never
-/// waits.
+/// Follows the observations of a node. A reader that reads too seldom loses the oldest observations, and learns how many;
+/// the node never waits.
 ///
 /// ```
 /// use imrs_protocol::{Cell, CellTable, Event, PortDecl, Ticks, Usage};
@@ -172,19 +172,19 @@ fn named(name: &str, count: u64) -> Count {
 /// ```
 pub struct Observations {
     node: Arc<Node>,
-    /// Where to go on: in the order of the tasks, the transit buffer last.
+    /// For each state machine, the position from which to read on: in the order of the tasks, the transit buffer last.
     positions: Box<[u64]>,
 }
 
 impl Observations {
-    /// Adds what was observed since the last call to `events`, at most `room` of each machine, oldest first for each.
-    /// Returns how many were lost.
+    /// Appends the observations since the last call to `events`, at most `room` of each state machine, oldest first for
+    /// each. Returns how many were lost.
     pub fn drain(&mut self, room: usize, events: &mut Vec<TimedEvent>) -> u64 {
         self.drain_of(|_| true, room, events)
     }
 
-    /// As [`drain`](Self::drain), for the machines that are `wanted` (`None`: the transit buffer). What the others observed is
-    /// skipped, and not counted.
+    /// As [`drain`](Self::drain), for the state machines that `wanted` selects (`None` stands for the transit buffer). The
+    /// observations of the others are skipped, and not counted.
     pub fn drain_of(
         &mut self,
         wanted: impl Fn(Option<TaskId>) -> bool,

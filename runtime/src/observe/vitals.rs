@@ -1,4 +1,5 @@
-//! The state of a node's process, for monitors: read on request, counted where it happens.
+//! The vitals of a node's process, for monitors. They are read when a monitor wants them; only lateness is counted where it
+//! arises.
 
 use crate::clock;
 use crate::node::Node;
@@ -8,7 +9,7 @@ use rustix::time::{ClockId, clock_gettime};
 use std::fs;
 
 impl Node {
-    /// How the process does, and how late the Timer was since `seen`.
+    /// The vitals of the process, with how late the Timer was since `seen`.
     pub(crate) fn vitals(&self, seen: &mut Seen, recording: Option<RecordingFacts>) -> Vitals {
         let cpu = clock_gettime(ClockId::ProcessCPUTime);
         let micros = |part: i64| u64::try_from(part).unwrap_or(0);
@@ -26,7 +27,7 @@ impl Node {
     }
 }
 
-/// The resident memory of the process in bytes, and the number of its threads; zero where the system does not say.
+/// The resident memory of the process in bytes, and the number of its threads; zero if the system does not report it.
 fn usage() -> (u64, u32) {
     let text = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let figure = |name: &str| {

@@ -1,19 +1,19 @@
-//! The digest of what a communication task, or a script, has put out.
+//! The digest of all outputs of a communication task or a script.
 
 use imrs_protocol::script::Address;
 use imrs_protocol::{CONTENTS_BYTES, Contents, Delivery, MessageId, Outcome, Packet, Signal, Ticks, TimeId};
 use postcard::ser_flavors::Flavor;
 use serde::Serialize;
 
-/// Identifies everything that a communication task, or a script, has put out so far, in order. It is equal in two runs only if
-/// every packet, every signal and every request to the Timer was equal (except for collisions of 64 bits). It is taken of the
-/// 64-bit numbers that make up an output, so it is the same in every build and on every machine. Outputs that come with every
-/// message are laid out here; the rest is taken in postcard.
+/// Identifies all outputs of a communication task or a script so far, in order. It is equal in two runs only if every
+/// packet, every signal and every request to the Timer was equal (except for collisions of 64 bits). It is computed from the
+/// 64-bit numbers that make up an output, so it is the same in every build and on every machine. For outputs that come with
+/// every message, this module defines these numbers; other outputs are encoded with postcard.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutputDigest(pub u64);
 
-/// An output that enters the digest in postcard. The order of the variants, and of those in them, is part of the recordings'
-/// format.
+/// An output that postcard encodes for the digest. The order of the variants, and of the variants inside of them, is part of
+/// the recordings' format.
 #[derive(Serialize)]
 enum Output {
     Signal(Signal),
@@ -21,7 +21,7 @@ enum Output {
     Disarm(TimeId),
 }
 
-/// The top byte of the first number of an output that is laid out here. In postcard the top byte is never above 7.
+/// The top byte of the first number of an output that this module lays out. In postcard the top byte is never above 7.
 #[derive(Clone, Copy)]
 enum Mark {
     Packet = 0x80,
@@ -93,14 +93,14 @@ impl OutputDigest {
     }
 
     pub(crate) fn add(&mut self, output: &impl Serialize) {
-        // No output can fail to be serialised; if one ever did, the digest would stay as it is in both runs.
+        // Every output can be serialised. If one ever could not, the digest would stay the same in both runs.
         let lanes = Lanes { digest: *self, lane: 0, filled: 0 };
         if let Ok(digest) = postcard::serialize_with_flavor(output, lanes) {
             *self = digest;
         }
     }
 
-    /// Mixes eight bytes into the hash, by xor, a multiplication and a shift, none of which loses anything.
+    /// Mixes eight bytes into the hash, by xor, a multiplication and a shift, none of which loses information.
     const fn mix(&mut self, lane: u64) {
         let hash = (self.0 ^ lane).wrapping_mul(0x9e37_79b9_7f4a_7c15);
         self.0 = hash ^ (hash >> 32);
@@ -120,11 +120,12 @@ const fn number(id: MessageId) -> u64 {
     (id.incarnation.0 as u64) << 32 | id.sequence.get() as u64
 }
 
-/// Mixes in eight bytes at a time. The last lane, which is never full, has the number of its bytes in its top byte.
+/// Mixes eight bytes at a time into the digest. The last lane, which is never full, has the number of its bytes in its top
+/// byte.
 struct Lanes {
     digest: OutputDigest,
     lane: u64,
-    /// In bits.
+    /// How many bits of the lane are filled.
     filled: u32,
 }
 
@@ -179,7 +180,7 @@ mod tests {
         }
     }
 
-    /// Recordings of other builds are compared with these numbers: a change of the numbers needs a new version of recordings.
+    /// Compares with the numbers in recordings of other builds: if these numbers change, recordings need a new version.
     #[test]
     fn what_comes_with_every_message_is_laid_out_so() {
         let mut digest = OutputDigest::START;
@@ -212,7 +213,7 @@ mod tests {
         digest.armed(TimeId(1), Ticks(300));
         digest.disarmed(TimeId(1));
         digest.signalled(Signal::TimeOut(TimeId(1)));
-        // A full lane is followed by an empty one.
+        // If a lane is full, an empty one follows it.
         digest.armed(TimeId(1), Ticks(1 << 36));
         let short = |bytes: &[u8]| {
             let mut lane = [0; 8];
@@ -225,7 +226,7 @@ mod tests {
         assert_eq!(digest, by_hand(&lanes));
     }
 
-    /// Each field, and contents that could be taken for others.
+    /// Changes each field of a packet, and compares contents that could be mistaken for others.
     #[test]
     fn packets_that_differ_have_other_digests() {
         let p = packet();

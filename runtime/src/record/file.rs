@@ -1,4 +1,4 @@
-//! Records into a file from a thread of its own: each communication task puts its steps into its own lane and goes on.
+//! Records into a file from a thread of its own. Each communication task puts its steps into a lane of its own, and goes on.
 
 use super::packed::{self, Drain, Entry, Fill};
 use super::{Log, OutputDigest, Recorder, Step};
@@ -14,10 +14,10 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// How many slots all tasks of a node share between them and their disk: 16 MiB. A step takes one. If a lane is full, a gap is
+/// How many slots the lanes of all tasks of a node have together: 16 MiB. A step takes one slot. If a lane is full, a gap is
 /// recorded instead; once the disk keeps up again, the recording goes on with a keyframe.
 const SLOTS: usize = 1 << 18;
-/// The least and the most slots of one task, however many tasks there are: 4 KiB to 2 MiB.
+/// The least and the most slots of one task's lane, whatever the number of tasks: 4 KiB and 2 MiB.
 const OF_A_TASK: (usize, usize) = (1 << 6, 1 << 15);
 
 /// Records the inputs of a node's communication tasks as an [`imrs_wire::recording`].
@@ -49,37 +49,37 @@ const OF_A_TASK: (usize, usize) = (1 << 6, 1 << 15);
 pub struct FileRecorder {
     recording: Mutex<Option<Recording>>,
     aside: Box<[Arc<Aside>]>,
-    /// The logs that no task has taken yet.
+    /// The logs that have not been handed to their communication tasks yet.
     logs: Mutex<BTreeMap<TaskId, TaskLog>>,
 }
 
-/// What passes beside the lane of a task.
+/// The data that pass beside the lane of a task.
 #[derive(Default)]
 struct Aside {
-    /// How many records were lost, and how many inputs among them: counted in this order.
+    /// How many records were lost, and how many inputs were among them. They are counted in this order.
     lost: AtomicU64,
     lost_inputs: AtomicU64,
-    /// The keyframes whose marks are in the lane, and no others.
+    /// Exactly those keyframes whose marks are in the lane.
     keyframes: Mutex<VecDeque<Vec<u8>>>,
-    /// The node has stopped.
+    /// Whether the node has stopped.
     closed: AtomicBool,
 }
 
-/// What a recording says of its node.
+/// What a recording says about its node.
 #[derive(Clone, Copy, Debug)]
 pub struct About<'a> {
     /// The incarnation of the node, and whether an earlier one may have taken requests.
     pub incarnation: (Incarnation, bool),
-    /// Whether its links run without keys.
+    /// Whether the node's links run without keys.
     pub insecure: bool,
     /// The name of the program.
     pub build: &'a str,
-    /// The digest of what its scripts do ([`statements`](super::statements)).
+    /// The digest of what the node's scripts do ([`statements`](super::statements)).
     pub statements: u32,
 }
 
 impl FileRecorder {
-    /// Begins to record a node. `on_failure` is called at most once, when the disk fails: the node goes on, unrecorded.
+    /// Begins to record a node. If the disk fails, `on_failure` is called once, and the node goes on without a recording.
     ///
     /// # Errors
     /// [`WriteError`] if not even the beginning can be written.
@@ -101,10 +101,10 @@ impl FileRecorder {
             insecure: about.insecure,
             began: u64::try_from(began.as_micros()).unwrap_or(u64::MAX),
         };
-        // A queue of one record: no frames go into it.
+        // The queue has one place only, because no frames go through it.
         let recording = Recording::start(sink, &header, 1, on_failure)?;
         let tasks: Vec<TaskId> = table.tasks_on(table.node).collect();
-        // A power of two, at most the task's share.
+        // A power of two, not above the task's share of the slots.
         let slots = 1 << (SLOTS / tasks.len().max(1)).clamp(OF_A_TASK.0, OF_A_TASK.1).ilog2();
         let (mut aside, mut logs) = (Vec::new(), BTreeMap::new());
         for task in tasks {
@@ -117,15 +117,15 @@ impl FileRecorder {
         Ok(Arc::new(Self { recording, aside: aside.into(), logs }))
     }
 
-    /// How the recording is doing; `None` once it was stopped.
+    /// The status of the recording; `None` once it was stopped.
     #[must_use]
     pub fn status(&self) -> Option<Status> {
         let status = lock(&self.recording).as_ref().map(Recording::status)?;
         Some(self.with_losses(status))
     }
 
-    /// Ends the recording: to be called after the node has stopped. Waits at most `patience` for the disk. `None` if it was
-    /// stopped before.
+    /// Ends the recording. The node must have stopped before. This waits for the disk, at most for `patience`. Returns
+    /// `None` if the recording was stopped before.
     pub fn stop(&self, patience: Duration) -> Option<Status> {
         let recording = lock(&self.recording).take()?;
         self.aside.iter().for_each(|task| task.closed.store(true, Ordering::Release));
@@ -160,26 +160,28 @@ fn ends(task: TaskId, slots: usize, alert: Alert) -> (TaskLog, TaskSource) {
     (TaskLog { fill, alert, aside, needs_keyframe: false, pause: 0, told: 0 }, source)
 }
 
-/// The log of one communication task's steps. Used under that task's lock: nothing here blocks, allocates or enters the kernel,
-/// except to wake the writing thread: if that had found nothing to do, or whenever a quarter of the lane has filled up.
+/// The log of one communication task's steps. It is used under that task's lock, so nothing here blocks, allocates or enters
+/// the kernel. The one exception is waking the writing thread: if it had found nothing to do, or whenever another quarter of
+/// the lane has filled up.
 struct TaskLog {
     fill: Fill,
     alert: Alert,
     aside: Arc<Aside>,
-    /// Something was lost: until the next keyframe, nothing that is recorded of this task can be replayed.
+    /// Whether something was lost. Until the next keyframe, no record of this task can be replayed.
     needs_keyframe: bool,
-    /// After how many more losses a keyframe is worth another try, if the last state was too long to be recorded: as many as that
-    /// state had bytes, so that a try costs each step at most one byte.
+    /// After how many more losses another keyframe is tried, if the last state was too long to be recorded. The number is
+    /// that of the state's bytes, so that the tries cost one byte for each step at most.
     pause: usize,
     /// How many of the lost records have been reported in gaps.
     told: u64,
 }
 
 impl TaskLog {
-    /// The writer sleeps or is gone, or the record found no room.
+    /// Handles the rare cases of a step: the writer sleeps or is gone, or the record found no room.
     #[cold]
     fn attend(&mut self, taken: bool, inputs: u64) {
-        // After a loss nothing is recorded until a keyframe: it could not be replayed, and would only take room.
+        // After a loss nothing is recorded until a keyframe, because such records could not be replayed and would only take
+        // room.
         if !(taken && self.alert.call()) {
             self.aside.lost.fetch_add(1, Ordering::Relaxed);
             self.aside.lost_inputs.fetch_add(inputs, Ordering::Release);
@@ -208,13 +210,14 @@ impl Log for TaskLog {
         }
     }
 
-    /// Whether a keyframe is needed and the disk keeps up again. A keyframe takes time and memory to make, and while the disk
-    /// lags it would only be lost as well.
+    /// Whether a keyframe is needed and the disk keeps up again. A keyframe takes time and memory to make, and while the
+    /// disk does not keep up it would only be lost, too.
     fn wants_keyframe(&self) -> bool {
         self.needs_keyframe && self.pause == 0 && self.fill.is_half_free() && !self.alert.is_over()
     }
 
-    /// Writes the machine's state after a gap of lost steps. Unlike all else on the message path it allocates, once for each gap.
+    /// Writes the machine's state after a gap of lost steps. Unlike all other code on the message path it allocates, once
+    /// for each gap.
     fn keyframe(&mut self, machine: &CommTask, digest: OutputDigest) {
         // If the state cannot be serialised, no keyframe is written, and steps stay missing until the next keyframe.
         let Ok(state) = postcard::to_allocvec(machine) else { return };
@@ -232,12 +235,12 @@ impl Log for TaskLog {
     }
 }
 
-/// Where the writing thread finds the records of one task.
+/// The source from which the writing thread takes the records of one task.
 struct TaskSource {
     task: TaskId,
     drain: Drain,
     aside: Arc<Aside>,
-    /// How many inputs there were, without the lost ones, and the digest after the last one.
+    /// The number of inputs so far, without the lost ones, and the digest after the last input.
     inputs: u64,
     outputs: u64,
     /// How many of the lost records have been reported in gaps.
@@ -283,7 +286,8 @@ impl Source for TaskSource {
 
     fn finish(&mut self, append: &mut Append<'_>) -> Result<(), WriteError> {
         self.fetch(append)?;
-        // `lost_inputs` first: the acquire pairs with the release in `attend`, so `lost` covers all of these inputs.
+        // `lost_inputs` is read first: this acquire pairs with the release in `attend`, so that `lost` covers all of these
+        // inputs.
         let lost_inputs = self.aside.lost_inputs.load(Ordering::Acquire);
         let untold = self.aside.lost.load(Ordering::Relaxed) - self.told;
         let task = self.task;

@@ -1,4 +1,4 @@
-//! Records the inputs of a node's communication tasks, and shows in a replay that the machine does the same again.
+//! Records the inputs of a node's communication tasks, and checks in a replay that the state machine does the same again.
 //!
 //! A communication task is a pure function of its inputs and the time between them. Its log is written under its lock, so the log
 //! has the order in which the task took its inputs, and needs no global order. With every input comes a digest of all outputs so
@@ -28,45 +28,46 @@ use std::sync::Arc;
 /// One input of a communication task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Step {
-    /// How long after the previous step it came, in microseconds.
+    /// How long after the previous step this one came, in microseconds.
     pub elapsed: Ticks,
-    /// What came.
+    /// The input that came.
     pub input: Input,
 }
 
-/// Takes the inputs of a node's communication tasks, each into a log of its own.
+/// Receives the inputs of a node's communication tasks, and writes those of each task into a log of its own.
 pub trait Recorder: Send + Sync {
-    /// The log for the steps of `task`, from the start of the node on. `None` if they are not recorded. Called once for each
-    /// task, before anything happens.
+    /// The log for the steps of `task`, from the start of the node on. `None` if they are not recorded. This is called once
+    /// for each task, before the first step.
     fn log(self: Arc<Self>, task: TaskId) -> Option<Box<dyn Log>>;
 }
 
-/// Takes the inputs of one communication task. It is called under a lock that the node's messages wait for: it must store the
-/// step and return, and never write to a disk or wait.
+/// Receives the inputs of one communication task. It is called under a lock for which the node's messages wait. So it must
+/// store the step and return, and never write to a disk or wait.
 pub trait Log: Send {
-    /// A step that the task has taken, and the digest of everything that the task has put out, this step included. Returns
-    /// whether the task's state is wanted before the next step, because steps were lost.
+    /// Records a step that the task has taken, with the digest of all its outputs, those of this step included. Returns
+    /// whether the log wants the task's state before the next step, because steps were lost.
     fn step(&mut self, step: &Step, digest: OutputDigest) -> bool;
 
-    /// A step that the task's script is about to take, other than signals of its communication task, and the digest of everything
-    /// that the script has done before.
+    /// Records a step that the task's script is about to take, with the digest of everything that the script has done
+    /// before. Signals of the communication task are no such steps.
     fn script(&mut self, step: ScriptStep, done: OutputDigest) {
         let _ = (step, done);
     }
 
-    /// Whether the state of the task is wanted before its first step.
+    /// Whether the log wants the state of the task before its first step.
     fn wants_keyframe(&self) -> bool {
         false
     }
 
-    /// The machine's state between two steps, and the digest of everything that it has put out. Called if the state was wanted.
+    /// Records the state of the machine between two steps, with the digest of all its outputs. Called if the log wants the
+    /// state.
     fn keyframe(&mut self, machine: &CommTask, digest: OutputDigest) {
         let _ = (machine, digest);
     }
 }
 
-/// Identifies what scripts do: the digest of their programs, by task; zero if there are none. Two texts of a cell that differ in
-/// comments, or in names of their files, have the same digest.
+/// Identifies what scripts do: the digest of their programs, by task; zero if there are none. Texts of a cell that differ
+/// only in comments, or in the names of their files, have the same digest.
 #[must_use]
 pub fn statements<'p>(programs: impl IntoIterator<Item = (TaskId, &'p Program)>) -> u32 {
     let mut digest = OutputDigest::START;

@@ -1,5 +1,5 @@
-//! Packs what a communication task and its script take into words of a [`lane`](crate::sync::lane): few instructions for what
-//! comes with every message, postcard for the rest. Nothing of this leaves the process.
+//! Packs the inputs of a communication task and its script into words of a [`lane`](crate::sync::lane). Inputs that come
+//! with every message take few instructions; others are encoded with postcard. This format never leaves the process.
 //!
 //! ```text
 //! word 0   tag 8 | more about it 24 | elapsed 32        word 1   digest        2, 3   ports, tasks, numbers
@@ -14,7 +14,7 @@ use imrs_protocol::{
 };
 use imrs_wire::recording::ScriptStep;
 
-/// A slot is a cache line. Everything but what is taken in postcard needs one slot.
+/// The number of words of a slot, which is a cache line. Everything that is not encoded with postcard fits into one slot.
 const WORDS: usize = 8;
 type Words = [u64; WORDS];
 pub(super) type Fill = lane::Fill<WORDS>;
@@ -30,7 +30,7 @@ const SCRIPT: u64 = 6;
 const GAP: u64 = 7;
 const KEYFRAME: u64 = 8;
 
-/// More than any input takes in postcard.
+/// The size of a buffer that any input fits, encoded with postcard.
 const LONGEST: usize = 256;
 const SLOT_BYTES: usize = WORDS * size_of::<u64>();
 
@@ -49,11 +49,11 @@ pub(super) enum Entry {
     Gap {
         lost: u64,
     },
-    /// The next one of the states that are handed over beside the lane.
+    /// The mark of a keyframe: the next one of the states that pass beside the lane.
     Keyframe {
         outputs: u64,
     },
-    /// Words that cannot be read, by a fault of this module: the entry counts as lost.
+    /// Words that cannot be read, because of a fault of this module. The entry counts as lost.
     Unreadable,
 }
 
@@ -118,7 +118,7 @@ pub(super) fn script(fill: &mut Fill, step: ScriptStep, done: u64, crowded: impl
     one(fill, [which << 8 | SCRIPT, done, what, 0, 0, 0, 0, 0], crowded)
 }
 
-/// Puts in what was lost, and the mark of a keyframe: both or, if there is no room, neither.
+/// Puts a gap for the lost records and the mark of a keyframe into the lane: both or, if there is no room, neither.
 pub(super) fn keyframe(fill: &mut Fill, lost: u64, outputs: u64) -> bool {
     let room = fill.has_room(2, || ());
     if room {
@@ -141,7 +141,8 @@ fn one(fill: &mut Fill, words: Words, crowded: impl FnOnce()) -> bool {
     room
 }
 
-/// Puts any input into the lane, in postcard. An input that is too long for the buffer finds no room either.
+/// Puts any input into the lane, encoded with postcard. An input that is too long for the buffer counts as one that finds no
+/// room.
 #[cold]
 fn long(fill: &mut Fill, step: &Step, outputs: u64, crowded: impl FnOnce()) -> bool {
     let mut bytes = [0; LONGEST];
@@ -160,7 +161,7 @@ fn long(fill: &mut Fill, step: &Step, outputs: u64, crowded: impl FnOnce()) -> b
     room
 }
 
-/// Takes the next entry, if it is not beyond `until`, and gives its room back.
+/// Takes the next entry, unless it lies beyond `until`, and gives its room back.
 pub(super) fn take(drain: &mut Drain, until: usize) -> Option<Entry> {
     let words = drain.next(until)?;
     let entry = read(words, || drain.next(until));
@@ -269,7 +270,7 @@ fn id(number: u64) -> MessageId {
     }
 }
 
-/// The lowest 16 bits.
+/// The lowest 16 bits of a word.
 fn half(word: u64) -> u16 {
     let [a, b, ..] = word.to_le_bytes();
     u16::from_le_bytes([a, b])

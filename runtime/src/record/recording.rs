@@ -15,7 +15,7 @@ pub enum ReplayError {
     /// The recording is damaged.
     #[error(transparent)]
     Read(#[from] ReadError),
-    /// It was made with another cell.
+    /// The recording was made with another cell.
     #[error("the recording is of a cell with digest {recorded:08x}, not {given:08x}")]
     OtherCell {
         /// The digest in the recording.
@@ -23,7 +23,7 @@ pub enum ReplayError {
         /// The digest of the table to replay with.
         given: u32,
     },
-    /// It was made with the same declarations and other statements.
+    /// The recording was made with the same declarations and other statements.
     #[error("the recording is of statements with digest {recorded:08x}, not {given:08x}")]
     OtherStatements {
         /// The digest in the recording.
@@ -31,28 +31,29 @@ pub enum ReplayError {
         /// The digest of the given scripts.
         given: u32,
     },
-    /// It was made by another node, or by none.
+    /// The recording was made by another node, or by none.
     #[error("the recording holds no inputs of node {0}")]
     OtherNode(NodeId),
-    /// It holds records of a task of another node.
+    /// The recording contains records of a task of another node.
     #[error("the recording holds records of {0}, which runs on another node")]
     ForeignTask(TaskId),
-    /// It names a node, task or port that the cell does not have.
+    /// The recording names a node, task or port that the cell does not have.
     #[error("the recording of {0} names something that is not in its cell")]
     Unknown(TaskId),
-    /// It lasts longer, or begins later after the start of its machine, than a century.
+    /// The recording lasts longer than a century, or begins more than a century after the start of its machine.
     #[error("the recording says of {0} that more than a century passed: its times are damaged")]
     NoTime(TaskId),
-    /// A keyframe cannot be used.
+    /// A keyframe of the recording cannot be used.
     #[error(transparent)]
     Keyframe(#[from] KeyframeError),
 }
 
-/// A century, in microseconds: no node runs longer, and times of that length still add up.
+/// The longest recording: a century, in microseconds. No node runs longer, and times of that length can still be added.
 const LONGEST: u64 = 100 * 366 * 24 * 3_600 * 1_000_000;
 
-/// Replays what a node recorded, as far as the reader has whole records: one [`Replay`] for each task of the node, ascending.
-/// Afterwards [`RecordingReader::ending`] says whether the recording was ended; a verdict holds for what was read.
+/// Replays the recording of a node, as far as the reader has whole records: one [`Replay`] for each task of the node,
+/// ascending. Afterwards [`RecordingReader::ending`] says whether the recording was ended; a verdict holds for the records
+/// that were read.
 ///
 /// # Errors
 /// [`ReplayError`].
@@ -63,8 +64,8 @@ pub fn replay_recording<'t, R: Read>(
     replay_scripts(reader, table, |_| None, None)
 }
 
-/// As [`replay_recording`], with the scripts of those tasks that `script` knows. With a `watch`, which is told as
-/// [`Replay::watched`] says, the replays also keep what happened, which takes memory for all of it.
+/// As [`replay_recording`], with the scripts of those tasks that `script` knows. With a `watch`, which is informed as
+/// [`Replay::watched`] says, the replays also keep everything that happened, which takes memory for it.
 ///
 /// # Errors
 /// [`ReplayError`].
@@ -122,7 +123,7 @@ impl<'t> Replays<'t> {
     /// Runs the next records, at most `most`. Returns how many there were.
     ///
     /// # Errors
-    /// [`ReplayError`]. What comes after it cannot be judged.
+    /// [`ReplayError`]. Later records cannot be judged.
     pub fn go_on<R: Read>(
         &mut self,
         reader: &mut RecordingReader<R>,
@@ -135,7 +136,7 @@ impl<'t> Replays<'t> {
         Ok(most)
     }
 
-    /// Each task, ascending.
+    /// The replay of each task, ascending.
     pub fn iter(&self) -> impl Iterator<Item = &Replay<'t>> {
         self.0.iter()
     }

@@ -1,6 +1,6 @@
-//! Runs a machine again on recorded inputs, and compares everything that it puts out.
+//! Runs a state machine again on recorded inputs, and compares all its outputs.
 //!
-//! What was lost cannot be judged: the replay goes on from the next keyframe, and its verdict is [`Verdict::Unknown`], never
+//! Lost records cannot be judged: the replay goes on from the next keyframe, and its verdict is [`Verdict::Unknown`], never
 //! [`Verdict::Same`].
 
 use super::script::{Again, Watched};
@@ -19,7 +19,7 @@ use std::sync::Arc;
 /// A recorded step and the digest after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Recorded {
-    /// The step.
+    /// The recorded step.
     pub step: Step,
     /// The digest of all outputs up to this step.
     pub digest: OutputDigest,
@@ -28,22 +28,22 @@ pub struct Recorded {
 /// Why a replay cannot go on from a keyframe.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum KeyframeError {
-    /// The state cannot be read by this build.
+    /// This build cannot read the state.
     #[error("the state of {0} cannot be read: {1}")]
     Malformed(TaskId, postcard::Error),
-    /// The state has more bytes than a machine.
+    /// The keyframe has more bytes than the state of a machine needs.
     #[error("the state of {0} has {1} bytes too many")]
     Trailing(TaskId, usize),
-    /// The state is that of another task, or of another incarnation of the node.
+    /// The state belongs to another task, or to another incarnation of the node.
     #[error("the state given for {0} is that of {1} in incarnation {incarnation}", incarnation = .2.0)]
     Foreign(TaskId, TaskId, Incarnation),
-    /// The state is not one of a machine with the ports of this task: parts are missing, too many or out of bounds.
+    /// The state does not belong to a machine with the ports of this task: parts are missing, too many or out of bounds.
     #[error("the state of {0} is not one of its machine")]
     OutOfBounds(TaskId),
     /// The machine never reaches this state.
     #[error("the state of {0} breaks an invariant of its machine: {1}")]
     Unsound(TaskId, invariants::Violation),
-    /// No step is missing before the keyframe, and yet it has another state or other outputs.
+    /// No step is missing before the keyframe, and yet its state or its outputs differ from the replayed ones.
     #[error("the keyframe of {0} contradicts the steps before it")]
     Contradicts(TaskId),
 }
@@ -54,7 +54,7 @@ pub struct Replay<'t> {
     table: &'t NodeTable,
     task: TaskId,
     incarnation: Incarnation,
-    /// `None` while the machine's state is not known.
+    /// The replayed machine; `None` while its state is not known.
     machine: Option<CommTask>,
     digest: OutputDigest,
     judged: usize,
@@ -64,19 +64,19 @@ pub struct Replay<'t> {
     broken: Option<InvariantBroken>,
     miscount: Option<Miscount>,
     closed: bool,
-    /// `None` if the task has no script to replay, or the script's state is not known.
+    /// The replayed script; `None` if the task has no script to replay, or the script's state is not known.
     script: Option<Again>,
     script_divergence: Option<ScriptDivergence>,
-    /// Microseconds since the first step.
+    /// The time since the first step, in microseconds.
     passed: u64,
     /// The node's clock at the first step.
     base: Option<u64>,
-    /// What happened, by microseconds since the first step.
+    /// What happened, with the time of each event in microseconds since the first step; `None` if it is not kept.
     happened: Option<Vec<(u64, Happened)>>,
 }
 
 impl<'t> Replay<'t> {
-    /// The machine of `task` at the start of this incarnation of its node.
+    /// The replay of `task`, whose machine begins at the start of this incarnation of its node.
     #[must_use]
     pub fn new(table: &'t NodeTable, task: TaskId, incarnation: Incarnation, restarted: bool) -> Self {
         Self {
@@ -100,14 +100,14 @@ impl<'t> Replay<'t> {
         }
     }
 
-    /// Replays the task's script, too.
+    /// Also replays the task's script.
     #[must_use]
     pub fn with_script(self, program: &Arc<Program>) -> Self {
         Self { script: Some(Again::new(program)), ..self }
     }
 
-    /// Tells `watch` what the script asks and is answered, and the state of its task. Times are microseconds since the first
-    /// step; [`base`](Self::base) says when that was.
+    /// Informs `watch` of the requests of the script, their answers, and the state of its task. Times are microseconds since
+    /// the first step; [`base`](Self::base) says when that step was.
     #[must_use]
     pub fn watched(mut self, watch: &Arc<dyn Watch>) -> Self {
         let watched = Watched { task: self.task, watch: Arc::clone(watch) };
@@ -123,16 +123,16 @@ impl<'t> Replay<'t> {
         self.base
     }
 
-    /// Keeps what happens, for [`happened`](Self::happened).
+    /// Keeps everything that happens, for [`happened`](Self::happened).
     #[must_use]
     pub fn keeping(self) -> Self {
         Self { happened: Some(Vec::new()), ..self }
     }
 
-    /// Runs the next step. After a gap, or after a step with other outputs, steps are only counted until a keyframe comes.
+    /// Runs the next step. After a gap, or after a step whose outputs differ, steps are only counted until a keyframe comes.
     pub fn step(&mut self, entry: Recorded) {
         if self.closed {
-            // Counted, and reported as one too many.
+            // Such a step is only counted, and reported as one too many.
             self.unjudged += 1;
             self.close(self.found() - 1, self.digest);
             return;
@@ -145,7 +145,7 @@ impl<'t> Replay<'t> {
         if self.script.as_mut().is_some_and(|script| !script.expects(&entry.step.input)) {
             self.lose_script();
         }
-        // The script stops with its last request: now, and not when it last did something.
+        // The script stops with its last request, which comes now, and not at the time when it last did something.
         if let Input::Request(Request::Cancel) = entry.step.input
             && let Some((at, Happened::Stopped)) =
                 self.happened.as_mut().and_then(|happened| happened.last_mut())
@@ -163,7 +163,7 @@ impl<'t> Replay<'t> {
         }
         let mut out = Digesting { digest: Some(&mut self.digest), out: &mut heard };
         let run = || run_checked((machine, self.table), entry.step, &mut out);
-        // A recording may say anything. An input that a machine cannot take is the recording's fault, to be reported.
+        // A recording may contain anything: an input that the machine cannot take is a fault of the recording.
         let ran = catch_unwind(AssertUnwindSafe(run)).ok();
         let (sound, went_wrong) = (ran.unwrap_or(Ok(())), ran.is_none());
         if let Err(violation) = sound {
@@ -183,7 +183,7 @@ impl<'t> Replay<'t> {
         (self.machine, self.script) = (None, None);
     }
 
-    /// The script takes a step that follows from no step of its communication task.
+    /// Takes a step of the script that follows from no step of its communication task.
     pub fn script(&mut self, step: ScriptStep, done: OutputDigest) {
         if let ScriptStep::Begin { at } = step {
             self.base.get_or_insert(at.saturating_sub(self.passed));
@@ -208,7 +208,7 @@ impl<'t> Replay<'t> {
         script.show(self.passed, machine);
     }
 
-    /// What happened, in order, if it was kept. `None` if its time is not known, or not all of it is.
+    /// What happened, in order, if it was kept. `None` if its time is not known, or if parts are missing.
     #[must_use]
     pub fn happened(self) -> Option<Vec<Happening>> {
         let (task, base) = (self.task, self.base?);
@@ -222,17 +222,17 @@ impl<'t> Replay<'t> {
         )
     }
 
-    /// Records are missing here.
+    /// Notes that records are missing here.
     pub fn gap(&mut self, lost: u64) {
         self.lost = self.lost.saturating_add(lost);
         (self.machine, self.script) = (None, None);
     }
 
-    /// The node stopped: since its start the task had taken `inputs` inputs, and `outputs` is the digest of what it had put out.
+    /// Notes that the node stopped. Its task took `inputs` inputs since the start; `outputs` digests all its outputs.
     pub fn close(&mut self, inputs: u64, outputs: OutputDigest) {
         self.closed = true;
         let found = self.found();
-        // Some of the lost records are no inputs.
+        // Some of the lost records may be no inputs.
         let counts = found <= inputs && inputs <= found.saturating_add(self.lost);
         if !counts || (self.machine.is_some() && outputs != self.digest) {
             let (task, said, said_outputs, outputs) = (self.task, inputs, outputs, self.digest);
@@ -272,7 +272,7 @@ impl<'t> Replay<'t> {
         Ok(())
     }
 
-    /// Whether the cell has what an input names. A running node drops other packets before its tasks take them.
+    /// Whether the cell has all that an input names. A running node drops other packets before its tasks take them.
     pub(super) fn knows(&self, input: &Input) -> bool {
         match input {
             Input::Packet(packet) => {
@@ -285,12 +285,12 @@ impl<'t> Replay<'t> {
         }
     }
 
-    /// How long after its first step the last one came, in microseconds.
+    /// How long after the task's first step the last one came, in microseconds.
     pub(super) const fn passed(&self) -> u64 {
         self.passed
     }
 
-    /// The task.
+    /// The replayed task.
     #[must_use]
     pub const fn task(&self) -> TaskId {
         self.task
@@ -308,13 +308,13 @@ impl<'t> Replay<'t> {
         self.unjudged
     }
 
-    /// How many records are missing.
+    /// How many records are missing so far.
     #[must_use]
     pub const fn lost(&self) -> u64 {
         self.lost
     }
 
-    /// The verdict on the steps that were replayed so far. A difference from the recording stays in it.
+    /// The verdict on the steps that were replayed so far. Once a step differs from the recording, the verdict stays.
     #[must_use]
     pub const fn verdict(&self) -> Verdict {
         if let Some(broken) = self.broken {
@@ -332,7 +332,7 @@ impl<'t> Replay<'t> {
     }
 }
 
-/// Runs one step: first what is due, then the input (the runtime gives both at once). Checks the machine after each.
+/// Runs one step: first everything that is due, then the input, as the runtime does. Checks the machine after each.
 fn run_checked(
     (machine, table): (&mut CommTask, &NodeTable),
     step: Step,
@@ -348,7 +348,7 @@ fn run_checked(
 }
 
 /// Runs the machine of `task` through its recorded inputs, from the start of this incarnation of its node, and compares all
-/// outputs. Returns how many steps were run.
+/// outputs. Returns how many steps ran.
 ///
 /// # Errors
 /// The first step whose outputs differ.

@@ -1,4 +1,4 @@
-//! Runs the scripts of a recording again, beside their communication tasks, and compares what they do.
+//! Runs the scripts of a recording again, beside their communication tasks, and compares their acts.
 
 use super::OutputDigest;
 use crate::script::{Note, Stands, Watch};
@@ -9,8 +9,9 @@ use serde::Serialize;
 use std::fmt;
 use std::sync::Arc;
 
-/// An act of a script, as it enters the digest; statements that a script begins enter by themselves. What a script asks is
-/// compared as the input that it becomes. The order of the variants is part of the recordings' format.
+/// An act of a script, as it enters the digest. The statements that a script begins enter the digest, too, but not as acts.
+/// A request of a script is compared as the input that it becomes. The order of the variants is part of the recordings'
+/// format.
 #[derive(Serialize)]
 pub(crate) enum Did<'a> {
     Acts { level: u8, action: u16, arguments: &'a [i64], least: Ticks, most: Ticks },
@@ -26,7 +27,7 @@ impl<'a> Did<'a> {
     }
 }
 
-/// The watch that is told what a replayed script does.
+/// A watch, which is informed of the acts of a replayed script.
 #[derive(Clone)]
 pub(super) struct Watched {
     pub task: TaskId,
@@ -44,7 +45,7 @@ impl fmt::Debug for Watched {
 pub(super) struct Again {
     host: ScriptHost,
     done: OutputDigest,
-    /// What the script asked and the recording has not shown yet.
+    /// The request that the script has made and that the recording has not shown yet.
     asked: Option<Request>,
     pub watched: Option<Watched>,
 }
@@ -86,8 +87,8 @@ impl Again {
         self.host.tell(ScriptInput::Signal(signal));
     }
 
-    /// Takes the input of a recorded step. `None` if the script's acts so far differ, or a request to its communication task is
-    /// still open.
+    /// Gives the script the input of a recorded step. Returns `None` if the script's acts so far differ from the recorded
+    /// ones, or if its request to the communication task is still open.
     pub fn take(&mut self, step: ScriptStep, done: OutputDigest) -> Option<Happened> {
         if self.done != done || self.asked.is_some() {
             return None;
@@ -110,8 +111,8 @@ impl Again {
         Some(what)
     }
 
-    /// The script goes on until it waits or asks. A driver passes the request on; here the recording shows it next, as an input of
-    /// the communication task.
+    /// Runs the script until it waits or makes a request. A driver would pass the request on; here the recording must show
+    /// it next, as an input of the communication task.
     pub fn go_on(
         &mut self,
         at: u64,
@@ -140,7 +141,7 @@ impl Out<'_> {
         }
     }
 
-    /// What the script does with its present input.
+    /// The turn of the script with its present input; `None` if there is none.
     fn turn(&mut self) -> Option<&mut Turn> {
         match self.happened.as_mut()?.last_mut()? {
             (_, Happened::Turn(turn)) => Some(turn),
@@ -158,7 +159,7 @@ impl ScriptOutbox for Out<'_> {
         self.done.add(&Did::CutShort(level));
     }
 
-    /// The recording has the choice next.
+    /// Returns no choice here, because the recording has it next.
     fn choose(&mut self, _: u16) -> Option<u16> {
         None
     }

@@ -4,19 +4,19 @@ use super::{OutputDigest, Step};
 use imrs_protocol::TaskId;
 use imrs_protocol::invariants::Violation;
 
-/// The machine did something else than the recording says.
+/// The first step in which the machine did not do what the recording says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("step {index} of {task} put out something else than recorded: {step:?}")]
 pub struct Divergence {
-    /// The communication task's task.
+    /// The task of the communication task.
     pub task: TaskId,
-    /// Which step, counted from zero; steps that were not recorded are not counted.
+    /// The number of the step, counted from zero without the steps that were not recorded.
     pub index: usize,
-    /// The step.
+    /// The step whose outputs differ.
     pub step: Step,
-    /// The recorded digest after it.
+    /// The recorded digest after the step.
     pub recorded: OutputDigest,
-    /// The digest after it now.
+    /// The digest after the step in the replay.
     pub replayed: OutputDigest,
 }
 
@@ -27,13 +27,13 @@ pub enum Verdict {
     Same,
     /// Every output that could be judged was the same, but steps are missing.
     Unknown,
-    /// The first step that put out something else.
+    /// A step put out something else than recorded; this is the first one.
     Differs(Divergence),
     /// The script of the task did something else than recorded.
     ScriptDiffers(ScriptDivergence),
     /// An invariant that holds of every machine did not hold of this one.
     Breaks(InvariantBroken),
-    /// The recording does not have what it says that it has.
+    /// The last record of the task contradicts the records before it.
     Miscounts(Miscount),
 }
 
@@ -41,11 +41,11 @@ pub enum Verdict {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("at step {index} of {task}: {violation}")]
 pub struct InvariantBroken {
-    /// The communication task's task.
+    /// The task of the communication task.
     pub task: TaskId,
-    /// Which step, counted as in [`Divergence`].
+    /// The number of the step, counted as in [`Divergence`].
     pub index: usize,
-    /// What does not hold.
+    /// The invariant that does not hold.
     pub violation: Violation,
 }
 
@@ -53,23 +53,23 @@ pub struct InvariantBroken {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{task} took {said} inputs with outputs {said_outputs:016x}, the recording has {found} with {outputs:016x}", said_outputs = .said_outputs.0, outputs = .outputs.0)]
 pub struct Miscount {
-    /// The task.
+    /// The task whose outputs were miscounted.
     pub task: TaskId,
-    /// How many inputs it took, by its last record.
+    /// How many inputs the task took, by its last record.
     pub said: u64,
-    /// How many there are.
+    /// How many inputs the recording has.
     pub found: u64,
-    /// The digest of its outputs, by its last record.
+    /// The digest of the task's outputs, by its last record.
     pub said_outputs: OutputDigest,
     /// The digest of the replayed outputs.
     pub outputs: OutputDigest,
 }
 
-/// The script did something else than the recording says.
+/// The script of a task did something else than the recording says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("after step {index} of {task} its script did something else than recorded")]
 pub struct ScriptDivergence {
-    /// The task.
+    /// The task whose script differs.
     pub task: TaskId,
     /// How many steps of the communication task had been run.
     pub index: usize,

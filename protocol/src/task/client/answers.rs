@@ -13,7 +13,7 @@ use crate::task::step::{Outbox, Step};
 use crate::task::wait::{Ended, Finished, Pending};
 
 impl Client {
-    /// Records the result for one asked task. The last missing result ends the request.
+    /// Records the result for one recipient. The last missing result ends the request.
     fn mark(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -49,7 +49,7 @@ impl Client {
         } else if matches!(outcome, Outcome::Reply(_)) && request.recipients.iter().any(is_long) {
             Finished::Long(at)
         } else {
-            // Nothing else of the request needs to be kept.
+            // No other part of the request needs to be kept.
             request.close();
             return Ended { wait: Some(Pending::Reply(at)), finished: Finished::Outcome(outcome) };
         };
@@ -75,7 +75,7 @@ impl Client {
         }
     }
 
-    /// Takes an answer of another task than the one that was asked (D11).
+    /// Takes an answer from another task than the recipient of the request (D11).
     pub fn third_party(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -143,7 +143,7 @@ impl Client {
         self.mark(step, (at, recipient), event)
     }
 
-    /// The transit buffer dropped a packet of one of the task's requests.
+    /// Notes that the transit buffer dropped a packet of one of the task's requests.
     pub fn unsent(&mut self, id: MessageId) {
         for request in &mut self.requests {
             if let Some(at) = request.waits_for(id) {
@@ -152,7 +152,8 @@ impl Client {
         }
     }
 
-    /// A node has a new incarnation: its tasks do not answer any more. Ends at most one wait: call it until it returns `None`.
+    /// Notes that a node has a new incarnation, whose tasks do not answer earlier requests. A call ends at most one wait:
+    /// the caller repeats it until it returns `None`.
     pub fn restarted(&mut self, step: &mut Step<'_, impl Outbox>, node: NodeId) -> Option<Ended> {
         let table = step.table;
         let is_there = |recipient: &Recipient| {

@@ -45,9 +45,9 @@ pub(super) struct Recipient {
     pub answer: Answer,
     /// The number of packets of the request that may have left the node.
     pub packets_out: u16,
-    /// Its answer, or a third-party reply in its place (D11).
+    /// The task's answer, or a third-party reply in its place (D11).
     pub contents: Assembly,
-    /// The port and sender of an incomplete answer: fragments of two senders do not make one answer.
+    /// The port and the sender of an incomplete answer, because fragments of two senders do not make one answer.
     pub by: Option<(PortId, TaskId)>,
 }
 
@@ -55,7 +55,7 @@ pub(super) struct Recipient {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Outstanding {
     pub port: PortId,
-    /// The position of the port's endpoint.
+    /// The position of the endpoint of the request's port.
     pub endpoint: u16,
     pub phase: Phase,
     /// Whether the request goes to several tasks.
@@ -66,12 +66,12 @@ pub(super) struct Outstanding {
     pub copy_at: Instant,
     pub contents: Contents,
     pub parts: Parts,
-    /// All tasks that may be asked, in the order of the port's parties.
+    /// All tasks that the task may ask on the port, in the order of the port's parties.
     pub recipients: Box<[Recipient]>,
 }
 
 impl Recipient {
-    /// Whether its answer to this message is missing.
+    /// Whether this task's answer to the message with this id is missing.
     pub fn waits_for(&self, id: MessageId) -> bool {
         self.answer == Answer::Open && self.id == id
     }
@@ -142,13 +142,13 @@ impl Outstanding {
         self.recipients.iter().position(|recipient| open && recipient.waits_for(id))
     }
 
-    /// A task was asked, by a message of so many packets.
+    /// Notes that a recipient was sent a message of so many packets.
     pub fn sent(&mut self, recipient: usize, id: MessageId, packets: u8) {
         let recipient = &mut self.recipients[recipient];
         (recipient.id, recipient.answer, recipient.packets_out) = (id, Answer::Open, packets.into());
     }
 
-    /// The outcome was reported. The answers stay readable until the next request.
+    /// Notes that the outcome was reported. The answers stay readable until the next request.
     pub fn tell(&mut self) {
         self.phase = Phase::Closed;
     }
@@ -162,7 +162,7 @@ impl Outstanding {
 
     /// Forgets the answers.
     pub fn forget(&mut self) {
-        // A task that was not asked since the last time has nothing to forget.
+        // A recipient that was not asked by the last request has nothing to forget.
         for recipient in self.recipients.iter_mut().filter(|recipient| recipient.answer != Answer::NotAsked) {
             (recipient.answer, recipient.packets_out, recipient.id) =
                 (Answer::NotAsked, 0, MessageId::default());
@@ -185,7 +185,7 @@ impl Outstanding {
         self.copy_at = if retries > 0 { now + port.decl.resend } else { Instant::NEVER };
     }
 
-    /// Validates a deserialised request: its port and capacities are those of a new one.
+    /// Validates a deserialised request: its port and its capacities must be those of a new one.
     pub fn is_like(&self, new: &Self) -> bool {
         let is = |read: &Recipient, new: &Recipient| {
             (read.task, read.party) == (new.task, new.party) && read.contents.has_room_of(&new.contents)
@@ -195,7 +195,7 @@ impl Outstanding {
             && are_alike(&self.recipients, &new.recipients, is)
     }
 
-    /// Clears the deadline, the retransmissions and the request itself.
+    /// Clears the deadline, the retransmissions and the id of the request.
     pub fn settle(&mut self) {
         (self.deadline, self.copy_at, self.copies_left) = (Instant::NEVER, Instant::NEVER, 0);
         self.contents = Contents::EMPTY;

@@ -14,7 +14,7 @@ const PHASES: [Phase; 3] = [Phase::Closed, Phase::Open, Phase::Ended];
 const ANSWERS: [Answer; 5] =
     [Answer::NotAsked, Answer::Open, Answer::Answered, Answer::Refused, Answer::Restarted];
 
-/// Fields that the packed bytes contain only if the port's declaration needs them.
+/// Which fields the packed bytes contain, because the port's declaration needs them.
 #[derive(Clone, Copy)]
 struct Form {
     retries: bool,
@@ -32,7 +32,7 @@ impl Form {
     }
 }
 
-/// The state of the request to the only asked task, implied by the phase of a request that is not closed.
+/// The state of the request to the only recipient. The phase of a request that is not closed implies it.
 const fn one(phase: Phase) -> Answer {
     match phase {
         Phase::Closed | Phase::Open => Answer::Open,
@@ -47,7 +47,7 @@ impl Client {
         own: (TaskId, Incarnation),
         w: &mut W,
     ) {
-        // Visited by `walk_overdue`.
+        // `walk_overdue` visits the field `overdue`.
         let Self { requests, overdue: _ } = self;
         requests.iter_mut().for_each(|request| request.walk(table, own, w));
     }
@@ -122,7 +122,7 @@ impl Outstanding {
             }
             return;
         }
-        // The state of a request to one task is not packed: the phase implies it.
+        // The state of a request to one recipient is not packed, because the phase implies it.
         let at = recipients.iter().position(|recipient| recipient.answer == one(*phase));
         if !W::READS && at.is_none() {
             return;
@@ -150,7 +150,7 @@ impl Recipient {
         if *answer == Answer::NotAsked {
             return;
         }
-        // Once the request has ended, no answer is matched to this id.
+        // Once the request has ended, no answer is compared with this id.
         if open && phase == Phase::Open {
             w.id(own, incarnation, id);
         }
@@ -159,7 +159,7 @@ impl Recipient {
         }
         if form.long_answers {
             contents.walk_answer(w);
-            // The sender of an answer that is incomplete.
+            // This visits the sender of an incomplete answer.
             let missing = open && contents.is_open() && (W::READS || by.is_some());
             if let Some((port, task)) = w.some(by, missing, (PortId(0), TaskId(0))) {
                 w.small(&mut port.0);

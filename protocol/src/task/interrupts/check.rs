@@ -58,7 +58,7 @@ impl Interrupts {
             }
             names[word] |= bit;
         }
-        // An ended timer that outranks an interruptible activation should have been offered.
+        // A timer that has ended and outranks an interruptible activation should already have begun its handler.
         let kept = self.first_timer(table, own).filter(|_| self.is_interruptible(false, called));
         let Some(What::Timer(at)) = kept.map(|offer| offer.what) else { return Ok(()) };
         let kept = self.timers.slots[at];

@@ -12,18 +12,20 @@ pub(crate) struct Offer {
     pub what: What,
 }
 
-/// The first part of the key: it goes before rank and urgency.
+/// The first part of the key of an offer, which counts before rank and urgency.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Turn {
     /// The task has lost its lease, or takes over (D61).
     Lease,
-    /// A capped message: rejected as often as ranks are above it. The first rejected goes first (D58).
+    /// A capped message: it was rejected as often as ranks stand above it. The message with the earliest first rejection
+    /// goes first (D58).
     Capped(u64),
-    /// A message of a port that was bypassed too often. The most bypassed goes first, so the count is inverted.
+    /// A message of a port that was bypassed too often. The port with the most bypasses goes first, so the count is
+    /// inverted.
     Bypassed(u16),
     InOrder,
-    /// A capped message right after another one. What outranks by itself goes first, or a flood of rejected messages
-    /// would starve the first rank (D76).
+    /// A capped message right after another one. Messages that outrank the running activation by themselves go before it,
+    /// because otherwise a flood of rejected messages would starve the first rank (D76).
     CappedAgain(u64),
 }
 
@@ -31,12 +33,12 @@ pub(crate) enum Turn {
 pub(crate) enum What {
     Lease,
     Timer(usize),
-    /// A message: the position of its inbox, and its slot there.
+    /// A message: the position of its inbox, and its slot in that inbox.
     Message(usize, Slot),
 }
 
 impl Offer {
-    /// The pending call of the lease outranks everything.
+    /// The offer of the lease's pending call, which outranks everything.
     pub const LEASE: Self =
         Self { key: (Turn::Lease, 0, Instant::START, Class::Command, PortId(0), 0), what: What::Lease };
 }

@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) struct Started {
     pub id: TimeId,
-    /// The number of its start.
+    /// The number of this start of the timer.
     pub turn: u8,
 }
 
@@ -24,7 +24,7 @@ pub(super) struct Started {
 #[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) struct Timers {
     pub slots: [Option<Started>; TIMERS],
-    /// Bit `i`: the timer in slot `i` has ended, and its handler has not begun.
+    /// A bit mask: bit `i` says that the timer in slot `i` has ended, and its handler has not begun.
     pub ended: u8,
 }
 
@@ -39,7 +39,7 @@ impl Timers {
         (0..TIMERS).all(is_there)
     }
 
-    /// Frees a slot; true if its timer had ended.
+    /// Frees a slot. Returns whether its timer had ended.
     fn take(&mut self, at: usize) -> bool {
         let ended = self.ended & (1 << at) != 0;
         self.slots[at] = None;
@@ -62,12 +62,12 @@ impl Interrupts {
         turn
     }
 
-    /// Whether an activation delays under this name.
+    /// Whether an activation waits in a delay of this name.
     fn is_named(&self, id: TimeId) -> bool {
         self.threads().any(|activation| matches!(activation.pending, Pending::Delay(delay, _) if delay == id))
     }
 
-    /// The running activation delays.
+    /// Lets the running activation wait in a delay.
     pub fn delay(&mut self, id: TimeId, length: Ticks, out: &mut impl Outbox) -> Result<(), Fault> {
         if self.is_named(id) || self.timers.find(id).is_some() {
             return Err(Fault::Busy);
@@ -92,7 +92,7 @@ impl Interrupts {
         Ok(())
     }
 
-    /// Stops a timer. If it has ended and no handler has begun for it, none will.
+    /// Stops a timer. If the timer has ended and its handler has not begun, the handler will not begin.
     pub fn stop(&mut self, id: TimeId, out: &mut impl Outbox) {
         if let Some(at) = self.timers.find(id)
             && !self.timers.take(at)
@@ -103,13 +103,13 @@ impl Interrupts {
 
     /// Stops all timers.
     pub fn stop_all(&mut self, out: &mut impl Outbox) {
-        // In the order of their names, because packed states do not contain the slots.
+        // The timers stop in the order of their names, because packed states do not contain the slots.
         while let Some(id) = self.timers.slots.iter().flatten().map(|started| started.id).min() {
             self.stop(id, out);
         }
     }
 
-    /// The node's Timer reports the end of a delay or a timer. True if it was the delay of the running activation.
+    /// The node's Timer reports the end of a delay or a timer. Returns whether it was the delay of the running activation.
     pub fn time_is_over(&mut self, id: TimeId, turn: u8) -> bool {
         let Timers { slots, ended } = &mut self.timers;
         if let Some(at) = slots.iter().position(|slot| *slot == Some(Started { id, turn })) {
@@ -133,7 +133,7 @@ impl Interrupts {
         offers.min()
     }
 
-    /// Takes an ended timer, whose handler begins.
+    /// Takes an ended timer out of its slot, because its handler begins.
     pub fn take_timer(&mut self, at: usize) -> TimeId {
         let id = self.timers.slots[at].map_or(TimeId(0), |started| started.id);
         self.timers.take(at);

@@ -16,7 +16,7 @@ const TIMERS: u8 = 0x20;
 const ATOMIC: u8 = 0x40;
 const CAPPED: u8 = 0x80;
 
-/// Codes of waits: the lower ones are fixed, and from each of these on they count requests or meetings.
+/// Codes of waits. The lower ones are fixed; from each of these on, the codes count requests or meetings.
 const REQUESTS: u8 = 0x10;
 const MEETINGS: u8 = 0x80;
 
@@ -48,7 +48,7 @@ impl Interrupts {
     pub(in crate::task) fn walk<W: Walk>(&mut self, order: &mut ServiceOrder, couple: Option<u8>, w: &mut W) {
         let Self { running, interrupted, depth, capped_last, next_turn, timers } = self;
         if W::READS {
-            // Not packed: a single thread drives a packed task, so no report of an earlier start is in flight.
+            // This is not packed: a single thread drives a packed task, so no report of an earlier start is in flight.
             *next_turn = 0;
         }
         let started = timers.slots.iter().flatten().count();
@@ -84,7 +84,7 @@ impl Interrupts {
                     (*rank, *atomic) = (byte & LEVELS, byte & ATOMIC != 0);
                 }
             }
-            // The running activation has been told how its wait ended.
+            // The running activation has already been told how its wait ended.
             if i < top {
                 walk_finished(finished, couple, w);
             }
@@ -97,7 +97,7 @@ impl Interrupts {
         }
     }
 
-    /// Whether an interrupted activation has left a meeting of this port: it has yet to read the members' arguments.
+    /// Whether an interrupted activation has left a meeting of this port, and has yet to read the members' arguments.
     pub(in crate::task) fn is_unread(&self, port: PortId) -> bool {
         self.threads().any(|activation| match &activation.finished {
             Some(Finished::Released { port: of, .. } | Finished::GaveUp { port: of, .. }) => *of == port,
@@ -133,14 +133,15 @@ fn walk_order<W: Walk>(order: &mut ServiceOrder, count: usize, w: &mut W) {
     }
 }
 
-/// In the order of their names: the slots do not matter.
+/// Visits the timers in the order of their names, because the slots do not matter.
 fn walk_timers<W: Walk>(timers: &mut Timers, started: usize, w: &mut W) {
     let Timers { slots, ended } = timers;
     let mut sorted: [_; super::TIMERS] = core::array::from_fn(|at| (slots[at], *ended & (1 << at) != 0));
     sorted.sort_unstable_by_key(|(started, _)| started.map_or(u16::MAX, |started| u16::from(started.id.0)));
     let started = w.count(started);
     for (place, over) in sorted.iter_mut().take(started) {
-        // Not packed: which start it is. A single thread drives a packed task, so no report of an earlier one is in flight.
+        // The number of the start is not packed: a single thread drives a packed task, so no report of an earlier start is
+        // in flight.
         let Started { id, turn: _ } = place.get_or_insert(Started { id: TimeId(0), turn: 0 });
         w.byte(&mut id.0);
         w.flag(over);
@@ -187,7 +188,7 @@ impl Pending {
                 w.instant(deadline);
             }
             Self::Delay(id, _) => w.byte(&mut id.0),
-            // The code contains everything.
+            // The code contains everything about these waits.
             Self::Nothing | Self::Work | Self::Boundary | Self::Lease | Self::Reply(_) | Self::Meeting(_) => {
             }
         }

@@ -24,7 +24,8 @@ impl Lease {
         let contents = Contents::new(&[back[0], back[1], self.epoch, whose, guessed]).unwrap_or_default();
         let packet = mapping::message(port, step.own.task, self.partner, id, ttl, contents);
         step.out.transmit(Packet { kind: Kind::Query, ..packet });
-        // Counted from the due instant: lateness does not add up. After a pause one heartbeat is sent, not all missed ones.
+        // The next heartbeat is counted from the due instant, so that lateness does not add up. After a pause one heartbeat
+        // is sent, not all those that were missed.
         let next = self.heartbeat_at + couple.every;
         self.heartbeat_at = if next > step.now() { next } else { step.now() + couple.every };
     }
@@ -50,7 +51,8 @@ impl Lease {
         let echoed = packet.id.sequence.plus(Seq24::MODULUS - back);
         let renewed = match step.table.rules().lease {
             LeaseRule::Echoed => {
-                // An echo of an earlier incarnation's answer does not count: that answer was sent earlier (D81).
+                // An echo of the answer of an earlier incarnation does not count, because that answer was sent earlier
+                // (D81).
                 let own = back != 0 && whose == step.own.incarnation.0;
                 let answered = self.answered.iter().flatten().find(|a| own && a.heartbeat == echoed);
                 answered.map(|answered| answered.until)
@@ -60,12 +62,12 @@ impl Lease {
         if let Some(until) = renewed.filter(|&until| until > step.now()) {
             match self.post {
                 Post::Leased(held) => self.post = Post::Leased(held.max(until)),
-                // The task may still be about to act: it must first learn that it was fenced.
+                // The task may still believe that it acts: it must first learn that it was fenced.
                 Post::Waits if self.call.is_some() => {}
                 // All recorded answers announce this epoch, so an echo of any of them renews the lease, too.
                 Post::Waits => {
                     self.stand(Post::Leased(until));
-                    // The heartbeat variant has no answer that proposed the epoch.
+                    // Under the heartbeat variant no answer has proposed the epoch yet.
                     self.propose();
                     (self.proposed, self.guessed) = (false, false);
                 }
@@ -127,15 +129,16 @@ impl Lease {
             (self.answered, self.newest, self.echo) = ([None; ANSWERS], None, None);
         }
         self.hear_of(epoch, guessed != 0);
-        // An echo that can renew nothing counts as none, even before a heartbeat drops it.
+        // An echo that can no longer renew the lease counts as none, even before a heartbeat drops it.
         self.echo = self.echo.filter(|echo| echo.until > step.now());
         let newest = self.echo.is_none_or(|echo| packet.id.sequence.is_newer_than(echo.heartbeat));
         if newest {
-            // The partner's lease counts from the sending: it has ended by then whatever the drift, so a later echo is of no use.
+            // The partner's lease counts from the sending of the answer. By the time of the take-over it has ended whatever
+            // the drift, so a later echo is of no use.
             self.echo = Some(Answered { heartbeat: packet.id.sequence, until: step.now() + couple.takeover });
             self.said = Contents::new(bytes.get(ECHO_BYTES..).unwrap_or(&[])).unwrap_or_default();
         }
-        // An older answer than the newest may only postpone the take-over, not disarm it.
+        // An answer that is older than the newest may postpone the take-over, but not disarm it.
         let may = !couple.mutual || mode == LEASED || self.takeover_at != Instant::NEVER;
         self.takeover_at = if mode == ALONE && newest {
             Instant::NEVER
@@ -146,9 +149,10 @@ impl Lease {
         };
     }
 
-    /// Whether a heartbeat is from the partner's present incarnation. A new incarnation has received no answer. The earlier one
-    /// may have acted in an epoch that is unknown now, and so may this task's own: one epoch of each side is skipped. If the
-    /// partner guesses, its earlier incarnation may have guessed, too, and acted two epochs above its guess.
+    /// Whether a heartbeat is from the partner's present incarnation. A new incarnation has received no answer. The
+    /// partner's earlier incarnation may have acted in an epoch that is unknown now, and so may an earlier incarnation of
+    /// this task: one epoch of each side is skipped. If the partner guesses, its earlier incarnation may have guessed, too,
+    /// and may have acted two epochs above that guess.
     fn enter_incarnation(&mut self, incarnation: Incarnation, epoch: u8, guessed: bool) -> bool {
         if self.incarnation.is_some_and(|known| incarnation.is_older_than(known)) {
             return false;

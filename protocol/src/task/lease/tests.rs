@@ -11,7 +11,7 @@ fn side(task: TaskId) -> (Fixture, Lease) {
     (bench, lease)
 }
 
-/// Delivers all packets of one side to the other.
+/// Delivers all packets of one side to the other side. Returns the epoch if that side begins to act.
 fn carry(from: &mut Fixture, (to, lease): (&mut Fixture, &mut Lease), now: Instant) -> Option<u8> {
     let table = to.table.clone();
     let port = table.port(ALIVE).unwrap();
@@ -25,7 +25,7 @@ fn an_echo_of_an_answer_gives_the_lease_and_silence_ends_it() {
     assert_eq!(carry(&mut b, (&mut a, &mut primary), Instant(6)), None, "a beat is no echo");
     assert_eq!(carry(&mut a, (&mut b, &mut standby), Instant(7)), None);
     assert_eq!(standby.advance(&mut b.at(Instant(9))), None);
-    // An odd epoch, above any that an earlier incarnation of the partner may have acted in.
+    // The epoch is odd, and above any in which an earlier incarnation of the partner may have acted.
     assert_eq!(carry(&mut b, (&mut a, &mut primary), Instant(10)), Some(3));
     // The lease counts from the answer, which was sent at 6.
     assert_eq!((primary.acts(), primary.left(Instant(10))), (true, Some(Ticks(10))));

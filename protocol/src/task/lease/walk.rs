@@ -62,7 +62,7 @@ impl Lease {
             (*heartbeat_at, *takeover_at) = (Instant::NEVER, Instant::NEVER);
             *guessed = false;
         }
-        // The epoch of a take-over is not packed: it is `epoch`.
+        // The epoch of a take-over is not packed, because it equals the field `epoch`.
         match call {
             Some(Call::TakeOver(into)) if !W::PACKS => w.epoch(couple, into),
             _ if W::READS && first & FENCED != 0 => *call = Some(Call::Fenced),
@@ -76,7 +76,7 @@ impl Lease {
         } else if W::READS {
             met = Incarnation(0);
         } else if met != Incarnation(0) {
-            // A forged answer may name an incarnation in a world without restarts.
+            // In a world without restarts only a forged answer can name another incarnation.
             w.overflows();
         }
         if W::READS {
@@ -118,7 +118,7 @@ impl Answered {
 }
 
 impl Lease {
-    /// Drops dead state: answers and echoes that have ended by `now`.
+    /// Drops dead state: answers and echoes whose time has ended by `now`.
     pub fn bury(&mut self, now: Instant) {
         for answered in &mut self.answered {
             *answered = answered.filter(|a| a.until > now && self.post != Post::Passive);

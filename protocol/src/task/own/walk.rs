@@ -5,7 +5,8 @@ use crate::state::Walk;
 use crate::ticks::Instant;
 
 impl Own {
-    /// Visits the clock. The `order` is packed with the activations; incarnation and staged fragments are visited below.
+    /// Visits the clock. The `order` is packed with the activations. The functions below visit the incarnation and the
+    /// staged fragments.
     pub fn walk<W: Walk>(&mut self, w: &mut W) {
         let Self {
             task,
@@ -32,7 +33,8 @@ impl Own {
         }
     }
 
-    /// Visits the staged fragments. The rest of an endpoint is declared, or counted for monitors only.
+    /// Visits the staged fragments. The other fields of an endpoint follow from the declaration, or are counters for
+    /// monitors.
     pub fn walk_staged<W: Walk>(&mut self, w: &mut W) {
         for endpoint in self.endpoints.iter_mut().filter(|endpoint| endpoint.staged.has_room()) {
             endpoint.staged.walk(w);

@@ -63,7 +63,8 @@ impl Rendezvous {
         Ok(())
     }
 
-    /// When the next ARRIVE is sent: the first instant after `now` that is whole periods before the deadline (D55).
+    /// When the next ARRIVE is sent: the first instant after `now` that lies a whole number of periods before the deadline
+    /// (D55).
     pub(super) fn resend_instant(deadline: Instant, now: Instant, period: Ticks) -> Instant {
         let more = (deadline - now - Ticks(1)).whole(period);
         if more == 0 { Instant::NEVER } else { deadline - Ticks(more * period.0.max(1)) }

@@ -39,7 +39,7 @@ impl Rendezvous {
         let from = usize::from(peer.party);
         let Meeting { round, released, arguments } = packet.meeting();
         if at.step.own.turns_away(at.step.table, peer) {
-            // It may be meant for this task's earlier incarnation, with which its sender may have been released.
+            // The packet may be meant for an earlier incarnation of this task, with which its sender may have been released.
             return self.drop_packet(at, packet, Reason::StaleIncarnation);
         }
         let arrived = Arrived { round, expires: at.now() + packet.remaining, arguments };
@@ -74,7 +74,8 @@ impl Rendezvous {
 
     fn hear_confirm(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, packet: &Packet, round: Round) {
         self.hear_of(round);
-        // A CONFIRM names the incarnation whose arrival it confirms: one for an earlier incarnation releases no member (D67).
+        // A CONFIRM names the incarnation whose arrival it confirms: a CONFIRM for an earlier incarnation releases no member
+        // (D67).
         let mine = round == self.announced && packet.id.incarnation == at.step.own.incarnation;
         if mine {
             self.members[from].confirmed = true;
@@ -115,16 +116,17 @@ impl Rendezvous {
         }
     }
 
-    /// Whether a packet of `round` with this `released` field proves that its sender released the round waited in. If
-    /// the field equals the packet's round, the sender has released nothing yet (D69).
+    /// Whether a packet of `round` with this `released` field proves that its sender was released from the round in which
+    /// this task waits. If the field equals the packet's round, the sender was never released yet (D69).
     fn says_released(&self, at: &At<'_, '_, impl Outbox>, round: Round, released: Round) -> bool {
-        // A restarted task cannot tell its meeting from an earlier incarnation's by the number alone. So it ignores
-        // the field before its first release (D67).
+        // A restarted task cannot tell its own meeting from one of an earlier incarnation by the number alone. So it ignores
+        // the field until its first release (D67).
         let believes = !at.step.own.restarted || self.released.is_some();
         at.step.table.rules().last_released && believes && released != round && released == self.announced
     }
 
-    /// Stores an arrival, unless its sender gave that round up or has arrived in a fresher one. Returns whether it did.
+    /// Stores an arrival, unless its sender gave up that round or has arrived in a fresher one. Returns whether it was
+    /// stored.
     fn record(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, arrived: Arrived) -> bool {
         let member = &mut self.members[from];
         // An arrival whose patience has ended does not count.
@@ -154,7 +156,7 @@ impl Rendezvous {
         true
     }
 
-    /// Answers a late arrival: by CONFIRM if its round was released last, and by ABORT otherwise (D54).
+    /// Answers a late arrival: by CONFIRM if this task was last released from its round, and by ABORT otherwise (D54).
     fn answer_late(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, packet: &Packet) {
         let round = packet.meeting().round;
         if !at.step.table.rules().answer_late_arrivals {

@@ -22,8 +22,8 @@ impl Rendezvous {
         self.numbered && self.is_over(round)
     }
 
-    /// Whether the task behaves the same with and without a packet of another member. `over_there`: the sender would
-    /// ignore an answer.
+    /// Whether the task behaves the same with and without a packet of another member. `over_there` says that the sender
+    /// would ignore an answer.
     pub fn ignores(&self, table: &NodeTable, packet: &Packet, over_there: bool) -> bool {
         if !self.numbered {
             return false;

@@ -1,4 +1,4 @@
-//! All rendezvous of a task, and which one acts next.
+//! All rendezvous of a task, ordered by when they act next.
 
 use super::{At, Rendezvous};
 use crate::ids::NodeId;
@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Meetings {
     pub(super) list: Box<[Rendezvous]>,
-    /// The rendezvous by when they act next (D108).
+    /// A heap of the rendezvous, by when they act next (D108).
     pub(super) next: Heap,
 }
 
@@ -52,7 +52,7 @@ impl Meetings {
         Some((done, released.map(|finished| left(meeting, finished))))
     }
 
-    /// The task reaches a waitfor. If the task is released at once, returns how its wait ended.
+    /// Lets the task reach a waitfor. If the task is released at once, returns how its wait ended.
     pub fn reach(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -72,13 +72,13 @@ impl Meetings {
         self.run(step, meeting, |rendezvous, at| rendezvous.hear(at, from, packet))?.1
     }
 
-    /// The task cancels its wait.
+    /// Cancels the task's wait at a rendezvous.
     pub fn leave(&mut self, step: &mut Step<'_, impl Outbox>, meeting: u16) {
         self.run(step, meeting, Rendezvous::leave);
     }
 
-    /// Finds the first rendezvous, `from` or later, where something is due, and does it. Returns its position, and the end of
-    /// the wait if the patience ended.
+    /// Finds the first rendezvous, at the position `from` or later, at which something is due, and lets it act. Returns its
+    /// position, and the end of the wait if the patience ended.
     pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>, from: u16) -> Option<(u16, Option<Ended>)> {
         let now = step.now();
         if self.next_act() > now {
@@ -95,7 +95,7 @@ impl Meetings {
         Some((meeting, gave_up.map(|finished| left(meeting, finished))))
     }
 
-    /// A node has a new incarnation: the arrivals of its tasks are void.
+    /// Notes that a node has a new incarnation: the arrivals of its tasks become void.
     pub fn restarted(&mut self, step: &Step<'_, impl Outbox>, node: NodeId) {
         for rendezvous in &mut self.list {
             let Some(port) = step.table.port(rendezvous.port) else { continue };
@@ -122,7 +122,7 @@ impl Meetings {
         self.next.len() == 0
     }
 
-    /// The next instant at which time alone makes one of them act.
+    /// The next instant at which time alone makes one of the rendezvous act.
     pub fn next_act(&self) -> Instant {
         self.next.first_instant(|at| self.list[usize::from(at)].due())
     }
@@ -148,7 +148,7 @@ impl Meetings {
     }
 }
 
-/// The end of the wait at a rendezvous.
+/// Reports that the wait at a rendezvous ended.
 fn left(meeting: u16, finished: Finished) -> Ended {
     Ended { wait: Some(Pending::Meeting(meeting)), finished }
 }

@@ -26,7 +26,7 @@ impl Rendezvous {
     pub(super) fn confirm(&mut self, at: &mut At<'_, '_, impl Outbox>, round: Round, resent: bool) {
         self.note(Event::Confirmed, at.step.own.task, Ticks::ZERO, at);
         for i in 0..self.members.len() {
-            // A member that restarted since was not in this meeting.
+            // A member that has restarted since the release was not in this meeting.
             if !self.members[i].reborn {
                 let incarnation = self.members[i].incarnation.unwrap_or_default();
                 self.send_confirm(at, i, round, incarnation, resent);
@@ -38,7 +38,8 @@ impl Rendezvous {
     pub(super) fn announce(&mut self, at: &mut At<'_, '_, impl Outbox>, resent: bool) {
         let now = at.now();
         let Some(deadline) = self.deadline else { return };
-        // Counted back from the deadline, so that the last copies leave at fixed distances from it (D55).
+        // The instant is counted back from the deadline, so that the last copies leave at fixed distances from the deadline
+        // (D55).
         self.resend_at = Self::resend_instant(deadline, now, at.port.decl.resend);
         let round = self.announced;
         let meeting = Meeting { round, released: self.released.unwrap_or(round), arguments: self.arguments };

@@ -10,7 +10,7 @@ use crate::ticks::{Instant, Ticks};
 
 impl Meetings {
     pub fn walk<W: Walk>(&mut self, table: &NodeTable, threads: &Interrupts, w: &mut W) {
-        // Rebuilt below.
+        // The field `next` is rebuilt below.
         let Self { list, next: _ } = self;
         list.iter_mut().for_each(|meeting| meeting.walk(table, threads.is_unread(meeting.port), w));
         if matches!(W::PASS, Pass::Decode | Pass::Change) {
@@ -20,7 +20,7 @@ impl Meetings {
 }
 
 impl Rendezvous {
-    /// Visits a rendezvous. `unread`: the task has yet to read the members' arguments of the last meeting.
+    /// Visits a rendezvous. `unread` says that the task has yet to read the members' arguments of the last meeting.
     pub(super) fn walk<W: Walk>(&mut self, table: &NodeTable, unread: bool, w: &mut W) {
         let Self {
             port,
@@ -102,7 +102,7 @@ impl Member {
         }
         w.known_incarnation(incarnation);
         if W::READS {
-            // Not packed: shown to monitors only.
+            // This is not packed, because only monitors see it.
             *confirmed = false;
         }
     }
@@ -119,7 +119,8 @@ impl Rendezvous {
             self.arguments = [0; 8];
         }
         let Self { announced, released, owes_confirm: owes, numbered, .. } = *self;
-        // Arrivals and bars count in the round waited in and in fresher rounds, and in the released one while a CONFIRM is owed.
+        // Arrivals and bars count in the round in which the task waits and in fresher rounds. While the task owes a CONFIRM,
+        // they also count in the released round.
         let counts = |round: Round| {
             !numbered
                 || round.is_newer_than(announced)
@@ -127,7 +128,8 @@ impl Rendezvous {
                 || (owes && released == Some(round))
         };
         for member in &mut self.members {
-            // An arrival in this round counts even if its patience has ended: that member is not among the missing ones.
+            // An arrival in this round counts even if its patience has ended, because that member is not among the missing
+            // ones.
             let came = |a: &Arrived| numbered && waiting && a.round == announced;
             member.arrived = member.arrived.filter(|a| came(a) || (a.expires > now && counts(a.round)));
             if let Some(arrived) = &mut member.arrived {
@@ -149,7 +151,7 @@ impl Meetings {
         }
     }
 
-    /// Rebuilds the order.
+    /// Rebuilds the heap of the rendezvous.
     pub(super) fn touch_all(&mut self) {
         self.next.clear();
         (0..index(self.list.len())).for_each(|at| self.touch(at));

@@ -13,9 +13,9 @@ use crate::task::step::{Outbox, Step};
 use crate::ticks::{Instant, Ticks};
 
 impl Server {
-    /// Extends the deadline of a waiting command by a copy that has more time left. A link charges an upper bound, so the copy
-    /// with the most time left tells the end of the sender's wait best (D20). Of a long message only the first complete copy
-    /// counts.
+    /// Extends the deadline of a waiting command if a copy comes that has more time left. A link charges an upper bound, so
+    /// the copy with the most time left shows best when the sender's wait ends (D20). Of a message of several packets only
+    /// the first complete copy counts.
     pub(super) fn prolong(
         &mut self,
         (inbox, source): Origin,
@@ -38,7 +38,8 @@ impl Server {
         }
     }
 
-    /// Whether the newcomer is the latest message of its source, on a port that keeps only that. Drops the one it replaces.
+    /// Whether the newcomer is the latest message of its source, on a port that keeps only the latest. Drops the message
+    /// that it replaces.
     pub(super) fn supersedes(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -91,7 +92,7 @@ impl Server {
         }
     }
 
-    /// Tells the source of a refused command at once (D21). Every copy gets the same answer (D52).
+    /// Tells the source of a refused command at once that it was refused (D21). Every copy gets the same answer (D52).
     fn refuse(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -142,8 +143,8 @@ impl Server {
         true
     }
 
-    /// Drops the waiting command of a source that sends a newer one: with one outstanding request per port, it has given the
-    /// older one up (D12).
+    /// Drops the waiting command of a source that sends a newer one: a source has only one outstanding request per port, so
+    /// it has given up the older one (D12).
     pub(super) fn withdraw_superseded(&mut self, step: &mut Step<'_, impl Outbox>, (inbox, source): Origin) {
         let entry = &self.inboxes[inbox].sources[source];
         let task = entry.task;

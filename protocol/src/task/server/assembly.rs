@@ -1,5 +1,5 @@
-//! Reassembly of messages of several packets: complete before their one deadline, or dropped. Ports whose messages
-//! take one packet skip this stage (D28).
+//! Reassembly of messages of several packets. A message that is not complete by its deadline is dropped. Ports whose
+//! messages take one packet skip this stage (D28).
 
 use super::inbox::Inbox;
 use super::{Origin, Server};
@@ -54,7 +54,7 @@ impl Server {
         }
     }
 
-    /// A newer message of the source came: drops the fragments of an older incomplete one.
+    /// Drops the fragments of an older incomplete message, because a newer message of the source has come.
     pub(super) fn overtake(
         &mut self,
         step: &mut Step<'_, impl Outbox>,

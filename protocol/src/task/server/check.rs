@@ -13,7 +13,7 @@ use crate::task::violation::Violation;
 use crate::ticks::{Instant, Ticks};
 
 impl Server {
-    /// Checks all inboxes and the ready set. `open`: whether the running activation can be interrupted.
+    /// Checks all inboxes and the ready set. `open` says whether the running activation can be interrupted.
     ///
     /// # Errors
     /// The first violation found.
@@ -30,7 +30,7 @@ impl Inbox {
         if self.queue.len() > usize::from(port.decl.bounded_buffer) {
             return Err(Violation::Overfull(self.port));
         }
-        // Some variants extend the deadline of a waiting message, beyond its sender's wait and its dedup entry.
+        // Some variants extend the deadline of a waiting message beyond the end of its sender's wait and of its dedup entry.
         let exact = table.rules().charge_residence && !port.decl.lengthens_ttls();
         for (slot, held) in self.queue.iter() {
             let retry = self.queue.side(slot);
@@ -68,7 +68,7 @@ impl Inbox {
     }
 }
 
-/// Checks the number of rejections and the back-off (D58).
+/// Checks the number of rejections of a message, and its penalty (D58).
 fn check_rejections(
     table: &NodeTable,
     own: &Own,

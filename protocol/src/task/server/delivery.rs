@@ -1,4 +1,4 @@
-//! From a waiting message to its answer: GET, delivery with the execution budget, and REPLY (§5.2.1).
+//! What happens to a message from its wait to its answer: GET, delivery with the execution budget, and REPLY (§5.2.1).
 
 use super::inbox::{Admission, Inbox, RetryState};
 use super::memory::{CommandStatus, DedupEntry, Memory, Seen};
@@ -16,8 +16,8 @@ use crate::task::step::{Outbox, Step};
 use crate::ticks::{Instant, Ticks};
 
 impl Server {
-    /// Removes and returns the most urgent message: of one inbox, or of all without a handler; of one source, or of
-    /// any.
+    /// Removes and returns the most urgent message. It may be limited to one inbox, otherwise it is taken from all inboxes
+    /// without a handler. It may be limited to one source.
     pub fn next(
         &mut self,
         step: &Step<'_, impl Outbox>,
@@ -32,8 +32,9 @@ impl Server {
         self.take(step.own, at, slot)
     }
 
-    /// Chooses the message for a GET. Over all ports, one that was bypassed too often goes first (D58); then urgency,
-    /// class, `order`, port, source and arrival decide. Ports with a handler are served only if they are named (D14).
+    /// Chooses the message for a GET. In a GET over all ports, a port that was bypassed too often goes first (D58); then
+    /// urgency, class, `order`, port, source and arrival decide. Ports with a handler are served only if they are named
+    /// (D14).
     fn most_urgent(&self, own: &Own, inbox: Option<u16>, source: Option<TaskId>) -> Option<(usize, Slot)> {
         let head = |at: usize| self.inboxes.get(at)?.head(source).map(|(slot, _)| (at, slot));
         if let Some(inbox) = inbox {
@@ -66,7 +67,7 @@ impl Server {
         Some(((inbox, source), held))
     }
 
-    /// Like [`take`](Self::take), for a message that was never stored.
+    /// Like [`take`](Self::take), for a message that was never stored in the buffer.
     pub(super) fn take_assembled(&mut self, (inbox, source): Origin, held: &Held) {
         self.taken.0 = Some(held.contents);
         if held.fragments < 2 {
@@ -82,7 +83,7 @@ impl Server {
         if index == 0 { self.taken.0.as_ref() } else { self.taken.1.get(index) }
     }
 
-    /// Delivers a message to the task: its execution budget begins.
+    /// Delivers a message to the task, whose execution budget then begins.
     pub fn deliver(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -129,7 +130,7 @@ impl Server {
         Ok(left)
     }
 
-    /// [`reply`](Self::reply) in a fused step. `None`, and nothing has changed, if the message cannot be answered.
+    /// [`reply`](Self::reply) in a fused step. `None` if the message cannot be answered; then nothing has changed.
     pub fn answer_fused(
         &mut self,
         (inbox, source): Origin,
@@ -230,7 +231,7 @@ impl Server {
         self.inboxes[usize::from(inbox)].handled
     }
 
-    /// Whether a reply to this message would still be sent.
+    /// Whether the server would still send a reply to this message.
     pub fn can_answer(&self, inbox: u16, to: &ReplyTo, now: Instant) -> bool {
         let inbox = &self.inboxes[usize::from(inbox)];
         inbox.source(to.source).is_some_and(|source| inbox.answerable(source, *to, now).is_ok())
@@ -246,13 +247,13 @@ impl Server {
 }
 
 impl Inbox {
-    /// The remaining wait of the sender, if the message can still be answered.
+    /// The time for which the sender still waits, if the message can still be answered.
     fn answerable(&self, source: usize, to: ReplyTo, now: Instant) -> Result<Ticks, Fault> {
-        // If the dedup entry has ended, so has the sender's wait.
+        // Once the dedup entry has ended, the sender's wait has ended, too.
         let known = self.sources[source].command().filter(|c| c.until > now);
         let Some(dedup) = known else { return Err(Fault::Late) };
         if dedup.id != to.id {
-            // A newer command has replaced the entry: the sender has given this one up.
+            // If a newer command has replaced the entry, the sender has given up this one.
             let newer = dedup.id.sequence.is_newer_than(to.id.sequence);
             return Err(if newer { Fault::Late } else { Fault::NothingToAnswer });
         }

@@ -1,5 +1,5 @@
-//! Fencing of commands that are sent under a lease: those of a past epoch are dropped. Ports without a lease skip
-//! this stage (D61).
+//! Fencing of commands that are sent under a lease: commands of a past epoch are dropped. Ports without a lease skip this
+//! stage (D61).
 
 use super::{Held, Origin, Server, discard};
 use crate::observe::Reason;
@@ -12,11 +12,11 @@ use crate::task::step::{Outbox, Step};
 use crate::ticks::Instant;
 use serde::{Deserialize, Serialize};
 
-/// The newest epoch of a couple that this task has heard of, on any of the ports that the couple commands it through.
-/// Kept for as long as a command of an older epoch may arrive (D61).
+/// The newest epoch of a couple of which this task has heard, on any of the ports on which the couple commands it. It is
+/// kept for as long as a command of an older epoch may arrive (D61).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) struct Guard {
-    /// The couple's position in the cell.
+    /// The position of the couple in the cell.
     pub couple: u8,
     epoch: u8,
     until: Instant,
@@ -27,8 +27,8 @@ impl Guard {
         Self { couple, epoch: 0, until: Instant::START }
     }
 
-    /// Whether a command of this epoch is accepted. An older holder was fenced before the newer epoch began, so its
-    /// commands have expired by `until`.
+    /// Whether a command of this epoch is accepted. The holder of an older epoch was fenced before the newer epoch began, so
+    /// the commands of that holder have expired by `until`.
     fn admit(&mut self, epoch: u8, now: Instant, until: Instant) -> bool {
         if self.until > now && is_newer_epoch(self.epoch, epoch) {
             return false;
@@ -54,7 +54,7 @@ impl Guard {
 }
 
 impl Server {
-    /// Returns the contents of a message sent under a lease, without the epoch behind them. `None` if a newer epoch
+    /// Returns the contents of a message sent under a lease, without the epoch behind them. Returns `None` if a newer epoch
     /// is known. A new epoch drops all waiting commands of older ones.
     pub(super) fn within_epoch(
         &mut self,

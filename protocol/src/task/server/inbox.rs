@@ -20,18 +20,19 @@ pub(crate) struct Held {
     pub incarnation: Incarnation,
     pub sequence: Seq24,
     pub class: Class,
-    /// When the remaining time ends, on this task's clock. For a command the link delay of the reply is subtracted (D18).
+    /// When the message's remaining time ends, on this task's clock. For a command the link delay of the reply is subtracted
+    /// (D18).
     pub expires: Instant,
     pub contents: Contents,
-    /// The number of fragments. The inbox stores those after the first one (D28).
+    /// The number of fragments of the message. The inbox stores those after the first one (D28).
     pub fragments: u8,
-    /// Numbers the task's messages in the order of storing. In a decoded state, only the order among messages of one
-    /// source on one port is meaningful.
+    /// The number of the message in the order in which the task stored its messages. In a decoded state, only the order
+    /// among messages of one source on one port is meaningful.
     pub arrival: u64,
 }
 
 impl Held {
-    /// The message id. Its fields are stored separately, because they fit into the padding.
+    /// The message id. Its two fields are stored apart, because they fit into the padding of the struct.
     pub const fn id(&self) -> MessageId {
         MessageId { incarnation: self.incarnation, sequence: self.sequence }
     }
@@ -40,10 +41,10 @@ impl Held {
 /// The retry state of a waiting message, on a port with a handler.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct RetryState {
-    /// The number of rejections by rank, up to the cap, and the number of the round with the first one (D58).
+    /// The number of rejections by rank, up to the cap, and the number of the round in which the first one happened (D58).
     pub rejections: u8,
     pub rejected_first: u64,
-    /// The message is not offered again before this instant.
+    /// The instant before which the message is not offered again.
     pub not_before: Instant,
 }
 
@@ -63,7 +64,7 @@ impl Entry for Held {
         retry.not_before
     }
 
-    /// Never: all messages of a port have the same class.
+    /// Always false: all messages of a port have the same class, so none yields to another class.
     fn yields(&self) -> bool {
         false
     }
@@ -73,15 +74,15 @@ impl Entry for Held {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Inbox {
     pub port: PortId,
-    /// The position of the port's endpoint.
+    /// The position of the endpoint of the inbox's port.
     pub endpoint: u16,
     pub queue: Queue<Held>,
     /// Whether the task has a handler for messages of this port (D15).
     pub handled: bool,
-    /// Whether a message replaces the waiting one of the same source.
+    /// Whether a message replaces the waiting message of the same source.
     pub latest: bool,
-    /// Without a handler: the count of GETs over all ports when the port became non-empty or was last served. With a
-    /// handler: how often other ports were served since (D58).
+    /// On a port without a handler: the count of GETs over all ports at the time when the port became non-empty or was last
+    /// served. On a port with a handler: how often other ports were served since that time (D58).
     pub since: u64,
     /// The dedup entries per source, ascending by task: in the order of the port's [peers](crate::table::Peer).
     pub sources: Box<[Source]>,
@@ -109,7 +110,7 @@ impl Long {
         }
     }
 
-    /// Whether it has the capacities of `other`.
+    /// Whether the storage has the capacities of `other`.
     fn is_like(&self, other: &Self) -> bool {
         are_alike(&self.bodies, &other.bodies, Parts::has_room_of)
             && are_alike(&self.answers, &other.answers, Parts::has_room_of)
@@ -134,7 +135,7 @@ impl Long {
 pub(super) enum Admission {
     /// The message is stored in this slot.
     Kept(Slot),
-    /// The message is stored in this slot, and the other one was evicted for it.
+    /// The message is stored in this slot, and the other message was evicted for it.
     Replaced(Slot, Held),
     /// The message was refused.
     Turned,
@@ -157,7 +158,7 @@ impl Inbox {
         }
     }
 
-    /// Sets the status of a command, if the dedup entry of its source is about it.
+    /// Sets the status of a command, if the source's dedup entry is about that command.
     pub fn settle(&mut self, source: usize, id: MessageId, status: CommandStatus) {
         if let Some(dedup) = self.sources[source].command_mut()
             && dedup.id == id
@@ -166,7 +167,7 @@ impl Inbox {
         }
     }
 
-    /// Validates a deserialised inbox: its port, sources and capacities are those of a new one.
+    /// Validates a deserialised inbox: its port, sources and capacities must be those of a new one.
     pub fn is_like(&self, new: &Self) -> bool {
         let long = match (&self.long, &new.long) {
             (Some(read), Some(new)) => read.is_like(new),
@@ -188,12 +189,12 @@ impl Inbox {
         self.long.as_ref().is_some_and(|long| !long.assemblies.is_empty())
     }
 
-    /// The fragments after the first of the message in a slot, if the port stores any.
+    /// The fragments, after the first one, of the message in a slot; `None` if the port stores none.
     pub fn body(&self, slot: Slot) -> Option<&Parts> {
         self.long.as_ref()?.bodies.get(usize::from(slot))
     }
 
-    /// See [`body`](Self::body).
+    /// As [`body`](Self::body), to be changed.
     #[cfg(feature = "checker")]
     pub fn body_mut(&mut self, slot: Slot) -> Option<&mut Parts> {
         self.long.as_mut()?.bodies.get_mut(usize::from(slot))
@@ -204,27 +205,27 @@ impl Inbox {
         self.long.as_ref()?.assemblies.get(source)
     }
 
-    /// See [`assembly`](Self::assembly).
+    /// As [`assembly`](Self::assembly), to be changed.
     pub fn assembly_mut(&mut self, source: usize) -> Option<&mut Assembly> {
         self.long.as_mut()?.assemblies.get_mut(source)
     }
 
-    /// Drops the fragments of a message; true if there were any.
+    /// Drops the fragments of a message. Returns whether there were any.
     pub fn close(&mut self, source: usize, id: MessageId) -> bool {
         self.assembly_mut(source).is_some_and(|assembly| assembly.close(id))
     }
 
-    /// The fragments after the first of the answer to a source, if answers may have any.
+    /// The fragments, after the first one, of the answer to a source; `None` if answers have none.
     pub fn answer(&self, source: usize) -> Option<&Parts> {
         self.long.as_ref()?.answers.get(source)
     }
 
-    /// See [`answer`](Self::answer).
+    /// As [`answer`](Self::answer), to be changed.
     pub fn answer_mut(&mut self, source: usize) -> Option<&mut Parts> {
         self.long.as_mut()?.answers.get_mut(source)
     }
 
-    /// Forgets a source's earlier incarnation: the dedup entry and an incomplete message.
+    /// Forgets the earlier incarnation of a source: its dedup entry and its incomplete message.
     pub fn forget(&mut self, source: usize) {
         self.sources[source].forget();
         if let Some(assembly) = self.assembly_mut(source) {
@@ -243,17 +244,18 @@ impl Inbox {
         u16::try_from(times).unwrap_or(u16::MAX)
     }
 
-    /// Restarts the count of bypasses: the port became non-empty, or was served.
+    /// Restarts the count of bypasses, because the port became non-empty or was served.
     pub fn begin(&mut self, served: u64) {
         self.since = if self.handled { 0 } else { served };
     }
 
-    /// The position of a source of which only the task is known. A packet's [ends](crate::table::Ends) bring it along.
+    /// The position of a source of which only the task is known. For a packet the position comes with its
+    /// [ends](crate::table::Ends).
     pub fn source(&self, task: TaskId) -> Option<usize> {
         self.sources.binary_search_by_key(&task, |source| source.task).ok()
     }
 
-    /// The next instant at which a message or an incomplete one expires.
+    /// The next instant at which a message expires, be it complete or incomplete.
     pub fn due(&self) -> Instant {
         let first = self.queue.first().map_or(Instant::NEVER, |(_, held)| held.expires);
         let Some(long) = &self.long else { return first };
@@ -263,7 +265,7 @@ impl Inbox {
     /// Stores a message. A full buffer evicts its least urgent message if the newcomer is more urgent; otherwise the
     /// newcomer is refused (D60).
     ///
-    /// `served`: see [`bypassed`](Self::bypassed).
+    /// For `served` see [`bypassed`](Self::bypassed).
     pub fn admit(&mut self, held: Held, retry: RetryState, served: u64) -> Admission {
         if self.queue.len() == 0 {
             self.begin(served);
@@ -284,7 +286,7 @@ impl Inbox {
         }
     }
 
-    /// The most urgent message, or the most urgent one of a source. The latter takes a linear search.
+    /// The most urgent message, of all sources or of one. For one source this takes a linear search.
     pub fn head(&self, source: Option<TaskId>) -> Option<(Slot, &Held)> {
         match source {
             None => self.queue.first(),
@@ -295,14 +297,15 @@ impl Inbox {
         }
     }
 
-    /// The waiting message of a source, on ports where each source has at most one. A linear search, over at most as
-    /// many messages as there are sources.
+    /// The waiting message of a source, on ports where each source has at most one. It takes a linear search, over at most
+    /// as many messages as there are sources.
     pub fn of_source(&self, source: TaskId) -> Option<(Slot, &Held)> {
         self.queue.iter().find(|(_, held)| held.source == source)
     }
 
-    /// The slot of a waiting command. A linear search: each source has at most one waiting command (D75). Variants that forget
-    /// early (no residence, the literal penalty, no memory) may queue a command twice: then the later copy counts.
+    /// The slot of a waiting command. It takes a linear search, because each source has at most one waiting command (D75).
+    /// Variants that forget commands early (no residence, the literal penalty, no memory) may queue a command twice; the
+    /// later copy then counts.
     pub fn find(&self, source: TaskId, id: MessageId) -> Option<Slot> {
         let alike = self.queue.iter().filter(|(_, held)| held.source == source && held.id() == id);
         alike.max_by_key(|(_, held)| held.arrival).map(|(slot, _)| slot)
@@ -320,8 +323,8 @@ mod tests {
     use super::*;
     use crate::task::own::Endpoint;
 
-    /// The receiver's memory of an idle port with one source and room for one message, in either class. The heaps of
-    /// the ready set take two words and two positions of it.
+    /// The memory that a receiver needs for an idle port with one source and room for one message, in either class. Two
+    /// words and two positions of it are for the heaps of the ready set.
     #[test]
     fn an_idle_port_takes_at_most_256_bytes() {
         let orders = 2 * (size_of::<u64>() + size_of::<u16>());

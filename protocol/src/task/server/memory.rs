@@ -1,4 +1,4 @@
-//! Duplicate detection: what a receiver remembers of messages, so that none is executed twice (D6, D52).
+//! Duplicate detection: what a receiver remembers of messages, so that the task executes none of them twice (D6, D52).
 
 use crate::cell::PortDecl;
 use crate::ids::{MessageId, Seq24, TaskId};
@@ -9,16 +9,16 @@ use serde::{Deserialize, Serialize};
 /// The status of a received command.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) enum CommandStatus {
-    /// It waits in the port's buffer.
+    /// The command waits in the port's buffer.
     Held,
-    /// It expired in the buffer, before the task took it. Nothing ran, so a later copy with time left is taken in as
-    /// new. A copy may have more time left, because a link charges only an upper bound (D20).
+    /// The command expired in the buffer, before the task took it. Nothing ran, so a later copy with time left is taken in
+    /// as new. A copy may have more time left, because a link charges only an upper bound (D20).
     Lapsed,
-    /// The task has taken it and not yet answered. Its execution budget ends at this instant.
+    /// The task has taken the command and has not answered it yet. The execution budget ends at this instant.
     Delivered(Instant),
-    /// It was refused; a copy is refused again.
+    /// The command was refused; a copy is refused again.
     Refused,
-    /// It was answered; a copy gets the same answer.
+    /// The command was answered; a copy gets the same answer.
     Answered(Contents),
 }
 
@@ -28,14 +28,14 @@ pub(super) enum CommandStatus {
 pub(super) struct DedupEntry {
     pub id: MessageId,
     pub status: CommandStatus,
-    /// The latest end of the sender's wait, on this task's clock.
+    /// The latest instant at which the sender's wait may end, on this task's clock.
     pub sender_until: Instant,
-    /// The entry's end: TTL and link delay have passed, so that no copy can arrive any more.
+    /// When the entry ends: TTL and link delay have passed by then, so that no copy can arrive any more.
     pub until: Instant,
 }
 
 impl DedupEntry {
-    /// Whether its command waits in the port's buffer.
+    /// Whether the command of the entry waits in the port's buffer.
     pub fn waits(&self, now: Instant) -> bool {
         self.status == CommandStatus::Held && self.until > now
     }
@@ -43,20 +43,22 @@ impl DedupEntry {
 
 /// A sliding window over the received class-1 messages of one source: the newest number and the 64 before it.
 ///
-/// A source numbers all its messages in one sequence, on all ports and to all receivers; a send to `n` tasks takes
-/// `n` numbers (D6). So an overtaken message is taken if the source sent at most 63 others in between, and dropped as
-/// a duplicate otherwise. Its class allows that loss (R53, D75).
+/// A source numbers all its messages in one sequence, on all ports and to all receivers; a send to `n` tasks takes `n`
+/// numbers (D6). So a message that others have overtaken is taken if the source sent at most 63 others in between; otherwise
+/// it is dropped as a duplicate. Class 1 allows that loss (R53, D75).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) struct Window {
     pub newest: Option<Seq24>,
-    /// Bit `i`: the message `i + 1` before the newest was seen.
+    /// A bit mask of the messages before the newest: bit `i` says that the message `i + 1` numbers before it was seen.
     pub seen: u64,
-    /// When no copy of any of them can arrive any more. Then the window is cleared, before sequence numbers repeat (D6).
+    /// When no copy of any of these messages can arrive any more. The window is then cleared, before sequence numbers repeat
+    /// (D6).
     pub until: Instant,
 }
 
 impl Window {
-    /// Records a message whose copies are gone by `until`; false if it is a duplicate or below the window.
+    /// Records a message whose copies are gone by `until`. Returns false if the message is a duplicate, or is too old for
+    /// the window.
     pub fn admit(&mut self, sequence: Seq24, now: Instant, until: Instant) -> bool {
         if self.until <= now {
             *self = Self::default();
@@ -67,7 +69,7 @@ impl Window {
         admitted
     }
 
-    /// Whether a message is a duplicate or below the window.
+    /// Whether a message is a duplicate, or is too old for the window.
     pub fn has(&self, sequence: Seq24, now: Instant) -> bool {
         let newest = self.newest.filter(|_| self.until > now);
         newest.is_some_and(|newest| {
@@ -108,7 +110,7 @@ pub(super) struct Source {
     pub memory: Memory,
 }
 
-/// Dedup state by the class of the port.
+/// The dedup state of a source, by the class of the port.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) enum Memory {
     Command(Option<DedupEntry>),
@@ -118,11 +120,11 @@ pub(super) enum Memory {
 /// The result of looking a message up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Seen {
-    /// New, or known only by copies that expired before the task took them.
+    /// The message is new, or known only by copies that expired before the task took them.
     New,
-    /// A copy of the command of the entry.
+    /// The message is a copy of the command of the dedup entry.
     Again(CommandStatus),
-    /// A duplicate status message, or a command older than the entry's: its sender has gone on.
+    /// The message is a duplicate status message, or a command older than that of the entry, which its sender has given up.
     Older,
 }
 
@@ -135,7 +137,7 @@ impl Source {
         Self { task, memory }
     }
 
-    /// The dedup entry of its last command.
+    /// The dedup entry of the source's last command.
     pub fn command(&self) -> Option<&DedupEntry> {
         match &self.memory {
             Memory::Command(command) => command.as_ref(),
@@ -143,7 +145,7 @@ impl Source {
         }
     }
 
-    /// See [`command`](Self::command).
+    /// As [`command`](Self::command), to be changed.
     pub fn command_mut(&mut self) -> Option<&mut DedupEntry> {
         match &mut self.memory {
             Memory::Command(command) => command.as_mut(),
@@ -177,7 +179,7 @@ impl Source {
         }
     }
 
-    /// Clears what has ended by `now`.
+    /// Clears entries that have ended by `now`.
     #[cfg(feature = "checker")]
     pub fn bury(&mut self, now: Instant) {
         match &mut self.memory {
@@ -187,7 +189,7 @@ impl Source {
         }
     }
 
-    /// Clears entries whose messages can have no further copies. `copies` gives the numbers of those that may still
+    /// Clears entries whose messages can have no further copies. `copies` gives the numbers of the copies that may still
     /// come.
     #[cfg(feature = "checker")]
     pub fn bury_seen<I: Iterator<Item = Seq24>>(&mut self, copies: impl Fn() -> I) {

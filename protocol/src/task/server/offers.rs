@@ -54,7 +54,7 @@ impl Server {
         offers.min()
     }
 
-    /// Counts a bypass for each other port that had a message due which may interrupt the running activation, too (D58).
+    /// Counts a bypass for each other port that also had a due message which may interrupt the running activation (D58).
     pub fn count_bypasses(&mut self, step: &Step<'_, impl Outbox>, threads: &Interrupts, first: What) {
         if step.table.rules().aging == Aging::Off {
             return;
@@ -96,7 +96,8 @@ impl Server {
         }
     }
 
-    /// Rejects a message on arrival: it was offered before it is stored, and does not outrank the running activation (R25).
+    /// Rejects a message on arrival: it is offered before it is stored, and it does not outrank the running activation
+    /// (R25).
     pub(super) fn reject_arrived(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -109,8 +110,8 @@ impl Server {
         self.rejections += 1;
     }
 
-    /// Applies a new `order`. A message that was capped stays capped, and other rejections count up to the new cap at
-    /// most. So no change of the order costs a message its turn (D16, D58).
+    /// Applies a new `order`. A message that was capped stays capped. The rejections of other messages count up to the new
+    /// cap at most. So no change of the `order` takes a message's turn away (D16, D58).
     pub fn reorder(&mut self, own: &Own, old: &ServiceOrder) {
         for inbox in &mut self.inboxes {
             let port = inbox.port;
@@ -137,7 +138,8 @@ fn reject(
     let left = held.expires - now;
     step.note(Event::Rejected, port, held.source, held.id(), left);
     if penalty.is_some_and(|penalty| penalty.literal) {
-        // The Appendix's `save` adds the penalty to the deadline: less urgent, but with more time left.
+        // The procedure `save` of the Appendix adds the penalty to the deadline. The message is then less urgent, but has
+        // more time left.
         held.expires += length;
         retry.not_before = now + length.max(Ticks(1));
         return;

@@ -1,8 +1,9 @@
-//! The ready set: heaps over a task's inboxes, by which port is served next and where something is due next (D108).
+//! The ready set: heaps over the inboxes of a task. They tell which port is served next, and where something is due next
+//! (D108).
 //!
-//! Each heap holds inbox positions. [`Server::touch`] restores their order after every change of an inbox. So a GET
-//! over all ports (§5.2.1) and [`CommTask::next_deadline`](crate::CommTask::next_deadline) look only at the roots,
-//! however many ports there are.
+//! Each heap holds inbox positions. [`Server::touch`] restores their order after every change of an inbox. So a GET over all
+//! ports (§5.2.1) and [`CommTask::next_deadline`](crate::CommTask::next_deadline) look only at the roots, however many ports
+//! there are.
 
 use super::Server;
 use super::inbox::Inbox;
@@ -21,10 +22,10 @@ pub(super) struct ReadySet {
     urgent: Heap,
     /// The same ports, by how long they have been bypassed (D58).
     eldest: Heap,
-    /// Non-empty ports with a handler, by the next offer. Allocated with the task's first handler.
+    /// Non-empty ports with a handler, by the instant of their next offer. Allocated with the task's first handler.
     offers: Heap,
-    /// Ports with a handler or with messages of several packets, by the next expiry. Allocated with the first
-    /// handler, or from the start if messages may take several packets.
+    /// Ports with a handler or with messages of several packets, by the instant at which something expires next. Allocated
+    /// with the first handler, or from the start if messages may take several packets.
     ends: Heap,
 }
 
@@ -37,7 +38,7 @@ fn urgency(inboxes: &[Inbox], order: &ServiceOrder, at: u16) -> (Instant, Class,
     })
 }
 
-/// The key that orders ports by bypasses. Ties go by class and then the lower port, not by urgency.
+/// The key that orders ports by bypasses. Ties are broken by class and then by the lower port, not by urgency.
 fn age(inboxes: &[Inbox], at: u16) -> (u64, Class, PortId) {
     let inbox = &inboxes[usize::from(at)];
     let class = inbox.queue.first().map_or(Class::Status, |(_, held)| held.class);
@@ -79,7 +80,7 @@ impl ReadySet {
         let head = inbox.queue.first().map(|(_, held)| held.expires);
         let open = head.filter(|_| !inbox.handled);
         self.urgent.set(at, open, |at| urgency(inboxes, order, at));
-        // The count takes the place of the instant in the heap.
+        // The count of bypasses takes the place of the instant in the heap.
         self.eldest.set(at, open.map(|_| Instant(inbox.since)), |at| age(inboxes, at));
         if self.offers.capacity() > 0 {
             let offered = head.filter(|_| inbox.handled).map(|_| inbox.queue.next_due());
@@ -92,7 +93,7 @@ impl ReadySet {
         }
     }
 
-    /// Whether the inbox is in no heap. Conservative once `offers` or `ends` is allocated.
+    /// Whether the inbox is in no heap. Once `offers` or `ends` is allocated, the answer is false even if it may be true.
     fn is_without(&self, at: u16) -> bool {
         !self.urgent.has(at) && self.offers.capacity() == 0 && self.ends.capacity() == 0
     }
@@ -151,8 +152,8 @@ impl Server {
         (0..index(inboxes.len())).for_each(|at| ready.touch(inboxes, &own.order, at));
     }
 
-    /// The inbox without a handler that a GET over all ports serves (D14). A port that was bypassed too often goes
-    /// first, the longest bypassed before others (D58); then the one with the most urgent head.
+    /// The inbox without a handler that a GET over all ports serves (D14). A port that was bypassed too often goes first,
+    /// the longest bypassed before others (D58); then the port with the most urgent head.
     pub(super) fn next_served(&self, own: &Own) -> Option<usize> {
         let eldest = self.ready.eldest.first().map(usize::from);
         let limit = own.bypass_limit();
@@ -171,14 +172,14 @@ impl Server {
         self.ready.offers.len() > 0
     }
 
-    /// An inbox where something has expired.
+    /// The position of an inbox in which something has expired.
     pub(super) fn expired(&self, now: Instant) -> Option<usize> {
         let is_over = |&at: &usize| self.inboxes[at].due() <= now;
         let first = |order: &Heap| order.first().map(usize::from).filter(is_over);
         first(&self.ready.urgent).or_else(|| first(&self.ready.ends))
     }
 
-    /// Whether no message waits, and no incomplete one.
+    /// Whether no message waits, complete or incomplete.
     pub fn is_empty(&self) -> bool {
         let ReadySet { urgent, eldest: _, offers, ends } = &self.ready;
         urgent.len() + offers.len() + ends.len() == 0

@@ -8,21 +8,21 @@ use crate::task::violation::Violation;
 use crate::task::wait::Pending;
 use alloc::format;
 
-/// A command of A.
+/// A command that A sends.
 fn command(bench: &Fixture, remaining: Ticks) -> Packet {
     let port = bench.table.port(MOVE).unwrap();
     let contents = Contents::new(b"go").unwrap();
     mapping::message(port, A, B, MessageId::default(), remaining, contents)
 }
 
-/// B receives a packet at 10, while its thread does not wait.
+/// Lets B receive a packet at 10, while B's thread does not wait.
 fn hear(bench: &mut Fixture, server: &mut Server, threads: &Interrupts, packet: &Packet) -> Option<Arrival> {
     let table = bench.table.clone();
     let ends = Fixture::ends(&table, packet);
     server.hear(&mut bench.at(Instant(10)), (threads, false), (ends, 0), packet)
 }
 
-/// A command of A waits at B.
+/// A bench on which a command of A waits at B.
 fn holding() -> (Fixture, Server) {
     let mut bench = Fixture::new(B);
     let mut server = Server::new(&bench.table, &bench.own);

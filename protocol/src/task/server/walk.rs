@@ -27,7 +27,7 @@ const STATUSES: [Option<CommandStatus>; 6] = [
     Some(CommandStatus::Lapsed),
 ];
 
-/// Fields that the packed bytes contain only if the port's declaration needs them.
+/// Which fields the packed bytes contain, because the port's declaration needs them.
 #[derive(Clone, Copy)]
 struct Form {
     long: bool,
@@ -47,10 +47,10 @@ impl Form {
     }
 }
 
-/// Whether the arrival order of one source's waiting messages can matter. It does only if a waiting deadline can be
-/// extended and so become equal to another: then the earlier arrival goes first. The literal penalty extends
-/// deadlines (D4), and so do copies of commands. A copy does so only while its dedup entry exists. Where waiting is
-/// charged, such a command waits alone: the next one of its source replaces it (D12).
+/// Whether the arrival order of one source's waiting messages can matter. It matters only if the deadline of a waiting
+/// message can be extended and so become equal to another deadline: then the earlier arrival goes first. The literal penalty
+/// extends deadlines (D4), and so do copies of commands. A copy extends one only while its dedup entry exists. If waiting is
+/// charged, such a command waits alone, because the next command of its source replaces it (D12).
 fn arrival_matters(table: &NodeTable, port: &Port) -> bool {
     port.decl.lengthens_ttls() || (port.decl.class == Class::Command && !table.rules().charge_residence)
 }
@@ -77,12 +77,13 @@ fn waiting(inboxes: &[Inbox], form: Form, at: usize) -> Vec<Waiting> {
     let ranked = |(slot, held): (Slot, &Held)| {
         let (mut held, mut retry) = (*held, queue.side(slot));
         if form.ranks_arrivals {
-            // Its rank among the waiting messages of its source.
+            // The rank of the message among the waiting messages of its source, by arrival.
             let before = |other: &Held| other.source == held.source && other.arrival < held.arrival;
             held.arrival = queue.iter().filter(|(_, other)| before(other)).count() as u64;
         }
         if retry.rejections > 0 {
-            // Its place among the waiting messages of the task that were rejected, in the order of their first rejection.
+            // The place of the message among the task's waiting messages that were rejected, in the order of their first
+            // rejections.
             let queues = inboxes.iter().map(|inbox| &inbox.queue);
             let all = queues.flat_map(|queue| queue.iter().map(|(slot, _)| queue.side(slot)));
             let before =
@@ -98,25 +99,25 @@ impl Server {
     pub(in crate::task) fn walk<W: Walk>(&mut self, table: &NodeTable, own: &Own, w: &mut W) {
         let Self {
             inboxes,
-            // Rebuilt from the inboxes below.
+            // This field is rebuilt from the inboxes below.
             ready,
             served,
             arrivals,
             rejections,
-            // Visited by `walk_incarnations` and `walk_guards`.
+            // `walk_incarnations` and `walk_guards` visit these fields.
             incarnations: _,
             guards: _,
-            // Not packed: the task has read the message by then.
+            // This is not packed, because the task has read the message by then.
             taken,
-            // Not packed: empty between two inputs.
+            // This is not packed, because it is empty between two inputs.
             turned: _,
         } = self;
         if W::READS {
             taken.0 = None;
             taken.1.clear();
-            // New numbers count from here: the ranks of the waiting messages keep their order.
+            // New numbers count from here on, because the ranks of the waiting messages keep their order.
             (*arrivals, *rejections) = (0, 1);
-            // At least as great as any packed count of bypasses.
+            // The count is at least as great as any packed count of bypasses.
             *served = u64::from(u8::MAX);
         }
         for at in 0..inboxes.len() {
@@ -148,7 +149,7 @@ impl Server {
 }
 
 impl Inbox {
-    /// Visits an inbox. `waiting` holds its messages, unless the pass fills or changes them.
+    /// Visits an inbox. `waiting` holds its messages, unless the pass fills the inbox or changes them.
     fn walk<W: Walk>(
         &mut self,
         form: Form,
@@ -276,7 +277,7 @@ impl Held {
     }
 }
 
-/// Visits a number that is packed as its rank.
+/// Visits a number whose rank is packed in its place.
 fn rank<W: Walk>(number: &mut u64, w: &mut W) {
     if W::PACKS {
         *number = w.count(usize::try_from(*number).unwrap_or(usize::MAX)) as u64;
@@ -343,7 +344,7 @@ fn walk_command<W: Walk>(
 }
 
 impl Server {
-    /// Drops dead state: entries that have ended by `now`.
+    /// Drops dead state: dedup entries that have ended by `now`.
     pub fn bury(&mut self, now: Instant) {
         for guard in &mut self.guards {
             guard.bury(now);
@@ -355,8 +356,8 @@ impl Server {
         }
     }
 
-    /// Clears dedup entries whose messages can have no further copies. `copies` gives those that may still come from
-    /// a source on a port.
+    /// Clears dedup entries whose messages can have no further copies. `copies` gives the numbers of the copies that may
+    /// still come from a source on a port.
     pub fn bury_seen<I: Iterator<Item = Seq24>>(&mut self, copies: impl Fn(PortId, TaskId) -> I) {
         for inbox in &mut self.inboxes {
             let port = inbox.port;

@@ -13,13 +13,13 @@
 
 use imrs_protocol::Ticks;
 
-/// How fast two monotonic clocks may drift apart, in parts per million: each up to 200 from true time.
+/// How fast two monotonic clocks may drift apart, in parts per million: each may deviate by 200 from true time.
 pub(super) const DRIFT_PPM: u64 = 400;
-/// Four clock readings are rounded to whole microseconds.
+/// By how many microseconds the rounding of four clock readings may be wrong.
 const ROUNDING: i64 = 4;
 
-/// What is known of the delay from one neighbour, for one incarnation of it. Clocks are in microseconds, each from its own
-/// origin.
+/// What is known of the delay of datagrams from one neighbour, in one incarnation of that neighbour. Clocks are in
+/// microseconds, each from its own origin.
 #[derive(Clone, Debug)]
 pub(super) struct LinkDelay {
     declared: i64,
@@ -36,7 +36,7 @@ struct Sample {
 }
 
 impl Sample {
-    /// How far the clocks may have drifted since.
+    /// How far the two clocks may have drifted apart since this sample.
     fn drift(&self, now: u64) -> i64 {
         let age = now.saturating_sub(self.at);
         i64::try_from(age / (1_000_000 / DRIFT_PPM)).unwrap_or(i64::MAX)
@@ -44,13 +44,13 @@ impl Sample {
 }
 
 impl LinkDelay {
-    /// Knows only the link's declared bound.
+    /// The state in which only the link's declared bound is known.
     pub(super) fn new(declared: Ticks) -> Self {
         Self { declared: i64::try_from(declared.0).unwrap_or(i64::MAX), proven: None, fastest: None }
     }
 
-    /// The longest that a datagram can have taken, its wait in this node's kernel included. Defined for all values, because a
-    /// sender may write anything into its clocks.
+    /// The longest that a datagram can have taken, its wait in this node's kernel included. The result is defined for all
+    /// values, because a sender may write anything into its clocks.
     pub(super) fn arrived(&mut self, tx: u64, echo: Option<u64>, recv: u64) -> Ticks {
         let apart = recv.wrapping_sub(tx).cast_signed();
         // A datagram cannot arrive before it was sent: a bound that implies this came from a wrong clock.
@@ -87,10 +87,10 @@ mod tests {
     #[test]
     fn a_stopped_sender_yields_old_datagrams() {
         let mut d = LinkDelay::new(DECLARED);
-        // Offset 1,000,000; 60 us each way; an echo held for 1 ms.
+        // In this test the offset is 1,000,000; each way takes 60 us; an echo is held for 1 ms.
         assert_eq!(d.arrived(1_000, Some(1_000_940), 1_001_060), Ticks(120 + 4));
         assert_eq!(d.arrived(3_000, None, 1_003_060), Ticks(120 + 4));
-        // 500 ms between the sender's clock and its sendto.
+        // Here 500 ms pass between the sender's reading of its clock and its `sendto`.
         assert_eq!(d.arrived(5_000, None, 1_505_060), Ticks(500_120 + 4 + 201));
     }
 
@@ -114,30 +114,31 @@ mod tests {
         assert_eq!(d.arrived(1_000, Some(1_000_940), 1_001_060), Ticks(120 + 4));
         // A datagram whose clock is mistaken claims an offset that is a second too large.
         d.arrived(0, Some(2_000_000), 2_000_060);
-        // The next one shows that it is, and how long it took itself.
+        // The next datagram shows that this is wrong, and how long it took itself.
         assert_eq!(d.arrived(2_000_000, Some(2_999_940), 3_000_060), Ticks(120 + 4));
     }
 
     proptest! {
-        /// Two clocks that drift, delays of any length, echoes held for any time: the charge is never less than the truth.
+        /// Tests two clocks that drift, delays of any length, and echoes held for any time: the charge is never less than
+        /// the truth.
         #[test]
         fn never_too_little(
             ppm in -190..190_i64, offset in 0..1_000_000_000_i64,
             trips in proptest::collection::vec((0..20_000_u64, 0..20_000_u64, 0..3_000_000_u64, any::<bool>()), 1..60),
         ) {
-            // True time is this node's clock; the sender's runs `ppm` fast, and `offset` behind.
+            // True time is this node's clock. The sender's clock runs `ppm` fast, and is `offset` behind.
             let theirs = |us: u64| {
                 let us = i64::try_from(us).unwrap();
                 u64::try_from(us + us * ppm / 1_000_000 + 2_000_000_000 - offset).unwrap()
             };
             let mut d = LinkDelay::new(DECLARED);
             let mut now = 1_000_000;
-            // The first trip has an echo: without one, the charge depends on the declared bound.
+            // The first trip has an echo, because without one the charge depends on the declared bound.
             for (i, (out, back, held, echoed)) in trips.into_iter().enumerate() {
                 let (sent, heard) = (now, now + out);
                 let tx = theirs(heard + held);
                 let echo = sent + (theirs(heard + held) - theirs(heard));
-                // The hold is measured with a clock that may run fast.
+                // The time for which the echo is held is measured with a clock that may run fast.
                 let echo = echo - held / (1_000_000 / DRIFT_PPM) - 1;
                 let recv = heard + held + back;
                 let charge = d.arrived(tx, (echoed || i == 0).then_some(echo), recv);

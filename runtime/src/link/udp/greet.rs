@@ -1,4 +1,4 @@
-//! Greetings and refusals: what nodes say of themselves, without packets (D144, D145).
+//! Greetings and refusals: datagrams without packets, in which nodes introduce themselves (D144, D145).
 
 use super::peer::{Heard, Peer, Refusal};
 use super::statistics::UdpCount;
@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 /// How often a neighbour that has not answered is asked again.
 const ASK_EVERY: Duration = Duration::from_millis(100);
 
-/// The sink of a node that has not begun: packets for it are lost.
+/// The sink of a node that has not begun, so that packets for it are lost.
 struct Deaf<'a>(&'a UdpLink);
 
 impl Sink for Deaf<'_> {
@@ -27,21 +27,22 @@ impl Sink for Deaf<'_> {
 }
 
 impl UdpLink {
-    /// What this node and its neighbours must have in common.
+    /// The digests that this node and its neighbours must have in common.
     #[must_use]
     pub fn digests(&self) -> Digests {
         Digests { cell: self.table.digest(), statements: self.options.statements }
     }
 
-    /// Greets every neighbour that has an address and was not heard since that was set. The answer shows whether the two can
-    /// talk, and lets a new session of this node be heard with its first packet. Returns whether any neighbour was greeted.
+    /// Greets every neighbour that has an address and was not heard since that address was set. The answer shows whether the
+    /// two nodes can communicate. It also makes the neighbour know the new session of this node before its first packet.
+    /// Returns whether any neighbour was greeted.
     pub fn greet(&self) -> bool {
         let mut any = false;
         let unmet = |(_, peer): &(usize, &Peer)| !peer.met.load(Ordering::Relaxed);
         for (position, peer) in self.peers.iter().enumerate().filter(unmet) {
             if let Some(route) = &mut *lock(&peer.route) {
                 any = true;
-                // There may have been no route when the address was set.
+                // When the address was set, there may have been no route to it.
                 if route.connected.is_none() {
                     route.connected = self.connected(position, route.address);
                 }
@@ -72,9 +73,9 @@ impl UdpLink {
             }
             self.poll(&Deaf(self), Some(ask_at.min(end)));
         }
-        // A process that stood still finds its time over, but the answers in its socket.
+        // A process that stood still may find its time over, while the answers wait in its socket.
         self.poll(&Deaf(self), Some(Instant::now()));
-        // Once it runs, the node hears of its neighbours anew, and greets all of them with its own incarnation.
+        // Once the node runs, it must hear its neighbours anew, and greet all of them with its own incarnation.
         for peer in &self.peers {
             *lock(&peer.known) = None;
             peer.met.store(false, Ordering::Relaxed);
@@ -95,16 +96,17 @@ impl UdpLink {
         self.peers.iter().filter_map(|peer| *lock(&peer.refusal)).collect()
     }
 
-    /// Whether anything of a neighbour was admitted since its address was set.
+    /// Whether any datagram of a neighbour was accepted since its address was set.
     ///
     /// # Errors
+    ///
     /// [`NotANeighbour`] if the node is no neighbour.
     pub fn has_met(&self, node: NodeId) -> Result<bool, NotANeighbour> {
         let (_, peer) = self.peer(node).ok_or(NotANeighbour(node))?;
         Ok(peer.met.load(Ordering::Relaxed))
     }
 
-    /// Sends a greeting, unless many left lately or the neighbour has no address.
+    /// Sends a greeting, unless many greetings left lately or the neighbour has no address.
     pub(super) fn say(&self, peer: &Peer, greeting: Greeting, heard: Option<Heard>) {
         let now = self.micros(Instant::now());
         if lock(&peer.pace).greets(now) {
@@ -125,7 +127,7 @@ impl UdpLink {
         }
     }
 
-    /// The neighbour that sent a datagram, if the two can talk. Otherwise both sides learn why not.
+    /// The neighbour that sent a datagram, if the two nodes can communicate. Otherwise both sides learn why they cannot.
     pub(super) fn sender_of(&self, opened: &Opened<'_>) -> Result<&Peer, LinkDiscard> {
         let sender = self.peer(opened.envelope.sender);
         if let (Purpose::Refusal(why), Some((_, peer)), true) =
@@ -156,7 +158,7 @@ impl UdpLink {
     }
 
     fn note_refusal(&self, peer: &Peer, why: Refused, theirs: Digests, here: bool) {
-        // One misdelivered datagram says nothing of the two nodes.
+        // One misdelivered datagram says nothing about the two nodes.
         if why == Refused::Misdelivered {
             return;
         }
@@ -168,7 +170,7 @@ impl UdpLink {
         peer.is_refused.store(true, Ordering::Release);
     }
 
-    /// The two can talk: clears a refusal.
+    /// Clears a refusal, because the two nodes can communicate.
     pub(super) fn met(&self, peer: &Peer) {
         if !peer.met.load(Ordering::Relaxed) {
             peer.met.store(true, Ordering::Relaxed);

@@ -1,8 +1,8 @@
 //! The sockets from which a link receives: one for each neighbour whose address is known, and one for all others (D155).
 //!
-//! The kernel gives a datagram to the socket that is connected to its source address. So a flood from elsewhere fills the socket
-//! of strangers, and no other. That socket also hears a neighbour whose address is not known or has changed. What comes there is
-//! judged in the same way, but a visit takes less of it.
+//! The kernel gives a datagram to the socket that is connected to its source address. So a flood from elsewhere fills the
+//! socket of strangers, and no other socket. That socket also receives from a neighbour whose address is not known or has
+//! changed. Its datagrams are judged in the same way, but each visit takes fewer of them.
 
 use super::UdpLink;
 use super::socket;
@@ -21,10 +21,10 @@ pub(super) const STRANGERS: u32 = 0;
 /// but drop a flood would take its core from the tasks.
 const REST: Duration = Duration::from_millis(1);
 
-/// A socket that receives.
+/// A socket from which the link receives.
 pub(super) struct Inbound {
     pub(super) socket: UdpSocket,
-    /// The address to which it is connected.
+    /// The address to which the socket is connected; none for the socket of strangers.
     pub(super) from: Option<SocketAddr>,
     queue: CombiningLock<Queue>,
 }
@@ -40,18 +40,18 @@ pub(super) struct Queue {
 }
 
 impl Inbound {
-    /// `empty`: the clocks before anything can have come in.
+    /// Wraps a socket. `empty` has the clocks from before anything can have come in.
     pub(super) fn new(socket: UdpSocket, from: Option<SocketAddr>, empty: Reading) -> Self {
         Self { socket, from, queue: CombiningLock::new(Queue { empty, last: empty, dropped: 0 }) }
     }
 
-    /// Whether this is the socket of strangers, which receives what no neighbour's socket receives.
+    /// Whether this is the socket of strangers, which gets all datagrams that no neighbour's socket gets.
     pub(super) const fn is_of_strangers(&self) -> bool {
         self.from.is_none()
     }
 
-    /// Takes in with `receive`. If another thread is receiving, that thread does so once more in place of this one: then returns
-    /// false.
+    /// Receives from the socket with `receive`. If another thread is already receiving, that thread receives once more in
+    /// place of this one, and this returns false.
     pub(super) fn try_take_in(&self, mut receive: impl FnMut(&mut Queue)) -> bool {
         let mut is_done = false;
         self.queue.want();
@@ -62,8 +62,8 @@ impl Inbound {
         is_done
     }
 
-    /// As [`try_take_in`](Self::try_take_in), but waits for the other thread. For the polling thread: a datagram is reported to
-    /// it until a thread has taken it, so it would ask again and again.
+    /// As [`try_take_in`](Self::try_take_in), but waits for the other thread. The polling thread uses this: a datagram is
+    /// reported to it until some thread has taken the datagram, so it would otherwise ask again and again.
     pub(super) fn take_in(&self, mut receive: impl FnMut(&mut Queue)) {
         if !self.try_take_in(&mut receive) {
             self.queue.take_after(receive);
@@ -72,19 +72,19 @@ impl Inbound {
 }
 
 impl UdpLink {
-    /// No thread reads the socket of strangers for a while. Called by the polling thread.
+    /// Leaves the socket of strangers unread for a while. Only the polling thread calls this.
     pub(super) fn rest_from_strangers(&self) {
-        // If the kernel refuses, the socket stays watched.
+        // If the kernel refuses this, the socket stays watched.
         if self.polling.heed(&self.strangers.socket, STRANGERS, false).is_ok() {
             *lock(&self.rest) = Some(Instant::now() + REST);
         }
     }
 
-    /// Ends the rest from strangers if it is over. Returns until when it lasts otherwise.
+    /// Ends the rest of the socket of strangers if its time is over; otherwise returns the instant at which the rest ends.
     pub(super) fn end_of_rest(&self) -> Option<Instant> {
         let mut rest = lock(&self.rest);
         if rest.is_some_and(|until| until <= Instant::now()) {
-            // Fails only if the socket is not watched at all.
+            // This fails only if the socket is not watched at all.
             let _ = self.polling.heed(&self.strangers.socket, STRANGERS, true);
             *rest = None;
         }
@@ -104,7 +104,8 @@ impl UdpLink {
     pub(super) fn connected(&self, position: usize, address: SocketAddr) -> Option<Arc<Inbound>> {
         let mut inbound = lock(&self.peers[position].inbound);
         if inbound.as_ref().is_none_or(|inbound| inbound.from != Some(address)) {
-            // What waits in the former socket came from the neighbour's former address: it goes with the socket.
+            // Datagrams that wait in the former socket came from the neighbour's former address. They are dropped with that
+            // socket.
             *inbound = self.connect(position, address).ok().map(Arc::new);
         }
         inbound.clone()
@@ -117,7 +118,7 @@ impl UdpLink {
             socket::connect_beside(&self.strangers.socket, self.local, address, self.asked)?
         };
         let place = u32::try_from(position + 1).map_err(io::Error::other)?;
-        // In this order: it decides which thread is woken (see `watch`).
+        // The order of these two calls matters, because it decides which thread is woken (see `watch`).
         self.leader.add(&socket, place)?;
         self.polling.add(&socket, place)?;
         Ok(Inbound::new(socket, Some(address), empty))

@@ -1,17 +1,18 @@
 //! The link over UDP.
 //!
-//! Each neighbour whose address is known has a socket of its own, on the node's one address. One more socket serves all others
-//! (`inbound`). What is queued for one neighbour leaves in one datagram; a lone packet leaves at once, because nothing is held
-//! back for company. Several full datagrams leave in one call if the kernel can cut it, and come in one call if the kernel has
-//! merged them. Whatever the socket reports is counted, and never ends the link.
+//! Each neighbour whose address is known has a socket of its own, on the node's one address. One more socket serves all
+//! others (`inbound`). Packets that are queued for one neighbour leave in one datagram. A lone packet leaves at once: it
+//! does not wait for others. Several full datagrams leave in one call if the kernel can cut it, and come in one call if the
+//! kernel has merged them. Whatever the socket reports is counted, and never ends the link.
 //!
-//! An arriving packet is charged the larger of two times: the link's declared bound plus the wait in this node's kernel, and
-//! what the clocks in the envelopes show of its whole hop (`delay`). So neither a stopped receiver nor a sender that was stopped
-//! between its clock and `sendto` can make an old packet look young.
+//! An arriving packet is charged the larger of two times: the link's declared bound plus its wait in this node's kernel, and
+//! the time for its whole hop that the clocks in the envelopes show (`delay`). So neither a stopped receiver nor a sender
+//! that was stopped between its clock and `sendto` can make an old packet look young.
 //!
-//! Addresses come only from the address book, never from traffic. A datagram is judged by its content (digests, sender, receiver,
-//! session, counter), not by its source address: a neighbour behind another port is heard, but no sender draws traffic to itself.
-//! In the envelope's checksum mode this keeps out accidents, not attackers: a process that reaches the socket can forge datagrams.
+//! Addresses come only from the address book, never from traffic. A datagram is judged by its content (digests, sender,
+//! receiver, session, counter), not by its source address: a neighbour behind another port is heard, but no sender can
+//! redirect this node's datagrams to itself. In the envelope's checksum mode this keeps out accidents, not attackers: a
+//! process that reaches the socket can forge datagrams.
 
 mod delay;
 mod greet;
@@ -48,7 +49,7 @@ use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use watch::{ReadySockets, Seen, Watch};
 
-/// More than the number of threads that receive at once.
+/// The number of receive buffers: more than the number of threads that receive at once.
 const ROOMS: usize = 16;
 
 /// A UDP link of one node to all its neighbours.
@@ -61,41 +62,41 @@ pub struct UdpLink {
     options: UdpOptions,
     /// The incarnation, and whether an earlier one may have taken requests.
     identity: AtomicU16,
-    /// Whether the incarnation is not known yet: then the node asks its neighbours.
+    /// Whether the node does not know its incarnation yet, so that it asks its neighbours.
     uncounted: AtomicBool,
     session: Session,
-    /// The socket that was bound first. It receives what no neighbour's socket receives.
+    /// The socket that was bound first. It gets all datagrams that no neighbour's socket gets.
     strangers: Arc<Inbound>,
-    /// The options of each receiving socket.
+    /// The options of every receiving socket.
     asked: Asked,
-    /// Held while a second socket is bound to the address.
+    /// A lock that is held while another socket is bound to the node's address.
     binding: Mutex<()>,
     local: SocketAddr,
     /// Whether the kernel can cut what is sent into datagrams.
     segments: bool,
-    /// Where the leader waits.
+    /// The epoll instance in which the leader waits.
     leader: Watch,
-    /// Where the polling thread waits.
+    /// The epoll instance in which the polling thread waits.
     polling: Watch,
     /// Until when no thread reads the strangers' socket, because there was a flood.
     rest: Mutex<Option<Instant>>,
-    /// What was reported to the leader and not yet taken in.
+    /// The sockets that were reported to the leader, and from which it has not received yet.
     told: Mutex<ReadySockets>,
-    /// For as many threads as receive at once: the polling thread, the leader, and threads that spin before they sleep.
+    /// Receive buffers, one for each receiving thread: the polling one, the leader, and threads that spin before they sleep.
     rooms: Mutex<Vec<Room>>,
-    /// All neighbours, ascending.
+    /// All neighbours, ascending by node id.
     peers: Box<[Peer]>,
     poll: Mutex<Poll>,
     poll_changed: Condvar,
-    /// The kernel was found to take no more for some neighbour.
+    /// Whether the kernel was found to take no more datagrams for some neighbour.
     blocked: AtomicBool,
-    /// [`Link::wake`] was called, and no poll has ended for it yet.
+    /// Whether [`Link::wake`] was called and no poll has ended for it yet.
     woken: AtomicBool,
-    /// A neighbour got an address, and no poll has ended for it yet.
+    /// Whether a neighbour got an address and no poll has ended for it yet.
     address_known: AtomicBool,
-    /// Where the clock starts that this node's envelopes show.
+    /// The origin of the clock that this node's envelopes show.
     origin: Instant,
-    /// For how long the machine had been suspended at `origin`.
+    /// For how long the machine had been suspended at `origin`, in microseconds.
     suspended: u64,
     statistics: Statistics,
 }
@@ -104,25 +105,22 @@ const fn identity(incarnation: Incarnation, restarted: bool) -> u16 {
     u16::from_be_bytes([restarted as u8, incarnation.0])
 }
 
-/// 64 bits that no other start of any node has. The keys of a new hash state come from the system's random number source.
+/// Draws 64 bits that no other start of any node has. The keys of a new hash state come from the system's random source.
 fn new_session() -> Session {
     Session(RandomState::new().hash_one(Instant::now()))
 }
 
-/// One thread at a time polls; the others wait until it leaves.
+/// The turn to poll: one thread at a time polls, and the others wait until it leaves.
 struct Poll {
     taken: bool,
-    /// How many threads wait.
+    /// How many threads wait for their turn.
     waiting: usize,
     /// How often the link was woken.
     wakes: u64,
 }
 
 impl UdpLink {
-    /// A link of `table`'s node on `address` (port 0: any free one).
-    ///
-    /// # Errors
-    /// [`UdpError`]: which step the system refused.
+    /// A link of the node of `table`, bound to `address` (port 0 means any free port).
     pub fn bind(table: NodeTable, address: SocketAddr, options: UdpOptions) -> Result<Self, UdpError> {
         let (origin, suspended) = (Instant::now(), clock::look_for_suspend());
         let mut neighbours: Vec<NodeId> = table.neighbours(table.node).collect();
@@ -170,8 +168,8 @@ impl UdpLink {
         self.local
     }
 
-    /// Sets the address of a neighbour, or that it is not known. From now on, packets that wait for the neighbour can leave, and
-    /// what comes from the address has a socket of its own.
+    /// Sets the address of a neighbour, or that it is not known. From now on, packets that wait for the neighbour can leave,
+    /// and datagrams from the address come to a socket of their own.
     ///
     /// # Errors
     /// [`NotANeighbour`] if the node is no neighbour.
@@ -188,7 +186,8 @@ impl UdpLink {
         Ok(())
     }
 
-    /// Sets the incarnation of the node if it was not known when the socket was bound: before the first packet is sent.
+    /// Sets the incarnation of the node, if it was not known when the socket was bound. This must come before the first
+    /// packet is sent.
     pub fn set_incarnation(&self, incarnation: Incarnation, restarted: bool) {
         self.identity.store(identity(incarnation, restarted), Ordering::Release);
         self.uncounted.store(false, Ordering::Release);
@@ -200,7 +199,7 @@ impl UdpLink {
         (Incarnation(incarnation), restarted != 0)
     }
 
-    /// How often something happened.
+    /// The value of one counter.
     #[must_use]
     pub fn count(&self, of: UdpCount) -> u64 {
         self.statistics.get(of)
@@ -225,7 +224,7 @@ impl UdpLink {
     /// Waits until no other thread polls.
     ///
     /// # Errors
-    /// Why the wait ended otherwise.
+    /// The reason for which the wait ended without the turn.
     fn take_poll(&self, until: Option<Instant>) -> Result<OwnPoll<'_>, PollEnd> {
         let mut poll = lock(&self.poll);
         let wakes = poll.wakes;
@@ -264,13 +263,14 @@ impl UdpLink {
         !peer.full.load(Ordering::Acquire)
     }
 
-    /// The sockets that were found full.
+    /// The sending sockets that were found full.
     fn full(&self) -> Vec<Arc<Inbound>> {
         let full = self.peers.iter().filter(|peer| peer.full.load(Ordering::Acquire));
         full.filter_map(|peer| lock(&peer.route).as_ref().map(|route| self.sending(route))).collect()
     }
 
-    /// Waits for a datagram, for a wake-up or, if the kernel took no more for a neighbour, until it may: then returns `None`.
+    /// Waits for a datagram or a wake-up. If the kernel took no more datagrams for a neighbour, this also waits until it may
+    /// take some, and then returns `None`.
     fn wait(&self, until: Option<Instant>) -> io::Result<Option<Seen>> {
         loop {
             let rest = self.end_of_rest();
@@ -299,7 +299,7 @@ impl UdpLink {
             match socket::wait_for_room(self.polling.epoll(), &full, until)? {
                 Waited::Writable => return Ok(None),
                 Waited::TimedOut => return Ok(Some(Seen::TimedOut)),
-                // Another thread may have taken it meanwhile.
+                // Another thread may have taken the datagram meanwhile.
                 Waited::ReadySockets => match self.polling.wait_some(Some(Duration::ZERO))? {
                     Some(Seen::TimedOut) | None => {}
                     seen => return Ok(seen),
@@ -308,7 +308,7 @@ impl UdpLink {
         }
     }
 
-    /// The kernel lacks memory even for a wait: pauses before the next one.
+    /// Pauses after a failed wait, because the kernel lacks even the memory for one.
     fn wait_failed(&self) {
         self.statistics.add(UdpCount::ReceiveFailed, 1);
         std::thread::sleep(Duration::from_millis(1));
@@ -318,7 +318,7 @@ impl UdpLink {
     fn end_of_wake(&self) -> Option<PollEnd> {
         if self.address_known.swap(false, Ordering::AcqRel) {
             if self.woken.load(Ordering::Acquire) {
-                // Each of the two ends a poll of its own.
+                // Each of the two causes must end a poll of its own, so this wakes the next poll, too.
                 self.polling.wake().wake();
             }
             return Some(PollEnd::Ready);
@@ -327,7 +327,7 @@ impl UdpLink {
     }
 }
 
-/// A thread's turn to poll. It ends when this is dropped, also if a sink panics.
+/// The turn of a thread to poll. It ends when this value is dropped, also if a sink panics.
 struct OwnPoll<'a> {
     link: &'a UdpLink,
 }

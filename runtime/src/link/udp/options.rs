@@ -1,4 +1,4 @@
-//! What a link over UDP is told, and why it cannot start.
+//! The options of a link over UDP, and the reasons for which it cannot start.
 
 use imrs_protocol::{Incarnation, NodeId};
 use std::io;
@@ -11,18 +11,19 @@ const DEFAULT_QUEUE_BYTES: usize = 256 * 1024;
 /// How a node takes part in UDP traffic.
 #[derive(Clone, Copy, Debug)]
 pub struct UdpOptions {
-    /// Which incarnation of the node this is.
+    /// The incarnation of the node.
     pub incarnation: Incarnation,
-    /// Whether an earlier incarnation of the node may have taken requests. Neighbours are told.
+    /// Whether an earlier incarnation of the node may have taken requests. The node tells this to its neighbours.
     pub restarted: bool,
-    /// The digest of the statements of all tasks of the cell ([`record::statements`](crate::record::statements)), zero if no task
-    /// has a script. Nodes with different digests do not talk.
+    /// The digest of the statements of all tasks of the cell ([`record::statements`](crate::record::statements)), zero if no
+    /// task has a script. Nodes with different digests refuse each other.
     pub statements: u32,
-    /// How many bytes each of the kernel's receive queues holds (SO_RCVBUF; the kernel doubles it for its own needs). There is
-    /// one queue for each neighbour and one for all others. More than arrives within the longest time_out is of no use.
+    /// How many bytes each of the kernel's receive queues holds (SO_RCVBUF; the kernel doubles it for its own needs). There
+    /// is one queue for each neighbour and one for all others. A queue that holds more than arrives within the longest
+    /// time_out is of no use.
     pub queue_bytes: usize,
-    /// Whether the kernel, if it can, cuts what leaves in one call into datagrams (UDP_SEGMENT, Linux 4.18), and merges datagrams
-    /// that come from one neighbour (UDP_GRO, Linux 5.0).
+    /// Whether the kernel, if it can, cuts the data of one call into datagrams (UDP_SEGMENT, Linux 4.18), and merges
+    /// datagrams that come from one neighbour (UDP_GRO, Linux 5.0).
     pub segments: bool,
 }
 
@@ -40,17 +41,17 @@ pub enum UdpError {
     /// The address cannot be bound.
     #[error("cannot bind UDP address {address}: {source}")]
     Bind {
-        /// The address.
+        /// The address that the socket could not be bound to.
         address: SocketAddr,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The socket does not take an option.
     #[error("cannot set {option} on a UDP socket: {source}")]
     Option {
-        /// The option.
+        /// The option that the system refused.
         option: &'static str,
-        /// What the system said.
+        /// The error of the operating system.
         source: io::Error,
     },
     /// The means to wait in the socket and to end such waits (epoll, eventfd) cannot be made.

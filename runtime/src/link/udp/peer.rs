@@ -1,4 +1,4 @@
-//! What a node keeps for each neighbour that it talks to over UDP.
+//! The state that a node keeps for each neighbour with which it communicates over UDP.
 
 use super::delay::DRIFT_PPM;
 use super::inbound::Inbound;
@@ -10,50 +10,53 @@ use std::net::{SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU16, Ordering};
 use std::sync::{Arc, Mutex};
 
-/// A neighbour, as the sending threads see it.
+/// A neighbour: the state that sending threads use.
 pub(super) struct Peer {
     pub(super) node: NodeId,
-    /// The declared bound of the link to it, in microseconds.
+    /// The declared bound of the link to the neighbour, in microseconds.
     pub(super) declared: Ticks,
     pub(super) route: Mutex<Option<Route>>,
     /// The socket that is connected to the neighbour. It still receives when the address is no longer known.
     pub(super) inbound: Mutex<Option<Arc<Inbound>>>,
-    /// The neighbour's session, as the receiving threads know it. Locked while a datagram of the neighbour is judged and entered:
-    /// one may come over its own socket and one over that of strangers at once.
+    /// The neighbour's session, as the receiving threads know it. The lock is held while a datagram of the neighbour is
+    /// judged and recorded, because two may come at once: one over the neighbour's own socket, and one over that of
+    /// strangers.
     pub(super) known: Mutex<Option<Known>>,
-    /// The kernel was found to take no more for this neighbour. It may be unreachable, so this says nothing of the others.
+    /// Whether the kernel was found to take no more datagrams for this neighbour. The neighbour may be unreachable, so this
+    /// says nothing about others.
     pub(super) full: AtomicBool,
     pub(super) outgoing: Mutex<Outgoing>,
     /// The neighbour's clock, as its last datagram showed it.
     pub(super) heard: Mutex<Option<Heard>>,
-    /// Whether anything of the neighbour was admitted since its address was set.
+    /// Whether any datagram of the neighbour was accepted since its address was set.
     pub(super) met: AtomicBool,
-    /// The newest incarnation of the neighbour that was seen: in its envelopes, and in packets that others relayed. [`NOTHING`]
-    /// before the first.
+    /// The newest incarnation of the neighbour that was seen in its envelopes, or in packets that others relayed.
+    /// [`NOTHING`] before the first.
     remembered: AtomicU16,
-    /// Which incarnation of this node the neighbour remembers, once it was asked and has answered.
+    /// The incarnation of this node that the neighbour remembers; the outer option is empty until the neighbour has
+    /// answered.
     pub(super) remembers: Mutex<Option<Option<Incarnation>>>,
-    /// The present refusal, if a datagram was refused since the last one that was admitted.
+    /// The present refusal: set if a datagram was refused after the last one that was accepted.
     pub(super) refusal: Mutex<Option<Refusal>>,
-    /// Whether `refusal` holds one.
+    /// Whether `refusal` has a value.
     pub(super) is_refused: AtomicBool,
     pub(super) pace: Mutex<Pace>,
 }
 
-/// The datagrams that are being made for a neighbour, and the counter of the first.
+/// The datagrams that are being built for a neighbour, and the counter of the first.
 #[derive(Default)]
 pub(super) struct Outgoing {
     pub(super) counter: u64,
-    /// As many as ever left in one call, kept for reuse.
+    /// Reusable datagrams: as many as ever left in one call.
     pub(super) datagrams: Vec<Datagram>,
 }
 
 /// A neighbour with which nothing can be exchanged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Refusal {
-    /// The neighbour.
+    /// The neighbour whose datagrams were refused.
     pub node: NodeId,
-    /// Why.
+    /// Why the two nodes cannot exchange anything.
     pub why: Refused,
     /// The neighbour's digests.
     pub theirs: Digests,
@@ -63,7 +66,7 @@ pub struct Refusal {
     pub there: bool,
 }
 
-/// No incarnation.
+/// The number that stands for no incarnation.
 const NOTHING: u16 = u16::MAX;
 
 /// The route to one neighbour: its address, and a socket that is connected to it.
@@ -77,24 +80,24 @@ pub(super) struct Route {
     segments: Segments,
 }
 
-/// Whether the kernel cuts what is sent to a neighbour into full datagrams.
+/// Whether the kernel cuts the data for a neighbour into full datagrams.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Segments {
-    /// The kernel was not asked to, because nothing yet filled more than one datagram.
+    /// The kernel was not asked to, because no send has filled more than one datagram yet.
     NotYet,
     Cut,
     Refused,
 }
 
 impl Route {
-    /// The route to `address`. `segments`: the kernel may be asked to cut what is sent.
+    /// The route to `address`. `segments` says whether the kernel may be asked to cut data into datagrams.
     pub(super) const fn new(address: SocketAddr, connected: Option<Arc<Inbound>>, segments: bool) -> Self {
         let segments = if segments { Segments::NotYet } else { Segments::Refused };
         Self { address, connected, segments }
     }
 
-    /// The socket that cuts what it sends into full datagrams, if the kernel does that on this route. The option is set on the
-    /// socket, not with each call, because it does not touch what fits into one datagram.
+    /// The socket that cuts the data of a send into full datagrams, if the kernel does that on this route. The option is set
+    /// on the socket and not with each call, because it does not change sends that fit into one datagram.
     pub(super) fn segmenting(&mut self) -> Option<&UdpSocket> {
         let socket = &self.connected.as_deref()?.socket;
         if self.segments == Segments::NotYet {
@@ -104,11 +107,11 @@ impl Route {
         (self.segments == Segments::Cut).then_some(socket)
     }
 
-    /// From now on each datagram leaves by itself. False if that was so already.
+    /// Lets each datagram leave by itself from now on. Returns false if that was already so.
     pub(super) fn segment_no_more(&mut self) -> bool {
         let cut = std::mem::replace(&mut self.segments, Segments::Refused) == Segments::Cut;
         if let Some(connected) = self.connected.as_deref().filter(|_| cut) {
-            // If the option cannot be unset, this socket fails and that of strangers sends.
+            // If the option cannot be unset, this socket fails, and the socket of strangers sends.
             let _ = set_segment(&connected.socket, 0);
         }
         cut
@@ -146,12 +149,12 @@ impl Peer {
             let before = u8::try_from(before).ok().map(Incarnation);
             before.is_none_or(|before| supersedes(incarnation, before)).then(|| incarnation.0.into())
         };
-        // Fails only if the incarnation is no later one, and then there is nothing to do.
+        // This fails only if the incarnation is no later one, and then nothing needs to change.
         let _ = self.remembered.fetch_update(Ordering::Relaxed, Ordering::Relaxed, later);
     }
 }
 
-/// A neighbour's clock as a datagram showed it, and this node's clock then.
+/// The neighbour's clock, as a datagram showed it, and this node's clock at that time.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Heard {
     pub(super) session: Session,
@@ -160,20 +163,20 @@ pub(super) struct Heard {
 }
 
 impl Heard {
-    /// What the neighbour's clock shows at least when this node's shows `tx`. The time in between is measured with a clock that
-    /// may run faster than the neighbour's.
+    /// The least that the neighbour's clock shows when this node's clock shows `tx`. The time in between is measured with a
+    /// clock that may run faster than the neighbour's.
     pub(super) fn echo(&self, tx: u64) -> Option<Echo> {
         let drift = |time: u64| time / (1_000_000 / DRIFT_PPM) + 1;
         let mono = match tx.checked_sub(self.at) {
             Some(held) => self.tx_mono.checked_add(held.saturating_sub(drift(held)))?,
-            // The packets were made ready before the neighbour was heard.
+            // The packets were made ready before anything was heard from the neighbour.
             None => self.tx_mono.checked_sub((self.at - tx) + drift(self.at - tx))?,
         };
         Some(Echo { session: self.session, mono })
     }
 }
 
-/// Bounds how many greetings and refusals leave for a neighbour.
+/// A limit on how many greetings and refusals leave for a neighbour.
 #[derive(Default)]
 pub(super) struct Pace {
     /// When the present span began, and how many greetings left in it.

@@ -1,4 +1,4 @@
-//! Receiving: from the socket to the sink.
+//! Receives datagrams: from the socket to the sink.
 
 use super::UdpLink;
 use super::inbound::{Inbound, Queue};
@@ -17,33 +17,33 @@ use imrs_wire::envelope::{self, Envelope, EnvelopeError, Greeting, MAX_PACKETS, 
 use std::io;
 use std::time::Duration;
 
-/// After how many datagrams of one socket a poll gives way to the other sockets, and to whatever else its thread has to do.
+/// After how many datagrams of one socket a poll turns to the other sockets, and to the other work of its thread.
 const BATCH: usize = 64;
-/// The same for strangers: at most so many of their datagrams keep neighbours waiting.
+/// The same limit for the socket of strangers: at most so many of its datagrams keep neighbours waiting.
 const STRANGERS_BATCH: usize = 16;
-/// How long ago the socket may have been seen empty before a thread that takes one datagram looks for more.
+/// How long ago the socket may have been seen empty before a thread that takes one datagram looks for more datagrams.
 const EMPTY_OFTEN: Duration = Duration::from_millis(10);
 
 /// The result of a visit to a socket.
 #[derive(Clone, Copy, Debug, Default)]
 struct Taken {
-    /// All datagrams, admitted or not.
+    /// The number of datagrams, accepted or not.
     count: usize,
-    /// Greetings, and datagrams that were admitted.
+    /// The number of greetings, and of datagrams that were accepted.
     heard: usize,
 }
 
 impl Taken {
-    /// Whether there was no end of datagrams that mean nothing.
+    /// Whether the visit took as many datagrams as it may, and none of them was meaningful.
     const fn is_flood(self, most: usize) -> bool {
         self.count >= most && self.heard == 0
     }
 }
 
-/// The buffers that a thread receives into.
+/// The buffers into which a thread receives.
 pub(super) struct Room {
     receiver: Receiver,
-    /// The packets of one receive call. Has room for what leaves in one call, and keeps it.
+    /// The packets of one receive call. It has room for as many as leave in one call, and keeps that room.
     decoded: Vec<Packet>,
 }
 
@@ -55,10 +55,10 @@ impl Room {
 }
 
 impl UdpLink {
-    /// Takes one datagram of each socket that was reported to the leader, with those that the kernel merged with it. Whatever
-    /// comes later is reported to the polling thread. False if another thread receives from one of the sockets: it takes that in,
-    /// too. To see a socket empty costs one more syscall, so this does it only now and then: nothing depends on it while stamps
-    /// can be believed.
+    /// Takes one datagram of each socket that was reported to the leader, with those that the kernel merged with it.
+    /// Datagrams that come later are reported to the polling thread. Returns false if another thread receives from one of
+    /// the sockets, because that thread then takes the datagram, too. Seeing that a socket is empty costs one more syscall.
+    /// So this does it only now and then: nothing depends on it while the kernel's stamps can be trusted.
     pub(super) fn take_told(&self, told: &ReadySockets, sink: &dyn Sink) -> bool {
         self.with_room(|room| {
             let mut all = true;
@@ -73,8 +73,8 @@ impl UdpLink {
         })
     }
 
-    /// Takes what waits in the reported sockets, up to a [`BATCH`] of each, or a [`STRANGERS_BATCH`] of strangers. Returns
-    /// whether any datagram came in.
+    /// Takes the datagrams that wait in the reported sockets: up to a [`BATCH`] of each, or a [`STRANGERS_BATCH`] of
+    /// strangers. Returns whether any datagram came in.
     pub(super) fn drain(&self, told: &ReadySockets, sink: &dyn Sink) -> bool {
         self.with_room(|room| {
             let mut any = false;
@@ -108,7 +108,8 @@ impl UdpLink {
         sink: &dyn Sink,
     ) -> Taken {
         let Room { receiver, decoded } = room;
-        // Read before the socket is checked: if the socket turns out to be empty, it was empty after this reading.
+        // The clocks are read before the socket is checked. If the socket turns out to be empty, it was empty after this
+        // reading.
         let mut before = if most > 1 { Reading::take() } else { queue.last };
         let (mut taken, mut errors) = (Taken::default(), 0);
         while taken.count < most && errors < BATCH {
@@ -136,9 +137,9 @@ impl UdpLink {
                     queue.empty = before;
                     return taken;
                 }
-                // A network error for an earlier datagram, or an interruption: the queue is as it was.
+                // The error is an interruption, or a network error about an earlier datagram. The queue has not changed.
                 Err(error) => {
-                    // A connected socket gets such errors only for what was sent through it.
+                    // A connected socket gets such errors only for datagrams that were sent through it.
                     if inbound.from.is_some() && error.kind() != io::ErrorKind::Interrupted {
                         self.statistics.send_failed(&error);
                     } else {
@@ -151,7 +152,8 @@ impl UdpLink {
         taken
     }
 
-    /// Counts what the kernel dropped from a queue: `total` since its socket was made, if the kernel says so.
+    /// Counts the datagrams that the kernel dropped from a queue. `total` is their number since the socket was made, if the
+    /// kernel reports it.
     fn count_dropped(&self, inbound: &Inbound, queue: &mut Queue, total: Option<u32>) {
         let Some(total) = total else { return };
         let new = u64::from(total.wrapping_sub(std::mem::replace(&mut queue.dropped, total)));
@@ -166,31 +168,32 @@ impl UdpLink {
         let residency = residency(now, received.stamp, empty);
         let waited = clock::micros(residency.waited);
         let count = match residency.by {
-            // The wall clock runs on while the machine is suspended, so the stamp covers that time.
+            // The wall clock also runs while the machine is suspended, so the stamp covers that time.
             Evidence::Stamp => return Ticks(waited),
             Evidence::NoStamp => UdpCount::NoStamp,
             Evidence::ClockSet => UdpCount::ClockSet,
         };
         self.statistics.add(count, 1);
-        // The whole time since the socket was empty is charged. `Instant` stands still during a suspend, so that is added.
+        // The whole time since the socket was empty is charged. `Instant` stands still while the machine is suspended, so
+        // that time is added.
         let slept = clock::look_for_suspend().saturating_sub(empty.suspended);
         Ticks(waited.saturating_add(slept))
     }
 }
 
-/// What one receive call brought, before `now`.
+/// The datagrams that one receive call brought, before the instant `now`.
 struct Together<'a> {
     link: &'a UdpLink,
     now: Reading,
-    /// How long it waited in the kernel, by its one stamp.
+    /// How long they waited in the kernel, by the one stamp of the call.
     waited: Ticks,
-    /// Decoded packets that the sink was not yet given.
+    /// Decoded packets that were not handed to the sink yet.
     decoded: &'a mut Vec<Packet>,
     /// The sender of these packets, and their charge.
     of: Option<(NodeId, Ticks)>,
     /// How many of the datagrams were greetings.
     greetings: u64,
-    /// How many of the datagrams brought packets that are handed over.
+    /// How many of the datagrams brought packets that the sink gets.
     admitted: u64,
     sink: &'a dyn Sink,
 }
@@ -245,13 +248,13 @@ impl Together<'_> {
             }
             unheard.reason
         })?;
-        // Only a datagram that brings at least one packet of this cell changes what is known of its sender.
+        // A datagram changes what is known of its sender only if it brings at least one packet of this cell.
         let mut before = self.decode(opened.packets, envelope.sender);
         if self.decoded.len() == before {
             return Ok(());
         }
         if let Contact::New { .. } = contact {
-            // The packets before it are of an earlier session.
+            // The packets before this datagram are of an earlier session.
             self.hand_over_first(std::mem::take(&mut before));
         }
         self.admitted += 1;
@@ -265,7 +268,7 @@ impl Together<'_> {
         Ok(())
     }
 
-    /// Decodes packets behind those that wait for the sink; there is room for them. Returns how many waited before.
+    /// Decodes packets behind those that wait for the sink; the buffer has room for them. Returns how many waited before.
     fn decode(&mut self, packets: &[[u8; 32]], sender: NodeId) -> usize {
         let (link, before) = (self.link, self.decoded.len());
         let port_hash = |port| link.table.port(port).map(|port| port.hash);
@@ -281,7 +284,7 @@ impl Together<'_> {
         before
     }
 
-    /// Records what an admitted datagram says of its sender. Returns how long its hop took at most.
+    /// Records what an accepted datagram says about its sender. Returns how long its hop took at most.
     fn enter(
         &mut self,
         peer: &Peer,
@@ -305,7 +308,7 @@ impl Together<'_> {
         known.delay.arrived(envelope.tx_mono, echo, at)
     }
 
-    /// Takes a greeting in. It changes what is known of its sender only if its echo proves when it was sent.
+    /// Takes a greeting. It changes what is known of its sender only if its echo proves when it was sent.
     fn greeted(&mut self, peer: &Peer, (envelope, greeting): (&Envelope, Greeting), at: u64) {
         let link = self.link;
         link.statistics.add(UdpCount::GreetingsReceived, 1);
@@ -322,7 +325,8 @@ impl Together<'_> {
             self.enter(peer, &mut known, (envelope, contact), at);
         }
         drop(known);
-        // A new neighbour learns at once that this node listens; this greeting's clock lets it prove that it hears.
+        // A new neighbour must learn at once that this node listens. The echo of this greeting's clock lets the neighbour
+        // prove that it hears this node.
         if greeting.wants_answer || is_new {
             link.say(peer, Greeting::default(), Some(heard(envelope, at)));
         }
@@ -342,18 +346,18 @@ impl Together<'_> {
     }
 }
 
-/// The sender's clock as a datagram shows it.
+/// The sender's clock, as a datagram shows it.
 const fn heard(envelope: &Envelope, at: u64) -> Heard {
     Heard { session: envelope.session, tx_mono: envelope.tx_mono, at }
 }
 
 impl UdpLink {
-    /// This node's clock as the sender knew it, if it is of this session.
+    /// This node's clock as the sender last knew it; `None` if that was the clock of another session.
     fn own_echo(&self, envelope: &Envelope) -> Option<u64> {
         envelope.echo.filter(|echo| echo.session == self.session).map(|echo| echo.mono)
     }
 
-    /// An instant before the datagram was sent, if its echo proves one. An echo from the future proves none.
+    /// An instant before the datagram was sent, if its echo proves one. An echo from the future proves nothing.
     fn sent_after(&self, envelope: &Envelope, at: u64) -> Option<u64> {
         self.own_echo(envelope).filter(|&echo| echo <= at)
     }

@@ -1,4 +1,4 @@
-//! Sending: from packets to the socket.
+//! Sends packets: from the transit buffer to the socket.
 
 use super::UdpLink;
 use super::peer::{Heard, Outgoing, Peer, Route};
@@ -13,9 +13,9 @@ use std::io::{self, IoSlice};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-/// How many full datagrams leave in one call, at most, if the kernel cuts it into them. Nothing more urgent can overtake what has
-/// left: the socket then holds 20 datagrams, and 15 of those that leave one by one. Twice as many would save a tenth of the cost
-/// of single calls, beyond the seven tenths that this saves (D129).
+/// How many full datagrams leave in one call at most, if the kernel cuts the call into datagrams. More urgent packets cannot
+/// overtake datagrams that the socket holds: 20 if they leave in such calls, and 15 if they leave one by one. Twice as many
+/// would save a tenth of the cost of single calls, beyond the seven tenths that this saves (D129).
 pub(crate) const SEGMENTS: usize = 4;
 
 impl UdpLink {
@@ -39,7 +39,7 @@ impl UdpLink {
         {
             datagram.clear();
             for packet in packets {
-                // For a port that the cell does not have: the neighbour will say so and count it.
+                // The cell may lack the port. The neighbour then reports this, and counts the packet.
                 let hash = self.table.port(packet.port).map_or(0, |port| port.hash);
                 datagram.push(&packet.encode(self.table.digest(), hash));
             }
@@ -47,12 +47,14 @@ impl UdpLink {
             datagram.seal(&envelope, digests);
         }
         let left = self.leave(peer, route, &datagrams[..count]);
-        // Counters of datagrams that were not taken count, too: part of a failed call may have left.
+        // The counters of datagrams that the kernel did not take are used up, too, because a part of a failed call may have
+        // left.
         *counter += count as u64;
         left.map(|left| packets.len().min(left * MAX_PACKETS))
     }
 
-    /// The envelope of a datagram for a neighbour, with counter zero. `heard`: the neighbour's clock, to be echoed.
+    /// The envelope of a datagram for a neighbour, with counter zero. `heard` is the neighbour's clock, which the envelope
+    /// echoes.
     pub(super) fn envelope(
         &self,
         peer: &Peer,
@@ -75,7 +77,7 @@ impl UdpLink {
         }
     }
 
-    /// Hands datagrams to the kernel in their order. Returns how many datagrams it took, or lost.
+    /// Hands datagrams to the kernel in their order. Returns how many datagrams the kernel took, or lost.
     fn leave(&self, peer: &Peer, route: &mut Route, datagrams: &[Datagram]) -> Result<usize, LinkBusy> {
         if datagrams.len() > 1 {
             match self.transmit_segmented(datagrams, route) {
@@ -85,7 +87,8 @@ impl UdpLink {
                     return Ok(datagrams.len());
                 }
                 Err(error) if is_full(&error) => return Err(self.found_full(peer)),
-                // Then each leaves by itself. A datagram that left all the same is recognised by its counter.
+                // After this error each datagram leaves by itself. If one has left all the same, the receiver recognises its
+                // counter.
                 Err(_) => {}
             }
         }
@@ -107,12 +110,12 @@ impl UdpLink {
         self.statistics.add(UdpCount::PacketsSent, datagram.len() as u64);
     }
 
-    /// The kernel takes nothing more for a neighbour.
+    /// Notes that the kernel takes nothing more for a neighbour.
     fn found_full(&self, peer: &Peer) -> LinkBusy {
         self.statistics.add(UdpCount::Busy, 1);
         peer.full.store(true, Ordering::Release);
         self.blocked.store(true, Ordering::Release);
-        // A thread that waits in the socket does not yet wait for room.
+        // A thread that already waits in the socket does not wait for room yet, so it is woken.
         self.polling.wake().wake();
         LinkBusy
     }
@@ -149,14 +152,14 @@ impl UdpLink {
         if error.kind() != io::ErrorKind::ConnectionRefused {
             return sent;
         }
-        // The error is an earlier datagram's; this one has not been tried.
+        // The error concerns an earlier datagram; this one has not been sent yet.
         self.statistics.send_failed(error);
         retried(send)
     }
 
-    /// Stops cutting on this route if the error says that the kernel refuses it: the network takes no full datagrams in one piece
-    /// (EINVAL, EMSGSIZE), or cannot checksum what it is given to cut (EIO). From then on each datagram leaves by itself. Other
-    /// errors concern earlier datagrams, or pass.
+    /// Stops cutting calls into datagrams on this route if the error says that the kernel refuses it: the network takes no
+    /// full datagrams in one piece (EINVAL, EMSGSIZE), or cannot compute the checksums of the pieces (EIO). From then on
+    /// each datagram leaves by itself. Other errors concern earlier datagrams, or go away.
     fn doubt_segments(&self, route: &mut Route, error: &io::Error) {
         let refused = [Errno::INVAL, Errno::IO, Errno::MSGSIZE];
         if Errno::from_io_error(error).is_some_and(|errno| refused.contains(&errno))

@@ -1,4 +1,4 @@
-//! Decides which session of a neighbour is listened to (D144).
+//! Decides from which session of a neighbour datagrams are accepted (D144).
 //!
 //! A node draws a new session at every start. Sessions have no order, so a datagram of another session than the known one must
 //! prove that it was sent later. Its echo is the proof: an instant of *this* node's clock before the neighbour sent the datagram.
@@ -17,26 +17,28 @@ use crate::link::LinkDiscard;
 use imrs_protocol::{Incarnation, Ticks};
 use imrs_wire::envelope::{Envelope, Purpose, ReplayWindow, Session, supersedes};
 
-/// The session of a neighbour that is listened to, as the receiving threads keep it. Times are of this node's clock.
+/// The session of a neighbour from which datagrams are accepted, as the receiving threads know it. Times are of this node's
+/// clock.
 pub(super) struct Known {
     session: Session,
     incarnation: Incarnation,
     window: ReplayWindow,
     /// When the datagram with the newest counter came.
     newest_at: u64,
-    /// When a datagram of the session was last admitted.
+    /// When a datagram of the session was last accepted.
     last: u64,
     pub(super) delay: LinkDelay,
 }
 
-/// How a good datagram relates to what came before.
+/// How a good datagram relates to the earlier ones of its sender.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Contact {
-    /// From the known session.
+    /// The datagram is from the known session.
     Known,
-    /// From the known session, whose newest counter so far was wrong.
+    /// The datagram is from the known session, whose newest counter so far was wrong.
     Resumed,
-    /// From a session that was not known before. `restarted`: an earlier one may have taken requests.
+    /// The datagram is from a session that was not known before. `restarted` says whether an earlier session may have taken
+    /// requests.
     New { restarted: bool },
 }
 
@@ -44,14 +46,14 @@ pub(super) enum Contact {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Unheard {
     pub(super) reason: LinkDiscard,
-    /// Whether an echo can decide it: then the neighbour is asked for one.
+    /// Whether an echo can decide the case. If so, the neighbour is asked for one.
     pub(super) asks: bool,
 }
 
-/// Judges a datagram by its sender's session and its counter. Changes nothing.
+/// Judges a datagram by its sender's session and its counter. This changes nothing.
 ///
-/// `sent_after`: an instant before the datagram was sent, if it proves one. `one_way`: no exchange is possible, because nothing
-/// can be sent to the neighbour. Then the order of incarnations decides (D49).
+/// `sent_after` is an instant before the datagram was sent, if the datagram proves one. With `one_way` no exchange is
+/// possible, because nothing can be sent to the neighbour; the order of incarnations then decides (D49).
 pub(super) fn judge(
     known: Option<&Known>,
     envelope: &Envelope,
@@ -79,7 +81,7 @@ pub(super) fn judge(
     Err(Unheard { reason, asks: true })
 }
 
-/// Records a datagram that was admitted at `at`. `declared`: the bound of the link.
+/// Records a datagram that was accepted at the instant `at`. `declared` is the bound of the link.
 pub(super) fn admit<'a>(
     known: &'a mut Option<Known>,
     contact: Contact,
@@ -131,7 +133,7 @@ mod tests {
         }
     }
 
-    /// A neighbour from which the datagrams `(session, incarnation, counter)` were admitted, each at its time.
+    /// A neighbour from which the datagrams `(session, incarnation, counter)` were accepted, each at its time.
     fn heard(datagrams: &[(u64, u8, u64, u64)]) -> Option<Known> {
         let mut known = None;
         for &(session, incarnation, counter, at) in datagrams {
@@ -154,7 +156,7 @@ mod tests {
     #[test]
     fn a_new_session_takes_over_when_it_was_sent_after_all_that_came() {
         let known = heard(&[(1, 200, 0, 100), (1, 200, 1, 500)]);
-        // The neighbour lost its state: its incarnation begins again.
+        // The neighbour lost its state, so its incarnations begin again.
         let again = envelope(2, 0, 0);
         let unproven = |sent_after| judged(&known, &again, sent_after).unwrap_err();
         assert_eq!(unproven(None), Unheard { reason: LinkDiscard::UnprovenSession, asks: true });
@@ -164,7 +166,7 @@ mod tests {
 
     #[test]
     fn a_dead_session_takes_nothing_over() {
-        // The first session heard this node until 400, and ended. The next one is heard from 600 on.
+        // The first session heard from this node until 400, and then ended. The next session is heard from 600 on.
         let known = heard(&[(1, 3, 9, 410), (2, 4, 0, 600)]);
         for sent_after in [None, Some(0), Some(400), Some(599)] {
             let reason = judged(&known, &envelope(1, 3, 10), sent_after).unwrap_err().reason;

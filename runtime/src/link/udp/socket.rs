@@ -1,4 +1,4 @@
-//! The UDP sockets: the options that the kernel is asked for, and what it says with each datagram.
+//! The UDP sockets: the options that are set in the kernel, and the data that the kernel gives with each datagram.
 
 use super::UdpError;
 use crate::link::residency::Reading;
@@ -13,39 +13,40 @@ use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::os::fd::{AsRawFd, OwnedFd};
 use std::time::{Duration, Instant};
 
-/// One more than the longest datagram, so that a longer one is noticed.
+/// The size of a receive buffer: one byte more than the longest datagram, so that a longer one is noticed.
 const BUFFER_BYTES: usize = MAX_DATAGRAM_BYTES + 1;
-/// The most that the kernel merges; any single datagram fits, too.
+/// The most bytes that the kernel merges. Any single datagram fits, too.
 const MERGED_BYTES: usize = 64 * 1024;
 
-/// How many bytes the kernel holds for the network (SO_SNDBUF; the kernel doubles that for its own needs). No urgent packet can
-/// overtake them, so this is as little as keeps the network busy. A full datagram takes 2,304 bytes of the kernel's if it leaves
-/// alone, so 15 are held, or 20 that leave in fours (D129). The socket takes more once half of them are gone. The other seven
-/// take 85 us at a gigabit a second, longer than the sending thread takes to wake (D110).
+/// How many bytes the kernel holds for the network (SO_SNDBUF; the kernel doubles that for its own needs). No urgent packet
+/// can overtake these bytes, so the number is just large enough to keep the network busy. A full datagram takes 2,304 bytes
+/// of the kernel's if it leaves alone, so the kernel holds 15 of them, or 20 that leave in calls of four (D129). The socket
+/// takes more once half of them are gone. The other seven datagrams take 85 us at a gigabit a second, longer than the
+/// sending thread takes to wake (D110).
 const SEND_QUEUE_BYTES: usize = 16 * 1024;
 
-/// Bounds what a socket holds for the network.
+/// Limits how many bytes a socket holds for the network.
 pub(super) fn bound_sending(socket: &UdpSocket) -> nix::Result<()> {
     setsockopt(socket, sockopt::SndBuf, &SEND_QUEUE_BYTES)
 }
 
-/// Asks the kernel to cut what is sent into datagrams of so many bytes; zero ends that.
+/// Asks the kernel to cut the data of each send into datagrams of so many bytes; zero ends that.
 pub(super) fn set_segment(socket: &UdpSocket, bytes: usize) -> nix::Result<()> {
     let bytes = i32::try_from(bytes).unwrap_or(i32::MAX);
     setsockopt(socket, sockopt::UdpGsoSegment, &bytes)
 }
 
-/// Whether the kernel can cut what is sent.
+/// Whether the kernel can cut the data of a send into datagrams.
 pub(super) fn segments(socket: &UdpSocket) -> bool {
     set_segment(socket, 0).is_ok()
 }
 
-/// Asks the kernel to merge what arrives from one sender at the same time. Returns whether it does.
+/// Asks the kernel to merge datagrams that arrive from one sender at the same time. Returns whether it does.
 pub(super) fn merge(socket: &UdpSocket) -> bool {
     setsockopt(socket, sockopt::UdpGroSegment, &true).is_ok()
 }
 
-/// Sends all slices in one call, to where the socket is connected.
+/// Sends all slices in one call, to the address to which the socket is connected.
 pub(super) fn send_all(socket: &UdpSocket, slices: &[IoSlice<'_>]) -> io::Result<usize> {
     Ok(rustix::io::writev(socket, slices)?)
 }
@@ -55,10 +56,11 @@ pub(super) struct Received<'a> {
     bytes: &'a [u8],
     /// The length of each datagram; the last one may be shorter.
     segment: usize,
-    /// When they came in, by the wall clock since 1970: the first of them on the loopback; those that a card merged, when it let
-    /// go of them. How long the card may hold them is part of the link's declared bound (D129).
+    /// When the datagrams came in, by the wall clock since 1970. On the loopback this is when the first of them came; if a
+    /// network card merged them, it is when the card released them. How long the card may hold them is part of the link's
+    /// declared bound (D129).
     pub(super) stamp: Option<Duration>,
-    /// How many datagrams the kernel has dropped since the socket was made, wrapping around, if it says so.
+    /// How many datagrams the kernel has dropped since the socket was made, if it reports that. The number wraps around.
     pub(super) dropped: Option<u32>,
 }
 
@@ -70,16 +72,16 @@ impl<'a> Received<'a> {
     }
 }
 
-/// Receives into one reused buffer.
+/// Receives datagrams into one reused buffer.
 pub(super) struct Receiver {
     bytes: Box<[u8]>,
     control: Vec<u8>,
-    /// Whether stamps are times of arrival.
+    /// Whether stamps are the times of arrival.
     pub(super) stamped: bool,
 }
 
 impl Receiver {
-    /// `merges`: the kernel may merge datagrams.
+    /// A receiver. `merges` says whether the kernel may merge datagrams.
     pub(super) fn new(stamped: bool, merges: bool) -> Self {
         let control = nix::cmsg_space!(TimeSpec, u32, i32);
         let room = if merges { MERGED_BYTES } else { BUFFER_BYTES };
@@ -115,16 +117,16 @@ fn since_1970(at: TimeSpec) -> Option<Duration> {
 /// The options of a receiving socket.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Asked {
-    /// Whether the kernel merges what arrives from one sender at the same time.
+    /// Whether the kernel merges datagrams that arrive from one sender at the same time.
     pub(super) merges: bool,
-    /// Whether the kernel stamps what arrives.
+    /// Whether the kernel stamps arriving datagrams.
     pub(super) stamped: bool,
-    /// About how many bytes wait in the kernel, at most.
+    /// How many bytes can wait in the kernel, approximately.
     pub(super) queue: usize,
 }
 
 impl Asked {
-    /// Sets the options, except merging, which the kernel need not know.
+    /// Sets these options on a socket, except merging, which the kernel may not know.
     fn of(self, socket: &UdpSocket) -> Result<(), UdpError> {
         let option = |option: &'static str, result: nix::Result<()>| {
             result.map_err(|errno| UdpError::Option { option, source: errno.into() })
@@ -139,8 +141,8 @@ impl Asked {
     }
 }
 
-/// A socket bound to `address`, which no other socket may have. `merges`: the kernel may merge datagrams. Also returns the
-/// options, as far as the kernel knows them, and a reading of the clocks before anything can have come in.
+/// A socket bound to `address`, which no other socket may have. `merges` says whether the kernel may merge datagrams. Also
+/// returns the options that the kernel accepted, and a reading of the clocks from before anything can have come in.
 pub(super) fn bind(
     address: SocketAddr,
     queue: usize,
@@ -155,12 +157,13 @@ pub(super) fn bind(
     Ok((socket, asked, empty))
 }
 
-/// A socket on the address of another one, `local`, that is connected to `peer`: the kernel gives it what comes from there.
+/// A socket on the address of another one, `local`, that is connected to `peer`: the kernel gives it the datagrams from that
+/// address.
 ///
-/// A socket can share an address only if all sockets on it, and itself, have SO_REUSEADDR set at that moment. `bound` has it set
-/// only meanwhile, so no other process gets the address; two threads must not do this at once. SO_REUSEPORT would let other
-/// processes of the user in for as long as the node runs. Between its bind and its connect the socket gets what strangers send,
-/// which is judged by its content, as everywhere.
+/// A socket can share an address only if all sockets on it, and itself, have SO_REUSEADDR set at that moment. `bound` has
+/// the option set only during this call, so no other process gets the address; two threads must not make this call at once.
+/// SO_REUSEPORT would let other processes of the user in for as long as the node runs. Between its bind and its connect the
+/// socket also gets datagrams of strangers, which are judged by their contents, as always.
 pub(super) fn connect_beside(
     bound: &UdpSocket,
     local: SocketAddr,
@@ -183,9 +186,9 @@ pub(super) fn connect_beside(
     Ok(socket)
 }
 
-/// Whether the kernel stamps datagrams when they come in. It begins to do so some time after the first socket asks for it. Until
-/// then it gives the time of *reception*, which makes old datagrams look young. So this sends a datagram to itself, and leaves it
-/// waiting.
+/// Whether the kernel stamps datagrams when they come in. It begins to do so some time after the first socket asks for it.
+/// Until then it gives the time of *reception*, which makes old datagrams look young. To find out, this sends a datagram to
+/// its own socket, and leaves it there for a while.
 fn stamps_work() -> bool {
     const WAIT: Duration = Duration::from_millis(1);
     const ATTEMPTS: usize = 50;
@@ -208,7 +211,7 @@ fn stamps_work() -> bool {
     attempt().unwrap_or(false)
 }
 
-/// An event counter that ends a wait from another thread.
+/// An event counter by which another thread ends a wait.
 pub(super) struct Wake(OwnedFd);
 
 impl Wake {
@@ -219,7 +222,7 @@ impl Wake {
 
     /// Ends the present wait, or else the next one.
     pub(super) fn wake(&self) {
-        // Fails only if the count is full, and then the wait ends all the same.
+        // This fails only if the count is full, and then the wait ends all the same.
         let _ = rustix::io::write(&self.0, &1_u64.to_ne_bytes());
     }
 
@@ -228,22 +231,22 @@ impl Wake {
     }
 
     pub(super) fn clear(&self) {
-        // Fails only if another thread has cleared it.
+        // This fails only if another thread has already cleared the counter.
         let _ = rustix::io::read(&self.0, &mut [0_u8; 8]);
     }
 }
 
-/// What a wait for room ended with.
+/// How a wait for room ended.
 pub(super) enum Waited {
     /// The epoll instance has an event.
     ReadySockets,
-    /// A socket that was full may take something.
+    /// A socket that was full may take datagrams again.
     Writable,
     TimedOut,
 }
 
-/// Waits until the epoll instance has an event, one of the `full` sockets takes something, or `until`. Allocates, which is
-/// acceptable when the network does not keep up.
+/// Waits until the epoll instance has an event, one of the `full` sockets takes datagrams again, or the instant `until` has
+/// passed. It allocates, which is acceptable while the network does not keep up.
 pub(super) fn wait_for_room(
     epoll: &OwnedFd,
     full: &[&UdpSocket],
@@ -253,10 +256,10 @@ pub(super) fn wait_for_room(
     fds.extend(full.iter().map(|full| PollFd::new(*full, PollFlags::OUT)));
     loop {
         let left = until.map(|until| until.saturating_duration_since(Instant::now()));
-        // A wait too long for the kernel's type counts as one without end.
+        // A wait that is too long for the kernel's type counts as a wait without end.
         let timeout = left.and_then(|left| Timespec::try_from(left).ok());
         match poll(&mut fds, timeout.as_ref()) {
-            // `poll` uses the clock that `Instant` shows, but nothing guarantees that.
+            // `poll` uses the same clock as `Instant`, but nothing guarantees that.
             Ok(0) if until.is_some_and(|until| Instant::now() < until) => {}
             Ok(0) => return Ok(Waited::TimedOut),
             Ok(_) => {}
@@ -266,7 +269,7 @@ pub(super) fn wait_for_room(
         if !fds[0].revents().is_empty() {
             return Ok(Waited::ReadySockets);
         }
-        // The next send fetches a sending socket's error.
+        // The next send reports the error of a sending socket.
         if fds[1..].iter().any(|fd| !fd.revents().is_empty()) {
             return Ok(Waited::Writable);
         }
@@ -292,13 +295,13 @@ mod tests {
         let local = bound.local_addr().unwrap();
         let connected = connect_beside(&bound, local, local, asked).unwrap();
         for socket in [bound, connected] {
-            // The kernel reports twice what was asked for.
+            // The kernel reports twice the number of bytes that was asked for.
             assert_eq!(getsockopt(&socket, sockopt::RcvBuf).unwrap(), 2 * QUEUE);
             assert_eq!(getsockopt(&socket, sockopt::SndBuf).unwrap(), 2 * SEND_QUEUE_BYTES);
         }
     }
 
-    /// Neither a second start of the node nor any other process gets a share of a node's port.
+    /// Neither a second start of the node nor any other process may get a share of the node's port.
     #[test]
     fn an_address_stays_this_nodes_alone() {
         for any in ["127.0.0.1:0", "0.0.0.0:0", "[::1]:0", "[::]:0"] {

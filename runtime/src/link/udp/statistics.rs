@@ -5,12 +5,13 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 macro_rules! counts {
     ($($(#[doc = $doc:literal])+ $variant:ident = $name:literal),* $(,)?) => {
-        /// What a UDP link counts. Of data that it discards on reception, it tells the node the reason instead.
+        /// The events that a UDP link counts. The drops of received data are not here: the link tells the node the reason of
+        /// each.
         #[derive(Clone, Copy, Debug, PartialEq, Eq)]
         pub enum UdpCount { $($(#[doc = $doc])+ $variant),* }
 
         impl UdpCount {
-            /// All of them.
+            /// All counters of a link.
             pub const ALL: &'static [Self] = &[$(Self::$variant),*];
 
             /// A short name for tables and counters.
@@ -27,20 +28,20 @@ counts! {
     DatagramsSent = "datagrams_sent",
     /// Packets in the datagrams that were handed to the kernel.
     PacketsSent = "packets_sent",
-    /// Datagrams that left in one call with an earlier one (UDP_SEGMENT): how many calls were saved.
+    /// Datagrams that left in one call with an earlier one (UDP_SEGMENT): the number of calls that this saved.
     SendsSaved = "sends_saved",
     /// Routes for which the kernel refused to cut a call into datagrams.
     SegmentsRefused = "segments_refused",
     /// Datagrams that came in, good or not.
     DatagramsReceived = "datagrams_received",
-    /// Datagrams that the kernel had merged with an earlier one (UDP_GRO): how many calls were saved.
+    /// Datagrams that the kernel had merged with an earlier one (UDP_GRO): the number of calls that this saved.
     ReceivesSaved = "receives_saved",
     /// Packets handed to the sink: the node that the link receives for.
     PacketsReceived = "packets_received",
     /// Datagrams that the kernel dropped because its queue was full (SO_RXQ_OVFL); those that it had merged count as one.
     KernelDropped = "kernel_dropped",
-    /// Of the datagrams that the kernel dropped: those in the socket of strangers, from addresses of no neighbour. A flood from
-    /// outside the cell shows here.
+    /// Datagrams that the kernel dropped from the socket of strangers, so they came from addresses of no neighbour. A flood
+    /// from outside the cell shows here.
     StrangersDropped = "strangers_dropped",
     /// Sends that found the kernel's send queue full; the packets were kept.
     Busy = "send_busy",
@@ -58,9 +59,9 @@ counts! {
     SendFailed = "send_failed",
     /// Errors that the socket reported on reception.
     ReceiveFailed = "receive_failed",
-    /// Datagrams whose wait was counted from when the socket was last seen empty, because the wall clock was set.
+    /// Datagrams whose wait was counted from the time when the socket was last seen empty, because the wall clock was set.
     ClockSet = "clock_set",
-    /// Datagrams whose wait was counted from then because the kernel gave no stamp.
+    /// Datagrams whose wait was counted from the time when the socket was last seen empty, because the kernel gave no stamp.
     NoStamp = "no_stamp",
     /// New sessions of neighbours: the first one of each, and one for each restart.
     NewIncarnations = "new_lives",
@@ -68,18 +69,19 @@ counts! {
     GreetingsSent = "greetings_sent",
     /// Greetings that came in.
     GreetingsReceived = "greetings_received",
-    /// How often a neighbour was asked for an echo, because its session or its counter could not be told from an old one.
+    /// How often the node asked a neighbour for an echo, because the neighbour's session or counter could not be told from
+    /// an old one.
     EchoesAsked = "echoes_asked",
     /// Counters that one datagram had set too far ahead, and that a later one corrected.
     CountersMended = "counters_mended",
-    /// Refusals sent. The reasons are counted with the datagrams that came in.
+    /// Refusals sent. The reasons are counted with the datagrams that were refused.
     RefusalsSent = "refusals_sent",
     /// Packets that came before the node began, and were dropped.
     BeforeStart = "before_start",
 }
 
 impl UdpCount {
-    /// The counters of what was lost, or may have been.
+    /// The counters of packets that were lost, or may have been.
     pub const FAILURES: [Self; 8] = [
         Self::KernelDropped,
         Self::SendRefused,

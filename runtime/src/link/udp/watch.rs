@@ -1,9 +1,9 @@
-//! Waits for the sockets, and decides which thread hears of a datagram.
+//! Waits for the sockets, and decides which thread a datagram wakes.
 //!
-//! Two epoll instances watch each socket that is connected to a neighbour, both with EPOLLEXCLUSIVE: the leader's first, then the
-//! polling thread's. The kernel goes through them in this order and ends at the first one in which a thread sleeps. So a datagram
-//! wakes only the leader. If no thread leads, or the leader is already awake, it wakes the polling thread. Nothing is switched
-//! over when a leader comes or goes, and no thread is woken for that.
+//! Two epoll instances watch each socket that is connected to a neighbour, both with EPOLLEXCLUSIVE: the leader's first,
+//! then the polling thread's. The kernel goes through them in this order and ends at the first one in which a thread sleeps.
+//! So a datagram wakes only the leader. If no thread leads, or the leader is already awake, it wakes the polling thread.
+//! When a leader comes or goes, nothing needs to be changed, and no thread is woken for it.
 //!
 //! The order decides which thread is woken, never whether one is: an instance without a thread keeps its events, and both are
 //! level-triggered. Only the polling thread's instance watches the socket of strangers: what strangers send wakes no task (D155).
@@ -18,27 +18,28 @@ use std::net::UdpSocket;
 use std::os::fd::OwnedFd;
 use std::time::{Duration, Instant};
 
-/// The event data of the event counter. That of a socket is its place.
+/// The event data of the event counter. The event data of a socket are its place.
 const WAKE: u64 = u64::MAX;
 /// How many events one wait reports, at most. The kernel reports the others with the next waits, in turns.
 const AT_ONCE: usize = 16;
 
-/// For shorter waits, the whole milliseconds of epoll's timeout are too coarse.
+/// Waits below this are too short for epoll's timeout, which has whole milliseconds.
 const COARSE: Duration = Duration::from_millis(2);
 const NOW: Timespec = Timespec { tv_sec: 0, tv_nsec: 0 };
-/// The kernel may end a wait late, by a thousandth of it. So a first wait leaves out twice that, and another one, short and
-/// exact, ends on time.
+/// The kernel may end a wait late, by a thousandth of its length. So a first wait is shorter by twice that, this fraction of
+/// the length, and a short and exact second wait ends on time.
 const LATE: u32 = 500;
 
 /// One epoll instance with sockets and an event counter.
 pub(super) struct Watch {
     epoll: OwnedFd,
     wake: Wake,
-    /// If there are a datagram and a wake-up: whether the wake-up is reported. The other one ends the next wait.
+    /// Whether the wake-up is reported first if there are both a datagram and a wake-up. The other one then ends the next
+    /// wait.
     wake_first: bool,
 }
 
-/// What a wait ended with.
+/// How a wait ended.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Seen {
     Readable(ReadySockets),
@@ -46,7 +47,7 @@ pub(super) enum Seen {
     TimedOut,
 }
 
-/// The places of sockets that have something, in the order in which they got it.
+/// The places of the sockets that have something to receive, in the order in which they got it.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct ReadySockets {
     places: [u32; AT_ONCE],
@@ -77,18 +78,18 @@ impl Watch {
         Ok(Self { epoll, wake, wake_first })
     }
 
-    /// Watches a socket that no other instance watches.
+    /// Watches a socket that no other epoll instance watches.
     pub(super) fn add_alone(&self, socket: &UdpSocket, place: u32) -> io::Result<()> {
         Ok(epoll::add(&self.epoll, socket, EventData::new_u64(place.into()), EventFlags::IN)?)
     }
 
-    /// Watches such a socket, or stops for the time being.
+    /// Watches a socket that was added with [`add_alone`](Self::add_alone), or stops watching it for the time being.
     pub(super) fn heed(&self, socket: &UdpSocket, place: u32, heeds: bool) -> io::Result<()> {
         let events = if heeds { EventFlags::IN } else { EventFlags::empty() };
         Ok(epoll::modify(&self.epoll, socket, EventData::new_u64(place.into()), events)?)
     }
 
-    /// Watches a socket, too, after all instances to which it was added before. Closing the socket removes it.
+    /// Watches a socket, after all epoll instances to which it was added before. Closing the socket removes it.
     pub(super) fn add(&self, socket: &UdpSocket, place: u32) -> io::Result<()> {
         let exclusive = EventFlags::IN | EventFlags::EXCLUSIVE;
         Ok(epoll::add(&self.epoll, socket, EventData::new_u64(place.into()), exclusive)?)
@@ -102,7 +103,7 @@ impl Watch {
         &self.wake
     }
 
-    /// Waits until a socket has something, a wake-up, or `until`.
+    /// Waits until a socket has something to receive, a wake-up comes, or the instant `until` has passed.
     pub(super) fn wait(&self, until: Option<Instant>) -> io::Result<Seen> {
         loop {
             let left = until.map(|until| until.saturating_duration_since(Instant::now()));
@@ -112,7 +113,7 @@ impl Watch {
         }
     }
 
-    /// As [`wait`](Self::wait), for at most `left`. `None` if it ended early: then there is more to wait.
+    /// As [`wait`](Self::wait), for at most `left`. Returns `None` if the wait ended early, so that the caller must wait on.
     pub(super) fn wait_some(&self, left: Option<Duration>) -> io::Result<Option<Seen>> {
         let seen = match left {
             Some(left) if left < COARSE => self.wait_exactly(left),
@@ -126,7 +127,7 @@ impl Watch {
         }
     }
 
-    /// The sockets that have something now. Consumes no wake-up.
+    /// The sockets that have something to receive now. This consumes no wake-up.
     pub(super) fn look(&self) -> ReadySockets {
         self.events(Some(&NOW)).map(|(told, _)| told).unwrap_or_default()
     }
@@ -140,7 +141,7 @@ impl Watch {
         Ok(self.seen(told, wake))
     }
 
-    /// In so short a wait it does no harm that other threads are woken, too.
+    /// Waits with a precise timeout, which also wakes other threads. In so short a wait that does no harm.
     fn wait_exactly(&self, left: Duration) -> rustix::io::Result<Seen> {
         if !left.is_zero() {
             poll(&mut [PollFd::new(&self.epoll, PollFlags::IN)], Timespec::try_from(left).ok().as_ref())?;
@@ -149,8 +150,8 @@ impl Watch {
         Ok(self.seen(told, wake))
     }
 
-    /// The sockets that have something within `left`, and whether there is a wake-up. A socket's error (EPOLLERR) is fetched by
-    /// receiving.
+    /// The sockets that get something to receive within `left`, and whether there is a wake-up. A socket's error (EPOLLERR)
+    /// is reported when it receives.
     fn events(&self, left: Option<&Timespec>) -> rustix::io::Result<(ReadySockets, bool)> {
         let mut room = [MaybeUninit::uninit(); AT_ONCE];
         let (events, _) = epoll::wait(&self.epoll, &mut room, left)?;

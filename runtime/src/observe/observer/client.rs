@@ -1,4 +1,4 @@
-//! One monitor of a node.
+//! The connection of one monitor to a node.
 
 use super::due::{Subscription, mono_us};
 use super::stream::Stream;
@@ -12,11 +12,11 @@ use std::time::{Duration, Instant};
 
 /// How long a new connection has to say hello and to show its token.
 const GREETING: Duration = Duration::from_secs(5);
-/// A monitor that takes or wants nothing for so long makes room for another.
+/// A monitor that reads or wants nothing for so long makes room for another monitor.
 const IDLE: Duration = Duration::from_secs(5);
-/// How many requests of one monitor are read before the others get their turn.
+/// How many requests of one monitor are read before the other monitors get their turn.
 const REQUESTS: usize = 16;
-/// The first version with tokens, and with all that came with them.
+/// The first version with tokens, and with everything that came with them.
 const NEW: Version = Version { major: 1, minor: 1 };
 /// The first version that reports which scripts are held back.
 const HELD_BACK: Version = Version { major: 1, minor: 2 };
@@ -28,29 +28,29 @@ pub(super) struct Client {
     state: State,
     /// The protocol version in use, once the monitor has said hello.
     version: Version,
-    /// When the monitor last asked for something, or had taken everything and wanted more.
+    /// When the monitor last asked for something. If it has read everything and wants more, it counts as active.
     active: Instant,
     /// The answer to the monitor's last ping, until it is sent.
     pong: Option<Pong>,
 }
 
 enum State {
-    /// The hello has not come.
+    /// The hello of the monitor has not come yet.
     Greeting {
         until: Instant,
     },
-    /// The monitor has not shown that it may look.
+    /// The monitor has not yet shown that it may look.
     Unproven {
         until: Instant,
     },
-    /// The monitor may subscribe.
+    /// The monitor may subscribe, and has not done so.
     Idle,
     Subscribed(Box<Subscription>),
-    /// The pending frame is the last one.
+    /// The pending frame is the last one before the connection ends.
     Leaving,
 }
 
-/// The connection is over.
+/// The error that the connection is over.
 struct Gone;
 
 impl From<FrameError> for Gone {
@@ -77,7 +77,7 @@ impl Client {
         !self.writer.is_drained()
     }
 
-    /// When the connection needs service even if nothing comes from it.
+    /// When the connection needs service next, even if the monitor sends nothing.
     pub fn due(&self) -> Option<Instant> {
         match &self.state {
             State::Greeting { until } | State::Unproven { until } => Some(*until),
@@ -86,23 +86,24 @@ impl Client {
         }
     }
 
-    /// Reads and writes what it can. `room` says whether one more monitor can be served. False if the connection is over.
+    /// Reads and writes as much as it can. `room` says whether one more monitor can be served. Returns false if the
+    /// connection is over.
     pub fn serve(&mut self, ready: bool, room: bool, now: Instant) -> bool {
         self.try_serve(ready, room, now).is_ok()
     }
 
-    /// Whether the monitor has shown that it may look, and takes a place.
+    /// Whether the monitor has shown that it may look, and so takes one of the places.
     pub const fn is_served(&self) -> bool {
         matches!(self.state, State::Idle | State::Subscribed(_))
     }
 
-    /// Since when the monitor has taken or wanted nothing, if that is so long that it makes room for others.
+    /// Since when the monitor has read or wanted nothing, if that is so long that it makes room for others.
     pub fn idle_since(&self, now: Instant) -> Option<Instant> {
         let is_idle = self.is_served() && !self.is_active();
         (is_idle && now.saturating_duration_since(self.active) >= IDLE).then_some(self.active)
     }
 
-    /// Whether the monitor takes what is made for it, and wants more.
+    /// Whether the monitor reads the frames that are made for it, and wants more.
     fn is_active(&self) -> bool {
         matches!(&self.state, State::Subscribed(wanted) if wanted.credit > 0) && self.writer.is_drained()
     }
@@ -110,7 +111,7 @@ impl Client {
     pub fn say_goodbye(&mut self) {
         if matches!(self.state, State::Idle | State::Subscribed(_)) && self.writer.is_drained() {
             let bye = ServerFrame::Bye(Bye { reason: Goodbye::Stopping });
-            // A monitor that does not take it now sees the connection end.
+            // If the monitor does not read this frame now, it only sees the connection end.
             let _ = self.writer.push(&bye).and_then(|()| self.writer.flush());
         }
     }
@@ -120,7 +121,8 @@ impl Client {
             self.flush()?;
             self.read(room, now)?;
         }
-        // Only after reading what lies in the socket: on a busy machine the observer is late, not the monitor.
+        // This check comes only after reading everything in the socket, because on a busy machine the observer may be late,
+        // not the monitor.
         if let State::Greeting { until } | State::Unproven { until } = self.state
             && until <= now
         {
@@ -195,7 +197,7 @@ impl Client {
                 }
             }
             ClientFrame::Ping(ping) => self.pong = Some(Pong { echo_us: ping.mono_us, mono_us: mono_us() }),
-            // It may look without a token.
+            // The monitor may look without a token, so the token is ignored.
             ClientFrame::Token(_) => {}
         }
     }
@@ -224,7 +226,7 @@ impl Client {
             Err(_) => return Err(Gone),
             Ok((theirs, Handshake::Hello(Hello { role: Role::Monitor, schema, .. }))) => {
                 match agree((VERSION, SCHEMA), (*theirs, *schema)) {
-                    // This version has no way to show a token.
+                    // In this version a monitor cannot show a token.
                     Ok(version) if self.showing.token.is_some() && version.minor < NEW.minor => {
                         Some(Refusal::OtherMajor { node: VERSION, monitor: *theirs })
                     }
@@ -259,19 +261,19 @@ impl Client {
         self.admit()
     }
 
-    /// The monitor may look.
+    /// Lets the monitor look.
     fn admit(&mut self) -> Result<(), Gone> {
         self.writer.push(&ServerFrame::Table(Table::of(self.showing.node.table())))?;
         self.state = State::Idle;
         Ok(())
     }
 
-    /// The monitor's first frame must be the token.
+    /// Checks the monitor's first frame, which must be the token.
     fn prove(&mut self, frame: Result<ClientFrame, DecodeError>, room: bool) -> Result<(), Gone> {
         let denied = match (&self.showing.token, frame) {
             (Some(ours), Ok(ClientFrame::Token(theirs))) if !ours.is(&theirs) => Denied::WrongToken,
             (None, _) | (Some(_), Ok(ClientFrame::Token(_))) if room => return self.admit(),
-            // The last place went to another monitor meanwhile: if this one connects again, it is told so.
+            // Another monitor took the last place meanwhile. If this monitor connects again, it gets an answer that says so.
             (None, _) | (Some(_), Ok(ClientFrame::Token(_))) => return Err(Gone),
             (Some(_), _) => Denied::NoToken,
         };
@@ -286,7 +288,7 @@ impl Client {
         Ok(())
     }
 
-    /// Makes at most one frame: while a frame is being sent, nothing else is made.
+    /// Makes at most one frame, and none while an earlier frame is still being sent.
     fn push_what_is_due(&mut self, now: Instant) -> Result<(), Gone> {
         if let Some(pong) = self.pong.take() {
             return Ok(self.writer.push(&ServerFrame::Pong(pong))?);

@@ -1,4 +1,4 @@
-//! Decides what one monitor is told, and when.
+//! Decides which frames one monitor gets, and when.
 
 use super::Showing;
 use crate::clock;
@@ -11,34 +11,34 @@ use imrs_wire::obs::{
 use std::io::Write;
 use std::time::{Duration, Instant};
 
-/// The shortest time between snapshots.
+/// The shortest time between two snapshots.
 const LEAST_PERIOD: Duration = Duration::from_millis(10);
-/// The time between frames of events.
+/// The time between two frames of events.
 const EVENT_PERIOD: Duration = Duration::from_millis(20);
 /// The shortest time between two frames of vitals, which are read from the system.
 const LEAST_VITALS: Duration = Duration::from_millis(100);
-/// How often the places of the other nodes are checked.
+/// How often the addresses of the other nodes are checked for changes.
 const PLACES_PERIOD: Duration = Duration::from_secs(1);
 /// How often the held-back scripts are checked.
 const HELD_BACK_PERIOD: Duration = Duration::from_secs(1);
-/// How many events of one machine go into one frame.
+/// How many events of one state machine go into one frame at most.
 const EVENT_ROOM: usize = 512;
-/// How many events go into one frame.
+/// How many events go into one frame at most.
 const MAX_EVENTS: usize = 16_384;
 
-/// What one monitor has asked for.
+/// The frames for which one monitor has asked.
 pub(super) struct Subscription {
     period: Duration,
     watching: Watching,
     pub credit: u16,
     next_snapshot: Instant,
     events: Option<Following>,
-    /// Only for monitors of version 1.1 or later.
+    /// The additional frames, only for monitors of version 1.1 or later.
     more: Option<More>,
 }
 
-/// The kinds of frames. Of those due since the same instant, the earlier kind here goes first: a monitor that gets the state
-/// knows of the other nodes and of held-back scripts by then.
+/// The kinds of frames. If several have been due since the same instant, the kind that stands first here goes first. So a
+/// monitor that gets the state already knows the other nodes and the held-back scripts.
 #[derive(Clone, Copy)]
 enum What {
     Places,
@@ -50,7 +50,7 @@ enum What {
 }
 
 impl What {
-    /// Whether the frame takes one of the monitor's credits.
+    /// Whether the frame costs one of the monitor's credits.
     const fn has_a_price(self) -> bool {
         !matches!(self, Self::Places | Self::HeldBack)
     }
@@ -63,22 +63,22 @@ struct Following {
     filter: EventFilter,
 }
 
-/// What versions 1.1 and 1.2 add.
+/// The frames that versions 1.1 and 1.2 added.
 struct More {
-    /// The snapshot that the monitor was told last: changes are computed from it.
+    /// The last snapshot that the monitor got. Changes are computed from it.
     told: Option<Snapshot>,
-    /// Since when the watched queues are due.
+    /// Since when the frame about the watched queues is due.
     detail: Option<Instant>,
     vitals: Option<(Duration, Instant)>,
     late: Seen,
     whole: Option<(Duration, Instant)>,
     places: (Places, Instant),
-    /// Whether the monitor has the list of held-back scripts, and when they are checked next; `None` for version 1.1.
+    /// Whether the monitor has the list of held-back scripts, and when the list is checked next; `None` for version 1.1.
     held_back: Option<(bool, Instant)>,
 }
 
 impl Subscription {
-    /// The subscription of a monitor of version 1.0, in place of the one before.
+    /// The subscription of a monitor of version 1.0. It replaces the one in `before`.
     pub fn old(wanted: &Subscribe, before: Option<Self>, showing: &Showing, now: Instant) -> Self {
         let events = wanted.events.then_some(EventFilter::ALL);
         Self {
@@ -116,7 +116,7 @@ impl Subscription {
             places: (Places::default(), now),
             held_back: hears_held_back.then_some((false, now)),
         });
-        // What is due stays due, however often the monitor subscribes anew.
+        // A frame that is due stays due, however often the monitor subscribes anew.
         let at = more.vitals.map_or(now, |(_, at)| at.min(now));
         let vitals = every(wanted.vitals_us, LEAST_VITALS).map(|every| (every, at));
         let whole = every(wanted.whole_us, period).map(|every| (every, now + every));
@@ -130,7 +130,7 @@ impl Subscription {
         }
     }
 
-    /// The monitor asks for a whole snapshot: the next state is one. Frames that were due before go first.
+    /// Makes the next state a whole snapshot, because the monitor asked for one. Frames that were due before go first.
     pub fn whole(&mut self, now: Instant) {
         if let Some(more) = &mut self.more {
             more.told = None;
@@ -138,7 +138,7 @@ impl Subscription {
         }
     }
 
-    /// When each kind of frame is due next, if at all.
+    /// For each kind of frame, when it is due next, if at all.
     fn dues(&self) -> [(Option<Instant>, What); 6] {
         let more = self.more.as_ref();
         [
@@ -151,14 +151,15 @@ impl Subscription {
         ]
     }
 
-    /// When the next frame is due, if there is credit.
+    /// When the next frame is due, if the monitor has credit.
     pub fn due(&self) -> Option<Instant> {
         let due = self.dues().into_iter().filter_map(|(at, _)| at).min();
         due.filter(|_| self.credit > 0)
     }
 
-    /// Makes at most one frame: while a frame is being sent, nothing else is made. The frame that has been due for longest goes
-    /// first. Otherwise the state, which has the shortest period, would keep back everything else on a busy machine.
+    /// Makes at most one frame, and none while an earlier frame is still being sent. The frame that has been due for longest
+    /// goes first. Otherwise, on a busy machine, the state, which has the shortest period, would delay all other frames for
+    /// ever.
     pub fn push(
         &mut self,
         showing: &Showing,
@@ -193,7 +194,8 @@ impl Subscription {
         Ok(())
     }
 
-    /// Pushes the snapshot, or what changed since the last one, with fewer and fewer waiting messages until it fits a frame.
+    /// Pushes the snapshot, or the changes since the last one. If it does not fit a frame, pushes it with fewer waiting
+    /// messages.
     fn push_snapshot(
         &mut self,
         showing: &Showing,
@@ -261,7 +263,8 @@ impl Subscription {
         Some(ServerFrame::Places(places))
     }
 
-    /// Repeated while any script is held back, for a monitor that records and missed the first frame; then once when none is.
+    /// The frame about held-back scripts. It is repeated while any script is held back, for a monitor that records and
+    /// missed the first frame, and comes once more when none is.
     fn held_back(&mut self, showing: &Showing, now: Instant) -> Option<ServerFrame> {
         let (told, at) = self.more.as_mut()?.held_back.as_mut().filter(|(_, at)| *at <= now)?;
         *at = now + HELD_BACK_PERIOD;
@@ -296,7 +299,7 @@ fn period(us: u32) -> Duration {
     Duration::from_micros(us.into()).max(LEAST_PERIOD)
 }
 
-/// Follows the wanted events, from now on or from where the subscription before stood.
+/// Follows the wanted events, from now on or from where the previous subscription stood.
 fn following(
     wanted: Option<EventFilter>,
     before: Option<Following>,

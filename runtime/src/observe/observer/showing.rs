@@ -1,4 +1,4 @@
-//! What a node shows besides its own state, and to whom.
+//! What a node shows besides its own state, and to which monitors.
 
 use super::{Observer, ObserverError};
 use crate::lock::lock;
@@ -9,15 +9,16 @@ use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex};
 
-/// Tells how the recording of a node goes, if it has one.
+/// Returns the status of a node's recording, if the node has one.
 pub type RecordingWatch = Arc<dyn Fn() -> Option<RecordingFacts> + Send + Sync>;
 
-/// Where the other nodes of a cell serve monitors over TCP, as far as this node was told. Shared with the code that tells it.
+/// The TCP addresses at which the other nodes of a cell serve monitors, as far as this node knows. The code that learns them
+/// shares this value.
 #[derive(Clone, Debug, Default)]
 pub struct AddressBook(Arc<Mutex<Vec<(NodeId, SocketAddr)>>>);
 
 impl AddressBook {
-    /// Enters where a node serves monitors.
+    /// Enters the address at which a node serves monitors.
     pub fn put(&self, node: NodeId, address: SocketAddr) {
         let mut book = lock(&self.0);
         book.retain(|(other, _)| *other != node);
@@ -33,55 +34,57 @@ impl AddressBook {
     }
 }
 
-/// How a node is shown: the options of an [`Observer`].
+/// The options of an [`Observer`]: how a node is shown.
 #[derive(Clone)]
 pub struct Showing {
     pub(super) node: Arc<Node>,
     pub(super) token: Option<Token>,
     pub(super) recording: Option<RecordingWatch>,
     pub(super) book: AddressBook,
-    /// The path of this node's own Unix socket, if it has one: the other nodes' sockets lie beside it.
+    /// The path of this node's own Unix socket, if it has one. The sockets of the other nodes lie in the same folder.
     pub(super) beside: Option<PathBuf>,
 }
 
 impl Showing {
-    /// Shows `node`, over TCP to everybody who reaches it.
+    /// Shows `node`, and over TCP to everybody who can reach it.
     #[must_use]
     pub fn new(node: Arc<Node>) -> Self {
         Self { node, token: None, recording: None, book: AddressBook::default(), beside: None }
     }
 
-    /// Only a client with this token may look over TCP. A Unix socket is protected by its file's mode instead.
+    /// Sets the token: over TCP only a client with this token may look. A Unix socket is protected by its file's mode
+    /// instead.
     #[must_use]
     pub fn token(mut self, token: Option<Token>) -> Self {
         self.token = token;
         self
     }
 
-    /// Sets what tells how the recording of the node goes.
+    /// Sets the function that returns the status of the node's recording.
     #[must_use]
     pub fn recording(mut self, watch: RecordingWatch) -> Self {
         self.recording = Some(watch);
         self
     }
 
-    /// Sets where the other nodes are.
+    /// Sets the addresses of the other nodes.
     #[must_use]
     pub fn book(mut self, book: AddressBook) -> Self {
         self.book = book;
         self
     }
 
-    /// Serves monitors where they look for the node, as [`Observer::start`].
+    /// Serves monitors at the place where they look for the node, as [`Observer::start`] does.
     ///
     /// # Errors
+    ///
     /// [`ObserverError`].
     pub fn start(self) -> Result<Observer, ObserverError> {
         let cell = &self.node.table().cell().name;
         let path = place::prepare_socket(cell, self.node.name(), std::process::id())?;
         for socket in place::sockets_in(&place::base_dir())? {
             if socket.parent() == path.parent() {
-                // Not there, another user's, or alive after all: then it stays.
+                // If the socket is not there, belongs to another user or has a live process, it stays.
                 let _ = place::remove_if_stale(&socket);
             }
         }
@@ -97,7 +100,7 @@ impl Showing {
         Observer::serve_at(self, path)
     }
 
-    /// Serves monitors at a TCP address (port 0: any free one).
+    /// Serves monitors at a TCP address (port 0 means any free port).
     ///
     /// # Errors
     /// [`ObserverError::Tcp`].
@@ -105,7 +108,7 @@ impl Showing {
         Observer::serve_tcp(self, address)
     }
 
-    /// Where the other nodes of the cell are found: beside this node's socket, or where this node was told.
+    /// The addresses of the other nodes of the cell: sockets beside this node's, or addresses that this node was given.
     pub(super) fn places(&self) -> Places {
         let Some(own) = &self.beside else { return Places { nodes: self.book.places() } };
         let sockets = own.parent().and_then(Path::parent).map(place::sockets_in);

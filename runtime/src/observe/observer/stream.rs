@@ -6,7 +6,7 @@ use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::os::fd::{AsFd, BorrowedFd};
 use std::os::unix::net::{UnixListener, UnixStream};
 
-/// Where monitors come in.
+/// The socket at which monitors connect.
 pub(super) enum Listener {
     Unix(UnixListener),
     Tcp(TcpListener),
@@ -30,17 +30,17 @@ impl Listener {
         }
     }
 
-    /// A new connection, if its user may look.
+    /// Accepts a new connection; `None` if its user may not look.
     pub fn accept(&self) -> io::Result<Option<Stream>> {
         match self {
             Self::Unix(listener) => {
                 let (stream, _) = listener.accept()?;
                 Ok(same_user(&stream).then_some(Stream::Unix(stream)))
             }
-            // Every monitor that reaches the address may look: the program that opened it has decided that.
+            // Every monitor that reaches the address may look, because the program that opened the address has decided so.
             Self::Tcp(listener) => {
                 let (stream, _) = listener.accept()?;
-                // Without this the connection is only slower.
+                // If this fails, the connection is only slower.
                 let _ = stream.set_nodelay(true);
                 Ok(Some(Stream::Tcp(stream)))
             }
@@ -57,7 +57,8 @@ impl AsFd for Listener {
     }
 }
 
-/// The folder and the mode keep other users out already. This also holds if another program has loosened them.
+/// Whether the client runs as the same user. The folder and the file's mode already keep other users out; this check also
+/// holds if another program has loosened them.
 fn same_user(stream: &UnixStream) -> bool {
     rustix::net::sockopt::socket_peercred(stream).is_ok_and(|peer| peer.uid == geteuid())
 }
