@@ -9,7 +9,7 @@ pub fn seeds(target: &str) -> Vec<(String, Vec<u8>)> {
     text.lines().map(|line| seed(line).unwrap_or_else(|| panic!("{}: {line}", file.display()))).collect()
 }
 
-/// One line: a name, a tab and the bytes in hex.
+/// Reads one line: a name, a tab and the bytes in hex.
 fn seed(line: &str) -> Option<(String, Vec<u8>)> {
     let (name, digits) = line.split_once('\t')?;
     let pairs = digits.len().is_multiple_of(2).then(|| (0..digits.len()).step_by(2))?;

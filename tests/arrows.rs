@@ -89,7 +89,7 @@ fn heavy_libraries_stay_in_their_rooms() {
             ("indicatif", "imrs"),
         ] {
             let uses = normal.contains(library) || dev.contains(library);
-            // The measurements are a program with a command line of its own.
+            // The measurements have a command line of their own, so they may use `clap`.
             let measures = package == "imrs-bench" && library == "clap";
             assert!(!uses || package == room || measures, "{library} in {package}: it belongs in {room}");
         }
@@ -103,7 +103,7 @@ fn heavy_libraries_stay_in_their_rooms() {
     }
 }
 
-/// All packages that a package with these features is built from; `known` must be among them.
+/// All packages from which a package with these features is built; `known` must be among them.
 fn tree_of(package: &str, features: &str, known: &str) -> Vec<String> {
     let output = Command::new(env!("CARGO"))
         .args(["tree", "-p", package, "-e", "normal,build", "--prefix", "none", "--offline"])
@@ -130,7 +130,7 @@ fn robots_carry_no_model_checker_and_no_screen() {
         "imrs-testkit",
         "imrs",
     ];
-    // Nor does the launcher: it prints nothing.
+    // The launcher must not need it either, because it prints nothing.
     for package in ["imrs-runtime", "imrs-client", "imrs-launch"] {
         for name in tree_of(package, "", "imrs-protocol").iter().skip(1) {
             assert!(!absent.contains(&name.as_str()), "{package} brings {name} along");

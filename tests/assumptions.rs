@@ -1,6 +1,6 @@
-//! `imrs replay --model` names the assumptions of the checks that a run broke: packets lost or doubled, failed actions, killed
-//! nodes, clocks that drifted apart, each against what the cell declares. The recordings come from real runs with the
-//! launcher's faults, or are altered in one respect. Lateness of this machine changes no verdict here.
+//! `imrs replay --model` names the assumptions of the checks that a run broke: packets lost or doubled, failed actions,
+//! killed nodes, clocks that drifted apart, each compared with what the cell declares. The recordings come from real runs
+//! with the launcher's faults, or are altered in one respect. Lateness of this machine changes no verdict here.
 
 use crate::support::program::{one_after_the_other, times};
 use crate::support::{Said, run_in, run_until, runtime_dir, tape};
@@ -42,12 +42,12 @@ begin
 end b_hears;
 ";
 
-/// An action that takes some time, and one that fails after it.
+/// The commands of two actions: one takes some time, and one fails after that.
 const WORKS: &str = "work=sleep 0.05";
 const FAILS: &str = "work=timeout 0.05 sleep 9";
 const NODES: [&str; 2] = ["n1", "n2"];
 
-/// A recorded run of the cell. Declarations of `faults` are not part of what runs, so the same recording can be judged under
+/// A recorded run of the cell. The declarations of `faults` do not change the run, so the same recording can be judged under
 /// several.
 struct Run(tempfile::TempDir);
 
@@ -131,7 +131,7 @@ fn dozens() -> impl FnMut(&str) -> bool {
 #[test]
 fn a_run_without_faults_loses_doubles_and_fails_nothing() {
     let kinds: Vec<String> = Run::well().breaches("").into_iter().map(|(kind, ..)| kind).collect();
-    // Only delays may be found: they depend on this machine.
+    // Only delays may be found, because they depend on this machine.
     assert!(kinds.iter().all(|kind| ["delay", "late"].contains(&kind.as_str())), "{kinds:?}");
 }
 
@@ -183,7 +183,8 @@ fn a_packet_that_a_link_doubled_is_a_path_and_named() {
         run.change("n2", |records| {
             let news: Vec<usize> = (0..records.len()).filter(|&at| is_news(&records[at])).collect();
             let [first, next, ..] = news[..] else { panic!("news") };
-            // The copy arrives when the task waits again. Its state machine drops the copy, so the outputs stay the same.
+            // The copy arrives when the task waits again. The task's state machine drops the copy, so its outputs stay the
+            // same.
             let mut copy = records[first].clone();
             let Record::Input { task: doubled, elapsed, outputs, .. } = &mut copy else { panic!("an input") };
             let doubled = *doubled;
@@ -210,7 +211,7 @@ fn a_packet_that_a_link_doubled_is_a_path_and_named() {
     assert_eq!(run.breach("faults dup 1;", "dup"), None);
 }
 
-/// A recording of a node with a fast clock differs from another one only in its times.
+/// The recording of a node with a fast clock differs from another recording only in its times.
 #[test]
 fn clocks_that_run_apart_are_named() {
     let slow_down = |run: &Run| {

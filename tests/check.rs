@@ -134,7 +134,7 @@ fn what_is_larger_or_deeper_than_is_looked_at_ends_with_2() {
     }
 }
 
-/// One file with errors of syntax, names, types, behaviour and times: each is reported, and that not all was checked.
+/// A file with errors of each phase: each error is reported, and also that not everything was checked.
 #[test]
 fn ten_different_errors_are_ten_diagnostics() {
     let text = include_str!("../language/tests/text/ten.cell");
@@ -192,7 +192,7 @@ fn fmt_rewrites_checks_and_pipes() {
     assert_eq!(fs::read_to_string(&other).unwrap(), "cell c;\n");
 }
 
-/// Escapes that set a title, a one-byte control that clears the screen, and right-to-left text.
+/// The texts are escapes that set a title, a one-byte control that clears the screen, and right-to-left text.
 #[test]
 fn what_a_cell_file_hides_reaches_no_terminal() {
     let hidden = "\u{1b}]0;owned\u{7} \u{9b}2J \u{202e}evil";
@@ -231,7 +231,7 @@ fn what_a_cell_file_hides_reaches_no_terminal() {
     assert!(piped.out.contains(hidden), "a file stays what it is: {piped:?}");
 }
 
-/// The limit on the size of a file stands for a full disk.
+/// A limit on the size of files stands for a full disk.
 #[test]
 fn fmt_keeps_the_file_where_it_cannot_write_all_of_the_new_one() {
     let text = format!("cell  c;\nnode n;\n{}", "// a comment that takes room\n".repeat(500));
@@ -254,7 +254,7 @@ fn fmt_keeps_the_file_where_it_cannot_write_all_of_the_new_one() {
         assert_eq!(run(&["fmt", &path]).code, Some(2));
         assert_eq!(fs::read_to_string(&path).unwrap(), text, "it is as it was");
     }
-    // A symbolic link stays a link, and the permissions of its target stay.
+    // A symbolic link stays a link, and its target keeps its permissions.
     fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o640)).unwrap();
     assert_eq!(run(&["fmt", link.to_str().unwrap()]).code, Some(0));
     assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
@@ -371,7 +371,7 @@ fn the_papers_own_rules_fail_where_the_decisions_hold() {
     }
 }
 
-/// A tool that lets one task wait while another one holds it.
+/// A cell in which a tool lets one task wait while another task holds the tool.
 const LATER: &str = r"cell later;
 tick 1 msec;
 node na; node nb; node nd;
@@ -446,7 +446,7 @@ fn the_first_cell_of_the_reference_holds() {
     assert!(verified.out.contains("nothing found, everything within these bounds"), "{}", verified.out);
 }
 
-/// The first message of an exchange goes to its receiver, and an answer goes back. At a waitfor all send to all.
+/// The first message of an exchange goes to its receiver, and an answer goes back. At a waitfor each member sends to all.
 #[test]
 fn the_arrows_of_a_graph_go_as_messages_do() {
     let expected: [(&str, &[&str]); 6] = [
@@ -524,7 +524,7 @@ fn the_arrows_of_a_graph_go_as_messages_do() {
             ends.contains("->").then(|| format!("{ends} {label}{dashed}{both}"))
         };
         assert_eq!(dot.lines().filter_map(edge).collect::<Vec<_>>(), expected, "{name}");
-        // In the picture the heads of answers are white.
+        // In the SVG picture the heads of answers are white.
         let svg = run(&["graph", &example(&format!("{name}.cell"))]).out;
         let answers = expected.iter().any(|edge| edge.contains("answer"));
         assert_eq!(svg.contains("fill=\"white\" stroke=\"black\""), answers, "{name}");

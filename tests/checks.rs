@@ -1,10 +1,10 @@
-//! A run judges the checks of its cell. Lateness of this machine changes no verdict here.
+//! Tests that a run judges the checks of its cell. Lateness of this machine changes no verdict here.
 
 use crate::support::{Said, example, own_address, run_in, runtime_dir, side_by_side, tried, was_late};
 use serde_json::Value;
 
-/// `apart` and `soon` must break; the condition of `quiet` never comes. Both tasks end after some rounds, and then the run
-/// ends.
+/// A cell whose checks `apart` and `soon` must break; the premise of `quiet` is never true. Both tasks end after some
+/// rounds, and then the run ends.
 const OVERLAP: &str = "\
 cell overlap;
 tick 1 msec;
@@ -108,7 +108,7 @@ fn a_recording_is_judged_as_the_run_was() {
     assert_eq!(outcomes(&answer), EXPECTED, "{said:?}");
     assert_eq!(answer["checks"][0]["line"], 18, "{said:?}");
     assert_eq!(answer["checks"][0]["first"]["values"][1], "b.busy = true", "{said:?}");
-    // The text output for people shows it, too.
+    // The text output for people shows the verdicts, too.
     let said = run_in(bench.folder.path(), &replay[..6]);
     assert!(said.out.contains("check apart (line 18): DID NOT HOLD"), "{said:?}");
 }
@@ -123,7 +123,7 @@ fn a_recording_of_another_text_of_the_cell_is_refused_as_that() {
         run_in(bench.folder.path(), &["replay", &na, "--cell", &changed])
     };
     let overlap = &bench.cell;
-    // Code 5: the disk was so slow that the recording has no end.
+    // The exit code may be 5, if the disk was so slow that the recording has no end.
     let is_same = |said: &Said| matches!(said.code, Some(0 | 5)) && said.err.is_empty();
     let same = replay(overlap);
     assert!(is_same(&same), "{same:?}");
@@ -164,8 +164,8 @@ fn a_node_by_itself_judges_what_it_can_see() {
 
 #[test]
 fn of_a_killed_node_nothing_is_made_up() {
-    // `b` is killed before it is ever busy, so it never is. The run ends when `a` has ended. On a late machine `b` may have
-    // been busy before the kill.
+    // `b` is killed before it is ever busy, so no task is busy with it at the same time. The run ends when `a` has ended. On
+    // a late machine `b` may have been busy before the kill.
     tried("b was killed too late each time", || {
         let bench = Bench::new();
         let said = bench.run(&["--kill", "b@1ms", "--format", "json"]);
@@ -179,7 +179,7 @@ fn of_a_killed_node_nothing_is_made_up() {
     });
 }
 
-/// If this machine is later than the cell declares, a check may break. Then the recording must show the lateness.
+/// If this machine is later than the cell declares, a check may break. The recording must then show the lateness.
 #[test]
 fn the_runs_of_the_examples_break_no_check_in_time() {
     side_by_side(["beam_lift", "belt", "conveyor", "shared_tool", "weld_cell"], |name| {
@@ -194,7 +194,8 @@ fn the_runs_of_the_examples_break_no_check_in_time() {
                 && outcomes(&summary).iter().all(|(_, outcome)| *outcome != "unknown"),
             "{said:?}"
         );
-        // Code 1 reports a broken check, or a task that gave up. A node that could not report all events breaks no check.
+        // Exit code 1 reports a broken check, or a task that gave up. A node that could not report all events breaks no
+        // check.
         if said.code != Some(1) {
             assert!(said.is_well(), "{said:?}");
             assert!(outcomes(&summary).iter().all(|(_, outcome)| *outcome != "broken"), "{said:?}");

@@ -1,5 +1,5 @@
-//! The import graph of the files of each crate has no cycle, so each file can be read and tested after its imports. A file and
-//! the files of its folder count as one if it calls them by their bare names.
+//! The import graph of the files of each crate has no cycle, so each file can be read and tested after its imports. If a
+//! file names the files of its folder by their bare names, it and those files count as one.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
@@ -21,7 +21,7 @@ const ROOMS: [&str; 11] = [
     "testkit/src",
 ];
 
-/// The path of a module below `crate`.
+/// The path of a module, below `crate`.
 type Module = Vec<String>;
 
 /// The modules of a crate with their code, without comments and unit tests.
@@ -56,7 +56,7 @@ fn paths(code: &str) -> BTreeSet<Module> {
     let mut is_begin = true;
     while let Some(&next) = rest.peek() {
         if !is_word(next) {
-            // A word after `::` or `.` continues what is before it.
+            // A word behind `::` or `.` continues the path before it.
             is_begin = !matches!(next, ':' | '.' | '\'');
             rest.next();
             continue;
@@ -122,7 +122,7 @@ fn ends(own: &Module, rest: &mut Peekable<Chars<'_>>, found: &mut BTreeSet<Modul
     }
 }
 
-/// The module that a path of module `own` leads to, unless that is `own` or the root.
+/// The module to which a path in the module `own` leads, unless that is `own` itself or the root.
 fn file(path: &Module, own: &Module, modules: &BTreeMap<Module, String>) -> Option<Module> {
     let mut at: Module = if path[0] == "crate" { Module::new() } else { own.clone() };
     for step in path {
@@ -146,7 +146,7 @@ fn circles(modules: &BTreeMap<Module, String>) -> BTreeMap<Module, BTreeSet<Modu
         (own.clone(), others)
     };
     let mut left: BTreeMap<Module, BTreeSet<Module>> = modules.iter().map(imports).collect();
-    // A module that imports no remaining one, or is imported by none, is in no cycle.
+    // A module that imports no remaining module, or that none imports, is in no cycle.
     loop {
         let before = left.len();
         let imported: BTreeSet<Module> = left.values().flatten().cloned().collect();

@@ -1,4 +1,5 @@
-//! The Rust programs of the process classes (D24), and the one with tasks as futures (D113): each runs and ends as it should.
+//! Tests that the Rust programs of the process classes (D24), and the program with tasks as futures (D113), run and end as
+//! they should.
 
 #[path = "../examples/futures.rs"]
 mod futures;

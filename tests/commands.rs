@@ -1,6 +1,6 @@
-//! Commands of actions end with their node, however it ends, together with all that they started (D141). The nodes are
-//! processes of `imrs run`. The action is a shell script that starts a child and a process in another session, and writes their
-//! ids to files.
+//! Tests that the commands of actions, with everything that they started, end with their node, however the node ends (D141).
+//! The nodes are processes of `imrs run`. The action is a shell script that starts a child and a process in another session,
+//! and writes their ids to files.
 
 use crate::support::program::Program;
 use crate::support::{
@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// One task, whose action may take ten minutes.
+/// A cell of one task, whose action may take ten minutes.
 const HELD: &str = "\
 cell held;
 tick 1 msec;
@@ -26,7 +26,7 @@ begin
 end t;
 ";
 
-/// The same, but the action must be over at once.
+/// The same cell, except that the action must be over at once.
 const SHORT: &str = "\
 cell short;
 tick 1 msec;
@@ -50,13 +50,13 @@ note command $$
 exec cat > $DIR/orders
 ";
 
-/// The processes whose ids [`FAMILY`] writes down.
+/// The processes whose ids [`FAMILY`] writes to files.
 const ALL: [&str; 3] = ["command", "child", "left"];
 
 struct Scene {
     dir: TempDir,
     program: Option<Program>,
-    /// The processes of the nodes, in the order of the cell.
+    /// The process ids of the nodes, in the order of the cell.
     nodes: Vec<u32>,
 }
 
@@ -83,7 +83,7 @@ impl Scene {
         (scene, family)
     }
 
-    /// The same, but the launcher kills the node after this time. None if the processes did not all run before.
+    /// The same, except that the launcher kills the node after this time. None if not all processes ran before the kill.
     fn with_doomed_family(killed_after: Duration) -> Option<(Self, [u32; 3])> {
         let begin = Instant::now();
         let scene = Self::start(HELD, "grip", FAMILY, &["--kill", &format!("n@{}s", killed_after.as_secs())]);
@@ -95,7 +95,7 @@ impl Scene {
         }
         let family = ALL.map(|name| scene.process(name));
         let are_alive = family.iter().all(|&pid| is_alive(pid));
-        // The clock is read after the check, so the kill came after the check.
+        // The clock is read after the check, which shows that the kill came after the check.
         (!is_late()).then(|| {
             assert!(are_alive, "{family:?}");
             (scene, family)
@@ -144,7 +144,7 @@ impl Drop for Scene {
     }
 }
 
-/// Writes a script. Returns the command that runs it.
+/// Writes a script to a file. Returns the command that runs the script.
 fn written(dir: &Path, script: &str) -> String {
     let file = dir.join("action.sh");
     std::fs::write(&file, format!("export DIR={}\n{script}", dir.display())).expect("the script is written");
@@ -161,7 +161,7 @@ fn all_end(family: [u32; 3]) {
     wait_until("the command and all that it started have ended", || !family.iter().any(|&pid| is_alive(pid)));
 }
 
-/// `CLOCK_BOOTTIME`, the clock of deadlines, in microseconds.
+/// The present instant of `CLOCK_BOOTTIME`, the clock of deadlines, in microseconds.
 fn boottime() -> u64 {
     let now = clock_gettime(ClockId::Boottime);
     u64::try_from(now.tv_sec).expect("positive") * 1_000_000
@@ -207,7 +207,7 @@ fn a_killed_guard_takes_its_command_with_it_and_that_is_told() {
     let [command, child, left] = family;
     signal(parent(command), Signal::KILL);
     wait_until("the group of the command has ended", || !is_alive(command) && !is_alive(child));
-    // With its guard dead, nothing can kill this process, and the run says so.
+    // Its guard is dead, so nothing can kill this process, and the run says so.
     signal(left, Signal::KILL);
     let said = scene.finish();
     assert_eq!(said.code, Some(1), "{said:?}");
@@ -220,7 +220,7 @@ fn a_command_learns_by_when_it_must_be_over_and_no_epoch_without_a_couple() {
     let before = boottime();
     let (mut scene, family) = Scene::with_family(&[]);
     let deadline: u64 = scene.text("deadline").trim().parse().expect("microseconds");
-    // The declared time and the margin.
+    // The length is the sum of the declared time and the margin.
     let length = 602_000_000;
     assert!((before + length..=boottime() + length).contains(&deadline), "{deadline}");
     assert_eq!(scene.text("epoch").trim(), "");
@@ -230,7 +230,7 @@ fn a_command_learns_by_when_it_must_be_over_and_no_epoch_without_a_couple() {
     all_end(family);
 }
 
-/// A run of [`HELD`] whose action is this script, to its end.
+/// Runs [`HELD`] with this script as its action, to the end.
 fn ended(script: &str) -> (Scene, Said) {
     let mut scene = Scene::start(HELD, "grip", script, &[]);
     let said = scene.finish();
@@ -251,7 +251,7 @@ fn a_command_may_say_any_amount_and_leave_a_child_that_holds_its_output() {
         (Some(0), Some("finished")),
         "{said:?}"
     );
-    // The end of the command is reported only after that of its descendants.
+    // The end of the command is reported only after the end of its descendants.
     assert!(!is_alive(scene.process("child")));
 }
 
@@ -277,7 +277,7 @@ fn weld(lease: &str, args: &[&str]) -> Scene {
     assert!(cell.contains(usual));
     let others = ["--action", "dress=true", "--action", "inspect=true", "--action", "recheck=true"];
     let cell = cell.replace(usual, lease).replace("takes 2500 msec", "takes 0..600 sec");
-    // A busy machine may answer late.
+    // A busy machine may answer late, so the time_out is longer here.
     let cell = cell.replace("time_out = 15 msec", "time_out = 1 sec");
     Scene::start(&cell, "weld", FAMILY, &[&others, args].concat())
 }
@@ -298,7 +298,7 @@ fn a_stopped_node_keeps_its_command_no_longer_than_its_lease() {
     signal(scene.nodes[0], Signal::STOP);
     all_end(family);
     assert!(is_alive(scene.nodes[0]));
-    // The command ends no earlier than the lease that it was last told.
+    // The command must not end before the lease that it was last told.
     let last = last().expect("a deadline");
     assert!(boottime() >= last, "{last}");
     assert!(last < first + 600_000_000, "the end of a lease, not that of the action");
@@ -314,7 +314,7 @@ fn one_active(summary: &Value) -> &Value {
 
 #[test]
 fn a_check_is_unknown_while_the_command_of_a_killed_node_may_go_on() {
-    // The guard dies with its node, so the end of the command is never confirmed, and its descendants go on.
+    // The guard dies with its node. So the end of the command is never confirmed, and its descendants go on.
     let mut scene = weld(LEASE, &[]);
     let family = ALL.map(|name| scene.process(name));
     let guard = parent(family[0]);
@@ -327,7 +327,7 @@ fn a_check_is_unknown_while_the_command_of_a_killed_node_may_go_on() {
     scene.program().interrupt();
     let launcher = scene.program().pid();
     wait_until("the run has ended", || !is_alive(launcher));
-    // Until then these processes hold the standard error of the run open.
+    // While these processes run, they keep the standard error of the run open.
     family[1..].iter().for_each(|&pid| signal(pid, Signal::KILL));
     let said = scene.finish();
     // The kill of the node is a finding, which outranks an unknown check (D148).

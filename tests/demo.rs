@@ -1,5 +1,5 @@
-//! End-to-end tests of the demos: real processes, sockets and faults. A run ends once the expected output has come, because the
-//! machine may be busy. What must hold on any machine is asserted exactly.
+//! End-to-end tests of the demos: real processes, sockets and faults. A run ends once the expected output has come, because
+//! the machine may be busy. Results that must not depend on the machine are asserted exactly.
 
 mod garbage;
 
@@ -26,7 +26,7 @@ fn gave_up(words: &str) -> bool {
     words.contains("partner missing") || words.contains("arms missing")
 }
 
-/// Why the beam lift is run again.
+/// Why a test runs the beam lift again.
 const GAVE_UP: &str = "a node stood still for longer than the time_out of the lift";
 
 /// Asserts that the promise of the demo was kept.
@@ -66,21 +66,21 @@ fn ends_well(summary: &Value, code: Option<i32>, errors: &str) -> bool {
     is_well(code, errors) || is_excused && (errors.is_empty() || is_well(Some(5), errors))
 }
 
-/// Interrupts a demo once a monitor sees this. Returns the summary, the exit code, and the complaints.
+/// Interrupts a demo once `is_so` accepts a monitor's sample. Returns the summary, the exit code, and the complaints.
 fn interrupted(demo: Live, what: &str, is_so: impl FnMut(&Value) -> bool) -> (Value, Option<i32>, String) {
     demo.until(what, is_so);
     demo.interrupt();
     demo.finish()
 }
 
-/// The same for a demo that then ends well. Returns the summary and the complaints.
+/// The same for a demo that must then end well. Returns the summary and the complaints.
 fn ended(demo: Live, what: &str, is_so: impl FnMut(&Value) -> bool) -> (Value, String) {
     let (summary, code, errors) = interrupted(demo, what, is_so);
     assert!(ends_well(&summary, code, &errors), "{errors}");
     (summary, errors)
 }
 
-/// The summary of a beam lift that is interrupted once a monitor sees this. If the tasks gave up before, it is run again.
+/// The summary of a beam lift, interrupted once `is_so` accepts a monitor's sample; repeated if the tasks gave up before.
 fn lifts(args: &[&str], what: &str, is_so: impl Fn(&Value) -> bool) -> Value {
     for _ in 0..TIMES {
         let demo = Live::demo(&[&["--for", "10m"], args].concat());
@@ -98,20 +98,20 @@ fn lifts(args: &[&str], what: &str, is_so: impl Fn(&Value) -> bool) -> Value {
     panic!("each time {GAVE_UP}");
 }
 
-/// The output of a demo, which is interrupted once its lines are enough. It may end in any way.
+/// The output of a demo, which is interrupted once `is_enough` accepts its lines. The demo may end in any way.
 fn said_until(args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
     let dir = runtime_dir();
     run_until(dir.path(), &[&["demo", "--for", "5min"], args].concat(), is_enough)
 }
 
-/// The same for a demo that ends well.
+/// The same for a demo that must end well.
 fn told(args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
     let said = said_until(args, is_enough);
     assert!(said.is_well(), "{said:?}");
     said
 }
 
-/// The same for the beam lift. It is run again if a node was suspended during a lift, or for longer than the others wait.
+/// The same for the beam lift. It runs again if a node was suspended during a lift, or for longer than the others wait.
 fn lift_told<E: FnMut(&str) -> bool>(args: &[&str], is_enough: impl Fn() -> E) -> Said {
     for _ in 0..TIMES {
         let said = said_until(&[&["beam-lift"], args].concat(), is_enough());
@@ -134,7 +134,7 @@ fn says(said: &Said, words: &[&str]) {
 
 #[test]
 fn without_faults_everybody_starts_together() {
-    // An answer must come within 5 msec: a late machine may need several lifts for one. The last query may still be open.
+    // An answer must come within 5 msec, so a late machine may need several lifts for one. The last query may still be open.
     let summary = lifts(&["--no-fault"], "three lifts and an answer", |seen| {
         let beats = |name: &str| figure(seen, "armL", "beat", name);
         released(seen, "armL") >= 3 && beats("sent") >= beats("timed_out") + 2
@@ -161,15 +161,15 @@ fn without_faults_everybody_starts_together() {
 #[test]
 fn the_text_is_for_people_and_has_no_escapes_in_a_pipe() {
     let said = lift_told(&["--no-fault"], || times(2, "ends stop_now"));
-    // No output holds an escape code. Standard error may hold a finding (exit code 1), because a slow computer can break a check.
+    // No output may contain an escape code. It may contain a finding (exit code 1): a slow computer can break a check.
     assert!(!said.out.contains('\u{1b}') && !said.err.contains('\u{1b}'), "{said:?}");
     assert!(said.code == Some(1) || said.err.is_empty(), "{said:?}");
     says(&said, &["imrs monitor", "false releases: 0", "start skew:", "What happened", "The arms "]);
     assert!(said.out.lines().all(|line| line.chars().count() <= 120), "{}", said.out);
 }
 
-/// The cut comes while the arms move. On a late machine they may have stopped by then, or not notice it. The demo says so, and
-/// the test runs it again, a few times.
+/// The cut comes while the arms move. On a late machine the arms may have stopped by then, or not notice the cut. The demo
+/// says so, and the test runs it again, a few times.
 #[test]
 fn a_link_that_fails_in_mid_lift_stops_both_arms() {
     let gone_on = &[" s fault: nothing passes", "reach each other again", "ends stop_now", "ends stop_now"];
@@ -195,7 +195,7 @@ fn when_the_robots_node_dies_the_other_takes_over_and_looks_at_the_spot() {
     } else {
         says(&said, &["the node of r1 was killed, in the middle of `weld 0`", "r2 began with `recheck 0`"]);
     }
-    // nt relays the packets between them.
+    // The node nt relays the packets between them.
     assert!(
         said.out.lines().any(|line| line.contains("node nt") && line.contains("passed on")),
         "{}",
@@ -228,12 +228,12 @@ fn a_camera_that_stands_still_costs_time_and_no_wrong_grip() {
         let dir = runtime_dir();
         let demo =
             Live::start(dir.path(), &[&["demo", "conveyor", "--seed", "3", "--for", "10m"], how].concat());
-        // The camera is suspended once pick has let go of its first part. With this seed, place then holds that part.
+        // The camera is suspended once the robot `pick` has released its first part. With this seed `place` then holds it.
         let (summary, errors) =
             ended(demo, "a fourth part", |seen| figure(seen, "place", "coming", "delivered") >= 4);
         assert_eq!(summary["outcome"]["held"], true, "{summary} {errors}");
         assert!(summary["outcome"]["words"].to_string().contains(words), "{summary}");
-        // All parts are accounted for: the number taken is the sum of the others.
+        // All parts are accounted for: the number of parts taken is the sum of the other numbers.
         let parts = summary["outcome"]["words"][0].as_str().expect("a sentence");
         let numbers = parts.split(|c: char| !c.is_ascii_digit()).filter_map(|number| number.parse().ok());
         let numbers: Vec<u64> = numbers.collect();
@@ -252,7 +252,7 @@ fn begins(line: &str, action: &str) -> Option<(f64, String)> {
 
 #[test]
 fn of_two_that_change_the_speed_at_once_one_gives_way() {
-    // If the machine lets both ask at once, their lines are within a few milliseconds of each other.
+    // If the machine lets both robots ask at once, their lines are within a few milliseconds of each other.
     let (mut adapted, mut gave_way) = (Vec::new(), Vec::new());
     let said = told(&["belt-administrator", "--seed", "3"], |line| {
         adapted.extend(begins(line, "adapt"));
@@ -280,7 +280,7 @@ fn lost_packets_cost_time_but_never_a_false_start() {
     let tasks = ["armL", "armR", "hoist"];
     let summary = lifts(&["--loss", "20%", "--seed", "5"], "some rounds with copies", |seen| {
         let resent = tasks.iter().any(|task| figure(seen, task, "lift", "resent") > 0);
-        // Enough messages of each task that some are lost.
+        // Each task must send enough messages that some are lost.
         let rounds = |name: &&str| task(seen, name)["waitfor"][0]["round"].as_u64().unwrap_or(0);
         resent && tasks.iter().map(rounds).min() >= Some(6)
     });
@@ -310,7 +310,7 @@ fn with_the_hoist_killed_both_arms_get_their_time_out() {
     for arm in ["armL", "armR"] {
         let gave_up = after.iter().find(|a| a["task"] == arm).unwrap_or_else(|| panic!("{arm} in {summary}"));
         let (waited, time_out) = (number(&gave_up["waited_us"]), number(&gave_up["time_out_us"]));
-        // Never early, and late only by the delay of a busy machine.
+        // A task never gives up early, and is late only by the delay of a busy machine.
         let late = if is_quiet() { 2_000_000 } else { 60_000_000 };
         assert!(waited >= time_out && waited < time_out + late, "{gave_up}");
     }
@@ -323,7 +323,7 @@ fn a_killed_node_lives_again_and_the_others_hear_of_it() {
         let args =
             ["demo", "failover-weld", "--kill", "nt@1s", "--restart", "dresser@1500ms", "--for", "10m"];
         let demo = Live::start(dir.path(), &[&args[..], how].concat());
-        // Its second incarnation relays packets.
+        // In its second incarnation the node relays packets.
         let (summary, errors) = ended(demo, "the second life of the relay", |seen| {
             let mut lives =
                 seen["nodes"].as_array().expect("nodes").iter().filter(|node| node["name"] == "nt");
@@ -366,14 +366,14 @@ fn a_node_that_stood_still_carries_out_nothing_old() {
             return false;
         }
         signal(demo.pid("nr"), Signal::STOP);
-        // The partners give up, as their scripts say. Their time_outs exceed every TTL in this cell.
+        // The partners of the task give up, as their scripts say. Their time_outs exceed every TTL in this cell.
         demo.until("who waits gives up", |seen| {
             ["armL", "hoist"]
                 .iter()
                 .any(|name| ["ended", "crashed"].contains(&task(seen, name)["state"].as_str().unwrap_or("")))
         });
         signal(demo.pid("nr"), Signal::CONT);
-        // They kept announcing their arrival. The packets that waited in the kernel for the node come out expired.
+        // The partners kept announcing their arrival. The packets that waited in the kernel for the node come out expired.
         demo.until("what came out old", |seen| {
             let discards = named(&seen["nodes"], "nr")["discards"].as_array().cloned().unwrap_or_default();
             discards.iter().any(|of| of["reason"] == "expired_on_the_way" && of["count"].as_u64() > Some(0))
@@ -394,7 +394,7 @@ fn a_node_that_stood_still_carries_out_nothing_old() {
 #[test]
 fn a_cut_link_is_survived() {
     tried_again("the launcher stood still until the cut was over", || {
-        // Of three lifts, each half a second long, at least one falls into the cut.
+        // If three lifts of half a second each run, at least one of them falls into the cut.
         let summary = lifts(&["--cut", "nl--nr@500ms+1s"], "some lifts", |seen| {
             let up = named(&seen["nodes"], "nl")["uptime_us"].as_u64();
             released(seen, "armL") >= 3 && up > Some(2_000_000)
@@ -440,7 +440,7 @@ fn what_was_recorded_replays_bit_equal_and_a_changed_file_is_noticed() {
         std::fs::write(&recorded, bytes).unwrap();
         run(&["replay", recorded.to_str().unwrap()])
     };
-    // One bit in the length, in its checksum, in the checksum of the contents, and in the contents.
+    // The flipped bits are in the length, in its checksum, in the checksum of the contents, and in the contents.
     for place in [0, 2, 3, 5, 9, 12] {
         let mut damaged = whole.clone();
         damaged[at + place] ^= 1;
@@ -448,7 +448,7 @@ fn what_was_recorded_replays_bit_equal_and_a_changed_file_is_noticed() {
         assert_eq!(said.code, Some(2), "{said:?}");
         assert!(said.err.contains(&format!("at byte {at}: the record is damaged")), "{}", said.err);
     }
-    // A truncated file is judged as far as it goes.
+    // A truncated file is judged up to its last whole record.
     for length in [at + 5, at + 20] {
         let said = replayed(&whole[..length]);
         assert_eq!(said.code, Some(5), "{said:?}");

@@ -5,7 +5,7 @@ use crate::support::{example, is_well, is_whole, run, runtime_dir, side_by_side,
 use serde_json::Value;
 use std::path::Path;
 
-/// Cells with a task in Rust, which have tests of their own.
+/// Cells with a task in Rust, which other tests run.
 const RUN_APART: [&str; 1] = ["extern_task"];
 
 /// The names and files of the cells.
@@ -35,7 +35,7 @@ fn every_cell_is_formatted() {
             }
         }
     }
-    // Those of this folder, and of `classes`, `faulty`, `futures` and `rules`.
+    // These are the cells of this folder, and of `classes`, `faulty`, `futures` and `rules`.
     assert!(files.len() >= 90, "only {} cells", files.len());
     files.sort();
     let files: Vec<&str> = files.iter().map(String::as_str).collect();
@@ -43,12 +43,13 @@ fn every_cell_is_formatted() {
     assert_eq!((said.code, said.out.as_str()), (Some(0), ""), "{said:?}");
 }
 
-/// Cells whose declared faults take half a minute to verify, those faults, and the quick replacement. `IMRS_WHOLE=1` keeps all.
+/// Cells whose declared faults take half a minute to verify: the cell, these faults, and faults that take less time.
+/// `IMRS_WHOLE=1` takes the declared ones.
 const FEWER: [(&str, &str, &str); 7] = [
     ("beam_lift", "faults loss 2;", "faults loss 1;"),
     ("beam_lift", "faults cut nl -- nr loss 1;", "faults cut nl -- nr;"),
     ("beam_lift", "faults crash hoist;", ""),
-    // The checker's own tests verify this one with all its faults.
+    // The checker's own tests verify this cell with all its faults.
     ("press_line", "faults crash n2;", ""),
     ("shared_tool", "faults loss 1 crash weldA;", "faults crash weldA;"),
     ("weld_cell", "faults loss 3;", "faults loss 1;"),
@@ -70,7 +71,7 @@ fn every_cell_holds_under_the_faults_that_it_declares() {
         }
         std::fs::write(&looked_at, text).expect("written");
         let looked_at = looked_at.to_str().expect("UTF-8");
-        // Far more time than needed, because the machine may be busy.
+        // The limit is far more time than needed, because the machine may be busy.
         let said = run(&["verify", looked_at, "--within", "300s", "--format", "json"]);
         assert_eq!(said.code, Some(0), "{said:?}");
         let verdict = said.last_json();
@@ -79,7 +80,7 @@ fn every_cell_holds_under_the_faults_that_it_declares() {
     }
 }
 
-/// A correct text of a cell, and a mistake to replace it.
+/// A correct text of a cell, and the mistake that replaces it.
 type Slip = (&'static str, &'static str);
 
 const BORROWED_TOO_SHORT: Slip = ("start lent 4 sec", "start lent 2 sec");
@@ -91,7 +92,7 @@ const ANY_VERSION: Slip = ("s.version = now.version and ", "");
 const ANY_SPEED: Slip = (" and s.mm_s <= 500", "");
 const CHANGED_ONCE: Slip = ("time_out = 100 msec retry = 2", "time_out = 100 msec retry = 0");
 
-/// A cell, a mistake in it, the faults needed to notice it, and the checks that then fail.
+/// A cell, a mistake in it, the faults by which the mistake shows, and the checks that then fail.
 const SPOILT: [(&str, Slip, &str, &[&str]); 8] = [
     ("shared_tool", BORROWED_TOO_SHORT, "", &["one_holder"]),
     ("shared_tool", BORROWED_TOO_LONG, "faults crash weldA;", &["dead_holder"]),

@@ -1,4 +1,4 @@
-//! `imrs verify --explore`: serves the state space of a claim to a browser on this machine.
+//! Tests `imrs verify --explore`, which serves the state space of a claim to a browser on this machine.
 
 use crate::support::{PATIENCE, imrs, run, runtime_dir, wait_until};
 use serde_json::Value;
@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::{Child, Stdio};
 
-/// The server process, killed when this is dropped.
+/// The process of the server, which is killed when this is dropped.
 struct Server(Child);
 
 impl Drop for Server {

@@ -1,5 +1,6 @@
-//! Checks the pages that a stranger reads first against the tree and the command: the README, the page of the monitor, the
-//! README of each crate. Excerpts occur in their files, commands and flags in the help, and quoted output is really printed.
+//! Checks that the pages which a stranger reads first agree with the tree and the command: the README, the page of the
+//! monitor, the README of each crate. Excerpts occur in their files, commands and flags in the help, and quoted output is
+//! really printed.
 
 mod crates;
 mod printed;
@@ -89,7 +90,7 @@ fn every_excerpt_is_a_part_of_its_file() {
             excerpts += 1;
             let room = page.strip_suffix("/README.md").filter(|room| CRATES.contains(room));
             let files = match room {
-                // The example of a crate comes from its documentation, or from `crates`.
+                // The example of a crate must occur in its documentation, or in `crates`.
                 Some(room) => vec![format!("{room}/src/lib.rs"), "tests/front_door/crates.rs".into()],
                 None => {
                     let named =
@@ -263,7 +264,7 @@ fn the_two_commands_come_first_and_stand_in_the_gate() {
     assert_eq!(commands, ["cargo run", "cargo test"]);
     let gate = read(".ci/run");
     let has = |words: &str| gate.lines().any(|line| line.starts_with("step ") && line.contains(words));
-    // The gate may call the program of `cargo run` directly, because it was built before.
+    // The gate may call the program of `cargo run` directly, because it has already built the program.
     assert!(has("cargo run") || has("/imrs\" verify"), "the gate does not check the claims");
     assert!(has("cargo test"), "the gate does not run the tests");
 }

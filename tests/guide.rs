@@ -1,5 +1,5 @@
-//! Follows the guide (`docs/guide`) literally. The test writes each cell of a chapter into an empty folder, runs each command
-//! there, and compares its output with the chapter. [`Block`] lists the kinds of blocks.
+//! Follows the guide (`docs/guide`) to the letter. The test writes each cell of a chapter into an empty folder, runs each
+//! command there, and compares its output with the chapter. [`Block`] lists the kinds of blocks.
 
 use crate::front_door::{blocks, is_excerpt, links};
 use crate::support::program::Program;
@@ -78,7 +78,7 @@ impl<'a> Block<'a> {
 fn carry_out(dir: &Path, text: &str) -> Vec<String> {
     let mut faults = Vec::new();
     for block in blocks(text) {
-        // The line after the one that opens the block.
+        // The first line of a block is the one after the line that opens it.
         let first = block.before.lines().count() + 2;
         match Block::of_kind(block.kind) {
             Some(Block::Cell(name)) => {
@@ -105,7 +105,7 @@ fn carry_out(dir: &Path, text: &str) -> Vec<String> {
     faults
 }
 
-/// A fault if these lines are no excerpt of the file.
+/// Returns a fault if these lines are no excerpt of the file.
 fn part(lines: &[&str], file: &Path, first: usize) -> Option<String> {
     let Ok(text) = fs::read_to_string(file) else {
         return Some(format!("{first}: there is no file {}", file.display()));
@@ -143,7 +143,7 @@ fn console(dir: &Path, lines: &[&str], first: usize) -> Vec<String> {
     faults
 }
 
-/// Runs a shell line as a reader would, with both output streams merged.
+/// Runs a shell line as a reader of the guide would, with both output streams merged.
 fn shell(dir: &Path, line: &str) -> Said {
     let programs = Path::new(env!("CARGO_BIN_EXE_imrs")).parent().expect("a folder");
     let path = std::env::var("PATH").unwrap_or_default();
@@ -156,7 +156,7 @@ fn shell(dir: &Path, line: &str) -> Said {
     program.finish()
 }
 
-/// The first shown line that is not printed after its predecessors.
+/// The first shown line that the command did not print behind the previous shown line.
 fn missing<'a>(shown: &[&'a str], printed: &str) -> Option<&'a str> {
     let mut printed = printed.lines();
     let shown = shown.iter().copied().filter(|line| !line.trim().is_empty() && line.trim() != "...");

@@ -9,7 +9,7 @@ use std::time::Instant;
 
 const ESCAPE: char = '\u{1b}';
 
-/// Asserts the exit code, and that the complaint has these words.
+/// Asserts the exit code, and that the complaint contains these words.
 fn fails(said: &Said, code: i32, words: &[&str]) {
     assert_eq!(said.code, Some(code), "{said:?}");
     for word in words {
@@ -38,7 +38,7 @@ fn one_demo_seen_through_pipes() {
     let report = once.last_json();
     assert_eq!(report["version"], 1, "{report}");
 
-    // A true assertion, a false one, and a malformed one.
+    // These are a true assertion, a false one, and a malformed one.
     once_up(&["--assert", "up==3 and nodes==3"], &|said| said.code == Some(0));
     let all = |said: &Said| format!("{}{}", said.out, said.err).contains("up = 3");
     let wrong = once_up(&["--assert", "up>=4"], &all);
@@ -46,7 +46,7 @@ fn one_demo_seen_through_pipes() {
     fails(&monitor(&["--assert", "up >== 4"]), 2, &["up >== 4", "column 6"]);
     once_up(&["--assert", "up==3", "--for", "500ms"], &|said| said.code == Some(0));
 
-    // Only the requested cell is shown.
+    // With `--cell` the monitor shows only the requested cell.
     let other = once_up(&["--cell", "no-such-cell", "--once"], &|said| said.err.contains("no-such-cell"));
     fails(&other, 3, &["no node of cell `no-such-cell`", "beam_lift"]);
     fails(&monitor(&["--filter", "slakc<5ms", "--once"]), 2, &["did you mean `slack`"]);
@@ -119,7 +119,7 @@ fn the_file_of_settings_is_read_and_its_slips_are_told() {
     let monitor = |config: &str| run_in(dir.path(), &["monitor", "--config", config, "--once"]);
     // The example file is accepted, but there is no node to show.
     fails(&monitor(&file("example.toml", &example.out)), 3, &["no running node found"]);
-    // With every line uncommented, only the missing token file is wrong.
+    // If every line is uncommented, only the missing token file is wrong.
     let all: String = example.out.lines().map(|line| uncommented(line) + "\n").collect();
     fails(&monitor(&file("all.toml", &all)), 2, &["/etc/imrs/observe.token"]);
     fails(
@@ -135,7 +135,7 @@ fn the_file_of_settings_is_read_and_its_slips_are_told() {
     assert!(schema.code == Some(0) && schema.out.contains("reduced_motion"), "{schema:?}");
 }
 
-/// `#key = value` without its `#`.
+/// A line `#key = value` without its `#`.
 fn uncommented(line: &str) -> String {
     let key = line.strip_prefix('#').filter(|rest| rest.starts_with(|c: char| c.is_ascii_lowercase()));
     key.unwrap_or(line).to_owned()

@@ -1,4 +1,4 @@
-//! What a monitor sees of nodes that appear, die and come back (M8): real processes, killed as by a power cut.
+//! Tests of what a monitor shows of nodes that appear, die and come back (M8): real processes, killed as by a power cut.
 
 use crate::support::{bound, is_quiet};
 use imrs_monitor::Watch;
@@ -19,15 +19,15 @@ use std::time::{Duration, Instant};
 const FOLDER: &str = "IMRS_TEST_NODE_IN";
 /// Time limit of every wait on a busy machine.
 const LONG: Duration = Duration::from_secs(60);
-/// The promised times on a quiet machine, at best: to attach, to show a death, to show a return. Asserted if `IMRS_QUIET=1`
-/// says that this machine is quiet.
+/// The promised times on a quiet machine, for the best of several trials: to attach, to show a death, to show a return. They
+/// are asserted if `IMRS_QUIET=1` says that this machine is quiet.
 const GOALS: [(&str, Duration); 3] = [
     ("attach to first full frame", Duration::from_millis(150)),
     ("death shown", Duration::from_secs(1)),
     ("reattach after restart", Duration::from_secs(1)),
 ];
 
-/// Run as a child process by the other test, which kills it.
+/// The body of a child process that the other test starts and kills.
 #[test]
 fn the_node_of_the_other_process() {
     let Some(folder) = std::env::var_os(FOLDER) else { return };
@@ -52,7 +52,7 @@ fn the_node_of_the_other_process() {
         .unwrap();
     let path = PathBuf::from(folder).join(format!("n0-{}.sock", std::process::id()));
     let _observer = Observer::start_at(Arc::clone(runtime.node()), &path).unwrap();
-    // The other test waits for no more than this.
+    // The other test needs the node for no longer than this.
     thread::sleep(2 * LONG);
 }
 

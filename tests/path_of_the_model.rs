@@ -1,5 +1,5 @@
-//! A run of `imrs run` is a path of the model that `imrs verify` explores. Nodes and links may be as late as the machine makes
-//! them: lateness is reported, and no true run is called impossible.
+//! Tests that a run of `imrs run` is a path of the model that `imrs verify` explores. Nodes and links may be as late as the
+//! machine makes them: lateness is reported, but no true run is called impossible.
 
 mod recorded;
 
@@ -17,7 +17,7 @@ const WELD: &str = "weld_cell.cell";
 const IN_PROCESSES: &[&str] = &["--seed", "5"];
 const IN_ONE: &[&str] = &["--seed", "6", "--in-process"];
 
-/// True once both arms have stopped after so many lifts.
+/// Returns a function that is true once both arms have stopped after so many lifts.
 fn lifts(number: usize) -> impl FnMut(&str) -> bool {
     times(2 * number, " ends stop_now")
 }
@@ -96,17 +96,17 @@ fn in_both_ways<A: Copy>(cases: [A; 3]) -> impl Iterator<Item = (A, &'static [&'
 fn nodes_of_two_runs_are_no_run() {
     let [one, other] = ["11", "12"].map(|seed| {
         let run = Recorded::of(BEAM, &["--seed", seed, "--in-process"], lifts(1));
-        // A clear gap between the end of one run and the beginning of the other.
+        // This leaves a clear gap between the end of one run and the beginning of the other.
         std::thread::sleep(std::time::Duration::from_millis(300));
         run
     });
     let mut files = one.files();
     files[0] = other.file("nl");
-    // Each recording alone replays bit by bit.
+    // Each recording, taken alone, replays bit by bit.
     for file in &files {
         let file = file.to_str().expect("UTF-8");
         let said = run_in(one.folder.path(), &["replay", file, "--cell", &one.cell]);
-        // Code 5: the disk was so slow that the recording has no end.
+        // The exit code may be 5, if the disk was so slow that the recording has no end.
         assert!(matches!(said.code, Some(0 | 5)), "{said:?}");
     }
     let mixed = one.follow(&files);
@@ -129,13 +129,13 @@ fn of_a_run_with_a_restart_nothing_is_known() {
         let with = |files: &[&PathBuf]| -> Vec<PathBuf> {
             others.iter().chain(files.iter().copied()).cloned().collect()
         };
-        // A late machine may record nothing of the second incarnation.
+        // On a late machine the second incarnation may have recorded nothing.
         let nothing = run.folder.path().join("nothing.nt-2.imrs");
         tape::change(&second, &nothing, |records| {
             records.retain(|record| matches!(record, Record::Header(_) | Record::End));
         });
         let mut given = vec![with(&[&first, &second]), with(&[&second, &first]), with(&[&first, &nothing])];
-        // An answer of the first incarnation shows that its recording is missing.
+        // An answer of the first incarnation shows that the recording of that incarnation is missing.
         let before = run.said.split(" is killed").next().unwrap_or_default();
         if before.contains("begins dress") {
             given.extend([with(&[&second]), with(&[&nothing])]);
@@ -158,7 +158,7 @@ fn of_a_run_with_a_restart_nothing_is_known() {
         assert_eq!(twice.code, Some(2), "{twice:?}");
         assert!(twice.err.contains("node nt is given twice: "), "{twice:?}");
 
-        // A recording of another run is refused, before or after this one.
+        // A recording of another run is refused, whether that run was before or after this one.
         std::thread::sleep(std::time::Duration::from_millis(300));
         let other = Recorded::restarted_weld(how);
         let mixed = run.follow(&with(&[&first, &other.file("nt-2")]));
@@ -192,7 +192,7 @@ fn what_nobody_sent_is_no_path() {
     if is_given_up(&run) || path_of(&run).is_none() {
         return;
     }
-    // An answer without a query: armL's own state machine ignores it.
+    // This is an answer without a query, which armL's own state machine ignores.
     let files = run.change("nl", |records| {
         let answer = |record: &Record| {
             matches!(record, Record::Input { input: Input::Packet(Packet { kind: Kind::Response, .. }), .. })
@@ -208,7 +208,7 @@ fn what_nobody_sent_is_no_path() {
             (*elapsed, *digest) = (Ticks::ZERO, outputs.expect("an input before it"));
         }
         records.insert(at, forged);
-        // Without this, the count of inputs alone would reveal it.
+        // Without this change, the count of inputs alone would reveal the alteration.
         for record in records {
             if let Record::Close { inputs, .. } = record {
                 *inputs += 1;
@@ -271,7 +271,7 @@ fn grips_that_took(microseconds: &[u64]) -> Said {
         let mut before = records.iter().position(|record| matches!(record, Record::Script { .. }));
         let took = microseconds.iter().copied().chain(std::iter::repeat(150_000));
         for (end, took) in ends.into_iter().zip(took) {
-            // Only the times differ from a run in which the robot was that fast.
+            // The recording differs only in its times from a run in which the robot was that fast.
             let mut took = Ticks(took);
             for record in records[before.replace(end).expect("a beginning")..end].iter_mut().rev() {
                 if let Record::Input { elapsed, .. } = record {
@@ -306,8 +306,9 @@ fn of_a_machine_that_is_late_it_is_unknown_what_times_say_by_few_ticks() {
     no_path(&grips_that_took(&[600_000, 15_000]));
 }
 
-/// Timers of a task that expire in one tick of the model expire in either order on a real node. One that was started first may
-/// expire before or after a `delay` that ends in that tick, long after any time that could be rounded otherwise.
+/// Timers of a task that expire in one tick of the model expire in either order on a real node. A timer that was started
+/// first may expire before or after a `delay` that ends in that tick, although none of its times can be rounded in another
+/// way.
 #[test]
 fn timers_that_end_in_one_tick_end_in_either_order() {
     const TIES: &str = "\

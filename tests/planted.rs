@@ -1,12 +1,12 @@
-//! Checks the list of faults that `.ci/planted` plants into the protocol: each must still fit its file, or the checker would be
-//! tested with nothing.
+//! Checks the list of faults that `.ci/planted` plants into the protocol: each must still fit its file, because otherwise it
+//! would not test the checker.
 
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
-/// Fewer faults would test the claims too little.
+/// The least number of faults. Fewer would test the claims too little.
 const FEWEST: usize = 80;
 
 struct Fault {
@@ -17,7 +17,7 @@ struct Fault {
     new: String,
 }
 
-/// The list, parsed as by `.ci/planted`.
+/// The list of faults, parsed as `.ci/planted` parses it.
 fn faults() -> Vec<Fault> {
     let list = fs::read_to_string(Path::new(ROOT).join("model/planted.txt")).expect("the list");
     list.split("\n# ").skip(1).map(fault).collect()
@@ -47,7 +47,7 @@ fn every_planted_fault_fits_its_file_exactly_once() {
         let text = fs::read_to_string(Path::new(ROOT).join(&file)).unwrap_or_else(|e| panic!("{file}: {e}"));
         assert!(!old.is_empty() && old != new, "{title}: changes nothing");
         assert_eq!(text.matches(&old).count(), 1, "{title}: its lines in {file}");
-        // The random cells of model/tests/guard are not a claim.
+        // The word `guard` stands for the random cells of model/tests/guard, which are no claim.
         let is_known = claim == "guard" || imrs_model::claim_names().contains(&claim.as_str());
         assert!(is_known, "{title}: no claim is named {claim}");
         assert!(titles.insert(title.clone()), "{title}: twice");

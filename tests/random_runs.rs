@@ -1,5 +1,5 @@
-//! Random cells on the real runtime: what threads and clocks do with a cell is a path of the model, too. The cells are those
-//! that test the search (`model/tests/guard`).
+//! Runs random cells on the real runtime: the behaviour of threads and clocks must be a path of the model, too. The cells
+//! are those that test the search (`model/tests/guard`).
 
 #[path = "../model/tests/guard/cells.rs"]
 #[expect(dead_code, reason = "bodies for tasks outside are of the checker's own tests")]
@@ -60,7 +60,7 @@ fn runs_of_random_cells_are_paths_of_the_model() {
         let how =
             ["run", &cell, "--in-process", "--for", "500ms", "--seed", "1", "--record", &at("run.imrs")];
         let said = run_in(folder.path(), &how);
-        // A task of a random cell may abort, and a check may not hold.
+        // A task of a random cell may abort, and a check may be broken.
         assert!(matches!(said.code, Some(0 | 1 | 5)), "seed {seed}: {said:?}\n{text}");
         let files = recordings(folder.path());
         let files: Vec<&str> = files.iter().map(String::as_str).collect();
@@ -69,7 +69,7 @@ fn runs_of_random_cells_are_paths_of_the_model() {
         let told = said.last_json();
         match said.code {
             Some(1 | 4 | 5) if told["path"] != true && told["complete"] == false => late += 1,
-            // A link took longer than its bound, so the model promises nothing.
+            // A link took longer than its bound, and then the model promises nothing.
             _ if told["within_assumptions"] == false => late += 1,
             Some(0 | 1 | 5) if told["path"] == true => paths += 1,
             _ => panic!("seed {seed}: {said:?}\n{text}"),

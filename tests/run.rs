@@ -1,5 +1,5 @@
 //! End-to-end tests of `imrs run`: cells on real processes and sockets, with real faults. A run ends by itself or once the
-//! expected output has come, because the machine may be busy. What must hold on any machine is asserted exactly.
+//! expected output has come. Results that must not depend on the machine are asserted exactly.
 
 use crate::support::live::{Live, named, released};
 use crate::support::program::{Program, one_after_the_other, times};
@@ -13,8 +13,8 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-/// Two tasks that meet and query each other through a third node, which only relays. Their time_outs exceed any delay of a
-/// process on a busy machine.
+/// A cell of two tasks that meet and query each other through a third node, which only relays. Their time_outs exceed any
+/// delay of a process on a busy machine.
 const RELAYED: &str = "\
 cell relayed;
 tick 1 msec;
@@ -45,7 +45,7 @@ begin
 end b;
 ";
 
-/// A task that ends, and one that serves for ever.
+/// A cell with a task that ends, and a task that serves for ever.
 const SERVED: &str = "\
 cell served;
 tick 1 msec;
@@ -118,7 +118,7 @@ fn exit<'a>(summary: &'a Value, name: &str) -> &'a Value {
 #[test]
 fn scripts_meet_and_ask_through_a_node_that_only_relays() {
     side_by_side([&["--format", "json"][..], &["--format", "json", "--in-process"]], |how: &[&str]| {
-        // Long enough for any machine. It is also how long `b` takes to give up at the end.
+        // The time_out is long enough for any machine. It is also how long `b` takes to give up at the end.
         let said = Bench::that_waits(10).run(how);
         let summary = said.last_json();
         // After `a` has ended, `b` waits for it until its time_out: its abort is the finding.
@@ -146,7 +146,7 @@ fn a_run_says_when_only_servers_are_left_and_can_end_then() {
         let cell = cell.to_str().expect("UTF-8");
         let run = ["run", cell, "--seed", "3"];
         let words = "only servers are left: b; Ctrl-C ends the run, or use --until-idle";
-        // This run would go on for ever.
+        // Without `--until-idle` this run would go on for ever.
         let said = run_until(bench.0.path(), &[&run[..], how].concat(), times(1, words));
         assert!(said.code == Some(0) && said.out.contains(words), "{said:?}");
         let idle = [&run[..], &["--until-idle"], how].concat();
@@ -307,7 +307,7 @@ fn an_interrupt_ends_all_nodes_and_gives_the_summary() {
     live.interrupt();
     let (summary, code, errors) = live.finish();
     assert_eq!(summary["nodes"].as_array().expect("nodes").len(), 3);
-    // After so short a run some checks may be undecided.
+    // After so short a run the verdicts on some checks may be unknown.
     assert!(is_well(code, &errors), "{errors}");
     wait_until("all nodes are gone", || pids.iter().all(|&pid| !is_alive(pid)));
 }
@@ -334,7 +334,7 @@ fn robots_that_reach_each_other_through_a_third_node_are_relayed() {
     });
 }
 
-/// One address and the run's token give access to the whole cell. Without the token a monitor only learns why it is refused.
+/// One address and the run's token give access to the whole cell. Without the token a monitor only learns why it has none.
 #[test]
 fn nodes_are_watched_over_tcp() {
     let dir = runtime_dir();
@@ -377,14 +377,14 @@ fn names_of_nodes(sample: &str) -> Vec<String> {
 #[derive(Debug)]
 struct Thread {
     name: String,
-    /// 1 is SCHED_FIFO.
+    /// The scheduling policy; 1 is SCHED_FIFO.
     policy: String,
     /// The real-time priority: higher values run first; 0 for ordinary threads.
     priority: u32,
     cores: String,
 }
 
-/// The threads that serve monitors, write complaints and report to the launcher, at a lower priority than the rest.
+/// The names of the threads that serve monitors, write complaints and report to the launcher, all at a lower priority.
 const BEHIND: [&str; 3] = ["imrs observer", "imrs printer", "imrs teller"];
 
 impl Thread {
@@ -393,7 +393,7 @@ impl Thread {
     }
 }
 
-/// Whether the observer thread runs there: a node starts it last.
+/// Whether the observer thread is among these threads. A node starts it last.
 fn are_watched(threads: &[Thread]) -> bool {
     threads.iter().any(|thread| thread.name == BEHIND[0])
 }
@@ -420,7 +420,7 @@ fn real_time_is_had_or_refused_with_what_to_do() {
         let args = ["run", cell.to_str().expect("UTF-8"), "--rt", "--for", "10m", "--format", "json"];
         let mut command = imrs(bench.0.path(), &args);
         if !rights {
-            // A user without the rights was refused in the first case.
+            // A user who lacks the rights was already refused in the first case.
             if !rustix::process::geteuid().is_root() {
                 return;
             }
@@ -456,7 +456,7 @@ fn real_time_is_had_or_refused_with_what_to_do() {
         behind.sort_unstable_by_key(|thread| &thread.name);
         assert!(behind.iter().map(|thread| &*thread.name).eq(BEHIND), "one of each: {threads:?}");
         if summary["rt"] == true {
-            // Below all tasks and above ordinary programs: these threads hold locks that tasks wait for.
+            // These threads run below all tasks and above ordinary programs, because they hold locks for which tasks wait.
             let comes_last = |thread: &&Thread| (&*thread.policy, thread.priority) == ("1", 1);
             assert!(behind.iter().all(comes_last), "{threads:?}");
             assert!(works().all(|thread| thread.priority > 1), "{threads:?}");
@@ -464,7 +464,7 @@ fn real_time_is_had_or_refused_with_what_to_do() {
             assert_eq!((shown, said.contains("--rt")), ("had", false), "{seen} {said}");
             assert!(rights, "rights that were taken away");
         } else {
-            // Complained of once, not once per node.
+            // The refusal is reported once, and not once per node.
             assert_eq!(said.matches("SCHED_FIFO").count(), 1, "{said}");
             assert!(said.contains("limits.conf") && said.contains("setcap"), "{said}");
             assert!(shown.starts_with("refused") && shown.contains("scheduler"), "{seen}");
@@ -510,11 +510,11 @@ mod extern_task;
 /// The environment variable that makes the test program run as the other process.
 const OTHER: &str = "IMRS_TEST_EXTERN_TASK";
 
-/// Run as a child process by the next test.
+/// The body of a child process that the next test starts.
 #[test]
 fn the_program_of_the_other_process() {
     if std::env::var_os(OTHER).is_some() {
-        // The test harness has printed the name of this test on the line.
+        // The test harness has printed the name of this test on the line, so the line is ended first.
         println!();
         extern_task::main().expect("it runs");
     }

@@ -1,4 +1,4 @@
-//! `imrs run CELL --node NAME`: nodes that are started one by one, at the addresses that their cell declares.
+//! Tests of `imrs run CELL --node NAME`: nodes that are started one by one, at the addresses that their cell declares.
 
 use crate::run::{Bench, port};
 use crate::support::program::Program;
@@ -33,14 +33,14 @@ fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_
     for incarnation in 0..2 {
         let (b, a) = (start("nb"), start("na"));
         let a = a.finish();
-        // The other node's task waits without a partner from now on, so it is interrupted.
+        // From now on the other node's task waits without a partner, so that node is interrupted.
         b.interrupt();
         let b = b.finish();
         let summary = a.last_json();
         assert_eq!(a.code, Some(0), "incarnation {incarnation}: {a:?} {b:?}");
         assert_eq!(summary["tasks"][0]["end"], "finished", "{summary}");
         assert_eq!(number(&port(&summary, "ask")["sent"]), 5, "{summary}");
-        // One node does not know the arrivals at the other one.
+        // In the summary of one node, the arrivals at the other node are unknown.
         let meet = &summary["rendezvous"][0];
         assert_eq!((&meet["false_releases"], &meet["start_skew_us"]), (&Value::Null, &Value::Null), "{meet}");
         assert_eq!(summary["nodes"].as_array().map(Vec::len), Some(1), "{summary}");
@@ -76,8 +76,8 @@ fn a_node_without_a_place_to_run_is_told_what_is_missing() {
     }
 }
 
-/// If failed starts counted, 130 of them would make the real start look older than the last: its neighbours would ignore it,
-/// without a message.
+/// If failed starts counted, 130 of them would make the real start look older than the last: its neighbours would ignore it
+/// without a word.
 #[test]
 fn failed_starts_count_nothing_and_the_real_one_is_heard() {
     // A restarted node is held back as long as messages of its earlier incarnation may be in flight.

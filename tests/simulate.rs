@@ -99,7 +99,7 @@ fn a_saved_finding_is_shown_again_of_its_own_cell_alone() {
     let other = run(&["simulate", TWICE, "--plan", &saved]);
     assert_eq!(other.code, Some(2), "{other:?}");
     assert!(other.err.contains("it was saved from the cell `token`, this is `twice`"), "{other:?}");
-    // The same cell with one more declaration.
+    // This is the same cell with one more declaration.
     let text = fs::read_to_string(cell).expect("a cell");
     let (_folder, changed) = file("changed.cell", &text.replacen("node n1;", "node n1; node spare;", 1));
     let other = run(&["simulate", &changed, "--plan", &saved]);
@@ -108,7 +108,7 @@ fn a_saved_finding_is_shown_again_of_its_own_cell_alone() {
     assert!(twice.code == Some(2) && twice.err.contains("leave out --seed"), "{twice:?}");
 }
 
-/// Without a finding the command says that nothing is saved: a file of an earlier run could be taken for the answer.
+/// Without a finding the command says that it saved nothing, because a file of an earlier run could be taken for the answer.
 #[test]
 fn where_nothing_is_found_it_is_said_that_nothing_is_saved() {
     let sound = "cell sound;\ntick 1 msec;\nnode n;\ntask t on n\nbegin\n  run turn takes 3 msec;\nend t;\n";
@@ -138,7 +138,7 @@ fn where_nothing_is_found_it_is_said_that_nothing_is_saved() {
 fn what_cannot_be_saved_is_shown_and_a_file_that_cannot_be_written_is_refused_before_the_runs() {
     let lost = "--> examples/faulty/part_placed_twice.cell:36:7";
     for verb in [&["simulate", TWICE, "--seed", "1", "--seeds", "50"][..], &["verify", TWICE]] {
-        // A full disk.
+        // `/dev/full` stands for a full disk.
         let full = run(&[verb, &["--save", "/dev/full"]].concat());
         assert!(full.code == Some(2) && full.out.contains(lost), "{full:?}");
         assert!(full.err.contains("/dev/full: cannot be written: No space left"), "{full:?}");

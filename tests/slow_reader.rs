@@ -1,5 +1,5 @@
-//! The reader of a run's output may be slow or stopped, and the disk of its log full. The run goes on, injects its faults,
-//! obeys signals, stops its nodes in order, and reports how many lines are missing.
+//! Tests with a slow or stopped reader of a run's output, or a full disk for its log. The run must go on, inject its faults,
+//! obey signals, stop its nodes in order, and report how many lines are missing.
 
 use crate::support::live::released;
 use crate::support::{
@@ -15,7 +15,7 @@ use std::path::PathBuf;
 use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
-/// Two tasks that meet for ever. A full pipe takes none of their lines.
+/// A cell of two tasks that meet for ever. A full pipe takes none of their lines.
 const MEETS: &str = "\
 cell meets;
 tick 1 msec;
@@ -45,7 +45,7 @@ struct Bench(tempfile::TempDir);
 /// A run whose output goes to a stream of the test.
 struct Running {
     child: Child,
-    /// An instant no later than its start.
+    /// An instant no later than the start of the run.
     started: Instant,
 }
 
@@ -86,7 +86,7 @@ impl Running {
         all.split_whitespace().filter_map(|pid| pid.parse().ok()).filter(|&pid| is_alive(pid)).collect()
     }
 
-    /// Waits for the end. Also returns how long the run took.
+    /// Waits for the end of the run. Also returns how long it took.
     fn finish(mut self) -> (Said, Duration) {
         let mut err = String::new();
         if let Some(mut pipe) = self.child.stderr.take() {
@@ -131,7 +131,7 @@ fn a_run_ends_in_time_though_nobody_reads_what_it_says() {
         let (said, took) = run.finish();
         assert_eq!(said.code, Some(0), "{said:?}");
         assert!(said.err.contains("of the answer were not read, and are left out"), "{said:?}");
-        // Two seconds of work and five for the reader.
+        // The run takes two seconds of work, and waits five seconds for the reader.
         assert!(took >= Duration::from_secs(7), "{took:?}");
     });
 }
@@ -157,7 +157,7 @@ fn faults_come_and_ctrl_c_is_obeyed_though_nobody_reads() {
         wait_until("the other is stopped", || {
             run.nodes().is_empty() && !left.iter().any(|&pid| is_alive(pid))
         });
-        // Now the pipe is read: the summary has waited for its reader.
+        // Now the pipe is read, because the summary has waited for its reader.
         let mut out = String::new();
         reader.read_to_string(&mut out).expect("text");
         let (said, _) = run.finish();
@@ -205,14 +205,14 @@ fn a_full_disk_ends_no_run_and_is_told() {
 fn nobody_waits_for_who_reads_the_complaints() {
     side_by_side([&[][..], &["--in-process"]], |how: &[&str]| {
         let bench = Bench::new();
-        // A file that cannot be executed, so that the node complains.
+        // This file cannot be executed, so the node complains.
         let gripper = bench.0.path().join("gripper");
         std::fs::write(&gripper, "no program").expect("a file");
         let action = format!("grip={}", gripper.display());
         let ((_out, to_out), (_err, to_err)) = (full_pipe(), full_pipe());
         let run = bench.start(&[&["--action", &action, "--for", "4s"], how].concat(), to_out, to_err);
         let (said, took) = run.finish();
-        // The failed action is the finding; the run still went on to its end.
+        // The failed action is the finding. The run still went on to its end.
         assert_eq!(said.code, Some(1), "{said:?}");
         assert!(took >= Duration::from_secs(4), "{took:?}");
     });

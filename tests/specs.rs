@@ -1,4 +1,5 @@
-//! Checks the documents in `specs/` against the tree: what they name exists, and what they must contain is there.
+//! Checks that the documents in `specs/` agree with the tree: everything that they name exists, and they contain what they
+//! must.
 
 use crate::support::claims::settled;
 use std::collections::BTreeMap;
@@ -128,7 +129,7 @@ fn every_scenario_names_rules_that_exist() {
     }
 }
 
-/// The last part of the trace maps each rule to the scenarios that name it. `IMRS_BLESS=1` writes it.
+/// The last part of the trace maps each rule to the scenarios that name the rule. `IMRS_BLESS=1` writes that part.
 #[test]
 fn the_trace_leads_from_each_rule_to_its_scenarios() {
     let mut by_rule: BTreeMap<(bool, u32, String), Vec<String>> = BTreeMap::new();
@@ -189,7 +190,7 @@ fn every_rule_of_the_paper_is_traced() {
     }
 }
 
-/// How often each decision number is written down.
+/// For each decision number, how many entries it has in all: lines of a list, and headings of records.
 fn decisions() -> BTreeMap<u32, usize> {
     let mut found = BTreeMap::new();
     for path in documents().iter().filter(|path| path.starts_with("specs/decisions")) {
@@ -253,7 +254,7 @@ fn decisions_that_code_and_documents_cite_are_written_down() {
         }
     }
     for path in files {
-        // In code only comments count, because `D1` may be an identifier.
+        // In code only comments are searched, because `D1` may also be an identifier.
         let text = read(&path);
         let is_code = path.extension().is_some_and(|extension| extension == "rs");
         for line in text.lines() {
@@ -280,7 +281,8 @@ fn the_page_of_claims_has_every_claim_and_no_other() {
     }
 }
 
-/// The page shows what the checker finds now, tested for quick claims only. `specs/claims.py` renews the page.
+/// The page must show the present results of the checker. This is tested only for quick claims; `specs/claims.py` renews the
+/// page.
 #[test]
 fn the_page_of_claims_has_the_numbers_and_charts_of_the_checker() {
     let text = read("specs/claims.md");

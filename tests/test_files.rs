@@ -1,5 +1,5 @@
-//! Every test file is compiled. Cargo does not discover test programs here, so a file that no `mod` names would be silently
-//! ignored.
+//! Checks that every test file is compiled. Cargo does not discover test programs here, so a file that no `mod` names would
+//! be ignored silently.
 
 use crate::support::metadata;
 use serde_json::Value;

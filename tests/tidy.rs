@@ -1,4 +1,4 @@
-//! Checks house rules of the sources, so that no reviewer has to.
+//! Checks house rules of the sources, so that no reviewer has to check them.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -33,7 +33,7 @@ fn sources() -> Vec<(PathBuf, String)> {
     found
 }
 
-/// The number of lines of each function of a formatted file, by name. Of several with one name the longest counts.
+/// The number of lines of each function of a formatted file, by name. If several have the same name, the longest counts.
 fn functions(text: &str) -> BTreeMap<String, usize> {
     let lines: Vec<&str> = text.lines().collect();
     let mut found = BTreeMap::new();
@@ -140,7 +140,7 @@ fn words_of(name: &str) -> Vec<String> {
     words
 }
 
-/// The code of a file, without its comments and texts. Lines stay where they are.
+/// The code of a file, without its comments and texts. Line numbers stay the same.
 fn code_of(text: &str) -> String {
     let (mut code, mut rest) = (String::new(), text);
     while let Some(letter) = rest.chars().next() {
@@ -194,7 +194,7 @@ fn no_name_of_the_code_has_a_retired_word() {
     assert!(found.is_empty(), "{} names, see specs/glossary.md: {found:#?}", found.len());
 }
 
-/// Constructions that a first reader does not understand: no actor, or a word of this project alone.
+/// Parts of sentences that a first reader does not understand: they name no actor, or use a word of this project alone.
 const UNCLEAR: [&str; 11] = [
     "whoever",
     "what is left",
@@ -213,7 +213,7 @@ const UNCLEAR: [&str; 11] = [
 fn comments_name_their_actors() {
     let mut found = Vec::new();
     for (path, text) in sources() {
-        // This file lists them.
+        // This file lists these words, so it is left out.
         if path.ends_with("tests/tidy.rs") {
             continue;
         }
@@ -252,7 +252,7 @@ fn words_promise_no_more_than_is_so() {
         .map(|name| (PathBuf::from(name), fs::read_to_string(Path::new(ROOT).join(name)).expect(name)));
     for (path, text) in sources().into_iter().chain(texts) {
         for word in unwanted {
-            // Denials of the claim are allowed.
+            // A sentence that denies such a claim is allowed.
             let claims = text.lines().find(|l| l.contains(word) && !l.contains("no ") && !l.contains("not "));
             assert_eq!(claims, None, "{}", path.display());
         }

@@ -14,7 +14,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use verifier::{OPTIMISED, Twin};
 
-/// The confirmation rules: their names in the checker's claims, in the machine, and in the twin (D1).
+/// The confirmation rules: their names in the checker's claims, in the state machine, and in the Promela twin (D1).
 const RULES: [(&str, Confirmation, &str); 4] = [
     ("no-confirmation", Confirmation::None, "NO_CONFIRMATION"),
     ("first-complete", Confirmation::FirstComplete, "FIRST_COMPLETE"),
@@ -38,7 +38,8 @@ fn fails(scenario: &Arc<Scenario>) -> bool {
     found.violation.is_some()
 }
 
-/// Asserts that the twin strands a member with `least` lost packets, and not with one less. (A budget is "at most".)
+/// Asserts that the twin strands a member with `least` lost packets, and not with one less. (The twin's budget means "at
+/// most".)
 fn twin_strands_with(members: u32, rule: &str, least: u32) {
     let stranded = |losses: u32| {
         let definitions = [&format!("N={members}"), rule, &format!("LOSS={losses}"), "FORGET"];
@@ -87,13 +88,13 @@ fn as_many_lost_packets_strand_one_of_four() {
     }
 }
 
-/// Without reductions, the two descriptions have the same number of states.
+/// Tests that without reductions both descriptions have the same number of states.
 #[test]
 fn as_many_states_where_nothing_is_reduced() {
     if !spin_is_here() {
         return;
     }
-    // Under the other rules the machine keeps and forgets other things than the twin.
+    // Under the other rules the machine remembers other things than the twin does.
     for ((_, confirmation, rule), loss) in [(RULES[0], 0), (RULES[2], 1), (RULES[2], 2)] {
         let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
         let budget = Budget { loss, dup: 0, crash: 0 };
@@ -107,7 +108,7 @@ fn as_many_states_where_nothing_is_reduced() {
     }
 }
 
-/// The twin's reduction `FORGET` changes no verdict.
+/// Tests that the twin's reduction `FORGET` changes no verdict.
 #[test]
 fn what_the_twin_forgets_changes_nothing() {
     if !spin_is_here() {
@@ -123,8 +124,8 @@ fn what_the_twin_forgets_changes_nothing() {
     }
 }
 
-/// Members with time_outs and retransmissions: with the least margin that holds, and with one tick less, both give the same
-/// verdict.
+/// Tests members with time_outs and retransmissions: with the least margin that holds, and with one tick less, both tools
+/// give the same verdict.
 #[test]
 fn the_same_margin_keeps_all_or_none() {
     if !spin_is_here() {
@@ -198,7 +199,7 @@ fn commands_are_handed_over_once() {
     assert!(!holds("command.pml", &["FORGET_OLDER"]));
 }
 
-/// A single command whose receiver answers at once: how many lost packets leave its sender without an answer.
+/// Tests how many lost packets leave the sender of a single command without an answer, if the receiver answers at once.
 #[test]
 fn as_many_lost_packets_leave_a_command_without_its_answer() {
     if !spin_is_here() {
@@ -226,7 +227,7 @@ fn as_many_lost_packets_leave_a_command_without_its_answer() {
         let least = (0..12).find(unanswered).expect("enough losses leave it without");
         assert_eq!(least, retry + 1, "each copy brings an answer of its own");
         assert!(twin_answers(least - 1, &["PROMPT"]) && !twin_answers(least, &["PROMPT"]));
-        // A copy that comes before the first one is answered brings no answer: with a slow receiver one loss is enough.
+        // A copy that comes before the first one is answered brings no answer, so with a slow receiver one loss is enough.
         if retry == 2 {
             assert!(twin_answers(0, &[]) && !twin_answers(1, &[]));
         }
@@ -267,7 +268,7 @@ const TAKE_OVERS: [(TakeOver, u32); 2] = [
     (TakeOver { lease: 8, delay: 2, every: 3, drift: 2 }, 2),
 ];
 
-/// The twin's margin equals the drift; the link delay adds nothing.
+/// Tests that the twin's margin equals the drift, and that the link delay adds nothing.
 #[test]
 fn the_margin_of_the_take_over() {
     if !spin_is_here() {
@@ -276,7 +277,7 @@ fn the_margin_of_the_take_over() {
     for (world, margin) in TAKE_OVERS {
         assert_eq!(world.least_margin(), margin, "{world:?}");
     }
-    // The machine itself has the same margin, at equal bounds.
+    // With equal bounds, the machine itself has the same margin.
     let report = settled("one-active");
     for (rule, drift) in [("default", 0), ("default, drift", 1)] {
         let verdict = report.claims.iter().find(|v| v.rule == rule).expect("a verdict");
@@ -302,8 +303,8 @@ fn plain_heartbeats_let_both_be_active() {
     }
 }
 
-/// The least lease that never ends while both tasks are connected and nothing is lost. The next heartbeat after a round trip
-/// echoes an answer; the following echo comes a period later, and reaches the primary after a link delay.
+/// Tests the least lease that never ends while both tasks are connected and nothing is lost. The next heartbeat after a
+/// round trip echoes an answer. The following echo comes a period later, and reaches the primary after a link delay.
 #[test]
 fn the_least_lease_that_lasts() {
     if !spin_is_here() {

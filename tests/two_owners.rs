@@ -1,6 +1,6 @@
-//! Two tasks that share a tool never act at the same time. Their nodes are killed, stopped and frozen, with and without the
-//! guards of their commands. The log of the tool shows who acted when (D158). The actions are commands: `examples/actuator.rs`,
-//! run by this test program itself.
+//! Tests that two tasks which share a tool never act at the same time. Their nodes are killed, stopped and frozen, with and
+//! without the guards of their commands. The log of the tool shows which task acted when (D158). The actions are commands:
+//! `examples/actuator.rs`, run by this test program itself.
 
 mod fault;
 mod freezer;
@@ -16,9 +16,9 @@ use std::thread;
 use tally::{Tally, Trials, tell};
 use trial::{Plan, trial};
 
-/// Number of concurrent trials: they wait more than they work.
+/// Number of trials that run at the same time, because trials wait more than they work.
 const ABREAST: usize = 8;
-/// A series with more trials than this is a long one, with long faults and comparisons of each fault.
+/// From how many trials on a series is a long one. A long series has long faults, and comparisons of each fault.
 const MANY: u64 = 50;
 
 /// Runs the remaining trials, several at a time.
@@ -35,7 +35,7 @@ fn carry_out(plans: &[Plan], tally: &Tally) {
     });
 }
 
-/// The comparisons of a series: three of faults that let a command go on, or in a long series two of every fault.
+/// The comparisons of a series: three of faults that let a command go on; in a long series two of every fault.
 fn comparisons(are_many: bool) -> Vec<Plan> {
     let faults = FAULTS.iter().filter(|fault| are_many || fault.lets_the_command_go_on());
     let faults: Vec<_> = faults.cycle().take(if are_many { 2 * FAULTS.len() } else { 3 }).collect();
@@ -64,15 +64,15 @@ fn nobody_acted_beside_another(trials: &Trials, count: u64) {
         assert_ne!(trial.check, "broken", "{trial:?}");
     }
     assert_eq!(trials.0.len() as u64, count);
-    // At least so many of 200 trials must be conclusive; of fewer trials the same share.
+    // At least so many of 200 trials must be conclusive; if there are fewer trials, the same share of them.
     let least = |of_200: u64| of_200 * count / 200;
     assert!(trials.count(|trial| trial.mid_action) >= least(100), "{}", trials.counts());
     assert!(trials.count(|trial| trial.guard_held) >= least(30), "{}", trials.counts());
     took_over(trials, least(if count > MANY { 150 } else { 100 }), count > MANY);
 }
 
-/// Asserts that the standby acted in at least so many trials. A short series on a busy machine is excused: if a primary loses
-/// its lease before the fault, its standby is struck instead, and no task takes over from a standby.
+/// Asserts that the standby acted in at least so many trials. A short series on a busy machine is excused: if a primary
+/// loses its lease before the fault, the fault hits its standby instead, and no task takes over from a standby.
 fn took_over(trials: &Trials, least: u64, is_asked: bool) {
     let (took_over, counts) = (trials.count(|trial| trial.took_over.is_some()), trials.counts());
     assert!(took_over >= least || !is_asked, "{counts}");
@@ -81,8 +81,8 @@ fn took_over(trials: &Trials, least: u64, is_asked: bool) {
     }
 }
 
-/// The same measurement finds two owners if only the guard bounds the command, and the guard is stopped. So the zero above is
-/// meaningful. And in such runs the check is never reported as held.
+/// The same measurement finds two owners if only the guard bounds the command, and the guard is stopped. So the zero that
+/// the other trials give is meaningful. In such runs the check is never reported as held.
 fn two_owners_are_seen(comparisons: &Trials, are_many: bool) {
     let unbound = comparisons.0.iter().filter(|trial| trial.guard_held && trial.took_over.is_some());
     let unbound = unbound.filter(|trial| {
@@ -98,7 +98,8 @@ fn two_owners_are_seen(comparisons: &Trials, are_many: bool) {
     took_over(comparisons, 1, are_many);
 }
 
-/// The primary is suspended for longer than a take-over, several times. The checks never see it active beyond its lease.
+/// Tests a primary that is suspended for longer than a take-over, several times. The checks must never count it as active
+/// beyond its lease.
 #[test]
 fn a_stopped_owner_is_active_no_longer_than_its_lease() {
     let tally = Tally::open(None);
@@ -110,8 +111,8 @@ fn a_stopped_owner_is_active_no_longer_than_its_lease() {
     took_over(&trials, 1, false);
 }
 
-/// Runs a cell of one node with this script in a time namespace. `grip` is the command of its action. `None` if the machine has
-/// no such namespaces.
+/// Runs a cell of one node with this script in a time namespace. `grip` is the command of the script's action. `None` if the
+/// machine has no such namespaces.
 fn with_clocks_apart(offset: [&str; 2], script: &str, grip: &str, dir: &Path) -> Option<Said> {
     let cell = format!("cell waits;\ntick 1 msec;\nnode n;\ntask t on n\nbegin\n  {script}\nend t;\n");
     let (file, action) = (dir.join("waits.cell"), dir.join("grip.sh"));
@@ -132,12 +133,12 @@ fn with_clocks_apart(offset: [&str; 2], script: &str, grip: &str, dir: &Path) ->
     Some(finish(command))
 }
 
-/// The nodes' clock is far ahead of the clock that the kernel sleeps by, as after a suspend of a day.
+/// The nodes' clock is far ahead of the clock by which the kernel sleeps, as after a suspend of a day.
 #[test]
 fn a_machine_that_was_suspended_keeps_its_times() {
     let dir = runtime_dir();
     let seen = dir.path().join("guard.stat");
-    // The command's parent is its guard.
+    // The parent of the command is its guard.
     let grip = format!("sleep 1; cat /proc/$PPID/stat > {}", seen.display());
     let script = "delay 300 msec; delay 300 msec; run grip takes 0..60 sec;";
     let Some(said) = with_clocks_apart(["--boottime", "86400"], script, &grip, dir.path()) else { return };
@@ -147,7 +148,8 @@ fn a_machine_that_was_suspended_keeps_its_times() {
     let stat = std::fs::read_to_string(seen).expect("what the guard used");
     let (_, rest) = stat.rsplit_once(')').expect("a name");
     let spent = rest.split_whitespace().skip(11).take(2).map(|ticks| ticks.parse::<u64>().expect("ticks"));
-    // The guard's processor time, in hundredths of a second: it must not spin if its timer expires before the deadline.
+    // This is the guard's processor time, in hundredths of a second. The guard must not spin if its timer expires before the
+    // deadline.
     assert!(spent.sum::<u64>() < 30, "{stat}");
 }
 

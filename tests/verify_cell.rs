@@ -1,4 +1,4 @@
-//! End-to-end tests of `imrs verify CELL`: from a cell file to the answer.
+//! End-to-end tests of `imrs verify CELL`, from a cell file to the answer.
 
 use crate::support::run;
 use std::path::PathBuf;
@@ -23,7 +23,7 @@ begin
 end teller;
 "#;
 
-/// Writes `PAIR` to a file, with `answer` as what `teller` answers, and appends the declarations `more`.
+/// Writes `PAIR` to a file, with `answer` in place of the answer of `teller`, and with the declarations `more` behind it.
 fn cell(answer: &str, more: &str) -> (tempfile::TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("pair.cell");
@@ -227,7 +227,7 @@ fn a_cell_that_the_checker_cannot_look_at_is_not_checked_and_not_found_wrong() {
 
 #[test]
 fn a_search_that_is_cut_short_says_how_far_it_came() {
-    // Less time than any machine needs.
+    // This is less time than any machine needs.
     let answer = run(&["verify", "examples/shared_tool.cell", "--within", "1ms"]);
     assert_eq!(answer.code, Some(4), "{answer:?}");
     let told = "cut short, out of time (0.001 s): every order of events was looked at up to its choice ";
@@ -257,7 +257,7 @@ fn a_replayed_finding_is_told_step_by_step_as_text() {
     assert!(one.out.contains("tick 1\n") && !one.out.contains("ASSERTION"), "{}", one.out);
 }
 
-/// The reference quotes a finding exactly as the command prints it.
+/// The reference must quote a finding exactly as the command prints it.
 #[test]
 fn the_finding_in_the_reference_is_what_is_said() {
     let page = std::fs::read_to_string("specs/language/faults-and-checks.md").expect("the page");
@@ -328,7 +328,7 @@ fn statements_that_were_not_reached_are_told_to_programs() {
     assert_eq!(lines(&said["not_exercised"]), [("asker".to_owned(), 9)], "{said}");
     assert_eq!((lines(&said["not_tried"]), lines(&said["not_seen"])), (none.clone(), none.clone()), "{said}");
     assert_eq!(said["outside"], serde_json::json!([]), "{said}");
-    // Only some answers of an extern task are tried.
+    // Only some answers of an extern task are tried, so some statements are not reached.
     let (head, _) = sound.split_once("  var x: int8;").expect("the variable of the teller");
     let outside = format!(
         "{}end teller;\n",
@@ -339,7 +339,7 @@ fn statements_that_were_not_reached_are_told_to_programs() {
     let said = json(&outside, &[]);
     assert_eq!(lines(&said["not_tried"]), [("asker".to_owned(), 10)], "{said}");
     assert!(said["outside"].as_array().is_some_and(|values| values.contains(&0.into())), "{said}");
-    // Beyond a finding that ends its path nothing is explored, so a check stays unknown.
+    // Beyond a finding that ends its path nothing is explored, so the verdict on a check stays unknown.
     let failing = format!(
         "{}\ncheck c: always asker.at < 99;\n",
         sound.replace("assert at < 9;", "assert at < 7; skip;")
@@ -350,7 +350,7 @@ fn statements_that_were_not_reached_are_told_to_programs() {
     assert_eq!(lines(&said["not_exercised"]), none, "{said}");
 }
 
-/// A third robot is independent of the pair: it is searched, drawn and saved by itself.
+/// A third robot is independent of the pair, so it is searched, drawn and saved as a part of its own.
 #[test]
 fn independent_parts_are_told_and_replayed_one_by_one() {
     let alone = "node n3 at \"10.0.0.3\";\ntask loner on n3\n  var n: int8;\nbegin\n\

@@ -1,4 +1,5 @@
-//! Fuzzes observation frames: the decoder accepts any bytes, and a change leads from any state to the right one or to none.
+//! Fuzzes observation frames: the decoder accepts any bytes, and a delta applied to any state either gives the right state
+//! or fails.
 #![no_main]
 
 #[path = "../../wire/tests/support/bytes.rs"]

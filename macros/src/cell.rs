@@ -1,4 +1,4 @@
-//! `cell!`: a cell file as Rust items.
+//! Implements `cell!`, which turns a cell file into Rust items.
 
 use crate::message::implementation;
 use imrs_language::hir::{Field, Hir};
@@ -11,8 +11,8 @@ use std::fs;
 use std::path::Path;
 use syn::{LitStr, Member};
 
-/// The items for a cell file, or a compile error with its diagnostics. Either way a change of the file compiles the program
-/// again.
+/// The items for a cell file, or a compile error with its diagnostics. In both cases a change of the file makes cargo
+/// compile the program again.
 pub fn expand(path: &LitStr) -> TokenStream {
     let folder = std::env::var_os("CARGO_MANIFEST_DIR").unwrap_or_default();
     let file = Path::new(&folder).join(path.value());
@@ -33,7 +33,7 @@ pub fn expand(path: &LitStr) -> TokenStream {
     }
 }
 
-/// The items for a cell, or its diagnostics in the compiler's words.
+/// The items for a cell, or the compiler's diagnostics as text.
 fn items(name: &str, text: &[u8]) -> Result<TokenStream, String> {
     let shown = |found: &[_], source| {
         format!("the cell has errors\n{}", render::text(found, name, source, render::Style::Plain).trim_end())

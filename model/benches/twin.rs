@@ -23,9 +23,9 @@ struct World {
     name: &'static str,
     meeting: Meeting,
     model: &'static str,
-    /// What makes the Promela model this world.
+    /// The macro definitions that give the Promela model this world's size and rules.
     definitions: &'static [&'static str],
-    /// What makes it drop what changes nothing any more, as the checker does.
+    /// The macro definitions with which the Promela model drops values that no longer change anything, as the checker does.
     reduced: &'static [&'static str],
 }
 

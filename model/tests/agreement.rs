@@ -1,4 +1,5 @@
-//! The packed form against the reference form: with reductions off, the same states and the same transitions.
+//! Compares the packed form of states with the reference form: with reductions off, both have the same states and
+//! transitions.
 
 use crate::support::reference::ReferenceModel;
 use crate::support::worlds::{commands, endless, timed, with};

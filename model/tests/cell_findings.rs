@@ -1,4 +1,4 @@
-//! Each kind of finding of a cell: the statement that it points at, and cells that have none.
+//! Tests of each kind of finding in a cell: the statement at which it points, and cells without that finding.
 
 use crate::cells::{Text, within};
 use imrs_model::cell::{CellFaults, Finding, Kind, Phase, Shows, Times, Verdicts, scenes, svg};
@@ -6,7 +6,7 @@ use imrs_protocol::TaskId;
 use imrs_wire::obs::Liveness;
 use std::sync::Arc;
 
-/// Two tasks on two nodes a tick apart; `a` owns what is declared in `ports`.
+/// A cell of two tasks on two nodes that are a tick apart; `a` owns the ports in `ports`.
 fn two(ports: &str, uses: &str, a: &str, b: &str, rest: &str) -> Text {
     Text::new(&two_text(ports, uses, a, b, rest))
 }
@@ -32,7 +32,7 @@ pub fn found(kind: Kind, at: &str) -> (Kind, String) {
     (kind, at.into())
 }
 
-/// What a complete search finds in a cell.
+/// The findings of a complete search of a cell.
 pub fn all(text: &Text) -> Vec<(Kind, String)> {
     let verdicts = text.check();
     assert!(verdicts.is_complete());
@@ -110,7 +110,7 @@ fn two_that_wait_for_each_other_are_a_deadlock() {
     let deadlock = verdicts.of(Kind::Deadlock).next().expect("a deadlock");
     assert!(cell.source(deadlock).starts_with("receive got(m)"));
     assert_eq!(deadlock.cause, "a waits at receive `got` for b; b waits at receive `put` for a");
-    // A server that waits for more messages after its sender has ended is at rest.
+    // A server is at rest if it waits for more messages after its sender has ended.
     assert_eq!(all(&two(PUT, USE_PUT, "send put(m);", TAKE, "")), []);
 }
 
@@ -148,9 +148,9 @@ fn a_statement_that_nothing_leads_to_is_unreached() {
     assert!(found_here[0].0 == Kind::Unreached && found_here[0].1.starts_with("delay 3 msec"));
 }
 
-/// Results of an action are tried at both ends of their range and on both sides of what they are compared with. If a
-/// result goes elsewhere, another value may lead on: then a statement that no tried value reaches is not reported as
-/// superfluous, nor a check as vacuous.
+/// Results of an action are tried at both ends of their range, and on both sides of the constants with which they are
+/// compared. If a result is also used elsewhere, another value may lead to more statements. Then a statement that no tried
+/// value reaches is not reported as superfluous, nor a check as vacuous.
 #[test]
 fn results_lead_to_every_branch_that_compares_them_and_elsewhere_perhaps() {
     let of = |range: &str, branch: &str, check: &str| {
@@ -212,8 +212,8 @@ fn a_node_that_crashes_and_a_link_that_is_cut_are_the_named_ones() {
     assert!(with("dup 1").is_none());
 }
 
-/// Task `b` is held back for 21 ticks after a restart of its node, because `put` may still be in flight. Task `c`
-/// need not wait for `b`, unless it sends `b` a command.
+/// Task `b` is held back for 21 ticks after a restart of its node, because `put` may still be in flight. Task `c` need not
+/// be held back, too, unless it sends `b` a command.
 #[test]
 fn after_a_restart_a_task_waits_for_its_own_ports_and_those_that_it_asks() {
     let early = |port: &str, uses: &str, answer: &str, ask: &str| {
@@ -327,7 +327,7 @@ fn a_query_may_not_last_longer_than_its_answer_takes() {
     );
 }
 
-/// Values that members bring to a meeting are there when others read them, also after a handler in the wait.
+/// The values that members bring to a meeting are there when other members read them, also after a handler in the wait.
 #[test]
 fn what_members_bring_to_a_meeting_is_what_the_others_read() {
     let meet = MEET.replace("meet()", "meet(h: int8)");
@@ -434,7 +434,7 @@ fn what_monitors_see_of_a_finding_is_what_the_checker_saw() {
     }
 }
 
-/// Tasks that query one task, which answers with the number that it was sent plus one.
+/// A cell in which several tasks query one task, which answers with the received number plus one.
 const ASKERS: &str = "cell askers;
 tick 1 msec;
 node na; node nb; node nt;
@@ -513,7 +513,7 @@ fn a_chart_says_the_line_and_the_values_of_each_step() {
     }
 }
 
-/// A couple's heartbeats have a layout of the machine's own: no values of the cell are read from them.
+/// A couple's heartbeats have a layout of the machine's own: the checker reads no values of the cell from them.
 #[test]
 fn what_heartbeats_carry_is_not_taken_for_values() {
     let text = std::fs::read_to_string("../examples/weld_cell.cell").expect("the example");
@@ -527,7 +527,7 @@ fn what_heartbeats_carry_is_not_taken_for_values() {
 #[test]
 fn tasks_with_the_same_statements_have_their_finding_told_once() {
     let assertions = |b: String| -> Vec<(TaskId, Vec<TaskId>)> {
-        // Either task may fail first: the search does not go on past a finding that ends a task.
+        // Either task may fail first, because the search does not go on past a finding that ends a task.
         let text = format!("{ASKERS}{b}").replace("  query grab", "  run think takes 1..9 msec; query grab");
         let verdicts = Text::new(&text).check();
         let of = |finding: &Finding| (finding.task.expect("a task"), finding.also.clone());
@@ -535,6 +535,6 @@ fn tasks_with_the_same_statements_have_their_finding_told_once() {
     };
     let (a, b) = (TaskId(2), TaskId(3));
     assert_eq!(assertions(asker("b", 300)), [(a, vec![b])]);
-    // Another value makes another text, and another cause.
+    // With another value the assertion has another text, and so another cause.
     assert_eq!(assertions(asker("b", 301)), [(a, vec![]), (b, vec![])]);
 }

@@ -1,4 +1,4 @@
-//! Floors: whole nodes, relays, links of limited capacity, handlers, scripts.
+//! Tests of the checker's cell states: whole nodes, relays, links of limited capacity, handlers, scripts.
 
 use imrs_model::cell_state::plan::{CellProperty, CellScenario, Faults, Goal, TaskPlan};
 use imrs_model::cell_state::worlds::{
@@ -26,8 +26,8 @@ fn explored(plan: &Arc<CellScenario>) -> Exploration<Move> {
     found
 }
 
-/// Explores a cell that must fail, and once more level by level with whole states: the counterexample is a run of
-/// the cell, and there is no shorter one.
+/// Explores a cell that must fail, and once more level by level with whole states. The counterexample must be a run of the
+/// cell, and the shortest one.
 fn fails(plan: &Arc<CellScenario>) -> Violation {
     let found = explored(plan);
     let drawn = draw_cell_state(plan, &found).expect("a chart");
@@ -128,7 +128,8 @@ fn clocks_apart_make_no_difference() {
         (found.states, found.transitions)
     });
     assert!(counts.iter().all(|count| *count == counts[0]));
-    // If the receiver's node misses a tick while it holds a status, the status comes out one tick late, and no more.
+    // If the receiver's node misses a tick while it holds a status message, the message comes out one tick late, and no
+    // more.
     let faults = Faults { drift: 1, ..Faults::default() };
     let late = |slack| {
         let watches = vec![CellProperty::Stale { slack }];
@@ -219,7 +220,8 @@ fn a_script_shows_that_the_literal_penalty_revives_commands() {
     assert_eq!(fails(&penalised(true).expect("a sound declaration")), Violation::Stale);
 }
 
-/// Two tasks that enter a shared place once each, ordered by a waitfor if `meet`, and note whether they are in it.
+/// A cell of two tasks that each enter a shared place once, and note whether they are in it. If `meet`, a waitfor orders
+/// them.
 fn sharing(meet: bool) -> Arc<CellScenario> {
     let mut cell = Cell::new("sharing", Ticks(1));
     let nodes = ["left", "right"].map(|name| cell.node(name));

@@ -1,4 +1,4 @@
-//! The packed form of cell states: it loses nothing that a future depends on, and fusing steps changes no quiescent state.
+//! The packed form of cell states: it loses nothing on which a future depends, and fusing steps changes no quiescent state.
 
 use imrs_model::cell_state::plan::{CellProperty, CellScenario, Errand, Faults, TaskPlan, Times, Transfer};
 use imrs_model::cell_state::worlds::{Flood, Interrupted, Relay, Workshop, penalised, query_all};
@@ -16,13 +16,15 @@ fn successors(model: &CellModel, state: &Packed) -> HashSet<Packed> {
     moves.into_iter().filter_map(|step| model.next_state(state, step)).collect()
 }
 
-/// Explores the cell with unpacked copies, and asks of every state that its packed form has the same successors.
+/// Explores the cell with unpacked copies of its states, and checks that the packed form of every state has the same
+/// successors. Returns how many states there are.
 fn live_and_packed_agree(plan: &Arc<CellScenario>) -> usize {
     let model = CellModel::new(plan, Limits::default());
     let start = LiveCellState::new(plan);
     assert_eq!(model.init_states(), [start.packed()]);
     let mut seen = HashSet::from([start.packed()]);
-    // Depth first: a whole copy takes kilobytes, and a breadth-first queue would keep thousands of them.
+    // The search goes depth first, because a whole copy takes kilobytes, and a breadth-first queue would keep thousands of
+    // them.
     let mut open = vec![(start.packed(), start)];
     while let Some((packed, live)) = open.pop() {
         if packed.is_final() {
@@ -124,7 +126,7 @@ fn handlers_sets_floods_and_scripts() {
     }
 }
 
-/// Two nodes with two tasks each: commands within a node, and a waitfor across.
+/// A cell of two nodes with two tasks each: commands within a node, and a waitfor across the nodes.
 fn neighbours(fused: bool) -> Arc<CellScenario> {
     let mut cell = Cell::new("neighbours", Ticks(1));
     let [here, there] = ["here", "there"].map(|name| cell.node(name));
@@ -145,7 +147,7 @@ fn neighbours(fused: bool) -> Arc<CellScenario> {
     Arc::new(plan.watching(CellProperty::Waits { slack: 0 }).watching(CellProperty::Stale { slack: 0 }))
 }
 
-/// Three members of a waitfor, two of them on one node.
+/// A cell of three members of a waitfor, two of them on one node.
 fn members(fused: bool) -> Arc<CellScenario> {
     let mut cell = Cell::new("members", Ticks(1));
     let [here, there] = ["here", "there"].map(|name| cell.node(name));
@@ -191,8 +193,8 @@ fn fused_and_unfused_steps_reach_the_same_quiescent_states() {
     live_and_packed_agree(&neighbours(false));
 }
 
-/// Arrivals within a node may cross: then each member is released by the other's arrival, and neither by a CONFIRM.
-/// More states are reached than by fused steps, none is lost, and no property is violated.
+/// Arrivals within a node may cross: then the other's arrival releases each member, and a CONFIRM releases neither. The
+/// unfused steps reach more states than fused steps, lose none, and violate no property.
 #[test]
 fn arrivals_that_cross_within_a_node_reach_states_of_their_own() {
     let [fused, quiet] = both_ways(members);

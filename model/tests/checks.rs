@@ -1,4 +1,4 @@
-//! The predicates that a cell's checks may ask for (D45).
+//! Tests of the predicates that a cell's checks may use (D45).
 
 use imrs_model::cell_state::Move;
 use imrs_model::cell_state::explore_cell_state;
@@ -12,7 +12,8 @@ fn explored(plan: &Arc<CellScenario>) -> Exploration<Move> {
     explore_cell_state(plan, Limits { states: 200_000, memory: 1 << 30 })
 }
 
-/// `a` enters the shared place after each meeting, if `honest` only when released; `b` comes to `meetings` of them.
+/// A cell in which `a` enters the shared place after each meeting, or only after a release if `honest`; `b` comes to
+/// `meetings` meetings.
 fn entering(meetings: u8, honest: bool) -> Arc<CellScenario> {
     let mut cell = Cell::new("entering", Ticks(1));
     let nodes = ["left", "right"].map(|name| cell.node(name));
@@ -58,7 +59,7 @@ fn checks_ask_who_has_arrived_at_the_newest_meeting() {
     assert_eq!(explored(&entering(0, false)).violation, Some(Violation::Check));
 }
 
-/// Task `a` queries `b` once and then sets `done`. The check reads `done` and a predicate about that query.
+/// A cell in which task `a` queries `b` once and then sets `done`. The check reads `done` and a predicate about that query.
 fn asking(
     loss: u8,
     deaf: bool,
@@ -83,7 +84,7 @@ fn asking(
     let tasks = vec![scripted(first), scripted(second)];
     let mut plan = CellScenario::new(Arc::new(CellTable::new(cell).expect("a sound declaration")), tasks);
     plan.faults.loss = loss;
-    // never done and not (predicate = holds)
+    // The check is: never done and not (predicate = holds).
     let is = Term::Is(predicate(a, port));
     let mut check = vec![Term::Of { task: a, variable: 0 }, is];
     check.extend(holds.then_some(Term::Not));

@@ -1,4 +1,4 @@
-//! What the checker finds about the protocol's claims, pinned.
+//! Pinned results of the checker for the protocol's claims.
 
 use crate::support::worlds::{commands, endless, least_losses, literal, scenario, timed};
 use imrs_model::worlds::Meeting;
@@ -10,7 +10,7 @@ use std::sync::LazyLock;
 const RULES: [Confirmation; 4] =
     [Confirmation::None, Confirmation::FirstComplete, Confirmation::EveryComplete, Confirmation::PassOn];
 
-/// The report that two tests read.
+/// The report on the claim, which two tests read.
 static UNDER_LOSS: LazyLock<Report> = LazyLock::new(|| settle("rendezvous-under-loss"));
 
 fn settle(claim: &str) -> Report {
@@ -33,7 +33,7 @@ fn the_default_is_to_confirm_when_complete_and_it_matters() {
         let without = least_losses(members, Confirmation::None);
         assert!(without < with, "{members} members: {without} and {with}");
     }
-    // The same with retransmission: a member gives up though all have arrived.
+    // The same with retransmission: then a member gives up although all have arrived.
     let gives_up = |confirmation, loss| {
         let rules = Rules { confirmation, ..Rules::DEFAULT };
         let meeting = Meeting { rules, hurry: true, ..timed(2, Watch::GaveUpAfterAllArrived, loss, 3, 8) };
@@ -58,10 +58,11 @@ fn counts_of_small_worlds() {
     assert_eq!(counts, worlds.map(|(_, pinned)| pinned));
 }
 
-/// States, transitions and depth. They change with the protocol or with a reduction, and with nothing else.
+/// Numbers of states and transitions, and the depth. They change with the protocol or with a reduction, and with nothing
+/// else.
 const PINNED: [(u64, u64, u64); 4] = [(75, 172, 12), (280, 1142, 11), (622, 1105, 22), (3568, 7447, 22)];
 
-/// The quick verdicts of the cheap claims, settled once.
+/// The verdicts of the quick run on the cheap claims, settled once for all tests.
 fn cheap() -> Vec<Verdict> {
     let others = ["pairing", "class-2-resolves", "no-stale-delivery", "at-most-once"];
     UNDER_LOSS

@@ -1,4 +1,5 @@
-//! The lease of a couple under the checker: how tight the least lease that a declaration admits is (D78).
+//! Tests of a couple's lease under the checker: how close the least lease that a declaration may have is to one that fails
+//! (D78).
 
 use imrs_model::cell_state::explore_cell_state;
 use imrs_model::cell_state::plan::{CellProperty, Faults, Goal};
@@ -36,8 +37,8 @@ fn is_ever_fenced(couple: &Couple) -> bool {
     found.violation.is_some()
 }
 
-/// With any link delays within their bounds the least lease is renewed in time. One tick of clock drift is too much
-/// for it, and a lease that is a tick shorter is an error of the declaration.
+/// With any link delays within their bounds the least lease is renewed in time. One tick of clock drift is too much for it.
+/// A lease that is a tick shorter is an error of the declaration.
 #[test]
 fn the_least_lease_lasts_and_has_no_tick_to_spare() {
     for (delay, every) in [(1, 2), (1, 3), (2, 3)] {

@@ -1,5 +1,5 @@
-//! Cells of `examples/faulty`, each with one fault that shows only when the cell runs. The checker finds it where the
-//! file says, and nothing else. With the wrong lines corrected it finds nothing.
+//! Cells of `examples/faulty`, each with one fault that shows only when the cell runs. The checker must find that fault at
+//! the place that the file states, and nothing else. If the wrong lines are corrected, it must find nothing.
 //!
 //! The first lines of such a file are comments:
 //! ```text
@@ -18,7 +18,7 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
 
-/// Fewer cells would say too little about the checker.
+/// The least number of faulty cells. Fewer would say too little about the checker.
 const FEWEST: usize = 25;
 
 /// Every kind of finding except `Kind::Machine`: no known cell makes the machine itself fail.
@@ -41,13 +41,13 @@ const KINDS: [Kind; 16] = [
     Kind::LeaseLost,
 ];
 
-/// What a file says if the checker cannot search its cell.
+/// The text of a file whose cell the checker cannot search.
 const NOT_CHECKED: &str = "\"not checked\"";
 
 struct Faulty {
     name: String,
     text: String,
-    /// What must be found, as the file says it.
+    /// The findings that the checker must report, as the file states them.
     finds: String,
 }
 
@@ -63,7 +63,7 @@ struct Checked {
 static CHECKED: LazyLock<Vec<Checked>> = LazyLock::new(|| {
     let checked = |Faulty { name, text, finds }| {
         let mut cell = cell(&text);
-        // Two tests wait for this search, so it may use two cores.
+        // Two tests wait for this search, so it may use two threads.
         cell.plan.jobs = 2;
         let verdicts = check(&cell);
         Checked { name, finds, cell, verdicts }
@@ -71,7 +71,7 @@ static CHECKED: LazyLock<Vec<Checked>> = LazyLock::new(|| {
     faulty().into_iter().map(checked).collect()
 });
 
-/// The cells whose files say what the checker finds.
+/// The cells whose files state what the checker finds.
 fn faulty() -> Vec<Faulty> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/faulty");
     let mut all = Vec::new();
@@ -86,12 +86,12 @@ fn faulty() -> Vec<Faulty> {
     all
 }
 
-/// What a line `(* NAME: .. *)` says.
+/// The contents of a line `(* NAME: .. *)`; none if the line has another form.
 pub fn comment<'a>(line: &'a str, name: &str) -> Option<&'a str> {
     Some(line.strip_prefix("(* ")?.strip_prefix(name)?.strip_prefix(": ")?.strip_suffix("*)")?.trim())
 }
 
-/// The text with its wrong lines corrected; `None` if the file does not say how.
+/// The text with its wrong lines corrected; `None` if the file does not state corrections.
 pub fn right(text: &str) -> Option<String> {
     let mut lines: Vec<&str> = text.lines().collect();
     let said: Vec<&str> = text.lines().filter_map(|line| comment(line, "right")).collect();
@@ -104,7 +104,7 @@ pub fn right(text: &str) -> Option<String> {
     (!said.is_empty()).then(|| lines.join("\n"))
 }
 
-/// Findings and warnings.
+/// All findings and warnings.
 pub fn all(verdicts: &Verdicts) -> impl Iterator<Item = &Finding> {
     verdicts.findings.iter().chain(&verdicts.warnings)
 }
@@ -113,7 +113,7 @@ fn is_packet(note: &Note) -> bool {
     matches!(note, Note::Packet { .. })
 }
 
-/// Checks a cell completely: bounded by states, however long that takes.
+/// Checks a cell completely. States bound the search, however long it takes.
 fn check(text: &Text) -> Verdicts {
     let verdicts = text.check();
     assert!(verdicts.refused.is_some() || verdicts.is_complete(), "{:?}", verdicts.phases);
@@ -126,8 +126,8 @@ fn cell(text: &str) -> Text {
     cell
 }
 
-/// States that a second search may keep. Every finding comes within them. The largest cell has four times as many,
-/// for which `IMRS_AGAIN=250000` is enough.
+/// How many states a second search may keep. Every finding comes within this number. The largest cell has four times as many
+/// states; `IMRS_AGAIN=250000` is enough for it.
 fn states_again() -> u64 {
     std::env::var("IMRS_AGAIN").map_or(60_000, |states| states.parse().expect("a number of states"))
 }
@@ -158,7 +158,7 @@ fn each_fault_is_found_where_its_cell_says_and_nothing_else() {
     assert_eq!(kinds, BTreeSet::from(KINDS), "each kind has its cell");
 }
 
-/// A reader must see where a finding is, and where the other tasks concerned are.
+/// The reader of a finding must see its place, and the places of the other tasks that it concerns.
 #[test]
 fn every_finding_has_a_place_and_those_whom_it_concerns_have_theirs() {
     for Checked { name, cell, verdicts, .. } in CHECKED.iter() {
@@ -193,7 +193,7 @@ fn every_finding_has_a_place_and_those_whom_it_concerns_have_theirs() {
     }
 }
 
-/// To find nothing takes a complete search: the largest cell alone has 250,000 states.
+/// Only a complete search can find nothing: the largest cell alone has 250,000 states.
 #[test]
 fn where_the_wrong_lines_are_right_nothing_is_found() {
     for Faulty { name, text, finds } in faulty() {
@@ -212,7 +212,7 @@ fn the_way_to_each_fault_is_told_and_the_same_twice() {
     let states = states_again();
     for Checked { name, cell, verdicts: once, .. } in CHECKED.iter() {
         let mut plan = cell.plan.clone();
-        // The other search had two threads.
+        // The first search had two threads; this one has one.
         (plan.jobs, plan.budget) = (1, within(states));
         let plan = Arc::new(plan);
         let again = check_cell(&plan);
@@ -246,14 +246,16 @@ fn the_way_to_each_fault_is_told_and_the_same_twice() {
     }
 }
 
-/// Findings that random runs miss: two take a complete search, one a cut and four ticks of drift at their instants.
+/// Findings that random runs miss. Two need a complete search; the third needs a cut and four ticks of drift at certain
+/// instants.
 const NOT_AT_RANDOM: [(&str, Kind); 3] = [
     ("check_of_a_door_that_never_opens.cell", Kind::Vacuous),
     ("standby_of_a_slow_clock.cell", Kind::TwoOwners),
     ("statement_after_the_last_recipe.cell", Kind::Unreached),
 ];
 
-/// Cells that the checker cannot search are run, too: `IMRS_SEEDS` runs of each cell, 300 in `.ci/long`.
+/// Runs each cell at random, also those that the checker cannot search. `IMRS_SEEDS` is the number of runs of each cell, 300
+/// in `.ci/long`.
 #[test]
 fn random_runs_show_what_the_search_finds_and_nothing_else() {
     let mut missed = Vec::new();

@@ -25,8 +25,9 @@ fn a_task_outside_makes_any_use_of_its_ports() {
     assert!(verdicts.statements[1].0 == verdicts.statements[1].1, "what a sends arrives");
 }
 
-/// An extern task may send to one of several receivers. Other timings than one use in each period are not tried:
-/// statements that only these reach are not reported as superfluous, nor checks that only these decide as vacuous.
+/// An extern task may send to one of several receivers. The search tries one use of the port in each period, and no other
+/// timings. Statements that only other timings reach are not reported as superfluous, nor checks that only they decide as
+/// vacuous.
 #[test]
 fn a_task_outside_tells_one_of_several_and_may_come_at_other_times() {
     let takes = |name: &str| {
@@ -69,7 +70,7 @@ fn a_task_outside_answers_in_the_format_that_any_statement_reads() {
     assert!(said.iter().all(|(kind, _)| *kind != Kind::ScriptFault), "{said:?}");
 }
 
-/// What an extern task does next is unknown: it is in no standstill, even if it asks again and again without an answer.
+/// What an extern task does next is unknown. So it is in no standstill, even if it asks again and again without an answer.
 #[test]
 fn a_task_outside_is_at_no_standstill() {
     let asks = |a: &str| {
@@ -86,7 +87,7 @@ fn a_task_outside_is_at_no_standstill() {
     assert_eq!(still(&Text::new(&asks(&format!("extern rate = 1/10 msec\n{port}")))), 0);
 }
 
-/// Values of extern tasks include the constants that branches compare them with. A branch that no tried value reaches
+/// The values of extern tasks include the constants with which branches compare them. A branch that no tried value reaches
 /// is not reported as superfluous.
 #[test]
 fn a_task_outside_says_what_others_ask_for() {
@@ -109,7 +110,7 @@ fn a_task_outside_says_what_others_ask_for() {
     assert!(beyond.findings.iter().all(|finding| finding.kind == Kind::TimeOut), "{:?}", beyond.findings);
     let [(task, _)] = beyond.not_tried[..] else { panic!("{:?}", beyond.not_tried) };
     assert_eq!(task.index(), 0);
-    // A constant that a value is compared with by order is tried with its neighbours.
+    // If a value is compared with a constant by order, the neighbours of that constant are tried, too.
     let beside = checked("m.n > 9 and m.n < 12");
     assert!(beside.findings.iter().any(|finding| finding.kind == Kind::Check), "{:?}", beside.findings);
     assert_eq!(
@@ -119,7 +120,7 @@ fn a_task_outside_says_what_others_ask_for() {
     assert!(beside.outside.real.is_empty());
 }
 
-/// The reals of an extern task: constants, and the adjacent floats on both sides.
+/// The reals that are tried for an extern task: constants, and the adjacent floats on both sides.
 #[test]
 fn reals_of_a_task_outside_come_on_both_sides_of_what_they_are_compared_with() {
     let checked = |condition: &str| {
@@ -143,8 +144,8 @@ fn reals_of_a_task_outside_come_on_both_sides_of_what_they_are_compared_with() {
     assert_eq!(tried.real_left_out, [12.5, 13.5, 14.5, 15.5]);
 }
 
-/// Heartbeats are the machine's own: an extern task does not use their port. It takes over as any other task does,
-/// and goes on when it has the lease again.
+/// The communication task sends heartbeats by itself: an extern task does not use their port. It takes over as any other
+/// task does, and goes on when it has the lease again.
 #[test]
 fn a_task_outside_takes_over_and_leaves_the_heartbeats_alone() {
     let text = "cell out;\ntick 1 msec;\nnode na; node nb; node nc;\n\
@@ -168,7 +169,7 @@ fn a_task_outside_takes_over_and_leaves_the_heartbeats_alone() {
     let verdicts = cell.check();
     assert_eq!(verdicts.of(Kind::ScriptFault).count(), 0, "{:?}", verdicts.findings);
     assert_eq!(verdicts.of(Kind::TwoOwners).count(), 0);
-    // The second task acts only while the first one is paused, so only with a fault.
+    // The second task acts only while the first one is paused, so the finding needs a fault.
     let check = verdicts.of(Kind::Check).next().expect("the second one welds");
     assert_eq!(check.phase, Phase::Faults);
 }

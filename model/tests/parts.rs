@@ -1,4 +1,4 @@
-//! Searches of the independent parts of a cell, against searches of the same cells as a whole.
+//! Compares searches of the independent parts of a cell with searches of the same cells as a whole.
 
 use crate::cells::{Text, within};
 use crate::guard::{is_sound, number, random_text};
@@ -7,8 +7,8 @@ use imrs_protocol::TaskId;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
-/// A line: a feeder puts parts on a belt, over a relay. All names end with the letter of the line. The feeder does
-/// not handle a lost answer.
+/// A part of a cell: a feeder puts parts on a belt, over a relay. All names end with the letter of this line. The feeder
+/// does not handle a lost answer.
 fn line(of: char) -> String {
     format!(
         "node f{of}; node r{of}; node b{of};\nlink f{of} -- r{of} delay 1 msec;\nlink r{of} -- b{of} delay 1 msec;\n\
@@ -23,7 +23,7 @@ fn line(of: char) -> String {
     )
 }
 
-/// A different part: two arms that meet once, or give up.
+/// Another part of a cell: two arms that meet once, or give up.
 const MEETING: &str = "node l; node r;\nlink l -- r delay 1 msec;\n\
     task left on l\nport lift() usage = waitfor user_list = {right} time_out = 30 msec class = 2;\n\
     var up: bool;\nbegin\nrun grip takes 1..8 msec; waitfor lift() on time_out do abort \"alone\"; end; up := true;\n\
@@ -74,7 +74,7 @@ fn parts(verdicts: &Verdicts) -> Vec<u32> {
     verdicts.phases.iter().map(|phase| phase.parts).collect()
 }
 
-/// Loss, a crash and a cut in turn: in two copies of a line, and in a line beside a different part.
+/// Tests loss, a crash and a cut in turn, in two copies of a line, and in a line with a different part.
 #[test]
 fn parts_by_themselves_show_what_the_whole_shows() {
     let lines = format!("{HEAD}{}{}", line('x'), line('y'));
@@ -122,7 +122,7 @@ fn the_plain_form_finds_the_same() {
     assert!(states(&apart) * 5 < states(&whole));
 }
 
-/// What two tasks share makes them one part: a node, a relay, a check. Without it they are in two parts.
+/// Tasks that share a node, a relay or a check are in one part. Otherwise they are in two parts.
 #[test]
 fn what_is_shared_joins() {
     let two = format!("{HEAD}{}{}", line('x'), line('y')).replace("n > 3", "n > 1");
@@ -140,12 +140,12 @@ fn what_is_shared_joins() {
             .iter()
             .map(|finding| (finding.kind, [finding.task.as_slice(), &finding.also].concat()))
             .collect();
-        // Both checks are broken, and no request ends by its time_out: every packet is routed.
+        // Both checks are broken, and no request ends by its time_out, because every packet is routed.
         assert_eq!(kinds, [(Kind::Check, Vec::new()), (Kind::Check, Vec::new())], "{text}");
     }
 }
 
-/// How far a clock drifts between two events depends on all events of the cell.
+/// How far a clock drifts between two events depends on all events of the cell, so the cell is searched as a whole.
 #[test]
 fn with_drift_a_cell_is_searched_as_a_whole() {
     let short = |of: char| line(of).replace("if n = 3", "if n = 1").replace("5..9 msec", "5 msec");
@@ -155,7 +155,7 @@ fn with_drift_a_cell_is_searched_as_a_whole() {
     assert_eq!(parts(&verdicts), [2, 1]);
 }
 
-/// A deadlock is found beside a part that goes on for ever, by parts and as a whole.
+/// A deadlock is found even if another part goes on for ever, by parts and as a whole.
 #[test]
 fn a_part_at_its_end_is_seen_beside_one_that_goes_on() {
     let ring = "node a; node b;\nlink a -- b delay 1 msec;\n\
@@ -171,8 +171,9 @@ fn a_part_at_its_end_is_seen_beside_one_that_goes_on() {
     assert_eq!(whole.of(Kind::Deadlock).count(), 1);
 }
 
-/// An `abort` ends all paths of the search without faults, and none of those with a fault. So a finding that needs no
-/// fault, but comes after an `abort` of another part, takes a fault in the whole. The parts show it without one.
+/// An `abort` ends all paths of the search without faults, and none of those with a fault. So a finding that needs no fault,
+/// but comes after an `abort` of another part, needs a fault in the search of the whole. The searches of the parts show it
+/// without one.
 #[test]
 fn what_comes_after_an_abort_of_another_part_is_said_to_need_no_fault() {
     let text = "cell two;\ntick 1 msec;\nnode na; node nb; node nc;\nlink na -- nb delay 1 msec;\n\
@@ -216,14 +217,14 @@ fn a_finding_is_drawn_and_replayed_within_its_part() {
     assert_eq!(scenes.len(), broken.moves.len() + 1);
     let last = scenes.last().expect("a scene");
     assert_eq!(last.tick, broken.at_ticks);
-    // The tasks of the other part do not change, and their nodes are shown in their initial state.
+    // The tasks of the other part do not change, and the scenes show their nodes in the initial state.
     assert!(scenes.iter().all(|scene| scene.nodes.iter().all(|node| node.snapshot.is_some())));
     assert!(scenes.iter().all(|scene| scene.tasks[0] == scenes[0].tasks[0]));
     let counts = |scene: &imrs_model::cell::Scene| scene.tasks[3].variables.clone();
     assert_ne!(counts(last), counts(&scenes[0]), "the belt has counted");
 }
 
-/// A random cell with other names, without its head.
+/// A random cell without its head, with other names.
 fn renamed(text: &str) -> String {
     let mut out = String::new();
     let mut word = String::new();
@@ -253,8 +254,8 @@ fn renamed(text: &str) -> String {
     out.lines().filter(|line| !is_head(line)).map(|line| format!("{line}\n")).collect()
 }
 
-/// The cells of two seeds beside each other, and the same joined by a check. `None` if they cannot be searched apart,
-/// or the compiler does not accept them.
+/// Two texts from two seeds: one cell with the two random cells as separate parts, and the same cell with a check that joins
+/// them. `None` if the two cannot be separate parts, or if the compiler refuses the cell.
 fn pair(seed: u64) -> Option<[String; 2]> {
     let [one, other] = [random_text(2 * seed + 1), random_text(2 * seed + 2)];
     let unlike =
@@ -264,7 +265,7 @@ fn pair(seed: u64) -> Option<[String; 2]> {
     (!unlike(&one) && !unlike(&other) && is_sound(&whole)).then_some([text, whole])
 }
 
-/// The findings of this phase by key and task. Deadlocks are left out: a part may have one while another goes on.
+/// The findings of this phase, by key and task. Deadlocks are left out, because one part may have one while another goes on.
 fn judged(verdicts: &Verdicts, phase: Phase) -> BTreeSet<String> {
     let mut verdicts = verdicts.clone();
     verdicts.findings.retain(|finding| finding.kind != Kind::Deadlock && finding.phase == phase);
@@ -278,9 +279,9 @@ fn judged(verdicts: &Verdicts, phase: Phase) -> BTreeSet<String> {
 
 /// How the findings of the parts and of the whole differ; `None` if they agree.
 ///
-/// A finding that ends paths in one part hides later findings of the other part in the whole. If no path of a phase
-/// of the whole is ended (pruned), the parts show the same there. If the phase without faults is pruned, the whole
-/// may show with a fault what the parts show without one.
+/// In the search of the whole, a finding that ends paths in one part hides later findings of the other part. If no path of a
+/// phase is ended (pruned), the searches of the parts show the same in that phase. If the phase without faults is pruned,
+/// the whole may show with a fault what the parts show without one.
 fn difference(apart: &Verdicts, whole: &Verdicts) -> Option<String> {
     let hides = |phase: Phase| whole.phases.iter().any(|one| one.phase == phase && one.pruned);
     let hidden = [Phase::FaultFree, Phase::Faults].map(hides);
@@ -308,7 +309,7 @@ fn difference(apart: &Verdicts, whole: &Verdicts) -> Option<String> {
     (!agree).then(|| format!("reached {:?}, as a whole {:?}", apart.statements, whole.statements))
 }
 
-/// The verdicts on a pair of random cells, by parts and as a whole; `None` if the whole is too large.
+/// The verdicts on a pair of random cells, by parts and as a whole; `None` if the whole is too large to search.
 fn searched(text: &str, whole: &str) -> Option<[Verdicts; 2]> {
     let check = |text: &str| {
         let mut cell = Text::new(text);
@@ -320,13 +321,13 @@ fn searched(text: &str, whole: &str) -> Option<[Verdicts; 2]> {
     whole.is_complete().then(|| [check(text), whole])
 }
 
-/// Pairs whose whole is pruned and whose parts are complete. An `abort` of one part hides a finding without a fault,
-/// which the whole shows only with one. A part overflows its packed states behind a broken check of the other. States
-/// behind an `abort` that no fault touches are seen only by a search with faults.
+/// Seeds of pairs whose whole is pruned, although the searches of the parts are complete. In the first, an `abort` of one
+/// part hides a finding without a fault, which the whole shows only with a fault. In the second, a part overflows its packed
+/// states behind a broken check of the other. In the third, only a search with faults sees the states behind an `abort`.
 const HIDDEN: [u64; 3] = [243, 409, 531];
 
-/// Pairs of random cells, by parts and joined by a check. `PAIRS` is the number of pairs, `PAIR_SEED` the first seed,
-/// `PAIR_STATES` how many states a search keeps: 600 pairs and 20,000 states in `.ci/long`.
+/// Compares pairs of random cells, by parts and joined by a check. `PAIRS` is the number of pairs, `PAIR_SEED` the first
+/// seed, `PAIR_STATES` how many states a search keeps: 600 pairs and 20,000 states in `.ci/long`.
 #[test]
 fn random_cells_beside_each_other() {
     let (mut compared, mut shown, mut whole_seen, mut apart_states, mut whole_states) = (0, 0, 0, 0, 0);
@@ -336,7 +337,7 @@ fn random_cells_beside_each_other() {
         let Some([text, joined]) = pair(seed) else { continue };
         let Some([apart, whole]) = searched(&text, &joined) else { continue };
         let pruned = whole.phases.iter().any(|phase| phase.pruned);
-        // If the whole can be searched, so can its parts: together they have no more states. But where the whole is
+        // If the whole can be searched, so can its parts, because together they have no more states. But if the whole is
         // pruned, a part may be too large.
         assert!(apart.is_complete() || pruned, "PAIR_SEED={seed}:\n{text}");
         if !apart.is_complete() {
@@ -355,7 +356,7 @@ fn random_cells_beside_each_other() {
         "{compared} pairs, {whole_seen} seen whole, {shown} with findings: {apart_states} states, as a whole {whole_states}"
     );
     assert!(differing.is_empty(), "{}", differing.join("\n"));
-    // A single pair need not have a finding.
+    // A single pair need not have a finding, so few pairs are not judged.
     if pairs < 60 {
         return;
     }

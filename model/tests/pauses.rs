@@ -1,4 +1,4 @@
-//! Nodes that pause: findings with pauses, and that the reduction of pauses changes no finding.
+//! Tests of nodes that pause: findings with pauses, and that the reduction of pauses changes no finding.
 
 use crate::cells::{Text, within};
 use crate::faulty_cells::right;
@@ -22,7 +22,8 @@ fn checked(text: &str, times: Times, change: impl FnOnce(&mut Text)) -> Verdicts
     verdicts
 }
 
-/// Two robots that are work-coupled; the first one acts for longer than its lease. `faults` is what may go wrong.
+/// A cell of two work-coupled robots, the first of which acts for longer than its lease. `faults` declares what may go
+/// wrong.
 fn couple(faults: &str) -> String {
     format!(
         "cell couple; tick 1 msec; node n1; node n2; link n1 -- n2 delay 1 msec;
@@ -51,7 +52,7 @@ fn a_lease_holds_however_long_its_owner_pauses() {
     for length in ["", " up to 3 msec", " up to 24 msec", " up to 60 msec"] {
         let verdicts = checked(&couple(&format!("faults pause r1{length};")), Times::Ends, |_| ());
         assert!(verdicts.findings.is_empty(), "{length}: {:?}", verdicts.findings);
-        // A pause shorter than the lease less a heartbeat has no effect; a longer one makes the standby take over.
+        // A pause shorter than the lease less a heartbeat has no effect. A longer one makes the standby take over.
         let took_over = verdicts.statements[1];
         assert_eq!(took_over.0 == took_over.1, length != " up to 3 msec", "{length}: {took_over:?}");
         assert!(verdicts.still.is_empty() == (length != " up to 3 msec"), "{length}: {:?}", verdicts.still);
@@ -82,7 +83,8 @@ fn a_standby_that_takes_silence_for_death_is_found_and_its_chart_shows_the_pause
     assert!(verdicts.of(Kind::Check).next().is_none(), "and a long one");
 }
 
-/// One task decides and acts. It is done within 25 msec unless it pauses between the decision and the action.
+/// A cell in which one task decides and acts. It is done within 25 msec, unless it pauses between the decision and the
+/// action.
 const DECIDED: &str = "cell decided; tick 1 msec; node na;
 task a on na
   var goes, done: bool;
@@ -94,7 +96,7 @@ check soon: a.goes leads a.done within 25 msec;";
 
 #[test]
 fn a_pause_may_come_between_a_decision_and_its_action() {
-    // Another statement may give the same action other times.
+    // Another statement may run the same action with other times.
     let twice = DECIDED.replace("done := true;", "done := true; run go takes 7 msec;");
     for (text, times) in [Times::Ends, Times::Between, Times::Every]
         .map(|times| (DECIDED, times))
@@ -109,13 +111,13 @@ fn a_pause_may_come_between_a_decision_and_its_action() {
             found.moves
         );
         assert!(found.chart.contains("PAUSES, before its action"), "{}", found.chart);
-        // An action that runs during the pause has ended with it.
+        // An action that runs during the pause has ended when the pause ends.
         let verdicts = checked(&text.replace("within 25", "within 30"), times, |_| ());
         assert!(verdicts.of(Kind::Check).next().is_none(), "{:?}", verdicts.findings);
     }
 }
 
-/// A packet ages while it waits for a paused node, so the node gets nothing that has expired.
+/// A packet ages while it waits for a paused node, so the node gets no expired packet.
 #[test]
 fn a_message_that_waits_for_a_paused_node_ages() {
     let text = "cell old; tick 1 msec; node na; node nb; link na -- nb delay 1 msec;
@@ -129,7 +131,7 @@ task b on nb
 begin
   receive put() within 300 msec on time_out do assert false; end;
 end b;";
-    // The message comes after a tick, and waits for as long as the node is paused.
+    // The message comes after a tick, and then waits for as long as the node is paused.
     let misses = |text: &str, lasts: u32| {
         let pause = Fault::Pause { node: NodeId(1), at: 0, lasts, before_action: false };
         let schedule = Schedule { faults: vec![pause], ..Schedule::default() };
@@ -143,7 +145,7 @@ end b;";
     assert_eq!([24, 58, 59].map(|lasts| misses(&longer, lasts)), [false, false, true]);
 }
 
-/// A node counts the ticks of its pause, so a timer that outlasts the pause ends on time.
+/// A node counts the ticks of its pause, so a timer that ends after the pause ends on time.
 #[test]
 fn a_timer_that_outlasts_a_pause_ends_on_time() {
     let text = "cell ring; tick 1 msec; node na;
@@ -158,7 +160,7 @@ begin
 end a;
 check in_time: a.begun leads a.rang within 20 msec;";
     let breaks = |text: &str| {
-        // The action ends after 5 ticks: that is what the node would do first.
+        // The action ends after 5 ticks, which is the first thing that the node would do.
         let pause = Fault::Pause { node: NodeId(0), at: 5, lasts: 10, before_action: false };
         let schedule = Schedule { faults: vec![pause], ..Schedule::default() };
         let simulator = Simulator::new(&Arc::new(Text::new(text).plan), 100).expect("small enough");
@@ -170,7 +172,7 @@ check in_time: a.begun leads a.rang within 20 msec;";
     assert!(breaks(&text.replace("within 20", "within 19")));
 }
 
-/// If a node could not pause or wake at some moment in the reduced search, a finding would be missing here.
+/// If a node could not pause or wake at some moment in the reduced search, that search would miss a finding here.
 #[test]
 fn pauses_at_any_moment_find_no_more() {
     for text in [SILENCE, DECIDED, &couple("faults pause r1 up to 30 msec;")] {
@@ -189,7 +191,7 @@ fn pauses_at_any_moment_find_no_more() {
     }
 }
 
-/// The same for random cells: 400 in `.ci/long`. `PAUSE_SEED` is the first seed.
+/// The same test with random cells: 400 in `.ci/long`. `PAUSE_SEED` is the first seed.
 #[test]
 fn random_pauses_at_any_moment_find_no_more() {
     let (cells, first) = (number("PAUSE_CELLS", 40), number("PAUSE_SEED", 1));
@@ -211,7 +213,7 @@ fn random_pauses_at_any_moment_find_no_more() {
         cell.plan.everything = false;
         let reduced = cell.check();
         assert!(reduced.is_complete(), "PAUSE_SEED={seed}:\n{text}");
-        // A part may be at a standstill while the whole goes on (D138).
+        // A part may be at a standstill while the cell as a whole goes on (D138).
         if reduced.phases.iter().any(|phase| phase.parts > 1) {
             continue;
         }

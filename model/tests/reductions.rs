@@ -1,4 +1,4 @@
-//! Each reduction can be switched off without changing the verdict or the length of the shortest counterexample.
+//! Tests that each reduction can be switched off without changing the verdict or the length of the shortest counterexample.
 
 use crate::support::walk::{successors, walk};
 use crate::support::worlds::{commands, endless, literal, scenario, timed, with};
@@ -24,7 +24,8 @@ fn run(reductions: Reductions, meeting: &Meeting) -> Exploration {
     found
 }
 
-/// Compares all reductions with each one off and with none. Returns by which factor all of them reduce the states.
+/// Compares the search with all reductions with searches in which one or all of them are off. Returns by which factor all of
+/// them reduce the states.
 fn same(meeting: &Meeting) -> f64 {
     let reduced = run(Reductions::ALL, meeting);
     let mut ratio = 0.0;
@@ -33,8 +34,8 @@ fn same(meeting: &Meeting) -> f64 {
         assert_eq!(found.violation, reduced.violation, "{reductions:?}");
         let length = |found: &Exploration| found.path.as_ref().map(Vec::len);
         assert_eq!(length(&found), length(&reduced), "{reductions:?}");
-        // A failing search stops within a level, so its counts say nothing. Turns leave fewer transitions, but
-        // distinguish states by whose turn it is.
+        // A failing search stops within a level, so its counts say nothing. With turns there are fewer transitions, but
+        // states are also distinguished by whose turn it is.
         let fewer = found.states >= reduced.states || (!reductions.turns && reductions.ignores);
         assert!(found.violation.is_some() || fewer, "{reductions:?}");
         // After a crash all nodes take turns again, so some interleavings of a tick are explored twice.
@@ -54,7 +55,8 @@ fn two_members_hold() {
     same(&Meeting { attempts: Some(2), ..endless(2, 1) });
 }
 
-/// Equal members are sorted with their incarnations. Once no node can crash any more, unnoticed packets are dropped.
+/// Members with equal features are sorted with their incarnations. Once no node can crash any more, unnoticed packets are
+/// dropped.
 #[test]
 fn members_that_restart() {
     let crash = Budget { loss: 0, dup: 0, crash: 1 };
@@ -80,8 +82,8 @@ fn two_members_fail() {
     same(&timed(2, Watch::Reachable, 1, 3, 5));
 }
 
-/// No reduction may miss a loss just before the faults end. Only verdicts are compared: an unnoticed packet that is
-/// not dropped must still arrive before time can pass, which makes paths longer. (With such packets kept, the endless
+/// No reduction may miss a loss just before the faults end. Only verdicts are compared, because an unnoticed packet that is
+/// not dropped must still arrive before time can pass, which makes paths longer. (If such packets are kept, the endless
 /// attempts of these scenarios take minutes.)
 #[test]
 fn two_members_meet_again() {
@@ -115,14 +117,14 @@ fn stranding_needs_as_many_losses() {
     }
 }
 
-/// Without reductions there are 340,000 states. The verdict takes all of them.
+/// Without reductions there are 340,000 states, and the verdict needs all of them.
 #[test]
 fn three_members_hold_in_far_fewer_states() {
     let ratio = same(&timed(3, Watch::FalseRelease, 0, 0, 2));
     assert!(ratio >= 5.0, "only {ratio:.1}");
 }
 
-/// Without reductions there are 480,000 states. The verdict takes all of them.
+/// Without reductions there are 480,000 states, and the verdict needs all of them.
 #[test]
 fn all_reductions_together_leave_a_twentieth_of_the_states() {
     let meeting = Meeting { resend: None, ..timed(3, Watch::FalseRelease, 0, 1, 3) };
@@ -131,7 +133,7 @@ fn all_reductions_together_leave_a_twentieth_of_the_states() {
     assert!(none.states >= 20 * all.states, "{} states and {}", all.states, none.states);
 }
 
-/// The states that a tick, a restart or the end of faults leads to, without their turns.
+/// The states to which a tick, a restart or the end of faults leads, without their turns.
 fn after_barriers(scenario: &Arc<Scenario>) -> HashSet<Packed> {
     let model = WorldModel::new(scenario, Limits::default());
     let mut found = HashSet::new();
@@ -146,7 +148,7 @@ fn after_barriers(scenario: &Arc<Scenario>) -> HashSet<Packed> {
     found
 }
 
-/// Whatever the interleaving between two ticks, the states after the ticks are the same.
+/// Whatever the interleaving between two ticks is, the states after the ticks are the same.
 #[test]
 fn turns_lead_to_the_same_states_after_every_tick() {
     let crash = Budget { loss: 0, dup: 0, crash: 1 };

@@ -1,6 +1,6 @@
-//! The cells of `examples/rules`: each states one rule of the system by its assertions and checks, and they hold.
+//! Tests of the cells of `examples/rules`. Each states one rule of the system by its assertions and checks, which must hold.
 //!
-//! A rule about what goes wrong without a fault has a finding: `(* verify finds: .. *)`, as in `examples/faulty`.
+//! A rule about something that goes wrong without a fault has a finding: `(* verify finds: .. *)`, as in `examples/faulty`.
 
 use crate::cells::{Text, within};
 use crate::faulty_cells::{all, comment, told};
@@ -22,7 +22,7 @@ fn each_rule_holds() {
         cell.plan.budget = within(20_000);
         let verdicts = cell.check();
         assert!(verdicts.is_complete(), "{name}: {:?}", verdicts.phases);
-        // An unreached statement is a finding, too, so each assertion is reached.
+        // An unreached statement is a finding, too, so this also shows that each assertion is reached.
         let found: Vec<String> = all(&verdicts).map(|finding| told(&cell, finding, finds)).collect();
         assert_eq!(found.join(", "), finds, "{name}");
         rules += 1;

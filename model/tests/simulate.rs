@@ -1,4 +1,5 @@
-//! Random runs of a cell: their findings, how these are shrunk, and that the runs make only moves of the search.
+//! Random runs of a cell: their findings, how findings are shrunk, and that the runs make only moves that the search makes,
+//! too.
 
 use crate::cells::{Text, is_alike, within};
 use crate::guard::{number, random_cell};
@@ -61,7 +62,7 @@ fn the_same_seeds_show_the_same_for_any_number_of_threads() {
     }
 }
 
-/// A seed shows alone what it shows among many, and so does its schedule.
+/// A seed alone shows what it shows among many seeds, and so does its schedule.
 #[test]
 fn a_seed_and_a_schedule_show_again_what_was_found() {
     for name in
@@ -89,13 +90,13 @@ fn a_seed_and_a_schedule_show_again_what_was_found() {
     }
 }
 
-/// Charts, recordings and causes replay the moves of a finding. A move that panics there is the last one shown.
+/// Charts, recordings and causes replay the moves of a finding. A move that panics in that replay is the last one shown.
 #[test]
 fn a_finding_whose_last_move_panics_is_shown() {
     let mut plan = example("faulty/part_placed_twice.cell").plan;
     let mut found = seeds(&plan, 1_000, (1, 50)).found.remove(0);
     let steps = found.finding.moves.len();
-    // This cell never has 200 packets in flight, so the machine has none of that number.
+    // This cell never has 200 packets in flight, so the move that names packet 200 panics.
     found.finding.moves.insert(steps / 2, CellMove::Duplicate(200));
     found.finding.phase = Phase::Faults;
     plan.faults = vec![found.faults];
@@ -103,7 +104,7 @@ fn a_finding_whose_last_move_panics_is_shown() {
     assert_eq!(shown.len(), 1 + steps / 2 + 1, "the start, the moves before the panic, and the panic");
 }
 
-/// The stop flag ends batches and shrinking. What was found until then is returned, each finding complete.
+/// The stop flag ends batches and shrinking. Findings up to that point are returned, each of them complete.
 #[test]
 fn a_stop_ends_batches_and_shrinking() {
     let mut plan = example("faulty/part_placed_twice.cell").plan;
@@ -131,8 +132,8 @@ fn a_stop_ends_batches_and_shrinking() {
     }
 }
 
-/// With fast packets the query is rejected until its time_out: it starves. With slow packets, which shrinking
-/// prefers, the query just times out.
+/// With fast packets the query is rejected until its time_out, so it starves. With slow packets, which shrinking prefers,
+/// the query only times out.
 const NOT_SERVED: &str = "cell served;
 tick 1 msec;
 node n1; node n2;
@@ -158,7 +159,7 @@ fn shrinking_keeps_the_kind_of_a_finding() {
     assert_eq!(kinds, [Kind::TimeOut, Kind::Starves], "{:?}", all.found);
 }
 
-/// Two tasks that do the same, each with a wrong assertion.
+/// A cell of two tasks that do the same, each with a wrong assertion.
 const TWINS: &str = "cell twins;
 tick 1 msec;
 node n1; node n2;
@@ -192,7 +193,8 @@ fn what_is_sound_shows_nothing() {
     }
 }
 
-/// Random runs make only moves of the search: it finds what they show, and they reach nothing it calls unreached.
+/// Random runs make only moves of the search: the search finds everything that they show, and they reach no statement that
+/// it calls unreached.
 #[test]
 fn the_search_finds_what_random_runs_of_random_cells_show() {
     let cells = number("IMRS_CELLS", 70);
@@ -226,7 +228,7 @@ fn the_search_finds_what_random_runs_of_random_cells_show() {
     );
 }
 
-/// One robot queries another one three times.
+/// A cell in which one robot queries another one three times.
 const ASKS: &str = "cell asks;
 tick 1 msec;
 node n1; node n2;
@@ -268,12 +270,12 @@ fn one_fault_happens_where_the_plan_says() {
         let checks: Vec<_> = all.found.iter().map(|found| found.finding.check).collect();
         assert_eq!((checks, &all.idle[..]), (vec![Some(0)], &[][..]), "{fault:?}");
         assert!(all.found[0].with_faults(), "{fault:?}");
-        // The same faults with random choices.
+        // These runs have the same faults with random choices.
         let any = simulator.seeds((1, 20), Some(std::slice::from_ref(&fault)), &mut |_, _| ());
         assert!(any.found[0].runs == 20 && any.with_faults == 20, "{fault:?}: {any:?}");
         assert!(any.idle.is_empty(), "{fault:?}: {any:?}");
     }
-    // A duplicate happens but has no effect: it is answered as before. The faults after it never happen.
+    // A duplicate happens but has no effect, because it is answered as the original was. The faults after it never happen.
     let copied = Fault::Copy { link: to, nth: 2 };
     let all = simulator.schedule(&with(&copied), false);
     assert!(all.found.is_empty() && all.idle.is_empty(), "{all:?}");
@@ -294,7 +296,7 @@ fn one_fault_happens_where_the_plan_says() {
     assert_eq!(simulator.schedule(&Schedule::default(), false).ended[Ended::Over as usize], 1);
 }
 
-/// Leaving out a fault does not shift the choices of the other choosers.
+/// If a fault is left out, the choices of the other choosers do not shift.
 #[test]
 fn each_chooser_has_choices_of_its_own() {
     let cell = Text::new(ASKS);
@@ -307,7 +309,7 @@ fn each_chooser_has_choices_of_its_own() {
     let [lost, plain] = charts.each_ref().map(ends);
     assert!(plain.len() == 3 && lost[..2] == plain[..2], "{}\n{}", charts[0], charts[1]);
     let task = TaskId::from_index(0);
-    // An action of 5 to 9 ticks ends at any of five instants: its least time, and the most time less 3, 2, 1 or 0.
+    // An action of 5 to 9 ticks ends at any of five instants: its least time, or its most time less 3, 2, 1 or 0.
     let instants: Vec<u64> = (0..=5)
         .map(|choice| {
             let tape = Tape::from([(Chooser::Task(task), vec![choice])]);

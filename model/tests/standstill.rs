@@ -1,4 +1,4 @@
-//! Standstills: tasks that go on for ever without progress are reported, and no others.
+//! Tests of standstills: tasks that go on for ever without progress are reported, and no other tasks.
 
 use crate::cells::{Text, within};
 use crate::faulty_cells::right;
@@ -21,7 +21,7 @@ fn checked(text: &str, change: impl FnOnce(&mut Text)) -> (Text, Verdicts) {
     (cell, verdicts)
 }
 
-/// The node of `a` may crash, and may stay down.
+/// The fault hypothesis that the node of `a` may crash, and may stay down.
 fn dead() -> CellFaults {
     CellFaults { crash: vec![NodeId(0)], ..CellFaults::default() }
 }
@@ -41,7 +41,7 @@ fn two_that_poll_for_what_the_other_has_are_told_at_any_times() {
         );
         let warning = &verdicts.warnings[0];
         assert!(warning.kind == Kind::Standstill && warning.chart.contains("RESPONSE take"));
-        // The path ends with one round in which no action ends.
+        // The path ends with one iteration of the loop, in which no action ends.
         let last = warning.moves.iter().rposition(|step| matches!(step, CellMove::Acted(..)));
         assert!(last.is_some_and(|last| last + 8 < warning.moves.len()), "{:?}", warning.moves);
     }
@@ -61,7 +61,7 @@ fn one_that_polls_for_what_a_dead_one_has_is_told_and_no_fault_free_run() {
     assert_eq!(cell.place(warning).map(|(line, _)| line), Some(76), "where it polls");
 }
 
-/// A loop that asks for ever.
+/// The statements of a task that asks for ever.
 const ASKS: &str = "loop query ask(1) -> ok on time_out do ok := false; end on refused do ok := false; end; delay 10 msec; end;";
 
 /// A cell of two tasks: `a` may send `news` to `b`, and `b` may query `a`.
@@ -88,16 +88,16 @@ end b;
 
 #[test]
 fn what_nobody_waits_for_and_what_still_changes_is_no_standstill() {
-    // One task reports for ever, and the other receives: no task asks for anything.
+    // One task reports for ever, and the other one receives: neither asks for an answer.
     let reports = "loop send news(1); delay 10 msec; end;";
     let (_, verdicts) = checked(&two(reports, "loop receive news(n); end;"), |_| ());
     assert_eq!(causes(&verdicts), [""; 0]);
-    // One task asks until it is answered `true`, and the variable with the answer changes.
+    // One task asks until the answer is `true`. The variable with the answer changes.
     let counts = "order ask > self;
   on query ask(k) do yes := not yes; response(yes); end;";
     let (_, verdicts) = checked(&two(counts, ASKS), |_| ());
     assert_eq!(causes(&verdicts), [""; 0]);
-    // The same, and the answer never changes.
+    // The same cell, except that the answer never changes.
     let never = "order ask > self;
   on query ask(k) do response(false); end;";
     let (_, verdicts) = checked(&two(never, ASKS), |_| ());
@@ -128,7 +128,7 @@ end b;
     assert_eq!(causes(&verdicts), [""; 0]);
 }
 
-/// What happened on the path to a standstill is no part of it: neither an answer nor a meeting.
+/// An answer or a meeting on the path to a standstill is no part of the standstill.
 #[test]
 fn a_task_is_named_for_what_it_does_there_and_not_for_what_it_did_before() {
     let answers = "order ask > self;

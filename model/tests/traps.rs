@@ -1,4 +1,4 @@
-//! Regression tests for what stateright 0.31 leaves to its user.
+//! Regression tests for the parts that stateright 0.31 leaves to its user.
 
 use crate::support::walk::{Dice, Walk, successors, walk};
 use crate::support::worlds::{commands, endless, literal, scenario, timed, with};
@@ -8,7 +8,7 @@ use imrs_protocol::rules::{Confirmation, Memory, Rules};
 use stateright::{Checker, Model};
 use std::sync::{Arc, LazyLock};
 
-/// Scenarios with a violation, of many kinds of property.
+/// Scenarios with a violation, for many kinds of property.
 fn failing() -> Vec<Arc<Scenario>> {
     let unnumbered = Rules { rounds: false, ..Rules::DEFAULT };
     let silent = Rules { last_released: false, ..Rules::DEFAULT };
@@ -46,17 +46,17 @@ fn holding() -> Vec<Arc<Scenario>> {
     meetings.iter().map(scenario).chain(exchanges).collect()
 }
 
-/// A scenario without a violation: what the checker finds in it, and all its states.
+/// A scenario without a violation, with the result of its exploration and all its states.
 struct Held {
     scenario: Arc<Scenario>,
     found: Exploration,
     walk: Walk,
 }
 
-/// Searched once for all tests.
+/// The scenarios without a violation, searched once for all tests.
 static HELD: LazyLock<Vec<Held>> = LazyLock::new(|| {
     let held = |scenario| {
-        // Two tests wait for this search, so it may use two cores.
+        // Two tests wait for this search, so it may use two threads.
         let (walk, found) = std::thread::scope(|scope| {
             let found = scope.spawn(|| explore(&scenario, Limits::default(), None));
             // `successors` also asserts that every listed action leads somewhere.
@@ -71,7 +71,7 @@ static HELD: LazyLock<Vec<Held>> = LazyLock::new(|| {
 fn a_counterexample_is_a_shortest_one() {
     for scenario in failing() {
         let found = explore(&scenario, Limits::default(), None);
-        // The other search goes level by level with whole states: no level before this one has a violation.
+        // The other search goes level by level and compares whole states. No level before this one has a violation.
         let shortest = walk(&scenario).violated_at;
         assert!(shortest.is_some_and(|depth| depth > 1), "{:?}", scenario.watch);
         assert_eq!(found.path.map(|path| path.len()), shortest, "{:?}", scenario.watch);
@@ -120,7 +120,7 @@ fn a_canonical_state_stands_for_itself() {
 fn a_step_depends_on_its_state_and_on_nothing_looked_at_before() {
     for Held { scenario, walk, .. } in HELD.iter() {
         let worn = WorldModel::new(scenario, Limits::default());
-        // Backwards, so that the scratch world holds other leftovers than the search leaves.
+        // This goes backwards, so that the scratch world holds other leftovers than in the search.
         for state in walk.states.iter().rev().step_by(7).take(4_000) {
             let fresh = WorldModel::new(scenario, Limits::default());
             assert_eq!(successors(&worn, state), successors(&fresh, state), "after {state:?}");
@@ -178,7 +178,7 @@ fn every_renaming_of_a_state_has_one_canonical_form() {
             assert_eq!(futures(&state), futures(&other), "after {state:?} renamed by {order:?}");
             let open: Vec<_> =
                 successors(&named, &state).into_iter().filter(|(_, after)| !after.is_final()).collect();
-            // Restarts from time to time, because a world in which all have finished only ticks.
+            // The walk restarts from time to time, because a world in which all have finished only ticks.
             state = match open.len() {
                 n if n > 0 && dice.below(25) > 0 => open[dice.below(n)].1.clone(),
                 _ => named.init_states().remove(0),

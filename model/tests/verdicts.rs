@@ -1,4 +1,4 @@
-//! Verdicts that were wrong once: violations that were missed, and findings that no run leads to.
+//! Verdicts that were once wrong: violations that the search missed, and findings to which no run leads.
 
 use crate::cell_findings::all;
 use crate::cells::Text;
@@ -11,7 +11,7 @@ fn kinds(text: &str) -> Vec<Kind> {
     all(&Text::new(text)).into_iter().map(|(kind, _)| kind).collect()
 }
 
-/// Nodes are not ordered within a tick: a value from its beginning and one from its end may hold at once.
+/// Nodes are not ordered within a tick: a value from the tick's beginning and one from its end may hold at once.
 #[test]
 fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
     let gate = |left: &str, right: &str, turn: &str| {
@@ -27,7 +27,7 @@ fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
         assert_eq!(kinds(&gate(left, right, "5..10 msec")), [Kind::Check], "left on {left}");
         assert_eq!(kinds(&gate(left, right, "5..9 msec")), [], "left on {left}");
     }
-    // The same with two delays that end in one step of the search.
+    // The same test with two delays that end in one step of the search.
     let waits = |a: &str, b: &str| {
         format!(
             "{TWO}task a on {a}\nvar x: bool;\nbegin x := true; delay 5 msec; x := false; end a;\n\
@@ -36,7 +36,7 @@ fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
     };
     assert_eq!(kinds(&waits("na", "nb")), [Kind::Check]);
     assert_eq!(kinds(&waits("nb", "na")), [Kind::Check]);
-    // The same on one node: its threads may run two tasks in either order.
+    // The same test on one node, whose threads may run two tasks in either order.
     assert_eq!(kinds(&waits("na", "na")), [Kind::Check]);
 }
 
@@ -51,7 +51,7 @@ fn of_two_tasks_of_a_node_either_goes_on_first() {
         let text = format!("{ONE}{}check c: never a.x and b.y;\n", tasks.concat());
         assert_eq!(kinds(&text), [Kind::Check], "{text}");
     }
-    // Either message may come first, too, so every statement is reached.
+    // Either message may also come first, so every statement is reached.
     let says = |name: &str, port: &str| {
         format!(
             "task {name} on na\nport {port}() usage = send user_list = {{c}} time_out = 50 msec;\nbegin delay 5 msec; send {port}(); end {name};\n"
@@ -66,7 +66,8 @@ fn of_two_tasks_of_a_node_either_goes_on_first() {
     );
 }
 
-/// Two tasks of a node each go in unless the other has said so: both may send before either hears it.
+/// Two tasks of a node each enter unless the other has said that it entered. Both may send that message before either
+/// receives it.
 #[test]
 fn what_two_tasks_of_a_node_send_each_other_may_cross() {
     let enters = |name: &str, (own, other): (&str, &str), takes: &str| {
@@ -85,8 +86,8 @@ fn what_two_tasks_of_a_node_send_each_other_may_cross() {
     assert!(!zone("6 msec"), "what was said a tick ago was heard");
 }
 
-/// A message comes before or after what its receiver does by itself in the same tick: a delay or timer that ends, an
-/// action that succeeds or fails.
+/// A message comes before or after an event of its receiver in the same tick: the end of a delay or timer, or the success or
+/// failure of an action.
 #[test]
 fn a_message_of_a_tick_comes_before_or_after_what_its_receiver_does_by_itself() {
     let ends = |wait: &str, faults: &str| {
@@ -109,7 +110,7 @@ fn a_message_of_a_tick_comes_before_or_after_what_its_receiver_does_by_itself() 
     assert_eq!(ends(&format!("order m > self; delay 4 msec; {told}"), ""), 1);
 }
 
-/// A script that was held back begins before or after what another script does in the same tick.
+/// A held-back script begins before or after the acts of other scripts in the same tick.
 #[test]
 fn a_script_that_was_held_back_begins_before_or_after_the_others() {
     let x = "task x on na\nport p() usage = send user_list = {z} time_out = 10 msec class = 2;\nvar begun: bool;\nbegin begun := true; delay 500 msec;\n\
@@ -132,8 +133,8 @@ fn a_script_that_was_held_back_begins_before_or_after_the_others() {
     }
 }
 
-/// Two scripts that were held back equally long begin one by one: other scripts go on between them, and the time_out
-/// of an unrelated task comes before or after.
+/// Two scripts that were held back equally long begin one by one: other scripts run in between, and the time_out of an
+/// unrelated task comes before or after.
 #[test]
 fn scripts_that_were_held_back_begin_one_by_one() {
     let held = |name: &str, port: &str, (hello, say): (&str, &str)| {
@@ -144,7 +145,7 @@ fn scripts_that_were_held_back_begin_one_by_one() {
     };
     let hello = (" port hello() usage = send user_list = {y} time_out = 10 msec;", "send hello(); ");
     let (x, v) = (held("x", "p", hello), held("v", "r", ("", "")));
-    // Task `y` hears no `hello` after a restart, because `x` is held back then: so it knows its second incarnation.
+    // Task `y` gets no `hello` after a restart: `x` is then held back. So `y` knows its second incarnation.
     let y = |ports: &str, then: &str| {
         format!(
             "task y on na\nuse_port hello() usage = receive;{ports}\nvar second, done: bool;\nbegin\n\
@@ -169,7 +170,7 @@ fn scripts_that_were_held_back_begin_one_by_one() {
     assert!(broken(&[&x, &v, &times_out, w], "y.second and y.done and not x.begun"));
 }
 
-/// After a lost packet the link's next one may arrive in the same tick, before or after a task's own event.
+/// After a lost packet, the next packet of the link may arrive in the same tick, before or after a task's own event.
 #[test]
 fn a_packet_behind_one_that_is_lost_comes_among_what_tasks_do_by_themselves() {
     let cell = |faults: &str| {
@@ -196,7 +197,7 @@ fn two_checks_that_one_step_breaks_are_two_findings() {
     assert_eq!(kinds(&text), [Kind::Check, Kind::Check]);
 }
 
-/// A lost token: two tasks wait for each other for ever, whatever a third task does.
+/// Two tasks have lost a token, and wait for each other for ever, whatever a third task does.
 #[test]
 fn a_deadlock_is_found_beside_a_task_that_goes_on() {
     let ring = |other: &str| {
@@ -222,7 +223,7 @@ fn a_deadlock_is_found_beside_a_task_that_goes_on() {
     assert_eq!(kinds(&heard), []);
 }
 
-/// Two tasks that only have handlers, the first of which sends to the second: at rest, neither waits for the other.
+/// Two tasks have only handlers, and the first one sends to the second. At rest, neither waits for the other.
 #[test]
 fn servers_at_rest_are_no_deadlock() {
     let text = format!(
@@ -235,7 +236,7 @@ fn servers_at_rest_are_no_deadlock() {
     assert_eq!(kinds(&text), []);
 }
 
-/// An action gives a real by its bits: the adjacent floats on both sides of a constant are tried.
+/// An action gives a real by its bits. The adjacent floats on both sides of a constant are tried.
 #[test]
 fn a_real_result_comes_on_both_sides_of_what_it_is_compared_with() {
     let text = |range: &str, when: &str| {
@@ -268,7 +269,7 @@ fn statements_of_one_action_have_their_own_results() {
     assert_eq!(kinds(&wide), breaks);
 }
 
-/// A state without progress in which every question is answered does not hide another one in which a question is not.
+/// A state without progress in which every question is answered must not hide another one in which a question is not.
 #[test]
 fn one_standstill_does_not_hide_another() {
     let text = |k: &str| {
@@ -285,8 +286,8 @@ fn one_standstill_does_not_hide_another() {
     }
 }
 
-/// A task that answered a query long ago, while the asking task has gone on sending since: the search completes, and
-/// reports a standstill.
+/// A task answered a query long ago, and the asking task has gone on sending since then. The search must complete, and
+/// report a standstill.
 #[test]
 fn an_answer_of_long_ago_ends_no_search() {
     let text = format!(
@@ -353,7 +354,7 @@ fn who_waits_for_ever_for_one_that_has_ended_is_told() {
             told("send p(); send p();", "while n < 2 do receive p(); reply(); n := n + 1; end;", other),
             []
         );
-        // A task whose loop has no exit serves for ever: that it waits at the end is no finding, however the loop is written.
+        // A task whose loop has no exit serves for ever. That it waits at the end is no finding in any form of the loop.
         for serves in [
             "while true do receive p(); reply(); end;",
             "loop if n > 0 then receive p(); reply(); else receive p(); reply(); n := 1; end; end;",
@@ -362,7 +363,7 @@ fn who_waits_for_ever_for_one_that_has_ended_is_told() {
         }
         let counts = "loop if n = 2 then exit; end; receive p(); reply(); n := n + 1; end;";
         assert_eq!(told("send p();", counts, other), waits);
-        // Servers: one that takes single messages, and one that takes them in pairs.
+        // These are servers: one takes single messages, the other takes them in pairs.
         assert_eq!(told("send p();", "loop receive p(); reply(); end;", other), []);
         assert_eq!(
             told("send p();", "loop n := 0; receive p(); reply(); run pick takes 5 msec; end;", other),

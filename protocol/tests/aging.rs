@@ -10,10 +10,10 @@ use std::sync::Arc;
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);
 
-/// Status of X to Y, in order of rank; a rejected offer waits 4 ticks.
+/// The port for status messages of X to Y, in order of rank; a rejected offer waits 4 ticks.
 const LOW: PortId = PortId(0);
 const HIGH: PortId = PortId(1);
-/// Three more ports, without a penalty.
+/// Three more ports, whose messages are rejected without a penalty.
 const PLAIN: [PortId; 3] = [PortId(2), PortId(3), PortId(4)];
 
 fn cell() -> Cell {
@@ -63,7 +63,7 @@ fn each_rejection_raises_the_rank_by_one_level() {
     {
         room.y.ask(request);
     }
-    // Two levels rank above the message: rejected at 0 and after 4 ticks, it outranks `self` after 8.
+    // Two levels rank above the message. It is rejected at 0 and after 4 ticks, and outranks `self` after 8.
     assert!(room.hear(LOW, 1).is_empty());
     assert_eq!(room.y.task.next_expiry(), Some(Ticks(4)));
     assert_eq!(room.ticks_to_interrupt(50), Some((8, "interrupt [1] from T0 for 92".into())));
@@ -114,7 +114,7 @@ fn among_messages_at_the_cap_the_first_rejected_goes_first() {
     room.y.pass(1);
     room.hear_urgent(HIGH, 2, 20);
     room.y.ask(Request::Done);
-    // Nothing is offered to a running thread, and both messages get old enough.
+    // A running thread is offered no message, so both messages get old enough.
     room.y.ask(Request::Work);
     room.y.pass(3);
     room.y.ask(Request::Done);
@@ -332,7 +332,7 @@ fn the_bound_counts_what_was_refused_before_on_other_ports() {
     for (each, longest) in [(0, 5), (1, 5), (3, 4), (7, 3)] {
         let (waited, bound) = behind_rivals(each, longest);
         assert!(Ticks(waited) <= bound, "{each} of each port before it: {waited} of {bound}");
-        // A bound that counted only the messages of its own port would be too small.
+        // A bound that counted only the messages of the port itself would be too small.
         assert!(waited >= 4 * u64::from(each) * longest, "{each}: {waited}");
     }
 }
@@ -344,7 +344,7 @@ fn a_new_order_takes_no_turn_away() {
     room.y.ask(Request::Work);
     room.hear(LOW, 1);
     room.y.ask(Request::Done);
-    // The message has reached its cap of one rejection. The new order would allow three.
+    // The message has reached its cap of one rejection. The new `order` would allow three.
     let levels = [Ranked::Own, Ranked::Timers, Ranked::Port(HIGH), Ranked::Port(LOW)];
     room.y.ask(order(&levels));
     room.y.ask(Request::Work);
@@ -365,7 +365,7 @@ fn a_get_that_names_a_source_goes_by_urgency_alone() {
         room.hear_urgent(HIGH, 2, 50);
         assert_eq!(room.y.ask(get(0)).words(), ["message [2] from T0 for 50"]);
     }
-    // Now the port has reached its bypass limit. Only a GET over all heeds that.
+    // Now the port has reached its bypass limit, which only a GET over all ports regards.
     room.hear_urgent(HIGH, 3, 50);
     assert_eq!(room.y.ask(of_x).words(), ["message [3] from T0 for 50"]);
     room.hear_urgent(HIGH, 4, 50);

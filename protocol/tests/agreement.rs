@@ -1,4 +1,4 @@
-//! Nodes that were given different cells do not talk (D47, D48): every difference shows in the digest of the table.
+//! Tests that nodes with different cells refuse each other (D47, D48): every difference shows in the digest of the table.
 
 use imrs_protocol::*;
 

@@ -29,7 +29,7 @@ fn cell() -> Cell {
     cell
 }
 
-/// The effects of a step, in arrays of fixed size.
+/// An outbox that stores the effects of a step in arrays of fixed size.
 struct Room {
     packets: [Option<(NodeId, Packet)>; 16],
     signals: [Option<Signal>; 16],
@@ -63,7 +63,7 @@ impl Pair {
         }
     }
 
-    /// Steps one node and delivers everything that follows.
+    /// Gives a node an input, and delivers every packet that follows from it.
     fn step(&mut self, at: NodeId, input: NodeInput) {
         self.step_after(0, at, input);
     }
@@ -96,7 +96,7 @@ impl Pair {
     }
 }
 
-/// Handlers, rejections, fragments, sets and timers.
+/// Takes the paths of handlers, rejections, fragments, answer sets and timers.
 fn interrupt(pair: &mut Pair, contents: Contents) {
     let ask = Request::Send { port: ASK, to: Target::One(HOIST), contents, time_out: None };
     let order = [Ranked::Timers, Ranked::Own, Ranked::Port(ASK)];
@@ -133,21 +133,21 @@ fn interrupt(pair: &mut Pair, contents: Contents) {
     pair.room.signals = [None; 16];
 }
 
-/// Every kind of message path once.
+/// Takes every kind of message path once.
 fn exercise(pair: &mut Pair, contents: Contents) {
     let command = Request::Send { port: MOVE, to: Target::One(HOIST), contents, time_out: None };
     let status = Request::Send { port: HEARTBEAT, to: Target::All, contents, time_out: None };
     let get = Request::Get { port: None, source: None, time_out: Some(Ticks(20)) };
     let arrive = Request::Arrive { port: LIFT, arguments: [1; 8], time_out: None };
 
-    // Send, receive, reply. The message waits in the bounded buffer, because it arrives before the task receives.
+    // A send, a receive and a reply. The message waits in the bounded buffer, because it arrives before the task receives.
     pair.ask(ARM, command);
     pair.ask(HOIST, get);
     let Signal::Message(message) = pair.told(|s| matches!(s, Signal::Message(_))) else { return };
     pair.ask(HOIST, Request::Reply { to: message.from, contents });
     pair.told(|s| matches!(s, Signal::Outcome(Outcome::Reply(_))));
     interrupt(pair, contents);
-    // Status until the buffer evicts, then expiry.
+    // Status messages until the buffer evicts some, then their expiry.
     for _ in 0..4 {
         pair.ask(ARM, status);
     }
@@ -164,7 +164,7 @@ fn exercise(pair: &mut Pair, contents: Contents) {
     pair.ask(ARM, arrive);
     pair.pass(50);
     pair.told(|s| matches!(s, Signal::GaveUp { .. }));
-    // The transit buffer: waiting, overflow, expiry; a command that is retransmitted and never answered.
+    // The transit buffer: waiting, overflow and expiry. Then a command that is retransmitted and never answered.
     pair.room.ready = false;
     for _ in 0..6 {
         pair.ask(ARM, status);
@@ -174,7 +174,7 @@ fn exercise(pair: &mut Pair, contents: Contents) {
     pair.pass(50);
     pair.told(|s| matches!(s, Signal::Outcome(Outcome::TimedOutUnsent)));
     pair.room.ready = true;
-    // A delay, and time going back to zero.
+    // A delay, and a clock that goes back to zero.
     pair.ask(ARM, Request::Delay { id: TimeId(1), length: Ticks(5) });
     pair.pass(5);
     pair.told(|s| matches!(s, Signal::TimeOut(_)));
@@ -190,7 +190,7 @@ fn exercise(pair: &mut Pair, contents: Contents) {
 fn the_message_path_allocates_nothing() {
     let mut pair = Pair::new();
     let contents = Contents::new(b"abc").expect("short");
-    // The first handler of a port allocates the order of its offers (D108).
+    // The first handler of a port allocates the heap for the order of its offers (D108).
     exercise(&mut pair, contents);
     let before = allocations();
     for _ in 0..50 {
@@ -209,7 +209,7 @@ fn loading_a_state_in_place_allocates_nothing() {
     let task = &mut pair.nodes[0].parts_mut().tasks[0];
     let home = ([Frame::ROUND; 5], [Seq24::new(0); 3]);
     let frame = Frame { rounds: &home.0, sequences: &home.1, incarnations: false };
-    // Relative to distant ids the state does not fit: that is an error, and no value saturates.
+    // Relative to distant ids the state does not fit its packed form. That is an error, and no value saturates.
     assert_eq!(Encode::bytes(&frame, |w| task.walk(&table, w)), Err(Overflow));
     let before = allocations();
     Decode::read(&[0; 64], false, |r| task.walk(&table, r));

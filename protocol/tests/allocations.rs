@@ -7,7 +7,7 @@ thread_local! {
     static ALLOCATIONS: Cell<u64> = const { Cell::new(0) };
 }
 
-/// The system's allocator, counting the calls of each thread.
+/// The system's allocator, with a count of the calls of each thread.
 struct Counting;
 
 // SAFETY: every call goes to the system's allocator unchanged; counting touches only a thread-local number that needs

@@ -7,11 +7,11 @@ use std::sync::Arc;
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);
 
-/// Commands of X to Y, answered in up to 2 packets.
+/// The port for commands of X to Y, answered in up to 2 packets.
 const TEACH: PortId = PortId(0);
-/// Status of Y to X, for a handler.
+/// The port for status messages of Y to X, for a handler.
 const HALT: PortId = PortId(1);
-/// Answers of Z for Y, in up to 2 packets.
+/// The port for answers of Z for Y, in up to 2 packets.
 const THIRD: PortId = PortId(2);
 
 fn three() -> [Solo; 3] {
@@ -30,7 +30,7 @@ fn part(port: PortId, byte: u8) -> Request {
     Request::Part { port, index: 1, contents: contents(byte) }
 }
 
-/// Y answers what X asked, with these two packets.
+/// Lets Y answer the question of X with these two packets. Returns the packets.
 fn teach(y: &mut Solo, question: Packet, bytes: [u8; 2]) -> Vec<Packet> {
     y.hear(question);
     let message = y.ask(get_on(TEACH, 0)).delivery().expect("the question");
@@ -38,7 +38,7 @@ fn teach(y: &mut Solo, question: Packet, bytes: [u8; 2]) -> Vec<Packet> {
     y.ask(reply(&message, bytes[0])).packets
 }
 
-/// Z answers it instead.
+/// Lets Z answer the question in Y's place. Returns the packets.
 fn third(z: &mut Solo, question: Packet, bytes: [u8; 2]) -> Vec<Packet> {
     z.ask(part(THIRD, bytes[1]));
     let to = ReplyTo { port: THIRD, source: X, id: question.id };
@@ -49,7 +49,7 @@ fn rest(x: &Solo) -> Option<u8> {
     x.task.answer_fragment(TEACH, Y, 1).map(|contents| contents.as_bytes()[0])
 }
 
-/// X waits for Y's answer. The complete answer arrives while a handler of X runs.
+/// The tasks X and Y while X waits for Y's answer: the complete answer has arrived while a handler of X ran.
 fn answered_below_a_handler() -> [Solo; 2] {
     let [mut x, mut y, _] = three();
     for request in [handle(HALT), order(&[Ranked::Port(HALT), Ranked::Own])] {
@@ -71,7 +71,7 @@ fn a_handler_does_not_take_the_place_of_an_answer_that_its_thread_was_not_told()
     assert_eq!(x.ask(send(TEACH, Y, 2)).words(), ["fault Busy"], "the desk still holds the answer");
     assert_eq!(x.ask(Request::Return).words(), ["reply [11]"]);
     assert_eq!(rest(&x), Some(12));
-    // Once delivered, the answer is dropped with the next request.
+    // The answer was delivered, so the next request drops it.
     let question = x.ask(send(TEACH, Y, 3)).packets[0];
     assert_eq!(rest(&x), None);
     let words: Vec<_> =
@@ -79,7 +79,7 @@ fn a_handler_does_not_take_the_place_of_an_answer_that_its_thread_was_not_told()
     assert_eq!((words, rest(&x)), (vec!["reply [21]".to_owned()], Some(22)));
 }
 
-/// The task as it comes back from its packed state.
+/// The task as it is after it was packed and read back.
 fn packed(solo: &Solo) -> Solo {
     let mut task = solo.task.clone();
     task.bury();

@@ -5,7 +5,7 @@ use imrs_protocol::*;
 use proptest::prelude::*;
 use std::sync::Arc;
 
-/// The receiver, and three senders on its node.
+/// The receiver in these tests. Three senders are on its node.
 const R: TaskId = TaskId(0);
 const A: TaskId = TaskId(1);
 const B: TaskId = TaskId(2);
@@ -49,13 +49,13 @@ impl Room {
         packet
     }
 
-    /// A message from a task arrives. Returns what the receiver does, in words.
+    /// Lets a message from a task arrive. Returns in words what the receiver does.
     fn put(&mut self, port: PortId, from: TaskId, byte: u8, ttl: u64) -> Vec<String> {
         let packet = self.packet(port, from, byte, ttl);
         self.r.hear(packet).words()
     }
 
-    /// Empties the buffers; the contents in the order of service.
+    /// Empties the buffers. Returns the contents in the order of service.
     fn served(&mut self) -> Vec<u8> {
         std::iter::from_fn(|| self.r.ask(get(0)).delivery().map(|d| d.contents.as_bytes()[0])).collect()
     }

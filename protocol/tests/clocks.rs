@@ -1,4 +1,5 @@
-//! The value of a clock has no effect: messages carry remaining time, so a node's uptime changes nothing (D37).
+//! Tests that the value of a clock has no effect: messages carry remaining time, so the uptime of a node changes nothing
+//! (D37).
 
 use crate::support::NextExpiry;
 use crate::support::plan::plans;
@@ -15,7 +16,7 @@ proptest! {
     ) {
         let table = plan.build();
         let rules = table.cell().rules;
-        // The variant that sends instants exists to show that it fails (D37).
+        // The variant that sends instants depends on clocks: it exists to show that (D37).
         prop_assume!(rules.time_stamp == Rules::DEFAULT.time_stamp);
         let mut plain = World::new(&table, restarts);
         let mut other = plain.clone();
@@ -30,7 +31,7 @@ proptest! {
         }
     }
 
-    /// Before the next deadline a check of everything finds nothing due: no deadline is recorded too late.
+    /// Before the next deadline nothing is due, even if everything is checked: no deadline is recorded too late.
     #[test]
     fn nothing_is_to_be_done_before_the_next_deadline(plan in plans(), ops in lively(), lags: [u8; 8]) {
         let mut plain = World::new(&plan.build(), true);
@@ -39,7 +40,7 @@ proptest! {
         alike_with_lags([plain, looking], &ops, lags)?;
     }
 
-    /// An input at a later time equals the passage of that time, followed by the input.
+    /// An input at a later time has the same effects as the passage of that time, followed by the input.
     #[test]
     fn time_comes_before_what_it_comes_with(plan in plans(), ops in ops(), lags: [u8; 8]) {
         let together = World::new(&plan.build(), true);
@@ -49,7 +50,7 @@ proptest! {
     }
 }
 
-/// Checks that two worlds do the same, with some time before each operation.
+/// Checks that two worlds do the same if some time passes before each operation.
 fn alike_with_lags(mut worlds: [World; 2], ops: &[Op], lags: [u8; 8]) -> Result<(), TestCaseError> {
     let [one, other] = &mut worlds;
     for (i, &op) in ops.iter().enumerate() {

@@ -7,11 +7,11 @@ use std::sync::Arc;
 
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);
-/// Commands of X to Y, retransmitted once after 10 ticks; in up to 2 packets.
+/// The port for commands of X to Y, retransmitted once after 10 ticks; in up to 2 packets.
 const GO: PortId = PortId(0);
 
-/// X, Y two ticks away, and the two copies of a command. The first copy was delayed: it has 4 ticks left, and the way back
-/// takes 2.
+/// X, Y, which is two ticks away, and the two copies of a command. The first copy was delayed: it has 4 ticks left, and the
+/// way back takes 2.
 fn two_copies() -> (Solo, Solo, [Packet; 2]) {
     let mut cell = Cell::new("copies", Ticks(1));
     let (n, m) = (cell.node("n"), cell.node("m"));
@@ -37,7 +37,7 @@ fn a_copy_with_time_left_takes_the_place_of_one_that_expired_unheard() {
     assert_eq!(y.pass(2).discards(), [Reason::Expired]);
     assert!(y.hear(second).discards().is_empty());
     assert_eq!(left(&mut y), Some(Ticks(26)));
-    // It ran: no copy runs again, neither before nor after the answer.
+    // The command has run: no copy of it runs again, neither before nor after the answer.
     assert_eq!(y.hear(second).discards(), [Reason::Duplicate]);
     let to = ReplyTo { port: GO, source: X, id: first.id };
     y.ask(Request::Reply { to, contents: contents(7) });

@@ -9,11 +9,11 @@ const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);
 const Z: TaskId = TaskId(2);
 
-/// Commands of X and Z to Y in up to 3 packets, answers in up to 2; retransmitted once after 8 ticks.
+/// The port for commands of X and Z to Y in up to 3 packets, answers in up to 2; retransmitted once after 8 ticks.
 const TEACH: PortId = PortId(0);
-/// Status of X to Y in up to 4 packets.
+/// The port for status messages of X to Y in up to 4 packets.
 const TRACE: PortId = PortId(1);
-/// Commands of X to Y in one packet.
+/// The port for commands of X to Y in one packet.
 const MOVE: PortId = PortId(2);
 
 fn cell() -> Cell {
@@ -87,7 +87,7 @@ fn fragments_may_come_in_any_order_and_twice() {
     assert_eq!(whole.count(Event::Enqueued), 1);
     assert_eq!(y.ask(get(0)).words(), ["message [1] from T0 for 7"]);
     assert_eq!(bytes(&y, 3), [1, 2, 3]);
-    // Copies of fragments of the message that was taken.
+    // These are copies of the fragments of a message that the task has already taken.
     assert_eq!(y.hear(packets[0]).discards(), [Reason::Duplicate]);
     let to = ReplyTo { port: TEACH, source: X, id: packets[0].id };
     y.ask(part(TEACH, 1, 9));
@@ -138,7 +138,7 @@ fn a_request_and_an_answer_keep_to_their_formats() {
     for (effects, expected) in cases {
         assert_eq!(effects.words(), [expected]);
     }
-    // Nothing stays staged after that.
+    // After that no fragment stays staged.
     let one = x.ask(send(TEACH, Y, 5)).packets;
     assert_eq!((one.len(), one[0].more), (1, false));
     let mut y = Solo::new(&table, Y);
@@ -263,7 +263,7 @@ fn a_fragment_beyond_the_declared_ones_breaks_nothing() {
     let packets = staged(&mut x, TRACE, &[1, 2]).packets;
     let mut y = Solo::new(&table, Y);
     y.hear(packets[0]);
-    // A last fragment with a wrong position.
+    // This is a last fragment with a wrong position.
     let beyond = Packet { fragment: 9, more: false, ..packets[1] };
     assert!(!y.hear(beyond).discards().is_empty());
     y.hear(packets[1]);

@@ -9,7 +9,7 @@ use proptest::test_runner::TestRunner;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Everything that a node did, in order.
+/// The effects of a node, in order.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Did(Vec<Effect>);
 
@@ -32,7 +32,7 @@ impl NodeOutbox for Did {
     }
 }
 
-/// The whole state as text, counters included, without the deadlines that a task keeps or not.
+/// The whole state as text, counters included, but without the cached deadlines.
 fn state(node: &Node) -> String {
     let text = format!("{:?}", node.parts());
     let mut pieces = text.split(", due: ");
@@ -82,7 +82,7 @@ impl Run {
         }
     }
 
-    /// A task that is free to ask; now and then one that is not.
+    /// A task that is free to make a request; now and then a task that is not free.
     fn actor(&self, from: usize, any: bool) -> TaskId {
         let tasks = self.got.len();
         let mut tasks = (0..tasks).map(|i| TaskId::from_index((from + i) % tasks));
@@ -105,7 +105,7 @@ impl Run {
 
     fn answer(&mut self, task: TaskId, a: u16, b: u16, counts: &mut Counts) {
         let got = &self.got[task.index()];
-        // Usually the latest one, sometimes an earlier one.
+        // Usually this picks the latest command, sometimes an earlier one.
         let back = if b.is_multiple_of(8) { usize::from(a) } else { 0 };
         let Some(&to) = got.iter().rev().nth(back % got.len().max(1)) else { return };
         let contents = Contents::new(&b.to_le_bytes()).expect("short");
@@ -141,7 +141,7 @@ impl Run {
         self.ask(task, request, counts);
     }
 
-    /// One task waits for a message on a port, another one sends it, and the first mostly answers.
+    /// One task waits for a message on a port, and another one sends it. The first one usually answers.
     fn exchange(&mut self, a: u16, b: u16, counts: &mut Counts) {
         let ports = self.table.ports();
         let Some(port) = ports.get(usize::from(a) % ports.len().max(1)) else { return };
@@ -169,7 +169,7 @@ impl Run {
         self.both(at.index(), NodeInput::Request(task, request), counts);
     }
 
-    /// Takes the input on a copy by small steps, and then as the node does by itself.
+    /// Gives the input to a copy of the node by small steps, and to the node itself, and compares the two.
     fn both(&mut self, at: usize, input: NodeInput, counts: &mut Counts) {
         let node = &mut self.nodes[at];
         node.step(self.now, NodeInput::Time, &mut Did::default());
@@ -209,7 +209,7 @@ impl Run {
     }
 }
 
-/// What the request is about.
+/// The name of the port that the request concerns, or of the request.
 fn name(table: &CellTable, request: &Request) -> &'static str {
     let of = |port: PortId| table.port(port).map(|port| (port.decl.usage, port.decl.class));
     let queries = |usage| matches!(usage, Usage::Query | Usage::Response);
@@ -230,7 +230,7 @@ fn a_fused_step_equals_the_small_steps() {
     let ops = proptest::collection::vec(any::<Op>(), 200);
     let shapes = proptest::collection::vec(any::<[u8; 6]>(), 1..5);
     for round in 0..1200_u32 {
-        // Mostly cells of one node under the decided rules; else any cell.
+        // Most cells have one node under the decided rules; the others may be any cell.
         let plan = if round % 4 == 0 {
             plans().new_tree(&mut runner).expect("a plan").current()
         } else {

@@ -45,14 +45,14 @@ fn exactly(_: &World, effects: &Effects) -> Effects {
     effects.clone()
 }
 
-/// Whether the second world is changed before operation `i`: by the bits of a random word.
+/// Whether the second world is changed before operation `i`. The bits of a random word decide.
 fn picks(mask: u64, i: usize) -> bool {
     mask >> (i % 64) & 1 == 1
 }
 
-/// Bases on both sides of every wrap of 16 and of 24 bits.
+/// Base rounds on both sides of every wrap of 16 and of 24 bits.
 const ROUNDS: [u16; 7] = [1, 0x7ff0, 0x7fff, 0x8000, 0xfff0, 0xfffe, 0xffff];
-/// Even, because the epochs of a primary are odd (D80).
+/// Base epochs on both sides of a wrap. They are even, because the epochs of a primary are odd (D80).
 const EPOCHS: [u8; 7] = [2, 0x70, 0x7e, 0x80, 0xf0, 0xfc, 0xfe];
 const SEQUENCES: [u32; 7] = [1, 0x7f_fff0, 0x7f_ffff, 0x80_0000, 0xff_fff0, 0xff_fffe, 0xff_ffff];
 
@@ -152,7 +152,7 @@ proptest! {
         }
     }
 
-    /// The internal clock may go back to zero at any moment.
+    /// The internal clock may be set back to zero at any moment, without an effect.
     #[test]
     fn rebase_changes_nothing(plan in plans(), ops in ops(), mask: u64) {
         let mut plain = World::new(&plan.build(), true);
@@ -174,7 +174,7 @@ proptest! {
         }
         let late = u64::MAX - back;
         for task in 0..plain.tasks.len() {
-            // A wait of zero length is due whatever the counter is, so it ends first.
+            // A wait of zero length is due whatever the counter is, so it must end first.
             prop_assert_eq!(other.pass(task, 0), plain.pass(task, 0));
         }
         for (task, table) in other.tasks.iter_mut().zip(&other.tables) {
@@ -222,7 +222,7 @@ proptest! {
         base in 0..EPOCHS.len(),
     ) {
         let table = plan.build();
-        // A guarded command keeps its epoch in its contents for retransmission, where the shift does not reach it.
+        // A guarded command keeps its epoch in its contents for retransmission, and the shift does not change it there.
         prop_assume!(!table.ports().iter().any(|p| p.decl.guard.is_some() && p.decl.class == Class::Command));
         let mut plain = World::new(&table, true);
         let at = at.min(ops.len());
@@ -233,7 +233,7 @@ proptest! {
         compare(&mut plain, &mut other, &ops[at..], |_, _| (), |world, effects| world.shift.back().effects(effects))?;
     }
 
-    /// What `bury` drops can never matter again.
+    /// Parts of a state that `bury` drops can never have an effect again.
     #[test]
     fn burying_changes_nothing(plan in plans(), ops in ops(), mask: u64) {
         let mut plain = World::new(&plan.build(), true);

@@ -19,7 +19,7 @@ const LEASE: u64 = 14;
 const TAKEOVER: u64 = 32;
 const EVERY: u64 = 4;
 
-/// Two robots and the arm that they command, on three nodes with links of one tick.
+/// A cell with two robots and the arm that they command, on three nodes with links of one tick.
 fn cell(mutual: bool) -> Cell {
     let mut cell = Cell::new("couple", Ticks(1));
     let nodes = ["p", "s", "a"].map(|name| cell.node(name));
@@ -75,7 +75,7 @@ fn the_primary_acts_once_a_heartbeat_has_echoed_its_answer_and_the_lease_is_rene
     let mut net = VirtualCell::new(cell(false));
     net.ask(P, Request::Lease);
     assert_eq!(changes(&mut net, 100), [(0, [false, false]), (5, [true, false])]);
-    // A heartbeat at 1, its answer at 3, and the heartbeat that echoes the answer at 4.
+    // A heartbeat leaves at 1, its answer at 3, and the heartbeat that echoes this answer at 4.
     assert_eq!(net.heard(P), ["granted 3"]);
     assert_eq!(net.heard(S), [""; 0]);
 }
@@ -91,7 +91,7 @@ fn with_the_link_cut_the_primary_is_fenced_and_the_standby_takes_over_later() {
     assert!(taken >= fenced + (TAKEOVER - LEASE), "fenced at {fenced}, taken over at {taken}");
     assert_eq!(net.heard(P), ["interrupt Fenced"]);
     assert_eq!(net.heard(S), ["interrupt TakeOver(4)"]);
-    // Roles are not exchanged here: the old primary does not act again in this incarnation.
+    // In this couple the roles are not exchanged: the old primary does not act again in this incarnation.
     net.mend();
     assert_eq!(changes(&mut net, 100).len(), 1);
     net.ask(P, send(MOVE, ARM, 1));
@@ -150,7 +150,7 @@ fn what_was_published_comes_with_the_answers() {
     net.ask(ARM, Request::Lease);
     assert_eq!(net.heard(P), ["accepted 0", "fault WrongLength"]);
     assert_eq!(net.heard(ARM), ["fault WrongUsage", "fault WrongUsage"]);
-    // The arm is in no couple.
+    // The arm is in no couple, so it is always active.
     assert!(net.task(ARM).is_active());
     assert_eq!(net.task(ARM).epoch(), None);
 }
@@ -175,7 +175,7 @@ fn with_exchanged_roles_one_that_was_away_takes_over_from_nobody_it_never_heard(
     net.cut(NP, NS);
     changes(&mut net, 60);
     assert_eq!(acting(&net), [false, true]);
-    // The standby acts alone. Its partner's new incarnation cannot know whether it does.
+    // The standby acts alone. The new incarnation of its partner cannot know whether the standby acts.
     net.restart(NP, 1);
     assert_eq!(changes(&mut net, 200).len(), 1);
     // The same holds for a standby that never heard from its primary.
@@ -251,7 +251,7 @@ fn an_actuator_drops_what_an_older_epoch_ordered_and_what_still_waits_of_it() {
     assert_eq!(arm.hear(bare).discards(), [Reason::NotAllowed]);
 }
 
-/// The primary's last epoch before the wrap, and the standby's first after it.
+/// The epochs are the primary's last before the wrap and the standby's first after it.
 #[test]
 fn an_actuator_compares_epochs_across_their_wrap() {
     let mut arm = Solo::new(&table(false), ARM);
@@ -328,7 +328,7 @@ fn the_epoch_is_said_before_anybody_acts_in_it_and_a_proposal_is_kept_until_a_ne
     assert!(primary.task.is_active());
 }
 
-/// The same heartbeat of a standby that has restarted and knows no epoch: it carries the epoch in which it would begin.
+/// The same heartbeat from a restarted standby that knows no epoch. It carries the epoch in which that standby would begin.
 fn guess(sequence: u32, epoch: u8) -> Packet {
     let contents = Contents::new(&[0, 0, epoch, 0, 1]).expect("short");
     let id = MessageId { incarnation: Incarnation(1), sequence: Seq24::new(sequence) };
@@ -337,7 +337,7 @@ fn guess(sequence: u32, epoch: u8) -> Packet {
 
 #[test]
 fn nobody_takes_the_guess_of_a_node_that_started_again_for_news() {
-    // From 130 on, epoch 2 compares as newer.
+    // From 130 on, epoch 2 compares as the newer one.
     for reached in [100, 130, 132, 200] {
         let mut primary = Solo::new(&table(true), P);
         primary.hear(heartbeat(1, 0, reached / 2, 0));
@@ -362,7 +362,7 @@ fn a_node_that_started_again_takes_the_epoch_of_one_that_knows_it() {
     }
 }
 
-/// The epochs are equal by chance: an earlier incarnation of the primary may have acted in this one.
+/// The epochs are equal by chance: an earlier incarnation of the primary may have acted in this epoch.
 #[test]
 fn what_was_proposed_from_a_guess_is_over_when_the_partner_knows_an_epoch() {
     let mut primary = Solo::incarnation(&table(true), P, 1, true);
@@ -433,7 +433,7 @@ fn an_answer_that_is_of_no_use_any_more_counts_as_none_even_before_the_next_hear
         ..nothing
     };
     standby.hear(answer);
-    // One heartbeat while the answer is still valid, and none from then on.
+    // The standby sends one heartbeat while the answer is still valid, and none after that.
     standby.pass(TAKEOVER - 1);
     standby.pass(1);
     let mut other = standby.clone();
@@ -461,7 +461,7 @@ fn a_couple_that_cannot_keep_its_promise_is_no_couple() {
         errors(|c| c.couples[0].lease = Ticks(7)),
         [CellError::LeaseTooShort { couple: couple(), lease: Ticks(7), least: Ticks(2 * EVERY + 1 + 1) }]
     );
-    // The lease, the TTL of the last order, a tick, and the drift rounded up.
+    // The least take-over is the sum of the lease, the TTL of the last order, a tick, and the drift rounded up.
     let least = Ticks(LEASE + 8 + 1 + 1);
     assert_eq!(
         errors(|c| c.couples[0].takeover = Ticks(21)),

@@ -15,7 +15,7 @@ const LEASE: u64 = 14;
 const TAKEOVER: u64 = 32;
 const EVERY: u64 = 4;
 
-/// Two robots a tick apart.
+/// A cell with two robots that are a tick apart.
 fn cell(mutual: bool) -> Cell {
     let mut cell = Cell::new("couple", Ticks(1));
     let (a, b) = (cell.node("p"), cell.node("s"));
@@ -39,7 +39,7 @@ fn table(mutual: bool) -> Arc<CellTable> {
     Arc::new(CellTable::new(cell(mutual)).expect("a checked cell"))
 }
 
-/// The primary and the standby alone. Heartbeats and answers take no time.
+/// The primary and the standby of a couple, without other tasks. Heartbeats and answers take no time.
 struct Couple {
     p: Solo,
     s: Solo,
@@ -51,7 +51,7 @@ impl Couple {
         Self { p: Solo::new(&table, P), s: Solo::new(&table, S) }
     }
 
-    /// The standby sends its next heartbeat, and the primary answers. Returns the heartbeat and the primary's signals.
+    /// Lets the standby send its next heartbeat, and the primary answer. Returns the heartbeat and the primary's signals.
     fn heartbeat(&mut self) -> (Packet, Vec<String>) {
         let due = self.s.task.next_expiry().expect("a beat is to be sent");
         self.p.pass(due.0);
@@ -61,7 +61,8 @@ impl Couple {
         (heartbeat, out.signals.iter().map(support::signal).collect())
     }
 
-    /// The lease is granted at the second heartbeat, which echoes the answer to the first one. It counts from that answer.
+    /// A couple whose lease is granted. That happens at the second heartbeat, which echoes the answer to the first one; the
+    /// lease counts from that answer.
     fn granted(mutual: bool) -> (Self, Packet) {
         let mut couple = Self::new(mutual);
         couple.p.ask(Request::Lease);
@@ -122,7 +123,7 @@ fn who_acts_is_granted_the_lease_at_once_and_who_was_fenced_never() {
     assert_eq!(couple.p.ask(Request::Lease).words(), ["fault Fenced"]);
 }
 
-/// A task waits for the lease, and a timer's handler interrupts the wait.
+/// Lets a task wait for the lease, and a timer's handler interrupt that wait.
 fn interrupted(task: &mut Solo) {
     task.ask(order(&[Ranked::Timers, Ranked::Own]));
     task.ask(Request::Start { id: TimeId(1), length: Ticks(2) });
@@ -139,7 +140,7 @@ fn a_wait_for_the_lease_may_be_interrupted_and_ends_when_the_handler_returns() {
     s.pass(TAKEOVER);
     assert!(s.task.is_active());
     assert_eq!(s.ask(Request::Return).words(), ["granted 4"]);
-    // The grant has told the task: no take-over interrupts it as well.
+    // The grant has already told the task, so no take-over interrupts it as well.
     assert_eq!(s.ask(Request::Boundary).words(), ["accepted 0"]);
 }
 
@@ -193,7 +194,8 @@ fn news_of_a_restart_alone_ends_no_lease() {
 
 #[test]
 fn a_lease_covers_the_heartbeats_that_are_on_their_way() {
-    // An answer is back after 10 ticks, in which two more heartbeats were sent, one every 4. The last link delay takes 5.
+    // An answer comes back after 10 ticks, in which two more heartbeats were sent, one every 4 ticks. The last link delay
+    // takes 5.
     let with = |lease| {
         let mut cell = cell(false);
         cell.links[0].delay = Ticks(5);

@@ -12,12 +12,12 @@ const N0: NodeId = NodeId(0);
 const N1: NodeId = NodeId(1);
 const N2: NodeId = NodeId(2);
 
-/// Commands from X and Y to Z.
+/// The port for commands from X and Y to Z.
 const MOVE: PortId = PortId(0);
-/// Status from X to Z.
+/// The port for status messages from X to Z.
 const HEARTBEAT: PortId = PortId(1);
 
-/// A chain of three nodes, two and three ticks apart: X and Y on the first, Z on the last.
+/// A cell with a chain of three nodes, two and three ticks apart: X and Y on the first, Z on the last.
 fn cell() -> Cell {
     let mut cell = Cell::new("chain", Ticks(1));
     let [a, b, c] = ["a", "b", "c"].map(|name| cell.node(name));
@@ -31,7 +31,7 @@ fn cell() -> Cell {
     cell
 }
 
-/// A packet of X as it arrives over a link.
+/// A packet that X sent, as it arrives over a link.
 fn packet() -> Packet {
     Packet {
         kind: Kind::Send,

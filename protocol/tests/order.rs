@@ -8,15 +8,15 @@ const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);
 const Z: TaskId = TaskId(2);
 
-/// Status of X and Z to Y.
+/// The port for status messages of X and Z to Y.
 const HALT: PortId = PortId(0);
-/// Queries of X and Z to Y.
+/// The port for queries of X and Z to Y.
 const HEARTBEAT: PortId = PortId(1);
-/// Commands of Y to X.
+/// The port for commands of Y to X.
 const MOVE: PortId = PortId(2);
-/// Y meets X.
+/// The port of the waitfor of Y and X.
 const LIFT: PortId = PortId(3);
-/// Status of X to Y: without a handler.
+/// The port for status messages of X to Y that have no handler.
 const NEWS: PortId = PortId(4);
 
 fn cell() -> Cell {
@@ -32,7 +32,7 @@ fn cell() -> Cell {
     cell
 }
 
-/// Y with handlers for HALT and BEAT, and this order; X and Z to send to it.
+/// Task Y with handlers for HALT and HEARTBEAT and with an `order`, and tasks X and Z that send to it.
 struct Room {
     y: Solo,
     x: Solo,
@@ -53,7 +53,7 @@ impl Room {
         Self { y, x, z }
     }
 
-    /// A message of X arrives at Y.
+    /// Lets a message of X arrive at Y.
     fn hear(&mut self, port: PortId, byte: u8) -> Vec<String> {
         self.x.ask(Request::Cancel);
         let packet = self.x.ask(send(port, Y, byte)).packets[0];
@@ -150,10 +150,10 @@ fn handlers_nest_by_rank_and_a_rank_never_grows() {
     assert!(room.ask(Request::Delay { id: TimeId(2), length: Ticks(9) }).is_empty());
     assert!(room.hear_of_z(HALT, 4).is_empty());
     assert_eq!(room.y.input(Input::TimeOut { id: TimeId(2), turn: 1 }).words(), ["time_out 2"]);
-    // The outer handler's delay ended, too. The handler is told when it resumes.
+    // The delay of the outer handler ended, too. That handler is told when it resumes.
     assert!(room.y.input(Input::TimeOut { id: TimeId(1), turn: 0 }).words().is_empty());
     assert_eq!(room.ask(Request::Return), ["time_out 1"]);
-    // Back in the thread's own action. Both messages are capped and outrank it; message 2 was rejected first.
+    // The thread itself runs again, in its action. Both messages are capped and outrank it; message 2 was rejected first.
     room.y.pass(4);
     assert_eq!(room.ask(Request::Return), ["interrupt [2] from T2 for 36"]);
     assert_eq!(room.ask(Request::Return), ["interrupt [4] from T2 for 36"]);
@@ -224,7 +224,7 @@ fn atomic_defers_and_belongs_to_its_thread() {
 fn a_timer_may_have_a_rank_of_its_own() {
     let start = |id| Request::Start { id: TimeId(id), length: Ticks(5) };
     let over = |id, turn| Input::TimeOut { id: TimeId(id), turn };
-    // `order a > silence of a > self`: other timers rank below `self`.
+    // The test has `order a > silence of a > self`, so other timers rank below `self`.
     let mut room = Room::new(&[Ranked::Port(PortId(0)), Ranked::Timer(TimeId(2)), Ranked::Own]);
     room.ask(start(1));
     room.ask(start(2));
@@ -232,7 +232,7 @@ fn a_timer_may_have_a_rank_of_its_own() {
     assert!(room.y.input(over(1, 0)).is_nothing());
     assert_eq!(room.y.input(over(2, 1)).words(), ["interrupt Timer(TimeId(2))"]);
     assert!(room.ask(Request::Return).is_empty());
-    // Of several ended timers the first in rank goes first, whatever its name.
+    // If several timers have ended, the first in rank goes first, whatever its name.
     let named = [Ranked::Timer(TimeId(2)), Ranked::Timers, Ranked::Own];
     room.ask(Request::Done);
     room.ask(order(&named));
@@ -256,7 +256,7 @@ fn timers_interrupt_by_their_rank_and_wait_without_growing() {
     assert_eq!(room.y.input(over(1, 1)).words(), ["interrupt Timer(TimeId(1))"]);
     room.ask(Request::Return);
     room.ask(Request::Done);
-    // `self` above the timers: their ends wait for a plain receive, the lowest timer id first.
+    // With `self` above the timers, their ends wait for a plain receive, and the lowest timer id goes first.
     room.ask(order(&[Ranked::Own, Ranked::Timers]));
     room.ask(start(2, 5));
     room.ask(start(1, 5));
@@ -273,7 +273,7 @@ fn timers_interrupt_by_their_rank_and_wait_without_growing() {
     assert_eq!(room.ask(Request::Return), ["interrupt Timer(TimeId(2))"]);
     assert!(room.ask(Request::Return).is_empty());
     room.ask(Request::Cancel);
-    // How many timers may run, and what their names exclude.
+    // This tests how many timers may run at once, and which names exclude each other.
     for id in 0..8 {
         assert_eq!(room.ask(start(id, 5)), ["accepted 0"]);
     }

@@ -1,4 +1,4 @@
-//! Restarts of a node (D6, D49): it does not pretend to know what it lost.
+//! Restarts of a node (D6, D49): the node does not act as if it knew what it has lost.
 
 use crate::support::{Solo, arrive, get, reply, send};
 use imrs_protocol::*;
@@ -9,12 +9,12 @@ const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);
 const B: NodeId = NodeId(1);
 
-/// Commands from X to Y.
+/// The port for commands from X to Y.
 const MOVE: PortId = PortId(0);
-/// X and Y meet.
+/// The port of the waitfor of X and Y.
 const LIFT: PortId = PortId(1);
 
-/// X on node A, Y on node B, two ticks away.
+/// A cell with X on node A and Y on node B, two ticks away.
 fn cell() -> Cell {
     let mut cell = Cell::new("pair", Ticks(1));
     let (a, b) = (cell.node("a"), cell.node("b"));
@@ -81,7 +81,7 @@ fn an_answered_command_is_remembered_until_no_copy_can_come() {
     y.hear(command);
     let message = y.ask(get(0)).delivery().expect("the message");
     y.ask(reply(&message, 9));
-    // Its time_out and the link delay.
+    // The quarantine lasts for the time_out of the command and the link delay.
     y.pass(20 + 2 - 1);
     assert_eq!(y.ask(reply(&message, 9)).words(), ["fault NothingToAnswer"]);
     y.pass(1);
@@ -96,7 +96,7 @@ fn what_a_restart_left_behind_is_stale() {
     let mut y = Solo::new(&table, Y);
     y.hear(old);
     assert_eq!(y.queue(MOVE), [(X, 18)]);
-    // The command of the new incarnation replaces the one that no task waits for any more.
+    // The command of the new incarnation replaces the earlier command, for whose answer no task waits any more.
     assert_eq!(y.hear(new).words(), Vec::<String>::new());
     assert_eq!(y.hear(old).discards(), [Reason::StaleIncarnation]);
     assert_eq!(y.ask(get(0)).words(), ["message [2] from T0 for 18"]);
@@ -232,7 +232,7 @@ fn patience_beyond_the_declared_one_is_cut_to_it() {
     assert_eq!(x.ask(command).packets[0].remaining, Ticks(20));
 }
 
-/// X on node A; Y and Z on node B, which restarts. All meet, X and Z command Y.
+/// A cell with X on node A, and Y and Z on node B, which restarts. All three meet; X and Z command Y.
 fn three() -> Arc<CellTable> {
     let mut cell = Cell::new("three", Ticks(1));
     let (a, b) = (cell.node("a"), cell.node("b"));
@@ -282,7 +282,7 @@ fn a_task_is_held_back_until_nobody_can_carry_out_a_command_of_its_earlier_incar
     z.ask(get(90));
     let new = Solo::incarnation(&table, x, 1, true).ask(send(right, TaskId(2), 2)).packets[0];
     assert_eq!(z.hear(new).words(), ["message [2] from T0 for 7"]);
-    // It waited in a relay for nearly all of its time.
+    // The packet has waited in a relay for nearly all of its time.
     let late = Packet { remaining: Ticks(3), ..late };
     assert_eq!(y.hear(late).words(), ["message [1] from T0 for 1"], "that is not to be");
     assert_eq!(table.held_back(x), Ticks(20 + 2));

@@ -9,7 +9,7 @@ use std::sync::Arc;
 const ROBOT: TaskId = TaskId(0);
 const ARM: TaskId = TaskId(1);
 
-/// Asks its neighbour for ever, with long questions and answers, and works in between.
+/// A script that asks its neighbour for ever, with long questions and answers, and works in between.
 fn robot(port: PortId) -> Program {
     let mut b = ProgramBuilder::new("robot");
     let fields: Vec<(Type, Slot)> = (0..5).map(|_| (Type::Word, b.variable("w", Type::Word))).collect();
@@ -20,7 +20,7 @@ fn robot(port: PortId) -> Program {
     b.finish().expect("a checked program")
 }
 
-/// Works, and answers from a handler that interrupts the work.
+/// A script that works, and answers from a handler that interrupts the work.
 fn arm(port: PortId) -> Program {
     let mut b = ProgramBuilder::new("arm");
     b.order(&[Ranked::Port(port), Ranked::Own]);
@@ -35,7 +35,7 @@ fn arm(port: PortId) -> Program {
     b.finish().expect("a checked program")
 }
 
-/// The actions that run, in an array of fixed size.
+/// The running actions, in an array of fixed size.
 #[derive(Default)]
 struct Room {
     actions: [Option<(TaskId, u8)>; 4],

@@ -11,14 +11,14 @@ const Z: TaskId = TaskId(2);
 const A: NodeId = NodeId(0);
 const B: NodeId = NodeId(1);
 
-/// Status from X to Y and Z.
+/// The port for status messages from X to Y and Z.
 const HALT: PortId = PortId(0);
-/// Commands from X or Z to Y, whose buffer holds one.
+/// The port for commands from X or Z to Y, whose buffer holds one.
 const MOVE: PortId = PortId(1);
-/// Commands from X to Y or Z, retransmitted twice, 5 ticks apart.
+/// The port for commands from X to Y or Z, retransmitted twice, 5 ticks apart.
 const GRIP: PortId = PortId(2);
 
-/// X on node A; Y and Z on node B, two ticks away.
+/// A cell with X on node A, and Y and Z on node B, two ticks away.
 fn cell() -> Cell {
     let mut cell = Cell::new("pair", Ticks(1));
     let (a, b) = (cell.node("a"), cell.node("b"));
@@ -73,7 +73,7 @@ fn a_command_is_answered_with_the_way_back_reserved() {
     net.ask(X, send(MOVE, Y, 3));
     net.run(5);
     let message = net.message(Y);
-    // A TTL of 20 ticks, less 2 for the way there and 2 reserved for the way back (D18).
+    // The budget is the TTL of 20 ticks, less 2 for the way there and 2 reserved for the way back (D18).
     assert_eq!((message.budget, message.class), (Ticks(16), Class::Command));
     net.ask(Y, reply(&message, 4));
     net.run(2);
@@ -113,7 +113,7 @@ fn a_reply_after_the_budget_is_late_and_sends_nothing() {
     for _ in 0..2 {
         net.ask(Y, reply(&message, 4));
         assert_eq!(net.transcript(), [format!("{} T1: fault Late", net.now())]);
-        // Long after, when the dedup entry of the message is gone too, the answer is the same.
+        // Long after, when the dedup entry of the message is gone, too, the answer is still the same.
         net.run(50);
         net.transcript();
     }
@@ -230,7 +230,7 @@ fn a_command_is_remembered_until_no_copy_can_be_on_the_way() {
     y.ask(get(9));
     let message = y.hear(Packet { remaining: Ticks(18), ..command }).delivery().expect("the message");
     y.ask(reply(&message, 9));
-    // The sender no longer waits, but a copy that was charged too little may arrive within the link's bound.
+    // The sender no longer waits, but a copy that was charged too little may still arrive within the link's bound.
     y.pass(19);
     let copy = Packet { remaining: Ticks(3), ..command };
     assert_eq!(y.hear(copy).words(), ["REPLY T1>T0 #0 [9] for 3"]);

@@ -10,9 +10,9 @@ const A: TaskId = TaskId(1);
 const B: TaskId = TaskId(2);
 const C: TaskId = TaskId(3);
 
-/// Queries of P to A, B and C, retransmitted once after 6 ticks.
+/// The port for queries of P to A, B and C, retransmitted once after 6 ticks.
 const CHECK: PortId = PortId(0);
-/// Commands of P to A.
+/// The port for commands of P to A.
 const MOVE: PortId = PortId(1);
 
 fn cell() -> Cell {
@@ -81,7 +81,7 @@ fn a_set_ends_with_the_last_answer() {
     assert!(p.hear(back(0, Kind::Response, contents(5))).signals.is_empty());
     assert_eq!(p.hear(back(0, Kind::Response, contents(6))).discards(), [Reason::Unexpected]);
     assert!(p.hear(back(1, Kind::Control, Control::Refused.to_contents())).signals.is_empty());
-    // An answer of one task to the request of another one counts for neither.
+    // If a task answers with the id of the request to another task, the answer counts for neither.
     let crossed = Packet { id: asked[2].id, ..back(1, Kind::Response, contents(9)) };
     assert_eq!(p.hear(crossed).discards(), [Reason::Unexpected]);
     assert_eq!(

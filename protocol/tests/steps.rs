@@ -1,5 +1,5 @@
-//! A node that is inspected between its steps (D39): its pending effects are part of its state, and are packed like the
-//! rest (D51).
+//! A node that is inspected between its steps (D39): its pending effects are part of its state, and are packed like its
+//! other parts (D51).
 
 use crate::support::{
     NextExpiry, arrive, get, get_on, packet as packet_in_words, reply, send, send_for,
@@ -13,14 +13,14 @@ const Y: TaskId = TaskId(1);
 const Z: TaskId = TaskId(2);
 const N1: NodeId = NodeId(1);
 
-/// Commands from X and Z to Y.
+/// The port for commands from X and Z to Y.
 const MOVE: PortId = PortId(0);
-/// Commands from X and Y to Z.
+/// The port for commands from X and Y to Z.
 const FAR: PortId = PortId(1);
-/// X, Y and Z meet.
+/// The port of the waitfor of X, Y and Z.
 const LIFT: PortId = PortId(2);
 
-/// X and Y on one node, Z on another, two ticks away.
+/// A cell with X and Y on one node, and Z on another, two ticks away.
 fn cell() -> Cell {
     let mut cell = Cell::new("steps", Ticks(1));
     let (here, there) = (cell.node("here"), cell.node("there"));
@@ -37,7 +37,7 @@ fn cell() -> Cell {
     cell
 }
 
-/// What left a node or reached a task of it.
+/// The packets that left a node, and the signals that reached a task of it.
 #[derive(Default)]
 struct Outside {
     /// Whether the link takes packets.
@@ -59,7 +59,7 @@ impl NodeOutbox for Outside {
     }
 }
 
-/// Removes the numbers that packed states hold only relative to others.
+/// Removes from a text the numbers that packed states hold only relative to others.
 fn unnumbered(words: &str) -> String {
     let round =
         |word: &str| word.strip_prefix('r').is_some_and(|n| n.starts_with(|c: char| c.is_ascii_digit()));
@@ -67,7 +67,7 @@ fn unnumbered(words: &str) -> String {
     words.split(' ').filter(number).collect::<Vec<_>>().join(" ")
 }
 
-/// The least round of the waitfor in the state of a node.
+/// A pass that finds the least round of the waitfor in the state of a node.
 #[derive(Default)]
 struct Bases {
     round: Option<Round>,
@@ -91,7 +91,7 @@ impl Steps {
         Self(Node::new(table, Incarnation(0), false, transit))
     }
 
-    /// The reference points of packed numbers. The numbers of Z are chosen by the test.
+    /// The numbers to which packed numbers are relative. The test chooses those of Z.
     fn bases(&mut self) -> (Vec<Round>, Vec<Seq24>) {
         let mut bases = Bases::default();
         let mut sequences: Vec<Seq24> = Vec::new();
@@ -168,7 +168,7 @@ impl Steps {
         (out, steps)
     }
 
-    /// Hands the first queued input to its task; false if there is none.
+    /// Hands the first queued input to its task. Returns false if there is none.
     fn next(&mut self, out: &mut Outside) -> bool {
         let waits = self.0.is_busy();
         self.0.take(0, out);
@@ -248,7 +248,7 @@ fn delays_are_with_the_timer_at_once_and_its_word_may_be_looked_at_on_its_way() 
     let (out, steps) = node.take(NodeInput::Request(X, Request::Cancel), true);
     assert_eq!((out.words, steps), (vec!["T0: cancelled".into()], 0), "nor the disarming");
     assert_eq!(node.0.next_expiry(), None);
-    // An effect that is not filed yet is an error, and is not silently left out.
+    // An effect that has not been filed yet is an error, and is not left out silently.
     node.0.begin(Instant::START, NodeInput::Request(X, delay(300)), &mut Outside::default());
     let (rounds, sequences) = node.bases();
     let frame = Frame { rounds: &rounds, sequences: &sequences, incarnations: true };

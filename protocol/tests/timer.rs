@@ -71,7 +71,7 @@ fn a_delay_of_no_length_ends_with_the_next_look_at_the_clock() {
 
 #[test]
 fn a_delay_that_finds_the_timer_full_ends_at_once() {
-    // The Timer of a node has room for all entries of its tasks, so only a smaller one can be full.
+    // The Timer of a node has room for all entries of its tasks, so only a smaller Timer can be full.
     let mut timer = Timer::new(1);
     assert!(timer.arm(X, TimeId(0), 0, Ticks(9)));
     assert!(!timer.arm(Y, TimeId(0), 0, Ticks(1)));
@@ -95,7 +95,7 @@ fn an_unexpected_time_out_is_nothing() {
     assert_eq!(x.ask(Request::Cancel).timers, [(TimeId(1), None)]);
 }
 
-/// Figure 3 to the letter: an array of entries, every one decremented with the clock.
+/// The Timer of Figure 3 to the letter: an array of entries, each of which every tick decrements.
 #[derive(Default)]
 struct Figure3(Vec<(TaskId, TimeId, u64)>);
 

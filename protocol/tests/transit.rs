@@ -10,7 +10,7 @@ use std::sync::Arc;
 const NEAR: NodeId = NodeId(1);
 const FAR: NodeId = NodeId(2);
 
-/// Node 0 linked to nodes 1 and 2, four ticks away each; tasks 0 and 1 on node 0, 2 on node 1, 3 on node 2.
+/// A node that is linked to nodes 1 and 2, four ticks away each. Tasks 0 and 1 are on node 0, task 2 on node 1, 3 on node 2.
 fn table(eviction: Eviction) -> NodeTable {
     let mut cell = Cell::new("star", Ticks(1));
     cell.rules.eviction = eviction;
@@ -26,7 +26,7 @@ fn table(eviction: Eviction) -> NodeTable {
     NodeTable::new(Arc::new(CellTable::new(cell).expect("a checked cell")), NodeId(0))
 }
 
-/// What the buffer did: tasks told that a copy never left, packets, and drops with the sequence of the dropped one.
+/// The buffer's effects: tasks told that a copy never left, packets, and drops with the dropped packet's sequence number.
 #[derive(Default, Debug, PartialEq)]
 struct Out {
     unsent: Vec<(TaskId, u32)>,
@@ -271,8 +271,8 @@ fn steps() -> impl Strategy<Value = Vec<Step>> {
 }
 
 proptest! {
-    /// No command that can still arrive is dropped for space while the buffer holds status (D60). And the clock may go back to
-    /// zero at any moment.
+    /// No command that can still arrive is dropped for space while the buffer holds status (D60). The clock may also be set
+    /// back to zero at any moment.
     #[test]
     fn no_command_goes_for_space_while_status_is_held(steps in steps(), capacity in 1..5_u16, mask: u64) {
         let (mut rig, mut rebased) = (Rig::new(capacity), Rig::new(capacity));
@@ -320,7 +320,7 @@ fn a_full_buffer_says_so_without_dropping_another_command() {
     let out = rig.offer(Packet { source: TaskId(3), ..command(2, 30) });
     let word = out.words.first().expect("the source hears of it");
     assert_eq!(word, "REFUSED ON THE WAY T2>T3 #2 for 30");
-    // The refusal itself, for a task of another node, comes back to the buffer and finds room of its own.
+    // The refusal is itself a packet for a task of another node. It comes back to the buffer, and finds room of its own.
     let said = Control::RefusedOnTheWay.to_contents();
     let word = Packet {
         kind: Kind::Control,
@@ -397,7 +397,7 @@ fn more_packets_than_the_packed_count_holds_are_an_overflow() {
 }
 
 proptest! {
-    /// `pass` does what `offer` and `next` do, whatever waits and whichever links are ready.
+    /// `pass` has the same effects as `offer` and `next`, whatever waits and whichever links are ready.
     #[test]
     fn to_pass_is_to_be_offered_and_to_leave(
         before in prop_oneof![Just(Vec::new()), steps()], ttl in 0..20_u64, asks: bool, far: bool, mask in 0..4_u64,

@@ -1,4 +1,4 @@
-//! Variants of the rules, the literal and naive readings of the paper: each still has the fault that it exists to show.
+//! Variants of the rules, which are literal and naive readings of the paper. Each still shows the fault for which it exists.
 
 use crate::support::{NextExpiry, Solo, arrive, get, reply, send};
 use imrs_protocol::rules::{JobRequest, Memory, TimeStamp};
@@ -12,14 +12,14 @@ const Z: TaskId = TaskId(2);
 const N0: NodeId = NodeId(0);
 const N1: NodeId = NodeId(1);
 
-/// Status of X to Z.
+/// The port for status messages of X to Z.
 const HEARTBEAT: PortId = PortId(0);
-/// Commands of X to Z.
+/// The port for commands of X to Z.
 const MOVE: PortId = PortId(1);
-/// X and Z meet.
+/// The port of the waitfor of X and Z.
 const LIFT: PortId = PortId(2);
 
-/// X and Y on one node, Z on another, two ticks away.
+/// A cell with X and Y on one node, and Z on another, two ticks away.
 fn cell(change: impl FnOnce(&mut Rules)) -> Cell {
     let mut cell = Cell::new("variants", Ticks(1));
     let (a, b) = (cell.node("a"), cell.node("b"));
@@ -36,7 +36,7 @@ fn table(change: impl FnOnce(&mut Rules)) -> Arc<CellTable> {
     Arc::new(CellTable::new(cell(change)).expect("a checked cell"))
 }
 
-/// The remaining time of a message that waited ten ticks for a link, and ten in a receiver's buffer.
+/// The remaining time of a message that has waited ten ticks for a link, and ten in a receiver's buffer.
 fn left_after_waiting(charged: bool) -> (Option<String>, Vec<String>) {
     let mut net = VirtualCell::new(cell(|rules| rules.charge_residence = charged));
     net.block(&[N1]);
@@ -65,7 +65,7 @@ fn of_two_commands_that_live_alike_the_earlier_goes_first_whenever_the_state_is_
         let table = table(|rules| rules.charge_residence = false);
         let (mut x, mut z) = (Solo::new(&table, X), Solo::new(&table, Z));
         z.hear(x.ask(send(MOVE, Z, 1)).packets[0]);
-        // X gives up the first command and Z drops its dedup entry. The command still waits and loses no time.
+        // X gives up the first command, and Z drops its dedup entry. The command still waits, and loses no time.
         x.pass(40);
         z.pass(40);
         let second = x.ask(send(MOVE, Z, 2)).packets[0];

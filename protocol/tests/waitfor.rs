@@ -11,7 +11,7 @@ const Y: TaskId = TaskId(1);
 const Z: TaskId = TaskId(2);
 const LIFT: PortId = PortId(0);
 
-/// `n` tasks on nodes of their own, two ticks apart. Arrivals are repeated every 6 ticks; the margin covers `losses`.
+/// A cell of `n` tasks on nodes of their own, two ticks apart. Arrivals repeat every 6 ticks; the margin covers `losses`.
 fn cell_with(n: usize, losses: u8, rules: Rules) -> Cell {
     let mut cell = Cell::new("lift", Ticks(1));
     for i in 0..n {
@@ -35,7 +35,7 @@ fn table(n: usize, losses: u8) -> Arc<CellTable> {
     Arc::new(CellTable::new(cell_with(n, losses, Rules::DEFAULT)).expect("a checked cell"))
 }
 
-/// The first packet for one task.
+/// The first packet among the effects for one task.
 fn to(effects: &Effects, task: TaskId) -> Packet {
     *effects
         .packets
@@ -100,11 +100,11 @@ fn nobody_is_released_while_one_is_missing_and_all_say_who() {
     assert_eq!(net.count(Event::ReleasedComplete) + net.count(Event::ReleasedByConfirm), 0);
 }
 
-/// X and Y hold all arrivals; Z has X's CONFIRM but not Y's arrival. Returns who is released, and who confirms.
+/// X and Y hold all arrivals; Z has X's CONFIRM but not Y's arrival. Returns the released and the confirming tasks.
 fn confirmations(rule: Confirmation) -> (Vec<String>, Vec<&'static str>) {
     let rules = Rules { confirmation: rule, ..Rules::DEFAULT };
     let mut net = VirtualCell::new(cell_with(3, 0, rules));
-    // Y's arrivals never reach Z.
+    // No arrival of Y reaches Z.
     net.lose(|from, to, p| (from, to) == (NodeId(1), NodeId(2)) && p.kind == Kind::Arrive);
     for task in [X, Y, Z] {
         net.ask(task, arrive(LIFT));
@@ -229,7 +229,7 @@ fn word_that_the_round_was_released_is_a_confirm() {
     assert_eq!(y.hear(from_x).words().last().map(String::as_str), Some("released r1 complete"));
     let next = to(&y.ask(arrive(LIFT)), X);
     assert_eq!(next.meeting(), Meeting { round: Round(2), released: Round(1), arguments: [0; 8] });
-    // Y's arrival and CONFIRM of round 1 were lost. Its arrival in round 2 says that it released round 1.
+    // Y's arrival and CONFIRM of round 1 were lost. Its arrival in round 2 says that Y was released from round 1.
     assert_eq!(x.hear(next).words(), ["released r1 by T1"]);
     // The arrival in round 2 is kept for the next meeting.
     let words = x.ask(arrive(LIFT)).words();
@@ -348,7 +348,7 @@ fn a_bar_and_a_release_of_long_ago_mean_nothing_when_rounds_come_round() {
         );
     }
 
-    // Give-ups only, until the round number wraps around to that of the last release.
+    // From here on every meeting fails, until the round number wraps around to that of the last release.
     let last = x.task.view(&x.table, 0).meetings[0].released;
     let mut from_y = None;
     x.pass(50);

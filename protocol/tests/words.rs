@@ -5,7 +5,7 @@ use imrs_protocol::*;
 const A: TaskId = TaskId(0);
 const B: TaskId = TaskId(1);
 
-/// Two tasks on one node.
+/// A cell of two tasks on one node.
 fn pair() -> Cell {
     let mut cell = Cell::new("pair", Ticks(1));
     let node = cell.node("n");

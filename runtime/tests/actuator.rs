@@ -1,4 +1,4 @@
-//! Tests of a tool's gate: one epoch acts at a time.
+//! Tests of a tool's gate: programs of only one epoch act at a time.
 
 use crate::common::report;
 use imrs_runtime::actuator::{Deadline, Gate, GateError, Refused};
@@ -15,7 +15,7 @@ fn place() -> (TempDir, PathBuf) {
     (folder, path)
 }
 
-/// The epoch that was shown, and the newest one.
+/// The epoch of the refused program, and the newest epoch in the gate.
 fn over(refused: Refused) -> (u8, u8) {
     match refused {
         Refused::Epoch { shown, newest } => (shown, newest),
@@ -74,7 +74,7 @@ fn a_deadline_ends_unless_it_is_renewed_and_for_good_when_the_runtime_says_no_mo
     let gate = Gate::open(&path).unwrap();
     assert!(matches!(gate.admit(1, Deadline::at(1)), Err(Refused::Deadline)), "long ago");
     assert_eq!(fs::read_to_string(&path).unwrap(), "", "it was not admitted");
-    // A century: no test takes so long.
+    // A century ahead: no test takes so long.
     let far = 3_153_600_000_000_000_u64;
     let deadline = Deadline::at(far);
     let mut permit = gate.admit(1, deadline.clone()).unwrap();
@@ -90,7 +90,7 @@ fn a_deadline_ends_unless_it_is_renewed_and_for_good_when_the_runtime_says_no_mo
     assert!(!permit.may_act() && !deadline.is_ahead());
 }
 
-/// Calls `after` before each byte that is read, the end included.
+/// A reader that calls `after` before each byte that is read, and before the end.
 struct Lines<'a> {
     text: &'a [u8],
     after: &'a mut dyn FnMut(),
@@ -114,7 +114,8 @@ fn whoever_has_a_newer_epoch_waits_for_the_step_of_an_older_one() {
         let acts = scope.spawn(|| {
             let step = || {
                 tell.send(()).unwrap();
-                // Long enough for the other thread to come meanwhile, on most machines; on the others this proves nothing.
+                // On most machines this is long enough for the other thread to come meanwhile. On others the test proves
+                // nothing.
                 thread::sleep(std::time::Duration::from_millis(50));
                 ended.store(true, Ordering::SeqCst);
             };
@@ -135,7 +136,7 @@ fn steps_that_follow_each_other_closely_keep_no_newer_epoch_out() {
     let gate = Gate::open(&path).unwrap();
     let (tell, told) = report();
     thread::scope(|scope| {
-        // Two threads, so that one is always in the middle of a step.
+        // There are two threads, so that one of them is always in the middle of a step.
         for _ in 0..2 {
             let (gate, tell) = (&gate, tell.clone());
             scope.spawn(move || {
@@ -146,7 +147,7 @@ fn steps_that_follow_each_other_closely_keep_no_newer_epoch_out() {
         }
         told.recv().unwrap();
         told.recv().unwrap();
-        // Without the queue this waits for ever, and so do the two threads.
+        // Without the queue this call would wait for ever, and so would the two threads.
         let second = gate.admit(2, Deadline::none()).unwrap();
         assert!(second.may_act());
     });

@@ -1,4 +1,4 @@
-//! Messages of a running node allocate nothing.
+//! Tests that the messages of a running node allocate no memory.
 
 use crate::allocator::ByThread;
 use crate::alone;
@@ -13,16 +13,16 @@ use std::sync::mpsc::{Receiver, Sender};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
-/// The threads that messages pass.
+/// The threads through which messages pass.
 const THREADS: [&str; 5] = ["a", "b", "c", "imrs receive", "imrs timer"];
 
 const WARM_UP: u32 = 200;
 const COUNTED_ROUNDS: u32 = 2_000;
 
-/// Which threads allocated, and how often.
+/// The threads that allocated, and how often each did.
 type Allocated = Vec<(String, u64)>;
 
-/// What the task `a` reports and waits for, besides messages.
+/// The channels by which task `a` reports and waits, besides messages.
 struct Counter {
     timers: Receiver<()>,
     nodes: usize,
@@ -30,8 +30,8 @@ struct Counter {
 }
 
 impl Counter {
-    /// Waits for the first turn of every Timer thread, because what a thread allocates at its start belongs to no message. Only
-    /// the Timer ends these delays: the other tasks wait without a time_out.
+    /// Waits for the first turn of every Timer thread, because what a thread allocates at its start belongs to no message.
+    /// These delays are the only waits that the Timer ends: the other tasks wait without a time_out.
     fn wait_for_timers(&self) {
         (0..self.nodes).for_each(|_| self.timers.recv_timeout(LONG).expect("a delay ends"));
     }
@@ -54,20 +54,20 @@ fn needs_the_timer(node: Builder, name: &str, tell: &Sender<()>) -> Builder {
     })
 }
 
-/// The counter of `a` for so many nodes, where the Timers report, and where the count arrives.
+/// The counter of `a` for so many nodes, the sender for the reports of the Timers, and the receiver of the count.
 fn counter(nodes: usize) -> (Counter, Sender<()>, Receiver<Allocated>) {
     let ((tell, timers), (allocated, counted)) = (report(), report());
     (Counter { timers, nodes, allocated }, tell, counted)
 }
 
-/// Waits for the programs, and returns what was allocated.
+/// Waits for the programs to end. Returns the allocations.
 fn allocations(nodes: Vec<Runtime>, counted: &Receiver<Allocated>) -> Allocated {
     assert!(nodes.iter().all(|node| node.wait(LONG)));
     nodes.into_iter().for_each(finish);
     counted.try_recv().expect("it was counted")
 }
 
-/// `a` asks `b`, all three meet, `a` tells the others.
+/// One round of messages: `a` asks `b`, all three meet, and `a` tells the others.
 fn round(ctx: &mut Context, number: u32, messages: &mut Vec<Delivery>) -> Result<(), TaskError> {
     let (ask, lift, news) = (PortId(0), PortId(1), PortId(2));
     if ctx.id() == A {
@@ -87,7 +87,7 @@ fn round(ctx: &mut Context, number: u32, messages: &mut Vec<Delivery>) -> Result
     }
 }
 
-/// `a` counts once all have met: then no task is warming up any more.
+/// `a` counts allocations once all have met, because then every task has warmed up.
 fn program(ctx: &mut Context, counter: Option<&Counter>) -> Result<(), TaskError> {
     let mut messages = Vec::with_capacity(MANY);
     counter.into_iter().for_each(Counter::wait_for_timers);
@@ -99,7 +99,7 @@ fn program(ctx: &mut Context, counter: Option<&Counter>) -> Result<(), TaskError
         Some(counter) => counter.count(counted)?,
         None => counted()?,
     }
-    // No task leaves while allocations are counted.
+    // No task leaves while `a` counts allocations.
     round(ctx, 0, &mut messages)
 }
 
@@ -136,24 +136,24 @@ impl<L: Link> Link for Wide<L> {
     }
 }
 
-/// How many messages are sent together, nearly in order of urgency.
+/// How many messages are sent together, nearly in the order of their urgency.
 const BURST: u16 = 120;
-/// As many as fit into one datagram, and the link hands over together.
+/// How many messages fit into one datagram, which the link hands over together.
 const TOGETHER: u16 = 40;
-/// The question that ends the answers.
+/// The number of the question that ends the answers.
 const END: u16 = u16::MAX;
 
 fn tell_together(ctx: &mut Context, count: u16) -> Result<(), TaskError> {
     ctx.together(|ctx| {
         (0..count).try_for_each(|number| {
-            // A few later messages overtake each.
+            // A few later messages overtake each of these.
             let time_out = Some(LONG - Duration::from_millis(u64::from(BURST - (number ^ 7))));
             ctx.send_with(PortId(1), Target::All, b"more", time_out).map(|_copies| ())
         })
     })
 }
 
-/// Asks whether `count` messages came.
+/// Asks whether `count` messages have come.
 fn ask_for(ctx: &mut Context, count: u16) -> Result<(), TaskError> {
     assert!(ctx.send(PortId(0), &count.to_le_bytes())?.reply().is_some());
     Ok(())
@@ -186,7 +186,7 @@ fn declare(nodes: &[usize], delay: Ticks) -> Arc<CellTable> {
     table(cell)
 }
 
-/// Two nodes with a task each, and another task each that needs the Timer.
+/// Two nodes with one task for messages each, and with another task each that needs the Timer.
 fn two_nodes() -> (Arc<CellTable>, [InProcess; 2]) {
     let mut cell = cell(&[0, 1, 0, 1], Ticks(1_000));
     cell.port(ask(LONG_TICKS));
@@ -197,7 +197,7 @@ fn two_nodes() -> (Arc<CellTable>, [InProcess; 2]) {
     (table, links)
 }
 
-/// What is allocated while `a` sends to `b`. Each link belongs to its node.
+/// The allocations while `a` sends to `b`. Each link belongs to its node.
 fn told(
     table: &Arc<CellTable>,
     links: [Arc<dyn Link>; 2],
@@ -262,7 +262,7 @@ struct Gate<L> {
 #[derive(Default)]
 struct Door {
     closed: bool,
-    /// Whether the node waits for it to open.
+    /// Whether the node waits for the link to open.
     waits: bool,
 }
 
@@ -310,8 +310,8 @@ impl<L: Link> Link for Gate<L> {
     }
 }
 
-/// A node stood still, or its neighbour sent more at once than ever before: a thread that never got two packets of one datagram
-/// for a task gets forty.
+/// After a node stood still, or if its neighbour sends more at once than ever before, a thread that never got two packets
+/// for a task in one datagram gets forty.
 #[test]
 fn packets_that_come_together_for_the_first_time_allocate_nothing() {
     let _alone = alone();

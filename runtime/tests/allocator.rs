@@ -9,7 +9,7 @@ struct Counting;
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// How many bytes are allocated now.
+/// How many bytes are allocated at present.
 static LIVE: AtomicI64 = AtomicI64::new(0);
 
 thread_local! {
@@ -17,7 +17,7 @@ thread_local! {
     static OWN: Cell<u64> = const { Cell::new(0) };
 }
 
-/// Whether [`THREADS`] are counted.
+/// Whether the threads in [`THREADS`] are counted.
 static COUNTING: AtomicBool = AtomicBool::new(false);
 /// The threads that have allocated since counting began.
 static THREADS: [Thread; 64] = [const { Thread { id: AtomicI32::new(0), times: AtomicU64::new(0) } }; 64];
@@ -29,7 +29,7 @@ struct Thread {
 }
 
 impl Thread {
-    /// Whether this is the place of that thread. A free place becomes its place.
+    /// Whether this place belongs to the thread `id`. A free place is given to that thread.
     fn is_of(&self, id: i32) -> bool {
         match self.id.compare_exchange(0, id, Ordering::Relaxed, Ordering::Relaxed) {
             Ok(_) => true,
@@ -57,24 +57,24 @@ fn count(grown: i64) {
 unsafe impl GlobalAlloc for Counting {
     unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
         count(layout.size() as i64);
-        // SAFETY: the caller's promise is passed on.
+        // SAFETY: the caller's promise is passed on unchanged.
         unsafe { System.alloc(layout) }
     }
 
     unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
         count(-(layout.size() as i64));
-        // SAFETY: the caller's promise is passed on; `alloc` took the memory from the same allocator.
+        // SAFETY: the caller's promise is passed on unchanged; `alloc` took the memory from the same allocator.
         unsafe { System.dealloc(pointer, layout) }
     }
 
     unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
         count(size as i64 - layout.size() as i64);
-        // SAFETY: the caller's promise is passed on; `alloc` took the memory from the same allocator.
+        // SAFETY: the caller's promise is passed on unchanged; `alloc` took the memory from the same allocator.
         unsafe { System.realloc(pointer, layout, size) }
     }
 }
 
-/// How many bytes the process has allocated now.
+/// How many bytes the process has allocated at present.
 pub fn live() -> i64 {
     LIVE.load(Ordering::Relaxed)
 }
@@ -97,7 +97,8 @@ impl ByThread {
         Self(())
     }
 
-    /// Which of the threads with these names allocated, and how often. They must still run, because only then they have a name.
+    /// The threads with these names that allocated, and how often each did. The threads must still run, because only then
+    /// they have a name.
     pub fn end(self, names: &[&str]) -> Vec<(String, u64)> {
         COUNTING.store(false, Ordering::SeqCst);
         assert_eq!(THREADS[THREADS.len() - 1].id.load(Ordering::Relaxed), 0, "too many threads to count");

@@ -1,8 +1,8 @@
 //! A thread that waits briefly spins if it has a core to itself, and sleeps otherwise (D110). These tests run alone, because the
 //! runtime counts running tasks per process.
 //!
-//! Nothing here is measured: a thread that may spin does so for longer than any test takes, and a thread that may not is answered
-//! only when it sleeps.
+//! No time is measured: a thread that may spin does so for longer than any test takes, and a thread that may not spin is
+//! answered only when it sleeps.
 
 use crate::alone;
 use crate::common::{LONG, LONG_TICKS, ask, cell, finish, one_node, report, table};
@@ -13,10 +13,10 @@ use std::sync::atomic::{AtomicI32, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// After so many round trips the spin history says that waits are brief.
+/// The number of round trips after which the spin history says that waits are brief.
 const WARM_UP: u32 = 80;
 const TRIPS: u32 = 120;
-/// A budget that nothing exhausts.
+/// A spin budget that no wait uses up.
 const ENDLESS: Duration = Duration::from_secs(3_600);
 
 /// How often the calling thread went to sleep so far.
@@ -43,15 +43,15 @@ fn sleeps_at_last(thread: i32) {
     }
 }
 
-/// How a round trip is answered.
+/// When a round trip is answered.
 #[derive(Clone, Copy, PartialEq)]
 enum Answer {
     AtOnce,
-    /// When the asking thread sleeps.
+    /// The answer comes when the asking thread sleeps.
     Asleep,
 }
 
-/// How often the asking task slept in the last round trips. The two tasks' threads may use these cores.
+/// How often the asking task slept in the last round trips. The threads of the two tasks may use these cores.
 fn sleeps_of_asking(cores: [CpuSet; 2], spin: Duration, answer: Answer) -> u64 {
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(ask(Ticks(10 * LONG_TICKS.0)));
@@ -77,7 +77,7 @@ fn sleeps_of_asking(cores: [CpuSet; 2], spin: Duration, answer: Answer) -> u64 {
         })
         .task("b", move |ctx| {
             bind(&cores[1]);
-            // With its first wait, the runtime learns which cores the thread may use.
+            // In its first wait, the runtime learns which cores the thread may use.
             assert_eq!(ctx.receive(None, Some(Duration::from_millis(1)))?, None);
             begin.send(()).expect("a waits");
             for _ in 0..WARM_UP + TRIPS {
@@ -108,7 +108,7 @@ fn who_has_a_core_to_itself_looks_and_who_has_not_sleeps() {
     });
     let first = own.next().expect("it runs somewhere");
     let trips = u64::from(TRIPS);
-    // With both threads on one core, a waiting thread lets the other one run: spinning makes no wait shorter.
+    // If both threads are on one core, a waiting thread lets the other one run, because spinning makes no wait shorter.
     for spin in [Duration::ZERO, ENDLESS] {
         let slept = sleeps_of_asking([first, first], spin, Answer::Asleep);
         assert!(slept >= trips / 2, "{slept} sleeps");

@@ -1,5 +1,5 @@
-//! Input for a task whose thread runs is left to that thread until it next enters (D130). It is served in the same order, its
-//! remaining time keeps running, and an observer sees it.
+//! Input for a task whose thread runs is left for that thread until its next call (D130). The task gets the input in the
+//! same order, its remaining time keeps running, and an observer sees it.
 
 use crate::common::{A, B, LONG, LONG_TICKS, cell, finish, one_node, report, table};
 use imrs_protocol::{PortDecl, PortId, Reason, Target, Ticks, Usage};
@@ -10,7 +10,7 @@ use std::time::Duration;
 
 const NEWS: PortId = PortId(0);
 const URGENT: PortId = PortId(1);
-/// More than is ever left to a running thread.
+/// More inputs than can ever be left for a running thread.
 const MANY: u8 = 50;
 
 fn two_ports() -> Arc<imrs_protocol::CellTable> {
@@ -105,7 +105,7 @@ fn whoever_looks_sees_what_was_left() {
     finish(node);
 }
 
-/// The delay is far longer than any machine takes; stopping the node ends it.
+/// The delay is far longer than any machine takes for this test; stopping the node ends it.
 #[test]
 fn a_handler_interrupts_a_delay_that_is_spun_for() {
     let length = 10 * LONG;
@@ -115,7 +115,7 @@ fn a_handler_interrupts_a_delay_that_is_spun_for() {
         .spin_tail(2 * length)
         .task("a", move |ctx| {
             it_begins.recv_timeout(LONG).expect("b begins");
-            // By then the thread most likely spins.
+            // By now the thread most likely spins.
             thread::sleep(Duration::from_millis(50));
             ctx.send(NEWS, b"!").map(|_copies| ())
         })

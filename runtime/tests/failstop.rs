@@ -17,7 +17,7 @@ use std::time::{Duration, Instant};
 
 const CHILD: &str = "IMRS_TEST_FAIL_STOP";
 
-/// The error output of this test when it runs `node` in a process of its own, which must end by its fail-stop.
+/// The error output of this test when it runs `node` in a process of its own, in which the fail-stop must end it.
 fn said_at_its_end(test: &str, node: impl FnOnce() -> Runtime) -> String {
     let _alone = alone();
     if std::env::var_os(CHILD).is_some() {
@@ -29,7 +29,7 @@ fn said_at_its_end(test: &str, node: impl FnOnce() -> Runtime) -> String {
     String::from_utf8_lossy(&output.stderr).into_owned()
 }
 
-/// This test, in a process of its own.
+/// The command that runs this test in a process of its own.
 fn child(test: &str) -> Command {
     let (_program, module) = module_path!().split_once("::").expect("a module of the test program");
     let mut child = Command::new(std::env::current_exe().unwrap());
@@ -70,7 +70,7 @@ fn broken() -> Runtime {
 fn a_standard_error_that_nobody_reads_does_not_hold_up_the_abort() {
     let _alone = alone();
     if std::env::var_os(CHILD).is_some() {
-        // The default hook also writes to standard error, and would block.
+        // The default hook also writes to standard error, and would block here.
         std::panic::set_hook(Box::new(|_| ()));
         let survived = broken().wait(LONG);
         unreachable!("the process went on; all programs ended: {survived}");
@@ -78,7 +78,7 @@ fn a_standard_error_that_nobody_reads_does_not_hold_up_the_abort() {
     let (mut full, _reader) = UnixStream::pair().unwrap();
     full.set_nonblocking(true).unwrap();
     while full.write(&[b'x'; 4096]).is_ok() {}
-    // Fewer bytes may still fit.
+    // Now the pipe is nearly full, but single bytes may still fit.
     while full.write(b"x").is_ok() {}
     full.set_nonblocking(false).unwrap();
     let mut child = child("a_standard_error_that_nobody_reads_does_not_hold_up_the_abort");
@@ -86,7 +86,7 @@ fn a_standard_error_that_nobody_reads_does_not_hold_up_the_abort() {
     assert_eq!(status.signal(), Some(6), "{status:?}");
 }
 
-/// A link that panics when the Timer thread sends, and only then.
+/// A link that panics only if the Timer thread sends.
 struct BreaksTheTimer;
 
 impl Link for BreaksTheTimer {
@@ -107,7 +107,7 @@ impl Link for BreaksTheTimer {
     fn wake(&self) {}
 }
 
-/// Asks a task of another node after a delay that no thread of its own waits for.
+/// A script that asks a task of another node after a delay for which no thread of its own waits.
 fn late_asker() -> Arc<Program> {
     let mut b = ProgramBuilder::new("late asker");
     let n = b.variable("n", Type::Int32);

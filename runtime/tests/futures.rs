@@ -20,7 +20,7 @@ use std::time::{Duration, Instant};
 
 const SOON: Duration = Duration::from_millis(20);
 
-/// Answers `questions` questions, each with its number plus one.
+/// The program of a task that answers `questions` questions, each with its number plus one.
 async fn answer(mut ctx: AsyncContext, questions: u32) -> Result<(), TaskError> {
     let ask = ctx.port("ask")?;
     for _ in 0..questions {
@@ -52,7 +52,7 @@ async fn give_way() {
     .await;
 }
 
-/// A flag with which another thread tells a future something.
+/// A flag by which another thread tells something to a future.
 #[derive(Default)]
 pub struct Told(Mutex<(bool, Option<Waker>)>);
 
@@ -122,7 +122,7 @@ fn statuses_time_outs_and_faults() {
             assert_eq!(ctx.tell(ask, &1_i32), Err(fault(Fault::WrongUsage)));
             assert_eq!(ctx.receive(Some(ask), None).await, Err(fault(Fault::WrongUsage)));
             assert_eq!(ctx.send(ask, &[0; 13]).await, Err(TaskError::TooLong(13)));
-            // No task takes the command.
+            // No task takes this command.
             let begins = Instant::now();
             assert_eq!(ctx.send(ask, b"anyone?").await?, Sent::Outcome(Outcome::TimedOutUnknown));
             assert!(begins.elapsed() >= Duration::from_millis(30));
@@ -237,7 +237,7 @@ fn a_future_hears_another_thread_while_it_waits_for_a_message() {
                 assert!(matches!(select(message, other).await, Either::Right(_)));
             }
             free.tell();
-            // The dropped wait left nothing behind: the task may ask again.
+            // The dropped wait left no request behind, so the task may ask again.
             assert_eq!(ctx.take::<i32>(news, None).await?.expect("the news").message, 1);
             Ok(())
         })
@@ -257,7 +257,7 @@ fn a_message_that_comes_for_a_dropped_wait_is_kept_for_the_next_that_it_suits() 
     let node = one_node(&table(cell))
         .async_task("a", |mut ctx: AsyncContext| async move {
             let (news, short, ask) = (ctx.port("news")?, ctx.port("short")?, ctx.port("ask")?);
-            // `b` waits for each message when it is sent.
+            // `b` already waits for each message when it is sent.
             for number in [1, 2] {
                 assert_eq!(ctx.query::<i32, i32>(ask, &number).await?, Asked::Reply(number));
                 give_way().await;
@@ -275,13 +275,13 @@ fn a_message_that_comes_for_a_dropped_wait_is_kept_for_the_next_that_it_suits() 
                 ctx.answer(&question.from, &question.message)?;
                 let mut wait = Box::pin(ctx.receive(Some(port), None));
                 assert!(poll_fn(|poller| Poll::Ready(wait.as_mut().poll(poller))).await.is_pending());
-                // The message comes while nothing polls the wait.
+                // The message comes while no thread polls the wait.
                 for _ in 0..10 {
                     give_way().await;
                 }
                 drop(wait);
             }
-            // The message of the short port has expired.
+            // The message of the port with the short time_out has expired.
             ctx.delay(Duration::from_millis(40)).await?;
             assert_eq!(ctx.receive(Some(short), Some(Duration::ZERO)).await?, None);
             let question = ctx.take::<i32>(ask, None).await?.expect("the last question");
@@ -389,7 +389,7 @@ fn stopping_ends_every_wait_and_drops_who_waits_for_something_else() {
     told.recv_timeout(LONG).expect("what never ends is dropped");
 }
 
-/// A task of [`busy`]: meets `rounds` times; in between `a` sends news and asks, and the others answer.
+/// The program of a task of [`busy`]: it meets `rounds` times; in between `a` sends news and asks, and the others answer.
 async fn meets_and_asks(mut ctx: AsyncContext, rounds: u8) -> Result<(), TaskError> {
     let (lift, news) = (ctx.port("lift")?, ctx.port("news")?);
     for round in 0..rounds {
@@ -401,7 +401,7 @@ async fn meets_and_asks(mut ctx: AsyncContext, rounds: u8) -> Result<(), TaskErr
         } else {
             while let Some(message) = ctx.receive(None, Some(Duration::from_millis(5))).await? {
                 if message.class == Class::Command {
-                    // A late reply is refused; a recording must hold that, too.
+                    // A late reply is refused, and a recording must contain that, too.
                     let _late = ctx.reply(&message.from, b"yes");
                 }
             }
@@ -458,7 +458,7 @@ fn several_are_asked_at_once() {
             }
             Ok(())
         })
-        // Never answers.
+        // This task never answers.
         .task("c", |_| Ok(()));
     finish(node.start().unwrap());
 }
@@ -485,7 +485,7 @@ fn what_is_there_is_taken_without_a_wait_and_what_belongs_together_leaves_togeth
                 None => ctx.delay(Duration::from_millis(1)).await?,
             }
         }
-        // Equally urgent, except for the microseconds at which each was taken in.
+        // The messages are equally urgent, except for the microseconds at which each was taken in.
         heard.sort_unstable();
         assert_eq!(heard, [0, 1, 2, 3]);
         assert_eq!(ctx.poll(Some(news)).await?, None);
@@ -512,7 +512,7 @@ fn nothing_interrupts_an_atomic_section_and_one_that_is_dropped_is_over() {
             ctx.tell(go, &())?;
             ctx.delay(5 * SOON).await?;
             assert_eq!(ctx.state, 0, "interrupted");
-            // Sections nest.
+            // Atomic sections may be nested.
             ctx.atomic(async |ctx| ctx.boundary().await).await?;
             assert_eq!(ctx.state, 0, "interrupted");
             Ok(())
@@ -522,7 +522,7 @@ fn nothing_interrupts_an_atomic_section_and_one_that_is_dropped_is_over() {
             ctx.boundary().await?;
             ctx.delay(Duration::from_millis(1)).await?;
         }
-        // The section is dropped, because another future is ready first.
+        // This section is dropped, because another future is ready first.
         {
             let section = pin!(ctx.atomic(async |ctx| ctx.delay(LONG).await));
             assert!(matches!(select(section, ready(())).await, Either::Right(_)));
@@ -546,7 +546,7 @@ fn nothing_interrupts_an_atomic_section_and_one_that_is_dropped_is_over() {
     finish(node.start().unwrap());
 }
 
-/// Twenty bytes: two packets.
+/// A message of twenty bytes, which takes two packets.
 type Long = (u32, u32, u32, u32, u32);
 const ONES: Long = (1, 1, 1, 1, 1);
 const TWOS: Long = (2, 2, 2, 2, 2);

@@ -1,4 +1,4 @@
-//! Handlers of Rust tasks, their timers, typed and long messages, and what a panic leaves behind.
+//! Tests of the handlers of Rust tasks, of their timers, of typed and long messages, and of the state after a panic.
 
 use crate::common::{
     A, AMPLE, AMPLE_TICKS, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table,
@@ -9,7 +9,7 @@ use imrs_runtime::message::Bytes;
 use imrs_runtime::{Asked, Context, Rendezvous, RequestFault, Sent, TaskEnd, TaskError};
 use std::time::{Duration, Instant};
 
-/// Asks so often, and each time expects one more.
+/// The program of a task that asks `times` times, and each time expects a number that is one greater.
 fn asks(times: i32) -> impl FnOnce(&mut Context) -> Result<(), TaskError> + Send + 'static {
     move |ctx| {
         let ask = ctx.port("ask")?;
@@ -20,7 +20,7 @@ fn asks(times: i32) -> impl FnOnce(&mut Context) -> Result<(), TaskError> + Send
     }
 }
 
-/// A task that answers questions while it does something else.
+/// A cell with a task that answers questions while it does something else.
 fn ask_and_news() -> Cell {
     let mut cell = cell(&[0, 0, 0], Ticks(0));
     cell.port(ask(LONG_TICKS));
@@ -210,7 +210,7 @@ fn several_are_asked_at_once_and_each_answer_is_told_apart() {
             ctx.query_all(state, Target::All, &(), |task, asked| said.push((task, asked)))?;
             assert_eq!(said, [(B, Asked::Reply(20_i16)), (C, Asked::Reply(30))]);
             said.clear();
-            // No task answers a second time.
+            // The task answered the first time. No task answers this second query.
             ctx.query_all(state, Target::All, &(), |task, asked| said.push((task, asked)))?;
             assert_eq!(said, [(B, Asked::TimedOutUnknown), (C, Asked::TimedOutUnknown)]);
             let one =
@@ -278,7 +278,7 @@ fn a_panic_in_a_handler_is_the_tasks_crash_and_the_partners_of_its_wait_are_told
             let asked = ctx.query_with::<i32, i32>(ask, Target::All, &1, Some(AMPLE))?;
             assert!(asked.may_have_run());
             let meet = ctx.port("meet")?;
-            // Until b has crashed and its arrival is taken back: before that, b's arrival still counts.
+            // This loop waits until b has crashed and its arrival is taken back. Before that, b's arrival still counts.
             loop {
                 match ctx.waitfor_with(meet, [0; 8], Some(Duration::from_millis(20)))? {
                     Rendezvous::GaveUp { missing, .. } if missing & 1 == 1 => return Ok(()),
@@ -309,7 +309,8 @@ fn the_loss_of_the_lease_interrupts_an_atomic_section_and_what_is_ordered_then_i
     let mut cell = cell(&[0, 1, 0], Ticks(2_000));
     let via = cell.port(PortDecl::new("alive", A, Usage::Response, &[B], Ticks(40_000)));
     cell.port(PortDecl::new("move", A, Usage::Send, &[C], Ticks(50_000)).guard(0));
-    // Longer than a busy machine keeps a thread from running: the lease is lost once, and not before the partner's end.
+    // The lease is longer than a busy machine keeps a thread from running. So it is lost once, and not before the end of the
+    // partner.
     let [lease, takeover, every] = [3_000_000, 20_000_000, 20_000].map(Ticks);
     let (trusted, mutual) = (false, false);
     cell.couples.push(CoupleDecl { primary: A, standby: B, lease, takeover, every, via, trusted, mutual });
@@ -345,7 +346,7 @@ fn the_loss_of_the_lease_interrupts_an_atomic_section_and_what_is_ordered_then_i
     let first = first.task("c", |_| Ok(()));
     let second = on(&network, &table, 1).task("b", |ctx| ctx.receive(None, None).map(drop));
     let first = first.start().unwrap();
-    // Only the second node can give the lease.
+    // Only the second node can grant the lease.
     told.recv_timeout(LONG).expect("it is refused without the lease");
     let second = second.start().unwrap();
     told.recv_timeout(LONG).expect("it is given the lease");

@@ -1,4 +1,4 @@
-//! A node with nothing to wait for sleeps: none of its threads wakes.
+//! Tests that a node with nothing to wait for sleeps: none of its threads wakes.
 
 use crate::alone;
 use crate::common::{A, B, LONG, cell, network, on, report, table};
@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 const THREADS: [&str; 5] = ["idle-task", "imrs timer", "imrs receive", "imrs observer", "recording"];
 
-/// Longer than the wait of a thread that still has something to do.
+/// A time that is longer than the wait of a thread that still has something to do.
 const SETTLED: Duration = Duration::from_millis(300);
 
 /// A thread of the node: its name, whether it sleeps, and how often it went to sleep.
@@ -65,7 +65,7 @@ fn a_node_with_nothing_pending_never_wakes() {
     let node = on(&network, &table, 0)
         .recorder(recorder.clone())
         .task("idle-task", move |ctx| {
-            // A delay and a time_out come first: nothing of them may be left.
+            // A delay and a time_out come first, and must leave nothing behind.
             ctx.delay(Duration::from_millis(20))?;
             assert_eq!(ctx.receive(None, Some(Duration::from_millis(20)))?, None);
             begin.send(()).expect("the test listens");

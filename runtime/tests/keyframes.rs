@@ -1,5 +1,4 @@
-//! A recording with losses goes on from a keyframe (D62): what comes after it is judged again, and what was lost is never called
-//! good.
+//! A recording with losses goes on from a keyframe (D62): later steps are judged again, lost steps never count as good.
 
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table};
 use imrs_protocol::{
@@ -19,7 +18,7 @@ use std::time::{Duration, Instant};
 
 const INCARNATION: Incarnation = Incarnation(1);
 
-/// Keeps every step, with the machine's state before it.
+/// A recorder that keeps every step, with the machine's state before the step.
 #[derive(Default)]
 struct Tape {
     closed: Mutex<BTreeMap<TaskId, Vec<Entry>>>,
@@ -63,7 +62,7 @@ impl Log for TapeOf {
     }
 }
 
-/// Meets, sends news, asks and answers.
+/// A program that meets, sends news, asks and answers.
 fn program(ctx: &mut Context) -> Result<(), TaskError> {
     let (lift, news) = (ctx.port("lift")?, ctx.port("news")?);
     for round in 0..15_u8 {
@@ -74,7 +73,7 @@ fn program(ctx: &mut Context) -> Result<(), TaskError> {
             let _outcome = ctx.send(ask, &[round])?;
         } else {
             while let Some(message) = ctx.receive(None, Some(Duration::from_millis(5)))? {
-                // A late reply is refused, and a reply to news is a fault: both are answers like others.
+                // A late reply is refused, and a reply to news is a fault. Both results are recorded like others.
                 let _fault = ctx.reply(&message.from, b"yes");
             }
         }
@@ -105,7 +104,7 @@ fn run_recorded() -> (Arc<CellTable>, BTreeMap<TaskId, Vec<Entry>>) {
     (table, steps)
 }
 
-/// Records everything that a machine puts out.
+/// An outbox that records everything that a machine puts out.
 #[derive(Default, Debug, PartialEq)]
 struct All(Vec<String>);
 
@@ -147,7 +146,7 @@ fn a_machine_read_back_from_its_keyframe_behaves_bit_equal() {
                 machine.handle(&node, machine.now() + step.elapsed, &step.input, out);
             }
             assert_eq!(out[0], out[1]);
-            // Read back exactly after every step, so both go on alike.
+            // The state is read back exactly after every step, so both machines go on alike.
             let bytes = postcard::to_allocvec(&original).unwrap();
             copy = postcard::from_bytes(&bytes).unwrap();
             assert_eq!(postcard::to_allocvec(&copy).unwrap(), bytes);
@@ -173,14 +172,14 @@ fn a_replay_goes_on_from_any_keyframe_and_says_unknown() {
             let mut replay = Replay::new(&node, task, INCARNATION, false);
             steps(0).take(cut / 2).for_each(|step| replay.step(step));
             replay.gap(3);
-            // Recorded after the gap, so it cannot be judged.
+            // This step was recorded after the gap and before the keyframe, so it cannot be judged.
             steps(cut - 1).take(1).for_each(|step| replay.step(step));
             replay.keyframe(&entry.state, OutputDigest(entry.before)).unwrap();
             steps(cut).for_each(|step| replay.step(step));
             assert_eq!((replay.verdict(), replay.lost(), replay.unjudged()), (Verdict::Unknown, 3, 1));
             assert_eq!(replay.judged(), cut / 2 + log.len() - cut);
 
-            // A change after the keyframe is noticed.
+            // A change after the keyframe must be noticed.
             let mut replay = Replay::new(&node, task, INCARNATION, false);
             replay.gap(1);
             replay.keyframe(&entry.state, OutputDigest(entry.before)).unwrap();
@@ -275,7 +274,7 @@ fn a_node_whose_disk_was_stuck_is_recorded_on_and_its_replay_is_unknown() {
                 answered(100)?;
             }
             in_program.hold(false);
-            // Until both tasks are recorded again.
+            // This loop waits until both tasks are recorded again.
             let start = Instant::now();
             loop {
                 let before = lost();
@@ -315,7 +314,7 @@ fn a_node_whose_disk_was_stuck_is_recorded_on_and_its_replay_is_unknown() {
     };
     let gaps = count(|record| matches!(record, Record::Gap { .. }));
     let keyframes = count(|record| matches!(record, Record::Keyframe { .. }));
-    // One keyframe after each gap, and none where nothing was lost.
+    // There is one keyframe after each gap, and none where nothing was lost.
     assert!((1..=gaps).contains(&keyframes), "{keyframes} keyframes, {gaps} gaps");
 }
 
@@ -387,7 +386,8 @@ fn a_state_of_a_machine_with_other_buffers_is_refused() {
     assert_eq!(resumed(&narrow), Err(KeyframeError::OutOfBounds(B)));
 }
 
-/// No gap is recorded, and yet the last record has more inputs or other outputs: something was lost unseen.
+/// The last record has more inputs or other outputs than the records before it, and no gap says so: something was lost
+/// unnoticed.
 #[test]
 fn a_last_record_that_does_not_fit_is_told() {
     let here = NodeTable::new(table(cell(&[0], Ticks(0))), NodeId(0));
@@ -409,7 +409,7 @@ fn a_last_record_that_does_not_fit_is_told() {
     };
     assert_eq!(closed(0, 2, start), miscount(2, start));
     assert_eq!(closed(0, 1, other), miscount(1, other));
-    // A gap explains a difference, but no more than the gap has.
+    // A gap explains a difference, but only for as many records as the gap has.
     assert_eq!(closed(2, 3, other), Verdict::Unknown);
     assert_eq!(closed(2, 4, other), miscount(4, other));
 }

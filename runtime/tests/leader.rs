@@ -1,5 +1,5 @@
-//! A task that waits in the socket (D40): which threads are woken, which are not, and what becomes of datagrams for others. These
-//! tests run alone, because the threads of another test would be counted, too.
+//! Tests of a task that waits in the socket (D40): which threads are woken, which are not, and what happens to datagrams for
+//! other tasks. These tests run alone, because the threads of another test would be counted, too.
 
 use crate::alone;
 use crate::common::udp::{builders, links, udp_links};
@@ -28,7 +28,7 @@ fn sleeps_of_receivers() -> u64 {
     receivers.map(|path| sleeps_of(&path)).sum()
 }
 
-/// A link that tells whether a thread waits in it.
+/// A link that reports whether a thread waits in it.
 struct Watched {
     link: UdpLink,
     /// The thread that waits in the link; zero for none.
@@ -36,8 +36,9 @@ struct Watched {
 }
 
 impl Watched {
-    /// Waits until a leading thread sleeps in the link: that thread takes in what comes from then on. On a busy machine the task
-    /// may once not lead, because its last wait ended otherwise. Then this round trip wakes the receiving thread, and counts.
+    /// Waits until a leading thread sleeps in the link, because that thread receives everything that comes after that. On a
+    /// busy machine the task may once not lead, because its last wait ended otherwise. Then this round trip wakes the
+    /// receiving thread, and counts.
     fn is_led(&self) {
         let begin = Instant::now();
         let is_asleep = |thread: i32| {
@@ -93,7 +94,7 @@ impl Leading for Watched {
     }
 }
 
-/// Two nodes with a task each, `a` that asks and `b` that answers, and their links.
+/// Builders of two nodes with a task each, `a` that asks and `b` that answers, and their links.
 fn asking() -> ([Builder; 2], [Arc<Watched>; 2]) {
     let mut cell = cell(&[0, 1], Ticks(1_000));
     cell.port(ask(Ticks(10 * LONG_TICKS.0)));
@@ -106,7 +107,8 @@ fn asking() -> ([Builder; 2], [Arc<Watched>; 2]) {
     ([(0, &links[0]), (1, &links[1])].map(node), links)
 }
 
-/// Round trips in which each side sends while the other one waits in its link. The first ones bring both there.
+/// The number of round trips in which each side sends while the other one waits in its link. The first ones bring both
+/// there.
 const WARM_UP: u64 = 5;
 const TRIPS: u64 = 20;
 
@@ -304,7 +306,7 @@ fn what_is_sent_together_leaves_in_full_datagrams() {
     const MESSAGES: usize = 100;
     let mut cell = cell(&[0, 1], Ticks(1_000));
     let decl = PortDecl::new("news", A, Usage::Send, &[B], LONG_TICKS);
-    // Room for all of them, because the receiver may be late.
+    // There is room for all of these messages, because the receiver may be late.
     cell.port(decl.bounded_buffer(MESSAGES as u16 + 3));
     cell.port(ask(LONG_TICKS));
     let table = table(cell);
@@ -324,7 +326,7 @@ fn what_is_sent_together_leaves_in_full_datagrams() {
         ctx.together(|ctx| {
             let _copies = ctx.send(news, b"news")?;
             assert_eq!(since(), 3, "it waits for more");
-            // Before a task waits for an answer, everything it sent leaves.
+            // Everything that a task sent leaves before the task waits for an answer.
             ctx.send(ask, b"?")?.reply().expect("nothing is lost");
             assert_eq!(since(), 4, "both in one");
             ctx.send(news, b"news").map(|_| ())

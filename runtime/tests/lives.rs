@@ -1,4 +1,4 @@
-//! How incarnations end: nodes stop and restart, tasks crash.
+//! Tests of how incarnations end: nodes stop and restart, tasks crash.
 
 use crate::common::{
     A, AMPLE_TICKS, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table, until,
@@ -102,14 +102,14 @@ fn a_crash_is_the_tasks_own_and_shown() {
         let Rendezvous::GaveUp { missing, .. } = ctx.waitfor(lift)? else {
             panic!("b crashed before it came")
         };
-        // The member that gives up last also misses the one that gave up before.
+        // The member that gives up last also misses the member that gave up before.
         assert!(missing & 0b010 != 0, "{missing:b}");
         Ok(())
     };
     let node = one_node(&table)
         .task("a", move |ctx| {
             let ask = ctx.port("ask")?;
-            // The task took the message and crashed: whether the command ran is not known.
+            // The task took the message and crashed, so it is unknown whether the command ran.
             assert_eq!(ctx.send(ask, b"")?, Sent::Outcome(Outcome::TimedOutUnknown));
             go_on(ctx)
         })
@@ -140,7 +140,7 @@ fn a_restart_while_a_command_waits_is_told_to_its_sender() {
     let asker = on(&network, &table, 0).task("a", |ctx| {
         let ask = ctx.port("ask")?;
         assert_eq!(ctx.send(ask, b"work")?, Sent::Outcome(Outcome::PeerRestarted));
-        // The new incarnation cannot know what the old one ran, and says so to every command for a while.
+        // The new incarnation cannot know which commands the old one ran. For a while it says so in answer to every command.
         assert_eq!(ctx.send(ask, b"work")?, Sent::Outcome(Outcome::PeerRestarted));
         Ok(())
     });
@@ -171,7 +171,8 @@ fn a_restart_while_a_command_waits_is_told_to_its_sender() {
     finish(asker);
 }
 
-/// A command to a neighbour that was never heard of, and then that neighbour's first datagram.
+/// Sends a command to a neighbour from which nothing was ever heard; then the first datagram of that neighbour comes.
+/// Returns the outcome.
 fn first_contact(restarted: bool, time_out: Ticks) -> Outcome {
     let mut cell = cell(&[0, 1], Ticks(1_000));
     cell.port(ask(time_out));

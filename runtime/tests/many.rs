@@ -1,4 +1,4 @@
-//! Several messages taken under one lock (D111).
+//! Tests of taking several messages under one lock (D111).
 
 use crate::common::{A, B, C, LONG, LONG_TICKS, Tape, cell, finish, one_node, report, table};
 use imrs_protocol::{
@@ -67,7 +67,7 @@ fn the_most_urgent_come_first_as_many_as_are_asked_for() {
         .unwrap();
     finish(node);
 
-    // The recording has single GETs: the first as it was asked, the others as polls. The replay repeats them.
+    // The recording has single GETs: the first with the time_out of the call, the others as polls. The replay repeats them.
     let log = std::mem::take(&mut *tape.closed.lock().unwrap()).remove(&B).expect("it was recorded");
     let asked = log.iter().filter_map(|recorded| match recorded.step.input {
         Input::Request(Request::Get { time_out, .. }) => Some(time_out),
@@ -113,8 +113,8 @@ fn a_message_of_several_packets_is_the_last_of_its_call() {
     finish(node);
 }
 
-/// Two threads send, and the receiver waits whenever it has taken all there is. Nothing is lost or taken twice, and the messages
-/// of each sender stay in order.
+/// Two threads send, and the receiver waits whenever it has taken all messages that are there. No message is lost or taken
+/// twice, and the messages of each sender stay in order.
 #[test]
 fn a_stream_arrives_whole_and_in_order() {
     const EACH: u32 = 20_000;

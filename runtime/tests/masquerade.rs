@@ -1,4 +1,4 @@
-//! A neighbour is believed only for tasks whose routes lead through it.
+//! Tests that a node believes a neighbour only about tasks whose routes lead through that neighbour.
 
 use crate::common::{A, B, C, LONG, LONG_TICKS, cell, finish, report, table};
 use imrs_protocol::{
@@ -10,7 +10,7 @@ use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::Instant;
 
-/// Hands over the packets that it is given, in any neighbour's name.
+/// A link that hands over the packets that the test gives it, in the name of any neighbour.
 #[derive(Default)]
 struct Forger {
     state: Mutex<(Vec<(NodeId, Packet)>, bool)>,
@@ -61,7 +61,7 @@ fn news(source: TaskId, number: u8) -> Packet {
     }
 }
 
-/// `a` and `b` on nodes of their own, each with a link to `c`'s node, and no link between them.
+/// A cell with `a` and `b` on nodes of their own, each with a link to `c`'s node, and no link between them.
 fn star() -> Arc<CellTable> {
     let mut cell: Cell = cell(&[0, 1, 2], Ticks(1_000));
     cell.links.retain(|link| link.b == NodeId(2) || link.a == NodeId(2));

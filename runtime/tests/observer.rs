@@ -1,4 +1,4 @@
-//! A node shows itself, whatever its monitors do.
+//! Tests that a node shows itself, whatever its monitors do.
 
 use crate::common::monitor::{Folder, Monitor, NEW, PATIENCE, node, socket, want};
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, finish, one_node, report, table};
@@ -42,7 +42,7 @@ fn a_monitor_sees_tasks_queues_and_events() {
                 assert_eq!(events.lost, 0);
                 seen.extend(events.events);
             }
-            // A monitor that uses Subscribe gets only frames of version 1.0.
+            // A monitor that uses Subscribe gets only the frames of version 1.0.
             other => panic!("{other:?}"),
         }
     }
@@ -67,7 +67,7 @@ fn other_versions_and_too_many_are_refused_by_name() {
     let answer = Monitor::unix(socket(&observer)).hello((VERSION, SCHEMA ^ 1));
     assert_eq!(answer, Handshake::Refused(Refusal::OtherSchema { node: SCHEMA, monitor: SCHEMA ^ 1 }));
 
-    // A monitor that wants nothing for 5 s makes room. Each of these has taken everything, and wants more in an hour.
+    // A monitor that wants nothing for 5 s makes room. Each of these has read everything, and wants more only in an hour.
     let wants = || {
         let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
         monitor.say(&ClientFrame::Want(Want { period_us: u32::MAX, ..want() }));
@@ -84,14 +84,14 @@ fn other_versions_and_too_many_are_refused_by_name() {
     }
 }
 
-/// Eight monitors that want nothing do not keep others out for ever: the one that has been idle longest goes.
+/// Eight monitors that want nothing must not keep others out for ever: the one that has been idle longest is disconnected.
 #[test]
 fn idle_monitors_make_room() {
     let folder = Folder::new("crowd");
     let (runtime, tell) = node();
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let mut idle: Vec<_> = (0..MAX_MONITORS).map(|_| Monitor::unix(socket(&observer)).attach(NEW)).collect();
-    // The one that goes on wanting frames stays.
+    // The monitor that goes on wanting frames stays.
     idle[0].subscribe(false, u16::MAX);
     let start = Instant::now();
     let mut new = loop {
@@ -109,7 +109,7 @@ fn idle_monitors_make_room() {
     drop(runtime);
 }
 
-/// A client that has shown nothing takes no place from clients that may look, however many there are.
+/// A client that has not shown that it may look takes no place from clients that may, however many such clients there are.
 #[test]
 fn strangers_lock_nobody_out() {
     let (runtime, tell) = node();
@@ -117,7 +117,7 @@ fn strangers_lock_nobody_out() {
     let showing = Showing::new(runtime.node().clone()).token(Some(token.clone()));
     let observer = showing.start_tcp(SocketAddr::from(([127, 0, 0, 1], 0))).unwrap();
     let Place::Tcp(address) = *observer.place() else { panic!("over TCP") };
-    // As many as fit into the listener's queue, with the monitor behind them.
+    // As many clients as fit into the listener's queue, with the monitor behind them.
     let silent: Vec<_> = (0..60).map(|_| TcpStream::connect(address).unwrap()).collect();
     let mut greeted = Vec::new();
     for _ in 0..MAX_MONITORS {
@@ -143,7 +143,7 @@ fn garbage_and_silence_cost_the_sender_only() {
     let (runtime, tell) = node();
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let mut silent = Monitor::unix(socket(&observer)).attach(NEW);
-    // Subscribes with the largest credit, and never reads.
+    // This monitor subscribes with the largest credit, and never reads.
     silent.subscribe(true, u16::MAX);
     let mut draws = fastrand::Rng::with_seed(11);
     for _ in 0..50 {
@@ -161,7 +161,7 @@ fn garbage_and_silence_cost_the_sender_only() {
     monitor.subscribe(false, 2);
     assert!(matches!(monitor.next(), ServerFrame::Snapshot(_)));
     assert!(matches!(monitor.next(), ServerFrame::Snapshot(_)));
-    // Without credit no frame comes, until there is credit again.
+    // Without credit no frame comes, until the monitor gives credit again.
     monitor.wait_for(Duration::from_millis(100));
     assert!(matches!(monitor.reader.read_frame(), Err(FrameError::NotReady)));
     monitor.wait_for(PATIENCE);
@@ -211,7 +211,7 @@ fn observing_changes_nothing_and_ends_without_a_trace() {
         .start()
         .unwrap();
     let mut observations = node.node().observe();
-    // The first question comes only now, so no observation of a question is missed.
+    // The first question comes only now, so that the observer misses no observation of a question.
     tell.send(()).expect("the task listens");
     let (mut events, mut lost) = (Vec::new(), 0);
     while !node.wait(Duration::from_millis(1)) {

@@ -1,4 +1,5 @@
-//! A stop of the node counts as waiting time: commands and news that expired meanwhile reach no task (D20, D50).
+//! While a node is stopped, the time counts as waiting time: commands and news that expired meanwhile reach no task (D20,
+//! D50).
 
 use crate::common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, report, table};
 use imrs_protocol::{
@@ -14,7 +15,7 @@ use std::sync::{Arc, Condvar, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// How long the node is stopped.
+/// How long the node stays stopped.
 const STOP: Duration = Duration::from_millis(300);
 const STOP_US: u64 = 300_000;
 /// The time_out of messages that must not survive the stop.
@@ -22,10 +23,10 @@ const SHORT: Ticks = Ticks(200_000);
 /// How many messages of each kind are sent.
 const COPIES: u8 = 5;
 
-/// Where in its work the node is stopped.
+/// The point of its work at which the node is stopped.
 #[derive(Clone, Copy, PartialEq)]
 enum Where {
-    /// Before it checks the link: as long as the gate is closed.
+    /// Before the node checks the link, as long as the gate is closed.
     BeforeThePoll,
     /// After the link has computed the charge of the hop, for [`STOP`].
     BeforeTheSink,
@@ -143,7 +144,7 @@ fn sender(ctx: &mut Context) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// No expired message is handed to the receiver's task, and all of them are counted.
+/// Checks that the receiver's task gets no expired message, and that all of them are counted.
 fn only_what_lives_arrives<L: Link + 'static>(table: &Arc<CellTable>, links: [L; 2], stop: Where) {
     let [first, second] = links;
     let second = Arc::new(Stopping::new(second, stop));
@@ -158,10 +159,10 @@ fn only_what_lives_arrives<L: Link + 'static>(table: &Arc<CellTable>, links: [L;
             numbers.extend_from_slice(news.contents.as_bytes());
             tell.send(news.budget).expect("the test listens");
         }
-        // The order may differ: a packet that a stopped thread had in its hands counts as older.
+        // The order may differ, because a packet that a stopped thread had in its hands counts as older.
         numbers.sort_unstable();
         assert!(numbers.iter().copied().eq(0..COPIES), "{numbers:?}");
-        // Nothing more comes.
+        // No further message comes.
         assert_eq!(ctx.receive(None, Some(Duration::from_millis(50)))?, None);
         Ok(())
     });
@@ -197,7 +198,7 @@ fn in_process(table: &Arc<CellTable>) -> [imrs_runtime::link::in_process::InProc
     [0, 1].map(|node| network.join(NodeId(node), Incarnation(1), false))
 }
 
-/// Both links at the same time, because the test mostly waits.
+/// Tests both kinds of link at the same time, because the test mostly waits.
 fn over_both_links(stop: Where) {
     let table = two_nodes();
     thread::scope(|s| {
@@ -301,7 +302,8 @@ fn a_node_stopped_while_it_sends_through_layers_of_links() {
     assert!(charges.iter().all(|charge| charge.0 >= STOP_US), "{charges:?}");
 }
 
-/// A link that takes long to refuse a packet: the first time so long that another packet of the node enters the buffer meanwhile.
+/// A link that takes a long time to refuse a packet. The first time takes so long that another packet of the node enters the
+/// buffer meanwhile.
 struct Refusing<L> {
     inner: L,
     refused: AtomicBool,

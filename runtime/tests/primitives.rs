@@ -1,4 +1,4 @@
-//! Every primitive between real threads, on one node and between nodes.
+//! Tests of every primitive between real threads, on one node and between nodes.
 
 use crate::common::{
     A, AMPLE, AMPLE_TICKS, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table,
@@ -11,7 +11,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, Barrier};
 use std::time::Duration;
 
-/// Answers every question with its number plus one.
+/// The program of a task that answers every question with its number plus one.
 fn answer(questions: u32) -> impl FnOnce(&mut Context) -> Result<(), TaskError> + Send + 'static {
     move |ctx| {
         let ask = ctx.port("ask")?;
@@ -200,7 +200,7 @@ fn a_reply_after_the_budget_is_late_and_a_second_one_answers_nothing() {
     finish(node);
 }
 
-/// Three tasks meet again and again. The counters of a round prove that all had arrived when a task is released.
+/// Lets three tasks meet again and again. The counters of a round prove that all had arrived when a task was released.
 fn meet(
     rounds: u32,
     counts: Arc<[AtomicU32]>,
@@ -272,7 +272,7 @@ fn faults_of_a_request_are_errors_and_change_nothing() {
             ctx.order(&[Ranked::Port(tell)])
         })
         .task("b", |ctx| {
-            // A port of other tasks is not even found.
+            // A port of other tasks is not found under its name.
             assert_eq!(ctx.port("tell"), Err(TaskError::NoPort("tell".into())));
             Ok(())
         })

@@ -1,5 +1,5 @@
-//! The tests that count what the whole process does, or stop it: allocations, memory, sleeps of threads, a crash. They run one at
-//! a time: each test takes the turn ([`alone`]) first.
+//! The tests that count what the whole process does, or stop it: allocations, memory, sleeps of threads, a crash. They run
+//! one at a time: each test first takes the turn ([`alone`]).
 
 mod allocation;
 mod allocator;
@@ -16,7 +16,7 @@ mod watching_cost;
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-/// The turn of one test. Held until its end, so that nothing of another test is counted.
+/// Takes the turn of a test. The test holds it until its end, so that nothing of another test is counted.
 fn alone() -> MutexGuard<'static, ()> {
     static TURN: Mutex<()> = Mutex::new(());
     // A test that failed has given up its turn.

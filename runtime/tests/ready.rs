@@ -1,11 +1,11 @@
-//! A node with more futures than a word of marks has bits (D178).
+//! Tests a node with more futures than one word of marks has bits (D178).
 
 use crate::common::{finish, one_node, table};
 use crate::futures::Told;
 use imrs_protocol::{Cell, Ticks};
 use std::sync::{Arc, Mutex};
 
-/// Seventy marks take two words. One future is told at a time, and tells the one before it.
+/// The marks of seventy futures take two words. One future at a time is told something, and tells the one before it.
 #[test]
 fn each_of_seventy_futures_is_polled_when_it_is_told() {
     const COUNT: usize = 70;

@@ -1,4 +1,4 @@
-//! A recording gives back what a task's log took, exactly; without room or disk it says what it lost (D62).
+//! Tests that a recording gives back exactly what a task's log took. Without room or disk it reports its losses (D62).
 
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, finish, one_node, table};
 use imrs_protocol::{
@@ -62,7 +62,7 @@ impl Write for Disk {
     }
 }
 
-/// The recorder of a node of two tasks, and the node's table.
+/// The recorder of a node with two tasks, and the table of that node.
 fn recorder(
     disk: &Disk,
     failed: impl FnOnce(&WriteError) + Send + 'static,
@@ -91,7 +91,7 @@ fn wait_for(what: &str, mut done: impl FnMut() -> bool) {
     }
 }
 
-/// Only the node holds the recorder, so the recording ends when the node does, not before.
+/// Only the node owns the recorder, so the recording ends when the node does, and not before.
 #[test]
 fn a_recording_lasts_as_long_as_its_node() {
     const TIMES: usize = 50;
@@ -122,7 +122,7 @@ fn a_recording_lasts_as_long_as_its_node() {
     wait_for("the recording does not end with its node", is_ended);
     let inputs =
         |of| disk.records().iter().filter(|r| matches!(r, Record::Input { task, .. } if *task == of)).count();
-    // For `a` the request and its answer; for `b` the receive, the message and the reply.
+    // For `a` these are the request and its answer; for `b` the receive, the message and the reply.
     assert!(inputs(A) >= 2 * TIMES && inputs(B) >= 3 * TIMES, "{} and {}", inputs(A), inputs(B));
 }
 
@@ -195,7 +195,7 @@ fn request() -> impl Strategy<Value = Request> {
             arguments,
             time_out
         }),
-        // The longest request in postcard.
+        // This is the longest request, encoded with postcard.
         any::<u16>().prop_map(|port| {
             Request::Order(
                 ServiceOrder::new(&[Ranked::Port(PortId(port)); ServiceOrder::LEVELS]).expect("they fit"),
@@ -274,7 +274,7 @@ proptest! {
         let status = recorder.stop(LONG).expect("stopped once");
         prop_assert!(status.ended && status.lost == 0, "{:?}", status);
         expected.insert(0, Record::Close { task: A, inputs: 0, outputs: OutputDigest::START.0 });
-        // It does not matter which of the two tasks ends first.
+        // Either of the two tasks may end first.
         let records = disk.records();
         let (mut closes, rest): (Vec<_>, Vec<_>) =
             records.into_iter().partition(|record| matches!(record, Record::Close { task: A, .. }));
@@ -295,7 +295,7 @@ fn a_task_has_one_log_and_that_of_another_node_none() {
 
 const TICK: Step = Step { elapsed: Ticks(1), input: Input::Time };
 
-/// Records the same step until one is lost. Returns how many were taken.
+/// Records the same step until one is lost. Returns how many steps were recorded.
 fn fill(recorder: &FileRecorder, log: &mut dyn Log) -> u64 {
     let before = recorder.status().expect("it runs").lost;
     (0..)
@@ -312,7 +312,7 @@ fn a_keyframe_is_wanted_once_the_disk_keeps_up_again_and_nothing_is_recorded_bef
     let (recorder, here) = recorder(&disk, no_failure);
     let (mut stream, mut other) = (log(&recorder, A), log(&recorder, B));
     disk.hold(true);
-    // The writer takes some records along into its wait. From then on it makes no room.
+    // The writing thread takes some records with it when it begins to wait. From then on it makes no room.
     let mut taken = 0;
     wait_for("the disk to be stuck", || {
         assert!(!stream.step(&TICK, OutputDigest(0)), "there is room for all of these");
@@ -321,7 +321,7 @@ fn a_keyframe_is_wanted_once_the_disk_keeps_up_again_and_nothing_is_recorded_bef
     });
     taken += fill(&recorder, stream.as_mut());
     assert!(!stream.step(&TICK, OutputDigest(0)), "there is no room: it would be lost as well");
-    // The other task has room of its own.
+    // The other task has a lane of its own, with room.
     let lost = recorder.status().expect("it runs").lost;
     assert!(!other.step(&TICK, OutputDigest(1)));
     other.script(ScriptStep::Chosen(1), OutputDigest(2));
@@ -358,7 +358,7 @@ fn a_keyframe_is_wanted_once_the_disk_keeps_up_again_and_nothing_is_recorded_bef
     assert_eq!(*told, lost);
     let state = postcard::to_allocvec(&machine).unwrap();
     let input = TICK.input;
-    // One of the lost records was the script's, and one input came after the keyframe.
+    // One of the lost records was a script's, and one input came after the keyframe.
     let inputs = taken + (lost - 1) + 1;
     let expected = [
         Record::Keyframe { task: A, state, outputs: 42 },

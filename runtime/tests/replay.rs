@@ -1,4 +1,4 @@
-//! A replay of a node's recorded inputs does the same again, bit-equal (D62).
+//! Tests that a replay of a node's recorded inputs gives bit-equal outputs (D62).
 
 use crate::common::{LONG, LONG_TICKS, Tape, ask, busy, cell, finish, meets_and_asks, on, one_node, table};
 use imrs_protocol::{CellTable, Incarnation, Input, NodeId, NodeTable, Request, TaskId, Ticks};
@@ -32,7 +32,7 @@ fn a_recorded_run_of_three_nodes_replays_bit_equal_and_a_change_is_noticed() {
         assert!(log.len() > 100, "{task} took only {} inputs", log.len());
         assert_eq!(again(log.clone()), Ok(log.len()));
 
-        // A changed argument in one arrival leads to other packets.
+        // A changed argument in one arrival changes the packets that follow.
         let arrives = |entry: &Recorded| matches!(entry.step.input, Input::Request(Request::Arrive { .. }));
         let position = log.iter().position(arrives).expect("every task meets");
         let mut changed = log.clone();
@@ -45,7 +45,7 @@ fn a_recorded_run_of_three_nodes_replays_bit_equal_and_a_change_is_noticed() {
         shorter.remove(position);
         assert!(again(shorter).is_err(), "an input that is missing");
 
-        // A hundred seconds more at one step: some task waited there, and would have given up.
+        // A hundred seconds are added at one step. A task that waited there would have given up.
         let waits = (0..log.len() - 1).filter(|&at| arrives(&log[at]));
         let mut noticed = waits.filter(|&at| {
             let mut later = log.clone();

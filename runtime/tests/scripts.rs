@@ -1,4 +1,4 @@
-//! Tests of tasks that are scripts, on real nodes: with each other, with Rust tasks, and with actions outside.
+//! Tests of tasks that are scripts, on real nodes: with each other, with Rust tasks, and with actions outside of the node.
 
 use crate::common::{A, B, LONG, LONG_TICKS, Tape, ask, cell, network, on, one_node, report, table, until};
 use imrs_protocol::script::{
@@ -21,7 +21,7 @@ use std::time::{Duration, Instant};
 
 const ASK: PortId = PortId(0);
 
-/// Asks `times` times and ends; aborts if an answer is not one more than the question.
+/// A script that asks `times` times and ends. It aborts if an answer is not one more than the question.
 fn asker(times: i64) -> Arc<Program> {
     let mut b = ProgramBuilder::new("a");
     let (n, answer) = (b.variable("n", Type::Int16), b.variable("answer", Type::Int16));
@@ -49,7 +49,7 @@ fn asker(times: i64) -> Arc<Program> {
     Arc::new(b.finish().expect("a sound program"))
 }
 
-/// Answers each question with one more, for ever.
+/// A script that answers each question with the received number plus one, for ever.
 fn answerer() -> Arc<Program> {
     let mut b = ProgramBuilder::new("b");
     let n = b.variable("n", Type::Int16);
@@ -62,7 +62,7 @@ fn answerer() -> Arc<Program> {
     Arc::new(b.finish().expect("a sound program"))
 }
 
-/// Runs one action and ends; aborts if the action fails.
+/// A script that runs one action and ends. It aborts if the action fails.
 fn actor(least: Ticks, most: Ticks) -> Arc<Program> {
     let mut b = ProgramBuilder::new("a");
     b.run("grip", least, most);
@@ -119,7 +119,7 @@ fn a_script_and_a_rust_task_share_a_node() {
 fn two_scripts_of_a_node_that_answer_each_other_for_ever_in_no_time_are_stopped() {
     let mut cell = cell(&[0, 0], Ticks(2_000));
     cell.port(ask(LONG_TICKS));
-    // More questions than two scripts may answer each other before input comes from outside.
+    // These are more questions than two scripts may answer each other before input comes from outside.
     let node = one_node(&table(cell)).script("a", asker(30_000)).script("b", answerer()).start().unwrap();
     let deadline = Instant::now() + LONG;
     let alive = |node: &Runtime| {
@@ -237,7 +237,7 @@ fn an_action_is_simulated_a_command_or_a_function() {
     assert_eq!(act_with(Arc::new(panicking)), TaskEnd::Script(End::Aborted(0)));
 }
 
-/// Reports when an action begins, and when it was stopped.
+/// An executor that reports when an action begins, and when it was stopped.
 struct Told(std::sync::mpsc::Sender<&'static str>, Mutex<Vec<Ending>>);
 
 impl Actions for Told {
@@ -331,7 +331,7 @@ fn a_command_that_is_cut_short_is_killed() {
     }
 }
 
-/// A watch that stands still for longer than a lease when its script is about to act, as a node that was stopped does.
+/// A watch that blocks for longer than a lease when its script is about to act, as if the node had been stopped.
 struct StandsStill(Mutex<Vec<Note>>);
 
 const LEASE_US: u64 = 300_000;
@@ -346,7 +346,7 @@ impl Watch for StandsStill {
     }
 }
 
-/// Records which actions began.
+/// An executor that records which actions began.
 struct Began(Mutex<Vec<String>>);
 
 impl Actions for Began {
@@ -357,14 +357,14 @@ impl Actions for Began {
     }
 }
 
-/// Acts once it has the lease.
+/// A script that acts once it has the lease.
 fn welder() -> Arc<Program> {
     let mut b = ProgramBuilder::new("a");
     b.statement().op(Op::Lease).run("weld", Ticks(1_000), LONG_TICKS).end();
     Arc::new(b.finish().expect("a sound program"))
 }
 
-/// Answers its partner's heartbeats and does nothing.
+/// A script that answers its partner's heartbeats and does nothing else.
 fn standby() -> Arc<Program> {
     let mut b = ProgramBuilder::new("b");
     b.statement().op(Op::Lease).end();

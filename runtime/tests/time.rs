@@ -7,7 +7,7 @@ use imrs_runtime::{AsyncContext, Context, Rendezvous, Runtime, SPIN_TAIL, Sent};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
-/// Generous, because the machine may be busy.
+/// A generous limit, because the machine may be busy.
 const LATE: Duration = Duration::from_secs(120);
 
 fn timed<T>(call: impl FnOnce() -> T) -> (T, Duration) {
@@ -27,7 +27,7 @@ fn delays_and_empty_waits_never_end_early() {
     }
 }
 
-/// Lengths around the spin tail, and longer ones.
+/// Lengths of delays about as long as the spin tail, and longer ones.
 fn lengths(step: usize) -> impl Iterator<Item = Duration> {
     (0..16).chain((16..2_000).step_by(step)).map(|micros| Duration::from_nanos(micros * 1_001))
 }
@@ -169,7 +169,7 @@ fn a_waiting_message_expires_though_nobody_looks() {
             }
             Ok(())
         })
-        // This task's thread is busy with something else: the Timer thread must serve the expiry.
+        // The thread of this task is busy with something else, so the Timer thread must serve the expiry.
         .task("b", move |ctx| {
             expire.recv().expect("the test waits for that");
             assert_eq!(ctx.poll(None)?, None);

@@ -1,6 +1,6 @@
-//! How a node keeps time: every sleeping thread asks for exact sleeps, a time_out that is answered wakes no thread, and a node
-//! that stood still discards what has expired. These tests run alone: threads are found by name, and the whole process is
-//! stopped.
+//! Tests of how a node keeps time: every sleeping thread asks for exact sleeps, a time_out that is answered wakes no thread,
+//! and a node that stood still discards what has expired. These tests run alone: threads are found by name, and the whole
+//! process is stopped.
 
 use crate::alone;
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, report, table};
@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 
 /// How long the process stands still.
 const STOP: Duration = Duration::from_millis(500);
-/// A TTL that ends meanwhile.
+/// A TTL that ends while the process stands still.
 const SHORT: Ticks = Ticks(200_000);
 const COMMANDS: u32 = 1_000;
 const NEWS: u16 = 8;
@@ -39,7 +39,7 @@ impl Slacks {
     }
 }
 
-/// Called by the threads that run the machines.
+/// The threads that run the state machines call these functions.
 impl Recorder for Slacks {
     fn log(self: Arc<Self>, _task: TaskId) -> Option<Box<dyn Log>> {
         Some(Box::new(NotesSlack(self)))
@@ -55,7 +55,7 @@ impl Log for NotesSlack {
     }
 }
 
-/// Called by the receiving thread; nothing else happens.
+/// The receiving thread calls these functions; the link does nothing else.
 impl Link for Slacks {
     fn ready(&self, _next: NodeId) -> bool {
         false
@@ -91,7 +91,7 @@ fn sleeps_of_the_timer() -> u64 {
         if let Some(slept) = threads.flatten().find_map(|thread| of(thread.path())) {
             return slept;
         }
-        // The thread names itself once it runs.
+        // A thread sets its name only once it runs.
         assert!(Instant::now() < end, "there is no thread of the Timer");
         std::thread::sleep(Duration::from_millis(1));
     }
@@ -104,7 +104,8 @@ fn stand_still() {
     assert!(Command::new("sh").args(["-c", &script]).status().expect("a shell").success());
 }
 
-/// Sends commands that are answered at once, each with a time_out; then news that no task takes in time.
+/// The program of `a`: it sends commands that are answered at once, each with a time_out; then news that no task takes in
+/// time.
 fn a(ctx: &mut Context, answered: &std::sync::mpsc::Sender<()>) -> Result<(), TaskError> {
     let (ask, news) = (ctx.port("ask")?, ctx.port("news")?);
     for _ in 0..COMMANDS {
@@ -117,7 +118,7 @@ fn a(ctx: &mut Context, answered: &std::sync::mpsc::Sender<()>) -> Result<(), Ta
     Ok(())
 }
 
-/// Answers the commands; after the stop it finds no expired news.
+/// The program of `b`: it answers the commands; after the stop it must find no expired news.
 fn b(ctx: &mut Context, gate: &Receiver<()>) -> Result<(), TaskError> {
     let ask = ctx.port("ask")?;
     for _ in 0..COMMANDS {
@@ -129,7 +130,8 @@ fn b(ctx: &mut Context, gate: &Receiver<()>) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// Delays while the process stands still: each takes its full time, the one that the stop interrupts and those after it.
+/// The program of `c`: it delays while the process stands still. Each delay takes its full time, the one that the stop
+/// interrupts and those after it.
 fn c(ctx: &mut Context) -> Result<(), TaskError> {
     const LENGTH: Duration = Duration::from_millis(20);
     let begin = Instant::now();

@@ -1,5 +1,5 @@
-//! What version 1.1 of the observation protocol adds: changes, watched queues, the process, the clock, tokens, and the places of
-//! the other nodes. Monitors of version 1.0 see none of it.
+//! Tests of what version 1.1 of the observation protocol added: changes, watched queues, metrics of the process, the clock,
+//! tokens, and the addresses of the other nodes. Monitors of version 1.0 must see none of it.
 
 use crate::common::monitor::{Folder, Monitor, NEW, OLD, PATIENCE, node, socket, want};
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, network, on, one_node, table};
@@ -58,7 +58,7 @@ fn what_changed_adds_up_to_the_state_and_watched_queues_tell_more() {
         state.tasks.iter().flat_map(|task| &task.view.ports).map(|port| (port.len, port.counters)).collect()
     };
     assert_eq!(counters(&state), counters(&direct));
-    // On request the state comes whole again; queues that are no longer watched are left out.
+    // On request the whole state comes again, without the queues that are no longer watched.
     monitor.say(&ClientFrame::Want(want()));
     monitor.say(&ClientFrame::Whole);
     monitor
@@ -101,7 +101,7 @@ fn monitors_of_version_1_0_see_what_they_always_saw() {
 /// The version and schema of programs that speak version 1.1.
 const SECOND: (Version, u32) = (Version { major: 1, minor: 1 }, 0x17ad_ceff);
 
-/// A restarted node with a script that is held back; a port to another node has this time_out.
+/// A restarted node with a script that is held back. A port to another node has this time_out.
 fn restarted(time_out: Ticks) -> Runtime {
     let mut cell = cell(&[0, 1], Ticks(2_000));
     cell.port(ask(time_out));
@@ -127,7 +127,8 @@ fn a_restarted_node_tells_for_how_long_its_scripts_are_held_back() {
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
     monitor.say(&ClientFrame::Want(want()));
-    // Before the first state, so that a monitor that looks once sees it; then again, for a monitor that begins to record.
+    // The frame comes before the first state, for a monitor that looks only once; then it comes again, for a monitor that
+    // begins to record.
     let ServerFrame::HeldBack(first) = monitor.next() else { panic!("what is held back comes first") };
     assert_eq!(first.tasks.iter().map(|held| held.task).collect::<Vec<_>>(), [A]);
     let mut state = Snapshot::default();
@@ -152,7 +153,8 @@ fn what_is_held_back_begins_once_and_is_then_told_no_more() {
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
     monitor.say(&ClientFrame::Want(want()));
-    // Before the script begins: a monitor that first asks when nothing is held back any more hears nothing.
+    // This is read before the script begins. A monitor that first asks when no script is held back any more gets no such
+    // frame.
     let ServerFrame::HeldBack(first) = monitor.next() else { panic!("what is held back comes first") };
     let started = Instant::now();
     while let Some(next) = runtime.begin() {
@@ -198,7 +200,7 @@ fn the_process_and_its_clock_are_told() {
     assert!(lateness.p50_us <= lateness.p99_us && lateness.p99_us <= lateness.max_us, "{lateness:?}");
 }
 
-/// The node has so many tasks that the next state is due before one has been told, as on any machine that is busy enough.
+/// The node has so many tasks that the next state is due before the previous one has been sent, as on a very busy machine.
 #[test]
 fn a_state_that_takes_longer_than_its_period_leaves_the_rest_its_turn() {
     const TASKS: usize = 24_000;
@@ -249,7 +251,7 @@ fn over_tcp_a_token_keeps_others_out() {
     let other = Token::of("a token of another test").unwrap();
     assert_eq!(denied(&ClientFrame::Token(other)), ServerFrame::Denied(Denied::WrongToken));
     assert_eq!(denied(&ClientFrame::Want(want())), ServerFrame::Denied(Denied::NoToken));
-    // A monitor of version 1.0 cannot show a token, and gets the versions.
+    // A monitor of version 1.0 cannot show a token, so the refusal names the two versions.
     let refused = Handshake::Refused(Refusal::OtherMajor { node: VERSION, monitor: OLD.0 });
     assert_eq!(Monitor::tcp(address).hello(OLD), refused);
 
@@ -271,7 +273,7 @@ fn one_address_leads_to_the_others() {
     let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
     monitor.say(&ClientFrame::Want(want()));
     let mut state = Snapshot::default();
-    // Another process of the same node, as after a restart.
+    // This is the socket of another process of the same node, as after a restart.
     let beside = cells.join("n0-2.sock");
     std::fs::write(&beside, "").unwrap();
     let places = |frame: &ServerFrame, _: &Snapshot| match frame {

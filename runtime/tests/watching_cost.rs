@@ -1,5 +1,5 @@
-//! What monitors cost a node: a hostile monitor costs hardly any memory (M4), a watched message costs no allocation (M5), and no
-//! event goes missing uncounted (M13).
+//! Tests of what monitors cost a node: a hostile monitor costs hardly any memory (M4), a watched message costs no allocation
+//! (M5), and no event goes missing uncounted (M13).
 
 use crate::allocator::{ByThread, live};
 use crate::alone;
@@ -20,7 +20,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// A socket of this test alone, removed when it is dropped.
+/// A socket that belongs to this test, and that is removed when this is dropped.
 struct Socket(PathBuf);
 
 impl Socket {
@@ -39,8 +39,8 @@ impl Drop for Socket {
 
 const NEWS: PortId = PortId(0);
 
-/// A node whose task `a` sends as many messages as it is told to; `b` takes what it can. Then `a` reports how often the two
-/// threads allocated meanwhile.
+/// A node whose task `a` sends as many messages as the test orders, and whose task `b` takes as many as it can. Then `a`
+/// reports how often the two threads allocated meanwhile.
 fn node() -> (Runtime, Sender<u32>, Receiver<u64>) {
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(PortDecl::new("news", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(16));
@@ -66,7 +66,7 @@ fn node() -> (Runtime, Sender<u32>, Receiver<u64>) {
         })
         .start()
         .unwrap();
-    // What a thread allocates at its start belongs to no message.
+    // Memory that a thread allocates at its start belongs to no message.
     began.recv_timeout(LONG).expect("b begins");
     (runtime, tell, finished)
 }
@@ -89,7 +89,7 @@ fn want() -> Want {
     }
 }
 
-/// A connection that has said hello and what it wants.
+/// A connection that has sent its hello and its subscription.
 fn attach(socket: &Socket, want: Want) -> UnixStream {
     let stream = UnixStream::connect(&socket.0).expect("the node listens");
     stream.set_read_timeout(Some(LONG)).unwrap();
@@ -101,7 +101,7 @@ fn attach(socket: &Socket, want: Want) -> UnixStream {
     stream
 }
 
-/// M4: a monitor that stands still, one that reads a byte at a time, and many that send nonsense.
+/// M4: the monitors are one that never reads, one that reads a byte at a time, and many that send nonsense.
 #[test]
 fn hostile_monitors_cost_a_bounded_amount_of_memory() {
     let _alone = alone();
@@ -149,7 +149,7 @@ fn hostile_monitors_cost_a_bounded_amount_of_memory() {
     stop(runtime);
 }
 
-/// M5: what a monitor is told is written under the lock that the machine holds anyway, into allocated memory.
+/// M5: the data for a monitor are written under the lock that the machine holds anyway, into allocated memory.
 #[test]
 fn a_watched_message_allocates_nothing() {
     let _alone = alone();
@@ -177,7 +177,7 @@ fn a_watched_message_allocates_nothing() {
     stop(runtime);
 }
 
-/// M13: what was sent equals what was shown plus what was counted as lost, even if the reader is far too slow.
+/// M13: the events that happened are as many as those shown plus those counted as lost, even if the reader is far too slow.
 #[test]
 fn no_event_goes_missing_uncounted() {
     let _alone = alone();
@@ -203,7 +203,7 @@ fn no_event_goes_missing_uncounted() {
                     if is_change {
                         let _ = stands_still.recv();
                     }
-                    // Now and then it does something else.
+                    // Now and then the reader does something else.
                     if fastrand::u8(..) < 8 {
                         thread::sleep(Duration::from_millis(30));
                     }

@@ -34,7 +34,7 @@ struct Outside {
     table: Arc<CellTable>,
     programs: Vec<(TaskId, Arc<Program>)>,
     now: u64,
-    /// The node that takes an input.
+    /// The node that has taken the current input.
     from: NodeId,
     loss: Loss,
     busy: Vec<NodeId>,
@@ -124,11 +124,11 @@ fn of_handler(level: u8) -> String {
     if level > 0 { format!(" at {level}") } else { String::new() }
 }
 
-/// A cell in virtual time. A task without a script is played by the test, which passes in its requests.
+/// A cell in virtual time. For a task without a script, the test itself makes the requests.
 pub struct VirtualCell {
-    /// The nodes.
+    /// The nodes of the cell.
     pub nodes: Vec<ScriptedNode>,
-    /// The result of an action, by its name and the time.
+    /// A function that gives the result of an action, from its name and the time.
     pub results: fn(&str, u64) -> i32,
     down: Vec<bool>,
     transit: u16,
@@ -136,13 +136,13 @@ pub struct VirtualCell {
 }
 
 impl VirtualCell {
-    /// The cell, without scripts.
+    /// A cell in virtual time without scripts.
     #[must_use]
     pub fn new(cell: Cell) -> Self {
         Self::with_transit(cell, 16)
     }
 
-    /// The cell without scripts; the transit buffer of each node holds `transit` packets.
+    /// A cell in virtual time without scripts. The transit buffer of each node holds `transit` packets.
     #[must_use]
     pub fn with_transit(cell: Cell, transit: u16) -> Self {
         let table = Arc::new(CellTable::new(cell).expect("a checked cell"));
@@ -169,7 +169,7 @@ impl VirtualCell {
         Self { down: vec![false; nodes.len()], nodes, results: |_, _| 0, transit, out }
     }
 
-    /// The scripts choose this alternative at once. Otherwise they wait for [`HostInput::Chosen`].
+    /// Lets the scripts choose this alternative at once. Otherwise they wait for [`HostInput::Chosen`].
     #[must_use]
     pub fn choosing(mut self, choice: u16) -> Self {
         self.out.choice = Some(choice);
@@ -190,7 +190,7 @@ impl VirtualCell {
         self
     }
 
-    /// From now on `loss` decides which packets are lost.
+    /// From now on `loss` decides for each packet whether it is lost.
     pub fn lose(&mut self, loss: impl FnMut(NodeId, NodeId, &Packet) -> bool + 'static) {
         self.out.loss = Box::new(loss);
     }
@@ -205,7 +205,7 @@ impl VirtualCell {
         self.lose(|_, _, _| false);
     }
 
-    /// From now on the links to these nodes take no packets, and all other links do.
+    /// Blocks the links to these nodes, so that they take no packets; all other links take packets.
     pub fn block(&mut self, nodes: &[NodeId]) {
         self.out.busy = nodes.into();
     }
@@ -225,7 +225,7 @@ impl VirtualCell {
         }
     }
 
-    /// A request of a task without a script.
+    /// Makes a request of a task without a script.
     pub fn ask(&mut self, task: TaskId, request: Request) {
         self.step(self.location(task), NodeInput::Request(task, request));
     }
@@ -235,12 +235,12 @@ impl VirtualCell {
         self.step_after(ticks, node, NodeInput::Time);
     }
 
-    /// An input of a node.
+    /// Gives a node an input.
     pub fn step(&mut self, node: NodeId, input: impl Into<HostInput>) {
         self.step_after(0, node, input);
     }
 
-    /// An input of a node, `ticks` after the last one.
+    /// Gives a node an input, `ticks` after its last one.
     pub fn step_after(&mut self, ticks: u64, node: NodeId, input: impl Into<HostInput>) {
         self.drive(ticks, node, input.into());
         self.end_actions();
@@ -337,8 +337,8 @@ impl VirtualCell {
         delivery.unwrap_or_else(|| panic!("{task} was told {told:?}"))
     }
 
-    /// Everything since the last call that left a node or reached a task without a script: `3 N0>N1 SEND ...`,
-    /// `4 T1: message ...`.
+    /// The packets that left a node, and the signals to tasks without a script, since the last call: `3 N0>N1 SEND ...`, `4
+    /// T1: message ...`.
     pub fn transcript(&mut self) -> Vec<String> {
         std::mem::take(&mut self.out.transcript)
     }
@@ -349,12 +349,12 @@ impl VirtualCell {
         std::mem::take(&mut self.out.log)
     }
 
-    /// What was observed since the last call, and at which task.
+    /// The observations since the last call, each with its task.
     pub fn observed(&mut self) -> Vec<(Option<TaskId>, Event)> {
         self.out.observations.drain(..).map(|(at, observation)| (at, observation.event)).collect()
     }
 
-    /// How often something was observed.
+    /// How often this event was observed.
     #[must_use]
     pub fn count(&self, event: Event) -> usize {
         self.out.observations.iter().filter(|(_, observation)| observation.event == event).count()
@@ -367,7 +367,8 @@ impl VirtualCell {
         scripts.map(|hosted| hosted.host.script.activity()).collect()
     }
 
-    /// The numbers of the scripts' requests other than boundaries, of their statements, and of commands that they never answered.
+    /// The numbers of the scripts' requests other than boundaries, of their statements, and of commands that the scripts
+    /// never answered.
     #[must_use]
     pub const fn counts(&self) -> (usize, usize, usize) {
         (self.out.requests, self.out.statements, self.out.unanswered)
@@ -383,7 +384,7 @@ impl VirtualCell {
         self.var_at(task, u16::try_from(at.expect("a variable")).expect("few variables"))
     }
 
-    /// The variable of a script at this place.
+    /// The value of a script's variable at this position.
     #[must_use]
     pub fn var_at(&self, task: TaskId, at: u16) -> i64 {
         let mut scripts = self.nodes[self.location(task).index()].scripts.iter();

@@ -15,22 +15,22 @@ use std::sync::Arc;
 pub enum HostInput {
     /// All scripts that have not begun begin, in the order of their tasks.
     Begin,
-    /// An input of the node itself, or a request of a task that has no script.
+    /// An input of the node itself, or a request of a task without a script.
     Node(NodeInput),
     /// An action has ended.
     Acted {
-        /// The task that ran it.
+        /// The task that ran the action.
         task: TaskId,
-        /// The activation that ran it, as [`Action::level`] said.
+        /// The activation that ran the action, as [`Action::level`] said.
         level: u8,
-        /// Whether it succeeded.
+        /// Whether the action succeeded.
         ok: bool,
-        /// Its result.
+        /// The action's result.
         value: i32,
     },
-    /// The driver chose.
+    /// The driver makes a choice for a script.
     Chosen {
-        /// The task that chose.
+        /// The task whose script waits for the choice.
         task: TaskId,
         /// The chosen alternative.
         choice: u16,
@@ -43,29 +43,30 @@ impl From<NodeInput> for HostInput {
     }
 }
 
-/// Where the effects of a node with scripts go. [`NodeOutbox::signal`] gets the signals of tasks without a script only.
+/// The receiver of the effects of a node with scripts. [`NodeOutbox::signal`] gets only the signals of tasks without a
+/// script.
 pub trait HostOutbox: NodeOutbox {
-    /// Begins an action; [`HostInput::Acted`] ends it.
+    /// Begins an action. The driver reports its end with [`HostInput::Acted`].
     fn run(&mut self, task: TaskId, action: Action<'_>);
     /// Stops the action of an activation. No [`HostInput::Acted`] follows.
     fn cut_short(&mut self, task: TaskId, level: u8);
-    /// Chooses a number below `alternatives` at once, or `None` to give it later with [`HostInput::Chosen`].
+    /// Chooses a number below `alternatives` at once, or returns `None` to give it later with [`HostInput::Chosen`].
     fn choose(&mut self, task: TaskId, alternatives: u16) -> Option<u16>;
-    /// A script has ended.
+    /// Reports that a script has ended.
     fn ended(&mut self, task: TaskId, end: End);
-    /// A script asks its communication task.
+    /// Reports a request of a script to its communication task.
     fn asked(&mut self, task: TaskId, request: &Request) {
         let _ = (task, request);
     }
-    /// The communication task answers a script.
+    /// Reports the communication task's answer to a script.
     fn answered(&mut self, task: TaskId, signal: &Signal) {
         let _ = (task, signal);
     }
-    /// A statement of a script begins.
+    /// Reports that a statement of a script begins.
     fn statement(&mut self, task: TaskId, at: Address) {
         let _ = (task, at);
     }
-    /// A script drops a class-2 message that it never answered.
+    /// Reports that a script drops a class-2 message that it never answered.
     fn unanswered(&mut self, task: TaskId, message: ReplyTo) {
         let _ = (task, message);
     }
@@ -74,20 +75,20 @@ pub trait HostOutbox: NodeOutbox {
 /// A task's script.
 #[derive(Clone, Debug)]
 pub struct Hosted {
-    /// The task.
+    /// The task that the script belongs to.
     pub task: TaskId,
-    /// Its script.
+    /// The script, and the machine that runs it.
     pub host: ScriptHost,
 }
 
 /// A node with the scripts of its tasks.
 #[derive(Clone, Debug)]
 pub struct ScriptedNode {
-    /// The node.
+    /// The state machine of the node.
     pub node: Node,
     /// The scripts, ascending by task.
     pub scripts: Box<[Hosted]>,
-    /// The scripts that have inputs, in the order of their first ones. Empty between steps.
+    /// The scripts that have inputs, in the order of their first inputs. Empty between steps.
     ready: VecDeque<usize>,
 }
 
@@ -95,10 +96,10 @@ pub struct ScriptedNode {
 const SIGNALS: usize = 256;
 
 impl ScriptedNode {
-    /// The node with these scripts, each for a task that runs there.
+    /// A node with these scripts, each for a task that runs on it.
     ///
     /// # Errors
-    /// The task and what is wrong with its program.
+    /// The task, and what is wrong with its program.
     pub fn new(
         node: Node,
         programs: impl IntoIterator<Item = (TaskId, Arc<Program>)>,
@@ -113,11 +114,11 @@ impl ScriptedNode {
         Ok(Self { node, scripts: scripts.into(), ready })
     }
 
-    /// Takes one input at `now` and runs the node and its scripts until every script waits. What is due by `now` happens
-    /// first.
+    /// Takes one input at `now` and runs the node and its scripts until every script waits. Everything that is due by `now`
+    /// happens first.
     pub fn step(&mut self, now: Instant, input: impl Into<HostInput>, out: &mut impl HostOutbox) {
         let input = input.into();
-        // A node without scripts does this itself.
+        // A node without scripts lets the time pass by itself.
         if now > self.node.now() && !self.scripts.is_empty() && input != HostInput::Node(NodeInput::Time) {
             self.go_on(now, HostInput::Node(NodeInput::Time), out);
         }
@@ -166,7 +167,7 @@ impl ScriptedNode {
     }
 }
 
-/// Gives a task's script an input; false if the task has none.
+/// Gives a task's script an input. Returns false if the task has no script.
 fn tell(scripts: &mut [Hosted], ready: &mut VecDeque<usize>, task: TaskId, input: ScriptInput) -> bool {
     let Ok(at) = scripts.binary_search_by_key(&task, |hosted| hosted.task) else { return false };
     scripts[at].host.tell(input);

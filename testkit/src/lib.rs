@@ -1,5 +1,6 @@
-//! What tests of several rooms share: a node that one thread steps together with the scripts of its tasks ([`ScriptedNode`]),
-//! and a whole cell of such nodes in virtual time ([`VirtualCell`]). No robot carries it.
+//! Code that the tests of several crates share: a node that one thread steps together with the scripts of its tasks
+//! ([`ScriptedNode`]), and a whole cell of such nodes in virtual time ([`VirtualCell`]). No program of a robot contains this
+//! crate.
 #![forbid(unsafe_code)]
 
 mod cell;

@@ -1,6 +1,6 @@
-//! Running nodes against the verified machine (M16). A node's recording is replayed while the node runs, and every deviation of
-//! the runtime shows in the monitor. Each fault is put into a true recording, as a runtime with that fault would have written
-//! it, and a stub node announces the recording.
+//! Compares running nodes with the verified machine (M16). A node's recording is replayed while the node runs, and the
+//! monitor must show every deviation of the runtime. Each fault is put into a true recording, as a runtime with that fault
+//! would have written it, and a stub node announces the recording.
 
 mod mutants;
 
@@ -17,9 +17,9 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// Time limit without progress of the judging, which runs below all others (nice 19).
+/// Time limit without progress of the judging thread, which has the lowest priority of all (nice 19).
 const LONG: Duration = Duration::from_secs(600);
-/// The goal in inputs per second.
+/// The goal for the speed of the judge, in inputs per second.
 const GOAL: f64 = 200_000.0;
 
 /// A cell with requests and answers, delays, time_outs, a rendezvous, rejections with their penalty, and actions.
@@ -115,7 +115,7 @@ impl Bench {
         Tape::read(&self.dir.path().join(format!("run.{node}.imrs")))
     }
 
-    /// A monitor of a stub node that announces a recording at `path`.
+    /// A monitor of a stub node, which announces a recording at `path`.
     fn watch(&self, tape: &Tape, node: &str, path: &Path) -> Watched {
         let dir = runtime_dir();
         let id = tape.header.node.expect("a node");
@@ -140,7 +140,7 @@ impl Bench {
 /// A monitor, and the stub that it watches.
 struct Watched {
     monitor: Program,
-    /// Dropped after the monitor.
+    /// The stub and its folder, dropped after the monitor.
     _seen: Option<(Stub, TempDir)>,
 }
 
@@ -223,11 +223,11 @@ fn a_recording_is_followed_as_it_grows_and_begins_anew_when_it_is_replaced() {
     let path = bench.dir.path().join("grows.imrs");
     first.write(&path);
     let mut watched = bench.watch(&tape, "na", &path);
-    // The first half is judged.
+    // The first half of the recording is judged.
     let (steps, _) = watched.until("conforms", inputs(&first.records));
     assert_eq!(steps, inputs(&first.records));
 
-    // The second half is appended, byte for byte as by the node.
+    // The second half is appended, byte for byte as the node would.
     let all = bench.dir.path().join("all.imrs");
     tape.write(&all);
     let (bytes, before) = (fs::read(&all).expect("a file"), fs::read(&path).expect("a file"));
@@ -249,8 +249,8 @@ fn a_recording_is_followed_as_it_grows_and_begins_anew_when_it_is_replaced() {
     assert_eq!(steps, whole);
 }
 
-/// A monitor follows a node that works as fast as it can. Measures how far behind it is when the node stops, and how many
-/// inputs a second a later monitor replays.
+/// A monitor follows a node that works as fast as it can. The test measures how far behind the monitor is when the node
+/// stops, and how many inputs a second a later monitor replays.
 #[test]
 fn it_keeps_up_with_a_busy_node() {
     let dir = runtime_dir();
@@ -273,7 +273,7 @@ fn it_keeps_up_with_a_busy_node() {
     let bench = Bench { dir, cell };
     let tape = bench.tape("na");
     let all = inputs(&tape.records);
-    // If the disk was too slow the recording has gaps, and is judged up to the first one.
+    // If the disk was too slow, the recording has gaps, and is judged up to the first gap.
     let whole = !tape.records.iter().any(|record| matches!(record, Record::Gap { .. }));
     if !whole {
         println!("its disk could not keep up with the node: nothing is measured");
@@ -285,7 +285,7 @@ fn it_keeps_up_with_a_busy_node() {
     let first = later.until("conforms", 1).0;
     let since = Instant::now();
     later.until("conforms", all);
-    // If one look read everything, it took no longer than this.
+    // If one look read everything, it took no longer than this time.
     let (seconds, more) = match all - first {
         0 => (0.25, all),
         more => (since.elapsed().as_secs_f64().max(1e-3), more),

@@ -9,11 +9,11 @@ use imrs_wire::recording::{Record, ScriptStep};
 
 /// A fault of a runtime.
 pub struct Mutant {
-    /// Its description.
+    /// The fault's description.
     pub name: &'static str,
-    /// The node whose recording it changes.
+    /// The node whose recording the fault changes.
     pub node: &'static str,
-    /// Applies the fault, and returns the record; none if the recording has no suitable place.
+    /// Applies the fault. Returns the position of the changed record; none if the recording has no suitable place.
     pub make: fn(&mut Vec<Record>) -> Option<usize>,
 }
 
@@ -52,12 +52,12 @@ fn digests(records: &[Record], at: usize) -> Option<(u64, u64)> {
     Some((*outputs, before))
 }
 
-/// Whether the machine had outputs for this input.
+/// Whether the machine had outputs for the input at `at`.
 fn tells(records: &[Record], at: usize) -> bool {
     digests(records, at).is_some_and(|(after, before)| after != before)
 }
 
-/// The position of an input that fits and has outputs: of all of them, the one in the middle.
+/// The position of an input that fits and has outputs; of several such inputs, the one in the middle.
 fn place(records: &[Record], fits: impl Fn(&Input) -> bool) -> Option<usize> {
     places(records, |records, at| {
         matches!(&records[at], Record::Input { input, .. } if fits(input)) && tells(records, at)
@@ -81,7 +81,7 @@ const fn is_time(input: &Input) -> bool {
     matches!(input, Input::Time | Input::TimeOut { .. })
 }
 
-/// Changes the input at a place.
+/// Changes the input at a position.
 fn change(
     records: &mut [Record],
     at: usize,
@@ -126,7 +126,7 @@ fn early_time_out(records: &mut Vec<Record>) -> Option<usize> {
     let at = places(records, long)?;
     change(records, at, |elapsed, input, _| {
         *elapsed = Ticks(elapsed.0 / 2);
-        // The machine checks its deadlines itself, and does not rely on the Timer's word.
+        // The machine checks its deadlines itself, and does not rely on the Timer's report.
         *input = Input::Time;
     })
 }

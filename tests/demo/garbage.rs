@@ -34,7 +34,7 @@ impl Stranger {
         }
     }
 
-    /// Waits until the node has discarded what was sent, except for what it loses on purpose.
+    /// Waits until the node has discarded all datagrams that were sent, except for those that it loses on purpose.
     fn wait(&mut self) {
         let sent = self.sent;
         self.seen.until("garbage is counted", |seen| {
@@ -78,7 +78,7 @@ fn garbage_is_counted_by_reason_and_does_no_harm() {
     let mut datagram = Datagram::default();
     datagram.push(&[0; PACKET_BYTES]);
     stranger.send(datagram.seal(&envelope, digests(digest ^ 1)));
-    // No node has these statements.
+    // No node has the statements with this digest.
     stranger.send(datagram.seal(&envelope, digests(digest)));
     let whole = datagram.seal(&envelope, digests(digest)).to_vec();
     (0..whole.len()).for_each(|length| stranger.send(&whole[..length]));

@@ -1,5 +1,5 @@
-//! The fault matrix of the monitor (M15): each fault, injected into running nodes, raises its finding and nothing unrelated.
-//! Nodes without a fault raise none. The cells are slow, so that a busy machine causes no finding.
+//! The fault matrix of the monitor (M15): each fault that is injected into running nodes raises its own finding and no
+//! unrelated one. Nodes without a fault raise none. The cells are slow, so that a busy machine causes no finding.
 
 mod scene;
 mod starved;
@@ -16,7 +16,7 @@ use std::net::UdpSocket;
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-/// Three tasks that meet, and exchange queries and statuses. All time_outs are far longer than needed.
+/// A cell of three tasks that meet, and exchange queries and statuses. All time_outs are far longer than needed.
 const WATCHED: &str = "\
 cell watched;
 tick 50 msec;
@@ -59,7 +59,7 @@ begin
 end c;
 ";
 
-/// One more task on the node of `b`. It sends statuses and waits for nothing.
+/// A further task on the node of `b`. It sends statuses and waits for nothing.
 const LIGHT: &str = "\
 task d on nb
   port light(n: int16)  usage = send  user_list = {c}  time_out = 4 sec  class = 1  bounded_buffer[8];
@@ -105,7 +105,7 @@ fn a_node_that_comes_back_is_no_fault_any_more() {
     // The first nodes may send before the last one has started.
     scene.is_over("it is a fault that others come later", BTreeSet::is_empty);
     let since = scene.kill("nb");
-    // The node stays down until the monitor has shown that.
+    // The node stays down until the monitor has shown its death.
     scene.raises(since, "node-dead", &["rendezvous-lost-member", "time-outs", "link-discards"]);
     scene.start_node(&text, "nb");
     scene.is_over("it is a fault", BTreeSet::is_empty);
@@ -114,7 +114,7 @@ fn a_node_that_comes_back_is_no_fault_any_more() {
 
 #[test]
 fn a_restarted_node_says_how_long_it_is_held_back() {
-    // Held back so long that a monitor sees it on any machine.
+    // The script is held back for so long that a monitor sees it on any machine.
     let text = WATCHED.replace("time_out = 20 sec", "time_out = 2000 sec") + LIGHT;
     let (take, took) = ("  use_port news(n: int16)  usage = receive;", "on receive news(n) do skip; end;");
     let text = text
@@ -236,7 +236,7 @@ end b;
     );
     let mut scene = Scene::waiting(text);
     let sent = scene.go();
-    // A tenth of its TTL remains.
+    // A tenth of the message's TTL remains at this time.
     let since = sent + Duration::from_millis(5400);
     scene.raises_before(since, "deadline-risk", "expired", "nb");
     scene.is_over("it is at risk", |codes| !codes.contains("deadline-risk"));
@@ -261,7 +261,7 @@ end b;
 "
     );
     let mut scene = Scene::start(text, &[]);
-    // A quarter of its time_out remains.
+    // A quarter of the task's time_out remains at this time.
     let since = scene.started + Duration::from_secs(9);
     scene.raises_before(since, "rendezvous-stuck", "time-outs", "na");
 }
@@ -326,7 +326,7 @@ end arm;
 "
     );
     let mut scene = Scene::start(text, &[]);
-    // Three rejections, with the penalty between them.
+    // By this time there were three rejections, with the penalty between them.
     let since = scene.started + Duration::from_millis(2600);
     scene.raises(since, "starving", &[]);
 }
@@ -361,7 +361,7 @@ fn more_datagrams_than_the_kernel_keeps_are_told() {
     signal(pid, Signal::STOP);
     let stranger = UdpSocket::bind("127.0.0.1:0").expect("a socket");
     for _ in 0..20_000 {
-        // An error means that the kernel's queue is full, as intended.
+        // An error means that the kernel's queue is full, which is intended.
         let _ = stranger.send_to(&[7; 1400], address);
     }
     signal(pid, Signal::CONT);
@@ -469,7 +469,7 @@ end b;
     let mut scene = Scene::start(text, &[]);
     let monitor = scene.monitor.pid();
     signal(monitor, Signal::STOP);
-    // More events than all buffers between node and monitor hold.
+    // There are more events than all buffers between node and monitor can hold.
     let mut other = Seen::by_monitor(scene.dir());
     let sent = |seen: &Value| figure(seen, "a", "news", "sent");
     let before = sent(&other.until("it is seen", |seen| sent(seen) > 0));

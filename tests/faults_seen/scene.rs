@@ -12,13 +12,13 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
-/// The promised delay on a quiet machine; asserted if `IMRS_QUIET=1` says that this machine is quiet.
+/// The promised delay of a finding on a quiet machine. It is asserted if `IMRS_QUIET=1` says that this machine is quiet.
 const GOAL: Duration = Duration::from_secs(2);
 /// Time limit for any finding, however busy the machine is.
 pub const LONG: Duration = PATIENCE;
 /// The monitor's sampling interval.
 const EVERY: &str = "100ms";
-/// How long after the expected finding no unrelated one may follow.
+/// How long after the expected finding no unrelated finding may follow.
 const AFTER: Duration = Duration::from_secs(1);
 
 /// One sample: when it came, and the codes of its findings.
@@ -29,7 +29,7 @@ pub struct Sample {
 }
 
 impl Sample {
-    /// Asserts that nothing but these codes is found.
+    /// Asserts that the sample has no findings except these codes.
     fn is_only(&self, expected: &[&str], why: &str) {
         let unrelated = self.codes.iter().find(|code| !expected.contains(&code.as_str()));
         assert!(unrelated.is_none(), "{unrelated:?} {why}: {}", self.line);
@@ -39,7 +39,7 @@ impl Sample {
 /// A running cell, and a monitor that watches it.
 pub struct Scene {
     pub monitor: Program,
-    /// Dropped after the monitor.
+    /// The launchers of the cells, dropped after the monitor.
     cells: Vec<Live>,
     starved: Starved,
     /// When the nodes of the last cell had started.
@@ -52,7 +52,7 @@ impl Scene {
         Self::of(&[(text, args)])
     }
 
-    /// Starts a cell whose action `go` ends on a call of [`go`](Self::go), so that the monitor sees what follows.
+    /// Starts a cell whose action `go` ends on a call of [`go`](Self::go), so that the monitor sees everything that follows.
     pub fn waiting(text: &str) -> Self {
         let dir = runtime_dir();
         let wait = dir.path().join("wait");
@@ -62,7 +62,7 @@ impl Scene {
         Self::within(dir, &[(text, &["--action", &action])])
     }
 
-    /// Lets the action `go` end. Returns the time of that.
+    /// Lets the action `go` end. Returns the instant of that.
     pub fn go(&self) -> Instant {
         std::fs::write(self.dir.path().join("gone"), "").expect("a file");
         Instant::now()
@@ -85,7 +85,7 @@ impl Scene {
         Self::seen(dir, cells, started, all)
     }
 
-    /// Kills the node of this name, which has a launcher of its own. Returns the time of that.
+    /// Kills the node of this name, which has a launcher of its own. Returns the instant of that.
     pub fn kill(&mut self, name: &str) -> Instant {
         let at = self.place(name);
         signal(self.node(name).pid, Signal::KILL);
@@ -142,7 +142,7 @@ impl Scene {
         self.monitor.json()
     }
 
-    /// The next sample, without findings about silent nodes that this machine keeps from reporting.
+    /// The next sample, without findings about silent nodes if this machine keeps those nodes from reporting.
     pub fn sample(&mut self) -> Sample {
         let (at, report) = self.monitor.json_at();
         self.starved.look(at, &report);
@@ -153,7 +153,7 @@ impl Scene {
         Sample { at, codes, line: report["findings"].to_string() }
     }
 
-    /// Asserts that nothing is found for so long.
+    /// Asserts that no finding comes for so long.
     pub fn is_calm_for(&mut self, length: Duration) {
         let end = Instant::now() + length;
         loop {
@@ -165,7 +165,7 @@ impl Scene {
         }
     }
 
-    /// Waits until `none` accepts the codes of a sample.
+    /// Waits until `none` accepts the codes of a sample, because the condition that raised them is over.
     pub fn is_over(&mut self, what: &str, none: impl Fn(&BTreeSet<String>) -> bool) {
         let end = Instant::now() + LONG;
         while !none(&self.sample().codes) {

@@ -7,11 +7,11 @@ use std::collections::{BTreeMap, VecDeque};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// The name of that thread.
+/// The name of the observer thread.
 const NAME: &str = "imrs observer";
-/// How far back `lately` looks.
+/// The time span at which `lately` looks.
 const LATELY: Duration = Duration::from_secs(3);
-/// A thread that waited so long for a processor within `LATELY` could not report.
+/// A thread that waited so long for a processor within `LATELY` counts as unable to report.
 const LONG: Duration = Duration::from_millis(250);
 
 /// The waiting times of the nodes' observer threads.
@@ -47,7 +47,7 @@ impl Starved {
             }
             let now = Instant::now();
             if thread.waited.is_empty() {
-                // The thread may have waited before its first sample.
+                // The thread may already have waited before its first sample.
                 thread.waited.push_back((now, Duration::ZERO));
             }
             thread.waited.extend(waited(&thread.folder).map(|waited| (now, waited)));
@@ -57,7 +57,7 @@ impl Starved {
         }
     }
 
-    /// Whether this node's observer waits for a processor, or has waited long of late.
+    /// Whether this node's observer waits for a processor now, or has waited long lately.
     pub fn now(&self, node: &Value) -> bool {
         let is_late = self.stub.as_ref().is_some_and(|beat| beat.was_late(LATELY));
         let waits = |name| self.lately(name) || self.threads.get(name).is_some_and(Thread::waits);
@@ -65,7 +65,7 @@ impl Starved {
         is_late || stood_still || node.as_str().is_some_and(waits)
     }
 
-    /// Whether this node's observer has waited long of late.
+    /// Whether this node's observer has waited long lately.
     pub fn lately(&self, node: &str) -> bool {
         let waited =
             self.threads.get(node).and_then(|thread| Some((thread.waited.front()?, thread.waited.back()?)));

@@ -1,4 +1,4 @@
-//! Faults that no run of this command can produce: a stub node reports them.
+//! Tests of faults that no run of this command can produce: a stub node reports them.
 
 use super::scene::Scene;
 use crate::support::runtime_dir;
@@ -61,7 +61,7 @@ fn healthy() -> Snapshot {
     }
 }
 
-/// Reports this fault after a second of health. It must raise `lint` and nothing else.
+/// Reports this fault after a second without faults. It must raise `lint` and nothing else.
 fn raises(lint: &str, fault: impl FnOnce(&mut Tells, u64)) {
     let dir = runtime_dir();
     let identity = NodeIdentity {

@@ -1,4 +1,5 @@
-//! The crates as packages: the entries of their manifests, and the README examples that no crate documentation contains.
+//! Tests of the crates as packages: the entries of their manifests, and the README examples that no crate documentation
+//! contains.
 
 use super::{CRATES, ROOT, read};
 use imrs_model::{Options, Silent, verify};

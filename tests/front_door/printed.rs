@@ -20,7 +20,7 @@ fn printed(words: &str) -> Vec<String> {
 
 #[test]
 fn the_printed_verdicts_are_those_of_today() {
-    // A line without its last two words: the time and its unit.
+    // This compares a line without its last two words, which are the time and its unit.
     let plain = |line: &str| {
         let words: Vec<&str> = line.split_whitespace().collect();
         words[..words.len().saturating_sub(2)].join(" ")
@@ -33,7 +33,7 @@ fn the_printed_verdicts_are_those_of_today() {
     }
 }
 
-/// A line without its numbers, except line numbers of the cell, and with one unit of time.
+/// A line without its numbers (except line numbers of the cell), and with one unit of time.
 fn shape(line: &str) -> String {
     let mut words: Vec<String> = Vec::new();
     for word in line.split_whitespace() {
@@ -63,7 +63,7 @@ fn the_lines_of_the_printed_run_are_those_of_its_cell() {
         let Some(at) = line_of(line) else { continue };
         let (_, what) = line.split_once(&format!("line {at}")).expect("its number");
         if what.starts_with(')') {
-            // A sentence of the summary: the block also has the event of this arm's stop.
+            // For a sentence of the summary, the block must also have the event of this arm's stop.
             let arm = line.split_whitespace().next().expect("an arm");
             let stop = format!("{arm} line {at} begins stop_now");
             assert!(block.iter().any(|line| shape(line).ends_with(&stop)), "nothing says `{stop}`");
@@ -76,7 +76,7 @@ fn the_lines_of_the_printed_run_are_those_of_its_cell() {
     assert!(checked >= 5, "only {checked} lines were found");
 }
 
-/// The events of a printed run: the second, the task, and the text.
+/// The events of a printed run: the time in seconds, the task, and the text.
 fn events(out: &str) -> Vec<(f64, &str, &str)> {
     let lines = out.lines().filter_map(|line| {
         let (seconds, rest) = line.trim_start().split_once(" s ")?;
@@ -86,8 +86,8 @@ fn events(out: &str) -> Vec<(f64, &str, &str)> {
     lines.collect()
 }
 
-/// Whether the cut came while both arms moved, each then stopped by itself, and both lifted again. On a busy machine an arm may
-/// have stopped before, or missed the cut: such a run is not compared.
+/// Whether the cut came while both arms moved, each then stopped by itself, and both lifted again. On a busy machine an arm
+/// may have stopped before the cut, or not noticed it; such a run is not compared.
 fn is_evidence(out: &str) -> bool {
     let (cell, events) = (read("examples/beam_lift.cell"), events(out));
     let Some(cut) = events.iter().find(|(_, task, _)| *task == "fault:").map(|(at, ..)| *at) else {
@@ -104,7 +104,7 @@ fn is_evidence(out: &str) -> bool {
     else {
         return false;
     };
-    // The head of the handler in which the arm began to stop.
+    // This is the head of the handler in which the arm began to stop.
     let head = |line| cell.lines().take(line).filter(|text: &&str| text.starts_with("  on ")).last();
     let by_itself = line_of(right.2).and_then(head).is_some_and(|head| head.contains("silence"));
     let lifts = of("armL").filter(|(_, _, what)| what.ends_with("ends start_lift")).count();

@@ -1,5 +1,5 @@
-//! Hostile command lines, written by mistake or on purpose: numbers and times near the end of their range, empty and broken
-//! words, flags without values or twice, special files. Every command must end, say what is wrong, and not panic.
+//! Tests of hostile command lines, written by mistake or on purpose: numbers and times near the end of their range, empty
+//! and broken words, flags without values or twice, special files. Every command must end, say what is wrong, and not panic.
 
 use super::{DOCUMENTED, ended, fault_of};
 use crate::support::{imrs, runtime_dir};
@@ -12,7 +12,7 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 
-/// A cell that is checked and run quickly.
+/// A cell that is quickly checked and run.
 const CELL: &str =
     "cell c; tick 1 msec; node n; node m; link n -- m delay 1 msec; task t on n begin skip; end t;";
 
@@ -82,7 +82,7 @@ fn special_files(files: &Files) -> Vec<Line> {
         &["monitor", "--for", "50ms", "--record"],
     ];
     let all = places.iter().flat_map(|place| files.special.iter().map(|file| with(place, file)));
-    // Output files in a folder that does not exist.
+    // These output files are in a folder that does not exist.
     let lost = places[15..18].iter().map(|place| with(place, "/no/such/folder/file"));
     all.chain(lost).collect()
 }
@@ -113,7 +113,7 @@ const VALUES: [&str; 22] = [
     "\u{1b}[31m\u{9b}\u{202e}",
 ];
 
-/// Every flag with these values. If a value may be valid, the verb ends by itself.
+/// Lines with every flag, each with these values. If a value may be valid, the verb ends by itself.
 fn values(files: &Files) -> Vec<Line> {
     let cell = files.cell.as_str();
     let run = ["run", cell, "--for", "50ms"];
@@ -150,7 +150,7 @@ fn values(files: &Files) -> Vec<Line> {
     flags.iter().flat_map(of).collect()
 }
 
-/// Mistakes that any verb must reject.
+/// Lines with mistakes that any verb must reject.
 fn verbs(files: &Files) -> Vec<Line> {
     let cell = files.cell.as_str();
     let verbs: [&[&str]; 13] = [
@@ -255,7 +255,7 @@ fn limited(folder: &Path, limit: &str, args: &[&str]) -> std::process::Command {
     let line = format!("ulimit {limit}; exec \"$0\" \"$@\"");
     command.args(["-c", &line, env!("CARGO_BIN_EXE_imrs")]).args(args);
     command.env("XDG_RUNTIME_DIR", folder).env("XDG_STATE_HOME", folder.join("state"));
-    // A backtrace needs memory, and without it the process ends in the middle of the backtrace.
+    // A backtrace needs memory; without enough of it, the process would end in the middle of the backtrace.
     command.env("RUST_BACKTRACE", "0");
     command
 }
@@ -275,7 +275,7 @@ fn without_descriptors_or_memory_the_command_ends_in_order() {
     ];
     let (mut codes, mut faults) = (std::collections::BTreeMap::new(), Vec::new());
     for limit in ["-n 3", "-n 4", "-n 6", "-n 9", "-n 14", "-v 34000", "-v 40000", "-v 60000"] {
-        // With this limit even the program itself does not start.
+        // If not even the program itself starts with this limit, the limit is skipped.
         if ended(limited(folder.path(), limit, &["--version"])).code != Some(0) {
             continue;
         }

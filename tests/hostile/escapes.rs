@@ -1,4 +1,5 @@
-//! Texts that act on a terminal, in a cell, in a recording and in a monitor's recording: no verb prints them raw.
+//! Tests of texts on which a terminal would act, in a cell, in a recording and in a monitor's recording: no verb may print
+//! them raw.
 
 use super::{ended, fault_of};
 use crate::support::tape::Tape;
@@ -9,7 +10,7 @@ use imrs_wire::text::acts;
 use serde_json::Value;
 use std::path::Path;
 
-/// Ends a line, sets a title, clears the screen, and reverses the direction of writing.
+/// A text that ends a line, sets a title, clears the screen, and reverses the direction of writing.
 const HOSTILE: &str = "x\u{1b}]0;t\u{7}\u{1b}[2J\u{9b}2J\u{202e}y\u{7f}\u{85}\u{2028}";
 
 /// A cell with such texts in an abort, an address and an invalid statement.
@@ -26,7 +27,7 @@ fn sound() -> String {
     cell().replace(&format!("x := \"{HOSTILE}\";"), "")
 }
 
-/// Asserts that no line of an answer is forged by a hostile text, and that nothing in it acts on a terminal.
+/// Asserts that no hostile text forges a line of an answer, and that a terminal would not act on anything in the answer.
 fn is_plain(what: &[&str], text: &str) {
     let found = text.chars().find(|&c| acts(c) && c != '\n' && c != '\t');
     assert_eq!(found, None, "{what:?} lets it through: {text:?}");
@@ -179,7 +180,7 @@ fn texts_that_a_monitor_recorded_reach_no_terminal() {
         vec!["monitor", "--assert", "up>=3", "--replay", &hostile],
         vec!["replay", &hostile],
     ];
-    // MCAP is not read on a terminal.
+    // An MCAP file is not shown on a terminal, so it is not tested.
     lines.extend(
         ["jsonl", "svg", "asciicast"].map(|form| vec!["export", &hostile, "--to", form, "--out", "-"]),
     );

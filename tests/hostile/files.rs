@@ -1,4 +1,4 @@
-//! Secret files stay secret, and existing files are not overwritten by accident.
+//! Tests that secret files stay secret, and that existing files are not overwritten by accident.
 
 use crate::support::{example, run_in, runtime_dir};
 use std::fs::Permissions;

@@ -1,4 +1,5 @@
-//! Malicious files and command lines: no command panics, hangs or reads without end, and each says what is wrong.
+//! Tests of malicious files and command lines: no command may panic, hang or read without end, and each must say what is
+//! wrong.
 
 mod commands;
 mod escapes;
@@ -40,7 +41,7 @@ fn ended(mut command: Command) -> Said {
     Said { out: out.join().expect("read"), err: err.join().expect("read"), code }
 }
 
-/// Why the end of a command is a defect, whatever its input; none if it is not.
+/// Why the way in which a command ended is a defect, whatever its input was; none if it is no defect.
 fn fault_of(said: &Said) -> Option<String> {
     let Some(code) = said.code else { return Some("a signal ended it".into()) };
     let text = format!("{}\n{}", said.out, said.err);

@@ -1,5 +1,6 @@
-//! Recordings with correct checksums and hostile contents: tags, lengths, ids, times and states that no program wrote. Each is
-//! refused with an error or judged, without a panic. `IMRS_HOSTILE_RECORDINGS` sets their number.
+//! Tests of recordings with correct checksums and hostile contents: tags, lengths, ids, times and states that no program
+//! wrote. A command must refuse each with an error, or judge it, and must not panic. `IMRS_HOSTILE_RECORDINGS` sets the
+//! number of recordings.
 
 use super::{ended, fault_of};
 use crate::support::tape::Tape;
@@ -74,7 +75,7 @@ fn sealed(contents: &[Vec<u8>]) -> Vec<u8> {
     bytes
 }
 
-/// Numbers at the end of some range.
+/// Numbers at the ends of various ranges.
 const EXTREME: [u64; 14] =
     [0, 1, 12, 13, 15, 16, 255, 256, 65_535, (1 << 24) - 1, 1 << 24, u32::MAX as u64, 1 << 63, u64::MAX];
 
@@ -82,7 +83,7 @@ fn extreme(random: &mut fastrand::Rng) -> u64 {
     EXTREME[random.usize(..EXTREME.len())]
 }
 
-/// Damages postcard bytes: flips a bit, replaces a byte or a number, removes or repeats some.
+/// Damages postcard bytes: flips a bit, replaces a byte or a number, removes or repeats some bytes.
 fn spoil(bytes: &mut Vec<u8>, random: &mut fastrand::Rng) {
     for _ in 0..random.usize(1..4) {
         let at = random.usize(..bytes.len().max(1));
@@ -254,7 +255,7 @@ fn judged(of: &Originals, node: usize, spoilt: &str) -> Vec<Vec<String>> {
     vec![own(&["replay", spoilt, "--cell", &of.cell]), own(&[&["replay"], &files[..], &model[..]].concat())]
 }
 
-/// The commands that show a monitor's recording. `number` selects their options.
+/// The commands that show a monitor's recording, with the options that `number` selects.
 fn shown(number: u64, spoilt: &str) -> Vec<Vec<String>> {
     let own = |args: &[&str]| args.iter().map(|&arg| arg.to_owned()).collect::<Vec<String>>();
     let form = ["jsonl", "svg", "asciicast", "mcap"][usize::try_from(number % 4).expect("small")];

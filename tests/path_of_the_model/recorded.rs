@@ -1,4 +1,4 @@
-//! A recorded run, and its comparison with the model.
+//! A recorded run of a cell, and its comparison with the model.
 
 use super::{BEAM, WELD};
 use crate::support::{Said, example, excused, run_in, run_until, runtime_dir, tape, wait_until};
@@ -11,7 +11,7 @@ pub struct Recorded {
     pub folder: tempfile::TempDir,
     pub cell: String,
     pub nodes: &'static [&'static str],
-    /// Its output.
+    /// The run's output.
     pub said: String,
 }
 
@@ -66,7 +66,7 @@ impl Recorded {
         })
     }
 
-    /// The same for the weld cell and its relay.
+    /// The same for the weld cell, whose relay is killed and restarted.
     pub fn restarted_weld(how: &[&str]) -> Self {
         Self::restarted(runtime_dir(), example(WELD), &["n1", "n2", "nt"], "nt", how)
     }
@@ -102,7 +102,7 @@ pub fn is_path(said: &Said) -> Value {
     told
 }
 
-/// The exit code of a replay that explains everything. On a late machine a check may not hold.
+/// The exit code of a replay that explains everything. On a late machine a check may be broken.
 pub fn code_of_checks(told: &Value) -> i32 {
     let checks = told["checks"].as_array().expect("checks");
     let are = |outcome: &str| checks.iter().any(|check| check["outcome"] == outcome);
@@ -115,8 +115,8 @@ pub fn code_of_checks(told: &Value) -> i32 {
     }
 }
 
-/// The answer about the path of a whole run. None if this machine was so late that the result is unknown: the times of a late
-/// node that are ordered within a tick may be rounded in more ways than the replay tries, or has time for (D97).
+/// The answer about the path of a whole run. None if this machine was so late that the result is unknown. The times of a
+/// late node within one tick may be rounded in more ways than the replay tries, or than it has time for (D97).
 pub fn path_of(run: &Recorded) -> Option<Value> {
     let said = run.follow(&run.files());
     let told = said.last_json();
@@ -133,7 +133,7 @@ pub fn path_of(run: &Recorded) -> Option<Value> {
     Some(is_path(&said))
 }
 
-/// The first event that no path explains: node, task, reason.
+/// The first event that no path explains: its node, its task, and the reason.
 pub fn no_path(said: &Said) -> [String; 3] {
     assert_eq!(said.code, Some(1), "{said:?}");
     let told = said.last_json();

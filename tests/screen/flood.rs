@@ -1,4 +1,4 @@
-//! M2: keys take effect at once, and events appear soon after they happen, however many events a node reports.
+//! M2: keys must take effect at once, and events must appear soon after they happen, however many events a node reports.
 
 use super::terminal::{Terminal, tmux_is_here};
 use crate::support::stub::{Stub, Tells};
@@ -13,7 +13,7 @@ use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Events per `EVERY`: 50,000 a second.
+/// How many events are reported per `EVERY`: this makes 50,000 a second.
 const EACH: u32 = 500;
 const EVERY: Duration = Duration::from_millis(10);
 /// The promised delay on a quiet machine; asserted if `IMRS_QUIET=1` says that this machine is quiet.
@@ -75,7 +75,7 @@ fn keys_are_seen_at_once_while_a_node_tells_fifty_thousand_events_a_second() {
                 }
                 let now = stub.mono_us();
                 stub.change(|tells| {
-                    // A real node keeps no more either if it is not read for long: all of it is one frame.
+                    // Nor does a real node keep more events if it is not read for long: all of them fit into one frame.
                     if tells.events.len() < MOST_WAITING {
                         let first = number.fetch_add(EACH, Ordering::Relaxed);
                         tells.events.extend((first..first + EACH).map(|n| sent(now, n)));
@@ -90,7 +90,7 @@ fn keys_are_seen_at_once_while_a_node_tells_fifty_thousand_events_a_second() {
         let least = number.load(Ordering::Relaxed) + events;
         wait_until("more events are told", || number.load(Ordering::Relaxed) >= least);
     };
-    // Each key must take effect during the flood, which does not end before.
+    // Each key must take effect during the flood, which goes on until then.
     more(FLOOD);
     let flooded = pressed(&terminal);
     terminal.press(&["4"], "[4 Time]");
@@ -120,7 +120,8 @@ fn keys_are_seen_at_once_while_a_node_tells_fifty_thousand_events_a_second() {
 
 /// The promised load on a quiet machine, in percent of a core; asserted if `IMRS_QUIET=1` says that this machine is quiet.
 const IDLE_GOAL: f64 = 3.0;
-/// The limit on any machine, because the cost of a frame depends on it. A loop without sleep takes several times as much.
+/// The limit on any machine, in percent of a core, because the cost of a frame depends on the machine. A loop without sleep
+/// takes several times as much.
 const IDLE_MOST: f64 = 25.0;
 /// The least time between two frames.
 const FRAME: Duration = Duration::from_millis(33);
@@ -139,7 +140,7 @@ fn an_idle_screen_costs_next_to_nothing() {
     terminal.type_monitor("", "");
     terminal.wait_for("the overview", |screen| screen.contains("armL"));
     let pid = terminal.monitor_pid();
-    // The clock is read first and last, so that it never shows less time than the frames took.
+    // The clock is read first and last, so that the measured time covers all frames.
     let (begins, before, drawn) = (Instant::now(), worked(pid), writes(pid));
     thread::sleep(Duration::from_secs(3));
     let (worked, drawn) = (worked(pid) - before, writes(pid) - drawn);
@@ -173,7 +174,7 @@ fn worked(pid: u32) -> Duration {
 
 /// The delays from a key to its effect on the screen, sorted.
 fn pressed(terminal: &Terminal) -> Vec<Duration> {
-    // If times are asserted, enough samples for a 99th percentile.
+    // If times are asserted, this takes enough samples for a 99th percentile.
     let mut times: Vec<Duration> = (0..if is_quiet() { 100 } else { 30 })
         .map(|turn| {
             let (key, title) = if turn % 2 == 0 { ("5", "[5 Timers]") } else { ("6", "[6 Events]") };

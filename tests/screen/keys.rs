@@ -62,7 +62,7 @@ fn a_filter_a_mark_a_pause_and_a_theme_are_seen() {
     terminal.leave();
 }
 
-/// The first clicks, before any resize: on a tab, and on a row.
+/// The first clicks before any resize hit a tab, and a row.
 #[test]
 fn clicks_hit_what_the_terminal_shows() {
     let Some((_demo, terminal)) = watched("") else { return };
@@ -153,7 +153,7 @@ fn a_screen_is_written_as_text_and_a_recording_exported() {
         let said = run_in(demo.dir(), &["export", recorded, "--to", form, "--out", &out]);
         assert_eq!(said.code, Some(0), "{said:?}");
         let bytes = std::fs::read(&out).expect("the export");
-        // The amount of content varies. The tasks in it do not, because the test waited for events of every node.
+        // The amount of content varies. The tasks in it do not, because the test has waited for events of every node.
         let text = String::from_utf8_lossy(&bytes);
         assert!(bytes.starts_with(begin) && text.contains("armL"), "{form}: {text}");
     }

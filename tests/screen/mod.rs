@@ -159,7 +159,7 @@ fn what_the_screen_records_is_replayed_in_the_terminal() {
     terminal.wait_for("a recording", |screen| {
         screen.contains(" REC ") && screen.contains("3/3 nodes") && screen.contains("hoist")
     });
-    // Long enough that its end differs from its beginning.
+    // The recording must be so long that its end differs from its beginning.
     wait_until("a second is recorded", || recorded_length(&file) >= Duration::from_secs(1));
     terminal.keys(&["r"]);
     terminal.wait_for("the end of the recording", |screen| !screen.contains(" REC "));
@@ -167,7 +167,7 @@ fn what_the_screen_records_is_replayed_in_the_terminal() {
     terminal.assert_restored();
     terminal.keys(&["clear", "Enter"]);
     terminal.type_monitor("", &format!("--replay {shown}"));
-    // The position in the replay, and its length.
+    // Reads the position in the replay, and its length, from the screen.
     let position = |screen: &str| {
         let (_, rest) = screen.split_once("REPLAY ")?;
         let mut words = rest.split_whitespace();

@@ -1,4 +1,4 @@
-//! The monitor with nodes that are slow, stopped or dead, with foreign servers, and on limited terminals.
+//! Tests of the monitor with nodes that are slow, stopped or dead, with foreign servers, and on limited terminals.
 
 use super::terminal::{Terminal, tmux_is_here, watched};
 use crate::support::live::Live;
@@ -10,7 +10,7 @@ use std::path::Path;
 use std::thread;
 use std::time::Duration;
 
-/// A socket where a monitor looks for nodes. Threads serve it by `each`, and end with the test's process.
+/// Opens a socket at the place where a monitor looks for nodes. Threads serve it by `each`, and end with the test's process.
 fn listen(dir: &Path, node: &str, each: fn(UnixStream)) -> String {
     let folder = imrs_wire::obs::place::prepare_in(&dir.join("imrs"), "beam_lift", node, std::process::id());
     let path = folder.expect("a place for the socket");
@@ -92,7 +92,7 @@ fn a_restarted_node_has_a_new_incarnation() {
     if !tmux_is_here() {
         return;
     }
-    // The restarted node is held back for the longest TTL of a command. Meanwhile both arms wait.
+    // The restarted node is held back for the longest TTL of a command. Both arms wait meanwhile.
     let demo = Live::steady_with(&["--kill", "nh@2s", "--restart", "nh@4s"]);
     let terminal = Terminal::open(demo.dir());
     terminal.start_monitor("");

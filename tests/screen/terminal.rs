@@ -1,4 +1,4 @@
-//! A terminal that a test can type into and read.
+//! A terminal into which a test can type, and whose screen it can read.
 
 use crate::support::live::Live;
 use crate::support::{PATIENCE, is_here, signal};
@@ -133,7 +133,7 @@ impl Terminal {
         self.wait_for("an empty screen", |screen| !screen.contains("ended: "));
     }
 
-    /// Presses keys, and waits until the screen shows this.
+    /// Presses keys, and waits until the screen shows `shows`.
     pub fn press(&self, keys: &[&str], shows: &str) -> String {
         self.keys(keys);
         self.wait_for(shows, |screen| screen.contains(shows))

@@ -1,4 +1,4 @@
-//! Running nodes, and a monitor's view of them.
+//! Helpers for running nodes, and for a monitor's view of them.
 
 use super::program::Program;
 use super::{PATIENCE, example, imrs, is_alive, replays, runtime_dir};
@@ -14,14 +14,14 @@ pub struct Node {
     pub name: String,
     pub pid: u32,
     pub address: Option<SocketAddr>,
-    /// The TCP address at which it serves monitors.
+    /// The TCP address at which the node serves monitors.
     pub observe: Option<SocketAddr>,
 }
 
 /// The nodes of a running cell.
 pub struct Live {
     dir: PathBuf,
-    /// Dropped before its folder is removed.
+    /// The launcher, dropped before its folder is removed.
     program: Program,
     /// The file of the recordings, and the cell file if one was given: the recordings are replayed when the nodes have ended.
     record: Option<(PathBuf, Option<String>)>,
@@ -30,8 +30,8 @@ pub struct Live {
 }
 
 impl Live {
-    /// Starts `imrs run` or `imrs demo` with these arguments and `--format json` in this runtime folder, and waits until
-    /// its nodes run.
+    /// Starts `imrs run` or `imrs demo` with these arguments and `--format json` in this runtime folder. Waits until the
+    /// nodes run.
     pub fn start(dir: &Path, args: &[&str]) -> Self {
         let record = args.iter().position(|arg| *arg == "--record").map(|at| {
             let cell = (args[0] == "run").then(|| args[1].to_owned());
@@ -50,8 +50,8 @@ impl Live {
         Self { dir: dir.to_owned(), program, record, nodes, _own: None }
     }
 
-    /// Starts `imrs demo beam-lift` with these arguments in a folder of its own. It always records, so that the run is
-    /// replayed.
+    /// Starts `imrs demo beam-lift` with these arguments in a folder of its own. The demo always records, so that its run
+    /// can be replayed.
     pub fn demo(args: &[&str]) -> Self {
         let dir = runtime_dir();
         let record = dir.path().join("own.imrs");
@@ -74,8 +74,8 @@ impl Live {
         Self { _own: Some(dir), ..live }
     }
 
-    /// Starts the demo's cell with these arguments in this runtime folder. Its tasks never give up, however long a busy machine
-    /// or a dead node makes them wait at the rendezvous. It records.
+    /// Starts the demo's cell with these arguments in this runtime folder. Its tasks never give up, however long a busy
+    /// machine or a dead node makes them wait at the rendezvous. The run is recorded.
     pub fn steady_in(dir: &Path, args: &[&str]) -> Self {
         let (file, record) = (dir.join("beam_lift.cell"), dir.join("own.imrs"));
         let cell = std::fs::read_to_string(example("beam_lift.cell")).expect("an example");
@@ -114,7 +114,7 @@ impl Live {
         self.node(node).address.expect("a node with a socket")
     }
 
-    /// Waits until a monitor's sample satisfies `is_so`, or the run ends by itself. Returns the last sample; null if there was
+    /// Waits until `is_so` accepts a monitor's sample, or the run ends by itself. Returns the last sample; null if there was
     /// none.
     pub fn until(&self, what: &str, mut is_so: impl FnMut(&Value) -> bool) -> Value {
         let (end, mut seen, mut last) = (Instant::now() + PATIENCE, Seen::by_monitor(&self.dir), Value::Null);
@@ -138,7 +138,7 @@ impl Live {
         self.program.interrupt();
     }
 
-    /// Waits for the end. Returns the summary, the exit code, and the complaints.
+    /// Waits for the end of the run. Returns the summary, the exit code, and the complaints.
     pub fn finish(self) -> (Value, Option<i32>, String) {
         let said = self.program.finish();
         if let Some((file, cell)) = &self.record
@@ -167,7 +167,7 @@ impl Seen {
     }
 
     /// The next sample. A monitor gives up after some seconds without a node. On a busy machine a node may appear later, so
-    /// another monitor is started.
+    /// this then starts another monitor.
     pub fn sample(&mut self) -> Value {
         let end = Instant::now() + PATIENCE;
         loop {
@@ -178,7 +178,7 @@ impl Seen {
         }
     }
 
-    /// The next sample; none if this monitor has ended. Then another one is started.
+    /// The next sample; none if this monitor has ended. The caller then starts another one.
     fn next(&mut self) -> Option<Value> {
         let sample = self.monitor.next_json();
         if sample.is_none() {
@@ -187,7 +187,7 @@ impl Seen {
         sample
     }
 
-    /// The first sample that satisfies `is_so`.
+    /// The first sample that `is_so` accepts.
     pub fn until(&mut self, what: &str, mut is_so: impl FnMut(&Value) -> bool) -> Value {
         let end = Instant::now() + PATIENCE;
         loop {
@@ -217,7 +217,7 @@ pub fn figure(sample: &Value, at: &str, port: &str, name: &str) -> u64 {
     named(&task(sample, at)["ports"], port)[name].as_u64().unwrap_or(0)
 }
 
-/// The last round of its waitfor that released this task, in a sample; 0 if none did.
+/// The number of the last round of a waitfor that released this task, in a sample; 0 if none did.
 pub fn released(sample: &Value, at: &str) -> u64 {
     task(sample, at)["waitfor"][0]["released"].as_u64().unwrap_or(0)
 }

@@ -20,7 +20,7 @@ use tempfile::TempDir;
 /// Time limit of every wait: no command takes this long, however busy the machine is.
 pub const PATIENCE: Duration = Duration::from_secs(600);
 
-/// Whether nothing is missing that a test needs. Otherwise prints what was skipped, or fails if `IMRS_REQUIRE_ALL=1`.
+/// Whether nothing is missing that a test needs. Otherwise this prints what was skipped, or fails if `IMRS_REQUIRE_ALL=1`.
 pub fn is_here(missing: Option<&str>, not_done: &str) -> bool {
     let Some(missing) = missing else { return true };
     let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
@@ -41,7 +41,7 @@ pub fn excused(why: &str) {
     println!("this machine was late: {why}");
 }
 
-/// Number of attempts at what a late machine may spoil.
+/// Number of attempts at a test that a late machine may spoil.
 pub const TIMES: usize = 5;
 
 /// Tries something that a late machine may spoil, up to `TIMES` times. If every attempt is spoilt, the test is excused.
@@ -51,8 +51,8 @@ pub fn tried(why: &str, is_done: impl FnMut() -> bool) {
     }
 }
 
-/// Tries something that a suspended process may spoil, up to `TIMES` times. That happens by chance only, so the test fails if
-/// every attempt is spoilt.
+/// Tries something that a suspended process may spoil, up to `TIMES` times. A suspension comes by chance only, so the test
+/// fails if every attempt is spoilt.
 pub fn tried_again(why: &str, mut is_done: impl FnMut() -> bool) {
     for _ in 0..TIMES {
         if is_done() {
@@ -101,12 +101,12 @@ pub fn own_address<const N: usize>() -> (Ipv4Addr, [u16; N]) {
     static USED: AtomicU16 = AtomicU16::new(0);
     let [_, a, b, c] = std::process::id().to_be_bytes();
     let first = 20_000 + USED.fetch_add(u16::try_from(N).expect("a few"), Ordering::Relaxed);
-    // Other programs use 127.0.x.y.
+    // Other programs on this machine use addresses 127.0.x.y.
     let ports = std::array::from_fn(|i| first + u16::try_from(i).expect("a few"));
     (Ipv4Addr::new(127, 64 | a, b, c), ports)
 }
 
-/// Tests all cases at once, each in a thread: they wait more than they work.
+/// Tests all cases at once, each in a thread of its own, because the tests wait more than they work.
 pub fn side_by_side<T: Send>(cases: impl IntoIterator<Item = T>, test: impl Fn(T) + Sync) {
     let test = &test;
     thread::scope(|scope| {
@@ -118,7 +118,7 @@ pub fn side_by_side<T: Send>(cases: impl IntoIterator<Item = T>, test: impl Fn(T
 
 /// A runtime folder for the nodes and monitors of one test.
 pub fn runtime_dir() -> TempDir {
-    // Not in the build folder, because paths of Unix sockets must be short.
+    // The folder is not in the build folder, because paths of Unix sockets must be short.
     tempfile::Builder::new().prefix("imrs-test").tempdir().expect("a folder for temporary files")
 }
 
@@ -139,7 +139,7 @@ pub struct Said {
     pub code: Option<i32>,
 }
 
-/// Whether a run ended well, or its only complaints are broken checks or missing evidence. This machine may have been later, or
+/// Whether a run ended well, or complained only of broken checks or missing evidence. This machine may have been later, or
 /// the fault larger, than the cell declares.
 pub fn is_well(code: Option<i32>, errors: &str) -> bool {
     let starts = |words: &str| errors.lines().any(|line| line.starts_with(words));
@@ -154,7 +154,7 @@ pub fn is_well(code: Option<i32>, errors: &str) -> bool {
 }
 
 impl Said {
-    /// Whether it ended well, apart from checks ([`is_well`]).
+    /// Whether the command ended well, apart from checks ([`is_well`]).
     pub fn is_well(&self) -> bool {
         is_well(self.code, &self.err)
     }
@@ -172,12 +172,12 @@ pub fn run(args: &[&str]) -> Said {
     run_in(dir.path(), args)
 }
 
-/// Runs a command to its end, in this runtime folder. Recordings of nodes that it made must replay.
+/// Runs a command to its end, in this runtime folder. If it made recordings of nodes, they must replay.
 pub fn run_in(dir: &Path, args: &[&str]) -> Said {
     recorded(dir, args, finish(imrs(dir, args)))
 }
 
-/// Repeats a command that looks at nodes once, until its output satisfies `is_so`. On a busy machine a node may be silent for
+/// Repeats a command that looks at nodes once, until `is_so` accepts its output. On a busy machine a node may be silent for
 /// longer than one look waits.
 pub fn look_until(dir: &Path, args: &[&str], what: &str, is_so: impl Fn(&Said) -> bool) -> Said {
     let mut said = run_in(dir, args);
@@ -191,7 +191,8 @@ pub fn look_until(dir: &Path, args: &[&str], what: &str, is_so: impl Fn(&Said) -
     said
 }
 
-/// Runs a cell until `is_enough` accepts a line, or until it ends by itself. Recordings of nodes that it made must replay.
+/// Runs a cell until `is_enough` accepts a line, or until the cell ends by itself. If it made recordings of nodes, they must
+/// replay.
 pub fn run_until(dir: &Path, args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
     let mut program = Program::start(imrs(dir, args));
     program.read_until(is_enough);
@@ -248,7 +249,7 @@ pub fn replays(dir: &Path, file: &Path, cell: Option<&str>) {
     assert_eq!(said.code, Some(if incomplete { 5 } else { 0 }), "{said:?}");
     let tasks: Vec<Value> =
         answers.iter().flat_map(|answer| answer["tasks"].as_array().expect("tasks").clone()).collect();
-    // A slow disk may have lost inputs, which the recording reports: that is no fault of the state machine.
+    // A slow disk may have lost inputs, which the recording reports. That is no fault of the state machine.
     let judged = |task: &&Value| task["verdict"] == "same" || number(&task["lost"]) > 0;
     assert!(!tasks.is_empty() && tasks.iter().filter(judged).count() == tasks.len(), "{tasks:?}");
 }
@@ -266,7 +267,7 @@ pub fn finish(command: Command) -> Said {
 /// stops one thread after the other, and until then the last of them may still act on what this test does next.
 pub fn signal(pid: u32, signal: Signal) {
     if let Some(target) = i32::try_from(pid).ok().and_then(Pid::from_raw) {
-        // The process may have exited already.
+        // The process may already have exited.
         let _ = kill_process(target, signal);
     }
     if signal == Signal::STOP {

@@ -13,7 +13,7 @@ use std::time::Instant;
 pub struct Program {
     child: Child,
     lines: Receiver<(Instant, String)>,
-    /// The lines that have been read.
+    /// The lines that have been read so far.
     out: String,
     errors: Option<JoinHandle<String>>,
 }
@@ -101,7 +101,7 @@ impl Program {
         signal(self.pid(), Signal::INT);
     }
 
-    /// Waits for the end. Returns the whole output.
+    /// Waits for the end of the command. Returns its whole output.
     pub fn finish(mut self) -> Said {
         self.read_until(|_| false);
         let code = self.child.wait().expect("it ends").code();
@@ -120,7 +120,7 @@ impl Drop for Program {
     }
 }
 
-/// Whether lines with these words have come, in this order.
+/// Returns a function that is true once lines with these words have come, in this order.
 pub fn one_after_the_other(words: &'static [&'static str]) -> impl FnMut(&str) -> bool {
     let mut left = words;
     move |line| {
@@ -133,7 +133,7 @@ pub fn one_after_the_other(words: &'static [&'static str]) -> impl FnMut(&str) -
     }
 }
 
-/// Whether lines with each of these words have come, in any order.
+/// Returns a function that is true once lines with each of these words have come, in any order.
 pub fn all_of(words: &'static [&'static str]) -> impl FnMut(&str) -> bool {
     let mut left = words.to_vec();
     move |line| {
@@ -142,7 +142,7 @@ pub fn all_of(words: &'static [&'static str]) -> impl FnMut(&str) -> bool {
     }
 }
 
-/// Whether so many lines with these words have come.
+/// Returns a function that is true once so many lines with these words have come.
 pub fn times(count: usize, words: &'static str) -> impl FnMut(&str) -> bool {
     let mut found = 0;
     move |line| {

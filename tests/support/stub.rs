@@ -1,4 +1,4 @@
-//! A stub node: it reports to monitors what a test wants them to see.
+//! A stub node, which reports to monitors what a test wants them to see.
 
 use imrs_wire::obs::{
     Events, FrameReader, FrameWriter, Handshake, Hello, MAX_REQUEST, NodeIdentity, Role, SCHEMA, ServerFrame,
@@ -21,7 +21,7 @@ pub struct Tells {
     pub snapshot: Snapshot,
     /// Events that are not reported yet.
     pub events: Vec<TimedEvent>,
-    /// The vitals of its process, without the clock.
+    /// The vitals of the stub's process, without the clock.
     pub vitals: Vitals,
 }
 
@@ -30,7 +30,7 @@ pub struct Tells {
 pub struct Beat(Arc<Mutex<(Instant, Option<Instant>)>>);
 
 impl Beat {
-    /// An activity is late if its predecessor was longer ago than this.
+    /// An activity is late if it last happened longer ago than this.
     const LATE: Duration = Duration::from_millis(500);
 
     fn start() -> Self {
@@ -56,12 +56,12 @@ impl Beat {
 pub struct Stub {
     tells: Arc<Mutex<Tells>>,
     since: Instant,
-    /// The timing of its reports, which a busy machine may delay.
+    /// The timing of the stub's reports, which a busy machine may delay.
     pub beat: Beat,
 }
 
 impl Stub {
-    /// Starts a stub where monitors look for nodes, in this runtime folder.
+    /// Starts a stub in this runtime folder, at the place where monitors look for nodes.
     pub fn start(dir: &Path, identity: NodeIdentity, table: Table, tells: Tells) -> Self {
         let base = dir.join("imrs");
         let path = place::prepare_in(&base, &identity.cell, &identity.node, std::process::id());
@@ -110,7 +110,7 @@ fn serve(
     writer.push_bytes(&Handshake::Hello(hello).encode(VERSION)).ok()?;
     writer.push(&ServerFrame::Table(table)).ok()?;
     writer.flush().ok()?;
-    // The monitor's requests are read and ignored.
+    // The requests of the monitor are read and ignored.
     thread::spawn(move || while reader.read_frame().is_ok() {});
     for round in 0.. {
         let mono_us = mono_us(since);

@@ -25,7 +25,7 @@ impl Default for Declared {
 }
 
 impl Declared {
-    /// Reads one line.
+    /// Reads one line of declarations.
     pub fn line(&mut self, line: &str) -> Result<(), String> {
         let mut t = Tokens::new(line)?;
         if t.is_over() {
@@ -169,7 +169,8 @@ impl Declared {
         Ok(())
     }
 
-    /// `couple P -> S via alive, lease 20, takeover 40, every 5`; with `<->` the two tasks can exchange their roles.
+    /// Reads a couple: `couple P -> S via alive, lease 20, takeover 40, every 5`. With `<->` the two tasks can exchange
+    /// their roles.
     fn couple(&mut self, t: &mut Tokens) -> Result<(), String> {
         let primary = t.named("task", |name| task(&self.cell, name))?;
         let mutual = t.eat("<->");
@@ -199,7 +200,7 @@ impl Declared {
         Ok(())
     }
 
-    /// A variant of the protocol's rules, which shows why the default is needed.
+    /// Reads a variant of the protocol's rules, which shows why the default is needed.
     fn rule(&mut self, t: &mut Tokens) -> Result<(), String> {
         let rules = &mut self.cell.rules;
         let (rule, choice) = (t.word()?, t.word()?);

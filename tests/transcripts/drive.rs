@@ -1,5 +1,6 @@
-//! Executes a transcript: runs the nodes of a cell in virtual time. A packet takes its link's bound unless a line says
-//! otherwise, and is charged its real delay, but at least the bound (D20). In each tick time passes first, then packets arrive.
+//! Executes a transcript: runs the nodes of a cell in virtual time. A packet takes the bound of its link, unless a line says
+//! otherwise. It is charged its real delay, but at least the bound (D20). In each tick time passes first, then packets
+//! arrive.
 
 use super::cells::Declared;
 use super::look::{answer, look, whole};
@@ -40,7 +41,7 @@ struct Got {
     answered: bool,
 }
 
-/// The links between the nodes, and what was seen.
+/// The links between the nodes, and the events that were seen.
 struct Between {
     table: Arc<CellTable>,
     now: u64,
@@ -70,7 +71,7 @@ impl Between {
         self.seen.push(Seen { at: self.now, text });
     }
 
-    /// The fault that hits a packet leaving `node`, if any: the first line that still applies decides.
+    /// The fault that hits a packet which leaves `node`, if any: the first line that still applies decides.
     fn fate(&mut self, node: NodeId, packet: &Packet) -> Option<What> {
         let applies = |f: &&mut Fault| {
             f.count > 0
@@ -218,7 +219,7 @@ impl Drive {
         Ok(())
     }
 
-    /// Writes the text of a signal, and remembers a message that can be answered.
+    /// Writes the text of a signal, and keeps a message that can be answered.
     fn tell(&mut self, node: NodeId, task: TaskId, signal: &Signal, place: usize) {
         let names = Names(&self.between.table);
         let Some(at) = self.nodes[node.index()].task(task) else { return };
@@ -323,7 +324,7 @@ impl Drive {
         })
     }
 
-    /// The message that a reply answers: the latest unanswered one, else the latest one.
+    /// The message that a reply answers: the latest unanswered one, or else the latest one.
     fn place_of(
         &self,
         receiver: TaskId,

@@ -4,7 +4,7 @@ use super::steps::Look;
 use super::words::{Names, text};
 use imrs_protocol::*;
 
-/// The text that a look shows.
+/// The text that shows this part of the state.
 pub fn look(look: Look, nodes: &[Node], table: &CellTable) -> Result<String, String> {
     let names = Names(table);
     let of = |task: TaskId| {
@@ -39,7 +39,7 @@ pub fn whole(task: &CommTask, signal: &Signal) -> Vec<u8> {
     }
 }
 
-/// The answer of `of` to the last request on the port.
+/// The answer of the task `of` to the last request on the port.
 pub fn answer(task: &CommTask, port: PortId, of: TaskId) -> Option<Vec<u8>> {
     let parts = (0..16).map_while(|i| task.answer_fragment(port, of, i));
     let said: Vec<&Contents> = parts.collect();

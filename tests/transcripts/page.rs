@@ -1,6 +1,6 @@
-//! Runs a page of executable rules. A page has prose and three kinds of blocks. A `cell` block holds until the next one. A
-//! `wrong` block is a cell followed by its faults. A `transcript` block starts with fresh nodes; below each of its steps stands
-//! what was seen.
+//! Runs a page of executable rules. A page has prose and three kinds of blocks. A `cell` block declares the cell of the
+//! following blocks. A `wrong` block is a cell, followed by its faults. A `transcript` block starts with fresh nodes; below
+//! each of its steps stand the events that were seen.
 
 use super::cells::Declared;
 use super::drive::{Drive, Seen};
@@ -13,7 +13,7 @@ pub struct Report {
     /// The page with the events that were really seen.
     pub blessed: String,
     pub faults: Vec<String>,
-    /// How many transcripts and wrong cells it has.
+    /// How many transcripts and wrong cells the page has.
     pub shown: usize,
 }
 
@@ -25,7 +25,7 @@ struct Entry<'a> {
     below: Vec<(usize, &'a str)>,
 }
 
-/// Runs a page. `name` appears in its faults.
+/// Runs a page. `name` is the name of the page in its faults.
 pub fn run(name: &str, page: &str) -> Report {
     let mut report = Report::default();
     let mut declared = Declared::default();
@@ -63,7 +63,7 @@ fn cell(name: &str, block: &[(usize, &str)], report: &mut Report) -> Declared {
     declared
 }
 
-/// Checks a cell that must be rejected with exactly these words.
+/// Checks a cell that must be rejected with exactly these faults.
 fn wrong(name: &str, block: &[(usize, &str)], report: &mut Report) {
     report.shown += 1;
     let (expected, lines): (Vec<_>, Vec<_>) = block.iter().partition(|(_, line)| is_seen(line));

@@ -4,7 +4,7 @@ use super::cells::{node, port, task};
 use super::tokens::Tokens;
 use imrs_protocol::*;
 
-/// One step.
+/// One step of a transcript.
 #[derive(Clone, Debug)]
 pub enum Step {
     /// Lets so many ticks pass.
@@ -25,13 +25,13 @@ pub enum Step {
     Continue(NodeId),
     /// Whether the link from one node to another is busy and accepts no packets.
     Busy(NodeId, NodeId, bool),
-    /// Shows something.
+    /// Shows a part of the state.
     Look(Look),
     /// A task makes a request.
     Ask(TaskId, Ask),
 }
 
-/// What a transcript can show.
+/// The parts of the state that a transcript can show.
 #[derive(Clone, Copy, Debug)]
 pub enum Look {
     Queue(PortId, TaskId),
@@ -52,12 +52,12 @@ pub enum Ask {
 /// A fault that hits the next packets of a kind.
 #[derive(Clone, Debug)]
 pub struct Fault {
-    /// How many packets it hits; `u32::MAX` for all.
+    /// How many packets the fault hits; `u32::MAX` for all.
     pub count: u32,
     pub kind: Option<Kind>,
     pub source: TaskId,
     pub destination: TaskId,
-    /// If set, only packets that leave this node.
+    /// If set, the fault hits only packets that leave this node.
     pub at: Option<NodeId>,
     pub what: What,
 }
@@ -71,7 +71,7 @@ pub enum What {
     Takes(u64),
 }
 
-/// Reads one step.
+/// Reads one step from its line.
 pub fn read(line: &str, cell: &Cell) -> Result<Step, String> {
     let mut tokens = Tokens::new(line)?;
     let t = &mut tokens;
@@ -212,7 +212,7 @@ fn send(t: &mut Tokens, cell: &Cell) -> Result<Ask, String> {
     Ok(Ask::Send { port: id, to, contents, time_out: length(t)? })
 }
 
-/// `reply [PORT] [to A] [for B] "..."`: with a `reply` port, `for B` names the task that received the message.
+/// Reads `reply [PORT] [to A] [for B] "..."`. With a `reply` port, `for B` names the task that received the message.
 fn reply(t: &mut Tokens, cell: &Cell) -> Result<Ask, String> {
     let through = t.maybe(|name| port(cell, name));
     let to = if t.eat("to") { Some(t.named("task", |name| task(cell, name))?) } else { None };

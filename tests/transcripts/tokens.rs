@@ -1,6 +1,6 @@
 //! Splits a line of a page into words.
 
-/// A word, a quoted text, or one of `:` `,`.
+/// A word, a quoted text, or one of the signs `:` and `,`.
 #[derive(Clone, Debug, PartialEq)]
 enum Token {
     Word(String),
@@ -109,7 +109,7 @@ impl Tokens {
                 return Ok(found);
             }
             let Some(next) = self.maybe(&look_up) else {
-                // The comma belongs to what follows the list.
+                // The comma belongs to the words behind the list.
                 self.at = before;
                 return Ok(found);
             };

@@ -1,4 +1,4 @@
-//! The texts of events and of looks at the state.
+//! Texts for events, and for parts of the state.
 
 use imrs_protocol::*;
 

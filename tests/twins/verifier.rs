@@ -1,5 +1,5 @@
 //! Builds verifiers of the Promela models, each once. SPIN and the C compiler take much longer than most verifiers run, so
-//! their products stay in cargo's target folder, like other build products. A verifier runs on each call.
+//! the built programs stay in cargo's target folder. Each call runs a verifier again.
 
 use super::spin;
 use std::fs;
@@ -38,23 +38,23 @@ pub struct Twin<'a> {
 }
 
 impl<'a> Twin<'a> {
-    /// A model of `specs/promela`; each of `definitions` is `NAME` or `NAME=value`.
+    /// The twin for a model of `specs/promela`; each of `definitions` is `NAME` or `NAME=value`.
     pub const fn new(model: &'a str, definitions: &'a [&'a str]) -> Self {
         Self { model, definitions, flags: QUICKLY_BUILT }
     }
 
-    /// The same, compiled with these flags.
+    /// The same twin, compiled with these flags.
     pub const fn compiled(self, flags: &'static [&'static str]) -> Self {
         Self { flags, ..self }
     }
 
-    /// The verdict of its verifier, which explores the whole model on each call.
+    /// The verdict of the twin's verifier, which explores the whole model on each call.
     pub fn verdict(&self) -> spin::Verdict {
         let folder = tempfile::tempdir().expect("a folder for temporary files");
         spin::Verifier::at(self.verifier()).run_in(folder.path(), &["-w20"])
     }
 
-    /// The path of its verifier, which is built if it does not exist.
+    /// The path of the twin's verifier, which is built if it does not exist.
     fn verifier(&self) -> PathBuf {
         let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("specs/promela").join(self.model);
         let text = fs::read_to_string(&model).unwrap_or_else(|e| panic!("{}: {e}", model.display()));
@@ -80,14 +80,14 @@ impl<'a> Twin<'a> {
         fs::write(whole.join("made_of"), made_of).expect("written");
         match fs::rename(&whole, folder) {
             Ok(()) => {}
-            // Another test has just built the same verifier.
+            // Another test has built the same verifier in the meantime.
             Err(e) if e.kind() == ErrorKind::DirectoryNotEmpty && is_built(folder, made_of) => {}
             Err(e) => panic!("{}: {e}: remove this folder", folder.display()),
         }
     }
 }
 
-/// Whether a folder holds a verifier that was built from this.
+/// Whether a folder contains a verifier that was built from these inputs.
 fn is_built(folder: &Path, made_of: &str) -> bool {
     fs::read_to_string(folder.join("made_of")).is_ok_and(|text| text == made_of)
 }

@@ -1,4 +1,4 @@
-//! The faults of a trial: what happens to the acting node, to the guard of its command, and to the command.
+//! The faults of a trial: what happens to the acting node, to the guard of its command, and to the command itself.
 
 use super::freezer::Freezer;
 use crate::support::{is_alive, signal};
@@ -7,7 +7,7 @@ use rustix::process::Signal;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Fate {
     Spared,
-    /// It is stopped for a while.
+    /// The process is stopped for a while.
     Held,
     Killed,
 }
@@ -33,7 +33,7 @@ const fn fault(name: &'static str, [node, guard, tool]: [Fate; 3], means: Means)
     Fault { name, node, guard, tool, means }
 }
 
-/// Only the node is stopped, as in the first defect of this kind.
+/// The fault in which only the node is stopped, as in the first defect of this kind.
 pub const NODE_STOPPED: Fault =
     fault("node stopped", [Fate::Held, Fate::Spared, Fate::Spared], Means::Signal);
 
@@ -68,11 +68,12 @@ impl Fault {
         [self.node, self.guard, self.tool].contains(&Fate::Held)
     }
 
-    /// Applies the fault to this node.
+    /// Applies the fault to the node with this process id.
     pub fn strike(&self, node: u32) -> Struck {
         let mut struck = Struck { held: Vec::new(), frozen: None, guards: Vec::new() };
         let holds_more = [self.guard, self.tool].contains(&Fate::Held);
-        // The node is stopped first: otherwise it could end its command and start the next one during the search.
+        // The node is stopped first. Otherwise it could end its command and start the next one while this searches for the
+        // processes.
         if self.node != Fate::Spared && self.means == Means::Signal && holds_more {
             signal(node, Signal::STOP);
         }
@@ -92,7 +93,7 @@ impl Fault {
     }
 }
 
-/// The stopped processes. Dropping this resumes them.
+/// The stopped processes of a fault. Dropping this resumes them.
 pub struct Struck {
     held: Vec<u32>,
     frozen: Option<Freezer>,

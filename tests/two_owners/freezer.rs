@@ -1,4 +1,4 @@
-//! The kernel's freezer: stops processes without a signal.
+//! The kernel's freezer, which stops processes without a signal.
 
 use std::fs;
 use std::io;
@@ -53,7 +53,7 @@ impl Version {
         let mut shell = Command::new("sh");
         shell.args(["-c", "cat > /dev/null; { echo \"$1\" > \"$0\"; } 2> /dev/null"]);
         shell.arg(group.join(self.file)).arg(self.thawed);
-        // In its own process group, a Ctrl-C for this program does not end it.
+        // The shell has its own process group, so that a Ctrl-C for this program does not end it.
         shell.stdin(Stdio::piped()).process_group(0).spawn()
     }
 }
@@ -95,7 +95,7 @@ impl Freezer {
         Ok(freezer)
     }
 
-    /// Resumes the processes.
+    /// Resumes the processes, by dropping the freezer.
     pub fn thaw(self) {}
 }
 
@@ -108,7 +108,7 @@ impl Drop for Freezer {
         }
         drop(self.keeper.stdin.take());
         let _ = self.keeper.wait();
-        // An ending process keeps the group for a moment. An empty group that stays does no harm.
+        // An ending process keeps the group for a moment. If an empty group stays, that does no harm.
         let end = Instant::now() + EMPTY_WITHIN;
         while fs::remove_dir(&self.group).is_err() && Instant::now() < end {
             thread::sleep(Duration::from_millis(1));

@@ -38,7 +38,7 @@ impl Tally {
         done.0.push(trial);
     }
 
-    /// The trials, and the comparisons.
+    /// The trials of the series, and the comparisons.
     pub fn finish(self) -> (Trials, Trials) {
         let (all, _) = self.done.into_inner().unwrap_or_else(PoisonError::into_inner);
         let (comparisons, trials) = all.into_iter().partition(Trial::is_comparison);
@@ -59,7 +59,7 @@ impl Trials {
         self.0.iter().filter(|trial| is(trial)).count() as u64
     }
 
-    /// The longest two-owner time, in microseconds.
+    /// The longest time with two owners in one trial, in microseconds.
     pub fn two_owners(&self) -> u64 {
         self.0.iter().map(|trial| trial.two_owners).max().unwrap_or(0)
     }
@@ -79,7 +79,7 @@ impl Trials {
         )
     }
 
-    /// For how long processes were stopped, in each trial that stopped any.
+    /// For each trial that stopped processes, for how long it did.
     fn held(&self) -> impl Iterator<Item = u64> {
         self.0.iter().map(|trial| trial.held).filter(|&held| held > 0)
     }
@@ -127,7 +127,7 @@ fn millis(micros: Option<u64>) -> u64 {
     micros.unwrap_or(0) / 1_000
 }
 
-/// Prints the line that `.ci/long` keeps.
+/// Prints the line about the series that `.ci/long` keeps.
 pub fn tell(trials: &Trials, comparisons: &Trials) {
     println!(
         "total: {}; {}; {}; {}; the log counts in steps of {} us of CLOCK_BOOTTIME",

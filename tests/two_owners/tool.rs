@@ -1,4 +1,4 @@
-//! The tool that both tasks use: the command of their actions, and the log that shows who acted when.
+//! The tool that both tasks use: the command of their actions, and the log that shows which task acted when.
 
 #[path = "../../examples/actuator.rs"]
 #[expect(dead_code, reason = "the start of the example as a program of its own")]
@@ -14,10 +14,10 @@ use std::{env, thread};
 
 /// The log of a tool, in the tool's folder.
 const LOG: &str = "tool.log";
-/// The time between two steps, as in the example.
+/// The time between two steps on the tool, as in the example.
 const STEP: Duration = Duration::from_millis(1);
 
-/// What stops the command of one task from acting beside that of the other.
+/// What keeps the command of one task from acting while the command of the other acts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub enum Bound {
     /// The gate and the deadline, as in the example.
@@ -28,7 +28,7 @@ pub enum Bound {
     Neither,
 }
 
-/// The command of an action: it acts on the tool in this folder for so long.
+/// The command of an action that acts on the tool in this folder for so long.
 pub fn command(name: &str, folder: &Path, bound: Bound, length: Duration) -> String {
     let (program, folder) = (env::current_exe().expect("this program"), folder.display());
     let (program, length) = (program.display(), length.as_millis());
@@ -36,7 +36,7 @@ pub fn command(name: &str, folder: &Path, bound: Bound, length: Duration) -> Str
     format!("{name}={program} --exact {test} --nocapture tool={folder} bound={bound:?} millis={length}")
 }
 
-/// Run by a node of a trial, as the command of an action.
+/// The body of a command of an action, which a node of a trial runs.
 #[test]
 fn moves_the_tool() {
     let said = |name: &str| env::args().find_map(|argument| argument.strip_prefix(name).map(str::to_owned));
@@ -45,7 +45,7 @@ fn moves_the_tool() {
     let length = Duration::from_millis(millis);
     let Orders { epoch, deadline } = Orders::from_env().expect("numbers");
     let epoch = epoch.expect("the tasks are a couple");
-    // If the gate refuses it in the middle, the command fails, and so does the action.
+    // If the gate refuses the command in the middle of its work, the command fails, and so does the action.
     match said("bound=").as_deref() {
         Some("Both") => {
             let renewed = deadline.clone();
@@ -57,7 +57,7 @@ fn moves_the_tool() {
     }
 }
 
-/// Acts for so long, even if another task does. Its log is that of the example.
+/// Acts for so long, even if another task acts, too. The log is like that of the example.
 fn act_unbound(tool: &Path, epoch: u8, length: Duration) {
     let mut log = OpenOptions::new().create(true).append(true).open(tool.join(LOG)).expect("the log");
     let mut line = |what: &str| {
@@ -94,9 +94,9 @@ pub fn log_of(tool: &Path) -> Vec<Line> {
     text.lines().map(line).collect()
 }
 
-/// For how long steps of an older epoch came after the first step of a newer one, in microseconds. Judged by the instants, and
-/// by the order of the log, in which an older step behind a newer one counts as at least a microsecond. Both are needed,
-/// because a process may be stopped between reading the clock and writing its line.
+/// For how long steps of an older epoch came after the first step of a newer one, in microseconds. This is judged by the
+/// instants and by the order of the log. An older step behind a newer one in the log counts as at least a microsecond. Both
+/// are needed, because a process may be stopped between reading the clock and writing its line.
 pub fn two_owners(log: &[Line]) -> u64 {
     let acts = || log.iter().filter(|line| line.acts);
     let mut of: BTreeMap<u8, (u64, u64)> = BTreeMap::new();

@@ -1,4 +1,5 @@
-//! One trial: runs a cell whose two tasks share a tool, strikes the acting node, and reads the log of the tool.
+//! One trial: it runs a cell whose two tasks share a tool, applies a fault to the acting node, and reads the log of the
+//! tool.
 
 use super::fault::{FAULTS, Fate, Fault};
 use super::tool::{Bound, command, log_of, two_owners};
@@ -9,7 +10,8 @@ use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Two welders that share a tool. The lease is long, so that a busy machine rarely ends it before the fault.
+/// The cell of the trials: two welders that share a tool. The lease is long, so that a busy machine rarely ends it before
+/// the fault.
 const CELL: &str = "\
 cell two_owners;
 tick 1 msec;
@@ -40,7 +42,7 @@ const ENDLESS: Duration = Duration::from_secs(50);
 /// How much longer than planned a command stays stopped, so that the standby acts meanwhile. A command stopped in the middle of
 /// a step keeps the standby waiting (D150).
 const HELD_ON: Duration = Duration::from_secs(3);
-/// How many steps of the standby a comparison waits for.
+/// For how many steps of the standby a comparison waits.
 const STEPS: usize = 20;
 /// How long the cell runs on after the fault.
 const AFTERWARDS: Duration = Duration::from_millis(500);
@@ -57,7 +59,7 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// The trial with this number. A long series also has stops of up to half a minute.
+    /// The plan of the trial with this number. A long series also has stops of up to half a minute.
     pub fn of(number: u64, are_many: bool) -> Self {
         let (kind, round) = (number % FAULTS.len() as u64, number / FAULTS.len() as u64);
         let mut draws = fastrand::Rng::with_seed(number);
@@ -75,12 +77,12 @@ impl Plan {
         }
     }
 
-    /// A comparison: this fault, with only the guard to bound the command.
+    /// The plan of a comparison: this fault, with only the guard to bound the command.
     pub fn comparison(number: u64, fault: Fault) -> Self {
         Self { number, fault, length: TAKEOVER, bound: Bound::Neither, action: ENDLESS }
     }
 
-    /// A node that is stopped for longer than a take-over.
+    /// The plan of a trial in which a node is stopped for longer than a take-over.
     pub fn stopped(number: u64) -> Self {
         let (fault, length) = (super::fault::NODE_STOPPED, 3 * TAKEOVER / 2);
         Self { number, fault, length, bound: Bound::Both, action: WELD }
@@ -111,17 +113,17 @@ pub struct Trial {
     pub check: String,
 }
 
-/// The log of a trial's tool, relative to the fault.
+/// The log of a trial's tool, with times relative to the fault.
 struct View<'a> {
     tool: &'a Path,
     /// The epoch that acted last before the fault.
     owner: u8,
-    /// When the fault came.
+    /// The instant of the fault.
     at: u64,
 }
 
 impl View<'_> {
-    /// The times of steps after the fault: those of the owner's epoch, or of newer ones.
+    /// The times of steps after the fault: the steps of the owner's epoch, or those of newer epochs.
     fn after(&self, of_owner: bool) -> Vec<u64> {
         let log = log_of(self.tool).into_iter().filter(|line| line.acts && line.at > self.at);
         let log =
@@ -140,15 +142,15 @@ pub fn trial(plan: &Plan) -> Trial {
     let live = start(dir.path(), plan);
     let acts = |least: usize| log_of(dir.path()).iter().filter(|line| line.acts).count() >= least;
     wait_until("the primary acts", || acts(20));
-    // A random delay, so that the fault can come at any moment of the lease.
+    // The delay is random, so that the fault can come at any moment of the lease.
     thread::sleep(Duration::from_millis(fastrand::Rng::with_seed(plan.number).u64(0..600)));
     let owner = log_of(dir.path()).last().expect("it acts").epoch;
-    // No task takes over from the standby, once it acts.
+    // Once the standby acts, no task takes over from it.
     let (node, is_primary) = (if owner % 2 == 1 { "n1" } else { "n2" }, owner % 2 == 1);
     let view = View { tool: dir.path(), owner, at: now() };
     let struck = plan.fault.strike(live.pid(node));
     let (struck_by, is_killed) = (now(), plan.fault.node == Fate::Killed);
-    // An unbounded old command should act beside the new one: both may have to wait for a processor.
+    // The old command is unbounded and should act at the same time as the new one. Both may have to wait for a processor.
     let may_be_two = plan.bound == Bound::Neither && plan.fault.lets_the_command_go_on();
     let least = if plan.bound == Bound::Neither { STEPS } else { 1 };
     let is_seen = || !may_be_two || !struck.holds_a_guard() || two_owners(&log_of(dir.path())) > 0;

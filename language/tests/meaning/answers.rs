@@ -247,7 +247,7 @@ fn figure_1_is_compiled_as_it_is_printed() {
     assert!(codes.iter().all(|code| !code.starts_with('E')), "{codes:?}");
     let lowered = compiled.lower(Unit::Ticks).expect("a whole cell");
     assert_eq!(lowered.cell.rules, Rules::PAPER);
-    // In the paper a rejection always has a penalty: if none is declared, a tick.
+    // By the paper's rules a rejection always has a penalty: if none is declared, it is a tick.
     let penalty = lowered.cell.ports[0].penalty.expect("a penalty");
     assert_eq!((penalty.length, penalty.literal), (Ticks(1), true));
     let plain = compile_with(&source, Options::default()).lower(Unit::Ticks).expect("a whole cell");

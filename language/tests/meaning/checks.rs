@@ -16,7 +16,7 @@ fn check(text: &str, expected: &[&str]) {
     assert_eq!(all_found(text), expected, "in:\n{text}");
 }
 
-/// The warnings and errors about a text.
+/// The warnings and errors about a text, without the notes.
 fn serious(text: &str) -> Vec<Diagnostic> {
     let found = compile(&source(text)).diagnostics;
     found.into_iter().filter(|found| found.severity != Severity::Note).collect()
@@ -72,10 +72,10 @@ fn meetings() {
     let wait = "waitfor m() on time_out do abort \"\"; end;";
     let uses = "use_port m() usage = waitfor;";
     check(&pair(&format!("{meet} begin {wait}"), &format!("{uses} begin {wait}")), &[]);
-    // The owner is missing.
+    // In this cell the owner does not reach the waitfor.
     check(&pair(&format!("{meet} begin skip;"), &format!("{uses} begin {wait}")), &["E104 `m`"]);
     check(&pair(&format!("{meet} begin {wait}"), &format!("{uses} begin skip;")), &["E104 `b`"]);
-    // A task without statements yet, and one whose behaviour is a Rust program.
+    // In the first cell a task has no statements yet; in the second one a Rust program is its behaviour.
     check(&pair(&format!("{meet} begin {wait}"), &format!("{uses} begin")), &["W316 `b`"]);
     let program = pair(&format!("{meet} begin {wait}"), &format!("{uses} begin"));
     check(&program.replace("task b on nb", "task b on nb extern"), &[]);
@@ -83,7 +83,7 @@ fn meetings() {
         &pair(&format!("{meet} begin waitfor m();"), &format!("{uses} begin {wait}")),
         &["E208 `waitfor m()`"],
     );
-    // Both meet on a condition, which may be the same one.
+    // Both tasks reach the waitfor on a condition, which may be the same one.
     let sometimes = format!("var x: bool; begin run look -> x; if x then {wait} end;");
     check(&pair(&format!("{meet} {sometimes}"), &format!("{uses} {sometimes}")), &[]);
 }
@@ -96,7 +96,8 @@ fn rings_of_meetings_and_of_calls() {
     let uses = "use_port m() usage = waitfor; use_port n() usage = waitfor; begin";
     check(&pair(&a, &format!("{uses} loop {} {} end;", wait("m"), wait("n"))), &[]);
     check(&pair(&a, &format!("{uses} loop {} {} end;", wait("n"), wait("m"))), &["E203 `waitfor m()`"]);
-    // Nothing is certain behind an `abort`, nor behind a loop that nothing leaves; behind an `exit` it is.
+    // A statement is not certain to run behind an `abort` or behind a loop without an `exit`. Behind a loop with an `exit`
+    // it is.
     let b = format!("{uses} loop {} {} end;", wait("n"), wait("m"));
     let head = format!("{} {} begin", port("m"), port("n"));
     let (m, n) = (wait("m"), wait("n"));
@@ -160,7 +161,8 @@ fn long_work_keeps_messages_waiting() {
         &b("loop run work takes 1..51 msec; receive q(); response(); end;"),
         &["W303 `run work takes 1..51 msec`"],
     );
-    // A handler that does not outrank `self` is offered its message until it interrupts (D58), but not inside of `atomic`.
+    // A handler that does not outrank `self` is offered its message again and again until it interrupts (D58), but not
+    // inside of `atomic`.
     check(&b(&format!("{handler} loop delay 1 sec; end;")), &[]);
     check(&b(&format!("{handler} loop atomic delay 1 sec; end; end;")), &["W303 `delay 1 sec`"]);
 }
@@ -186,7 +188,8 @@ begin loop query q(1) on time_out do skip; end; send go() on time_out do skip; e
 fn what_a_body_receives_is_answered_on_every_path() {
     let forgets = |body: &str| received("", body);
     let (q, go) = ("W308 `receive q(n)`", "W308 `receive go()`");
-    // A path ends at the next turn, the end of the task, another message, or a loop that never answers.
+    // A path forgets the message at the next iteration, at the end of the task, at another message, or in a loop that never
+    // answers.
     assert_eq!(forgets("loop receive q(n); if n > 0 then response(); end; end;"), [q]);
     assert_eq!(forgets("receive q(n); if n > 0 then response(); end;"), [q]);
     assert_eq!(forgets("loop receive q(n); receive go(); reply(); end;"), [q]);
@@ -204,7 +207,7 @@ fn what_a_body_receives_is_answered_on_every_path() {
     let asks =
         "loop receive q(n); run work on failed do skip; end; if outcome = done then response(); end; end;";
     assert_eq!(forgets(asks), [q], "this `receive` cannot end without a message");
-    // The first message is answered, the second is not.
+    // The body answers the first message, and does not answer the second.
     assert_eq!(forgets("receive q(n); response(); loop receive go(); end;"), [go]);
     for whole in [
         "loop receive q(n); if n > 0 then response(); else response(); end; end;",
@@ -213,14 +216,14 @@ fn what_a_body_receives_is_answered_on_every_path() {
         "loop receive q(n) within 20 msec on time_out do skip; end; response() on failed do skip; end; end;",
         "receive q(n); if n > 3 then abort \"too many\"; end; response();",
         "loop receive q(n); exit; end; response(); receive go(); reply();",
-        // A message received last in one turn is answered in the next.
+        // The body answers a message that was received last in one iteration in the next one.
         "receive q(n); loop response(); receive q(n); end;",
     ] {
         assert_eq!(forgets(whole), [""; 0], "{whole}");
     }
 }
 
-/// A task that asks how the `receive` ended knows whether there is a message to answer.
+/// If a task asks how the `receive` ended, it knows whether there is a message to answer.
 #[test]
 fn a_receive_that_brought_nothing_needs_no_answer() {
     let forgets = |body: &str| received("var got: bool;", body);
@@ -345,10 +348,10 @@ fn a_take_over_is_said_with_its_parts() {
     let parts =
         "must reach 301080 usec: lease 100 msec + 200 msec of `grab` + 1080 usec for the tick and the drift";
     assert_eq!((found.code, &found.primary.text[..]), ("E305", parts));
-    // What is advised is accepted, though a longer take-over drifts more.
+    // The check accepts the advised value, although a longer take-over drifts more.
     assert!(found.help[0].starts_with("give it 302 msec, or shorten"), "{:?}", found.help);
     assert!(serious(&WELD.replace("takeover 400 msec", "takeover 302 msec")).is_empty());
-    // The sum of such times has no number.
+    // The sum of such times does not fit a number.
     let endless = serious(&WELD.replace("lease 100 msec", "lease 18446744073709551 msec")).remove(0);
     assert_eq!(endless.code, "E305");
 }

@@ -1,4 +1,4 @@
-//! Deadlines: link delays, the work of the answer, and a help line that satisfies all checks of durations.
+//! Tests of deadlines: link delays, the work for an answer, and help lines that satisfy all checks of durations.
 
 use super::{all_found, source};
 use imrs_language::compile;
@@ -42,7 +42,7 @@ fn limits(links: usize, answer: &str) -> (u64, u64) {
 #[test]
 fn the_way_counts_with_each_link_and_ticks_only_warn() {
     let handler = "begin order q > self; on query q() do response(); end;";
-    // 2 x 2 msec, 2 x 4 msec, 2 x 6 msec. A tick for each link, there and back, is not certain to pass.
+    // Two ways of 2, 4 and 6 msec. A tick for each link, there and back, is not certain to pass.
     assert_eq!([1, 2, 3].map(|links| limits(links, handler)), [(5, 7), (9, 13), (13, 19)]);
     // Within one node there is no link delay: four ticks are the least.
     assert_eq!(limits(0, handler), (1, 4));
@@ -77,7 +77,7 @@ fn what_a_receive_takes_is_answered_behind_it() {
     assert_eq!(body("receive q(); delay 10 msec; response();"), (15, 17));
     assert_eq!(body("receive; delay 10 msec; response();"), (15, 17));
     assert_eq!(body("receive q(); if x then delay 10 msec; end; response();"), (5, 7));
-    // It is answered in the next turn of the loop.
+    // The message is answered in the next iteration of the loop.
     assert_eq!(body("if x then response(); end; receive q(); delay 10 msec;"), (16, 18));
     assert_eq!(body("receive q(); response q() for a; delay 10 msec;"), (5, 7), "answered whenever it likes");
 }

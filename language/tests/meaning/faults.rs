@@ -362,7 +362,7 @@ fn what_the_table_refuses_stands_on_its_line() {
 
 #[test]
 fn a_fault_is_said_once() {
-    // The port is wrong, so its uses are not reported, too.
+    // The port itself is wrong, so its uses are not reported, too.
     let text = pair(
         "port p(v: Poss) usage = send user_list = {b} time_out = 5 msec;",
         "var x: Poss; begin send p(x); x.y := 1;",

@@ -96,7 +96,7 @@ fn a_primary_waits_for_its_lease_and_a_standby_takes_over() {
     assert!(primary.takeover.is_none());
     let standby = &script(&lowered, "r2").program;
     assert!(standby.takeover.is_some() && !standby.code.contains(&Op::Lease));
-    // The ports through which the couple commands others are under its lease; those between its own tasks are not.
+    // The ports on which the couple commands other tasks are under its lease. The ports between its own tasks are not.
     let guards: Vec<_> = lowered.cell.ports.iter().map(|port| (port.name.as_str(), port.guard)).collect();
     assert_eq!(guards, [("grab", Some(0)), ("free", Some(0)), ("prog", None), ("alive", None)]);
 }
@@ -116,7 +116,7 @@ fn durations_are_rounded_to_the_tick_and_said() {
     assert!(code.contains(&Op::Delay(Ticks(13))));
     assert!(code.iter().any(|op| matches!(op, Op::Start { length: Ticks(1), .. })));
     assert_eq!(lowered.cell.ports[2].time_out, Ticks(90));
-    // The least and the most time, the delay and the time_out. The `model tick` rounds nothing.
+    // The notes are about the least and the most time, the delay and the time_out. The `model tick` rounds nothing.
     assert_eq!(lowered.notes.len(), 4, "{:?}", lowered.notes);
     let usec = compiled.lower(Unit::Microseconds).expect("a whole cell");
     assert!(usec.notes.is_empty());

@@ -1,4 +1,4 @@
-//! Checks that the reference page of codes is what the compiler's own pages say.
+//! Checks that the reference page of codes agrees with the compiler's own pages.
 
 use super::same;
 use imrs_language::codes::ALL;

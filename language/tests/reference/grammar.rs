@@ -1,4 +1,4 @@
-//! Checks that the parser accepts whatever the grammar in the reference produces.
+//! Checks that the parser accepts every text that the grammar in the reference produces.
 
 use super::{pages, read};
 use imrs_language::{Source, parse, render};
@@ -12,13 +12,13 @@ enum Part {
     Sign(String),
     /// Another rule, or a token.
     Rule(String),
-    /// `a b`
+    /// A sequence: `a b`.
     All(Vec<Part>),
-    /// `a | b`
+    /// Alternatives: `a | b`.
     One(Vec<Part>),
-    /// `[a]`
+    /// An optional part: `[a]`.
     Maybe(Box<Part>),
-    /// `{a}`
+    /// A part that may be repeated: `{a}`.
     Many(Box<Part>),
 }
 
@@ -108,8 +108,8 @@ struct Making<'a> {
 }
 
 impl Making<'_> {
-    /// A number below `of`. Once the choices have run out it is the first alternative, so that every text ends. Expressions
-    /// have a limit of their own (E012), so they stay small and leave choices for the rest.
+    /// Chooses a number below `of`. Once the choices have run out it is always the first alternative, so that every text
+    /// ends. Expressions have a limit of their own (E012), so they stay small and leave choices for other parts.
     fn choose(&mut self, of: usize) -> usize {
         if self.depth > 40 || self.exprs > 1 {
             return 0;
@@ -142,7 +142,7 @@ impl Making<'_> {
     fn rule(&mut self, name: &str, out: &mut Vec<String>) {
         let pick = |making: &mut Self, of: &[&str]| of[making.choose(of.len())].to_owned();
         let token = match name {
-            // All names are one, because the name behind a task's `end` must be the task's.
+            // All names are the same, because the name behind a task's `end` must be that of the task.
             "name" => "a".to_owned(),
             "number" => pick(self, &["1", "20", "1_000"]),
             "text" => "\"x\"".to_owned(),
@@ -177,7 +177,7 @@ proptest! {
         prop_assert!(parsed.diagnostics.is_empty(), "{shown}");
     }
 
-    /// Statements are rare in the test above.
+    /// Makes texts of statements only, which are rare in the test above.
     #[test]
     fn statements_of_the_grammar_are_read(choices in proptest::collection::vec(any::<u8>(), 20..400)) {
         let rules = rules();

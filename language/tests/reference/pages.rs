@@ -1,8 +1,8 @@
-//! Checks the cells in the pages.
+//! Checks the cells in the pages of the reference.
 //!
-//! A block fenced as `cell` is a whole file, `cell,paper` one for `--paper`. `cell,NAME` is a part that goes into a frame: a
-//! comment of the page, `<!-- frame NAME`, with a line `...` in place of the part. A block fenced as `diagnostics` behind it
-//! lists its findings; without such a block there are none.
+//! A block fenced as `cell` is a whole file, and `cell,paper` is one for `--paper`. A block fenced as `cell,NAME` is a part
+//! that goes into a frame: a comment of the page, `<!-- frame NAME`, with a line `...` in place of the part. A block fenced
+//! as `diagnostics` behind such a block lists its findings; without one there are none.
 
 use super::{pages, read, same};
 use imrs_language::{Options, Source, Unit, compile_with, render};
@@ -57,7 +57,7 @@ fn full(text: &str, paper: bool) -> String {
         }
     }
     let shown = render::text(&compiled.diagnostics, "robot.cell", Some(&source), render::Style::Plain);
-    // Trailing blanks would be invisible in a page.
+    // Trailing blanks are removed, because they would be invisible in a page.
     shown.lines().map(|line| format!("{}\n", line.trim_end())).collect()
 }
 

@@ -3,7 +3,7 @@
 use imrs_language::lower::Behaviour;
 use imrs_language::{Options, Source, Unit, compile_with, format, parse, render};
 
-/// Parses, reports, compiles and formats.
+/// Parses, reports, compiles and formats these bytes, and checks the properties.
 pub fn check(bytes: &[u8]) {
     let source = match Source::new(bytes) {
         Ok(source) => source,
@@ -25,11 +25,11 @@ pub fn check(bytes: &[u8]) {
     if parsed.diagnostics.is_empty() {
         formats(&source);
     }
-    // Names, types and times are checked even if only a part could be parsed.
+    // Names, types and times are checked even if only a part of the text could be parsed.
     [false, true].into_iter().for_each(|paper| compiles(&source, paper));
 }
 
-/// Compiles, and lowers in both units. The lowered programs must pass the script machine's own check.
+/// Compiles a text, and lowers it in both units. The lowered programs must pass the script machine's own check.
 pub fn compiles(source: &Source, paper: bool) {
     let compiled = compile_with(source, Options { paper });
     for found in &compiled.diagnostics {
@@ -47,7 +47,7 @@ pub fn compiles(source: &Source, paper: bool) {
     }
 }
 
-/// Formatting changes no meaning and is idempotent.
+/// Checks that formatting changes no meaning and is idempotent.
 pub fn formats(source: &Source) {
     let once = format(source).expect("no errors");
     let formatted = Source::new(once.as_bytes()).expect("a text");

@@ -1,4 +1,4 @@
-//! Each fault is reported once, and with what to write instead.
+//! Tests that each fault is reported once, with the text to write instead.
 
 use imrs_language::codes::ALL;
 use imrs_language::{Diagnostic, Options, Severity, Source, compile_with, parse};
@@ -78,8 +78,8 @@ fn mutated(text: &str, tokens: &[(usize, usize)], seed: &mut u64) -> String {
     format!("{}{other}{}", &text[..begin], &text[end..])
 }
 
-/// A file with one fault seldom has more than a few errors: nearly always three at most. More come only from a declaration
-/// that everything else needs.
+/// A file with one fault seldom has more than a few errors: nearly always three at most. There are more only if the fault is
+/// in a declaration that everything else needs.
 #[test]
 fn one_wrong_word_is_few_errors() {
     let (mut seed, mut number, mut many, mut one, mut mute) = (7, 0, Vec::new(), 0, Vec::new());
@@ -117,7 +117,7 @@ fn one_wrong_word_is_few_errors() {
 
 /// The least percentage of the faulty mutants that have exactly one error.
 const MOSTLY_ONE: usize = 85;
-/// The greatest percentage of them that have more than three.
+/// The greatest percentage of the faulty mutants that may have more than three errors.
 const SELDOM_MORE: usize = 1;
 
 /// The wrong example of each page gives one finding, through all phases, and the finding says what to write.
@@ -160,7 +160,7 @@ fn every_error_says_what_to_write() {
     assert!(texts >= 25);
 }
 
-/// Faults that used to be reported twice, in different words.
+/// These faults were once reported twice, in different words.
 #[test]
 fn a_fault_of_a_declaration_is_not_one_of_its_uses() {
     let codes = |text: &str| errors(text, false).iter().map(|found| found.code).collect::<Vec<_>>().join(" ");
@@ -192,7 +192,7 @@ fn a_fault_of_a_declaration_is_not_one_of_its_uses() {
         "port p(n: int8) usage = receive user_list = {a} time_out = 50 msec;",
     );
     assert_eq!(codes(&both), "E103");
-    // A misspelt name in a list, or in a `use_port`: the other end is not reported, too.
+    // If a name is misspelt in a list, or in a `use_port`, the other end is not reported, too.
     assert_eq!(codes(&port("class = 2", "").replace("{b}", "{bb}")), "E102");
     assert_eq!(codes(&port("class = 2", "").replace("use_port p(", "use_port pp(")), "E102");
     assert_eq!(

@@ -65,7 +65,7 @@ fn codes_are_sorted_and_have_a_page_each() {
 #[test]
 fn every_error_and_warning_says_what_to_write() {
     let mut mute = Vec::new();
-    // The messages of these codes say it: `expected ..`, `choose another name`.
+    // The messages of these codes already say what to write: `expected ..`, `choose another name`.
     let plain = ["E005", "E006", "E009"];
     let serious = ALL.iter().filter(|entry| !entry.code.starts_with('N') && !plain.contains(&entry.code));
     for entry in serious {

@@ -1,4 +1,4 @@
-//! The formatter.
+//! Tests of the formatter.
 
 use super::{BEAM_LIFT, PAPER, WELD, source};
 use imrs_language::format;
@@ -34,7 +34,7 @@ fn nothing_becomes_a_part_of_a_comment() {
 fn spellings_and_spaces_are_settled() {
     let text = "CELL c ;TASK t ON n\n\n\n\n PORT Rate( a:INT8 ,b )Usage=send user_list=( a,b c )rate = 1 / 2 sec  \
                 bounded_buffer [ 3 ] ;\r\nBEGIN\nRate:=- 1-( - - 2)+NOT.x [";
-    // It does not parse.
+    // This text does not parse, so it is not formatted.
     assert!(format(&source(text)).is_err());
     let text = text.replace(
         "+NOT.x [",

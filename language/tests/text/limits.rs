@@ -1,4 +1,4 @@
-//! What exceeds a limit is refused, quickly and without a stack overflow.
+//! Tests that a text which exceeds a limit is refused, quickly and without a stack overflow.
 
 use super::{codes, diagnostics, source};
 use imrs_language::{LONGEST_FILE, Source, format};
@@ -75,8 +75,8 @@ fn files_have_a_bound() {
     assert_eq!(Source::new(text.as_bytes()).expect_err("too long").code, "E012");
 }
 
-/// How much of `length` a test uses, and its time limit. With `IMRS_LONGEST` it is the whole length, else a sixteenth. The
-/// limits are generous: what takes more than linear time would take minutes for the longest text.
+/// How much of `length` a test uses, and its time limit. With `IMRS_LONGEST` the test uses the whole length, otherwise a
+/// sixteenth. The limits are generous: a phase that takes more than linear time would take minutes for the longest text.
 fn part_of(length: usize, limit: Duration) -> (usize, Duration) {
     if std::env::var_os("IMRS_LONGEST").is_some() {
         (length, limit)
@@ -139,7 +139,7 @@ fn a_long_text_without_faults_is_read_and_formatted_quickly() {
     assert!(formatted.len() > text.len() && begin.elapsed() < limit);
 }
 
-/// Nested loops are not visited twice for each loop around them.
+/// Tests that the check does not visit a nested loop twice for each loop around it.
 #[test]
 fn loops_in_loops_are_checked_quickly() {
     let loops = |begin: &str, inside: &str| format!("{} {inside} {}", begin.repeat(58), "end; ".repeat(58));
@@ -162,7 +162,7 @@ fn loops_in_loops_are_checked_quickly() {
             &format!("on query q() do {} end; end b;", loops(begin, inside).replace("receive q();", "skip;")),
         );
         let _ = imrs_language::compile(&source(&handled));
-        // With two visits for each loop around, this would never end.
+        // If each loop were visited twice for every loop around it, this would never end.
         assert!(begun.elapsed().as_secs() < 120, "{begin}");
     }
 }

@@ -1,4 +1,4 @@
-//! Cells from text, checked.
+//! Compiles cells from texts and checks them.
 
 use imrs_language::hir::CoupleKind;
 use imrs_language::lower::{Action, Behaviour, CheckKind, Lowered, Script};
@@ -10,7 +10,8 @@ use imrs_protocol::script::Address;
 use imrs_protocol::{CellTable, TaskId, Ticks};
 use std::sync::Arc;
 
-/// Bounds a search by states. Bounded by seconds, it could end early on a busy machine, or take coarser times.
+/// A budget that bounds a search by states. If seconds bounded it, it could end early on a busy machine, or take coarser
+/// times.
 pub const fn within(states: u64) -> Budget {
     Budget { states, seconds: f64::INFINITY, bytes: 4 << 30 }
 }
@@ -27,11 +28,11 @@ pub fn is_alike(one: &Finding, other: &Finding) -> bool {
     about(one) == about(other) && (some == others || some.iter().any(|task| others.contains(task)))
 }
 
-/// A cell and the text it came from.
+/// A cell, with the text from which it was compiled.
 pub struct Text {
     text: String,
     lowered: Lowered,
-    /// Where the declarations of work couples begin in the text.
+    /// The offsets at which the declarations of work couples begin in the text.
     couples: Vec<u32>,
     pub plan: CellPlan,
 }
@@ -99,7 +100,7 @@ impl Text {
         Self { text: text.into(), lowered, couples, plan }
     }
 
-    /// Checks it.
+    /// Checks the cell.
     pub fn check(&self) -> Verdicts {
         let verdicts = check_cell(&Arc::new(self.plan.clone()));
         for phase in &verdicts.phases {
@@ -130,7 +131,7 @@ impl Text {
         !check_cell(&Arc::new(plan)).is_complete()
     }
 
-    /// The statement that a finding points at.
+    /// The text of the statement at which a finding points.
     pub fn source(&self, finding: &Finding) -> &str {
         let (Some(task), Some(at)) = (finding.task, finding.address) else { return "" };
         let Behaviour::Script(script) = &self.lowered.tasks[task.index()] else { return "" };
@@ -139,7 +140,7 @@ impl Text {
         &self.text[span.range()]
     }
 
-    /// Line and column, from 1, of what a finding points at: its statement, its check, or its couple.
+    /// Line and column, from 1, of the place at which a finding points: its statement, its check, or its couple.
     pub fn place(&self, finding: &Finding) -> Option<(usize, usize)> {
         let of_check = || Some(self.lowered.checks.get(finding.check?)?.span.start);
         let of_task = || match &self.lowered.tasks[finding.task?.index()] {
@@ -162,7 +163,7 @@ impl Text {
         Source::new(self.text.as_bytes()).expect("text").position(start)
     }
 
-    /// What is found, by kind and the beginning of the statement it points at.
+    /// The findings, each with its kind and the beginning of the statement at which it points.
     pub fn found(&self, verdicts: &Verdicts) -> Vec<(Kind, String)> {
         let short = |finding: &Finding| {
             let line = self.source(finding).lines().next().unwrap_or_default();

@@ -1,7 +1,7 @@
-//! Random cells: small ones, of every statement, expression, option, usage and fault of the language.
+//! Random cells: small cells that use every statement, expression, option, usage and fault of the language.
 //!
-//! A cell is made of random bytes, and a lower byte makes less of it. So fewer and smaller bytes make a smaller cell,
-//! and a large cell that fails can be shrunk.
+//! A cell is made from random bytes, and a smaller byte makes a smaller part of it. So fewer and smaller bytes make a
+//! smaller cell, and a large cell that fails can be shrunk.
 
 use std::fmt::Write;
 
@@ -32,7 +32,7 @@ impl<'a> Tape<'a> {
     }
 }
 
-/// What a port is for.
+/// The use of a port in a random cell.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub(super) enum Use {
     /// The owner sends messages of class 1.
@@ -41,9 +41,9 @@ pub(super) enum Use {
     Order,
     /// The owner receives messages of this class.
     Told(u8),
-    /// The owner queries.
+    /// The owner sends queries.
     Ask,
-    /// The owner is queried.
+    /// The owner receives queries.
     Asked,
     Meet,
 }
@@ -53,10 +53,10 @@ pub(super) struct Port {
     pub(super) of: Use,
     pub(super) owner: usize,
     pub(super) users: Vec<usize>,
-    /// The types of the fields of its messages, and the type of the answer.
+    /// The types of the fields of the port's messages, and the type of the answer.
     pub(super) carries: &'static [&'static str],
     pub(super) answer: Option<&'static str>,
-    /// Whether the receivers of its messages take them by a handler.
+    /// Whether the receivers of the port's messages take them by a handler.
     pub(super) handled: bool,
 }
 
@@ -89,7 +89,7 @@ impl Port {
         matches!(self.of, Use::Order | Use::Told(2) | Use::Ask | Use::Asked)
     }
 
-    /// The tasks that receive a message that this task sends here.
+    /// The tasks that receive a message which this task sends on the port.
     pub(super) fn others(&self, task: usize) -> Vec<usize> {
         match self.of {
             _ if self.owner == task => self.users.clone(),
@@ -112,7 +112,7 @@ impl Port {
     }
 }
 
-/// Pauses: one longer than anything in the cell waits, and a short one.
+/// Two kinds of pauses: one is longer than any wait in the cell, the other is short.
 const PAUSES: [&str; 2] = ["pause ta", "pause tb up to 9 msec"];
 pub(super) const TASKS: [&str; 3] = ["ta", "tb", "tc"];
 const CARRIES: [&[&str]; 9] = [
@@ -133,24 +133,24 @@ pub struct Cell<'a> {
     pub(super) text: String,
     pub(super) tasks: usize,
     pub(super) ports: Vec<Port>,
-    /// The task that is being written.
+    /// The task whose text is being written.
     pub(super) here: usize,
-    /// How many loops the statement is in, and whether it is in a handler or an atomic part.
+    /// How many loops enclose the statement, and whether it is in a handler or an atomic part.
     pub(super) loops: usize,
     pub(super) handler: bool,
     pub(super) atomic: bool,
     pub(super) deep: usize,
     pub(super) works: bool,
-    /// Whether this task has a timer.
+    /// Whether the task that is being written has a timer.
     pub(super) timer: bool,
-    /// The ports that it has used.
+    /// The ports that the task has used so far.
     pub(super) used: Vec<usize>,
     /// Whether a couple exchanges roles.
     pub(super) mutual: bool,
     pub(super) looped: bool,
     /// The extern tasks, whose bodies are outside the cell.
     pub(super) outside: Vec<usize>,
-    /// The source of their bodies, if they have bodies after all.
+    /// The source of the bodies of extern tasks, if they get bodies after all.
     pub(super) filled: Option<Tape<'a>>,
 }
 
@@ -159,8 +159,8 @@ pub fn cell(bytes: &[u8]) -> String {
     written(bytes, None).text
 }
 
-/// The same cell with bodies for its extern tasks, made from other random bytes: behaviour that such a task may have.
-/// Returns the extern tasks as well; `None` if there are none.
+/// The same cell with bodies for its extern tasks, made from other random bytes: behaviour that such a task may have. Also
+/// returns the extern tasks; `None` if there are none.
 pub fn filled(bytes: &[u8], bodies: &[u8]) -> Option<(String, Vec<usize>)> {
     let cell = written(bytes, Some(Tape::new(bodies)));
     (!cell.outside.is_empty()).then_some((cell.text, cell.outside))
@@ -207,8 +207,8 @@ impl Cell<'_> {
         for _ in 0..=self.tape.below(3) {
             self.port();
         }
-        // If one member comes to a meeting for ever and the others do not, their rounds drift apart until no packed
-        // state holds them.
+        // If one member comes to a meeting for ever and the others do not, their rounds drift apart until they do not fit a
+        // packed state.
         let meets = self.ports.iter().any(|port| port.of == Use::Meet);
         self.looped = self.tape.chance(if meets { 20 } else { 70 });
         for task in 0..self.tasks {
@@ -230,7 +230,7 @@ impl Cell<'_> {
         }
         let in_row = nodes == 3 && self.tape.chance(30);
         for a in 0..nodes {
-            // The ends of a row reach each other through its middle.
+            // In a row of nodes, the ends reach each other through the middle.
             let last = if in_row { nodes.min(a + 2) } else { nodes };
             for b in a + 1..last {
                 let delay = self.tape.one(&["1 msec", "1 msec", "2 msec", "1000 usec"]);
@@ -389,7 +389,7 @@ impl Cell<'_> {
             }
         }
         if self.tape.chance(60) {
-            // Makes the assigned values visible.
+            // This statement makes the assigned values visible outside of the task.
             self.put("    if i > 0 and m.n > 0 or m.b or f then run turn i, f takes 1 msec; end;\n");
         }
         if looped {
@@ -508,7 +508,7 @@ impl Cell<'_> {
                 _ => self.check("ta.f leads ta.i >= 0 within 40 msec"),
             }
         }
-        // Drawn last, so that the seeds that are named elsewhere still make the same cells.
+        // This is drawn last, so that seeds that are named elsewhere still make the same cells.
         if self.tape.chance(25) {
             let pause = self.tape.one(&PAUSES);
             let other = if self.tape.chance(15) { self.tape.one(&all) } else { "" };

@@ -1,15 +1,15 @@
-//! Random cells that are too large to be searched: many tasks send to one. Its buffers fill, its order of service
-//! matters, relays hold packets of several tasks, duplicates come late and long messages are fragmented. They are
-//! only walked, and judged by the history of the run.
+//! Random cells that are too large to be searched: many tasks send to one. Its buffers fill, its order of service matters,
+//! relays hold packets of several tasks, duplicates come late and long messages are fragmented. These cells are only walked
+//! at random, and the history of the run is judged.
 
 use super::cells::Tape;
 use std::fmt::Write;
 
 /// How the callers of a crowd use one port of the task in the middle.
 struct Port {
-    /// What its messages carry.
+    /// The types of the fields of its messages.
     carries: &'static str,
-    /// One message of it.
+    /// The values of one such message.
     values: &'static str,
     command: bool,
     handled: bool,
@@ -18,7 +18,7 @@ struct Port {
 const CARRIES: [(&str, &str); 4] =
     [("u: int8", "i"), ("", ""), ("v: Long", "l"), ("u: word, w: int16", "7, 3")];
 
-/// The crowd that these random bytes make.
+/// The text of the crowd that these random bytes make.
 pub fn cell(bytes: &[u8]) -> String {
     let mut tape = Tape::new(bytes);
     let callers = 2 + tape.below(4);
@@ -28,7 +28,7 @@ pub fn cell(bytes: &[u8]) -> String {
     for node in 0..nodes {
         let _ = writeln!(text, "node n{node};");
     }
-    // In a row, so that packets of the farther nodes wait in the relays between.
+    // The nodes form a row, so that packets of the farther nodes wait in the relays between.
     for node in 1..nodes {
         let delay = tape.one(&["1 msec", "1 msec", "2 msec"]);
         let _ = writeln!(text, "link n{} -- n{node} delay {delay};", node - 1);
@@ -61,19 +61,19 @@ fn port(tape: &mut Tape<'_>) -> Port {
     Port { carries, values, command: tape.chance(50), handled: tape.chance(50) }
 }
 
-/// The parameters of a port as a handler names them.
+/// The parameters of a port, with the names that a handler gives them.
 fn names(port: &Port) -> String {
     let fields = port.carries.split(", ").filter_map(|field| field.split(':').next());
     fields.filter(|name| !name.is_empty()).map(|name| format!("h{name}")).collect::<Vec<_>>().join(", ")
 }
 
-/// The task to which all callers send.
+/// Writes the task to which all callers send.
 fn middle(tape: &mut Tape<'_>, text: &mut String, ports: &[Port], callers: usize) {
     let users: Vec<String> = (0..callers).map(|caller| format!("c{caller}")).collect();
     text.push_str("task middle on n0\n");
     for (at, port) in ports.iter().enumerate() {
         let class = if port.command { 2 } else { 1 };
-        // Often equal, so that messages tie.
+        // The time_outs are often equal, so that messages are equally urgent.
         let time_out = tape.one(&["40 msec", "40 msec", "60 msec"]);
         let _ = write!(
             text,
@@ -114,7 +114,7 @@ fn middle(tape: &mut Tape<'_>, text: &mut String, ports: &[Port], callers: usize
     let _ = writeln!(text, "    delay {} msec;\n  end;\nend middle;", 1 + tape.below(12));
 }
 
-/// An order of service among the handlers.
+/// Writes an `order` among the handlers.
 fn ranks(tape: &mut Tape<'_>, text: &mut String, ports: &[Port], timer: bool) {
     let handled = ports.iter().enumerate().filter(|(_, port)| port.handled);
     let mut ranks: Vec<String> = handled.map(|(at, _)| format!("p{at}")).collect();
@@ -130,7 +130,7 @@ fn ranks(tape: &mut Tape<'_>, text: &mut String, ports: &[Port], timer: bool) {
     let _ = writeln!(text, "  order {};", ranks.join(" > "));
 }
 
-/// What the thread of the middle does in one round.
+/// Writes what the thread of the middle task does in one iteration.
 fn serve(tape: &mut Tape<'_>, text: &mut String, ports: &[Port], callers: usize) {
     let open: Vec<(usize, &Port)> = ports.iter().enumerate().filter(|(_, port)| !port.handled).collect();
     let any = !open.is_empty() && open.iter().all(|(_, port)| !port.command);
@@ -163,7 +163,7 @@ fn serve(tape: &mut Tape<'_>, text: &mut String, ports: &[Port], callers: usize)
     }
 }
 
-/// One of the callers.
+/// Writes one of the callers.
 fn call(tape: &mut Tape<'_>, text: &mut String, ports: &[Port], (caller, node): (usize, usize)) {
     let _ = writeln!(text, "task c{caller} on n{node}");
     for (at, port) in ports.iter().enumerate() {

@@ -1,4 +1,4 @@
-//! The checker against random walks through cells as they run: see [`compare_with_walks`].
+//! Compares the checker with random walks through cells as they run: see [`compare_with_walks`].
 
 mod cells;
 mod crowd;
@@ -14,12 +14,13 @@ use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
-/// A seeded generator. Spreads the seed over all bits, and sets the lowest one: zero would stay zero.
+/// A seeded generator of random numbers. It spreads the seed over all bits, and sets the lowest one, because zero would stay
+/// zero.
 const fn dice(seed: u64) -> Dice {
     Dice(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
 }
 
-/// Compares the search of a cell, at most `states` states for each hypothesis, with walks through it.
+/// Compares the search of a cell, with at most `states` states for each fault hypothesis, with random walks through it.
 fn compare(text: &str, seed: u64, states: u64, effort: Effort) -> Result<Agreement, Disagreement> {
     let mut cell = Text::new(text);
     cell.plan.budget = within(states);
@@ -54,9 +55,9 @@ fn the_examples_run_as_they_are_searched() {
     assert!(all.steps > 10_000 && all.looked_up > 1_000, "{all:?}");
 }
 
-/// Random bytes for one cell.
+/// The number of random bytes for one cell.
 const TAPE: usize = 300;
-/// Most states that a search keeps: 20,000 in `.ci/long`, which completes two more of 475.
+/// How many states a search may keep. `.ci/long` allows 20,000: with them two more of the 475 searches come to their end.
 fn states() -> u64 {
     number("IMRS_STATES", 5_000)
 }
@@ -88,7 +89,8 @@ pub fn random_cell(seed: u64) -> Option<Text> {
     is_sound(&text).then(|| Text::new(&text))
 }
 
-/// Searches every other random cell with all times; the rest, and those too large for that, with their ends only.
+/// Compares one random cell. Every other cell is searched with all times. The other cells, and those that are too large for
+/// that, are searched only with the ends of their times.
 fn random(tape: &[u8], seed: u64) -> Result<Agreement, Disagreement> {
     let text = cells::cell(tape);
     outside::covers(tape, &self::tape(seed + BODIES), states())?;
@@ -102,10 +104,11 @@ fn random(tape: &[u8], seed: u64) -> Result<Agreement, Disagreement> {
     compare(&text, seed, states(), effort(Times::Ends))
 }
 
-/// The first seed for the bodies of extern tasks.
+/// The first seed of the bytes for bodies of extern tasks.
 const BODIES: u64 = 1 << 32;
 
-/// Shrinks a tape whose cell differs, as long as a shorter tape, or one with more zeros, differs, too.
+/// Shrinks the bytes of a cell for which search and walks disagree, as long as fewer bytes, or bytes with more zeros,
+/// disagree, too.
 fn shrink(mut tape: Vec<u8>, seed: u64) -> Vec<u8> {
     let differs = |tape: &[u8]| is_sound(&cells::cell(tape)) && random(tape, seed).is_err();
     let mut part = tape.len() / 2;
@@ -130,11 +133,11 @@ fn shrink(mut tape: Vec<u8>, seed: u64) -> Vec<u8> {
     tape
 }
 
-/// One crowd is walked for this many cells.
+/// After this many cells one crowd is walked.
 const CELLS_FOR_A_CROWD: u64 = 5;
 
-/// `IMRS_CELLS` is the number of cells: 20,000 in `.ci/long`. `IMRS_SEED` is the first seed. With `IMRS_WORD` only
-/// cells that have this word are walked: in `.ci/long` a second run takes those with a `pause`.
+/// `IMRS_CELLS` is the number of cells: 20,000 in `.ci/long`. `IMRS_SEED` is the first seed. With `IMRS_WORD` only cells
+/// with this word are walked: in `.ci/long` a second run takes the cells with a `pause`.
 #[test]
 fn random_cells_run_as_they_are_searched() {
     let (cells, first) = (number("IMRS_CELLS", 300), number("IMRS_SEED", 1));
@@ -182,26 +185,26 @@ fn random_cells_run_as_they_are_searched() {
     assert!(!word.is_empty() || messages * 300 >= 1_000 * cells && answers * 300 >= 1_000 * cells);
 }
 
-/// Only walks a crowd, because a search of one state says nothing.
+/// Walks a crowd without comparing: the search keeps only one state, which says nothing.
 fn walk(crowd: &str, seed: u64) -> Result<Agreement, Disagreement> {
     compare(crowd, seed, 1, Effort { walks: 2, length: 300, times: Times::Ends })
 }
 
-/// The words of the language, as its grammar lists them: a test keeps that list.
+/// The words of the language, as its grammar lists them. Another test checks that list.
 fn language() -> impl Iterator<Item = &'static str> {
     let grammar = include_str!("../../../specs/language/grammar.md");
     grammar.lines().filter_map(|line| line.strip_prefix("> ")).flat_map(str::split_whitespace)
 }
 
-/// Words that no random cell has: the checker refuses an answer by the number of a message (D93).
+/// Words that no random cell has, because the checker refuses a cell that answers by the number of a message (D93).
 const ELSEWHERE: [&str; 1] = ["ticket"];
 
-/// The words of the language that are not among these.
+/// The words of the language that are not in `words`.
 fn missing(words: &BTreeSet<&str>) -> Vec<&'static str> {
     language().filter(|word| !words.contains(word) && !ELSEWHERE.contains(word)).collect()
 }
 
-/// In `.ci/long` every two words must occur in one cell.
+/// The random cells must use the whole language; in `.ci/long` every two words must also occur together in one cell.
 #[test]
 fn random_cells_use_the_whole_language() {
     let whole = number("IMRS_CELLS", 0) > 0;
@@ -221,7 +224,7 @@ fn random_cells_use_the_whole_language() {
             }
         }
         words.extend(used);
-        // Every word was seen: more cells can show no more.
+        // Every word was seen, so more cells can show no more.
         if !whole && missing(&words).is_empty() {
             return;
         }

@@ -1,4 +1,4 @@
-//! Extern tasks, whose bodies are outside the cell: the verdicts of the search hold whatever such a body does.
+//! Tests of extern tasks, whose bodies are outside the cell: the verdicts of the search must hold whatever such a body does.
 
 use super::cells::{cell, filled};
 use super::{Text, is_sound, within};
@@ -7,8 +7,8 @@ use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
 use std::collections::BTreeSet;
 
-/// The cell with branches behind each statement that brings values, so that its tasks distinguish all values that an
-/// extern task sends.
+/// The cell with branches behind each statement that brings values, so that its tasks distinguish all values that an extern
+/// task may send.
 fn with_telling_tasks(text: &str) -> String {
     let tells = ["i = 1", "j = 1", "m.n = 1", "m.b", "f"];
     let tells: String =
@@ -26,18 +26,18 @@ fn with_telling_tasks(text: &str) -> String {
     telling
 }
 
-/// The cell with bodies and the checks of the cell without them, which read no variables of bodies.
+/// The cell with bodies, but with the checks of the cell without bodies, because those read no variables of bodies.
 fn with_checks_of(text: &str, with_bodies: &str) -> String {
     let is_check = |line: &&str| line.starts_with("check ");
     let bodies = with_bodies.lines().filter(|line| !is_check(line));
     bodies.chain(text.lines().filter(is_check)).fold(String::new(), |all, line| all + line + "\n")
 }
 
-/// Searches a cell that has an extern task, and once more with a body for that task. What the second search shows of
-/// other tasks, the first one must show, too. Returns how many cells were compared.
+/// Searches a cell that has an extern task, and once more with a body for that task. Everything that the second search shows
+/// about other tasks, the first one must show, too. Returns how many cells were compared.
 ///
 /// # Errors
-/// [`Disagreement`]: what the first search does not show.
+/// [`Disagreement`]: something that the first search does not show.
 pub fn covers(tape: &[u8], bodies: &[u8], states: u64) -> Result<u32, Disagreement> {
     let Some((with_bodies, outside)) = filled(tape, bodies) else { return Ok(0) };
     let (text, with_bodies) = (with_telling_tasks(&cell(tape)), with_telling_tasks(&with_bodies));
@@ -90,7 +90,7 @@ fn not_reached(verdicts: &Verdicts) -> BTreeSet<(TaskId, Address)> {
     unreached.chain(others.into_iter().flatten().copied()).collect()
 }
 
-/// Seeds are taken until enough cells were compared, so that each run compares some.
+/// The test takes seeds until enough cells were compared, so that each run compares some.
 #[test]
 fn whatever_a_task_outside_does_the_search_has_seen() {
     let (mut compared, mut seed) = (0, super::number("IMRS_SEED", 1));

@@ -78,7 +78,7 @@ impl Cell<'_> {
         self.put("    end;\n");
     }
 
-    /// A statement that uses no port and takes no time.
+    /// Writes a statement that uses no port and takes no time.
     pub(super) fn simple(&mut self) {
         match self.tape.below(8) {
             0 => {
@@ -114,7 +114,7 @@ impl Cell<'_> {
         self.put("\n");
     }
 
-    /// A statement that waits for no other task.
+    /// Writes a statement that waits for no other task.
     pub(super) fn takes_time(&mut self) {
         if self.tape.chance(50) { self.put("    delay 2 msec;\n") } else { self.run() }
     }
@@ -132,7 +132,7 @@ impl Cell<'_> {
         self.branches(&["failed"]);
     }
 
-    /// Branches of a statement, and its end.
+    /// Writes the branches of a statement, and its end.
     pub(super) fn branches(&mut self, of: &[&str]) {
         for when in of {
             if self.tape.chance(50) {
@@ -144,7 +144,7 @@ impl Cell<'_> {
         self.put(";\n");
     }
 
-    /// Values of these types.
+    /// Expressions of these types, as text.
     pub(super) fn values(&mut self, of: &[&str]) -> String {
         let values: Vec<String> = of
             .iter()
@@ -159,7 +159,7 @@ impl Cell<'_> {
         values.join(", ")
     }
 
-    /// Variables for the fields of a port's messages.
+    /// The variables for the fields of a port's messages, as text.
     pub(super) fn places(&self, at: usize) -> String {
         let place = |of: &&str| match *of {
             "bool" => "f",
@@ -306,8 +306,8 @@ impl Cell<'_> {
 }
 
 impl Cell<'_> {
-    /// Writes a body for an extern task, if it gets one: it uses ports or does not, and waits for its rate. The
-    /// values are among those that the search tries: zero and one, the same in all fields.
+    /// Writes a body for an extern task, if the task gets one. The body may use ports, and waits for its rate. Its values
+    /// are among those that the search tries: zero and one, the same in all fields.
     pub(super) fn body_outside(&mut self, own: &[usize]) {
         let Some(mut tape) = self.filled.take() else { return };
         self.put("  var i: int16; var j: int32; var f: bool; var r: real; var m: Note;\nbegin\n");
@@ -326,7 +326,7 @@ impl Cell<'_> {
         let port = &self.ports[at];
         let value = |of: &&str| match (*of, one) {
             ("bool", _) => one.to_string(),
-            // The search tries zero; this needs no other real.
+            // The search tries zero, and this body needs no other real.
             ("real", _) => "0.0".into(),
             ("Note", _) => format!("{}, {one}", u8::from(one)),
             _ => u8::from(one).to_string(),
@@ -349,7 +349,7 @@ impl Cell<'_> {
             Some(Role::Meets) => {
                 writeln!(self.text, "  waitfor {name}({said}) on time_out do skip; end; delay 10 msec;")
             }
-            // An extern task has no such ports here.
+            // An extern task has no such ports in these cells.
             Some(Role::Asks | Role::Answers) | None => Ok(()),
         };
     }

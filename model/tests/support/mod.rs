@@ -1,4 +1,4 @@
-//! What the tests and the benchmark share.
+//! Code that the tests of this crate share with its benchmark.
 
 pub mod reference;
 pub mod structural;

@@ -1,6 +1,6 @@
-//! A slow, independent form of a world without restarts: cloned communication tasks, packets and memories in `Vec`s,
-//! absolute rounds, hashed field by field. It shares with the packed form the state machine, the scenario and the names
-//! of actions, and nothing else: equal counts of states and transitions say that packing loses and invents nothing.
+//! A slow, independent form of a world without restarts: cloned communication tasks, packets and memories in `Vec`s, and
+//! absolute rounds, all hashed field by field. It shares with the packed form only the state machine, the scenario and the
+//! names of actions. So equal counts of states and transitions show that packing loses and invents nothing.
 
 use super::structural::hash_fields;
 use imrs_model::{Action, Behaviour, Scenario, Violation, Watch};
@@ -13,7 +13,7 @@ use stateright::{Model, Property};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::{Arc, Mutex};
 
-/// Where rounds and sequences are counted from in a normalised state.
+/// The round from which rounds are counted in a normalised state.
 const ORIGIN_ROUND: Round = Round(500);
 const ORIGIN_SEQUENCE: Seq24 = Seq24::new(5000);
 const ENDLESS: u8 = u8::MAX;
@@ -45,7 +45,7 @@ struct Memory {
     releases: u32,
     last_released: Option<Round>,
     serving: Option<ReplyTo>,
-    /// The commands of this task that were handed over.
+    /// The commands of this task that were handed over to its receiver.
     executed: Vec<Seq24>,
 }
 
@@ -60,7 +60,7 @@ impl Hash for Reference {
     }
 }
 
-/// Equality by fingerprint, which is how the search compares states anyway.
+/// Two states are equal if their fingerprints are: the search compares them in this way, too.
 impl PartialEq for Reference {
     fn eq(&self, other: &Self) -> bool {
         let fingerprint = |state: &Self| {
@@ -72,8 +72,8 @@ impl PartialEq for Reference {
     }
 }
 
-/// What distinguishes packets. No task reads the id of a meeting's packet. The remaining time of a CONFIRM or an
-/// ABORT is constant.
+/// The fields that distinguish packets. No task reads the id of a meeting's packet, and the remaining time of a CONFIRM or
+/// an ABORT is constant.
 fn key(carried: &InFlight) -> (u8, u16, u16, u16, bool, u32, u64, Contents, u8) {
     let p = &carried.packet;
     let sequence = if of_meeting(p) { 0 } else { p.id.sequence.get() };
@@ -102,7 +102,7 @@ const fn of_meeting(packet: &Packet) -> bool {
     matches!(packet.kind, Kind::Arrive | Kind::Confirm | Kind::Abort)
 }
 
-/// The task whose sequence the id of a packet counts in.
+/// The task whose sequence numbers the id of a packet uses.
 const fn counts_in(packet: &Packet) -> TaskId {
     match packet.kind {
         Kind::Reply | Kind::Response | Kind::Control => packet.destination,
@@ -132,7 +132,7 @@ impl NodeOutbox for Seen {
 /// The reference form as a stateright model. It ignores the reductions of the scenario, and uses none.
 pub struct ReferenceModel {
     scenario: Arc<Scenario>,
-    /// Nodes to put a task into for one step; between steps they hold nothing.
+    /// Reusable nodes. For one step a task is put into a node; between steps they contain nothing.
     nodes: Mutex<Vec<Node>>,
     tables: Vec<NodeTable>,
     states: u64,
@@ -140,7 +140,7 @@ pub struct ReferenceModel {
 }
 
 impl ReferenceModel {
-    /// The reference form of `scenario`. At most `states` states are expanded.
+    /// The reference form of `scenario`. The search expands at most `states` states.
     pub fn new(scenario: &Arc<Scenario>, states: u64) -> Self {
         assert!(!scenario.incarnations(), "the reference form has no restarts");
         let tables = (0..scenario.tasks()).map(|i| scenario.table(NodeId::from_index(i)));
@@ -276,7 +276,7 @@ impl ReferenceModel {
         }
     }
 
-    /// Makes rounds, sequences and time relative to fixed origins, and drops what the property does not need.
+    /// Makes rounds, sequence numbers and time relative to fixed origins, and drops what the property does not need.
     fn normalise(&self, state: &mut Reference) {
         for (i, task) in state.tasks.iter_mut().enumerate() {
             task.bury();

@@ -1,13 +1,14 @@
-//! SPIN on the Promela models of `specs/promela`: builds a verifier with some definitions, runs it, reads its report.
+//! Runs SPIN on the Promela models of `specs/promela`: builds a verifier with some definitions, runs it, and reads its
+//! report.
 #![allow(dead_code, reason = "every user of this uses a part of it")]
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
-/// Where the models are.
+/// The folder of the models.
 pub const MODELS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../specs/promela");
 
-/// What is missing to run SPIN, if anything is.
+/// The program that is missing to run SPIN, if one is.
 pub fn missing() -> Option<&'static str> {
     let answers = |program: &str, flag: &str| {
         Command::new(program).arg(flag).output().is_ok_and(|output| output.status.success())
@@ -25,21 +26,21 @@ fn compiler() -> String {
     std::env::var("CC").unwrap_or_else(|_| "cc".into())
 }
 
-/// A verifier that SPIN made.
+/// A verifier program that SPIN made from a model.
 pub struct Verifier {
     program: PathBuf,
 }
 
-/// What a verifier said.
+/// The result that a verifier reported.
 #[derive(Clone, Copy, Debug)]
 pub struct Verdict {
-    /// Whether every state was looked at and the property held in all of them.
+    /// Whether the verifier looked at every state and the property held in all of them.
     pub holds: bool,
-    /// Different states, as stored.
+    /// The number of different states, as stored.
     pub states: u64,
     /// Wall-clock seconds of the search, as reported by SPIN.
     pub seconds: f64,
-    /// Megabytes for everything, its hash table and stack included, as reported by SPIN.
+    /// Megabytes of memory in all, the hash table and the stack included, as reported by SPIN.
     pub megabytes: f64,
 }
 
@@ -50,7 +51,7 @@ pub fn build(folder: &Path, model: &Path, definitions: &[String], flags: &[&str]
     spin.current_dir(folder).args(define).arg("-a").arg(model);
     done(spin);
     let mut cc = Command::new(compiler());
-    // The limit makes the verifier report the end of its memory, instead of taking the machine's.
+    // With this limit the verifier reports the end of its memory, instead of using up the machine's.
     cc.current_dir(folder).args(["-w", "-DSAFETY", "-DMEMLIM=4000"]).args(flags).args(["-o", "pan", "pan.c"]);
     done(cc);
     Verifier { program: folder.join("pan") }
@@ -65,23 +66,23 @@ fn done(mut command: Command) -> String {
 }
 
 impl Verifier {
-    /// The program.
+    /// The path of the program.
     pub fn path(&self) -> &Path {
         &self.program
     }
 
-    /// A verifier that was built before.
+    /// A verifier that was built earlier.
     pub fn at(program: PathBuf) -> Self {
         Self { program }
     }
 
-    /// Runs it with these arguments in its own folder.
+    /// Runs the verifier with these arguments in its own folder.
     pub fn run(&self, arguments: &[&str]) -> Verdict {
         self.run_in(self.program.parent().expect("a folder"), arguments)
     }
 
-    /// Runs it in a folder, in which it leaves its trail. Memory bounds the run; a limit in time could end it early
-    /// on a busy machine.
+    /// Runs the verifier in this folder, in which it leaves its trail. Memory bounds the run, because a time limit could end
+    /// it early on a busy machine.
     pub fn run_in(&self, folder: &Path, arguments: &[&str]) -> Verdict {
         let mut pan = Command::new(&self.program);
         pan.current_dir(folder).args(arguments);
@@ -89,7 +90,7 @@ impl Verifier {
     }
 }
 
-/// Reads what a verifier said.
+/// Reads the report of a verifier.
 pub fn read(said: &str) -> Verdict {
     let errors = number(said, "errors:", After) as u64;
     let complete = !said.contains("Search not completed") && !said.contains("search depth too small");
@@ -111,7 +112,7 @@ enum Side {
 
 use Side::{After, Before};
 
-/// The number that stands beside these words.
+/// The number beside these words in the report.
 fn number(said: &str, words: &str, side: Side) -> f64 {
     let found = said.find(words).and_then(|at| match side {
         Before => said[..at].split_whitespace().next_back(),

@@ -6,11 +6,11 @@ use std::collections::HashSet;
 use std::sync::Arc;
 
 pub struct Walk {
-    /// Every state, in the order found.
+    /// Every state, in the order in which the search found it.
     pub states: Vec<Packed>,
-    /// Transitions, and one for the start: as stateright counts generated states.
+    /// The number of transitions, plus one for the start, because stateright counts generated states in this way.
     pub generated: u64,
-    /// The length of a shortest path to a violation.
+    /// The length of a shortest path to a violation, if there is one.
     pub violated_at: Option<usize>,
 }
 
@@ -42,7 +42,7 @@ pub fn walk(scenario: &Arc<Scenario>) -> Walk {
     unreachable!("levels are finite")
 }
 
-/// The enabled actions of a state and where they lead.
+/// The enabled actions of a state, each with the state to which it leads.
 pub fn successors(model: &WorldModel, state: &Packed) -> Vec<(Action, Packed)> {
     let mut actions = Vec::new();
     model.actions(state, &mut actions);
@@ -55,7 +55,7 @@ pub struct Dice(pub u64);
 
 impl Dice {
     pub fn below(&mut self, limit: usize) -> usize {
-        // xorshift64*
+        // The algorithm is xorshift64*.
         self.0 ^= self.0 >> 12;
         self.0 ^= self.0 << 25;
         self.0 ^= self.0 >> 27;

@@ -1,4 +1,4 @@
-//! Worlds small enough to explore in a moment.
+//! Scenarios that are small enough to explore in a moment.
 
 use imrs_model::worlds::{Exchange, Meeting};
 use imrs_model::{Budget, Reductions, Scenario, Watch};
@@ -18,13 +18,14 @@ pub fn timed(members: usize, watch: Watch, loss: u8, margin: u64, time_out: u64)
     }
 }
 
-/// Members that meet without end on a network that delays and loses.
+/// A meeting of members that meet without end, on a network that delays and loses packets.
 pub fn endless(members: usize, loss: u8) -> Meeting {
     let budget = Budget { loss, dup: 0, crash: 0 };
     Meeting { attempts: None, delay: Some(1), budget, ..Meeting::new(members, Watch::Pairing) }
 }
 
-/// A meeting without time in which every packet is sent once, with up to `loss` losses: is a member stranded?
+/// A meeting without time in which every packet is sent once, with up to `loss` losses, for the question whether a member is
+/// stranded.
 pub fn literal(members: usize, confirmation: Confirmation, loss: u8) -> Meeting {
     let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
     let budget = Budget { loss, dup: 0, crash: 0 };
@@ -40,7 +41,7 @@ pub fn least_losses(members: usize, confirmation: Confirmation) -> u8 {
     (0..12).find(strands).expect("twelve losses strand a member under any rule")
 }
 
-/// Commands with a retransmission, a loss and a duplicate.
+/// A scenario of commands with a retransmission, a loss and a duplicate.
 pub fn commands(watch: Watch) -> Exchange {
     Exchange { retry: (1, 2), budget: Budget { loss: 1, dup: 1, crash: 0 }, ..Exchange::new(watch) }
 }

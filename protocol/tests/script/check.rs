@@ -1,4 +1,4 @@
-//! The faults that `Program::check` finds, and their texts.
+//! Tests of the faults that `Program::check` finds, and of their texts.
 
 use super::fake::*;
 use imrs_protocol::script::*;
@@ -10,7 +10,7 @@ fn fault(write: impl FnOnce(&mut ProgramBuilder)) -> ProgramError {
     b.finish().expect_err("a fault")
 }
 
-/// The check of a program that has only this code.
+/// The result of the check of a program that has only this code.
 fn raw(code: &[Op]) -> Result<usize, ProgramError> {
     Program { code: code.into(), ..Program::default() }.check()
 }

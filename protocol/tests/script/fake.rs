@@ -1,4 +1,4 @@
-//! A script alone: the test plays its communication task.
+//! A script by itself: the test takes the part of its communication task.
 
 use imrs_protocol::script::*;
 use imrs_protocol::*;
@@ -15,7 +15,7 @@ pub struct Said {
     pub words: Vec<String>,
     pub requests: Vec<Request>,
     pub statements: Vec<Address>,
-    /// What the driver chooses at once.
+    /// The choice that the driver makes at once, if any.
     pub choice: Option<u16>,
     pub fragments: BTreeMap<u8, Contents>,
     pub answers: BTreeMap<(Option<TaskId>, u8), Contents>,
@@ -106,7 +106,7 @@ pub struct Rig {
 }
 
 impl Rig {
-    /// The script that `write` builds, and that ends where `write` does.
+    /// A rig with the script that `write` builds. The script ends where `write` ends.
     pub fn new(write: impl FnOnce(&mut ProgramBuilder)) -> Self {
         let mut builder = ProgramBuilder::new("test");
         write(&mut builder);
@@ -146,7 +146,7 @@ impl Rig {
         self.step(ScriptInput::Signal(signal))
     }
 
-    /// The communication task accepts.
+    /// Answers the script's request with an acceptance.
     pub fn accept(&mut self) -> Vec<String> {
         self.tell(Signal::Accepted(1))
     }
@@ -174,7 +174,7 @@ pub fn same_when_packed(program: &Program, script: &Script) -> Vec<u8> {
     bytes
 }
 
-/// A message whose id is `age` before the sender's next one.
+/// A message whose id is `age` numbers before the sender's next one.
 pub fn message(port: PortId, class: Class, age: u32, bytes: &[u8]) -> Delivery {
     let sequence = Frame::SEQUENCE.plus(Seq24::MODULUS - age);
     let id = MessageId { incarnation: Incarnation(3), sequence };

@@ -12,7 +12,7 @@ pub const A: TaskId = TaskId(0);
 pub const B: TaskId = TaskId(1);
 const C: TaskId = TaskId(2);
 
-/// Tasks A, B, C, each on a node of its own, joined by links of one tick.
+/// A cell with tasks A, B and C, each on a node of its own, joined by links of one tick.
 pub fn triangle() -> Cell {
     let mut cell = Cell::new("three", Ticks(1));
     let nodes = ["na", "nb", "nc"].map(|name| cell.node(name));
@@ -33,7 +33,7 @@ pub fn bytes(bytes: &[u8]) -> Contents {
     Contents::new(bytes).expect("short")
 }
 
-/// The beam lift: A is armL and C the hoist, both played by the test; B is armR.
+/// The beam lift. A is armL and C the hoist, for both of which the test makes the requests; B is armR with its script.
 pub fn beam_lift() -> VirtualCell {
     let mut cell = triangle();
     let lift = cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], Ticks(2000)).resend(Ticks(50), 1));
@@ -112,7 +112,7 @@ fn an_arm_whose_partners_never_come_gives_up() {
 const GRAB: PortId = PortId(0);
 const FREE: PortId = PortId(1);
 
-/// The administrator of a tool: grants it to one at a time, and takes it back from a dead holder after 40 ticks.
+/// The script of a tool's administrator. It grants the tool to one task at a time, and reclaims it after 40 ticks.
 fn dresser() -> ProgramBuilder {
     let mut b = ProgramBuilder::new("dresser");
     let (busy, no, yes) =
@@ -138,7 +138,7 @@ fn dresser() -> ProgramBuilder {
     b
 }
 
-/// Asks for the tool until it is granted, works for `work`, frees it if `honest`, and ends.
+/// The script of a robot. It asks for the tool until it gets it, works for `work`, frees the tool if `honest`, and ends.
 fn robot(work: u64, honest: bool) -> ProgramBuilder {
     let mut b = ProgramBuilder::new("robot");
     let (spot, ok, asks) =
@@ -512,7 +512,7 @@ fn random_pair(genes: [&[u8]; 2], together: bool) -> VirtualCell {
 
 fn ended_well(activity: Activity) -> bool {
     match activity {
-        // A handler may ask on a port on which an interrupted activation waits; and a script may send statuses without end.
+        // A handler may ask on a port on which an interrupted activation waits. A script may also send statuses without end.
         Activity::Ended(End::Fault { fault, .. }) => {
             fault == ScriptFault::Request(Fault::Busy) || fault == ScriptFault::Runaway
         }
@@ -526,7 +526,7 @@ fn ended_well(activity: Activity) -> bool {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Scripts and communication tasks agree: no answer is unexpected, whatever interrupts whatever.
+    /// Tests that scripts and communication tasks agree: no answer is unexpected, whatever interrupts whatever.
     #[test]
     fn random_tasks_get_along_with_their_communication_tasks(
         a in proptest::collection::vec(any::<u8>(), 0..200),
@@ -539,7 +539,7 @@ proptest! {
     }
 }
 
-/// Random runs are useful only if they get far.
+/// Tests that the random runs get far, because otherwise they would prove little.
 #[test]
 fn random_tasks_come_far() {
     let mut runner = proptest::test_runner::TestRunner::deterministic();

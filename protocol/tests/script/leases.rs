@@ -1,4 +1,4 @@
-//! Fences and take-overs (D61).
+//! Tests of scripts that are fenced or take over (D61).
 
 use super::fake::*;
 use imrs_protocol::script::*;
@@ -95,8 +95,8 @@ fn who_can_take_over_waits_for_that_when_fenced() {
     assert_eq!(rig.accept(), ["abandon", "ended Finished"]);
 }
 
-/// A task of a work couple. Its handler for ASK records the message and starts a timer. Its handlers for TELL and for the
-/// timer would act.
+/// The script of a task of a work couple. Its handler for ASK records the message and starts a timer. Its handlers for TELL
+/// and for the timer would act.
 fn attentive(takeover: bool) -> Rig {
     let mut b = ProgramBuilder::new("test");
     let (said, outcome) = (b.variable("said", Type::Int8), b.variable("outcome", Type::Int8));
@@ -123,7 +123,7 @@ fn attentive(takeover: bool) -> Rig {
     Rig::of(b.finish().expect("a checked program"))
 }
 
-/// A fenced task of a mutual couple.
+/// A rig of a task of a mutual couple that has been fenced.
 fn passive() -> Rig {
     let mut rig = attentive(true);
     let mut said = rig.begin();
@@ -210,7 +210,8 @@ fn a_fence_without_a_handler_leaves_who_can_take_over() {
 const A: TaskId = TaskId(0);
 const B: TaskId = TaskId(1);
 
-/// Two robots of a mutual couple: each welds for ever while it acts. After a take-over it reads what the other one published.
+/// Two robots of a mutual couple: each welds for ever while it acts. After a take-over a robot reads what the other one
+/// published.
 fn robots() -> VirtualCell {
     let mut cell = Cell::new("couple", Ticks(1));
     let nodes = ["na", "nb"].map(|name| cell.node(name));

@@ -4,7 +4,7 @@ use super::fake::*;
 use imrs_protocol::script::*;
 use imrs_protocol::*;
 
-/// Accepts the requests of a script until it says something that begins with `word`.
+/// Accepts the requests of a script until one of its effects begins with `word`.
 fn until(rig: &mut Rig, mut said: Vec<String>, word: &str) -> Vec<String> {
     for _ in 0..1000 {
         if said.iter().any(|words| words.starts_with(word)) {
@@ -58,7 +58,7 @@ fn a_long_program_keeps_its_place() {
     assert!(until(&mut rig, said, "delay")[0].ends_with(" 8"), "it goes on there");
 }
 
-/// A script that runs an action for a command that it must answer.
+/// A rig of a script that runs an action for a command that it must answer.
 fn serving() -> Rig {
     let mut rig = Rig::new(|b| {
         let n = b.variable("n", Type::Int32);
@@ -79,7 +79,7 @@ fn a_state_that_does_not_fit_is_refused_and_not_cut() {
         let frame = Frame { rounds: &[], sequences: &sequences, incarnations: true };
         Encode::bytes(&frame, |w| rig.script.walk(&rig.program, w))
     };
-    // The command's number is one back from the frame's own.
+    // The command's number is one less than the frame's own.
     let home = Frame::SEQUENCE.get();
     assert!(packed(home).is_ok());
     assert!(packed(home + 254).is_ok());
@@ -170,7 +170,7 @@ fn a_branch_takes_the_outcomes_that_its_words_say() {
     assert_eq!(taken(Outcomes::of(&[])), []);
 }
 
-/// A driver that keeps only the end.
+/// A driver that keeps only how the script ended.
 #[derive(Default)]
 struct Bare {
     ended: Option<End>,

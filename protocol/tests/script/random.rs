@@ -1,4 +1,5 @@
-//! No program and no input panics, every state comes back from its packed form, and a shift of ids changes nothing.
+//! Tests that no program and no input panics, that every state comes back from its packed form, and that a shift of ids
+//! changes nothing.
 
 use super::fake::*;
 use super::written::{inputs, programs, well_formed};
@@ -7,7 +8,7 @@ use imrs_protocol::*;
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-/// An answer to what the script waits for, if there is one, so that runs get far. `pick` chooses among answers.
+/// An answer to the wait of the script, if it waits, so that runs get far. `pick` chooses among the answers.
 pub fn answer(rig: &Rig, pick: u8) -> Option<ScriptInput> {
     let signal = match rig.script.activity() {
         Activity::Acts => {
@@ -54,7 +55,7 @@ pub fn answer(rig: &Rig, pick: u8) -> Option<ScriptInput> {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 3000, failure_persistence: None, ..ProptestConfig::default() })]
 
-    /// Malformed programs and senseless inputs included. [`Rig::step`] packs and unpacks every state.
+    /// Malformed programs and senseless inputs are included. [`Rig::step`] packs and unpacks every state.
     #[test]
     fn no_program_and_no_input_panics(program in programs(), inputs in vec((any::<u8>(), inputs()), 1..60)) {
         let _ = program.check();
@@ -70,7 +71,7 @@ proptest! {
         }
     }
 
-    /// A program that passes its check never turns out to be malformed, whatever its communication task says.
+    /// A program that passes its check never turns out to be malformed, whatever signals its communication task gives.
     #[test]
     fn a_checked_program_is_well_formed(
         program in prop_oneof![well_formed(), programs()],
@@ -124,8 +125,8 @@ proptest! {
     }
 }
 
-/// Accepts boundaries until the next other request, and returns everything else that was said. A script that never waits is
-/// stopped, as a node does it.
+/// Accepts boundaries until the next other request. Returns all other effects in words. A script that never waits is
+/// stopped, as a node stops it.
 fn past_boundaries(rig: &mut Rig, mut said: Vec<String>) -> Vec<String> {
     let mut all = Vec::new();
     for _ in 0..STEP_LIMIT {
@@ -170,7 +171,7 @@ proptest! {
     }
 }
 
-/// Random runs are useful only if they get far.
+/// Tests that the random runs get far, because otherwise they would prove little.
 #[test]
 fn random_programs_reach_what_they_are_for() {
     use proptest::strategy::ValueTree;

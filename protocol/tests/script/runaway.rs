@@ -13,7 +13,7 @@ fn finish(b: ProgramBuilder) -> Program {
     b.finish().expect("a checked program")
 }
 
-/// Tasks `a` to `d` on one node.
+/// A cell with tasks `a` to `d` on one node.
 fn together() -> Cell {
     let mut cell = Cell::new("one", Ticks(1));
     let node = cell.node("node");
@@ -70,7 +70,8 @@ fn who_answers_one_that_never_waits_is_not_the_one_that_is_stopped() {
     b.forever(|b| {
         b.receive(ask, None, &[]).statement().reply(&[]);
     });
-    // With the two that wait, the scripts of the node may take so many steps together that the asker's own limit comes first.
+    // Because two tasks only wait, the scripts of the node may take so many steps together that the asker's own limit comes
+    // first.
     let scripts = [(A, finish(a)), (B, finish(b)), (C, waiting()), (D, waiting())];
     let mut virtual_cell = VirtualCell::new(cell).begin(scripts);
     virtual_cell.run(3);

@@ -46,7 +46,7 @@ fn terms() -> impl Strategy<Value = Term> {
     ]
 }
 
-/// All operations; most of them name entries that exist.
+/// Any operation; most of them name entries that exist.
 fn ops() -> impl Strategy<Value = Op> {
     let port = || (0..4_u16).prop_map(PortId);
     let small = || 0..5_u16;
@@ -135,11 +135,12 @@ pub struct Ends {
     pub tells: PortId,
     pub hears: PortId,
     pub handled: [PortId; 2],
-    /// Whether it is for a real node: there both ends must agree on formats, loops must wait and no couple is declared.
+    /// Whether the program is for a real node. On a real node both ends of a port must agree on formats, loops must wait,
+    /// and no couple is declared.
     pub real: bool,
 }
 
-/// Ports of a script that has no node.
+/// The ports of a script that has no node.
 const ALONE: Ends =
     Ends { asks: [ASK, ASK], tells: TELL, hears: TELL, handled: [ASK, PortId(3)], real: false };
 
@@ -160,7 +161,7 @@ impl Writer<'_> {
         self.variables[at]
     }
 
-    /// Fields for one, two or three packets.
+    /// The fields of a message of one, two or three packets.
     fn fields(&mut self) -> Vec<(Type, Slot)> {
         if self.ends.real {
             return vec![self.variables[4]; 4];
@@ -262,7 +263,7 @@ impl Writer<'_> {
         }
     }
 
-    /// The body of a loop.
+    /// Writes the body of a loop.
     fn turn(&mut self, b: &mut ProgramBuilder, depth: u8) {
         if self.ends.real {
             b.delay(Ticks(1));

@@ -8,7 +8,7 @@ use super::plan::Plan;
 use super::world::World;
 use imrs_protocol::*;
 
-/// The bytes of an input, followed by zeros.
+/// The bytes of an input of a fuzz target, followed by zeros.
 struct Bytes<'a>(&'a [u8]);
 
 impl Bytes<'_> {
@@ -96,7 +96,7 @@ pub fn packets(data: &[u8]) {
         let flipped = usize::from(bytes.byte());
         let mut raw: [u8; PACKET_BYTES] = bytes.take();
         let _ = Packet::decode(&raw, DIGEST, port_hash);
-        // The same bytes with a valid checksum.
+        // These are the same bytes with a valid checksum.
         let hash = port_hash(PortId(u16::from_le_bytes([raw[6], raw[7]]))).unwrap_or(0);
         let crc = checksum(&raw, DIGEST, hash);
         raw[28..].copy_from_slice(&crc.to_le_bytes());
@@ -111,7 +111,7 @@ pub fn packets(data: &[u8]) {
 
 const DIGEST: u32 = 0x1234_5678;
 
-/// Every second port is known.
+/// The hash of a port; only every second port is known.
 fn port_hash(port: PortId) -> Option<u32> {
     port.0.is_multiple_of(2).then(|| u32::from(port.0).wrapping_mul(0x9e37_79b9))
 }
@@ -121,7 +121,8 @@ fn gains_no_remaining_time(packet: &Packet, remaining: u64, hash: u32) {
     let decoded = Packet::decode(&sent.encode(DIGEST, hash), DIGEST, port_hash).expect("a packet");
     assert!(decoded.remaining <= sent.remaining, "{} became {}", sent.remaining, decoded.remaining);
     assert_eq!(decoded, Packet { remaining: decoded.remaining, ..sent });
-    // Less than one part in 2^23 is lost, or one step of the wire. A time beyond the scale becomes its end.
+    // The decoded time is less by at most one part in 2^23, or by one step of the wire. A time beyond the scale becomes its
+    // end.
     let end = Ticks((((1 << 24) - 1) << 15) * WIRE_STEP_US);
     let kept = sent.remaining.min(end);
     assert!(

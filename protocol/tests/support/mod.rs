@@ -17,9 +17,9 @@ use std::sync::Arc;
 pub struct Effects {
     pub packets: Vec<Packet>,
     pub signals: Vec<Signal>,
-    /// Timer requests: armed with a length, or disarmed.
+    /// Requests to the node's Timer: armed with a length, or disarmed.
     pub timers: Vec<(TimeId, Option<Ticks>)>,
-    /// The turn with which each timer was armed: which start it is.
+    /// The turn with which each timer was armed: the number of that start.
     pub turns: Vec<(TimeId, u8)>,
     pub observations: Vec<Observation>,
 }
@@ -44,18 +44,18 @@ impl Outbox for Effects {
 }
 
 impl Effects {
-    /// What happened, packets first, then signals, in words.
+    /// The packets, then the signals, in words.
     pub fn words(&self) -> Vec<String> {
         self.packets.iter().map(packet).chain(self.signals.iter().map(signal)).collect()
     }
 
-    /// Why messages were dropped.
+    /// The reasons of all drops.
     pub fn discards(&self) -> Vec<Reason> {
         let reason = |o: &Observation| if let Event::Discarded(r) = o.event { Some(r) } else { None };
         self.observations.iter().filter_map(reason).collect()
     }
 
-    /// The message handed over, to a GET or to a handler, if there is one.
+    /// The message that was handed over, to a GET or to a handler, if there is one.
     pub fn delivery(&self) -> Option<Delivery> {
         self.signals.iter().find_map(|s| match s {
             Signal::Message(d) | Signal::Interrupt(Call::Message(d)) => Some(*d),
@@ -63,7 +63,7 @@ impl Effects {
         })
     }
 
-    /// How often something was observed.
+    /// How often this event was observed.
     pub fn count(&self, event: Event) -> usize {
         self.observations.iter().filter(|o| o.event == event).count()
     }
@@ -97,7 +97,7 @@ impl Solo {
         self.input_after(0, input)
     }
 
-    /// An input, `ticks` after the last one.
+    /// Gives the task an input, `ticks` after the last one.
     fn input_after(&mut self, ticks: u64, input: Input) -> Effects {
         let now = self.task.now() + Ticks(ticks);
         let mut out = Effects::default();
@@ -215,37 +215,37 @@ fn packs_and_unpacks(task: &CommTask, table: &NodeTable) -> Option<CommTask> {
     Some(loaded)
 }
 
-/// A message to one task.
+/// The request that sends a message to one task.
 pub fn send(port: PortId, to: TaskId, byte: u8) -> Request {
     Request::Send { port, to: Target::One(to), contents: contents(byte), time_out: None }
 }
 
-/// A message to one task with a TTL of its own.
+/// The request that sends a message to one task with a TTL of its own.
 pub fn send_for(port: PortId, to: TaskId, byte: u8, ttl: u64) -> Request {
     Request::Send { port, to: Target::One(to), contents: contents(byte), time_out: Some(Ticks(ttl)) }
 }
 
-/// A message to all at the other end.
+/// The request that sends a message to all tasks at the other end.
 pub fn send_all(port: PortId, byte: u8) -> Request {
     Request::Send { port, to: Target::All, contents: contents(byte), time_out: None }
 }
 
-/// Registers a handler for a port.
+/// The request that registers a handler for a port.
 pub fn handle(port: PortId) -> Request {
     Request::Handle { port, handled: true }
 }
 
-/// The `order` that names these, first to last.
+/// The request for an `order` that names these, first to last.
 pub fn order(named: &[Ranked]) -> Request {
     Request::Order(ServiceOrder::new(named).expect("few levels"))
 }
 
-/// A GET over all ports with this time_out; zero polls.
+/// The request for a GET over all ports with this time_out; zero polls.
 pub fn get(time_out: u64) -> Request {
     Request::Get { port: None, source: None, time_out: Some(Ticks(time_out)) }
 }
 
-/// A GET of one port.
+/// The request for a GET on one port.
 pub fn get_on(port: PortId, time_out: u64) -> Request {
     Request::Get { port: Some(port), source: None, time_out: Some(Ticks(time_out)) }
 }

@@ -1,4 +1,4 @@
-//! Packs states and reads them back, and leaves out of a comparison what packing does not keep.
+//! Packs states and reads them back. For comparisons it also removes the parts that packing does not keep.
 
 use super::Effects;
 use super::shift::Shift;
@@ -25,11 +25,12 @@ pub fn repack(world: &mut World, task: usize) {
         ..Shift::default()
     };
     loaded.walk(&table, &mut &shift);
-    // A packed state does not record which start of a timer runs.
+    // A packed state does not record which start of a timer is running.
     world.turns[task].iter_mut().for_each(|turn| turn.1 = 0);
 }
 
-/// Leaves out what packing need not keep: the turns of timers, and the arguments of arrivals, which `bury` may drop.
+/// The effects without the parts that packing need not keep: the turns of timers, and the arguments of arrivals, which
+/// `bury` may drop.
 pub fn without_arguments(effects: &Effects) -> Effects {
     let mut effects = effects.clone();
     effects.turns.clear();

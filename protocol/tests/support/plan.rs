@@ -13,7 +13,7 @@ pub struct Plan {
     delay: u64,
     ports: Vec<[u8; 6]>,
     rules: [u8; 4],
-    /// Whether the first two tasks are work-coupled, and how.
+    /// Whether the first two tasks are work-coupled, and in which way.
     couple: u8,
 }
 

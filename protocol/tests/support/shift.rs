@@ -1,4 +1,4 @@
-//! A shift of all numbers that are only compared with each other. It must not change what a world does.
+//! A shift of all numbers that are only compared with each other. It must not change the behaviour of a world.
 
 use super::Effects;
 use imrs_protocol::*;
@@ -8,19 +8,19 @@ use imrs_protocol::*;
 pub struct Shift {
     pub sequences: Vec<u32>,
     pub rounds: Vec<u16>,
-    /// Even, because the epochs of a primary are odd.
+    /// The shift of the epochs, which is even because the epochs of a primary are odd.
     pub epochs: u8,
-    /// For each port, where its packets carry an epoch.
+    /// For each port, the place at which its packets carry an epoch.
     pub places: Vec<EpochAt>,
 }
 
-/// Where packets of a port carry an epoch.
+/// The place at which packets of a port carry an epoch.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum EpochAt {
     Nowhere,
-    /// In the heartbeats of a couple and in their answers.
+    /// Packets of the port are heartbeats of a couple and their answers, which carry it.
     Heartbeats,
-    /// In the last byte of an order.
+    /// Packets of the port are orders, whose last byte carries it.
     Orders,
 }
 
@@ -102,7 +102,7 @@ impl Shift {
                 moved.contents = meeting.to_contents();
             }
             Kind::Send | Kind::Query => moved.id = self.id(p.source, p.id),
-            // An answer carries its request's id.
+            // An answer carries the id of its request.
             Kind::Reply | Kind::Response | Kind::Control => moved.id = self.id(p.destination, p.id),
         }
         if let Some(at) = self.places.get(p.port.index()).and_then(|place| place.within(p)) {
@@ -113,7 +113,7 @@ impl Shift {
         moved
     }
 
-    /// Effects with all ids shifted. Observations are left out: their numbers may be of any kind.
+    /// The effects with all ids shifted. Observations are left out, because their numbers may be of any kind.
     pub fn effects(&self, effects: &Effects) -> Effects {
         let packets = effects.packets.iter().map(|p| self.packet(p)).collect();
         let signals = effects.signals.iter().map(|s| match *s {

@@ -7,20 +7,20 @@ use imrs_protocol::*;
 use proptest::prelude::*;
 use std::sync::Arc;
 
-/// One random operation; what it means depends on the world's present state only.
+/// One random operation. Its meaning depends only on the world's present state.
 pub type Op = (u8, u8, u16, u16);
 
 pub fn ops() -> impl Strategy<Value = Vec<Op>> {
     proptest::collection::vec(any::<Op>(), 1..120)
 }
 
-/// Mostly passing time and arriving packets, so that leases are granted, end and are taken over.
+/// Operations that are mostly passing time and arriving packets, so that leases are granted, end and are taken over.
 pub fn lively() -> impl Strategy<Value = Vec<Op>> {
     let what = prop_oneof![3 => 0..2_u8, 6 => 2..8_u8, 2 => any::<u8>()];
     proptest::collection::vec((what, any::<u8>(), any::<u16>(), any::<u16>()), 20..240)
 }
 
-/// The communication tasks of a cell and everything between them.
+/// The communication tasks of a cell, and the packets between them.
 #[derive(Clone)]
 pub struct World {
     pub tables: Vec<NodeTable>,
@@ -29,9 +29,9 @@ pub struct World {
     /// The commands that each task received.
     got: Vec<Vec<ReplyTo>>,
     incarnations: Vec<u8>,
-    /// The latest start of each of a task's delays and timers.
+    /// For each task, the latest start of each of its delays and timers.
     pub turns: Vec<Vec<(TimeId, u8)>>,
-    /// How far this world's ids are from those of the plain world.
+    /// By how much this world's ids differ from those of the plain world.
     pub shift: Shift,
     /// Whether nodes restart and packets of other incarnations appear.
     pub restarts: bool,
@@ -41,8 +41,8 @@ pub struct World {
     pub splits: bool,
     /// Whether every deadline is checked after time has passed, due or not.
     pub looks_around: bool,
-    /// The time of the next input, if all clocks run alike; then a packet in flight has its deadline in place of its remaining
-    /// time. Otherwise each task has a clock of its own.
+    /// The time of the next input, if all clocks run alike. A packet in flight then has its deadline in place of its
+    /// remaining time. If this is empty, each task has a clock of its own.
     pub at: Option<Instant>,
 }
 
@@ -112,7 +112,7 @@ impl World {
         self.input_after(ticks, task, Input::Time)
     }
 
-    /// An input, `ticks` after the last one.
+    /// Gives a task an input, `ticks` after its last one.
     fn input_after(&mut self, ticks: u64, task: usize, input: Input) -> Effects {
         let mut out = Effects::default();
         let now = self.at.unwrap_or_else(|| self.tasks[task].now() + Ticks(ticks));
@@ -122,7 +122,7 @@ impl World {
             self.tasks[task].handle(&self.tables[task], now, &Input::Time, &mut out);
         }
         if passes && self.looks_around {
-            // This must have no effect: everything due has just happened.
+            // This call must have no effect, because everything that is due has just happened.
             self.tasks[task].look_around(&self.tables[task], &mut out);
         }
         self.tasks[task].handle(&self.tables[task], now, &input, &mut out);
@@ -227,7 +227,7 @@ impl World {
 
     fn answer(&mut self, task: usize, a: u16, b: u16) -> Effects {
         let got = &self.got[task];
-        // Usually the latest one, sometimes an earlier one.
+        // Usually this picks the latest request, sometimes an earlier one.
         let back = if b.is_multiple_of(4) { usize::from(a) } else { 0 };
         let Some(&to) = got.iter().rev().cycle().nth(back % got.len().max(1)) else {
             return Effects::default();
@@ -240,7 +240,7 @@ impl World {
         self.input(task, Input::Request(Request::Reply { to, contents }))
     }
 
-    /// A forged packet with a valid checksum.
+    /// Delivers a forged packet with a valid checksum.
     fn forged(&mut self, a: u16, b: u16) -> Effects {
         let mut bytes = [0; PACKET_BYTES];
         let mut seed = (u64::from(a) << 16 | u64::from(b)).wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
@@ -300,14 +300,14 @@ impl World {
         }
     }
 
-    /// A time-out of one of the task's delays and timers, or of one that was stopped or never started.
+    /// Reports the end of one of the task's delays and timers, or of one that was stopped or never started.
     fn time_out(&mut self, task: usize, b: u16) -> Effects {
         let id = TimeId(u8::try_from(b % 3).expect("small"));
         let turn = self.turns[task].iter().rev().find(|t| t.0 == id).map_or(0, |t| t.1);
         self.input(task, Input::TimeOut { id, turn })
     }
 
-    /// The next incarnation of a node: its tasks know nothing of the one before.
+    /// Starts the next incarnation of a node, whose tasks know nothing of the previous one.
     fn restart(&mut self, node: usize) -> Effects {
         self.incarnations[node] += 1;
         for (t, table) in self.tables.iter().enumerate().filter(|(_, table)| table.node.index() == node) {
@@ -320,7 +320,8 @@ impl World {
         Effects::default()
     }
 
-    /// The reference points of packed ids: every source's next sequence, and rounds from the plain world's zero.
+    /// The numbers to which packed ids are relative: the next sequence number of every source, and rounds from the plain
+    /// world's zero.
     pub fn frame(&self) -> (Vec<Round>, Vec<Seq24>) {
         let next = self.tasks.iter().map(CommTask::next_sequence);
         (self.shift.rounds.iter().map(|&r| Round(r)).collect(), next.collect())
@@ -337,7 +338,7 @@ impl World {
     }
 }
 
-/// Requests that do not fit the cell, and requests that fit any cell.
+/// A request that does not fit the cell, or one that fits any cell.
 fn odd_request(a: u16, b: u16) -> Request {
     let port = PortId(a % 5);
     let id = TimeId(u8::try_from(a % 3).expect("small"));

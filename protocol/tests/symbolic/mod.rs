@@ -1,7 +1,8 @@
-//! Symbolic times: what runs on symbols does what it does on all numbers that take the same way.
+//! Tests of symbolic times: a run on symbols does what the runs do on all numbers that lead to the same behaviour.
 //!
-//! Each random run is made twice, on numbers and on symbols. The symbols take the way that the numbers take, and the zone writes down
-//! each question and its answer. Any other numbers for which all answers are the same must then run alike.
+//! Each random run is made twice, on numbers and on symbols. The run on symbols makes the same decisions as the numbers, and
+//! the zone records each question and its answer. A run on any other numbers for which all answers are the same must then
+//! have the same effects.
 
 mod nodes;
 mod numbers;
@@ -18,17 +19,17 @@ use std::cell::{self, RefCell};
 use std::ops::Range;
 use std::rc::Rc;
 
-/// Steps of a run: more would need more variables than symbols can name.
+/// The most steps of a run. More steps would need more variables than symbols can name.
 const MOST: usize = 100;
 
-/// Runs `run` on the symbols of these times. It takes the way that the times take.
+/// Runs `run` on symbols of these times, with the decisions that the times themselves lead to.
 fn on_symbols<R>(times: &[i64], run: impl FnOnce() -> R) -> (R, Example) {
     let zone = Rc::new(RefCell::new(Example::new(times)));
     let result = symbolic::within(Rc::<RefCell<Example>>::clone(&zone), run);
     (result, zone.take())
 }
 
-/// The instant of a step, which is the number of its variable: symbolic, or the time itself.
+/// A function from the number of a step's variable to its instant: a symbol, or the time itself.
 type Clock<'a> = &'a dyn Fn(u8) -> Instant;
 
 /// The clock that shows these times at the steps.
@@ -36,7 +37,7 @@ fn showing(times: &[i64]) -> impl Fn(u8) -> Instant {
     |step| Instant(times[usize::from(step) - 1].unsigned_abs())
 }
 
-/// Instants that never run backwards, from these gaps.
+/// Instants that never run backwards, with these gaps between them.
 fn times(gaps: &[u8], count: usize) -> Vec<i64> {
     let gaps = gaps.iter().cycle().take(count);
     gaps.scan(1_000, |at, &gap| {
@@ -46,7 +47,8 @@ fn times(gaps: &[u8], count: usize) -> Vec<i64> {
     .collect()
 }
 
-/// Other times: from each of these steps on all are later or earlier, unless the order of the steps would change.
+/// Other times: from each of these steps on, all times are later or earlier, unless that would change the order of the
+/// steps.
 fn moved<'a>(times: &'a [i64], by: &'a [(usize, i64)]) -> impl Iterator<Item = Vec<i64>> + 'a {
     let moved = |&(from, more): &(usize, i64)| {
         let from = from % times.len().max(1);
@@ -59,13 +61,13 @@ fn moved<'a>(times: &'a [i64], by: &'a [(usize, i64)]) -> impl Iterator<Item = V
     by.iter().map(moved).filter(|times| times.is_sorted())
 }
 
-/// A zone that knows a value of each variable, answers by these, and notes what it was asked.
+/// A zone that knows a value of each variable, answers by these values, and records the questions.
 #[derive(Debug, Default)]
 struct Example {
     values: Vec<i64>,
-    /// What had to be negative, or not.
+    /// The symbols that it was asked about, and whether each had to be negative.
     asked: Vec<(Symbol, bool)>,
-    /// How many variables had to be made where three met.
+    /// How many variables had to be made for times in which more than two variables met.
     named: usize,
 }
 
@@ -91,7 +93,7 @@ impl Example {
         is_zero
     }
 
-    /// Whether other values would have been answered alike.
+    /// Whether these other values would have given the same answers.
     fn covers(&self, values: &[i64]) -> bool {
         let other = Self::new(values);
         self.asked.iter().all(|&(symbol, answer)| (other.value(symbol) < 0) == answer)
@@ -106,7 +108,8 @@ impl Zone for Example {
     }
 
     fn sum(&mut self, one: Symbol, other: Symbol) -> Symbol {
-        // Of two inputs at the same time, the later one leaves a clock as it is: both variables then stand for one instant.
+        // If two inputs come at the same time, the later one leaves a clock as it is, so both variables stand for one
+        // instant.
         for (one, other) in [(one, other), (other, one)] {
             let same = Symbol { second: other.second, ..one };
             if self.is_zero(same) {
@@ -127,7 +130,7 @@ impl Zone for Example {
     }
 }
 
-/// Reads symbols as the numbers of an example.
+/// A pass that replaces symbols by the numbers of an example.
 struct Evaluate<'a>(&'a Example);
 
 impl Evaluate<'_> {
@@ -175,7 +178,7 @@ impl Walk for Evaluate<'_> {
 
 /// The state at the end of a run.
 trait State: Clone {
-    /// Its packed form, with its symbols replaced.
+    /// The packed form of the state, with its symbols replaced by numbers.
     fn bytes(self, evaluate: &mut Evaluate<'_>) -> Vec<Result<Vec<u8>, Overflow>>;
 }
 
@@ -185,11 +188,11 @@ struct Run<S> {
     end: S,
 }
 
-/// What two runs are compared by.
+/// The parts by which two runs are compared.
 type Outcome = (Vec<Effects>, Vec<Result<Vec<u8>, Overflow>>);
 
 impl<S: State> Run<S> {
-    /// The run at the times of an example. A run on numbers does not change.
+    /// The run with its symbols replaced by the times of an example. A run on numbers does not change.
     fn at(&self, example: &Example) -> Outcome {
         let mut evaluate = Evaluate(example);
         let effects = self.effects.iter().map(|effects| evaluate.effects(effects)).collect();
@@ -197,8 +200,8 @@ impl<S: State> Run<S> {
     }
 }
 
-/// Compares a run on symbols, which follow `first`, with the runs at these times and at each of the others that were answered
-/// alike. Returns how many of those there were. `exact`: no time may be made of three instants.
+/// Compares a run on symbols, which follow `first`, with the runs at those times and at each of the other times that give
+/// the same answers. Returns how many of those there were. With `exact` no time may be made of three instants.
 fn runs_alike<S: State>(
     (first, others): (&[i64], &[(usize, i64)]),
     exact: bool,
@@ -222,8 +225,8 @@ fn runs_alike<S: State>(
     Ok(alike)
 }
 
-/// Compares random runs of random cells, whose steps are at most as far apart as `gaps` says, and wants more other times than runs to
-/// have been answered alike.
+/// Compares random runs of random cells, whose steps are at most as far apart as `gaps` says, and demands that more other
+/// times than runs gave the same answers.
 fn random_runs_are_alike<S: State>(
     (cases, gaps): (u32, Range<u8>),
     start: impl Fn(World) -> S,
@@ -239,7 +242,8 @@ fn random_runs_are_alike<S: State>(
     let alike = cell::Cell::new(0);
     let result = TestRunner::new(config).run(&runs, |(plan, ops, gaps, others)| {
         let world = World::new(&plan.build(), false);
-        // Under this variant of the rules a wait does not count, so a deadline moves by the difference of two instants.
+        // Under this variant of the rules a wait does not count, so a deadline moves by the difference of two instants, and
+        // a time may have three.
         let exact = world.tables[0].rules().charge_residence;
         let (start, ops) = (start(world), &ops[..ops.len().min(MOST)]);
         let times = times(&gaps, ops.len());

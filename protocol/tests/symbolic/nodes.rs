@@ -1,4 +1,4 @@
-//! Whole nodes on symbols: transit buffers, Timers, relays, and the links between them.
+//! Tests of whole nodes on symbols: transit buffers, Timers, relays, and the links between them.
 
 use super::{Clock, Evaluate, Run, State, random_runs_are_alike};
 use crate::support::Effects;
@@ -20,7 +20,7 @@ struct Nodes {
     nodes: Vec<Node>,
     flying: Vec<Flight>,
     got: Vec<(TaskId, ReplyTo)>,
-    /// Makes requests that fit the cell.
+    /// Makes the requests, which fit the cell.
     world: World,
 }
 
@@ -87,7 +87,7 @@ impl Nodes {
         }
     }
 
-    /// A packet arrives: it is charged the time on its link.
+    /// Lets a packet arrive. It is charged the time that it spent on its link.
     fn arrive(&mut self, now: Instant, at: usize, b: u16) -> Effects {
         let Flight { from, to, packet, sent } = self.flying[at].clone();
         if !b.is_multiple_of(8) {

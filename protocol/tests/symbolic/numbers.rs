@@ -1,4 +1,4 @@
-//! Computing with symbolic durations gives what computing with their numbers gives.
+//! Tests that computing with symbolic durations gives the same as computing with their numbers.
 
 use super::{Evaluate, on_symbols};
 use imrs_protocol::*;
@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use proptest::test_runner::TestRunner;
 use std::cmp::Ordering;
 
-/// What is computed from three durations between variables, each moved by an offset, and a plain one.
+/// Several results, computed from three durations between variables, each moved by an offset, and from a plain duration.
 fn computed(between: impl Fn(u8, u8) -> Ticks, parts: &[(u8, u8, i64)], plain: Ticks) -> [Ticks; 11] {
     let [a, b, c] = [0, 1, 2].map(|at| {
         let (first, second, offset) = parts[at];

@@ -12,17 +12,17 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-/// Long enough for anything that is not lost, on a busy machine.
+/// A time that is long enough for everything that is not lost, on a busy machine.
 pub const LONG: Duration = Duration::from_secs(60);
 
-/// The same in ticks.
+/// The same time in ticks.
 pub const LONG_TICKS: Ticks = Ticks(60_000_000);
 
 /// A time_out that a test lets expire, though other tasks must be in time for it. A busy machine keeps no thread from running for
 /// nearly this long.
 pub const AMPLE: Duration = Duration::from_secs(4);
 
-/// The same in ticks.
+/// The same time in ticks.
 pub const AMPLE_TICKS: Ticks = Ticks(4_000_000);
 
 pub const A: TaskId = TaskId(0);
@@ -59,8 +59,8 @@ pub fn one_node(table: &Arc<CellTable>) -> Builder {
     Runtime::builder(Arc::clone(table), NodeId(0))
 }
 
-/// The builder of a node of an in-process network, in its first incarnation. Until all nodes have joined, packets to the missing
-/// ones are lost: so make all builders before any of them is started.
+/// The builder of a node of an in-process network, in its first incarnation. Until all nodes have joined, packets to the
+/// missing ones are lost. So make all builders before you start a node.
 pub fn on(network: &Arc<Network>, table: &Arc<CellTable>, node: u16) -> Builder {
     let link = network.join(NodeId(node), imrs_protocol::Incarnation(1), false);
     Runtime::builder(Arc::clone(table), NodeId(node))
@@ -72,7 +72,7 @@ pub fn network(table: &Arc<CellTable>, faults: Faults) -> Arc<Network> {
     Network::new(Arc::clone(table), faults)
 }
 
-/// Three nodes of a task each, for [`meets_and_asks`], and a network that loses and repeats packets.
+/// A cell of three nodes with a task each, for [`meets_and_asks`], and a network that loses and repeats packets.
 pub fn busy() -> (Arc<CellTable>, Arc<Network>) {
     let mut cell = cell(&[0, 1, 2], Ticks(2_000));
     cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], Ticks(200_000)).resend(Ticks(10_000), 1));
@@ -85,7 +85,7 @@ pub fn busy() -> (Arc<CellTable>, Arc<Network>) {
     (table, network)
 }
 
-/// A task of [`busy`]: meets `rounds` times; in between `a` sends news and asks, and the others answer.
+/// The program of a task of [`busy`]: it meets `rounds` times; in between `a` sends news and asks, and the others answer.
 pub fn meets_and_asks(ctx: &mut Context, rounds: u8) -> Result<(), TaskError> {
     let (lift, news) = (ctx.port("lift")?, ctx.port("news")?);
     for round in 0..rounds {
@@ -97,7 +97,7 @@ pub fn meets_and_asks(ctx: &mut Context, rounds: u8) -> Result<(), TaskError> {
         } else {
             while let Some(message) = ctx.receive(None, Some(Duration::from_millis(5)))? {
                 if message.class == Class::Command {
-                    // A late reply is refused; a recording must hold that, too.
+                    // A late reply is refused, and a recording must contain that, too.
                     let _late = ctx.reply(&message.from, b"yes");
                 }
             }
@@ -114,7 +114,7 @@ pub fn finish(runtime: Runtime) {
     assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned), "{ends:?}");
 }
 
-/// Checks again and again until `done`.
+/// Checks again and again until `done` returns true.
 pub fn until(mut done: impl FnMut() -> bool) {
     let start = Instant::now();
     while !done() {

@@ -15,21 +15,21 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::Sender;
 use std::time::{Duration, Instant};
 
-/// The longest that an answer of an observer may take: an observer has the lowest priority, and a busy machine may not run it for
-/// minutes.
+/// The longest time that an answer of an observer may take. An observer has the lowest priority, so a busy machine may not
+/// run it for minutes.
 pub const PATIENCE: Duration = LONG.saturating_mul(10);
 
 /// The version and schema of programs that speak version 1.0.
 pub const OLD: (Version, u32) = (Version { major: 1, minor: 0 }, 0x3723_afbb);
 pub const NEW: (Version, u32) = (VERSION, SCHEMA);
 
-/// A folder of one test alone.
+/// A folder that belongs to one test.
 pub struct Folder(pub PathBuf);
 
 impl Folder {
     pub fn new(name: &str) -> Self {
         let path = std::env::temp_dir().join(format!("imrs-runtime-{name}-{}", std::process::id()));
-        // The cell's folder, below the folder of all cells: an observer looks there for its neighbours' sockets.
+        // The folder of the cell, below the folder of all cells. An observer looks in it for the sockets of its neighbours.
         std::fs::create_dir_all(path.join("cell")).expect("a folder");
         Self(path)
     }
@@ -45,7 +45,7 @@ impl Drop for Folder {
     }
 }
 
-/// A node whose task `a` sends what it is told to, and whose task `b` takes none of it.
+/// A node whose task `a` sends the messages that the test orders, and whose task `b` takes none of them.
 pub fn node() -> (Runtime, Sender<u8>) {
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(ask(LONG_TICKS));
@@ -122,7 +122,7 @@ impl Monitor {
         }
     }
 
-    /// Waits no longer than this for each frame.
+    /// Sets how long the monitor waits for each frame at most.
     pub fn wait_for(&self, length: Duration) {
         (self.patience)(length);
     }

@@ -45,7 +45,8 @@ fn bound(table: &Arc<CellTable>) -> Vec<UdpLink> {
         for (b, to) in links.iter().enumerate().filter(|&(b, _)| a != b) {
             from.set_address(NodeId::from_index(b), Some(to.local_address())).expect("a neighbour");
         }
-        // Taken here; otherwise the receiving thread may hear of the addresses at any later time, and send what waits just then.
+        // The event is taken here. Otherwise the receiving thread might learn the addresses at any later time, and send
+        // waiting packets just then.
         while from.poll(&Nobody, None) != PollEnd::Ready {}
     }
     links

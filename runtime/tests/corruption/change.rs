@@ -1,9 +1,9 @@
-//! Random changes of recordings.
+//! Makes random changes to recordings.
 
 use imrs_protocol::{Contents, Input, Packet, Request, Seq24, Ticks};
 use imrs_wire::recording::{Record, ScriptStep};
 
-/// What is changed in the records.
+/// The kind of a change to the records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Change {
     /// An input is missing.
@@ -12,13 +12,13 @@ pub enum Change {
     Doubled,
     /// Two inputs of a task have swapped places.
     Swapped,
-    /// An input came at another time.
+    /// An input has another time.
     Time,
     /// A packet or a request has another content.
     Input,
     /// Other outputs are recorded.
     Outputs,
-    /// A script took something else.
+    /// A script has another input.
     Script,
 }
 
@@ -46,7 +46,7 @@ pub fn change_records(records: &[Record], random: &mut fastrand::Rng) -> Option<
         Change::Swapped => {
             let other =
                 (at + 1..records.len()).find(|&other| task_of(&records[other]) == task_of(&records[at]))?;
-            // The last record of a task is no input, and stays where it is.
+            // The last record of a task is no input, so it stays where it is.
             if !matches!(records[other], Record::Input { .. }) {
                 return None;
             }
@@ -131,7 +131,7 @@ fn alter_request(request: &mut Request, random: &mut fastrand::Rng) {
     }
 }
 
-/// Other contents of the same length; one byte instead of none.
+/// Other contents of the same length; one byte in place of none.
 fn other(bytes: &[u8], random: &mut fastrand::Rng) -> Contents {
     let mut bytes = if bytes.is_empty() { vec![0] } else { bytes.to_vec() };
     let at = random.usize(..bytes.len());

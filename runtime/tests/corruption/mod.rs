@@ -1,5 +1,6 @@
-//! A replay notices at least 999 of 1,000 recordings with a change that alters something observable, whether the change is in the
-//! records or in the bytes of the file (D109). `IMRS_CORRUPTIONS` sets how many changes of each kind.
+//! Tests that a replay notices at least 999 of 1,000 changed recordings, if the change alters something observable. The
+//! change may be in the records or in the bytes of the file (D109). `IMRS_CORRUPTIONS` sets how many changes of each kind
+//! are made.
 
 mod change;
 mod runs;
@@ -26,7 +27,7 @@ fn records(bytes: &[u8]) -> (Header, Vec<Record>) {
 
 fn written(header: &Header, records: &[Record]) -> Vec<u8> {
     let mut writer = RecordingWriter::new(Vec::new(), header).expect("memory takes everything");
-    // The end is a record like all others, because a changed recording may have none.
+    // The end is written as a record like all others, because a changed recording may have none.
     records.iter().for_each(|record| writer.append(record).expect("memory takes everything"));
     let length = usize::try_from(writer.written()).expect("it is in memory");
     let mut bytes = writer.finish().expect("memory takes everything");
@@ -42,8 +43,8 @@ fn is_noticed(bytes: &[u8], run: &Recorded) -> bool {
     !same || reader.ending() != Ending::Ended
 }
 
-/// By task, what can be observed of a recording: everything that its communication task puts out and its script asks and is
-/// answered, in order, whatever the recorded digests say. Hashed, so that collisions of 64 bits are possible.
+/// For each task, what can be observed of a recording, whatever the recorded digests say: all outputs of its communication
+/// task, and all requests of its script with their answers, in order. It is hashed, so collisions of 64 bits are possible.
 #[derive(Debug, Default, PartialEq, Eq)]
 struct Observable(BTreeMap<TaskId, (u64, Vec<String>)>);
 
@@ -124,13 +125,13 @@ fn runs() -> Vec<Recorded> {
     runs
 }
 
-/// Counts of one kind of change.
+/// The counts for one kind of change.
 #[derive(Debug, Default)]
 struct Count {
     made: usize,
     observable: usize,
     noticed: usize,
-    /// Changes that altered nothing observable, and were noticed all the same.
+    /// Changes that altered nothing observable, and that the replay noticed all the same.
     besides: usize,
 }
 
@@ -148,7 +149,7 @@ fn changed_inputs_behind_right_checksums_are_noticed() {
         let Some((change, changed)) = change_records(whole, &mut random) else { continue };
         let count = counts.entry(change).or_default();
         count.made += 1;
-        // A digest is what the recording says of the outputs: changing it changes what was observed.
+        // A digest is the recording's statement about the outputs, so changing it changes what was observed.
         let differs = change == Change::Outputs || Observable::of(header, &changed, run) != plain[at];
         let noticed = is_noticed(&written(header, &changed), run);
         observable += usize::from(differs);
@@ -191,7 +192,7 @@ fn changed_bytes_of_the_file_are_noticed() {
     assert!(noticed * 1_000 >= observable * 999, "{noticed} of {observable}: {counts:#?}");
 }
 
-/// After a gap only the keyframe is known: a changed one may say anything, and is refused or replayed.
+/// After a gap only the keyframe says what the state was. A changed keyframe may say anything: it is refused or replayed.
 #[test]
 fn changed_keyframes_are_refused_or_replayed() {
     let runs = runs();
@@ -226,7 +227,7 @@ fn changed_keyframes_are_refused_or_replayed() {
     assert!(refused > 0, "no changed keyframe was refused");
 }
 
-/// Shown with `--nocapture`, and kept in the log of `.ci/long`.
+/// Prints the counts, which `--nocapture` shows and the log of `.ci/long` keeps.
 fn tell<K: std::fmt::Debug>(what: &str, counts: &BTreeMap<K, Count>) {
     for (kind, Count { made, observable, noticed, besides }) in counts {
         println!(

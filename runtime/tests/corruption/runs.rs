@@ -1,4 +1,4 @@
-//! Recordings of runs that use a bit of everything.
+//! Recordings of runs in which a little of everything happens.
 
 use crate::common::{A, B, LONG, busy, cell, finish, meets_and_asks, network, on, table};
 use imrs_protocol::script::{Binary, Op, Outcomes, Program, ProgramBuilder, StatementOutcome, Type};
@@ -14,7 +14,7 @@ use std::sync::{Arc, Mutex};
 
 const INCARNATION: (Incarnation, bool) = (Incarnation(1), false);
 
-/// The recording of a node, and what it takes to replay it.
+/// The recording of a node, with the table and the scripts that its replay needs.
 pub struct Recorded {
     pub table: NodeTable,
     pub programs: BTreeMap<TaskId, Arc<Program>>,
@@ -55,7 +55,7 @@ impl Recording {
     }
 }
 
-/// Three nodes of a Rust task each.
+/// The recordings of three nodes with a Rust task each.
 pub fn tasks() -> Vec<Recorded> {
     let (table, network) = busy();
     let start = |(node, task)| {
@@ -78,7 +78,8 @@ pub fn tasks() -> Vec<Recorded> {
 
 const ASK: PortId = PortId(0);
 
-/// Measures, and asks with the measured value; every third measurement fails, and then it asks nothing.
+/// A script that measures, and asks with the measured value. Every third measurement fails, and then the script asks
+/// nothing.
 fn measurer(times: i64) -> Arc<Program> {
     let mut b = ProgramBuilder::new("a");
     let [i, n, answer] = ["i", "n", "answer"].map(|name| b.variable(name, Type::Int32));
@@ -101,7 +102,7 @@ fn measurer(times: i64) -> Arc<Program> {
     Arc::new(b.finish().expect("a sound program"))
 }
 
-/// Answers each question with one more, for ever.
+/// A script that answers each question with the received number plus one, for ever.
 fn answerer() -> Arc<Program> {
     let mut b = ProgramBuilder::new("b");
     let n = b.variable("n", Type::Int32);
@@ -114,7 +115,7 @@ fn answerer() -> Arc<Program> {
     Arc::new(b.finish().expect("a sound program"))
 }
 
-/// Two nodes of a script each.
+/// The recordings of two nodes with a script each.
 pub fn scripts() -> Vec<Recorded> {
     let mut cell = cell(&[0, 1], Ticks(2_000));
     cell.port(PortDecl::new("ask", A, Usage::Send, &[B], Ticks(40_000)).command().retry(1, Ticks(15_000)));
@@ -122,7 +123,7 @@ pub fn scripts() -> Vec<Recorded> {
     let faults = Faults { seed: 7, loss: 0.1, ..Faults::default() };
     let network = network(&table, faults);
     let count = AtomicI32::new(0);
-    // 1, 2, 4, 5, 7 and so on: every third one fails.
+    // The calls 1, 2, 4, 5, 7 and so on succeed: every third one fails.
     let measure = move |_: &Call| match count.fetch_add(1, Ordering::Relaxed) {
         n if n % 3 == 2 => Err("nothing to see".into()),
         n => Ok(n + 1),
@@ -138,7 +139,7 @@ pub fn scripts() -> Vec<Recorded> {
         let builder = builder.recorder(Arc::clone(&recording.0) as _).script(name, program);
         (here, recording, programs, builder)
     };
-    // The answering node starts before it is asked.
+    // The answering node starts before the other node asks it.
     let nodes = [(1, B, answerer()), (0, A, measurer(40))].map(start);
     let nodes =
         nodes.map(|(here, recording, programs, node)| (here, recording, programs, node.start().unwrap()));

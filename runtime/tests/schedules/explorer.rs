@@ -8,10 +8,10 @@ pub(crate) use shuttle::thread;
 use shuttle::{Config, FailurePersistence, Runner};
 use std::collections::BTreeMap;
 
-/// A load always returns the last value.
+/// Whether a load may return an overwritten value: here it always returns the last one.
 pub(crate) const SEES_OLD_VALUES: bool = false;
 
-/// How many schedules of each scene, unless `IMRS_SCHEDULES` says otherwise; `.ci/long` takes 100,000.
+/// How many schedules of each scene are drawn, unless `IMRS_SCHEDULES` sets the number; `.ci/long` takes 100,000.
 const SCHEDULES: usize = 2_000;
 /// The depth of PCT: the most steps whose order a bug may need.
 const DEPTH: usize = 3;
@@ -43,7 +43,7 @@ pub(crate) fn explore<O: Ord + Send + 'static>(body: impl Fn() -> O + Send + Syn
     seen
 }
 
-/// A drawn schedule costs the same in a large scene.
+/// In a large scene a drawn schedule costs no more.
 pub(crate) use explore as explore_large;
 
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

@@ -1,5 +1,5 @@
-//! The concurrent pieces of the runtime under many schedules, by shuttle: the same source and the same scenes that loom explores
-//! in the unit tests, without stale values but with many more schedules.
+//! Runs the concurrent parts of the runtime under many schedules, by shuttle. Source and scenes are the same that loom
+//! explores in the unit tests. There are no stale values here, but many more schedules.
 
 #[allow(dead_code, reason = "the scenes have clocks of their own")]
 #[path = "../../src/clock.rs"]

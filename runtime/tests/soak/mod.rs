@@ -1,5 +1,5 @@
-//! A soak (D114): three nodes over loopback UDP at half of their full rate, with every primitive. No class-2 request is without
-//! its outcome, and memory, descriptors and threads do not grow. `IMRS_SOAK` sets the number of seconds.
+//! A soak test (D114): three nodes over loopback UDP use every primitive at half of their full rate. Every class-2 request
+//! must get its outcome, and memory, descriptors and threads must not grow. `IMRS_SOAK` sets the number of seconds.
 
 mod process;
 mod rig;
@@ -13,11 +13,11 @@ use process::{Held, threads, trend, worked};
 use rig::{Asked, Plan, Ran, THREADS, Tally, run};
 use std::time::{Duration, Instant};
 
-/// How many KiB more may be held at the end than at the beginning, however long the run: caches of the allocator.
+/// How many KiB more memory may be held at the end than at the beginning, however long the run: caches of the allocator.
 const FLAT: f64 = 512.0;
-/// The least number of measurements of what is held, however busy the machine is.
+/// The least number of measurements of memory, descriptors and threads, however busy the machine is.
 const LOOKS: usize = 8;
-/// How long after its time_out an outcome may come, on a machine with other work.
+/// How long after its time_out an outcome may come, on a machine that also does other work.
 const LATE: Duration = Duration::from_secs(60);
 
 fn wanted() -> Duration {
@@ -42,18 +42,18 @@ fn at_half_load_every_request_has_its_outcome_and_nothing_grows() {
 
     let (begin, length) = (Instant::now(), wanted());
     let every = (length / 400).max(Duration::from_millis(50));
-    // All of the series' memory is in RAM before the first measurement.
+    // All memory of the series is in RAM before the first measurement.
     let mut series = vec![Held::default(); 1_000];
     series.clear();
     let others = threads();
     let look = || {
         std::thread::sleep(every);
-        // The drivers' last meeting begins only after this: its cost belongs to the end.
+        // The last meeting of the drivers begins only after this, because its cost belongs to the end.
         let is_enough = begin.elapsed() > length && series.len() >= LOOKS;
-        // The first tenth warms up.
+        // The first tenth of the run warms up, and is not measured.
         if !is_enough && begin.elapsed() > length / 10 && series.len() < series.capacity() {
             if series.is_empty() {
-                // A thread has its name only once it runs.
+                // A thread has its name only once it has begun to run.
                 until(|| Held::now(begin, &others).threads == THREADS);
             }
             series.push(Held::now(begin, &others));
@@ -77,7 +77,7 @@ fn busy<T>(work: impl FnOnce() -> T) -> (T, f64) {
     (done, (worked() - used).as_secs_f64() / begin.elapsed().as_secs_f64())
 }
 
-/// Checks what holds of every run. Returns how many cycles per second all drivers made together.
+/// Checks what must hold in every run. Returns how many cycles per second all drivers made together.
 fn judge(ran: &Ran) -> f64 {
     assert_eq!(ran.tallies.len(), 3);
     let mut copies = 0;
@@ -122,7 +122,7 @@ fn discarded(ran: &Ran, reason: Reason) -> u64 {
     all.filter(|count| count.name == reason.name()).map(|count| count.count).sum()
 }
 
-/// The counters of the machines and the links agree with what the programs did.
+/// Checks that the counters of the machines and the links agree with what the programs did.
 fn counters_agree(ran: &Ran) {
     let tasks = || ran.snapshots.iter().flat_map(|snapshot| &snapshot.tasks);
     for (port, asked) in ran.tallies.iter().flat_map(|tally| &tally.asked) {

@@ -1,10 +1,10 @@
-//! What this process holds, according to the kernel.
+//! The resources that this process holds, according to the kernel.
 
 use std::ffi::OsString;
 use std::fs::DirEntry;
 use std::time::{Duration, Instant};
 
-/// What the process holds at an instant.
+/// The resources that the process holds at an instant.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Held {
     /// Seconds since the beginning.
@@ -12,7 +12,7 @@ pub struct Held {
     /// Anonymous memory in RAM, in KiB. Mapped files do not count, because the kernel loads and drops them as it likes.
     pub memory: u64,
     pub descriptors: usize,
-    /// The threads of the nodes: the test runner starts and ends threads of its own.
+    /// The number of the nodes' threads. The test runner starts and ends threads of its own, which do not count.
     pub threads: usize,
 }
 
@@ -26,7 +26,8 @@ pub fn threads() -> Vec<OsString> {
 }
 
 impl Held {
-    /// `others`: the threads that existed before the nodes. The kernel may list a thread for a while after its end.
+    /// Measures the process. `others` are the threads that existed before the nodes. The kernel may list a thread for a
+    /// while after its end.
     pub fn now(since: Instant, others: &[OsString]) -> Self {
         let status = std::fs::read_to_string("/proc/self/status").expect("this is Linux");
         let field = |name: &str| {
@@ -36,7 +37,8 @@ impl Held {
         let is_of_a_node = |thread: &DirEntry| {
             let name = std::fs::read_to_string(thread.path().join("comm")).unwrap_or_default();
             let is_another = others.contains(&thread.file_name());
-            // The tasks' threads, and those that run for all tasks. The thread for actions ends some time after its node.
+            // These are the tasks' threads, and those that run for all tasks. The thread for actions ends some time after
+            // its node.
             !is_another
                 && (["imrs receive", "imrs timer"].contains(&name.trim_end()) || name.trim_end().len() == 1)
         };
@@ -54,7 +56,7 @@ pub fn worked() -> Duration {
     let stat = std::fs::read_to_string("/proc/self/stat").expect("this is Linux");
     let (_, after) = stat.rsplit_once(')').expect("a name in brackets");
     let ticks = |at| after.split_whitespace().nth(at).and_then(|n| n.parse::<u64>().ok()).expect("a number");
-    // In hundredths of a second, whatever the kernel's own tick is.
+    // The kernel reports hundredths of a second, whatever its own tick is.
     Duration::from_millis(10 * (ticks(11) + ticks(12)))
 }
 

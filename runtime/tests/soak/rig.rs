@@ -49,7 +49,7 @@ fn soaked() -> Arc<CellTable> {
 #[derive(Clone, Debug, Default)]
 pub struct Asked {
     pub requests: u64,
-    /// One outcome for each task that was asked.
+    /// The number of outcomes: one for each task that was asked.
     pub outcomes: u64,
     pub expected: u64,
     pub replies: u64,
@@ -61,7 +61,7 @@ pub struct Asked {
     pub latest: Duration,
 }
 
-/// What a driver did in a run.
+/// What a driver has done in a run.
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
     pub cycles: u64,
@@ -123,7 +123,8 @@ impl Meetings {
         self.at[driver.index()].fetch_or(WAITS, Ordering::SeqCst);
     }
 
-    /// A release requires that all had arrived in its round: each other driver waits, or has left this round or a later one.
+    /// Notes how a driver's meeting ended, and checks a release: all must have arrived in its round. So each other driver
+    /// must wait, or must have left this round or a later one.
     fn ended(&self, driver: TaskId, end: Rendezvous) {
         let (Rendezvous::Released { round, .. } | Rendezvous::GaveUp { round, .. }) = end;
         let released = matches!(end, Rendezvous::Released { .. });
@@ -156,7 +157,7 @@ impl Meetings {
     }
 }
 
-/// What all programs share.
+/// The state that all programs share.
 struct Shared {
     table: Arc<CellTable>,
     period: Option<Duration>,
@@ -167,7 +168,7 @@ struct Shared {
     stop: AtomicBool,
 }
 
-/// A driver: its ports determine what it does in a cycle.
+/// The program of a driver. Its ports determine what it does in a cycle.
 fn drive(ctx: &mut Context, shared: &Shared) -> Result<(), TaskError> {
     let (own, letter) = (ctx.id(), ctx.name().to_owned());
     let [command, news, meet] =
@@ -211,7 +212,7 @@ fn drive(ctx: &mut Context, shared: &Shared) -> Result<(), TaskError> {
             }
         }
         if let Some(period) = shared.period {
-            // After a standstill of the machine, missed cycles are left out.
+            // If the machine stood still, the missed cycles are left out.
             next = (next + period).max(Instant::now() - Duration::from_secs(1));
             ctx.delay(next.saturating_duration_since(Instant::now()))?;
         }
@@ -251,7 +252,7 @@ fn ask(
     Ok(())
 }
 
-/// A servant: answers every request, and checks every other message. A command never runs twice.
+/// The program of a servant: it answers every request, and checks every other message. No command may run twice.
 fn serve(ctx: &mut Context, shared: &Shared) -> Result<(), TaskError> {
     let mut last: Option<u32> = None;
     while !shared.stop.load(Ordering::Relaxed) {
@@ -270,7 +271,7 @@ fn serve(ctx: &mut Context, shared: &Shared) -> Result<(), TaskError> {
                 ctx.delay(Duration::from_millis(1))?;
             }
         }
-        // After a standstill the sender may no longer wait.
+        // If the machine stood still, the sender may no longer wait.
         let _late = ctx.reply(&message.from, bytes);
     }
     Ok(())
@@ -289,7 +290,7 @@ pub struct Ran {
     pub recordings: Vec<(NodeTable, Vec<u8>)>,
 }
 
-/// How to run.
+/// How the nodes are to run.
 #[derive(Clone, Copy, Default)]
 pub struct Plan {
     pub length: Duration,
@@ -334,7 +335,7 @@ pub fn run(plan: Plan, mut look: impl FnMut() -> bool) -> Ran {
             shared.enough.store(true, Ordering::SeqCst);
         }
     }
-    // Packets in flight arrive, and expiring messages expire.
+    // In this time packets in flight arrive, and expiring messages expire.
     std::thread::sleep(Duration::from_millis(200));
     shared.stop.store(true, Ordering::Relaxed);
     let snapshots = nodes.iter().map(|node| node.node().snapshot(0)).collect();

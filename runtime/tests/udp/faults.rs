@@ -1,4 +1,4 @@
-//! Injected faults.
+//! Tests of injected faults.
 
 use super::network::in_a_network;
 use super::rig::{A, B, C, Memory, PATIENCE, link, packet, pair, table};
@@ -34,7 +34,7 @@ fn the_same_seed_loses_the_same_sends() {
     assert_ne!(lost(2), first);
 }
 
-/// Datagrams that leave in one call are as separate for the network as those that leave in several.
+/// Datagrams that leave in one call are as separate in the network as those that leave in several calls.
 #[test]
 fn each_datagram_of_a_call_is_lost_by_itself() {
     const CALLS: u64 = 50;
@@ -107,7 +107,7 @@ fn what_the_link_would_not_take_is_not_lost() {
     assert_eq!(a.injected(), Injected::default());
 }
 
-/// `lo`, and an Ethernet without any other host.
+/// The commands for a network that has only `lo`, and an Ethernet without any other host.
 const EMPTY_ETHERNET: [&str; 5] = [
     "link set lo up",
     "link add here type veth peer name there",

@@ -17,12 +17,12 @@ use std::time::{Duration, Instant};
 
 /// More datagrams than any socket here holds.
 const FILLS_A_SOCKET: usize = 5_000;
-/// How many datagrams the flood sends while the neighbour is heard.
+/// How many datagrams the flood sends while the neighbour's datagrams must still be received.
 const FLOOD: usize = 200_000;
-/// So many of the neighbour's datagrams fit into its socket while no thread receives.
+/// How many of the neighbour's datagrams fit into its socket while no thread receives.
 const UNDER_WAY: usize = 100;
 
-/// Garbage of several lengths, and datagrams that look like this cell's.
+/// The datagrams of a flood: garbage of several lengths, and datagrams that look like this cell's.
 fn thrown() -> Vec<Vec<u8>> {
     let other = Digests { cell: cell("another cell").digest(), ..digests() };
     let stranger = Envelope { sender: NodeId(9), ..envelope_of(1, 0) };
@@ -34,7 +34,7 @@ fn thrown() -> Vec<Vec<u8>> {
         damaged,
         sealed(&stranger, &[encoded(2)]),
         sealed_for(other, &envelope_of(1, 9), &[encoded(3)]),
-        // In the name of the neighbour, with a session that is not the neighbour's.
+        // This datagram has the name of the neighbour, and a session that is not the neighbour's.
         sealed(&envelope_of(3, 11), &[encoded(4)]),
     ]
 }
@@ -43,12 +43,12 @@ fn thrown() -> Vec<Vec<u8>> {
 fn flood(to: SocketAddr, count: usize) {
     let (socket, thrown) = (raw_socket(), thrown());
     for number in 0..count {
-        // The kernel may refuse for lack of room: then the flood is as fast as it can be.
+        // The kernel may refuse a send for lack of room. The flood is then as fast as it can be.
         let _ = socket.send_to(&thrown[number % thrown.len()], to);
     }
 }
 
-/// Records the numbers of the neighbour's packets, in order of arrival, and when a datagram was last discarded.
+/// A sink that records the numbers of the neighbour's packets, in order of arrival, and when a datagram was last discarded.
 #[derive(Default)]
 struct Heard {
     numbers: Mutex<Vec<u32>>,
@@ -96,7 +96,7 @@ fn drops(local: SocketAddr, count: usize) -> BTreeMap<String, u64> {
     }
 }
 
-/// Links of two nodes that have heard each other.
+/// Two links of nodes that have heard from each other.
 fn acquainted() -> (UdpLink, UdpLink) {
     let (a, b) = pair();
     for (from, to, node) in [(&a, &b, B), (&b, &a, A), (&a, &b, B)] {
@@ -106,7 +106,7 @@ fn acquainted() -> (UdpLink, UdpLink) {
     (a, b)
 }
 
-/// Sends while the flood lasts, and never more than fits into the socket. Returns how many packets were sent.
+/// Sends packets while the flood lasts, never more at once than fit into the socket. Returns how many packets were sent.
 fn speaks(a: &UdpLink, heard: &Heard, floods: impl Fn() -> bool) -> u32 {
     let mut sent = 0;
     while floods() {
@@ -140,7 +140,7 @@ fn a_flood_from_elsewhere_loses_nothing_of_a_neighbour() {
         });
         let sent = speaks(&a, &heard, || !flooding.is_finished());
         // The last packet is sent once, like the others: repeated without a pause, it would itself fill the socket. If it is
-        // lost, it is missing below.
+        // lost, the comparison below shows that.
         let last = sent + 1;
         assert_eq!(a.send(B, &[packet(last)]), Ok(1));
         let end = Instant::now() + PATIENCE;
@@ -161,10 +161,11 @@ fn a_flood_from_elsewhere_loses_nothing_of_a_neighbour() {
     assert!(connected.values().eq(&[0, 0]), "two neighbours: {connected:?}");
 }
 
-/// A thread that did nothing but drop a flood would take its core from the tasks.
+/// The polling thread reads the socket of strangers in turns, because a thread that did nothing but drop a flood would take
+/// its core from the tasks.
 #[test]
 fn a_flood_is_looked_at_in_turns_of_a_millisecond() {
-    /// After so many meaningless datagrams a visit ends, and the next one waits.
+    /// The number of meaningless datagrams after which a visit ends; the next visit then waits.
     const VISIT: u64 = 16;
     const VISITS: u64 = 12;
     let (b, heard) = (link(B), Heard::default());

@@ -25,7 +25,7 @@ impl Victim {
         self.from.send_to(bytes, self.link.local_address()).unwrap();
     }
 
-    /// Sends datagrams one by one; each must be dropped for one reason.
+    /// Sends datagrams one by one, each of which must be dropped for one reason. Returns the reasons.
     fn reasons<'a>(&self, datagrams: impl IntoIterator<Item = &'a [u8]>) -> Vec<LinkDiscard> {
         let mut reasons = Vec::new();
         for bytes in datagrams {
@@ -172,7 +172,7 @@ fn repetitions_and_earlier_incarnations() {
     assert_eq!(*peers, [(A, Incarnation(1), false), (A, Incarnation(2), true)]);
 }
 
-/// Incarnations and counters are kept per neighbour.
+/// Incarnations and counters are kept for each neighbour.
 #[test]
 fn neighbours_are_told_apart() {
     let victim = Victim::new();

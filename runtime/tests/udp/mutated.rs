@@ -1,4 +1,4 @@
-//! Mutated datagrams cause no panic, and genuine traffic goes on.
+//! Tests that mutated datagrams cause no panic, and that genuine traffic goes on.
 
 use super::rig::{A, B, C, Memory, PATIENCE, introduced, link, packet, raw_socket};
 use super::sessions::{drive, taken_on_its_way};
@@ -45,7 +45,7 @@ fn mutated(genuine: &[u8], counter: u64, rng: &mut fastrand::Rng) -> Vec<u8> {
     bytes
 }
 
-/// A sends until B has received a packet. Returns how long that took.
+/// Lets A send until B has received a packet. Returns how long that took.
 fn goes_on((a, at_a): (&UdpLink, &Memory), (b, at_b): (&UdpLink, &Memory), number: &mut u32) -> Duration {
     let (start, mut next) = (Instant::now(), Instant::now());
     let first = *number;
@@ -54,7 +54,7 @@ fn goes_on((a, at_a): (&UdpLink, &Memory), (b, at_b): (&UdpLink, &Memory), numbe
         let got = std::mem::take(&mut *at_b.packets.lock().unwrap());
         let genuine = got.iter().find(|got| got.0 == A && is_new(got.1.id.sequence.get()));
         if let Some((_, _, charge)) = genuine {
-            // Nor may it be charged as an old packet, which would be as bad.
+            // The packet must also not be charged as an old one, which would be as bad.
             assert!(charge.0 <= 20_000_000, "{charge} us");
             return true;
         }
@@ -80,7 +80,7 @@ fn genuine_traffic_goes_on_between_mutated_datagrams() {
     let (at_a, at_b, at_c) = (Memory::default(), Memory::default(), Memory::default());
     let (from, mut number, mut thrown) = (raw_socket(), 1_000_000, 0);
     let mut longest = Duration::ZERO;
-    // First the two get to know each other.
+    // First the two nodes must hear from each other.
     goes_on((&a, &at_a), (&b, &at_b), &mut number);
     while thrown < count {
         let genuine = taken_on_its_way(&a, &b, packet(number - 1));
@@ -96,7 +96,7 @@ fn genuine_traffic_goes_on_between_mutated_datagrams() {
             memory.discards.lock().unwrap().clear();
         }
         longest = longest.max(goes_on((&a, &at_a), (&b, &at_b), &mut number));
-        // B answers, too.
+        // B must answer, too.
         b.send(A, &[packet(1)]).unwrap();
         drive(&[(&a, &at_a), (&c, &at_c)], || at_a.delivered() > 0);
     }

@@ -1,10 +1,10 @@
-//! Networks of a test's own.
+//! Network namespaces that belong to one test.
 
 use nix::sched::{CloneFlags, unshare};
 use std::process::Command;
 
-/// Runs `work` in a network namespace that has only what these commands of `ip` make. Without the right to make one, it reports
-/// that; if everything is required, it fails.
+/// Runs `work` in a network namespace that has only what these commands of `ip` make. Without the right to make a namespace,
+/// it reports that the test is skipped; if everything is required, it fails.
 pub fn in_a_network(commands: &[&str], work: impl FnOnce() + Send) {
     let ran = std::thread::scope(|scope| {
         let own = move || {
@@ -15,7 +15,7 @@ pub fn in_a_network(commands: &[&str], work: impl FnOnce() + Send) {
             }
             made
         };
-        // The namespace belongs to this thread, and ends with it.
+        // The namespace belongs to this thread, and ends with the thread.
         scope.spawn(own).join().expect("the test passes")
     });
     if !ran {
@@ -30,7 +30,7 @@ pub fn skip(missing: &str) {
     eprintln!("\n*** SKIPPED: {missing}: what it is for was NOT tried. ***\n");
 }
 
-/// Changes the network of the calling thread.
+/// Runs a command of `ip` that changes the network of the calling thread. Returns whether it succeeded.
 pub fn ip(command: &str) -> bool {
     Command::new("ip").args(command.split(' ')).status().is_ok_and(|status| status.success())
 }

@@ -1,4 +1,4 @@
-//! Three nodes with a link between any two, a task on each, and a sink that records.
+//! The rig of these tests: three nodes with a link between any two, a task on each, and a sink that records.
 
 use imrs_protocol::{
     Cell, CellTable, Class, Contents, Incarnation, Kind, MAX_HOPS, MessageId, NodeId, NodeTable, Packet,
@@ -16,9 +16,9 @@ pub const B: NodeId = NodeId(1);
 pub const C: NodeId = NodeId(2);
 /// The declared bound of every link.
 pub const BOUND: Ticks = Ticks(2_000);
-/// How many messages wait at the port of a task: more than a datagram holds.
+/// How many messages can wait at the port of a task: more than a datagram holds.
 pub const QUEUED: u16 = 64;
-/// Far more than anything here takes on a busy machine.
+/// A time far above what any test here needs on a busy machine.
 pub const PATIENCE: Duration = Duration::from_secs(120);
 
 pub fn cell(name: &str) -> Arc<CellTable> {
@@ -57,8 +57,8 @@ fn bound(node: NodeId, options: UdpOptions) -> UdpLink {
     UdpLink::bind(table(node), any_port(), options).unwrap()
 }
 
-/// A link with kernel stamps, kept until the end of the process. The kernel begins to stamp some time after the first socket asks
-/// for it, on a busy machine long after, and stops with the last socket that asked.
+/// A link with kernel stamps, kept until the end of the process. The kernel begins to stamp some time after the first socket
+/// asks for stamps, on a busy machine long after, and stops when the last such socket is closed.
 static STAMPED: LazyLock<UdpLink> = LazyLock::new(|| {
     let end = Instant::now() + PATIENCE;
     loop {
@@ -76,7 +76,7 @@ fn first_incarnation() -> UdpOptions {
     UdpOptions::new(Incarnation(1), false)
 }
 
-/// A link for which the kernel neither cuts nor merges.
+/// A link for which the kernel neither cuts nor merges datagrams.
 pub fn plain(node: NodeId) -> UdpLink {
     bound(node, UdpOptions { segments: false, ..first_incarnation() })
 }
@@ -122,7 +122,7 @@ pub fn envelope(counter: u64) -> Envelope {
     envelope_of(1, counter)
 }
 
-/// An envelope as A in this incarnation would write it to B. Its session has the same number.
+/// An envelope as this incarnation of A would write it to B. The session has the same number as the incarnation.
 pub fn envelope_of(incarnation: u8, counter: u64) -> Envelope {
     Envelope {
         sender: A,
@@ -137,7 +137,7 @@ pub fn envelope_of(incarnation: u8, counter: u64) -> Envelope {
     }
 }
 
-/// The digests that all nodes here share.
+/// The digests that all nodes of these tests share.
 pub fn digests() -> Digests {
     Digests { cell: table(A).digest(), statements: 0 }
 }
@@ -154,7 +154,7 @@ pub fn sealed_for(digests: Digests, envelope: &Envelope, packets: &[[u8; 32]]) -
     datagram.seal(envelope, digests).to_vec()
 }
 
-/// A socket without a link, which sends anything.
+/// A socket without a link, from which a test can send anything.
 pub fn raw_socket() -> UdpSocket {
     UdpSocket::bind(any_port()).unwrap()
 }

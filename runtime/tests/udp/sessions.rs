@@ -1,4 +1,4 @@
-//! Sessions: no node stays deaf, and no dead session takes over (D144).
+//! Tests of sessions: a node always hears its neighbours again, and no dead session takes over (D144).
 
 use super::rig::{
     A, B, C, Memory, PATIENCE, any_port, cell, digests, encoded, envelope, introduced, link, packet, pair,
@@ -11,7 +11,7 @@ use imrs_wire::envelope::{Digests, Envelope, Refused, read};
 use std::net::UdpSocket;
 use std::time::{Duration, Instant};
 
-/// Lets all links receive until `done`.
+/// Lets all links receive until `done` returns true.
 pub fn drive(links: &[(&UdpLink, &Memory)], mut done: impl FnMut() -> bool) {
     let end = Instant::now() + PATIENCE;
     while !done() {
@@ -22,7 +22,7 @@ pub fn drive(links: &[(&UdpLink, &Memory)], mut done: impl FnMut() -> bool) {
     }
 }
 
-/// Lets all links receive until they are at rest: what is sent on the loopback arrives at once.
+/// Lets all links receive until they are at rest: a datagram on the loopback arrives at once.
 fn settle(links: &[(&UdpLink, &Memory)]) {
     let came = || links.iter().map(|(link, _)| received(link)).sum::<u64>();
     let mut before = u64::MAX;
@@ -33,7 +33,7 @@ fn received(link: &UdpLink) -> u64 {
     [UdpCount::DatagramsReceived, UdpCount::GreetingsReceived].map(|count| link.count(count)).iter().sum()
 }
 
-/// The datagram that A would send to B next, intercepted.
+/// Intercepts the datagram that A would send to B next.
 pub fn taken_on_its_way(a: &UdpLink, b: &UdpLink, packet: Packet) -> Vec<u8> {
     let between = raw_socket();
     between.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -59,7 +59,7 @@ fn acquainted(a: &UdpLink, b: &UdpLink) {
     at_b.take_packets(b, 1);
 }
 
-/// A sends packets to B, one by one, until B gets one. Returns how many were lost before it.
+/// Lets A send packets to B, one by one, until B gets one. Returns how many were lost before that.
 fn lost_until_heard(a: &UdpLink, b: &UdpLink, at_b: &Memory, first: u32) -> u32 {
     let at_a = Memory::default();
     for number in first..first + 100 {
@@ -107,7 +107,8 @@ fn a_datagram_without_a_packet_of_this_cell_changes_nothing() {
 #[test]
 fn a_node_that_lost_its_state_is_heard_after_one_exchange() {
     for (before, after) in [(200, 0), (5, 5), (130, 2), (7, 8)] {
-        // A new link in each turn, because what was heard before would count, and because one link asks only so often.
+        // Each iteration has a new link, because what was heard earlier would count, and because one link asks only so
+        // often.
         let (b, at_b) = (link(B), Memory::default());
         let a = started(A, before, true);
         let (a, b) = (a, &b);
@@ -179,7 +180,7 @@ fn a_dead_session_that_is_heard_first_is_replaced() {
     let mut dead_of_b = vec![0; 2_000];
     let length = between.recv(&mut dead_of_b).unwrap();
     drop((a, b));
-    // Each hears the other's dead session first.
+    // Each node hears the dead session of the other one first.
     let (a, b) = introduced(started(A, 3, true), started(B, 3, true));
     let (at_a, at_b) = (Memory::default(), Memory::default());
     throw(&dead_of_a, &b);
@@ -203,7 +204,7 @@ fn a_counter_that_jumped_ahead_comes_back() {
     assert_eq!(at_b.take_packets(&b, 1)[0].1, packet(7));
     assert!(lost_until_heard(&a, &b, &at_b, 100) <= 1);
     assert_eq!(b.count(UdpCount::CountersMended), 1);
-    // An earlier datagram counts as seen.
+    // A datagram with an earlier counter counts as seen.
     throw(&bytes, &b);
     at_b.discards.lock().unwrap().clear();
     assert_eq!(at_b.take_discards(&b, 1), [LinkDiscard::Replayed]);
@@ -233,7 +234,7 @@ fn nodes_of_two_cells_both_say_that_they_do_not_talk() {
         assert_eq!((of_a.node, of_a.why, of_a.here, of_a.there), (B, why, false, true));
         assert_eq!((of_b.node, of_b.why, of_b.here, of_b.there), (A, why, true, false));
         assert_eq!((of_a.theirs, of_b.theirs), (b.digests(), a.digests()), "both know both");
-        // Refusals are few, and no node answers one.
+        // A node sends few refusals, and answers none.
         for number in 0..100 {
             a.send(B, &[packet(number)]).unwrap();
         }
@@ -242,7 +243,7 @@ fn nodes_of_two_cells_both_say_that_they_do_not_talk() {
     }
 }
 
-/// After one datagram of other statements the right traffic goes on, and the refusal ends.
+/// After one datagram from a cell with other statements, the right traffic goes on, and the refusal ends.
 #[test]
 fn a_refusal_ends_with_what_is_admitted() {
     let (a, b) = pair();
@@ -287,11 +288,11 @@ fn a_node_that_nobody_answers_goes_on() {
     let (start, time) = (Instant::now(), Duration::from_millis(50));
     assert_eq!(a.ask_incarnations(time), []);
     assert!(start.elapsed() >= time);
-    // Without an address there is no neighbour to ask.
+    // Without an address there is no neighbour that could be asked.
     assert_eq!(link(B).ask_incarnations(PATIENCE), []);
 }
 
-/// C has heard A only through B, and still remembers A's incarnation.
+/// C knows A only through packets that B relayed, and still remembers A's incarnation.
 #[test]
 fn what_others_pass_on_is_remembered_too() {
     let (b, c) = (link(B), link(C));

@@ -1,4 +1,4 @@
-//! Old packets are charged for their age (D20, D50).
+//! Tests that old packets are charged for their age (D20, D50).
 
 use super::rig::{
     A, B, BOUND, Memory, PATIENCE, QUEUED, cell, encoded, envelope, link, packet, pair, raw_socket, sealed,
@@ -28,12 +28,12 @@ fn a_datagram_left_in_the_socket_is_charged_its_wait() {
     let (_, _, charge) = memory.take_packets(&b, 1)[0];
     let most = begin.elapsed();
     assert!(charge.0 >= micros(LONG) + BOUND.0, "{charge} us for a wait of {LONG:?}");
-    // The kernel's stamp lies in between, however long the machine took for the rest.
+    // The kernel's stamp lies in between, however long the machine took for the other work.
     assert!(charge.0 <= micros(most) + BOUND.0 + 100_000, "{charge} us for a wait of at most {most:?}");
     assert_eq!(b.count(UdpCount::NoStamp), 0, "the kernel gives stamps");
 }
 
-/// With the first datagram nothing is known of the sender's clock, so only the kernel's stamp can tell.
+/// At the first datagram nothing is known of the sender's clock, so only the kernel's stamp shows the wait.
 #[test]
 fn the_stamp_alone_tells_how_long_each_datagram_waited() {
     let (a, b) = (link(A), link(B));
@@ -54,7 +54,7 @@ fn the_stamp_alone_tells_how_long_each_datagram_waited() {
 fn a_sender_stopped_between_its_clock_and_the_socket_is_charged() {
     let (a, b) = pair();
     let (at_a, at_b) = (Memory::default(), Memory::default());
-    // A round trip teaches B the clock of A.
+    // By a round trip B learns the clock of A.
     b.send(A, &[packet(1)]).unwrap();
     at_a.take_packets(&a, 1);
     a.send(B, &[packet(2)]).unwrap();
@@ -66,7 +66,7 @@ fn a_sender_stopped_between_its_clock_and_the_socket_is_charged() {
     assert!(charge.0 >= micros(LONG), "{charge} us");
 }
 
-/// The same before any echo, because B never sends.
+/// The same test before any echo, because B never sends.
 #[test]
 fn a_stopped_sender_is_charged_without_a_round_trip_too() {
     let (a, b) = (link(A), link(B));
@@ -75,7 +75,8 @@ fn a_stopped_sender_is_charged_without_a_round_trip_too() {
     let begin = Instant::now();
     a.send(B, &[packet(1)]).unwrap();
     memory.take_packets(&b, 1);
-    // The fastest datagram is assumed to have kept the declared bound. Here it is the only one, and took at most this long.
+    // The fastest datagram is assumed to have kept the declared bound. Here there is only one datagram, and it took at most
+    // this long.
     let first = begin.elapsed();
     let read = Instant::now();
     thread::sleep(LONG);
@@ -105,8 +106,8 @@ fn a_quick_round_trip_costs_little_more_than_the_declared_bound() {
     assert!(median.0 <= BOUND.0 + micros(trip) + 50_000, "median {median} us, of a round trip {trip:?}");
 }
 
-/// What came in one datagram has one instant and one charge. Otherwise a later message would count as older, and go first, if the
-/// clock advanced between the two.
+/// All packets of one datagram have one instant and one charge. Otherwise a later message would count as older, and go
+/// first, if the clock advanced between the two.
 #[test]
 fn what_came_together_is_taken_in_the_order_in_which_it_was_sent() {
     const DATAGRAMS: u32 = 50;
@@ -119,7 +120,7 @@ fn what_came_together_is_taken_in_the_order_in_which_it_was_sent() {
         for datagram in 0..DATAGRAMS {
             let packets: Vec<_> = (0..together).map(|n| encoded(datagram * together + n)).collect();
             socket.send_to(&sealed(&envelope(u64::from(datagram)), &packets), to).expect("sent");
-            // The messages wait for the task, not the task for them.
+            // The messages must wait for the task, and not the task for them.
             ctx.delay(Duration::from_millis(2))?;
             for n in 0..together {
                 let message = ctx.receive(None, Some(PATIENCE))?.expect("nothing is lost");

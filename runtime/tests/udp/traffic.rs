@@ -19,7 +19,7 @@ fn packets_arrive_as_they_were_sent() {
     assert!(memory.discards.lock().unwrap().is_empty());
 }
 
-/// Node A sends to B, which forwards its copy to C.
+/// Node A sends a packet to B, which forwards its copy to C. A bit flips in B's memory.
 #[test]
 fn what_falls_over_in_a_relay_is_turned_away_where_the_packet_ends() {
     let ((a, b), c) = (pair(), link(C));
@@ -65,7 +65,7 @@ fn a_neighbour_without_an_address_is_not_ready() {
     assert_eq!(a.send(B, &[packet(1)]), Ok(1));
 }
 
-/// Then the neighbour's socket for this node gets the datagram, and no other socket does (D155).
+/// The socket that the neighbour has for this node gets the datagram, and no other socket does (D155).
 #[test]
 fn datagrams_leave_from_the_address_that_receives() {
     for any in ["127.0.0.1:0", "0.0.0.0:0"] {
@@ -115,7 +115,7 @@ fn a_wake_ends_the_present_or_the_next_poll() {
     assert_eq!(b.poll(&memory, None), PollEnd::Woken);
     thread::scope(|s| {
         let polls: Vec<_> = (0..3).map(|_| s.spawn(|| b.poll(&memory, None))).collect();
-        // Each wake-up ends every poll that has begun; a poll that had not begun takes the next one.
+        // Each wake-up ends every poll that has begun. A poll that had not begun takes the next wake-up.
         let end = Instant::now() + PATIENCE;
         while !polls.iter().all(thread::ScopedJoinHandle::is_finished) {
             assert!(Instant::now() < end);
@@ -148,7 +148,7 @@ fn polls_time_out_never_early() {
         assert_eq!(b.poll(&memory, Some(until)), PollEnd::TimedOut);
         assert!(Instant::now() >= until, "{micros} us");
     }
-    // Polls that wait for their turn keep their own time_outs.
+    // Polls that wait for their turn keep their own deadlines.
     thread::scope(|s| {
         let polls: Vec<_> = [15, 30, 45]
             .into_iter()
@@ -171,7 +171,7 @@ fn whoever_waits_takes_over_the_socket() {
     thread::scope(|s| {
         let poll = || loop {
             let end = b.poll(&memory, Some(Instant::now() + PATIENCE));
-            // Ready reports only that a neighbour got an address.
+            // `Ready` reports only that a neighbour got an address.
             if end != PollEnd::Ready {
                 return end;
             }
@@ -207,7 +207,7 @@ fn a_restart_is_announced_and_what_is_left_of_the_old_incarnation_dropped() {
     memory.take_packets(&b, 1);
     let again = started(A, 2, true);
     again.set_address(B, Some(b.local_address())).unwrap();
-    // The new incarnation has another address: the address book says so.
+    // The new incarnation has another address, which the address book gives.
     b.set_address(A, Some(again.local_address())).unwrap();
     again.greet();
     memory.poll_until(&b, |_| b.count(UdpCount::GreetingsReceived) == 1);
@@ -240,7 +240,7 @@ fn a_node_says_itself_that_it_restarted() {
 fn errors_of_the_network_are_counted_and_survived() {
     let (a, b) = pair();
     let memory = Memory::default();
-    // A port of an address that belongs to this test, so that nothing else takes it meanwhile.
+    // The address and the port belong to this test, so that no other process takes the port meanwhile.
     let [.., high, low] = std::process::id().to_be_bytes();
     let own = UdpSocket::bind((Ipv4Addr::new(127, 77, high, low), 0)).unwrap();
     let gone = own.local_addr().unwrap();
@@ -251,7 +251,7 @@ fn errors_of_the_network_are_counted_and_survived() {
     }
     // The kernel reports the error of a datagram when the next one is sent.
     assert!(a.count(UdpCount::SendRefused) > 0);
-    // Once a socket is there again, no datagram is lost for an earlier error.
+    // Once there is a socket again, no datagram is lost because of an earlier error.
     let back = UdpLink::bind(table(C), gone, UdpOptions::new(Incarnation(1), false)).unwrap();
     assert_eq!(a.send(C, &[packet(20)]), Ok(1));
     assert_eq!(memory.take_packets(&back, 1)[0].1, packet(20));
