@@ -280,11 +280,7 @@ impl<T: Entry> Queue<T> {
     pub fn remove(&mut self, slot: Slot) -> Option<T> {
         self.get(slot)?;
         if let Some(order) = &mut self.order {
-            if order.urgent.first() == Some(slot) {
-                order.pop(&self.entries, slot);
-            } else {
-                order.take_out(&self.entries, slot);
-            }
+            order.take_out(&self.entries, slot);
         }
         self.entries[usize::from(slot)].take()
     }
