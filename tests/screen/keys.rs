@@ -76,13 +76,14 @@ fn clicks_hit_what_the_terminal_shows() {
         let before = screen.lines().nth(line).unwrap_or("").split(word).next().unwrap_or("");
         (line, before.chars().count())
     };
-    let (line, column) = place(&terminal.screen(), "6 Events");
+    let (line, column) = place(&terminal.screen(), " 6 ");
     click(line, column);
     terminal.wait_for("the events", |screen| screen.contains("[6 Events]") && screen.contains("DETAIL"));
-    let (line, column) = place(&terminal.screen(), "1 Over");
+    let (line, column) = place(&terminal.screen(), " 1 ");
     click(line, column);
     let overview = terminal.wait_for("the overview", |screen| screen.contains("[1 Over]"));
-    let (line, column) = place(&overview, "hoist");
+    // The banner may name the hoist, too, but with its node.
+    let (line, column) = place(&overview, "hoist  ");
     click(line, column);
     terminal.wait_for("the selected row", |screen| {
         screen.lines().nth(line).is_some_and(|row| row.starts_with('>') && row.contains("hoist"))
