@@ -37,15 +37,7 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
                 self.operands().push(value)?;
             }
             Op::Mark(mark) => {
-                let Answers { asked, answered, refused, restarted, unsent } =
-                    self.answers.copied().unwrap_or_default();
-                let mask = match mark {
-                    Mark::Asked => asked,
-                    Mark::Answered => answered,
-                    Mark::Refused => refused,
-                    Mark::Restarted => restarted,
-                    Mark::Unsent => unsent,
-                };
+                let mask = self.mark(mark);
                 self.operands().push(mask.cast_signed())?;
             }
             Op::Answer { port, task } => {
@@ -113,6 +105,18 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
             }
         }
         Ok(Flow::Next)
+    }
+
+    /// A mask of the last answers of several.
+    fn mark(&self, mark: Mark) -> u64 {
+        let Some(Answers { asked, answered, refused, restarted, unsent }) = self.answers else { return 0 };
+        *match mark {
+            Mark::Asked => asked,
+            Mark::Answered => answered,
+            Mark::Refused => refused,
+            Mark::Restarted => restarted,
+            Mark::Unsent => unsent,
+        }
     }
 
     /// Sets what [`Op::Unpack`] reads, and pushes whether there is anything.
