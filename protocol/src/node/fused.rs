@@ -34,8 +34,8 @@ impl<'a> Fusible<'a> {
         Some(Self { ends: Ends { port, own, peer }, other: table.place(peer.task)? })
     }
 
-    /// The task `own` takes the request as one step together with `other`. Both must stand at the same time, and nothing that
-    /// `own` sent before may still be on its way to `other`. False, and nothing has changed, if anything about it is unusual.
+    /// The task `own` takes the request as one step together with `other`. Both must stand at the same time, and
+    /// `other` must have taken all that `own` sent before. False, and nothing has changed, if anything about it is unusual.
     #[inline(always)]
     pub fn step(
         self,

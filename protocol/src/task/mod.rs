@@ -174,6 +174,13 @@ impl CommTask {
         self.due.unwrap_or_else(|| self.machines.due())
     }
 
+    /// As [`next_deadline`](Self::next_deadline), and keeps the result for the next input.
+    pub fn settle(&mut self) -> Instant {
+        let due = self.next_deadline();
+        self.due = Some(due);
+        due
+    }
+
     /// Moves the task's clock to `now`, and does everything that is due by then.
     #[inline(never)]
     fn pass(&mut self, table: &NodeTable, now: Instant, out: &mut impl Outbox) {

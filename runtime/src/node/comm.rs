@@ -16,14 +16,14 @@ use imrs_protocol::{
 use std::sync::Arc;
 
 pub(crate) struct Comm {
-    pub(super) machine: CommTask,
+    pub machine: CommTask,
     table: NodeTable,
-    pub(super) home: Home,
+    pub home: Home,
     homes: Arc<Homes>,
     /// The answer that the task's future has not taken.
-    pub(super) answer: Option<Completion>,
+    pub answer: Option<Completion>,
     /// Whether it is among the changed members of its domain.
-    pub(super) changed: bool,
+    pub changed: bool,
     alarm: Arc<Alarm>,
     cover: Cover,
     /// Whether the task is one of a couple: then an input takes effect at the time at which it is taken in, if that is later.
@@ -35,10 +35,10 @@ pub(crate) struct Comm {
     /// Whether the log wants the machine's state before the next step.
     wants_keyframe: bool,
     digest: OutputDigest,
-    pub(super) ring: Ring,
+    pub ring: Ring,
     discards: [u64; Reason::ALL.len()],
     /// The script of the task, if it has one. It runs under the lock of its communication task.
-    pub(super) runner: Option<Box<ScriptRunner>>,
+    pub runner: Option<Box<ScriptRunner>>,
 }
 
 impl Comm {
@@ -205,7 +205,7 @@ impl Comm {
 
     /// Says when the machine next expires, while its task's thread does `rest`.
     pub fn settle(&mut self, rest: Rest) -> Micros {
-        let due = self.due();
+        let due = self.started.saturating_add(self.machine.settle().0);
         self.cover.settle(&self.alarm, rest, due);
         due
     }
@@ -216,15 +216,15 @@ impl Comm {
         self.log.is_none() && !self.coupled
     }
 
-    /// Lets time pass up to `now`. False, and nothing has changed, if that is more than time alone.
-    pub fn catch_up_with(&mut self, now: Micros, effects: &mut Effects) -> bool {
+    /// Lets time pass up to `now` at a task that is not recorded. False, and nothing has changed, if that is more than time alone.
+    pub fn catch_up_with(&mut self, now: Micros) -> bool {
         if self.now() == now {
             return true;
         }
         let only_time = self.now() < now && self.is_idle_until(now);
         if only_time {
-            let step = Step { elapsed: self.elapsed(now), input: Input::Time };
-            self.run(&step, &mut |_| {}, effects);
+            let now = self.machine.now() + self.elapsed(now);
+            self.machine.handle(&self.table, now, &Input::Time, &mut Nowhere);
         }
         only_time
     }
@@ -258,6 +258,17 @@ pub struct Completion {
     pub signal: Signal,
     /// When the machine gave it.
     pub at: Micros,
+}
+
+/// The outbox of a step in which nothing is due.
+struct Nowhere;
+
+impl Outbox for Nowhere {
+    fn transmit(&mut self, _: Packet) {}
+    fn signal(&mut self, _: Signal) {}
+    fn arm(&mut self, _: TimeId, _: u8, _: Ticks) {}
+    fn disarm(&mut self, _: TimeId) {}
+    fn observe(&mut self, _: Observation) {}
 }
 
 /// The outbox of one input.

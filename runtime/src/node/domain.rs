@@ -57,10 +57,10 @@ impl Domain {
         &mut self,
         member: usize,
         effects: &mut Effects,
-        work: impl FnOnce(&mut ScriptRunner, &mut Seat<'_>, &mut Effects),
+        work: impl FnOnce(&mut ScriptRunner, &mut Turn<'_>, &mut Effects),
     ) {
         let Some(mut runner) = self.members[member].runner.take() else { return };
-        work(&mut runner, &mut self.seat(member), effects);
+        work(&mut runner, &mut self.turn_of(member), effects);
         self.members[member].runner = Some(runner);
     }
 
@@ -68,16 +68,16 @@ impl Domain {
     fn take(&mut self, member: usize, stamped: Stamped, effects: &mut Effects) -> Option<Completion> {
         match self.members[member].home.run_by {
             RunBy::AnyThread => {
-                self.with_runner(member, effects, |runner, seat, effects| {
-                    runner.take(seat, stamped, effects);
+                self.with_runner(member, effects, |runner, turn, effects| {
+                    runner.take(turn, stamped, effects);
                 });
                 None
             }
             RunBy::TheThreadOfFutures => {
-                let mut seat = self.seat(member);
-                if let Some(answer) = seat.take(stamped, effects) {
-                    seat.answer = Some(answer);
-                    effects.called.push(seat.home.place);
+                let mut turn = self.turn_of(member);
+                if let Some(answer) = turn.take(stamped, effects) {
+                    turn.answer = Some(answer);
+                    effects.called.push(turn.home.place);
                 }
                 None
             }
@@ -98,7 +98,7 @@ impl Domain {
             return Some(answer);
         }
         let before = effects.called.len();
-        let mut answer = guarded("a communication task", || self.seat(member).ask(stamped, effects));
+        let mut answer = guarded("a communication task", || self.turn_of(member).ask(stamped, effects));
         self.work_inside(effects);
         for &place in &effects.called[before..] {
             let there = self.homes.at(place).member;
@@ -119,11 +119,11 @@ impl Domain {
         self.ask(member, stamped, answers, effects);
     }
 
-    fn seat(&mut self, member: usize) -> Seat<'_> {
+    fn turn_of(&mut self, member: usize) -> Turn<'_> {
         let Self { members, table, homes, changed, .. } = self;
-        let mut seat = Seat { members, member, table, homes, changed };
-        seat.change(member);
-        seat
+        let mut turn = Turn { members, member, table, homes, changed };
+        turn.change(member);
+        turn
     }
 }
 
@@ -153,8 +153,8 @@ impl Protected for Domain {
                     self.take(home.member, stamped, effects);
                 }
                 Inside::Told => {
-                    self.with_runner(home.member, effects, |runner, seat, effects| {
-                        runner.go_on(seat, effects);
+                    self.with_runner(home.member, effects, |runner, turn, effects| {
+                        runner.go_on(turn, effects);
                     });
                 }
             });
@@ -197,8 +197,8 @@ impl Answers {
     }
 }
 
-/// A communication task of the domain, and the others around it.
-pub(crate) struct Seat<'a> {
+/// A communication task of the domain in a turn, and the others around it.
+pub(crate) struct Turn<'a> {
     members: &'a mut [Comm],
     member: usize,
     table: &'a NodeTable,
@@ -206,7 +206,7 @@ pub(crate) struct Seat<'a> {
     changed: &'a mut Vec<usize>,
 }
 
-impl Deref for Seat<'_> {
+impl Deref for Turn<'_> {
     type Target = Comm;
 
     fn deref(&self) -> &Comm {
@@ -214,13 +214,13 @@ impl Deref for Seat<'_> {
     }
 }
 
-impl DerefMut for Seat<'_> {
+impl DerefMut for Turn<'_> {
     fn deref_mut(&mut self) -> &mut Comm {
         &mut self.members[self.member]
     }
 }
 
-impl Seat<'_> {
+impl Turn<'_> {
     fn change(&mut self, member: usize) {
         if !std::mem::replace(&mut self.members[member].changed, true) {
             self.changed.push(member);
@@ -231,7 +231,7 @@ impl Seat<'_> {
     fn ask(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Completion> {
         if let Input::Request(request @ (Request::Send { .. } | Request::Reply { .. })) = stamped.input
             && self.is_usual()
-            && self.catch_up_with(stamped.at, effects)
+            && self.catch_up_with(stamped.at)
         {
             let mut answer = None;
             let answers = &mut |signal| answer = Some(Completion { signal, at: stamped.at });
@@ -255,15 +255,15 @@ impl Seat<'_> {
         }
         let Some(fusible) = Fusible::of(self.table, self.machine().task(), request) else { return false };
         let (home, there) = (self.home, self.homes.at(fusible.other));
-        // A packet on its way to the other member comes first.
-        let on_its_way = |(to, inside): &(Home, Inside)| *to == there && matches!(inside, Inside::Input(_));
-        if home.domain != there.domain || effects.inside.iter().any(on_its_way) {
+        // A packet that the other member has not taken comes first.
+        let is_before = |(to, inside): &(Home, Inside)| *to == there && matches!(inside, Inside::Input(_));
+        if home.domain != there.domain || effects.inside.iter().any(is_before) {
             return false;
         }
         let Ok([own, other]) = self.members.get_disjoint_mut([home.member, there.member]) else {
             return false;
         };
-        if !(own.is_usual() && other.is_usual() && other.catch_up_with(own.now(), effects)) {
+        if !(own.is_usual() && other.is_usual() && other.catch_up_with(own.now())) {
             return false;
         }
         let mut told = None;

@@ -28,6 +28,13 @@ use std::thread::JoinHandle;
 const ELSEWHERE: u32 = 8;
 
 impl Node {
+    /// Calls the futures for which there is an answer.
+    pub(crate) fn call_futures(&self, effects: &mut Effects) {
+        while let Some(place) = effects.called.pop() {
+            guarded("the waker of a future", || self.locals.list[place].call(effects));
+        }
+    }
+
     /// The thread of the futures works on the communication task of one of them. Also returns whether the node stops.
     pub(crate) fn look_in<R>(
         &self,

@@ -5,7 +5,7 @@ use crate::sync::handoff::ThreadWaker;
 use std::sync::Arc;
 
 /// Wakes a thread of the node that waits in its link.
-pub(super) fn link_waker(link: Option<&Arc<dyn Link>>) -> Option<Arc<dyn ThreadWaker>> {
+pub(crate) fn link_waker(link: Option<&Arc<dyn Link>>) -> Option<Arc<dyn ThreadWaker>> {
     link.map(|link| Arc::new(LinkWaker(Arc::clone(link))) as Arc<dyn ThreadWaker>)
 }
 

@@ -1,7 +1,7 @@
 //! The communication tasks of a node, each behind its hand-off.
 
 use crate::node::comm::Comm;
-use crate::node::domain::{Domain, Seat};
+use crate::node::domain::{Domain, Turn};
 use crate::node::effects::{Addressed, Effects, Stamped};
 use crate::node::home::{Home, Homes, RunBy};
 use crate::script::ScriptRunner;
@@ -106,7 +106,7 @@ impl LocalTask {
     pub fn with_runner(
         &self,
         effects: &mut Effects,
-        work: impl FnOnce(&mut ScriptRunner, &mut Seat<'_>, &mut Effects),
+        work: impl FnOnce(&mut ScriptRunner, &mut Turn<'_>, &mut Effects),
     ) {
         let visit = |domain: &mut Domain, effects: &mut Effects| {
             domain.with_runner(self.home.member, effects, work);

@@ -273,6 +273,7 @@ impl Node {
 
     /// Carries out effects until none are left: one effect may cause others.
     pub(crate) fn carry_out(&self, effects: &mut Effects) {
+        self.call_futures(effects);
         if !effects.is_done() || self.link.is_some() {
             guarded("the route layer, the Timer or a link", || self.carry_out_all(effects));
         }
@@ -282,9 +283,7 @@ impl Node {
     fn carry_out_all(&self, effects: &mut Effects) {
         loop {
             let mut latest = 0;
-            while let Some(place) = effects.called.pop() {
-                self.locals.list[place].call(effects);
-            }
+            self.call_futures(effects);
             loop {
                 while let Some(effect) = effects.queue.pop_front() {
                     self.carry_out_one(effect, &mut latest, effects);

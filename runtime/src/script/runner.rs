@@ -4,7 +4,7 @@ use super::actions::{Begun, OutsideEffect};
 use super::{Note, Stands, Watch};
 use crate::clock::{self, Micros};
 use crate::node::comm::Comm;
-use crate::node::domain::Seat;
+use crate::node::domain::Turn;
 use crate::node::effects::{Effects, Stamped};
 use crate::node::failstop::guarded;
 use crate::record::{Did, OutputDigest, ScriptStep, Step};
@@ -64,14 +64,14 @@ impl ScriptRunner {
     }
 
     /// Starts the script.
-    pub fn begin(&mut self, comm: &mut Seat<'_>, effects: &mut Effects) {
+    pub fn begin(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) {
         let at = self.let_time_pass(comm, effects);
         comm.record(ScriptStep::Begin { at }, self.side.done);
         self.tell(comm, ScriptInput::Begin, effects);
     }
 
     /// Input comes to the communication task.
-    pub fn take(&mut self, comm: &mut Seat<'_>, stamped: Stamped, effects: &mut Effects) {
+    pub fn take(&mut self, comm: &mut Turn<'_>, stamped: Stamped, effects: &mut Effects) {
         let mut input = stamped.input;
         let only_time = matches!(input, Input::Time);
         let turn = time(comm, effects);
@@ -101,7 +101,7 @@ impl ScriptRunner {
     /// Ends the action of this number, unless it was cut short before.
     pub fn acted(
         &mut self,
-        comm: &mut Seat<'_>,
+        comm: &mut Turn<'_>,
         end: (u8, u64),
         ok: bool,
         value: i32,
@@ -120,14 +120,14 @@ impl ScriptRunner {
     }
 
     /// Only time passes: what is due by now, such as the end of a lease, happens before anything else.
-    pub fn catch_up(&mut self, comm: &mut Seat<'_>, effects: &mut Effects) {
+    pub fn catch_up(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) {
         if !self.host.is_stopped() {
             self.let_time_pass(comm, effects);
         }
     }
 
     /// The node stops: the script acts no more, and cancels what it asked.
-    pub fn stop(&mut self, comm: &mut Seat<'_>, effects: &mut Effects) {
+    pub fn stop(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) {
         if self.host.is_stopped() {
             return;
         }
@@ -142,7 +142,7 @@ impl ScriptRunner {
 
     /// The time passes first, as a step of its own, to the next whole microsecond: so what is asked in this step is never stamped
     /// before its turn began.
-    fn let_time_pass(&mut self, comm: &mut Seat<'_>, effects: &mut Effects) -> u64 {
+    fn let_time_pass(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) -> u64 {
         let elapsed = comm.elapsed(time(comm, effects));
         if !elapsed.is_zero() {
             self.step(comm, Step { elapsed, input: Input::Time }, effects);
@@ -166,24 +166,24 @@ impl ScriptRunner {
 
     /// Makes the request together with another script of the node, if nothing about it is unusual and no watch wants to see each
     /// small step.
-    fn fuse(&mut self, comm: &mut Seat<'_>, request: &Request, effects: &mut Effects) -> bool {
+    fn fuse(&mut self, comm: &mut Turn<'_>, request: &Request, effects: &mut Effects) -> bool {
         let host = &mut self.host;
         self.side.watch.is_none()
             && comm.fuse(request, &mut |signal| host.tell(ScriptInput::Signal(signal)), effects)
     }
 
-    fn step(&mut self, comm: &mut Seat<'_>, step: Step, effects: &mut Effects) {
+    fn step(&mut self, comm: &mut Turn<'_>, step: Step, effects: &mut Effects) {
         let host = &mut self.host;
         comm.run(&step, &mut |signal| host.tell(ScriptInput::Signal(signal)), effects);
     }
 
-    fn tell(&mut self, comm: &mut Seat<'_>, input: ScriptInput, effects: &mut Effects) {
+    fn tell(&mut self, comm: &mut Turn<'_>, input: ScriptInput, effects: &mut Effects) {
         self.host.tell(input);
         self.go_on(comm, effects);
     }
 
     /// The script takes its inputs and all answers of its communication task, until it waits.
-    pub fn go_on(&mut self, comm: &mut Seat<'_>, effects: &mut Effects) {
+    pub fn go_on(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) {
         self.host.count_anew();
         guarded("a script", || {
             while let Some(request) = self.next_request(comm, effects) {
@@ -195,7 +195,7 @@ impl ScriptRunner {
         self.show(comm);
     }
 
-    fn next_request(&mut self, comm: &mut Seat<'_>, effects: &mut Effects) -> Option<Request> {
+    fn next_request(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) -> Option<Request> {
         self.host.next(&mut Out { comm, side: &mut self.side, effects })
     }
 }
