@@ -20,6 +20,7 @@ mod state;
 mod symmetry;
 mod world;
 pub mod worlds;
+mod zone;
 
 pub use chart::{Counterexample, draw};
 pub use claims::{Options, Progress, Silent, claim_names, verify};

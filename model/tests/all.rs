@@ -21,3 +21,4 @@ mod standstill;
 mod support;
 mod traps;
 mod verdicts;
+mod zones;

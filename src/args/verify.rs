@@ -77,6 +77,8 @@ pub enum Times {
     Between,
     /// At every tick, or every model tick where the cell has one.
     Every,
+    /// At every tick of the cell, searched by zones: sets of times at which the same happens.
+    Zones,
 }
 
 /// What `verify` can be asked.

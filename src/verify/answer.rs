@@ -268,6 +268,7 @@ fn searched<'a>(plan: &'a CellPlan, phase: &'a Coverage) -> Searched<'a> {
             Times::Auto | Times::Ends => "ends",
             Times::Between => "between",
             Times::Every => "every",
+            Times::Zones => "zones",
         },
         parts: phase.parts,
         states: phase.states,

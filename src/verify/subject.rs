@@ -100,7 +100,12 @@ impl Subject {
             args::Times::Ends => Times::Ends,
             args::Times::Between => Times::Between,
             args::Times::Every => Times::Every,
+            args::Times::Zones => Times::Zones,
         };
+        if plan.times == Times::Zones {
+            // Zones take no longer at finer ticks.
+            plan.step = 1;
+        }
         Ok(plan)
     }
 

@@ -119,6 +119,7 @@ impl Telling<'_> {
         let model = self
             .subject
             .model_tick_us
+            .filter(|_| self.plan.times != Times::Zones)
             .map(|usec| format!("; of the times between the ends every {} is looked at", msec(usec)));
         let model = model.unwrap_or_default();
         let mut used: Vec<Times> = self.verdicts.phases.iter().map(|phase| phase.times).collect();
@@ -126,6 +127,7 @@ impl Telling<'_> {
         used.dedup();
         let words = used.iter().map(|times| match times {
             Times::Every if self.plan.step > 1 => "every model tick: any of them within a packet's bound and an action's times",
+            Times::Zones => "every tick, by zones, without looking for standstills: any of them within a packet's bound and an action's times",
             Times::Every => "every tick: any of them within a packet's bound and an action's times",
             Times::Between => "the ends and after events: the bound of a packet, the least and the most time of an action, and right after anything else that happens",
             Times::Ends | Times::Auto => "the ends: the bound of a packet, the least and the most time of an action",
@@ -183,7 +185,7 @@ impl Telling<'_> {
         };
         match (self.verdicts.findings.len(), self.verdicts.is_complete()) {
             (0, true) => {
-                let whole = self.verdicts.phases.iter().all(|phase| phase.times == Times::Every);
+                let whole = self.verdicts.phases.iter().all(|phase| phase.times >= Times::Every);
                 let (found, style) = match self.verdicts.warnings.len() {
                     0 => ("nothing found".to_owned(), GOOD),
                     n => (format!("no finding, {}", count(n as u64, "warning")), NOTE),
@@ -352,6 +354,7 @@ pub(super) fn bounds(plan: &CellPlan, phase: &Coverage) -> String {
     };
     let times = match phase.times {
         Times::Every if plan.step > 1 => "at every model tick",
+        Times::Zones => "at every tick, by zones",
         Times::Every => "at every tick",
         Times::Between => "at the ends of times and after events",
         Times::Ends | Times::Auto => "at the ends of times",

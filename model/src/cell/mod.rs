@@ -63,6 +63,7 @@ mod verdict;
 mod view;
 mod waiting;
 mod walker;
+mod zones;
 
 pub use crate::chart::{Folding, Note, chart};
 pub use follow::{

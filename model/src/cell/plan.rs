@@ -140,6 +140,8 @@ pub enum Times {
     Between,
     /// At every tick between the ends, or at every tick that [`CellPlan::step`] leaves.
     Every,
+    /// At every tick, too, but searched by zones: sets of times at which the same happens.
+    Zones,
 }
 
 impl Times {

@@ -3,6 +3,7 @@
 mod between;
 pub(super) mod canon;
 mod checks;
+mod elapse;
 mod held;
 mod liveness;
 mod moves;
@@ -19,8 +20,8 @@ use crate::cell_state::plan::{CellScenario, Errand, Faults, TaskPlan, Transfer};
 use crate::state::{Packed, Violation};
 use checks::Evaluated;
 use held::Begins;
-use imrs_protocol::TaskId;
 use imrs_protocol::script::{Activity, ScriptInput};
+use imrs_protocol::{TaskId, Ticks};
 use liveness::Dead;
 use order::{Mixture, Spread, TickValues};
 use pause::Asleep;
@@ -49,8 +50,8 @@ pub(super) struct Beside {
     pub paused: Vec<u8>,
     /// For each node, its pause if it is paused.
     pub asleep: Vec<Option<Asleep>>,
-    /// For each `leads` check with an open obligation, the ticks left to fulfil it.
-    pub due: Vec<Option<u32>>,
+    /// For each `leads` check with an open obligation, the time left to fulfil it.
+    pub due: Vec<Option<Ticks>>,
     /// Actions postponed until another event, or until their most time is over: task and activation.
     pub stays: Vec<(u8, u8)>,
     /// Links, as a bit set, whose first packet is postponed until another event, or until the link's bound is over.
@@ -148,7 +149,7 @@ impl RunState {
             faults: faults.clone(),
             cell: cell_state,
             beside,
-            times: plan.times.max(Times::Ends),
+            times: plan.times.max(Times::Ends).min(Times::Every),
             broken: Vec::new(),
             passed: 0,
             mattered: vec![false; plan.checks.len()],
@@ -321,7 +322,7 @@ impl RunState {
                 let actor = self.cell.bodies[usize::from(task)].actor.as_mut();
                 let running = actor.and_then(|actor| actor.running.iter_mut().find(|one| one.level == level));
                 if let Some(action) = running {
-                    action.least = ticks.min(action.most);
+                    action.least = Ticks(ticks.into()).min(action.most);
                 }
                 Ok(())
             }
@@ -361,44 +362,6 @@ impl RunState {
     fn take_off(&mut self, packet: u8) {
         let link = self.cell.in_flight.remove(usize::from(packet)).link;
         self.beside.slow &= !bit(usize::from(link));
-    }
-
-    fn pass(&mut self, next: Option<u32>, drift: Option<(usize, bool)>) -> Result<(), Violation> {
-        let Some(ticks) = next else { return Ok(()) };
-        self.passed += u64::from(ticks);
-        self.beside.acted = 0;
-        self.begin_tick();
-        for (check, due) in self.beside.due.iter_mut().enumerate() {
-            match due.map(|left| left.checked_sub(ticks)) {
-                Some(Some(left)) => *due = Some(left),
-                Some(None) => {
-                    *due = None;
-                    self.broken.push(check);
-                }
-                None => {}
-            }
-        }
-        let in_flight = &mut self.cell.in_flight;
-        in_flight.iter_mut().for_each(|carried| carried.age = carried.age.saturating_add(ticks));
-        self.act_on(ticks);
-        for node in (0..self.cell.nodes.len()).filter(|&i| self.cell.nodes[i].up).collect::<Vec<_>>() {
-            let counted = match drift {
-                Some((at, true)) if at == node => ticks + 1,
-                Some((at, false)) if at == node => ticks - 1,
-                Some(_) | None => ticks,
-            };
-            if self.is_asleep(node) {
-                self.sleep_on(node, (ticks, counted));
-            } else {
-                self.notice(node, counted)?;
-            }
-        }
-        if self.beside.acted != 0 {
-            self.stir();
-        } else {
-            self.next_step();
-        }
-        Ok(())
     }
 
     /// Whether a task of a couple is active: holds its lease or took over (D61).

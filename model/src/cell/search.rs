@@ -15,7 +15,7 @@ use super::seen::{Seen, is_in_sample};
 use super::standstill::{self, OutOfMemory, StateGraph};
 use super::verdict::{Coverage, Finding, Kind, Phase, Refused, Verdicts};
 use super::walker::{Hit, Origin, Walker, Walks};
-use super::{starve, story};
+use super::{starve, story, zones};
 use crate::explore::resident_bytes;
 use crate::side_by_side::side_by_side;
 use imrs_protocol::TaskId;
@@ -93,6 +93,9 @@ pub(super) fn timed(plan: &Arc<CellPlan>, times: Times) -> Arc<CellPlan> {
 
 /// Searches with the finest event times that take no more states than [`Times::Auto`] allows.
 fn look(plan: &Arc<CellPlan>, phase: (Phase, usize), faults: &CellFaults) -> Done {
+    if plan.times == Times::Zones {
+        return zones::explore(plan, phase, faults);
+    }
     if plan.times != Times::Auto {
         return explore(plan, phase, faults);
     }
@@ -138,7 +141,19 @@ fn refused(plan: &CellPlan) -> Option<Refused> {
         let at = Address::try_from(at).unwrap_or(Address::MAX);
         Some(Refused { task: TaskId::from_index(task), at, why })
     };
-    too_large(plan).or_else(keeps)
+    too_large(plan).or_else(|| not_by_zones(plan)).or_else(keeps)
+}
+
+/// Refuses what zones do not cover, rather than to cover less.
+fn not_by_zones(plan: &CellPlan) -> Option<Refused> {
+    if plan.times != Times::Zones {
+        return None;
+    }
+    let none = CellFaults::default();
+    let what =
+        std::iter::once(&none).chain(&plan.faults).find_map(|faults| zones::uncovered(plan, faults))?;
+    let why = format!("zones do not cover {what} yet; use --times every");
+    Some(Refused { task: TaskId::from_index(0), at: 0, why })
 }
 
 /// Refuses a cell with more nodes, tasks or links than moves can number.

@@ -4,8 +4,8 @@ use super::judge::{name, position, statement};
 use super::plan::Conduct;
 use super::run_state::RunState;
 use super::verdict::TaskView;
-use imrs_protocol::TaskId;
 use imrs_protocol::script::Activity;
+use imrs_protocol::{TaskId, Ticks};
 
 /// The present view of a task.
 pub(super) fn view(run_state: &RunState, task: usize) -> TaskView {
@@ -41,7 +41,9 @@ pub(super) fn view(run_state: &RunState, task: usize) -> TaskView {
         (0..).map_while(|at| actor.host.script.var(at)).take(actor.host.program.variables.len()).collect()
     });
     let acts = actor.map_or_else(Vec::new, |actor| {
-        actor.running.iter().map(|running| (running.level, running.least, running.most)).collect()
+        let ticks = |length: Ticks| u32::try_from(length.0).unwrap_or(u32::MAX);
+        let acts = actor.running.iter();
+        acts.map(|running| (running.level, ticks(running.least), ticks(running.most))).collect()
     });
     TaskView { up, at, does, variables, queues, acts }
 }

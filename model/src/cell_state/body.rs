@@ -2,7 +2,9 @@
 
 use super::plan::{CellScenario, Errand, TaskPlan, Times};
 use super::script::Actor;
-use imrs_protocol::{Call, Class, Contents, Delivery, PortId, ReplyTo, Request, Signal, TaskId, TimeId};
+use imrs_protocol::{
+    Call, Class, Contents, Delivery, PortId, ReplyTo, Request, Signal, TaskId, Ticks, TimeId,
+};
 
 /// What an activation of a task is doing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -143,7 +145,7 @@ impl Body {
     /// Lets a tick pass for the task.
     pub fn tick(&mut self, plan: &TaskPlan) {
         if let Some(actor) = &mut self.actor {
-            return actor.pass(1);
+            return actor.pass(Ticks(1));
         }
         self.rest = self.rest.saturating_sub(1);
         let last = self.activations.len() - 1;

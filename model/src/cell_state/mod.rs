@@ -74,8 +74,8 @@ pub(crate) struct InFlight {
     pub packet: Packet,
     /// Position among the plan's directed links.
     pub link: u8,
-    /// Ticks since it entered the link, including its wait for a paused node.
-    pub age: u32,
+    /// The time since it entered the link, including its wait for a paused node.
+    pub age: Ticks,
     /// The incarnation of the node that sent it over this link, as its envelope says.
     pub incarnation: Incarnation,
 }
@@ -118,6 +118,8 @@ pub(crate) struct CellState {
     /// Whether the invariants of the machines are checked after each step, and what the search leaves out is compared. Only the
     /// search of a cell turns it off, for the states that are not in its sample.
     pub is_sampled: bool,
+    /// Whether times are symbols: then fused steps are not compared, because a zone packs one state at a time.
+    pub is_symbolic: bool,
 }
 
 /// What a node did in one step, in order.
@@ -219,6 +221,7 @@ impl CellState {
             orders: !plan.fused,
             history: None,
             is_sampled: true,
+            is_symbolic: false,
             links,
             plan: Arc::clone(plan),
         };
@@ -388,7 +391,7 @@ impl CellState {
             Heard::New => self.step(to.index(), NodeInput::PeerRestarted(from))?,
         }
         // A wait for a paused node is charged, too: kernels stamp a packet when it arrives (D50).
-        let charge = Ticks(u64::from(carried.age.max(u32::from(bound))) + u64::from(over));
+        let charge = carried.age.max(Ticks(u64::from(bound))) + Ticks(u64::from(over));
         self.judge_arrival(to, &carried.packet)?;
         self.arriving = carried.packet.contents.as_bytes().last().copied().unwrap_or(0);
         self.step(to.index(), NodeInput::Packet { from, packet: carried.packet, charge })
@@ -447,7 +450,7 @@ impl CellState {
                     self.used[usize::from(link)] += 1;
                 }
                 let incarnation = self.nodes[i].incarnation;
-                self.in_flight.push(InFlight { packet: *packet, link, age: 0, incarnation });
+                self.in_flight.push(InFlight { packet: *packet, link, age: Ticks::ZERO, incarnation });
                 Ok(())
             }
             Effect::Signalled(task, signal) => self.told(task.index(), signal),

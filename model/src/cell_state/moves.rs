@@ -2,6 +2,7 @@
 
 use super::plan::Transfer;
 use super::{CellState, InFlight, Move, small};
+use imrs_protocol::Ticks;
 
 impl CellState {
     /// Lists the enabled transitions. Their order decides which of several shortest counterexamples is found.
@@ -28,7 +29,8 @@ impl CellState {
         }
         self.packet_moves(moves);
         self.node_moves(moves);
-        let arrived = self.in_flight.iter().all(|c| c.age < u32::from(self.links[usize::from(c.link)].2));
+        let arrived =
+            self.in_flight.iter().all(|c| c.age < Ticks(u64::from(self.links[usize::from(c.link)].2)));
         if arrived && !(0..self.nodes.len()).any(busy) {
             self.ticks(moves);
         }
@@ -39,7 +41,7 @@ impl CellState {
         if let Some(actor) = &body.actor {
             let choices = 0..actor.chooses().unwrap_or(0);
             moves.extend(choices.map(|k| Move::Choose(small(task), small(usize::from(k)))));
-            let may = actor.running.iter().filter(|action| action.least == 0);
+            let may = actor.running.iter().filter(|action| action.least.is_zero());
             moves.extend(may.map(|action| Move::Acted(small(task), action.level)));
             return;
         }
@@ -63,7 +65,7 @@ impl CellState {
     fn packet_moves(&self, moves: &mut Vec<Move>) {
         for (i, carried) in self.in_flight.iter().enumerate() {
             let same = |other: &InFlight| other.link == carried.link;
-            let bound = u32::from(self.links[usize::from(carried.link)].2);
+            let bound = Ticks(u64::from(self.links[usize::from(carried.link)].2));
             let at_its_end = carried.age >= bound;
             match self.plan.transfer {
                 // Delivering either of two equal packets gives the same state.

@@ -5,7 +5,7 @@ use crate::state::Violation;
 use imrs_protocol::script::{
     Action, Activity, Address, End, Program, ScriptHost, ScriptInput, ScriptOutbox, eval,
 };
-use imrs_protocol::{CommTask, NodeTable, Request, TaskId};
+use imrs_protocol::{CommTask, NodeTable, Request, TaskId, Ticks};
 use std::sync::Arc;
 
 /// An action of a script that has begun.
@@ -15,14 +15,19 @@ pub(crate) struct Running {
     pub level: u8,
     /// The action.
     pub action: u16,
-    /// Ticks that it still takes, at least and at most.
-    pub least: u32,
-    pub most: u32,
+    /// How long it still takes, at least and at most.
+    pub least: Ticks,
+    pub most: Ticks,
 }
 
 impl Running {
     /// The `most` of an action that need not end.
-    pub const FOREVER: u32 = u32::MAX;
+    pub const FOREVER: Ticks = Ticks::FAR;
+
+    /// A length of the program. One that a packed state cannot hold has no end.
+    pub fn length(ticks: Ticks) -> Ticks {
+        if ticks.0 < u64::from(u32::MAX) { ticks } else { Self::FOREVER }
+    }
 }
 
 /// A script and its running actions, ascending by level.
@@ -50,7 +55,7 @@ impl Actor {
 
     /// Whether the script must step before anything else happens.
     pub fn must_act(&self) -> bool {
-        self.chooses().is_some() || self.running.iter().any(|action| action.most == 0)
+        self.chooses().is_some() || self.running.iter().any(|action| action.most.is_zero())
     }
 
     /// The action that an level waits for.
@@ -58,15 +63,15 @@ impl Actor {
         self.running.iter().find(|action| action.level == level)
     }
 
-    pub fn pass(&mut self, ticks: u32) {
+    pub fn pass(&mut self, ticks: Ticks) {
         self.pass_for(ticks, |_| true);
     }
 
     /// The same for the actions of those activations for which `begun` is true.
-    pub fn pass_for(&mut self, ticks: u32, begun: impl Fn(u8) -> bool) {
+    pub fn pass_for(&mut self, ticks: Ticks, begun: impl Fn(u8) -> bool) {
         for action in self.running.iter_mut().filter(|action| begun(action.level)) {
-            action.least = action.least.saturating_sub(ticks);
-            action.most = action.most.saturating_sub(if action.most == Running::FOREVER { 0 } else { ticks });
+            action.least = action.least - ticks;
+            action.most = action.most - ticks;
         }
     }
 }
@@ -102,10 +107,12 @@ impl Wanted<'_> {
 
 impl ScriptOutbox for Wanted<'_> {
     fn run(&mut self, action: Action<'_>) {
-        let ticks = |t: imrs_protocol::Ticks| u32::try_from(t.0).unwrap_or(Running::FOREVER);
         let Action { level, least, most, action, .. } = action;
         let at = self.running.partition_point(|running| running.level <= level);
-        self.running.insert(at, Running { level, action, least: ticks(least), most: ticks(most) });
+        self.running.insert(
+            at,
+            Running { level, action, least: Running::length(least), most: Running::length(most) },
+        );
     }
 
     fn cut_short(&mut self, level: u8) {

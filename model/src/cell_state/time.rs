@@ -78,7 +78,7 @@ impl CellState {
         self.passed += 1;
         self.used.fill(0);
         for carried in &mut self.in_flight {
-            carried.age += 1;
+            carried.age += Ticks(1);
         }
         self.spec_states.tick();
         for task in 0..self.bodies.len() {

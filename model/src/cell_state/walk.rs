@@ -51,6 +51,7 @@ impl CellState {
             orders,
             // Decides what is checked, and nothing that happens.
             is_sampled: _,
+            is_symbolic: _,
         } = self;
         faults.walk(&plan.faults, w);
         if plan.room.is_some() {
@@ -157,7 +158,7 @@ impl Body {
 }
 
 impl Running {
-    const BLANK: Self = Self { level: 0, action: 0, least: 0, most: 0 };
+    const BLANK: Self = Self { level: 0, action: 0, least: Ticks::ZERO, most: Ticks::ZERO };
 
     fn walk<W: Walk>(&mut self, names_actions: bool, w: &mut W) {
         let Self { level, action, least, most } = self;
@@ -165,8 +166,9 @@ impl Running {
         if names_actions {
             w.small(action);
         }
-        w.number(least);
-        w.number(most);
+        // An action without an end may end from its least time on: since when makes no difference.
+        w.left(least, *most == Self::FOREVER);
+        w.left(most, false);
     }
 }
 
@@ -272,12 +274,12 @@ impl Name {
 
 impl InFlight {
     pub(super) const BLANK: Self =
-        Self { packet: Packet::BLANK, link: 0, age: 0, incarnation: Incarnation(0) };
+        Self { packet: Packet::BLANK, link: 0, age: Ticks::ZERO, incarnation: Incarnation(0) };
 
     pub(super) fn walk<W: Walk>(&mut self, w: &mut W) {
         let Self { packet, link, age, incarnation } = self;
         w.byte(link);
-        w.number(age);
+        w.age(age);
         w.incarnation(incarnation);
         packet.walk(w);
     }

@@ -2,6 +2,8 @@
 
 use super::{Pass, Walk};
 use crate::ids::{PortId, Round, Seq24, TaskId};
+#[cfg(feature = "checker")]
+use crate::ticks::symbolic::{self, Time};
 use crate::ticks::{Instant, Ticks};
 use alloc::vec::Vec;
 use core::fmt;
@@ -45,6 +47,9 @@ pub struct Encode<'a> {
     frame: Frame<'a>,
     now: Instant,
     overflows: bool,
+    /// Whether times may be symbols, which only a zone can pack.
+    #[cfg(feature = "checker")]
+    is_symbolic: bool,
 }
 
 impl<'a> Encode<'a> {
@@ -54,7 +59,14 @@ impl<'a> Encode<'a> {
         frame: &Frame<'a>,
         walk: impl FnOnce(&mut Self),
     ) -> Result<(), Overflow> {
-        let mut pass = Self { out, frame: *frame, now: Instant::START, overflows: false };
+        let mut pass = Self {
+            out,
+            frame: *frame,
+            now: Instant::START,
+            overflows: false,
+            #[cfg(feature = "checker")]
+            is_symbolic: symbolic::has_zone(),
+        };
         walk(&mut pass);
         if pass.overflows { Err(Overflow) } else { Ok(()) }
     }
@@ -87,7 +99,36 @@ impl Walk for Encode<'_> {
     #[inline]
     fn instant(&mut self, instant: &mut Instant) {
         let mut left = *instant - self.now;
-        self.length(&mut left);
+        #[cfg(feature = "checker")]
+        if self.is_symbolic {
+            return self.out.push(symbolic::pack(Time::Left { forgets: true }, left));
+        }
+        self.number_of_ticks(&mut left);
+    }
+
+    #[inline]
+    fn length(&mut self, length: &mut Ticks) {
+        #[cfg(feature = "checker")]
+        if self.is_symbolic {
+            return self.out.push(symbolic::pack(Time::Remaining, *length));
+        }
+        self.number_of_ticks(length);
+    }
+
+    #[cfg(feature = "checker")]
+    fn left(&mut self, left: &mut Ticks, forgets: bool) {
+        if self.is_symbolic {
+            return self.out.push(symbolic::pack(Time::Left { forgets }, *left));
+        }
+        self.span(left);
+    }
+
+    #[cfg(feature = "checker")]
+    fn age(&mut self, age: &mut Ticks) {
+        if self.is_symbolic {
+            return self.out.push(symbolic::pack(Time::Age, *age));
+        }
+        self.span(age);
     }
 
     #[inline]
@@ -138,12 +179,21 @@ pub struct Decode<'a> {
     bytes: &'a [u8],
     at: usize,
     incarnations: bool,
+    /// Whether a zone packed the times.
+    #[cfg(feature = "checker")]
+    is_symbolic: bool,
 }
 
 impl<'a> Decode<'a> {
     /// Reads everything that `walk` walks, and returns how many bytes that took.
     pub fn read(bytes: &'a [u8], incarnations: bool, walk: impl FnOnce(&mut Self)) -> usize {
-        let mut pass = Self { bytes, at: 0, incarnations };
+        let mut pass = Self {
+            bytes,
+            at: 0,
+            incarnations,
+            #[cfg(feature = "checker")]
+            is_symbolic: symbolic::has_zone(),
+        };
         walk(&mut pass);
         pass.at
     }
@@ -166,8 +216,42 @@ impl Walk for Decode<'_> {
     #[inline]
     fn instant(&mut self, instant: &mut Instant) {
         let mut left = Ticks::ZERO;
-        self.length(&mut left);
+        #[cfg(feature = "checker")]
+        if self.is_symbolic {
+            left = symbolic::unpack(Time::Left { forgets: true }, self.put(0));
+            *instant = Instant::START + left;
+            return;
+        }
+        self.number_of_ticks(&mut left);
         *instant = Instant::START + left;
+    }
+
+    #[inline]
+    fn length(&mut self, length: &mut Ticks) {
+        #[cfg(feature = "checker")]
+        if self.is_symbolic {
+            *length = symbolic::unpack(Time::Remaining, self.put(0));
+            return;
+        }
+        self.number_of_ticks(length);
+    }
+
+    #[cfg(feature = "checker")]
+    fn left(&mut self, left: &mut Ticks, forgets: bool) {
+        if self.is_symbolic {
+            *left = symbolic::unpack(Time::Left { forgets }, self.put(0));
+            return;
+        }
+        self.span(left);
+    }
+
+    #[cfg(feature = "checker")]
+    fn age(&mut self, age: &mut Ticks) {
+        if self.is_symbolic {
+            *age = symbolic::unpack(Time::Age, self.put(0));
+            return;
+        }
+        self.span(age);
     }
 
     #[inline]

@@ -159,9 +159,36 @@ pub trait Walk {
         }
     }
 
+    /// A length of time in the form of [`number`](Self::number): the greatest number stands for [`Ticks::FAR`].
+    fn span(&mut self, span: &mut Ticks) {
+        if !Self::PACKS {
+            return;
+        }
+        let is_far = !Self::READS && *span == Ticks::FAR;
+        let mut number = if is_far { u32::MAX } else { u32::try_from(span.0).unwrap_or(u32::MAX - 1) };
+        self.number(&mut number);
+        *span = if number == u32::MAX { Ticks::FAR } else { Ticks(number.into()) };
+    }
+
+    /// A time that is left of something outside the machines, zero if it is over. `forgets`: since when it is over makes no difference.
+    fn left(&mut self, left: &mut Ticks, forgets: bool) {
+        let _ = forgets;
+        self.span(left);
+    }
+
+    /// The time since a packet was sent over its link. What remains of the packet that is walked next counts from then.
+    fn age(&mut self, age: &mut Ticks) {
+        self.span(age);
+    }
+
     /// Visits a length of time that takes one byte: 255 stands for [`Ticks::FAR`], and 254 is followed by four bytes for a
     /// longer one.
     fn length(&mut self, length: &mut Ticks) {
+        self.number_of_ticks(length);
+    }
+
+    /// The bytes of [`length`](Self::length).
+    fn number_of_ticks(&mut self, length: &mut Ticks) {
         const LONG: u8 = u8::MAX - 1;
         if !Self::PACKS {
             return;

@@ -50,16 +50,46 @@ pub struct Symbol {
     pub offset: i64,
 }
 
+/// A time in a packed state, which a zone packs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Time {
+    /// What is left until an instant, zero if that is past. `forgets`: since when it is past makes no difference.
+    Left {
+        /// See above.
+        forgets: bool,
+    },
+    /// The time since a packet was sent over its link.
+    Age,
+    /// What remains of a packet: since the age that was packed right before it, or now.
+    Remaining,
+}
+
 /// What the checker knows of the variables, on the path that the machine takes.
 pub trait Zone {
     /// Whether `first - second + offset` is less than zero. If both answers are possible, the zone chooses one, and assumes
     /// it from then on.
     fn is_negative(&mut self, symbol: Symbol) -> bool;
 
-    /// The sum of two symbols without their offsets, for a time in which more than two variables meet. Variables that are
-    /// equal on this path cancel each other. Otherwise the zone makes a new variable, which may stand for more values than
-    /// the sum has: the checker then explores more than can happen.
+    /// The sum of two symbols without their offsets, for a time in which more than two variables meet. Variables at a fixed distance
+    /// cancel each other but for that distance. Otherwise the zone makes a new variable, which may stand for more values than the sum has:
+    /// the checker then explores more than can happen.
     fn sum(&mut self, one: Symbol, other: Symbol) -> Symbol;
+
+    /// Packs a time as one byte, and keeps what the byte leaves open; `None` stands for "never".
+    ///
+    /// # Panics
+    /// If the zone packs no states.
+    fn pack(&mut self, time: Time, symbol: Option<Symbol>) -> u8 {
+        unreachable!("a zone that packs no states: {time:?} of {symbol:?}")
+    }
+
+    /// The time that a byte stands for.
+    ///
+    /// # Panics
+    /// If the zone packs no states.
+    fn unpack(&mut self, time: Time, packed: u8) -> Option<Symbol> {
+        unreachable!("a zone that packs no states: {time:?} as {packed}")
+    }
 }
 
 thread_local! {
@@ -115,8 +145,7 @@ pub(super) fn is_any(a: u64, b: u64) -> bool {
 }
 
 /// Whether this thread has a zone. Without one all numbers are plain, whatever a damaged recording says.
-#[cold]
-fn has_zone() -> bool {
+pub(crate) fn has_zone() -> bool {
     ZONE.with_borrow(Option::is_some)
 }
 
@@ -163,7 +192,10 @@ impl Symbol {
             (a, b) if a.first == b.second => Self { first: b.first, second: a.second, offset },
             (a, b) if a.first == a.second => Self { offset, ..b },
             (a, b) if b.first == b.second => Self { offset, ..a },
-            (a, b) => Self { offset, ..ask(|zone| zone.sum(a, b)) },
+            (a, b) => {
+                let sum = ask(|zone| zone.sum(a, b));
+                Self { offset: offset + sum.offset, ..sum }
+            }
         }
     }
 
@@ -184,6 +216,17 @@ impl Symbol {
 /// If there is no zone; callers check that first.
 fn ask<R>(question: impl FnOnce(&mut dyn Zone) -> R) -> R {
     ZONE.with_borrow(|zone| question(&mut *zone.as_ref().expect("a zone").borrow_mut()))
+}
+
+/// Packs a time by the zone of the thread.
+pub(crate) fn pack(time: Time, length: Ticks) -> u8 {
+    let symbol = (length.0 != NEVER).then(|| Symbol::of(length.0));
+    ask(|zone| zone.pack(time, symbol))
+}
+
+/// The time that the zone of the thread packed so.
+pub(crate) fn unpack(time: Time, packed: u8) -> Ticks {
+    Ticks(ask(|zone| zone.unpack(time, packed)).map_or(NEVER, Symbol::to_number))
 }
 
 #[cold]

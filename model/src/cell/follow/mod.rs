@@ -374,9 +374,9 @@ impl Follower {
         else {
             return Err(No::Never("an action ends that the model has not begun".into()));
         };
-        if least > 0 {
+        if !least.is_zero() {
             let why = format!("an action ends {least} ticks before its least time is over");
-            return Err(if u64::from(least) > ROUNDED { No::However(why) } else { No::Never(why) });
+            return Err(if least.0 > ROUNDED { No::However(why) } else { No::Never(why) });
         }
         if let Conduct::Program { values, .. } = &self.run_state.plan.tasks[task] {
             let tried = values.get(usize::from(action)).map_or(&[][..], Vec::as_slice);

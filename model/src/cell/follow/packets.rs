@@ -145,7 +145,10 @@ impl Follower {
         let here = (0..cell_state.bodies.len()).filter(|&task| cell_state.node_state_of(task) == node);
         let actors = here.filter_map(|task| Some((task, cell_state.bodies[task].actor.as_ref()?)));
         let running = actors.flat_map(|(task, actor)| actor.running.iter().map(move |action| (task, action)));
-        running.filter(|(_, action)| action.least == 0).map(|(task, action)| (task, action.level)).collect()
+        running
+            .filter(|(_, action)| action.least.is_zero())
+            .map(|(task, action)| (task, action.level))
+            .collect()
     }
 
     /// The packet in flight that differs from this one only in its contents.

@@ -53,7 +53,7 @@ impl Follower {
     }
 
     pub(super) fn let_actions_go_on(&mut self, node: usize, now: u64) {
-        let ticks = u32::try_from(now.saturating_sub(self.acts[node])).unwrap_or(u32::MAX);
+        let ticks = Ticks(now.saturating_sub(self.acts[node]));
         self.acts[node] = self.acts[node].max(now);
         for task in 0..self.run_state.cell.bodies.len() {
             if self.run_state.cell.node_state_of(task) == node
@@ -63,7 +63,7 @@ impl Follower {
                     of != task || actor.running.iter().any(|running| running.level == level)
                 });
                 for running in actor.running.iter().filter(|running| running.most < ticks) {
-                    *self.over.entry((task, running.level)).or_default() += u64::from(ticks - running.most);
+                    *self.over.entry((task, running.level)).or_default() += (ticks - running.most).0;
                 }
                 actor.pass(ticks);
             }

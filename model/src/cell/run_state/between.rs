@@ -7,6 +7,7 @@
 use super::{RunState, bit, small};
 use crate::cell::plan::Times;
 use crate::cell_state::script::Running;
+use imrs_protocol::Ticks;
 
 impl RunState {
     /// An event happened: actions and packets that were postponed until an event may end or arrive now.
@@ -24,23 +25,22 @@ impl RunState {
         beside.stays.retain(|&(task, level)| {
             let actor = cell_state.bodies[usize::from(task)].actor.as_ref();
             let running = actor.and_then(|actor| actor.runs(level));
-            running.is_some_and(|action| action.most % step != 0 || action.most == Running::FOREVER)
+            running.is_some_and(|action| !is_step(action.most, step))
         });
         for carried in &cell_state.in_flight {
-            let bound = u32::from(cell_state.links[usize::from(carried.link)].2);
-            if bound.saturating_sub(carried.age) % step == 0 {
+            let bound = Ticks(cell_state.links[usize::from(carried.link)].2.into());
+            if is_step(bound - carried.age, step) {
                 beside.slow &= !bit(usize::from(carried.link));
             }
         }
     }
 
-    /// Ticks to the next instant at which an event may happen that is at most `most` ticks away.
-    pub fn to_next_step(&self, most: u32) -> u32 {
-        let step = self.plan.step;
-        if self.times == Times::Every && most != Running::FOREVER {
-            most - (most.saturating_sub(1) / step) * step
-        } else {
-            most
+    /// The time to the next instant at which an event may happen that is at most `most` away.
+    pub fn to_next_step(&self, most: Ticks) -> Ticks {
+        match self.plan.step {
+            _ if self.times != Times::Every || most == Running::FOREVER => most,
+            1 => most.min(Ticks(1)),
+            step => Ticks(most.0 - (most.0.saturating_sub(1) / u64::from(step)) * u64::from(step)),
         }
     }
 
@@ -53,7 +53,7 @@ impl RunState {
         beside.stays.retain(|&(task, level)| {
             let actor = cell_state.bodies[usize::from(task)].actor.as_ref();
             let running = actor.and_then(|actor| actor.runs(level));
-            running.is_some_and(|action| action.least == 0 && action.most > 0)
+            running.is_some_and(|action| action.least.is_zero() && !action.most.is_zero())
         });
         let full = cell_state.in_flight.iter().fold(0, |full, carried| full | bit(usize::from(carried.link)));
         beside.slow &= full;
@@ -70,4 +70,9 @@ impl RunState {
         let actions = actor.running.iter_mut().filter(|action| action.level == level);
         actions.for_each(|action| action.least = action.most);
     }
+}
+
+/// Whether the search stops at an instant that is so far from the most time.
+fn is_step(left: Ticks, step: u32) -> bool {
+    left != Running::FOREVER && (step == 1 || left.0.is_multiple_of(step.into()))
 }

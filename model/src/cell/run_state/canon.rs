@@ -6,7 +6,7 @@ use super::{Beside, RunState, bit};
 use crate::cell::plan::{CellFaults, CellPlan, Holds, Times};
 use crate::cell_state::CellState;
 use crate::state::Violation;
-use imrs_protocol::{Decode, Encode, Frame, Walk};
+use imrs_protocol::{Decode, Encode, Frame, Ticks, Walk};
 
 /// Marker that replaces the first byte of the cell state when values that nodes showed earlier in this tick follow.
 const TICK_VALUES: u8 = 0xff;
@@ -178,7 +178,7 @@ impl Beside {
         for (_, due) in
             plan.checks.iter().zip(due).filter(|(check, _)| matches!(check.holds, Holds::Leads { .. }))
         {
-            or_none(due, w);
+            walk_due(due, w);
         }
         if W::READS {
             stays.clear();
@@ -201,6 +201,13 @@ fn or_none<W: Walk>(ticks: &mut Option<u32>, w: &mut W) {
     let mut read = ticks.map_or(0, |ticks| ticks + 1);
     w.number(&mut read);
     *ticks = read.checked_sub(1);
+}
+
+/// An optional obligation, in the same form.
+fn walk_due<W: Walk>(due: &mut Option<Ticks>, w: &mut W) {
+    let mut read = due.map_or(Ticks::ZERO, |left| left + Ticks(1));
+    w.left(&mut read, true);
+    *due = (!read.is_zero()).then(|| read - Ticks(1));
 }
 
 /// A pause: the ticks that it may still last, the ticks that it has lasted, and the actions that it holds back.

@@ -10,6 +10,7 @@ use crate::cell::plan::{CellPlan, Holds};
 use crate::cell_state::CellState;
 use crate::cell_state::script::ScriptReaction;
 use crate::state::Violation;
+use imrs_protocol::Ticks;
 use imrs_protocol::script::{Reading, Term, eval};
 
 /// All tasks, as a bit set.
@@ -115,7 +116,7 @@ impl RunState {
                     if then {
                         *due = None;
                     } else if when && due.is_none() && !self.broken.contains(&at) {
-                        *due = Some(u32::try_from(within.0).unwrap_or(u32::MAX - 1));
+                        *due = Some(Ticks(within.0.min(u64::from(u32::MAX - 1))));
                     }
                 }
             }

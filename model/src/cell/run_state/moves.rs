@@ -4,6 +4,10 @@ use super::{CellMove, OPEN, RunState, UNUSED, bit, small};
 use crate::cell::plan::{Conduct, Times};
 use crate::cell_state::script::Running;
 use crate::cell_state::{CellState, InFlight};
+use imrs_protocol::Ticks;
+
+/// No event that is farther away is waited for: packed states have no room for it.
+const LATEST: Ticks = Ticks(u32::MAX as u64);
 
 impl CellState {
     /// Whether another packet is ahead of this one on its link.
@@ -36,12 +40,12 @@ impl RunState {
                 moves.push(CellMove::Crash(small(at)));
             }
         }
-        let next = self.next_event();
-        let now = |i: usize| self.plan.everything || next.is_none() || self.beside.acted & bit(i) != 0;
-        self.pauses_between(next, moves);
+        let goes_on = self.goes_on();
+        let now = |i: usize| self.plan.everything || !goes_on || self.beside.acted & bit(i) != 0;
+        self.pauses_between(moves);
         let down = (0..self.cell.nodes.len()).filter(|&i| self.is_down(i) && now(i));
         moves.extend(down.map(|i| CellMove::Restart(small(i))));
-        if next.is_none() {
+        if !goes_on {
             return;
         }
         moves.push(CellMove::Pass);
@@ -81,11 +85,11 @@ impl RunState {
         let waited = self.longest_wait(node);
         for (i, carried) in cell_state.in_flight.iter().enumerate() {
             let (_, to, bound) = cell_state.links[usize::from(carried.link)];
-            let bound = u32::from(bound);
+            let bound = Ticks(bound.into());
             let ahead = cell_state.in_flight[..i].iter().find(|other| other.link == carried.link);
             match ahead {
                 _ if to.index() != node => {}
-                None if carried.age.saturating_sub(bound) < waited => {}
+                None if carried.age - bound < waited => {}
                 None if carried.age >= bound => {
                     self.arrivals(small(i), carried.link, moves);
                     comes = true;
@@ -97,7 +101,9 @@ impl RunState {
                     moves.extend([comes, CellMove::Stay(carried.link)]);
                 }
                 // A packet overtakes as late as possible, when the one ahead arrives, but never in the tick of its sending.
-                Some(ahead) if ahead.age >= bound && carried.age > 0 && self.may_overtake(carried.link) => {
+                Some(ahead)
+                    if ahead.age >= bound && !carried.age.is_zero() && self.may_overtake(carried.link) =>
+                {
                     moves.push(CellMove::Deliver(small(i)));
                 }
                 None | Some(_) => {}
@@ -146,11 +152,13 @@ impl RunState {
     }
 
     fn may_come_early(&self, carried: &InFlight) -> bool {
-        self.times != Times::Ends && carried.age > 0 && self.beside.slow & bit(usize::from(carried.link)) == 0
+        self.times != Times::Ends
+            && !carried.age.is_zero()
+            && self.beside.slow & bit(usize::from(carried.link)) == 0
     }
 
     fn ends(&self, task: usize, action: &Running, moves: &mut Vec<CellMove>) {
-        if action.least > 0 || self.beside.stays.contains(&(small(task), action.level)) {
+        if !action.least.is_zero() || self.beside.stays.contains(&(small(task), action.level)) {
             return;
         }
         let (task, level) = (small(task), action.level);
@@ -159,7 +167,7 @@ impl RunState {
         if self.beside.fail > 0 {
             moves.push(CellMove::Acted(task, level, false, 0));
         }
-        if action.most > 0 {
+        if !action.most.is_zero() {
             moves.push(CellMove::GoOn(task, level));
         }
     }
@@ -196,46 +204,80 @@ impl RunState {
         }
     }
 
-    /// Ticks until the next event, at least 1; `None` if none is to come.
-    pub fn next_event(&self) -> Option<u32> {
-        let cell_state = &self.cell;
-        let waits = |carried: &&InFlight| {
-            let (_, to, bound) = cell_state.links[usize::from(carried.link)];
-            carried.age >= u32::from(bound) && self.is_asleep(to.index())
-        };
-        let packets = cell_state.in_flight.iter().filter(|carried| !waits(carried)).map(|carried| {
-            let bound = u32::from(cell_state.links[usize::from(carried.link)].2);
-            let left = bound.saturating_sub(carried.age);
-            match (self.times, carried.age) {
-                (Times::Between | Times::Every, 0) => u64::from(left.min(1)),
-                _ => u64::from(self.to_next_step(left)),
-            }
-        });
-        let up = || (0..cell_state.nodes.len()).filter(|&i| cell_state.nodes[i].up);
-        let awake = || up().filter(|&i| !self.is_asleep(i));
-        let nodes = awake().filter_map(|i| cell_state.nodes[i].node.time_left()).map(|t| t.0);
-        let paused = up().filter(|&i| self.is_asleep(i)).flat_map(|i| self.events_asleep(i));
-        let ends = (0..cell_state.bodies.len()).filter_map(|task| self.next_end(task));
-        // A check fails when the last tick of its bound is over, hence one tick more.
-        let due = self.beside.due.iter().flatten().map(|&left| u64::from(left) + 1);
-        let held_back = awake().filter_map(|i| self.next_begin(i));
-        let next = packets.chain(nodes).chain(paused).chain(ends).chain(due).chain(held_back).min()?;
-        u32::try_from(next.max(1)).ok()
+    /// The time until the next event, at least a tick; `None` if none is to come. With symbolic times this is a tick: all ticks in
+    /// which nothing happens have passed before (`zones`).
+    pub fn next_event(&self) -> Option<Ticks> {
+        if self.cell.is_symbolic {
+            return Some(Ticks(1));
+        }
+        let next = self.events().min()?.max(Ticks(1));
+        (next <= LATEST).then_some(next)
     }
 
-    /// Ticks until an action of this task may or must end. An action that is over on a paused node is no event.
-    fn next_end(&self, task: usize) -> Option<u64> {
+    /// Whether an event is to come.
+    fn goes_on(&self) -> bool {
+        self.events().any(|left| left <= LATEST)
+    }
+
+    /// The times until all events that are to come.
+    fn events(&self) -> impl Iterator<Item = Ticks> {
+        let cell_state = &self.cell;
+        let packets = cell_state.in_flight.iter().filter(|carried| !self.waits(carried)).map(|carried| {
+            let left = self.left_of(carried);
+            match self.times {
+                Times::Between | Times::Every if carried.age.is_zero() => left.min(Ticks(1)),
+                _ => self.to_next_step(left),
+            }
+        });
+        let ends = (0..cell_state.bodies.len())
+            .flat_map(|task| self.going(task))
+            .map(|action| if action.least.is_zero() { self.to_next_step(action.most) } else { action.least });
+        packets.chain(ends).chain(self.fixed_events())
+    }
+
+    /// The times that may not pass without anything happening: until the bounds of packets, the most times of actions, and all events
+    /// that do not happen earlier.
+    pub fn limits(&self) -> impl Iterator<Item = Ticks> {
+        let packets = self.cell.in_flight.iter().filter(|carried| !self.waits(carried));
+        let ends = (0..self.cell.bodies.len()).flat_map(|task| self.going(task));
+        // An action without an end may end at its least time, or right after an event.
+        let ends =
+            ends.map(|action| if action.most == Running::FOREVER { action.least } else { action.most });
+        packets.map(|carried| self.left_of(carried)).chain(ends).chain(self.fixed_events())
+    }
+
+    /// The same of events that do not happen earlier than at their instant.
+    fn fixed_events(&self) -> impl Iterator<Item = Ticks> {
+        let cell_state = &self.cell;
+        let up = || (0..cell_state.nodes.len()).filter(|&i| cell_state.nodes[i].up);
+        let awake = || up().filter(|&i| !self.is_asleep(i));
+        let nodes = awake().filter_map(|i| cell_state.nodes[i].node.time_left());
+        let paused = up().filter(|&i| self.is_asleep(i)).flat_map(|i| self.events_asleep(i)).map(Ticks);
+        // A check fails when the last tick of its bound is over, hence one tick more.
+        let due = self.beside.due.iter().flatten().map(|&left| left + Ticks(1));
+        let held_back = awake().filter_map(|i| self.next_begin(i)).map(Ticks);
+        nodes.chain(paused).chain(due).chain(held_back)
+    }
+
+    /// Whether a packet waits at the end of its link for a paused node.
+    fn waits(&self, carried: &InFlight) -> bool {
+        let (_, to, bound) = self.cell.links[usize::from(carried.link)];
+        self.is_asleep(to.index()) && carried.age >= Ticks(bound.into())
+    }
+
+    /// The time until a packet reaches its link's bound.
+    fn left_of(&self, carried: &InFlight) -> Ticks {
+        Ticks(self.cell.links[usize::from(carried.link)].2.into()) - carried.age
+    }
+
+    /// The actions of this task that may or must end some time. An action that is over on a paused node is no event.
+    fn going(&self, task: usize) -> impl Iterator<Item = &Running> {
         let asleep = self.is_asleep(self.cell.node_state_of(task));
         let running = self.cell.bodies[task].actor.iter().flat_map(|actor| &actor.running);
-        let going = running.filter(|action| {
-            let endless = action.most == Running::FOREVER && action.least == 0;
-            let over = asleep && action.most == 0;
+        running.filter(move |action| {
+            let endless = action.most == Running::FOREVER && action.least.is_zero();
+            let over = asleep && action.most.is_zero();
             !endless && !over && self.has_begun(task, action.level)
-        });
-        let left = |action: &Running| match action.least {
-            0 => self.to_next_step(action.most),
-            least => least,
-        };
-        going.map(|action| u64::from(left(action))).min()
+        })
     }
 }

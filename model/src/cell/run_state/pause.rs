@@ -75,10 +75,11 @@ impl RunState {
     }
 
     /// Adds the pauses and wake-ups that are possible when no node has anything to do in this tick.
-    pub fn pauses_between(&self, next: Option<u32>, moves: &mut Vec<CellMove>) {
+    pub fn pauses_between(&self, moves: &mut Vec<CellMove>) {
         if self.faults.pause.is_empty() {
             return;
         }
+        let next = self.next_event();
         for node in (0..self.cell.nodes.len()).filter(|&node| self.cell.nodes[node].up) {
             if self.is_asleep(node) {
                 // A pause without a single tick is none.
@@ -98,10 +99,10 @@ impl RunState {
     }
 
     /// Whether a node does something by itself within `ticks`.
-    fn notices(&self, node: usize, ticks: u32) -> bool {
-        let due = self.cell.nodes[node].node.time_left().map(|due| due.0);
-        let begins = self.next_begin(node);
-        due.into_iter().chain(begins).any(|due| due <= u64::from(ticks))
+    fn notices(&self, node: usize, ticks: Ticks) -> bool {
+        let due = self.cell.nodes[node].node.time_left();
+        let begins = self.next_begin(node).map(Ticks);
+        due.into_iter().chain(begins).any(|due| due <= ticks)
     }
 
     /// The actions of a node that began in this tick.
@@ -121,13 +122,12 @@ impl RunState {
 
     /// Whether no tick has passed since an action began: its remaining times are those of its statement.
     fn has_just_begun(&self, actor: &Actor, running: &Running) -> bool {
-        let length = |ticks: Ticks| u32::try_from(ticks.0).unwrap_or(Running::FOREVER);
         let at = actor.host.script.position_at(running.level);
         match at.and_then(|at| actor.host.program.code.get(usize::from(at))) {
             Some(&Op::Run { action, least, most, .. }) => {
                 action == running.action
-                    && running.most > 0
-                    && (length(least), length(most)) == (running.least, running.most)
+                    && !running.most.is_zero()
+                    && (Running::length(least), Running::length(most)) == (running.least, running.most)
             }
             _ => false,
         }
@@ -157,11 +157,12 @@ impl RunState {
     pub fn wake(&mut self, node: usize) -> Result<(), Violation> {
         let slept = self.cell.slept(node).unwrap_or(0);
         self.forget_pause(node);
-        self.notice(node, slept)
+        self.notice(node, Ticks(slept.into()))
     }
 
     /// Lets time pass for a paused node.
-    pub fn sleep_on(&mut self, node: usize, (ticks, counted): (u32, u32)) {
+    pub fn sleep_on(&mut self, node: usize, (ticks, counted): (Ticks, Ticks)) {
+        let [ticks, counted] = [ticks, counted].map(|length| u32::try_from(length.0).unwrap_or(u32::MAX));
         if let (Some(slept), Some(asleep)) =
             (&mut self.cell.nodes[node].asleep, &mut self.beside.asleep[node])
         {
@@ -171,20 +172,21 @@ impl RunState {
     }
 
     /// Passes `ticks` on a node's clock, and for the scripts that it holds back.
-    pub fn notice(&mut self, node: usize, ticks: u32) -> Result<(), Violation> {
+    pub fn notice(&mut self, node: usize, ticks: Ticks) -> Result<(), Violation> {
         let due = self.cell.nodes[node].node.time_left();
-        if due.is_some_and(|due| due.0 <= u64::from(ticks)) {
+        if due.is_some_and(|due| due <= ticks) {
             self.beside.acted |= bit(node);
         }
-        if ticks > 0 {
-            self.cell.pass(node, Ticks(u64::from(ticks)))?;
+        // Whether a symbol is zero is not asked: to let no time pass changes nothing.
+        if self.cell.is_symbolic || !ticks.is_zero() {
+            self.cell.pass(node, ticks)?;
         }
-        self.hold_back_on(node, ticks);
+        self.hold_back_on(node, u32::try_from(ticks.0).unwrap_or(u32::MAX));
         Ok(())
     }
 
     /// Lets time pass for the actions of running and of paused nodes, except for actions that a pause holds back.
-    pub fn act_on(&mut self, ticks: u32) {
+    pub fn act_on(&mut self, ticks: Ticks) {
         for task in 0..self.cell.bodies.len() {
             let node = self.cell.node_state_of(task);
             let up = self.cell.nodes[node].up;
@@ -213,26 +215,26 @@ impl RunState {
         let due = machines.time_left();
         let leases = machines.parts().tasks.iter().filter_map(imrs_protocol::CommTask::lease_left);
         let own = leases.chain(due).filter_map(move |due| due.0.checked_sub(slept)).filter(|left| *left > 0);
-        own.chain(left.filter(|left| *left > 0).map(|left| u64::from(self.to_next_step(left))))
+        own.chain(left.filter(|left| *left > 0).map(|left| self.to_next_step(Ticks(left.into())).0))
     }
 
     /// Ticks that a packet has waited at the end of its link for a paused node.
-    pub fn has_waited(&self, packet: usize) -> u32 {
-        self.cell.in_flight.get(packet).map_or(0, |carried| {
+    pub fn has_waited(&self, packet: usize) -> Ticks {
+        self.cell.in_flight.get(packet).map_or(Ticks::ZERO, |carried| {
             let bound = self.cell.links[usize::from(carried.link)].2;
-            carried.age.saturating_sub(u32::from(bound))
+            carried.age - Ticks(bound.into())
         })
     }
 
     /// The longest wait of a packet for a node. A woken node takes packets in the order in which they arrived.
-    pub fn longest_wait(&self, node: usize) -> u32 {
+    pub fn longest_wait(&self, node: usize) -> Ticks {
         if self.faults.pause.is_empty() {
-            return 0;
+            return Ticks::ZERO;
         }
         let here = (0..self.cell.in_flight.len()).filter(|&i| {
             let link = usize::from(self.cell.in_flight[i].link);
             self.cell.links[link].1.index() == node && !self.cell.is_behind(i)
         });
-        here.map(|i| self.has_waited(i)).max().unwrap_or(0)
+        here.map(|i| self.has_waited(i)).max().unwrap_or_default()
     }
 }

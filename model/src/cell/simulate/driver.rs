@@ -54,7 +54,7 @@ impl Chosen {
 
 /// The latest end of an action.
 fn latest(run_state: &RunState, running: &Running) -> u64 {
-    if running.most == Running::FOREVER { u64::MAX } else { run_state.passed + u64::from(running.most) }
+    if running.most == Running::FOREVER { u64::MAX } else { run_state.passed + running.most.0 }
 }
 
 /// A directed link.
@@ -215,7 +215,7 @@ impl<'a> Driver<'a> {
                 let actor = run_state.cell.bodies[usize::from(task)].actor.as_ref();
                 actor.and_then(|actor| actor.runs(level)).is_some_and(|running| {
                     let chosen = self.actions.iter().find(|of| of.is_of(run_state, (task, level), running));
-                    running.most == 0 || chosen.is_some_and(|chosen| chosen.left == 0)
+                    running.most.is_zero() || chosen.is_some_and(|chosen| chosen.left == 0)
                 })
             }
             Who::Line(link) => {
@@ -275,8 +275,9 @@ impl<'a> Driver<'a> {
         self.actions.retain(|chosen| (chosen.task, chosen.level) != (task, level));
         // It may end now, or after whole steps, counted back from its most time.
         let step = run_state.plan.step.max(1);
-        let first = running.most - (running.most.saturating_sub(1) / step) * step;
-        let instants = if endless { ENDLESS } else { 2 + (running.most - first) / step };
+        let most = u32::try_from(running.most.0).unwrap_or(u32::MAX);
+        let first = most - (most.saturating_sub(1) / step) * step;
+        let instants = if endless { ENDLESS } else { 2 + (most - first) / step };
         let number = self.draw(usize::from(task), instants as usize, Spread::Ends);
         let left = if endless { number } else { 0 };
         self.actions.push(Chosen {
@@ -300,10 +301,8 @@ impl<'a> Driver<'a> {
         if !moves.contains(&stays) {
             return None;
         }
-        let bound = u32::from(run_state.cell.links[link].2);
-        let next = self.lines[link].arrived + 1;
-        (self.is_named(run_state, link) || first.age < self.arrives(link, next, (first.age, bound)))
-            .then_some(stays)
+        let (age, bound) = (u32::try_from(first.age.0).unwrap_or(u32::MAX), run_state.cell.links[link].2);
+        (self.is_named(run_state, link) || age < self.arrives(link, (age, bound.into()))).then_some(stays)
     }
 
     /// The move of the first packet of a link: it arrives, or a fault happens to it.
@@ -340,7 +339,8 @@ impl<'a> Driver<'a> {
     }
 
     /// The age at which a packet that may arrive before the link's bound arrives.
-    fn arrives(&mut self, link: usize, nth: u32, (age, bound): (u32, u32)) -> u32 {
+    fn arrives(&mut self, link: usize, (age, bound): (u32, u32)) -> u32 {
+        let nth = self.lines[link].arrived + 1;
         match self.lines[link].chosen {
             Some((of, age)) if of == nth => age,
             _ => {

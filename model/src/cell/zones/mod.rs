@@ -1,0 +1,39 @@
+//! Searches a cell at every time inside its intervals, by zones.
+//!
+//! ```text
+//!   runner    runs the moves of a cell on symbolic times, from one kept state to the next, once for each way that its times allow
+//!   store     the kept states: for each control, the zones that were reached
+//!   search    expands kept states, breadth first
+//!   concrete  picks times for a path, and replays it on plain ticks
+//! ```
+//!
+//! A state is a *control*, all but its times, and a *zone*, the times that it was reached with. The moves, their order within an
+//! instant and their checks are those of the search at every tick ([`Times::Every`](super::Times)): the same code makes them. Only
+//! the passing of time differs. Before time passes, all ticks in which nothing happens pass at once: their number becomes a variable,
+//! and no deadline, bound of a packet, or most time of an action may come meanwhile. Then one tick passes, in which something may
+//! happen. Zones are sets of integers, so this covers exactly what every tick covers.
+//!
+//! A finding is told only if it is found again on plain ticks.
+
+mod concrete;
+mod runner;
+mod search;
+mod store;
+
+pub(super) use search::explore;
+
+use super::plan::{CellFaults, CellPlan};
+use imrs_protocol::rules::Rules;
+
+/// What zones do not cover; `None`: they cover the search of this plan with these faults.
+pub(super) fn uncovered(plan: &CellPlan, faults: &CellFaults) -> Option<&'static str> {
+    let found = [
+        (!faults.pause.is_empty(), "pauses"),
+        (faults.drift > 0, "drift"),
+        (!faults.crash.is_empty(), "crashes"),
+        (plan.everything, "a search without reductions"),
+        (plan.step > 1, "ticks of the model that are longer than those of the cell"),
+        (plan.table.cell().rules != Rules::default(), "variants of the rules"),
+    ];
+    found.into_iter().find(|(is, _)| *is).map(|(_, what)| what)
+}

@@ -1,0 +1,202 @@
+//! Runs the moves of a cell on symbolic times, from one kept state to the next.
+
+use crate::cell::judge::{Reached, Shown, judge, nothing_reached};
+use crate::cell::plan::{CellFaults, CellPlan};
+use crate::cell::run_state::{CellMove, RunState};
+use crate::cell::verdict::{Kind, Phase};
+use crate::cell::waiting::for_ever;
+use crate::state::Violation;
+use crate::zone::dbm::Dbm;
+use crate::zone::forks::{Forks, again};
+use imrs_protocol::symbolic::{self, START, Symbol};
+use imrs_protocol::{Instant, Ticks};
+use std::sync::Arc;
+
+/// The first byte of a control: whether time passes next, or several moves are possible.
+const QUIET: u8 = 1;
+const CHOICE: u8 = 0;
+
+/// Moves without an alternative before a state is kept in any case.
+const WALK: usize = 512;
+
+/// Where a run begins.
+#[derive(Clone, Copy)]
+pub enum From<'a> {
+    /// At the start of the cell.
+    Start,
+    /// In the state of this control.
+    Kept(&'a [u8]),
+}
+
+/// A run from one kept state to the next one, in one of the ways that its times allow.
+#[derive(Default)]
+pub struct Run {
+    pub moves: Vec<CellMove>,
+    /// What the run shows, and after how many of its moves.
+    pub hits: Vec<(Shown, usize)>,
+    /// The control of the state at its end; `None` if the search goes no further.
+    pub control: Option<Box<[u8]>>,
+    /// The instant of its last move, and the variable of the instant until which nothing happens then.
+    pub now: i64,
+    pub silent_until: Option<u8>,
+    /// Whether a state had no packed form.
+    pub outgrown: bool,
+}
+
+impl Run {
+    fn note(&mut self, shown: Option<Shown>) {
+        let at = self.moves.len();
+        let new = shown.filter(|new| !self.hits.iter().any(|(known, _)| known.is_same(new)));
+        self.hits.extend(new.map(|shown| (shown, at)));
+    }
+}
+
+/// Runs a cell.
+pub struct Runner {
+    phase: Phase,
+    /// The cell at its start, without symbols.
+    start: RunState,
+    run_state: RunState,
+    pub reached: Reached,
+    pub mattered: Vec<bool>,
+    pub moves: u64,
+}
+
+impl Runner {
+    pub fn new(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Self {
+        // Queues order symbols in another way than numbers: those of the start must be made for symbols, too.
+        let (mut start, _) = again(&Dbm::zero(), &[], |_| RunState::new(plan, faults));
+        start.cell.is_symbolic = true;
+        let reached = nothing_reached(&start);
+        Self {
+            phase,
+            run_state: start.clone(),
+            start,
+            reached,
+            mattered: vec![false; plan.checks.len()],
+            moves: 0,
+        }
+    }
+
+    /// The remaining faults of a control, and the rest of it.
+    pub fn split<'a>(&self, control: &'a [u8]) -> (crate::cell::run_state::canon::Left, &'a [u8]) {
+        self.start.split(control.get(1..).unwrap_or_default())
+    }
+
+    /// Runs once, by the answers of `forks`. `is_sampled`: whether the invariants of the machines are checked.
+    pub fn run(&mut self, forks: &Forks, from: From<'_>, is_sampled: bool) -> Run {
+        // Nothing of an earlier run stays: its symbols mean something else now.
+        self.run_state.clone_from(&self.start);
+        self.run_state.cell.is_sampled = is_sampled;
+        let mut run = Run::default();
+        let mut may_choose = false;
+        let mut step = None;
+        match from {
+            From::Start => self.look(&mut run),
+            From::Kept(control) => {
+                self.run_state.load(control.get(1..).unwrap_or_default());
+                if control.first() == Some(&QUIET) {
+                    step = Some(CellMove::Pass);
+                    run.now = 1;
+                } else {
+                    may_choose = true;
+                }
+            }
+        }
+        self.go(forks, step, may_choose, &mut run);
+        self.mattered.iter_mut().zip(&self.run_state.mattered).for_each(|(all, one)| *all |= one);
+        run
+    }
+
+    /// Makes moves until a state is to be kept.
+    fn go(&mut self, forks: &Forks, mut step: Option<CellMove>, mut may_choose: bool, run: &mut Run) {
+        let mut moves = Vec::new();
+        loop {
+            if let Some(step) = step.take() {
+                run.moves.push(step);
+                self.apply(step);
+                self.look(run);
+            }
+            if run.hits.iter().any(|(shown, _)| shown.last) {
+                return;
+            }
+            moves.clear();
+            self.run_state.moves(&mut moves);
+            if !moves.iter().any(|step| !matches!(step, CellMove::Crash(_) | CellMove::Restart(_))) {
+                run.note(for_ever(&self.run_state, false));
+                if moves.is_empty() {
+                    return;
+                }
+            }
+            if !run.moves.is_empty() {
+                run.note(for_ever(&self.run_state, true));
+            }
+            let taken = match moves[..] {
+                [CellMove::Pass] => CellMove::Pass,
+                [only] if run.moves.len() < WALK => only,
+                _ if std::mem::take(&mut may_choose) => moves[forks.choose(moves.len())],
+                _ => return self.keep(forks, CHOICE, (START, run.now), run),
+            };
+            if taken == CellMove::Pass {
+                return self.be_silent(forks, run);
+            }
+            step = Some(taken);
+        }
+    }
+
+    fn apply(&mut self, step: CellMove) {
+        self.moves += 1;
+        if !self.run_state.survives(step) {
+            self.run_state.clone_from(&self.start);
+            self.run_state.cell.violation = Some(Violation::Panic);
+        }
+    }
+
+    /// Judges the last move.
+    fn look(&mut self, run: &mut Run) {
+        let shown = judge(&mut self.run_state, self.phase, &mut self.reached);
+        shown.into_iter().for_each(|shown| run.note(Some(shown)));
+    }
+
+    /// Lets all ticks pass before the next one in which something may happen.
+    fn be_silent(&mut self, forks: &Forks, run: &mut Run) {
+        self.run_state.end_instant();
+        self.run_state.next_step();
+        let limits: Vec<Ticks> = self.run_state.limits().collect();
+        if limits.iter().any(|limit| limit.is_zero()) {
+            return self.keep(forks, QUIET, (START, run.now), run);
+        }
+        let until = forks.cut().add();
+        let not_before = Symbol { first: until, second: START, offset: -run.now };
+        forks.cut().keep(not_before).expect("a new variable may have any value");
+        let now = Instant(run.now.unsigned_abs());
+        let silent = symbolic::instant(until) - now;
+        for limit in limits {
+            let left = limit - silent;
+            if let Some(Symbol { first, second, offset }) = symbolic::symbol(left.0) {
+                let longer = Symbol { first, second, offset: offset - 1 };
+                forks.cut().keep(longer).expect("a tick is left");
+            }
+        }
+        run.silent_until = Some(until);
+        let elapsed = self.run_state.elapse(silent, None);
+        let is_silent = self.run_state.beside.acted == 0 && self.run_state.broken.is_empty();
+        if let Err(violation) = elapsed.and_then(|()| is_silent.then_some(()).ok_or(Violation::Invariant)) {
+            return run.note(Some(Shown::whole(Kind::Machine, violation.text())));
+        }
+        self.keep(forks, QUIET, (until, 0), run);
+    }
+
+    /// Packs the state to be kept.
+    fn keep(&mut self, forks: &Forks, kind: u8, now: (u8, i64), run: &mut Run) {
+        forks.cut().begin_to_pack(now);
+        match self.run_state.pack() {
+            Ok(()) => {
+                let control = [&[kind], self.run_state.packed()].concat();
+                run.control = Some(control.into());
+            }
+            Err(Violation::Overflow) => run.outgrown = true,
+            Err(violation) => run.note(Some(Shown::whole(Kind::Machine, violation.text()))),
+        }
+    }
+}

@@ -1,0 +1,182 @@
+//! Expands kept states, breadth first.
+
+use super::concrete;
+use super::runner::{From, Run, Runner};
+use super::store::{Origin, Store};
+use crate::cell::done::Done;
+use crate::cell::judge::Shown;
+use crate::cell::plan::{CellFaults, CellPlan, Times};
+use crate::cell::verdict::{Coverage, Finding, Kind, Phase};
+use crate::explore::resident_bytes;
+use crate::zone::dbm::Dbm;
+use crate::zone::forks::{Cut, each};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// A finding of a run from a kept state.
+pub(super) struct Hit {
+    pub shown: Shown,
+    /// The state, by its number, and the answers of the run; `None`: the run from the start.
+    pub state: Option<u32>,
+    pub answers: Box<[u16]>,
+    /// The moves of the run that lead to it.
+    pub moves: usize,
+}
+
+/// States that are expanded between two looks at the budget.
+const BATCH: usize = 64;
+
+/// One state in so many is in the sample, for which the invariants of the machines are checked.
+const SAMPLE: u32 = 16;
+
+pub(super) struct Search {
+    pub runner: Runner,
+    pub store: Store,
+    pub hits: Vec<Hit>,
+    /// Runs whose times were not all exact.
+    inexact: u64,
+    outgrown: bool,
+    longest: usize,
+}
+
+/// Searches a cell by zones. All that it finds was found again on plain ticks.
+pub(in crate::cell) fn explore(
+    plan: &Arc<CellPlan>,
+    (phase, hypothesis): (Phase, usize),
+    faults: &CellFaults,
+) -> Done {
+    let start = Instant::now();
+    let runner = Runner::new(plan, phase, faults);
+    let mut search =
+        Search { runner, store: Store::default(), hits: Vec::new(), inexact: 0, outgrown: false, longest: 0 };
+    let mut ended_by = search.run(plan, start);
+    if search.outgrown {
+        ended_by
+            .get_or_insert_with(|| "a number in some states is too large for the checker to store".into());
+    }
+    if search.inexact > 0 {
+        ended_by.get_or_insert_with(|| {
+            "the times of three instants met in one, which zones do not cover exactly; use --times every"
+                .into()
+        });
+    }
+    let hits = std::mem::take(&mut search.hits);
+    let pruned = hits.iter().any(|hit| hit.shown.last || hit.shown.kind == Kind::Deadlock);
+    let mut told: Vec<Finding> = Vec::new();
+    for hit in &hits {
+        match concrete::told(plan, (phase, hypothesis), faults, &mut search, hit) {
+            Some(finding) => told.push(finding),
+            None => {
+                let what =
+                    format!("{} is not found at plain times: {}", hit.shown.kind.name(), hit.shown.cause);
+                ended_by.get_or_insert(what);
+            }
+        }
+    }
+    let (warnings, findings) = told.into_iter().partition(|found| found.kind.is_warning());
+    let Search { runner, store, longest, .. } = search;
+    let depth = store.states.iter().map(|state| u64::from(state.depth)).max().unwrap_or(0);
+    let coverage = Coverage {
+        phase,
+        hypothesis,
+        times: Times::Zones,
+        parts: 1,
+        states: store.len() as u64,
+        moves: runner.moves,
+        depth,
+        whole_depth: store.least_left().map_or(depth, u64::from),
+        ticks: 0,
+        complete: ended_by.is_none(),
+        pruned,
+        ended_by,
+        longest_state: longest as u64,
+        seconds: start.elapsed().as_secs_f64(),
+    };
+    Done { coverage, findings, warnings, reached: runner.reached, mattered: runner.mattered }
+}
+
+impl Search {
+    /// Searches until no state is left, or returns the budget that ended the search.
+    fn run(&mut self, plan: &CellPlan, start: Instant) -> Option<String> {
+        let budget = plan.budget;
+        self.expand(None);
+        let mut done = 0_usize;
+        loop {
+            if done.is_multiple_of(BATCH) {
+                if start.elapsed().as_secs_f64() > budget.seconds {
+                    return Some(format!("out of time ({} s)", budget.seconds));
+                }
+                if resident_bytes().is_some_and(|bytes| bytes > budget.bytes) {
+                    return Some(format!("out of memory ({} MiB)", budget.bytes >> 20));
+                }
+            }
+            done += 1;
+            if done as u64 > budget.states {
+                return Some(format!("{} states", budget.states));
+            }
+            let runner = &self.runner;
+            let state = self.store.next(|control| core(runner, control).1)?;
+            self.expand(Some(state));
+        }
+    }
+
+    /// Runs from a kept state, or from the start, in all ways that its times allow.
+    fn expand(&mut self, at: Option<u32>) {
+        let Self { runner, store, .. } = self;
+        let (zone, control, depth) = match at.and_then(|at| store.states.get(at as usize)) {
+            Some(state) => {
+                (state.zone.clone(), store.controls[state.control as usize].clone(), state.depth + 1)
+            }
+            None => (Some(Dbm::zero()), Box::default(), 0),
+        };
+        let Some(zone) = zone else { return };
+        let from = if at.is_some() { From::Kept(&control) } else { From::Start };
+        let mut runs = Vec::new();
+        each(
+            &zone,
+            |forks| runner.run(forks, from, is_sampled(at)),
+            |run, cut: &Cut| {
+                let zone = run.control.is_some().then(|| cut.zone().project(&cut.times().terms()));
+                runs.push((run, Way { answers: cut.answers().into(), zone, is_exact: cut.is_exact() }));
+            },
+        );
+        for (run, way) in runs {
+            self.take_in(at, depth, run, way);
+        }
+    }
+
+    fn take_in(&mut self, parent: Option<u32>, depth: u32, run: Run, way: Way) {
+        let Way { answers, zone, is_exact } = way;
+        self.inexact += u64::from(!is_exact);
+        self.outgrown |= run.outgrown;
+        for (shown, moves) in run.hits {
+            if !self.hits.iter().any(|known| known.shown.is_same(&shown)) {
+                self.hits.push(Hit { shown, state: parent, answers: answers.clone(), moves });
+            }
+        }
+        if let (Some(control), Some(zone)) = (run.control, zone) {
+            self.longest = self.longest.max(control.len());
+            let core = core(&self.runner, &control);
+            self.store.insert(control, core, Origin { parent, answers, zone }, depth);
+        }
+    }
+}
+
+/// How the times of a run went.
+struct Way {
+    answers: Box<[u16]>,
+    /// The times of the state at its end.
+    zone: Option<Dbm>,
+    is_exact: bool,
+}
+
+/// Whether the invariants of the machines are checked in the runs from a state.
+pub(super) fn is_sampled(at: Option<u32>) -> bool {
+    at.is_none_or(|at| at.is_multiple_of(SAMPLE))
+}
+
+/// The remaining faults of a control, and the rest of it.
+fn core(runner: &Runner, control: &[u8]) -> (crate::cell::run_state::canon::Left, Box<[u8]>) {
+    let (left, core) = runner.split(control);
+    (left, [control.get(..1).unwrap_or_default(), core].concat().into())
+}

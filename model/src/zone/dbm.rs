@@ -1,0 +1,280 @@
+//! Difference-bound matrices over integers: sets of points that bounds on differences of variables describe.
+
+use std::fmt;
+
+/// No bound.
+const FREE: i64 = i64::MAX;
+
+/// A non-empty set of integer points. For each pair of variables it holds the least `c` with `x_i - x_j <= c` at all points
+/// (closed), so two matrices are equal exactly if their sets are. The first variable is zero.
+#[derive(Clone, PartialEq, Eq, Hash)]
+pub(crate) struct Dbm {
+    len: usize,
+    bounds: Vec<i64>,
+}
+
+/// A constraint made the set empty.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Empty;
+
+/// A sum of two bounds.
+const fn plus(a: i64, b: i64) -> i64 {
+    if a == FREE || b == FREE { FREE } else { a + b }
+}
+
+impl Dbm {
+    /// The variable zero alone.
+    pub fn zero() -> Self {
+        Self { len: 1, bounds: vec![0] }
+    }
+
+    /// How many variables there are, zero included.
+    pub const fn len(&self) -> usize {
+        self.len
+    }
+
+    const fn at(&self, i: usize, j: usize) -> i64 {
+        self.bounds.as_slice()[i * self.len + j]
+    }
+
+    /// The least `c` with `x_i - x_j <= c`; `None`: there is none.
+    pub fn bound(&self, i: usize, j: usize) -> Option<i64> {
+        Some(self.at(i, j)).filter(|&bound| bound != FREE)
+    }
+
+    /// The difference of two variables, if it is the same at all points.
+    pub fn difference(&self, i: usize, j: usize) -> Option<i64> {
+        let bound = self.bound(i, j)?;
+        (self.bound(j, i) == Some(-bound)).then_some(bound)
+    }
+
+    /// Whether `x_i - x_j <= c` at all points.
+    pub const fn entails(&self, i: usize, j: usize, c: i64) -> bool {
+        self.at(i, j) <= c
+    }
+
+    /// Whether `x_i - x_j <= c` at some point.
+    pub const fn intersects(&self, i: usize, j: usize, c: i64) -> bool {
+        plus(self.at(j, i), c) >= 0
+    }
+
+    /// Adds a variable without bounds, and returns its number.
+    pub fn add(&mut self) -> usize {
+        let (old, len) = (self.len, self.len + 1);
+        let mut bounds = vec![FREE; len * len];
+        for (row, new) in self.bounds.chunks(old).zip(bounds.chunks_mut(len)) {
+            new[..old].copy_from_slice(row);
+        }
+        bounds[len * len - 1] = 0;
+        *self = Self { len, bounds };
+        old
+    }
+
+    /// Keeps the points with `x_i - x_j <= c`.
+    ///
+    /// # Errors
+    /// [`Empty`] if there is none. The matrix is then as before.
+    pub fn constrain(&mut self, i: usize, j: usize, c: i64) -> Result<(), Empty> {
+        if self.entails(i, j, c) {
+            return Ok(());
+        }
+        if !self.intersects(i, j, c) {
+            return Err(Empty);
+        }
+        // Only paths over the new bound can be shorter than before.
+        let from_j: Vec<i64> = self.bounds[j * self.len..][..self.len].to_vec();
+        for row in self.bounds.chunks_mut(self.len) {
+            let over = plus(row[i], c);
+            if over != FREE {
+                row.iter_mut()
+                    .zip(&from_j)
+                    .for_each(|(bound, &rest)| *bound = (*bound).min(plus(over, rest)));
+            }
+        }
+        Ok(())
+    }
+
+    /// The set of the values of these terms, each a variable and an offset. The first term is subtracted from all of them, and is
+    /// the zero of the result. Variables that are not among the terms are forgotten.
+    pub fn project(&self, terms: &[(usize, i64)]) -> Self {
+        let of = |&(i, a): &(usize, i64)| terms.iter().map(move |&(j, b)| plus(self.at(i, j), a - b));
+        Self { len: terms.len(), bounds: terms.iter().flat_map(of).collect() }
+    }
+
+    /// Whether all points of this set are in the other one.
+    pub fn is_in(&self, other: &Self) -> bool {
+        self.len == other.len && self.bounds.iter().zip(&other.bounds).all(|(mine, others)| mine <= others)
+    }
+
+    /// The least such set that has all points of both.
+    pub fn hull(&self, other: &Self) -> Self {
+        let bounds = self.bounds.iter().zip(&other.bounds).map(|(&a, &b)| a.max(b)).collect();
+        Self { len: self.len, bounds }
+    }
+
+    /// The union of two sets over the same variables, if it can be described so: if it equals the [hull](Self::hull).
+    pub fn merged(&self, other: &Self) -> Option<Self> {
+        let hull = self.hull(other);
+        let mut rest = hull.clone();
+        // The hull without the first set, piece by piece: each piece breaks one bound and keeps those before it.
+        for (i, j) in (0..self.len).flat_map(|i| (0..self.len).map(move |j| (i, j))) {
+            let bound = self.at(i, j);
+            if bound >= rest.at(i, j) {
+                continue;
+            }
+            let mut piece = rest.clone();
+            if piece.constrain(j, i, -bound - 1).is_ok() && !piece.is_in(other) {
+                return None;
+            }
+            // Nothing is left once the bound contradicts: then the pieces were all.
+            if rest.constrain(i, j, bound).is_err() {
+                break;
+            }
+        }
+        Some(hull)
+    }
+
+    /// A point of the set, the value of zero first.
+    pub fn point(&self) -> Vec<i64> {
+        let mut values = vec![0];
+        for i in 1..self.len {
+            let known = || values.iter().enumerate();
+            let least = known().filter_map(|(j, &value)| Some(value - self.bound(j, i)?)).max();
+            let most = known().filter_map(|(j, &value)| Some(value + self.bound(i, j)?)).min();
+            // In a closed matrix any value between the bounds that the earlier values leave extends to a point.
+            values.push(least.or(most).unwrap_or(0));
+        }
+        values
+    }
+
+    /// Whether a point, the value of zero first, is in the set.
+    pub fn has(&self, point: &[i64]) -> bool {
+        let holds = |i: usize, j: usize| self.bound(i, j).is_none_or(|bound| point[i] - point[j] <= bound);
+        point.len() == self.len && (0..self.len).all(|i| (0..self.len).all(|j| holds(i, j)))
+    }
+}
+
+impl fmt::Debug for Dbm {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let pairs = (0..self.len).flat_map(|i| (0..self.len).map(move |j| (i, j))).filter(|(i, j)| i != j);
+        let bounds = pairs.filter_map(|(i, j)| Some(format!("x{i} - x{j} <= {}", self.bound(i, j)?)));
+        f.debug_list().entries(bounds.map(|bound| fmt::from_fn(move |f| f.write_str(&bound)))).finish()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    type Points = BTreeSet<[i64; 4]>;
+
+    /// The values that points are enumerated over: no drawn bound reaches them all.
+    const VALUES: std::ops::RangeInclusive<i64> = -4..=4;
+
+    fn all() -> impl Iterator<Item = [i64; 4]> {
+        VALUES.flat_map(|a| VALUES.flat_map(move |b| VALUES.map(move |c| [0, a, b, c])))
+    }
+
+    /// All values are within `VALUES`, and some drawn bounds hold; `None` if no point is left.
+    fn drawn(rng: &mut fastrand::Rng) -> Option<(Dbm, Points)> {
+        let mut dbm = Dbm::zero();
+        let mut points: Points = all().collect();
+        for _ in 0..3 {
+            let new = dbm.add();
+            dbm.constrain(new, 0, *VALUES.end()).unwrap();
+            dbm.constrain(0, new, -VALUES.start()).unwrap();
+        }
+        for _ in 0..rng.usize(0..7) {
+            let (i, j, c) = (rng.usize(0..4), rng.usize(0..4), rng.i64(-3..6));
+            if i == j {
+                continue;
+            }
+            points.retain(|point| point[i] - point[j] <= c);
+            let result = dbm.constrain(i, j, c);
+            assert_eq!(result.is_err(), points.is_empty(), "x{i} - x{j} <= {c}");
+            result.ok()?;
+        }
+        Some((dbm, points))
+    }
+
+    fn pairs(count: usize) -> impl Iterator<Item = ((Dbm, Points), (Dbm, Points))> {
+        let mut rng = fastrand::Rng::with_seed(7);
+        std::iter::repeat_with(move || drawn(&mut rng).zip(drawn(&mut rng))).flatten().take(count)
+    }
+
+    #[test]
+    fn bounds_are_the_tightest_of_the_points() {
+        for ((dbm, points), _) in pairs(2_000) {
+            for (i, j) in (0..4).flat_map(|i| (0..4).map(move |j| (i, j))) {
+                let most = points.iter().map(|point| point[i] - point[j]).max();
+                assert_eq!(dbm.bound(i, j), most, "{dbm:?}");
+                let [least, most] = [-dbm.bound(j, i).unwrap(), most.unwrap()];
+                assert_eq!(dbm.difference(i, j), (least == most).then_some(most));
+                for c in -9..9 {
+                    assert_eq!(dbm.entails(i, j, c), points.iter().all(|point| point[i] - point[j] <= c));
+                    assert_eq!(dbm.intersects(i, j, c), points.iter().any(|point| point[i] - point[j] <= c));
+                }
+            }
+            assert!(all().all(|point| dbm.has(&point) == points.contains(&point)));
+            assert!(dbm.has(&dbm.point()));
+        }
+    }
+
+    #[test]
+    fn a_projection_has_the_values_of_its_terms() {
+        let mut rng = fastrand::Rng::with_seed(8);
+        for ((dbm, points), _) in pairs(1_000) {
+            let mut term = || (rng.usize(0..4), rng.i64(-3..4));
+            let terms = [term(), term(), term()];
+            let projected = dbm.project(&terms);
+            let value = |point: &[i64; 4], (variable, offset): (usize, i64)| point[variable] + offset;
+            let values = |point| terms.map(|term| value(point, term) - value(point, terms[0]));
+            let shadows: BTreeSet<[i64; 3]> = points.iter().map(values).collect();
+            let near = (-15..15).flat_map(|a| (-15..15).map(move |b| [0, a, b]));
+            assert!(
+                near.into_iter().all(|point| projected.has(&point) == shadows.contains(&point)),
+                "{dbm:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn inclusion_and_hull_are_those_of_the_points() {
+        for ((one, mine), (other, others)) in pairs(3_000) {
+            assert_eq!(one.is_in(&other), mine.is_subset(&others));
+            let hull = one.hull(&other);
+            assert!(one.is_in(&hull) && other.is_in(&hull));
+            for (i, j) in (0..4).flat_map(|i| (0..4).map(move |j| (i, j))) {
+                let most = mine.union(&others).map(|point| point[i] - point[j]).max();
+                assert_eq!(hull.bound(i, j), most);
+            }
+        }
+    }
+
+    #[test]
+    fn two_sets_merge_exactly_if_no_other_point_comes_in() {
+        let (mut merges, mut stay) = (0, 0);
+        for ((one, mine), (other, others)) in pairs(6_000) {
+            let hull = one.hull(&other);
+            let is_exact =
+                all().all(|point| !hull.has(&point) || mine.contains(&point) || others.contains(&point));
+            assert_eq!(one.merged(&other), is_exact.then_some(hull), "{one:?}\n{other:?}");
+            let nested = one.is_in(&other) || other.is_in(&one);
+            merges += usize::from(is_exact && !nested);
+            stay += usize::from(!is_exact);
+        }
+        assert!(merges > 50 && stay > 50, "{merges} merge, {stay} stay");
+    }
+
+    #[test]
+    fn a_new_variable_has_no_bounds() {
+        let mut dbm = Dbm::zero();
+        let new = dbm.add();
+        assert_eq!((dbm.bound(new, 0), dbm.bound(0, new), dbm.bound(new, new)), (None, None, Some(0)));
+        assert!(dbm.intersects(new, 0, -1_000) && !dbm.entails(new, 0, 1_000));
+        assert_eq!(dbm.constrain(new, 0, 5), Ok(()));
+        assert_eq!(dbm.constrain(0, new, -6), Err(Empty));
+        assert_eq!(dbm.point(), [0, 5]);
+    }
+}
