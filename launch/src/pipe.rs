@@ -173,7 +173,7 @@ pub struct Figures {
     pub lost_on_purpose: u64,
     /// Packets that the node's link dropped because of a cut.
     pub cut_off: u64,
-    /// The neighbours that the node refuses, because their cells differ.
+    /// The neighbours that it refuses, because their cells or keys differ.
     pub refusals: Vec<RefusalFigures>,
     /// How many events were not reported: they came too fast, or the launcher did not read its pipe fast enough.
     pub untold: u64,
@@ -181,12 +181,12 @@ pub struct Figures {
     pub unrecorded: Vec<String>,
 }
 
-/// A neighbour whose cell differs, so that the two nodes do not communicate. Digests are hexadecimal.
+/// A neighbour whose cell or keys differ, so that the two nodes do not communicate. Digests are hexadecimal.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RefusalFigures {
     /// The neighbour whose datagrams the node refused.
     pub neighbour: String,
-    /// `other_cell` or `other_statements`.
+    /// `other_cell`, `other_statements`, `other_keys` or `other_mode`.
     pub reason: String,
     /// This node's digest, which differs from the neighbour's.
     pub ours: String,
@@ -198,7 +198,20 @@ impl RefusalFigures {
     /// The message for people.
     pub fn words(&self, node: &str) -> String {
         let Self { neighbour, reason, ours, theirs } = self;
-        let what = if reason == "other_cell" { "declarations" } else { "statements" };
+        let what = match reason.as_str() {
+            "other_keys" => {
+                return format!(
+                    "node {node} and node {neighbour} do not talk: their keys differ; give both the files of one `imrs keygen`"
+                );
+            }
+            "other_mode" => {
+                return format!(
+                    "node {node} and node {neighbour} do not talk: one of them has keys and the other has none; start both with --keys, or both with --insecure"
+                );
+            }
+            "other_cell" => "declarations",
+            _ => "statements",
+        };
         format!(
             "node {node} and node {neighbour} do not talk: their {what} differ (digest {ours} here, {theirs} there); run the same cell file on both"
         )

@@ -49,9 +49,10 @@ impl Process {
         let one = |refusal: Refusal| {
             let (ours, theirs) = match refusal.why {
                 Refused::OtherCell => (link.digests().cell, refusal.theirs.cell),
-                Refused::OtherStatements | Refused::Misdelivered => {
-                    (link.digests().statements, refusal.theirs.statements)
-                }
+                Refused::OtherStatements
+                | Refused::Misdelivered
+                | Refused::OtherKeys
+                | Refused::OtherMode => (link.digests().statements, refusal.theirs.statements),
             };
             RefusalFigures {
                 neighbour: self.table.cell().nodes[refusal.node.index()].name.clone(),

@@ -10,7 +10,7 @@ pub mod udp;
 
 pub use crate::sync::lead::Came;
 use imrs_protocol::{Incarnation, NodeId, Packet, PacketError, Ticks};
-use imrs_wire::envelope::MAX_PACKETS;
+use imrs_wire::envelope::{EnvelopeError, MAX_PACKETS};
 use std::fmt;
 use std::time::{Duration, Instant};
 
@@ -194,13 +194,19 @@ pub enum LinkDiscard {
     UnprovenSession,
     /// The sender says that it refuses the datagrams of this node.
     RefusedByPeer,
+    /// Of a handshake that was closed with other keys.
+    OtherKeys,
+    /// Of a session with keys, or of an attempt at one, that this node does not have, or has no more.
+    StaleSession,
+    /// The keys of its session did not close it.
+    Forged,
     /// A packet inside a good envelope is not one of this cell.
     Packet(PacketError),
 }
 
 impl LinkDiscard {
     /// The names of all reasons, by [`index`](Self::index).
-    pub const NAMES: [&'static str; 19] = [
+    pub const NAMES: [&'static str; 22] = [
         "too_short",
         "not_imrs",
         "version",
@@ -220,6 +226,9 @@ impl LinkDiscard {
         "misdelivered",
         "unproven_session",
         "refused_by_peer",
+        "other_keys",
+        "stale_session",
+        "forged",
     ];
 
     /// The position of this reason in [`NAMES`](Self::NAMES), by which counters are kept.
@@ -245,6 +254,9 @@ impl LinkDiscard {
             Self::Misdelivered => 16,
             Self::UnprovenSession => 17,
             Self::RefusedByPeer => 18,
+            Self::OtherKeys => 19,
+            Self::StaleSession => 20,
+            Self::Forged => 21,
         }
     }
 
@@ -258,5 +270,23 @@ impl LinkDiscard {
 impl fmt::Display for LinkDiscard {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(self.name())
+    }
+}
+
+impl From<EnvelopeError> for LinkDiscard {
+    fn from(error: EnvelopeError) -> Self {
+        match error {
+            EnvelopeError::TooShort(_) => Self::TooShort,
+            EnvelopeError::NotImrs => Self::NotImrs,
+            EnvelopeError::Version(_) => Self::Version,
+            EnvelopeError::Mode(_) => Self::Mode,
+            EnvelopeError::Length(_) => Self::Length,
+            EnvelopeError::Checksum => Self::Checksum,
+            EnvelopeError::Purpose(_) => Self::Purpose,
+            EnvelopeError::OtherCell(_) => Self::OtherCell,
+            EnvelopeError::OtherStatements(_) => Self::OtherStatements,
+            EnvelopeError::Misdelivered(_) => Self::Misdelivered,
+            EnvelopeError::UnknownNode(_) => Self::UnknownNode,
+        }
     }
 }

@@ -3,6 +3,7 @@
 mod faults;
 mod flood;
 mod hostile;
+mod keys;
 mod mutated;
 mod network;
 mod rig;

@@ -1,5 +1,6 @@
 //! Builds a datagram from encoded packets.
 
+use super::keyed::{self, CLEAR_BYTES, INNER_BYTES, MAX_KEYED_BYTES, TAG_BYTES};
 use super::{
     CHECKSUM_BYTES, Digests, Envelope, HEADER_BYTES, MAX_DATAGRAM_BYTES, MAX_PACKETS, OVERHEAD_BYTES,
 };
@@ -12,11 +13,20 @@ pub struct Datagram {
     bytes: [u8; MAX_DATAGRAM_BYTES],
     /// At most [`MAX_PACKETS`].
     packets: u8,
+    /// What keys have closed.
+    closed: Option<Box<Closed>>,
+}
+
+#[derive(Clone, Debug)]
+struct Closed {
+    bytes: [u8; MAX_KEYED_BYTES],
+    /// Zero: the datagram was sealed without keys.
+    length: usize,
 }
 
 impl Default for Datagram {
     fn default() -> Self {
-        Self { bytes: [0; MAX_DATAGRAM_BYTES], packets: 0 }
+        Self { bytes: [0; MAX_DATAGRAM_BYTES], packets: 0, closed: None }
     }
 }
 
@@ -50,15 +60,44 @@ impl Datagram {
         if let Some(header) = self.bytes.first_chunk_mut() {
             envelope.emit(digests, self.packets, header);
         }
+        if let Some(closed) = &mut self.closed {
+            closed.length = 0;
+        }
         let checksum = CRC.checksum(&self.bytes[..end]).to_le_bytes();
         self.bytes[end..end + CHECKSUM_BYTES].copy_from_slice(&checksum);
         self.sealed()
     }
 
-    /// The bytes that [`seal`](Self::seal) returned. Valid until a packet is added or the packets are cleared.
+    /// Writes the header of mode 1, and lets a session close what follows: `close` encrypts its first argument into the second,
+    /// with a tag, and returns how many bytes that took. Returns the bytes to send. `index` is the receiver's of the session.
+    ///
+    /// # Errors
+    /// Those of `close`.
+    pub fn seal_keyed<E>(
+        &mut self,
+        envelope: &Envelope,
+        index: u32,
+        close: impl FnOnce(&[u8], &mut [u8]) -> Result<usize, E>,
+    ) -> Result<&[u8], E> {
+        const INNER_AT: usize = HEADER_BYTES - INNER_BYTES;
+        let end = self.end();
+        self.bytes[INNER_AT..HEADER_BYTES].copy_from_slice(&keyed::inner(envelope, self.packets));
+        let closed =
+            self.closed.get_or_insert_with(|| Box::new(Closed { bytes: [0; MAX_KEYED_BYTES], length: 0 }));
+        closed.bytes[..CLEAR_BYTES].copy_from_slice(&keyed::clear(index, envelope.counter));
+        let room = CLEAR_BYTES..CLEAR_BYTES + end - INNER_AT + TAG_BYTES;
+        let length = close(&self.bytes[INNER_AT..end], &mut closed.bytes[room])?;
+        closed.length = CLEAR_BYTES + length;
+        Ok(self.sealed())
+    }
+
+    /// The bytes that were sealed last. Valid until a packet is added or the packets are cleared.
     #[must_use]
     pub fn sealed(&self) -> &[u8] {
-        &self.bytes[..self.end() + CHECKSUM_BYTES]
+        match &self.closed {
+            Some(closed) if closed.length > 0 => &closed.bytes[..closed.length],
+            _ => &self.bytes[..self.end() + CHECKSUM_BYTES],
+        }
     }
 
     /// Where the checksum begins.

@@ -25,48 +25,58 @@ fn eight(h: &Header, at: usize) -> u64 {
     u64::from(four(h, at)) | u64::from(four(h, at + 4)) << 32
 }
 
+/// The purpose that the flags of a datagram and its extra byte say, whether its sender was restarted, and whether it has an echo.
+pub(super) fn purpose_of(flags: u8, extra: u8) -> Result<(Purpose, bool, bool), EnvelopeError> {
+    let flag = |flag: u8| flags & flag != 0;
+    let purpose = match flags & PURPOSE_MASK {
+        0 => Purpose::Packets,
+        1 => Purpose::Greeting(Greeting {
+            wants_answer: flag(FLAG_WANTS_ANSWER),
+            uncounted: flag(FLAG_UNCOUNTED),
+            remembers: flag(FLAG_REMEMBERS).then_some(Incarnation(extra)),
+        }),
+        2 => Purpose::Refusal(Refused::of(extra).ok_or(EnvelopeError::Purpose(flags))?),
+        _ => return Err(EnvelopeError::Purpose(flags)),
+    };
+    Ok((purpose, flag(FLAG_RESTARTED), flag(FLAG_ECHO)))
+}
+
+/// The flags of a datagram, and its extra byte.
+pub(super) fn flags_of(envelope: &Envelope) -> (u8, u8) {
+    let flag = |flag: u8, is_set: bool| if is_set { flag } else { 0 };
+    let (purpose, extra) = match envelope.purpose {
+        Purpose::Packets => (0, 0),
+        Purpose::Greeting(Greeting { wants_answer, uncounted, remembers }) => {
+            let flags = flag(FLAG_WANTS_ANSWER, wants_answer)
+                | flag(FLAG_UNCOUNTED, uncounted)
+                | flag(FLAG_REMEMBERS, remembers.is_some());
+            (1 | flags, remembers.map_or(0, |of| of.0))
+        }
+        Purpose::Refusal(reason) => (2, reason as u8),
+    };
+    let flags = flag(FLAG_ECHO, envelope.echo.is_some()) | flag(FLAG_RESTARTED, envelope.restarted);
+    (purpose | flags, extra)
+}
+
 impl Envelope {
     pub(super) fn parse(h: &Header) -> Result<Self, EnvelopeError> {
-        let flag = |flag: u8| h[17] & flag != 0;
-        let purpose = match h[17] & PURPOSE_MASK {
-            0 => Purpose::Packets,
-            1 => Purpose::Greeting(Greeting {
-                wants_answer: flag(FLAG_WANTS_ANSWER),
-                uncounted: flag(FLAG_UNCOUNTED),
-                remembers: flag(FLAG_REMEMBERS).then_some(Incarnation(h[19])),
-            }),
-            2 => {
-                let reason = Refused::ALL.get(usize::from(h[19])).copied();
-                Purpose::Refusal(reason.ok_or(EnvelopeError::Purpose(h[17]))?)
-            }
-            _ => return Err(EnvelopeError::Purpose(h[17])),
-        };
+        let (purpose, restarted, has_echo) = purpose_of(h[17], h[19])?;
         let echo = Echo { session: Session(eight(h, 28)), mono: eight(h, 52) };
         Ok(Self {
             sender: NodeId(u16::from_le_bytes([h[12], h[13]])),
             receiver: NodeId(u16::from_le_bytes([h[14], h[15]])),
             incarnation: Incarnation(h[16]),
-            restarted: flag(FLAG_RESTARTED),
+            restarted,
             session: Session(eight(h, 20)),
             counter: eight(h, 36) % COUNTER_END,
             tx_mono: eight(h, 44),
-            echo: flag(FLAG_ECHO).then_some(echo),
+            echo: has_echo.then_some(echo),
             purpose,
         })
     }
 
     pub(super) fn emit(&self, digests: Digests, count: u8, h: &mut Header) {
-        let flag = |flag: u8, is_set: bool| if is_set { flag } else { 0 };
-        let (purpose, extra) = match self.purpose {
-            Purpose::Packets => (0, 0),
-            Purpose::Greeting(Greeting { wants_answer, uncounted, remembers }) => {
-                let flags = flag(FLAG_WANTS_ANSWER, wants_answer)
-                    | flag(FLAG_UNCOUNTED, uncounted)
-                    | flag(FLAG_REMEMBERS, remembers.is_some());
-                (1 | flags, remembers.map_or(0, |of| of.0))
-            }
-            Purpose::Refusal(reason) => (2, reason as u8),
-        };
+        let (flags, extra) = flags_of(self);
         h[..2].copy_from_slice(&MAGIC);
         h[2] = VERSION;
         h[3] = MODE_CHECKSUM;
@@ -75,7 +85,7 @@ impl Envelope {
         h[12..14].copy_from_slice(&self.sender.0.to_le_bytes());
         h[14..16].copy_from_slice(&self.receiver.0.to_le_bytes());
         h[16] = self.incarnation.0;
-        h[17] = purpose | flag(FLAG_ECHO, self.echo.is_some()) | flag(FLAG_RESTARTED, self.restarted);
+        h[17] = flags;
         h[COUNT_AT] = count;
         h[19] = extra;
         h[20..28].copy_from_slice(&self.session.0.to_le_bytes());

@@ -3,7 +3,7 @@
 //! ```text
 //!  0..2   magic 9d 4d
 //!  2      version of the envelope: 2
-//!  3      mode: how it is closed (0 checksum, 1 reserved for keys); the layout from here on is the mode's
+//!  3      mode: how it is closed (0 checksum, 1 keys: see [`keyed`]); the layout from here on is the mode's
 //!
 //!         mode 0, checksum (the `--insecure` mode), little endian:
 //!  4..8   digest of the cell's declarations
@@ -28,8 +28,8 @@
 //! ```
 //!
 //! A greeting or a refusal takes 64 bytes; each packet adds 32. The maximum of 44 packets makes 1472 bytes, which fit
-//! an Ethernet frame under IPv4. 36 packets make 1216 bytes; every IPv6 network carries 1232. Every mode has the same
-//! [`OVERHEAD_BYTES`]: the mode with keys has a header of 48 bytes and a tag of 16.
+//! an Ethernet frame under IPv4. 36 packets make 1216 bytes; every IPv6 network carries 1232. With keys a datagram is 12 bytes
+//! shorter.
 //!
 //! The packets' own checksum uses another polynomial, because two nested checksums of one polynomial detect no more
 //! errors than one. The outer one detects up to five flipped bits in the longest datagram (a test computes this),
@@ -43,6 +43,7 @@
 mod datagram;
 mod error;
 mod header;
+pub mod keyed;
 mod window;
 
 pub use datagram::Datagram;
@@ -59,7 +60,7 @@ pub const MAGIC: [u8; 2] = [0x9d, 0x4d];
 pub const VERSION: u8 = 2;
 /// The most packets in one datagram.
 pub const MAX_PACKETS: usize = 44;
-/// Bytes that an envelope adds to its packets, in every mode.
+/// Bytes that an envelope adds to its packets, in mode 0.
 pub const OVERHEAD_BYTES: usize = HEADER_BYTES + CHECKSUM_BYTES;
 /// The shortest datagram: no packet.
 pub const MIN_DATAGRAM_BYTES: usize = OVERHEAD_BYTES;
@@ -71,7 +72,7 @@ pub const COUNTER_END: u64 = 1 << 56;
 const HEADER_BYTES: usize = 60;
 const CHECKSUM_BYTES: usize = 4;
 const MODE_CHECKSUM: u8 = 0;
-/// The mode with keys. Reserved: no node speaks it yet.
+/// The mode with keys.
 pub const MODE_KEYS: u8 = 1;
 
 /// The digests that must be equal on two nodes before they talk.
@@ -162,10 +163,21 @@ pub enum Refused {
     OtherStatements,
     /// The datagram names another receiver.
     Misdelivered,
+    /// The two have other keys: of the cell, or of one of the nodes.
+    OtherKeys,
+    /// One of the two has keys, and the other has none.
+    OtherMode,
 }
 
 impl Refused {
-    const ALL: [Self; 3] = [Self::OtherCell, Self::OtherStatements, Self::Misdelivered];
+    const ALL: [Self; 5] =
+        [Self::OtherCell, Self::OtherStatements, Self::Misdelivered, Self::OtherKeys, Self::OtherMode];
+
+    /// The reason with this number on the wire.
+    #[must_use]
+    pub fn of(number: u8) -> Option<Self> {
+        Self::ALL.get(usize::from(number)).copied()
+    }
 
     /// A short name for tables and counters.
     #[must_use]
@@ -174,6 +186,8 @@ impl Refused {
             Self::OtherCell => "other_cell",
             Self::OtherStatements => "other_statements",
             Self::Misdelivered => "misdelivered",
+            Self::OtherKeys => "other_keys",
+            Self::OtherMode => "other_mode",
         }
     }
 }

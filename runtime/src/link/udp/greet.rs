@@ -1,12 +1,15 @@
 //! Greetings and refusals: datagrams without packets, in which nodes introduce themselves (D144, D145).
 
+use super::keyed::Closing;
 use super::peer::{Heard, Peer, Refusal};
 use super::statistics::UdpCount;
 use super::{NotANeighbour, UdpLink};
-use crate::link::{Link, LinkDiscard, Sink};
+use crate::link::{Link, LinkBusy, LinkDiscard, Sink};
 use crate::lock::lock;
 use imrs_protocol::{Incarnation, NodeId, Packet, Ticks};
-use imrs_wire::envelope::{Digests, EnvelopeError, Greeting, Opened, Purpose, Refused, without_packets};
+use imrs_wire::envelope::{
+    Datagram, Digests, Envelope, EnvelopeError, Greeting, Opened, Purpose, Refused, without_packets,
+};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -62,7 +65,10 @@ impl UdpLink {
         self.uncounted.store(true, Ordering::Release);
         let end = Instant::now() + within;
         let is_silent = |peer: &&Peer| {
-            lock(&peer.route).is_some() && lock(&peer.remembers).is_none() && lock(&peer.refusal).is_none()
+            // Who has no keys can claim that the keys differ.
+            let hint = |refusal: Refusal| matches!(refusal.why, Refused::OtherKeys | Refused::OtherMode);
+            let talks = lock(&peer.refusal).is_none_or(hint);
+            lock(&peer.route).is_some() && lock(&peer.remembers).is_none() && talks
         };
         let mut ask_at = Instant::now();
         while Instant::now() < end && self.peers.iter().any(|peer| is_silent(&peer)) {
@@ -122,12 +128,37 @@ impl UdpLink {
         let envelope = self.envelope(peer, Instant::now(), heard, purpose);
         let count =
             if let Purpose::Refusal(_) = purpose { UdpCount::RefusalsSent } else { UdpCount::GreetingsSent };
-        if self.transmit(&without_packets(&envelope, self.digests()), route).is_ok() {
+        let mut outgoing = lock(&peer.outgoing);
+        let sent = match self.closing(peer, route, outgoing.counter) {
+            Ok(Closing::Checksum) => self.transmit(&without_packets(&envelope, self.digests()), route),
+            Ok(Closing::Keys(live)) => {
+                let (envelope, mut bare) =
+                    (Envelope { counter: outgoing.counter, ..envelope }, Datagram::default());
+                outgoing.counter += 1;
+                live.seal(&mut bare, &envelope)
+                    .map_err(std::io::Error::other)
+                    .and_then(|()| self.transmit(bare.sealed(), route))
+            }
+            // Once there is a session, the neighbour is greeted.
+            Err(LinkBusy) => return,
+        };
+        drop(outgoing);
+        if sent.is_ok() {
             self.statistics.add(count, 1);
         }
     }
 
-    /// The neighbour that sent a datagram, if the two nodes can communicate. Otherwise both sides learn why they cannot.
+    /// This node's clock as the sender knew it, if it is of this session.
+    pub(super) fn own_echo(&self, envelope: &Envelope) -> Option<u64> {
+        envelope.echo.filter(|echo| echo.session == self.session).map(|echo| echo.mono)
+    }
+
+    /// An instant before the datagram was sent, if its echo proves one. An echo from the future proves none.
+    pub(super) fn sent_after(&self, envelope: &Envelope, at: u64) -> Option<u64> {
+        self.own_echo(envelope).filter(|&echo| echo <= at)
+    }
+
+    /// The neighbour that sent a datagram, if the two can talk. Otherwise both sides learn why not.
     pub(super) fn sender_of(&self, opened: &Opened<'_>) -> Result<&Peer, LinkDiscard> {
         let sender = self.peer(opened.envelope.sender);
         if let (Purpose::Refusal(why), Some((_, peer)), true) =
@@ -157,8 +188,8 @@ impl UdpLink {
         sender.map(|(_, peer)| peer).ok_or(LinkDiscard::UnknownNode)
     }
 
-    fn note_refusal(&self, peer: &Peer, why: Refused, theirs: Digests, here: bool) {
-        // One misdelivered datagram says nothing about the two nodes.
+    pub(super) fn note_refusal(&self, peer: &Peer, why: Refused, theirs: Digests, here: bool) {
+        // One misdelivered datagram says nothing of the two nodes.
         if why == Refused::Misdelivered {
             return;
         }

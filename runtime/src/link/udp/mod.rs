@@ -9,14 +9,16 @@
 //! the time for its whole hop that the clocks in the envelopes show (`delay`). So neither a stopped receiver nor a sender
 //! that was stopped between its clock and `sendto` can make an old packet look young.
 //!
-//! Addresses come only from the address book, never from traffic. A datagram is judged by its content (digests, sender,
-//! receiver, session, counter), not by its source address: a neighbour behind another port is heard, but no sender can
-//! redirect this node's datagrams to itself. In the envelope's checksum mode this keeps out accidents, not attackers: a
-//! process that reaches the socket can forge datagrams.
+//! Addresses come only from the address book, never from traffic. A datagram is judged by its content (digests, sender, receiver,
+//! session, counter), not by its source address: a neighbour behind another port is heard, but no sender draws traffic to itself.
+//! In the envelope's checksum mode this keeps out accidents, not attackers: a process that reaches the socket can forge datagrams.
+//! With keys ([`UdpLink::with_keys`]) it keeps out both (D196).
 
 mod delay;
 mod greet;
 mod inbound;
+mod keyed;
+pub mod keys;
 mod options;
 mod peer;
 mod receive;
@@ -65,7 +67,11 @@ pub struct UdpLink {
     /// Whether the node does not know its incarnation yet, so that it asks its neighbours.
     uncounted: AtomicBool,
     session: Session,
-    /// The socket that was bound first. It gets all datagrams that no neighbour's socket gets.
+    /// Whether keys close the datagrams.
+    has_keys: bool,
+    /// Whether a neighbour was asked for a session and has not answered, as far as is known.
+    knocks: AtomicBool,
+    /// The socket that was bound first. It receives what no neighbour's socket receives.
     strangers: Arc<Inbound>,
     /// The options of every receiving socket.
     asked: Asked,
@@ -140,6 +146,8 @@ impl UdpLink {
             identity: AtomicU16::new(identity(options.incarnation, options.restarted)),
             uncounted: AtomicBool::new(false),
             session: new_session(),
+            has_keys: false,
+            knocks: AtomicBool::new(false),
             local,
             segments,
             leader,
@@ -250,33 +258,13 @@ impl UdpLink {
         }
     }
 
-    /// The socket that sends to a neighbour.
-    fn sending(&self, route: &Route) -> Arc<Inbound> {
-        Arc::clone(route.connected.as_ref().unwrap_or(&self.strangers))
-    }
-
-    /// Whether the kernel takes a datagram for a neighbour, as far as is known.
-    fn takes(&self, peer: &Peer, route: &Route) -> bool {
-        if peer.full.load(Ordering::Acquire) && socket::takes(&self.sending(route).socket) {
-            peer.full.store(false, Ordering::Release);
-        }
-        !peer.full.load(Ordering::Acquire)
-    }
-
-    /// The sending sockets that were found full.
-    fn full(&self) -> Vec<Arc<Inbound>> {
-        let full = self.peers.iter().filter(|peer| peer.full.load(Ordering::Acquire));
-        full.filter_map(|peer| lock(&peer.route).as_ref().map(|route| self.sending(route))).collect()
-    }
-
-    /// Waits for a datagram or a wake-up. If the kernel took no more datagrams for a neighbour, this also waits until it may
-    /// take some, and then returns `None`.
+    /// Waits for a datagram, for a wake-up or, if the kernel took no more for a neighbour, until it may: then returns `None`.
     fn wait(&self, until: Option<Instant>) -> io::Result<Option<Seen>> {
         loop {
-            let rest = self.end_of_rest();
-            let seen = self.wait_once(until.into_iter().chain(rest).min())?;
+            let pause = [self.end_of_rest(), self.knock()].into_iter().flatten().min();
+            let seen = self.wait_once(until.into_iter().chain(pause).min())?;
             let is_over = || until.is_some_and(|until| until <= Instant::now());
-            if !matches!(seen, Some(Seen::TimedOut)) || rest.is_none() || is_over() {
+            if !matches!(seen, Some(Seen::TimedOut)) || pause.is_none() || is_over() {
                 return Ok(seen);
             }
         }
@@ -372,7 +360,9 @@ impl Leading for UdpLink {
 impl Link for UdpLink {
     fn ready(&self, next: NodeId) -> bool {
         let Some((_, peer)) = self.peer(next) else { return false };
-        lock(&peer.route).as_ref().is_some_and(|route| self.takes(peer, route))
+        lock(&peer.route)
+            .as_mut()
+            .is_some_and(|route| self.takes(peer, route) && self.closing(peer, route, 0).is_ok())
     }
 
     fn at_once(&self) -> usize {

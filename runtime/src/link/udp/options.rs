@@ -57,6 +57,12 @@ pub enum UdpError {
     /// The means to wait in the socket and to end such waits (epoll, eventfd) cannot be made.
     #[error("cannot make an epoll or an eventfd: {0}")]
     Wake(io::Error),
+    /// The keys lack the public key of a neighbour.
+    #[error("there is no public key of node {0}, which is a neighbour")]
+    NoKey(NodeId),
+    /// No keys of sessions can be made.
+    #[error("the system gives no random numbers")]
+    NoRandom,
 }
 
 /// The node is not a neighbour: the cell declares no link to it.

@@ -2,10 +2,11 @@
 
 use super::delay::DRIFT_PPM;
 use super::inbound::Inbound;
+use super::keys::Channel;
 use super::session::Known;
 use super::socket::set_segment;
 use imrs_protocol::{Incarnation, NodeId, Ticks};
-use imrs_wire::envelope::{Datagram, Digests, Echo, MAX_DATAGRAM_BYTES, Refused, Session, supersedes};
+use imrs_wire::envelope::{Datagram, Digests, Echo, Refused, Session, supersedes};
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU16, Ordering};
 use std::sync::{Arc, Mutex};
@@ -41,6 +42,8 @@ pub(super) struct Peer {
     /// Whether `refusal` has a value.
     pub(super) is_refused: AtomicBool,
     pub(super) pace: Mutex<Pace>,
+    /// The sessions with keys, if the link has keys. Locked last, and for as long as no datagram is sent or taken in.
+    pub(super) channel: Mutex<Option<Channel>>,
 }
 
 /// The datagrams that are being built for a neighbour, and the counter of the first.
@@ -96,12 +99,12 @@ impl Route {
         Self { address, connected, segments }
     }
 
-    /// The socket that cuts the data of a send into full datagrams, if the kernel does that on this route. The option is set
-    /// on the socket and not with each call, because it does not change sends that fit into one datagram.
-    pub(super) fn segmenting(&mut self) -> Option<&UdpSocket> {
+    /// The socket that cuts what it sends into datagrams of `full` bytes, if the kernel does that on this route. The option is set on the
+    /// socket, not with each call, because it does not touch what fits into one datagram.
+    pub(super) fn segmenting(&mut self, full: usize) -> Option<&UdpSocket> {
         let socket = &self.connected.as_deref()?.socket;
         if self.segments == Segments::NotYet {
-            let asked = set_segment(socket, MAX_DATAGRAM_BYTES);
+            let asked = set_segment(socket, full);
             self.segments = asked.map_or(Segments::Refused, |()| Segments::Cut);
         }
         (self.segments == Segments::Cut).then_some(socket)
@@ -135,6 +138,7 @@ impl Peer {
             refusal: Mutex::default(),
             is_refused: AtomicBool::new(false),
             pace: Mutex::default(),
+            channel: Mutex::default(),
         }
     }
 
@@ -181,12 +185,16 @@ impl Heard {
 pub(super) struct Pace {
     /// When the present span began, and how many greetings left in it.
     greetings: (u64, u32),
+    /// The same for answers in handshakes.
+    answers: (u64, u32),
     /// When the last refusal left.
     refused: Option<u64>,
 }
 
 /// How many greetings leave in one [`SPAN`], at most.
 const GREETINGS: u32 = 8;
+/// How many answers in handshakes leave in one [`SPAN`], at most: a repeated question gets one.
+const ANSWERS: u32 = 64;
 /// The length of a span, in microseconds.
 const SPAN: u64 = 50_000;
 /// The least time between two refusals, in microseconds.
@@ -195,11 +203,20 @@ const REFUSE_EVERY: u64 = 200_000;
 impl Pace {
     /// Whether one more greeting may leave now.
     pub(super) fn greets(&mut self, now: u64) -> bool {
-        if now.saturating_sub(self.greetings.0) >= SPAN {
-            self.greetings = (now, 0);
+        Self::leaves(&mut self.greetings, GREETINGS, now)
+    }
+
+    /// Whether one more answer in a handshake may leave now.
+    pub(super) fn answers(&mut self, now: u64) -> bool {
+        Self::leaves(&mut self.answers, ANSWERS, now)
+    }
+
+    fn leaves((begun, count): &mut (u64, u32), most: u32, now: u64) -> bool {
+        if now.saturating_sub(*begun) >= SPAN {
+            (*begun, *count) = (now, 0);
         }
-        self.greetings.1 += 1;
-        self.greetings.1 <= GREETINGS
+        *count += 1;
+        *count <= most
     }
 
     /// Whether a refusal may leave now.

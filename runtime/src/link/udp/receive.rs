@@ -2,6 +2,7 @@
 
 use super::UdpLink;
 use super::inbound::{Inbound, Queue};
+use super::keys::Live;
 use super::peer::{Heard, Peer};
 use super::send::SEGMENTS;
 use super::session::{Contact, Known, admit, judge};
@@ -13,8 +14,10 @@ use crate::link::residency::{Evidence, Reading, residency};
 use crate::link::{LinkDiscard, Sink};
 use crate::lock::lock;
 use imrs_protocol::{Kind, NodeId, Packet, Ticks};
-use imrs_wire::envelope::{self, Envelope, EnvelopeError, Greeting, MAX_PACKETS, Purpose};
+use imrs_wire::envelope::keyed::MAX_KEYED_BYTES;
+use imrs_wire::envelope::{self, Envelope, Greeting, MAX_PACKETS, Opened, Purpose};
 use std::io;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// After how many datagrams of one socket a poll turns to the other sockets, and to the other work of its thread.
@@ -45,12 +48,15 @@ pub(super) struct Room {
     receiver: Receiver,
     /// The packets of one receive call. It has room for as many as leave in one call, and keeps that room.
     decoded: Vec<Packet>,
+    /// What keys have opened.
+    plain: Box<[u8]>,
 }
 
 impl Room {
     pub(super) fn new(asked: Asked) -> Self {
         let receiver = Receiver::new(asked.stamped, asked.merges);
-        Self { receiver, decoded: Vec::with_capacity(MAX_PACKETS * SEGMENTS) }
+        let plain = vec![0; MAX_KEYED_BYTES].into();
+        Self { receiver, decoded: Vec::with_capacity(MAX_PACKETS * SEGMENTS), plain }
     }
 }
 
@@ -107,9 +113,8 @@ impl UdpLink {
         most: usize,
         sink: &dyn Sink,
     ) -> Taken {
-        let Room { receiver, decoded } = room;
-        // The clocks are read before the socket is checked. If the socket turns out to be empty, it was empty after this
-        // reading.
+        let Room { receiver, decoded, plain } = room;
+        // Read before the socket is checked: if the socket turns out to be empty, it was empty after this reading.
         let mut before = if most > 1 { Reading::take() } else { queue.last };
         let (mut taken, mut errors) = (Taken::default(), 0);
         while taken.count < most && errors < BATCH {
@@ -123,6 +128,7 @@ impl UdpLink {
                         now,
                         waited,
                         decoded,
+                        plain,
                         of: None,
                         greetings: 0,
                         admitted: 0,
@@ -189,6 +195,7 @@ struct Together<'a> {
     waited: Ticks,
     /// Decoded packets that were not handed to the sink yet.
     decoded: &'a mut Vec<Packet>,
+    plain: &'a mut Box<[u8]>,
     /// The sender of these packets, and their charge.
     of: Option<(NodeId, Ticks)>,
     /// How many of the datagrams were greetings.
@@ -222,13 +229,31 @@ impl Together<'_> {
     }
 
     fn take(&mut self, bytes: &[u8]) -> Result<(), LinkDiscard> {
+        if !self.link.has_keys() {
+            let opened = envelope::read(bytes).inspect_err(|_| self.link.hint_at_keys(bytes))?;
+            return self.take_opened(&opened, None);
+        }
+        let mut room = std::mem::take(self.plain);
+        let taken = match self.link.unlock(bytes, &mut room) {
+            Ok(Some((opened, live))) => self.take_opened(&opened, live.as_ref()),
+            Ok(None) => {
+                self.greetings += 1;
+                Ok(())
+            }
+            Err(reason) => Err(reason),
+        };
+        *self.plain = room;
+        taken
+    }
+
+    /// Takes in an intact datagram. `by`: the session with keys that has closed it.
+    fn take_opened(&mut self, opened: &Opened<'_>, by: Option<&Arc<Live>>) -> Result<(), LinkDiscard> {
         let link = self.link;
-        let opened = envelope::read(bytes)?;
-        let peer = link.sender_of(&opened)?;
+        let peer = link.sender_of(opened)?;
         let (envelope, at) = (&opened.envelope, link.micros(self.now.after) + 1);
         if let Purpose::Greeting(greeting) = envelope.purpose {
             self.greetings += 1;
-            self.greeted(peer, (envelope, greeting), at);
+            self.greeted(peer, (envelope, greeting), at, by);
             return Ok(());
         }
         if self.decoded.len() + opened.packets.len() > self.decoded.capacity() {
@@ -236,7 +261,9 @@ impl Together<'_> {
         }
         let one_way = || lock(&peer.route).is_none();
         let mut known = lock(&peer.known);
-        let judged = judge(known.as_ref(), envelope, link.sent_after(envelope, at), one_way);
+        let sent_after =
+            link.proof(peer, known.as_ref(), envelope, by).or_else(|| link.sent_after(envelope, at));
+        let judged = judge(known.as_ref(), envelope, sent_after, one_way);
         let contact = judged.map_err(|unheard| {
             if unheard.asks {
                 link.statistics.add(UdpCount::EchoesAsked, 1);
@@ -308,8 +335,14 @@ impl Together<'_> {
         known.delay.arrived(envelope.tx_mono, echo, at)
     }
 
-    /// Takes a greeting. It changes what is known of its sender only if its echo proves when it was sent.
-    fn greeted(&mut self, peer: &Peer, (envelope, greeting): (&Envelope, Greeting), at: u64) {
+    /// Takes a greeting in. It changes what is known of its sender only if its echo proves when it was sent.
+    fn greeted(
+        &mut self,
+        peer: &Peer,
+        (envelope, greeting): (&Envelope, Greeting),
+        at: u64,
+        by: Option<&Arc<Live>>,
+    ) {
         let link = self.link;
         link.statistics.add(UdpCount::GreetingsReceived, 1);
         let sent_after = link.sent_after(envelope, at);
@@ -317,6 +350,7 @@ impl Together<'_> {
             *lock(&peer.remembers) = Some(greeting.remembers);
         }
         let mut known = lock(&peer.known);
+        let sent_after = link.proof(peer, known.as_ref(), envelope, by).or(sent_after);
         let judged = judge(known.as_ref(), envelope, sent_after, || false);
         let contact = judged.ok().filter(|_| sent_after.is_some() && !greeting.uncounted);
         let is_new = matches!(contact, Some(Contact::New { .. }));
@@ -352,16 +386,6 @@ const fn heard(envelope: &Envelope, at: u64) -> Heard {
 }
 
 impl UdpLink {
-    /// This node's clock as the sender last knew it; `None` if that was the clock of another session.
-    fn own_echo(&self, envelope: &Envelope) -> Option<u64> {
-        envelope.echo.filter(|echo| echo.session == self.session).map(|echo| echo.mono)
-    }
-
-    /// An instant before the datagram was sent, if its echo proves one. An echo from the future proves nothing.
-    fn sent_after(&self, envelope: &Envelope, at: u64) -> Option<u64> {
-        self.own_echo(envelope).filter(|&echo| echo <= at)
-    }
-
     /// Learns a neighbour's incarnation from a packet that another node relays for it.
     fn remember_source(&self, sender: NodeId, packet: &Packet) {
         if !matches!(packet.kind, Kind::Send | Kind::Query | Kind::Arrive) {
@@ -370,24 +394,6 @@ impl UdpLink {
         let source = self.table.location(packet.source).filter(|&source| source != sender);
         if let Some((_, peer)) = source.and_then(|source| self.peer(source)) {
             peer.remember(packet.id.incarnation);
-        }
-    }
-}
-
-impl From<EnvelopeError> for LinkDiscard {
-    fn from(error: EnvelopeError) -> Self {
-        match error {
-            EnvelopeError::TooShort(_) => Self::TooShort,
-            EnvelopeError::NotImrs => Self::NotImrs,
-            EnvelopeError::Version(_) => Self::Version,
-            EnvelopeError::Mode(_) => Self::Mode,
-            EnvelopeError::Length(_) => Self::Length,
-            EnvelopeError::Checksum => Self::Checksum,
-            EnvelopeError::Purpose(_) => Self::Purpose,
-            EnvelopeError::OtherCell(_) => Self::OtherCell,
-            EnvelopeError::OtherStatements(_) => Self::OtherStatements,
-            EnvelopeError::Misdelivered(_) => Self::Misdelivered,
-            EnvelopeError::UnknownNode(_) => Self::UnknownNode,
         }
     }
 }

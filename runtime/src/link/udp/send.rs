@@ -1,15 +1,19 @@
 //! Sends packets: from the transit buffer to the socket.
 
 use super::UdpLink;
+use super::inbound::Inbound;
+use super::keyed::Closing;
 use super::peer::{Heard, Outgoing, Peer, Route};
 use super::socket;
 use super::statistics::UdpCount;
 use crate::link::LinkBusy;
 use crate::lock::lock;
 use imrs_protocol::Packet;
-use imrs_wire::envelope::{Datagram, Envelope, MAX_PACKETS, Purpose};
+use imrs_wire::envelope::keyed::MAX_KEYED_BYTES;
+use imrs_wire::envelope::{Datagram, Envelope, MAX_DATAGRAM_BYTES, MAX_PACKETS, Purpose};
 use rustix::io::Errno;
 use std::io::{self, IoSlice};
+use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
@@ -30,6 +34,7 @@ impl UdpLink {
     ) -> Result<usize, LinkBusy> {
         let first = self.envelope(peer, at, *lock(&peer.heard), Purpose::Packets);
         let Outgoing { counter, datagrams } = &mut *lock(&peer.outgoing);
+        let closing = self.closing(peer, route, *counter)?;
         let count = packets.len().div_ceil(MAX_PACKETS);
         if datagrams.len() < count {
             datagrams.resize_with(count, Datagram::default);
@@ -44,7 +49,11 @@ impl UdpLink {
                 datagram.push(&packet.encode(self.table.digest(), hash));
             }
             let envelope = Envelope { counter: *counter + number as u64, ..first };
-            datagram.seal(&envelope, digests);
+            match &closing {
+                Closing::Checksum => drop(datagram.seal(&envelope, digests)),
+                // Fails only for what is longer than any datagram.
+                Closing::Keys(live) => live.seal(datagram, &envelope).map_err(|_| LinkBusy)?,
+            }
         }
         let left = self.leave(peer, route, &datagrams[..count]);
         // The counters of datagrams that the kernel did not take are used up, too, because a part of a failed call may have
@@ -120,6 +129,25 @@ impl UdpLink {
         LinkBusy
     }
 
+    /// The socket that sends to a neighbour.
+    pub(super) fn sending(&self, route: &Route) -> Arc<Inbound> {
+        Arc::clone(route.connected.as_ref().unwrap_or(&self.strangers))
+    }
+
+    /// Whether the kernel takes a datagram for a neighbour, as far as is known.
+    pub(super) fn takes(&self, peer: &Peer, route: &Route) -> bool {
+        if peer.full.load(Ordering::Acquire) && socket::takes(&self.sending(route).socket) {
+            peer.full.store(false, Ordering::Release);
+        }
+        !peer.full.load(Ordering::Acquire)
+    }
+
+    /// The sockets that were found full.
+    pub(super) fn full(&self) -> Vec<Arc<Inbound>> {
+        let full = self.peers.iter().filter(|peer| peer.full.load(Ordering::Acquire));
+        full.filter_map(|peer| lock(&peer.route).as_ref().map(|route| self.sending(route))).collect()
+    }
+
     /// Hands a datagram to the kernel.
     pub(super) fn transmit(&self, bytes: &[u8], route: &mut Route) -> io::Result<()> {
         if let Some(connected) = &route.connected {
@@ -134,7 +162,8 @@ impl UdpLink {
 
     /// Hands datagrams to the kernel in one call, all of one length except the last: all of them leave, or none.
     fn transmit_segmented(&self, datagrams: &[Datagram], route: &mut Route) -> io::Result<()> {
-        let Some(socket) = route.segmenting() else { return Err(io::ErrorKind::Unsupported.into()) };
+        let full = if self.has_keys { MAX_KEYED_BYTES } else { MAX_DATAGRAM_BYTES };
+        let Some(socket) = route.segmenting(full) else { return Err(io::ErrorKind::Unsupported.into()) };
         let slices: [IoSlice<'_>; SEGMENTS] = std::array::from_fn(|number| {
             IoSlice::new(datagrams.get(number).map_or(&[], |datagram| datagram.sealed()))
         });

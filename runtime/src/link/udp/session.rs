@@ -20,7 +20,7 @@ use imrs_wire::envelope::{Envelope, Purpose, ReplayWindow, Session, supersedes};
 /// The session of a neighbour from which datagrams are accepted, as the receiving threads know it. Times are of this node's
 /// clock.
 pub(super) struct Known {
-    session: Session,
+    pub(super) session: Session,
     incarnation: Incarnation,
     window: ReplayWindow,
     /// When the datagram with the newest counter came.

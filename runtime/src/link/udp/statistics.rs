@@ -78,6 +78,10 @@ counts! {
     RefusalsSent = "refusals_sent",
     /// Packets that came before the node began, and were dropped.
     BeforeStart = "before_start",
+    /// Datagrams of handshakes sent: questions for a session with keys, and their answers.
+    HandshakesSent = "handshakes_sent",
+    /// Sessions with keys that this node asked for and got.
+    SessionsMade = "sessions_made",
 }
 
 impl UdpCount {

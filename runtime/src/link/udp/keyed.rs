@@ -1,0 +1,237 @@
+//! A link whose datagrams are closed by keys (D196): what of the sessions concerns sockets, clocks and threads.
+
+use super::keys::{Answer, Channel, Live, NoRandom, NodeKeys};
+use super::peer::{Peer, Route};
+use super::session::Known;
+use super::statistics::UdpCount;
+use super::{UdpError, UdpLink};
+use crate::link::{LinkBusy, LinkDiscard};
+use crate::lock::lock;
+use imrs_protocol::NodeId;
+use imrs_wire::envelope::keyed::{self, Handshake, Keyed};
+use imrs_wire::envelope::{Digests, Envelope, Greeting, Opened, Refused};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+/// How often the polling thread looks whether an attempt at a session has failed.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
+/// What closes a datagram.
+pub(super) enum Closing {
+    Checksum,
+    Keys(Arc<Live>),
+}
+
+/// A datagram that is one of this link, and the session that it came by.
+pub(super) type Unlocked<'a> = (Opened<'a>, Option<Arc<Live>>);
+
+impl UdpLink {
+    /// From now on every datagram is closed by these keys, and no other is heard: a forged, changed or repeated one changes
+    /// nothing. Neighbours need keys of the same cell. Call it before the link is used.
+    ///
+    /// # Errors
+    /// [`UdpError::NoKey`] without the public key of a neighbour, [`UdpError::NoRandom`] if the system gives no random numbers.
+    pub fn with_keys(mut self, keys: &NodeKeys) -> Result<Self, UdpError> {
+        let (digests, session, me) = (self.digests(), self.session, self.table.node);
+        for (place, peer) in self.peers.iter_mut().enumerate() {
+            let place = u16::try_from(place).unwrap_or(u16::MAX);
+            let channel = Channel::new(keys, (me, peer.node), session, digests, place);
+            let channel = channel.map_err(|NoRandom| UdpError::NoRandom)?;
+            *peer.channel.get_mut().unwrap_or_else(std::sync::PoisonError::into_inner) =
+                Some(channel.ok_or(UdpError::NoKey(peer.node))?);
+        }
+        self.has_keys = true;
+        Ok(self)
+    }
+
+    /// Whether keys close the datagrams.
+    #[must_use]
+    pub const fn has_keys(&self) -> bool {
+        self.has_keys
+    }
+
+    /// What closes the next datagram to a neighbour. If that takes a session and there is none, or an old one, the neighbour is
+    /// asked for one, by the polling thread again and again.
+    ///
+    /// # Errors
+    /// There is no session yet.
+    pub(super) fn closing(&self, peer: &Peer, route: &mut Route, counter: u64) -> Result<Closing, LinkBusy> {
+        let closing = self.asked_closing(peer, route, counter);
+        if closing.is_none() && !self.knocks.swap(true, Ordering::AcqRel) {
+            self.polling.wake().wake();
+        }
+        closing.ok_or(LinkBusy)
+    }
+
+    /// As [`closing`](Self::closing), but the question is not repeated.
+    fn asked_closing(&self, peer: &Peer, route: &mut Route, counter: u64) -> Option<Closing> {
+        if !self.has_keys {
+            return Some(Closing::Checksum);
+        }
+        let now = self.micros(Instant::now());
+        let (session, hello) = {
+            let mut channel = lock(&peer.channel);
+            let channel = channel.as_mut()?;
+            let hello = if channel.wants(now, counter) { channel.knock(now) } else { None };
+            (channel.sending().cloned(), hello)
+        };
+        if let Some(hello) = hello {
+            self.statistics.add(UdpCount::HandshakesSent, 1);
+            // A lost one is repeated.
+            let _ = self.transmit(&hello, route);
+        }
+        session.map(Closing::Keys)
+    }
+
+    /// Repeats the questions for sessions that were not answered. Returns when to do so again, if any is left. Called by the
+    /// polling thread.
+    pub(super) fn knock(&self) -> Option<Instant> {
+        if !self.knocks.swap(false, Ordering::AcqRel) {
+            return None;
+        }
+        let mut is_left = false;
+        for peer in &self.peers {
+            if let Some(route) = lock(&peer.route).as_mut() {
+                is_left |= self.asked_closing(peer, route, 0).is_none();
+            }
+        }
+        if is_left {
+            self.knocks.store(true, Ordering::Release);
+        }
+        is_left.then(|| Instant::now() + LOOK_EVERY)
+    }
+
+    /// The datagram in `bytes`, if it is one that a session has closed; opened into `room`. `None` if it was one of a handshake:
+    /// then everything is done.
+    ///
+    /// # Errors
+    /// Why it is dropped. Nothing has changed then, except what [`refusals`](Self::refusals) says.
+    pub(super) fn unlock<'a>(
+        &self,
+        bytes: &[u8],
+        room: &'a mut [u8],
+    ) -> Result<Option<Unlocked<'a>>, LinkDiscard> {
+        let read = keyed::read(bytes).inspect_err(|_| self.hint_at_plain(bytes))?;
+        let (index, counter, closed) = match read {
+            Keyed::Transport { index, counter, closed } => (index, counter, closed),
+            Keyed::Handshake(said) => {
+                self.handshake(bytes, &said)?;
+                return Ok(None);
+            }
+        };
+        let peer = usize::try_from(index >> 16).ok().and_then(|place| self.peers.get(place));
+        let peer = peer.ok_or(LinkDiscard::StaleSession)?;
+        let live = lock(&peer.channel).as_ref().and_then(|channel| channel.find(index).cloned());
+        let live = live.ok_or(LinkDiscard::StaleSession)?;
+        let opened = live.open(counter, closed, room)?;
+        let is_news = lock(&peer.channel).as_mut().is_some_and(|channel| channel.confirm(&live));
+        if is_news {
+            self.session_made();
+        }
+        Ok(Some((opened, Some(live))))
+    }
+
+    fn handshake(&self, bytes: &[u8], said: &Handshake<'_>) -> Result<(), LinkDiscard> {
+        let (_, peer) = self.peer(said.sender).ok_or(LinkDiscard::UnknownNode)?;
+        if said.receiver != self.table.node {
+            return Err(LinkDiscard::Misdelivered);
+        }
+        let now = self.micros(Instant::now());
+        let answer = match &mut *lock(&peer.channel) {
+            Some(channel) => channel.heard(bytes, said, now)?,
+            None => return Err(LinkDiscard::Mode),
+        };
+        match answer {
+            Answer::Nothing => Ok(()),
+            Answer::Send(reply) => {
+                if lock(&peer.pace).answers(now) {
+                    self.reply(peer, &reply);
+                }
+                Ok(())
+            }
+            Answer::Made => {
+                self.statistics.add(UdpCount::SessionsMade, 1);
+                self.session_made();
+                // The neighbour uses the session once it has a datagram of it.
+                let heard = *lock(&peer.heard);
+                self.say(peer, Greeting { wants_answer: true, ..Greeting::default() }, heard);
+                Ok(())
+            }
+            Answer::Refused { why, theirs, here, reply } => {
+                self.note_refusal(peer, why, theirs, here);
+                if let Some(reply) = reply.filter(|_| lock(&peer.pace).refuses(now)) {
+                    self.reply(peer, &reply);
+                }
+                Err(discard(why, here))
+            }
+        }
+    }
+
+    /// Sends a datagram of a handshake to the address of a neighbour in the address book, wherever its question came from.
+    fn reply(&self, peer: &Peer, bytes: &[u8]) {
+        if let Some(route) = lock(&peer.route).as_mut() {
+            self.statistics.add(UdpCount::HandshakesSent, 1);
+            // A lost one is repeated.
+            let _ = self.transmit(bytes, route);
+        }
+    }
+
+    /// What waits for a neighbour can leave.
+    fn session_made(&self) {
+        self.address_known.store(true, Ordering::Release);
+        self.polling.wake().wake();
+    }
+
+    /// With keys: a session that this node has not heard yet was made after all that it heard, if it is still one. Called while
+    /// what is known of the neighbour is locked, so that a late datagram of an ended session does not take over.
+    pub(super) fn proof(
+        &self,
+        peer: &Peer,
+        known: Option<&Known>,
+        envelope: &Envelope,
+        by: Option<&Arc<Live>>,
+    ) -> Option<u64> {
+        let is_new = known.is_none_or(|known| known.session != envelope.session);
+        by.filter(|live| is_new && self.still_has(peer, live)).map(|_| u64::MAX)
+    }
+
+    /// Whether a session is still one: not if its neighbour was started again since.
+    fn still_has(&self, peer: &Peer, live: &Arc<Live>) -> bool {
+        lock(&peer.channel).as_ref().is_some_and(|channel| channel.has(live))
+    }
+
+    /// A node with keys dropped what one without them sent: says so to people if the two have not talked.
+    fn hint_at_plain(&self, bytes: &[u8]) {
+        if let Ok(Opened { envelope: Envelope { sender, .. }, digests, .. }) =
+            imrs_wire::envelope::read(bytes)
+        {
+            self.hint_at_mode(sender, digests);
+        }
+    }
+
+    /// A node without keys dropped what one with keys sent.
+    pub(super) fn hint_at_keys(&self, bytes: &[u8]) {
+        if let Ok(Keyed::Handshake(said)) = keyed::read(bytes) {
+            self.hint_at_mode(said.sender, self.digests());
+        }
+    }
+
+    fn hint_at_mode(&self, sender: NodeId, theirs: Digests) {
+        if let Some((_, peer)) = self.peer(sender).filter(|(_, peer)| !peer.met.load(Ordering::Relaxed)) {
+            self.note_refusal(peer, Refused::OtherMode, theirs, true);
+        }
+    }
+}
+
+/// The reason for which a datagram is counted that led to a refusal.
+const fn discard(why: Refused, here: bool) -> LinkDiscard {
+    match why {
+        _ if !here => LinkDiscard::RefusedByPeer,
+        Refused::OtherCell => LinkDiscard::OtherCell,
+        Refused::OtherStatements => LinkDiscard::OtherStatements,
+        Refused::Misdelivered => LinkDiscard::Misdelivered,
+        Refused::OtherKeys => LinkDiscard::OtherKeys,
+        Refused::OtherMode => LinkDiscard::Mode,
+    }
+}

@@ -1,0 +1,388 @@
+//! The sessions of a node with one neighbour, and how they are made.
+
+use super::{KEY_BYTES, Live, NoRandom, NodeKeys, PATTERN, SecretKey, is_tag, tag};
+use crate::link::LinkDiscard;
+use imrs_protocol::NodeId;
+use imrs_wire::envelope::keyed::{
+    Bound, Handshake, HandshakeBytes, NOISE_BYTES, NONCE_BYTES, Step, TAG_BYTES,
+};
+use imrs_wire::envelope::{Digests, Refused, Session};
+use snow::HandshakeState;
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+/// After how long the first attempt at a session is given up, in microseconds. Each further one gets twice as long.
+const RETRY: u64 = 50_000;
+/// After how long any attempt is given up.
+const LONGEST_RETRY: u64 = 1_600_000;
+/// A cookie is valid in the span in which it was made, and in the next one.
+const COOKIE_SPAN: u64 = 10_000_000;
+/// How long a session is kept beside a newer one, for datagrams that are under way.
+const KEPT: u64 = 10_000_000;
+/// How many sessions are kept, at most.
+const SESSIONS: usize = 8;
+/// How many answered initiations are kept, at most, to answer copies alike.
+const ANSWERED: usize = 64;
+
+type Nonce = [u8; NONCE_BYTES];
+
+/// Makes sessions with one neighbour, and keeps them.
+pub(in crate::link::udp) struct Channel {
+    keys: NodeKeys,
+    /// This node and the neighbour.
+    me: NodeId,
+    peer: NodeId,
+    /// The neighbour's public key.
+    public: [u8; KEY_BYTES],
+    /// The start of this node.
+    session: Session,
+    digests: Digests,
+    /// What closes datagrams of handshakes.
+    closing: SecretKey,
+    /// What makes cookies. Drawn at each start.
+    cookies: SecretKey,
+    /// The upper half of each index of this node.
+    place: u16,
+    indices: u16,
+    /// All sessions, as they were made.
+    pub(super) sessions: Vec<Arc<Live>>,
+    pub(super) making: Option<Making>,
+    /// When the present attempt began, and how long it may take.
+    pub(super) tried: Option<(u64, u64)>,
+    pub(super) answered: VecDeque<(Nonce, HandshakeBytes)>,
+}
+
+/// An attempt at a session that this node has begun.
+pub(super) struct Making {
+    nonce: Nonce,
+    /// The Noise handshake and the index of the session, once the cookie has come.
+    noise: Option<(Box<HandshakeState>, u32)>,
+}
+
+/// What a datagram of a handshake leads to.
+#[derive(Debug, PartialEq, Eq)]
+pub(in crate::link::udp) enum Answer {
+    /// To nothing: it is a copy, or of an earlier attempt.
+    Nothing,
+    /// This goes to the neighbour.
+    Send(HandshakeBytes),
+    /// There is a session. The neighbour uses it once it has a datagram of it.
+    Made,
+    /// The two cannot talk. `here`: this node says so, otherwise the neighbour. The reply goes to the neighbour.
+    Refused { why: Refused, theirs: Digests, here: bool, reply: Option<HandshakeBytes> },
+}
+
+impl Channel {
+    /// For the neighbour `peer` of `me`, whose start is `session`. `place`: a number that no other neighbour has. `None` without
+    /// the neighbour's public key.
+    ///
+    /// # Errors
+    /// [`NoRandom`].
+    pub(in crate::link::udp) fn new(
+        keys: &NodeKeys,
+        (me, peer): (NodeId, NodeId),
+        session: Session,
+        digests: Digests,
+        place: u16,
+    ) -> Result<Option<Self>, NoRandom> {
+        let Some(&public) = keys.0.publics.get(&peer) else { return Ok(None) };
+        let mut closing = SecretKey::default();
+        let halves = closing.as_chunks_mut::<TAG_BYTES>().0;
+        for (half, label) in halves.iter_mut().zip([&b"imrs handshake 0"[..], b"imrs handshake 1"]) {
+            *half = tag(&keys.0.cell, &[label]);
+        }
+        Ok(Some(Self {
+            keys: keys.clone(),
+            me,
+            peer,
+            public,
+            session,
+            digests,
+            closing,
+            cookies: super::draw_cell_key()?,
+            place,
+            indices: 0,
+            sessions: Vec::with_capacity(SESSIONS),
+            making: None,
+            tried: None,
+            answered: VecDeque::with_capacity(ANSWERED),
+        }))
+    }
+
+    /// The session that closes what this node sends: the newest one that the neighbour has.
+    pub(in crate::link::udp) fn sending(&self) -> Option<&Arc<Live>> {
+        self.sessions.iter().rev().find(|live| live.confirmed.load(Ordering::Acquire))
+    }
+
+    /// The session with this index.
+    pub(in crate::link::udp) fn find(&self, index: u32) -> Option<&Arc<Live>> {
+        self.sessions.iter().find(|live| live.index == index)
+    }
+
+    /// Whether a session is still one of this channel's.
+    pub(in crate::link::udp) fn has(&self, live: &Arc<Live>) -> bool {
+        self.sessions.iter().any(|one| Arc::ptr_eq(one, live))
+    }
+
+    /// The neighbour has the keys of this session, because it closed a datagram with them. Returns whether that is news.
+    pub(in crate::link::udp) fn confirm(&mut self, live: &Arc<Live>) -> bool {
+        if live.confirmed.swap(true, Ordering::AcqRel) || !self.has(live) {
+            return false;
+        }
+        self.tried = None;
+        self.end_others(live);
+        true
+    }
+
+    /// A node runs once at a time: sessions with an earlier start of the neighbour are over.
+    fn end_others(&mut self, live: &Arc<Live>) {
+        let made = self.sessions.iter().position(|one| Arc::ptr_eq(one, live)).unwrap_or(0);
+        let mut at = 0;
+        self.sessions.retain(|one| {
+            at += 1;
+            at > made || one.bound.sender == live.bound.sender
+        });
+    }
+
+    /// Forgets sessions that no datagram under way can need.
+    fn retire(&mut self, now: u64) {
+        let newest = self.sending().cloned();
+        let is_over = |at: u64| now.saturating_sub(at) >= KEPT;
+        self.sessions.retain(|live| {
+            let is_newest = newest.as_ref().is_some_and(|newest| Arc::ptr_eq(newest, live));
+            let replaced =
+                newest.as_ref().is_some_and(|newest| newest.born >= live.born && is_over(newest.born));
+            let unused = !live.confirmed.load(Ordering::Acquire) && is_over(live.born);
+            is_newest || !replaced && !unused
+        });
+    }
+
+    /// Whether a new session is wanted before the datagram with this counter.
+    pub(in crate::link::udp) fn wants(&mut self, now: u64, counter: u64) -> bool {
+        if self.sessions.len() > 1 {
+            self.retire(now);
+        }
+        self.sending().is_none_or(|live| live.is_old(now, counter))
+    }
+
+    /// Begins an attempt at a session, unless one is under way.
+    pub(in crate::link::udp) fn knock(&mut self, now: u64) -> Option<HandshakeBytes> {
+        let within = match self.tried {
+            Some((at, within)) if now.saturating_sub(at) < within => return None,
+            Some((_, within)) => (within * 2).min(LONGEST_RETRY),
+            None => RETRY,
+        };
+        let mut nonce = Nonce::default();
+        getrandom::fill(&mut nonce).ok()?;
+        self.tried = Some((now, within));
+        self.making = Some(Making { nonce, noise: None });
+        Some(self.close(nonce, Step::Hello(self.digests)))
+    }
+
+    /// Takes in a datagram of a handshake, `bytes`, of which `said` is the content.
+    ///
+    /// # Errors
+    /// [`LinkDiscard::OtherKeys`] if it was closed with other keys, [`LinkDiscard::StaleSession`] if it belongs to nothing that
+    /// this node knows. Then nothing has changed.
+    pub(in crate::link::udp) fn heard(
+        &mut self,
+        bytes: &[u8],
+        said: &Handshake<'_>,
+        now: u64,
+    ) -> Result<Answer, LinkDiscard> {
+        if !self.is_closed(bytes) {
+            return self.unclosed(said);
+        }
+        let awaited = self.making.as_ref().is_some_and(|making| making.nonce == said.nonce);
+        match said.step {
+            Step::Hello(theirs) => Ok(self.hello(said.nonce, theirs, now)),
+            Step::Initiation { cookie, index, noise } => {
+                self.initiation((said.nonce, cookie), (index, noise), now)
+            }
+            _ if !awaited => Err(LinkDiscard::StaleSession),
+            Step::Cookie(cookie) => self.cookie(cookie),
+            Step::Response { initiator, responder, noise } => {
+                self.response((initiator, responder), noise, now)
+            }
+            Step::Refusal { digests, reason } => {
+                let why = Refused::of(reason).ok_or(LinkDiscard::Purpose)?;
+                Ok(Answer::Refused { why, theirs: digests, here: false, reply: None })
+            }
+        }
+    }
+
+    /// What was closed with another cell's key is no proof of anything. Without a session it is a hint, for people.
+    fn unclosed(&self, said: &Handshake<'_>) -> Result<Answer, LinkDiscard> {
+        let other_keys = Refused::OtherKeys as u8;
+        let awaited = self.making.as_ref().is_some_and(|making| making.nonce == said.nonce);
+        let (theirs, here, reply) = match said.step {
+            Step::Hello(theirs) => (theirs, true, Some(self.refusal(said.nonce, Refused::OtherKeys))),
+            Step::Refusal { digests, reason } if reason == other_keys && awaited => (digests, false, None),
+            _ => return Err(LinkDiscard::OtherKeys),
+        };
+        if self.sending().is_some() {
+            return Err(LinkDiscard::OtherKeys);
+        }
+        Ok(Answer::Refused { why: Refused::OtherKeys, theirs, here, reply })
+    }
+
+    fn hello(&self, nonce: Nonce, theirs: Digests, now: u64) -> Answer {
+        let why = match theirs {
+            _ if theirs.cell != self.digests.cell => Refused::OtherCell,
+            _ if theirs != self.digests => Refused::OtherStatements,
+            _ => {
+                return Answer::Send(
+                    self.close(nonce, Step::Cookie(self.cookie_of(nonce, now / COOKIE_SPAN))),
+                );
+            }
+        };
+        Answer::Refused { why, theirs, here: true, reply: Some(self.refusal(nonce, why)) }
+    }
+
+    fn cookie(&mut self, cookie: Nonce) -> Result<Answer, LinkDiscard> {
+        let Some(Making { nonce, noise: None }) = self.making else { return Ok(Answer::Nothing) };
+        let index = self.next_index();
+        let mut noise = self.noise((self.me, self.peer), |noise| noise.build_initiator())?;
+        let first = self.write(&mut noise)?;
+        self.making = Some(Making { nonce, noise: Some((Box::new(noise), index)) });
+        Ok(Answer::Send(self.close(nonce, Step::Initiation { cookie, index, noise: &first })))
+    }
+
+    fn initiation(
+        &mut self,
+        (nonce, cookie): (Nonce, Nonce),
+        (theirs, first): (u32, &[u8; NOISE_BYTES]),
+        now: u64,
+    ) -> Result<Answer, LinkDiscard> {
+        let span = now / COOKIE_SPAN;
+        let is_one = |span: u64| is_tag(&self.cookies, &[&nonce, &span.to_le_bytes()], &cookie);
+        if !is_one(span) && !span.checked_sub(1).is_some_and(is_one) {
+            return Err(LinkDiscard::StaleSession);
+        }
+        if let Some((_, answer)) = self.answered.iter().find(|(answered, _)| *answered == nonce) {
+            return Ok(Answer::Send(answer.clone()));
+        }
+        let mut noise = self.noise((self.peer, self.me), |noise| noise.build_responder())?;
+        let Ok(started) = read(&mut noise, first) else {
+            // The cell's key is right, and the key of a node is not.
+            let (why, reply) = (Refused::OtherKeys, Some(self.refusal(nonce, Refused::OtherKeys)));
+            return Ok(Answer::Refused { why, theirs: self.digests, here: true, reply });
+        };
+        let second = self.write(&mut noise)?;
+        let index = self.next_index();
+        self.enter(noise, (index, theirs), started, now)?;
+        let step = Step::Response { initiator: theirs, responder: index, noise: &second };
+        let answer = self.close(nonce, step);
+        if self.answered.len() == ANSWERED {
+            self.answered.pop_front();
+        }
+        self.answered.push_back((nonce, answer.clone()));
+        Ok(Answer::Send(answer))
+    }
+
+    fn response(
+        &mut self,
+        (initiator, responder): (u32, u32),
+        second: &[u8; NOISE_BYTES],
+        now: u64,
+    ) -> Result<Answer, LinkDiscard> {
+        let is_awaited = self
+            .making
+            .as_ref()
+            .and_then(|making| making.noise.as_ref())
+            .is_some_and(|(_, index)| *index == initiator);
+        let Some((mut noise, index)) = self.making.take_if(|_| is_awaited).and_then(|making| making.noise)
+        else {
+            return Err(LinkDiscard::StaleSession);
+        };
+        let started = read(&mut noise, second).map_err(|_| LinkDiscard::OtherKeys)?;
+        let live = self.enter(*noise, (index, responder), started, now)?;
+        self.tried = None;
+        self.end_others(&live);
+        Ok(Answer::Made)
+    }
+
+    /// Keeps a session with the start `started` of the neighbour.
+    fn enter(
+        &mut self,
+        noise: HandshakeState,
+        indices: (u32, u32),
+        started: Session,
+        now: u64,
+    ) -> Result<Arc<Live>, LinkDiscard> {
+        let bound =
+            Bound { digests: self.digests, sender: (self.peer, started), receiver: (self.me, self.session) };
+        let transport = noise.into_stateless_transport_mode().map_err(|_| LinkDiscard::OtherKeys)?;
+        if self.sessions.len() == SESSIONS {
+            let newest = self.sending().cloned();
+            let oldest =
+                self.sessions.iter().position(|live| newest.as_ref().is_none_or(|n| !Arc::ptr_eq(n, live)));
+            self.sessions.remove(oldest.unwrap_or(0));
+        }
+        let live = Arc::new(Live::new(indices, bound, transport, now));
+        self.sessions.push(Arc::clone(&live));
+        Ok(live)
+    }
+
+    /// A Noise handshake of the two nodes, the initiator first.
+    fn noise(
+        &self,
+        (initiator, responder): (NodeId, NodeId),
+        build: impl FnOnce(snow::Builder<'_>) -> Result<HandshakeState, snow::Error>,
+    ) -> Result<HandshakeState, LinkDiscard> {
+        let mut prologue = *b"imrs\x01_________ii_rr";
+        prologue[5..9].copy_from_slice(&self.digests.cell.to_le_bytes());
+        prologue[9..13].copy_from_slice(&self.digests.statements.to_le_bytes());
+        prologue[14..16].copy_from_slice(&initiator.0.to_le_bytes());
+        prologue[17..19].copy_from_slice(&responder.0.to_le_bytes());
+        let secrets = &self.keys.0;
+        let made = || {
+            let builder = snow::Builder::new(PATTERN.parse()?)
+                .prologue(&prologue)?
+                .local_private_key(&*secrets.private)?
+                .remote_public_key(&self.public)?
+                .psk(0, &secrets.cell)?;
+            build(builder)
+        };
+        made().map_err(|_: snow::Error| LinkDiscard::OtherKeys)
+    }
+
+    /// The next Noise message, with the start of this node.
+    fn write(&self, noise: &mut HandshakeState) -> Result<[u8; NOISE_BYTES], LinkDiscard> {
+        let mut message = [0; NOISE_BYTES];
+        let written = noise.write_message(&self.session.0.to_le_bytes(), &mut message);
+        written.map_err(|_| LinkDiscard::OtherKeys)?;
+        Ok(message)
+    }
+
+    fn next_index(&mut self) -> u32 {
+        self.indices = self.indices.wrapping_add(1);
+        u32::from(self.place) << 16 | u32::from(self.indices)
+    }
+
+    fn cookie_of(&self, nonce: Nonce, span: u64) -> Nonce {
+        tag(&self.cookies, &[&nonce, &span.to_le_bytes()])
+    }
+
+    fn refusal(&self, nonce: Nonce, why: Refused) -> HandshakeBytes {
+        self.close(nonce, Step::Refusal { digests: self.digests, reason: why as u8 })
+    }
+
+    fn close(&self, nonce: Nonce, step: Step<'_>) -> HandshakeBytes {
+        let of = Handshake { sender: self.me, receiver: self.peer, nonce, step };
+        HandshakeBytes::new(&of, |bytes| tag(&self.closing, &[bytes]))
+    }
+
+    fn is_closed(&self, bytes: &[u8]) -> bool {
+        bytes.split_last_chunk().is_some_and(|(bytes, closed)| is_tag(&self.closing, &[bytes], closed))
+    }
+}
+
+/// Reads a Noise message: the start of the neighbour.
+fn read(noise: &mut HandshakeState, message: &[u8; NOISE_BYTES]) -> Result<Session, snow::Error> {
+    let mut started = [0; NOISE_BYTES];
+    noise.read_message(message, &mut started)?;
+    let [a, b, c, d, e, f, g, h, ..] = started;
+    Ok(Session(u64::from_le_bytes([a, b, c, d, e, f, g, h])))
+}
