@@ -111,9 +111,8 @@ impl Telling<'_> {
 
     /// The times at which events were tried: the scope of a verdict.
     fn times(&self) -> String {
-        let msec = |usec: u64| match (usec / 1000, usec % 1000) {
-            (whole, 0) => format!("{whole} msec"),
-            _ => format!("{usec} usec"),
+        let msec = |usec: u64| {
+            if usec % 1000 == 0 { format!("{} msec", usec / 1000) } else { format!("{usec} usec") }
         };
         let tick = msec(self.subject.tick_us);
         let model = self
@@ -121,7 +120,6 @@ impl Telling<'_> {
             .model_tick_us
             .filter(|_| self.plan.times != Times::Zones)
             .map(|usec| format!("; of the times between the ends every {} is looked at", msec(usec)));
-        let model = model.unwrap_or_default();
         let mut used: Vec<Times> = self.verdicts.phases.iter().map(|phase| phase.times).collect();
         used.sort_unstable_by(|a, b| b.cmp(a));
         used.dedup();
@@ -132,8 +130,7 @@ impl Telling<'_> {
             Times::Between => "the ends and after events: the bound of a packet, the least and the most time of an action, and right after anything else that happens",
             Times::Ends | Times::Auto => "the ends: the bound of a packet, the least and the most time of an action",
         });
-        let words: Vec<&str> = words.collect();
-        format!("{}; tick {tick}{model}", words.join("; "))
+        format!("{}; tick {tick}{}", words.collect::<Vec<_>>().join("; "), model.unwrap_or_default())
     }
 
     /// The command that shows a finding step by step. None if the finding has no counterexample.

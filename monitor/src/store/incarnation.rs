@@ -212,8 +212,7 @@ impl NodeIncarnation {
         port_of(self.task(task)?, port)
     }
 
-    /// The remaining time at `now`. It was `remaining` when its task last advanced, `age_us` before the snapshot. For
-    /// an ended node time stands still, so its last state is shown unchanged.
+    /// The remaining time at `now`. It was `remaining` when its task last advanced, `age_us` before the snapshot. An ended node's stays.
     #[must_use]
     pub fn left(&self, remaining: Ticks, age_us: u64, now: Moment) -> Left {
         let now = match &self.condition {
