@@ -175,7 +175,7 @@ impl CommTask {
     }
 
     /// As [`next_deadline`](Self::next_deadline), and keeps the result for the next input.
-    pub fn settle(&mut self) -> Instant {
+    pub fn keep_deadline(&mut self) -> Instant {
         let due = self.next_deadline();
         self.due = Some(due);
         due

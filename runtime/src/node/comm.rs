@@ -205,7 +205,7 @@ impl Comm {
 
     /// Says when the machine next expires, while its task's thread does `rest`.
     pub fn settle(&mut self, rest: Rest) -> Micros {
-        let due = self.started.saturating_add(self.machine.settle().0);
+        let due = self.started.saturating_add(self.machine.keep_deadline().0);
         self.cover.settle(&self.alarm, rest, due);
         due
     }
