@@ -3,6 +3,7 @@
 mod bench;
 mod cell;
 mod export;
+mod keygen;
 mod monitor;
 mod run;
 mod simulate;
@@ -11,6 +12,7 @@ mod verify;
 pub use bench::BenchArgs;
 pub use cell::{CheckArgs, ExplainArgs, FmtArgs, GraphArgs, Picture};
 pub use export::{ExportArgs, ExportForm};
+pub use keygen::KeygenArgs;
 pub use monitor::MonitorArgs;
 pub use run::{DemoArgs, LaunchArgs, ReplayArgs, RunArgs};
 pub use simulate::{STEPS, SimulateArgs};
@@ -140,6 +142,16 @@ Examples:
   imrs graph examples/beam_lift.cell > beam_lift.svg
   imrs graph examples/beam_lift.cell --to dot | dot -Tpdf > beam_lift.pdf")]
     Graph(GraphArgs),
+    /// Make the keys with which the nodes of a cell close their packets.
+    ///
+    /// Each node gets a file with its own key, the public keys of the others, and a key of the cell. Nodes whose keys were made
+    /// together can talk; no other process can read what they send, forge it, or repeat it. The files are secret: each belongs
+    /// on the machine of its node, and nowhere else. To replace keys, make all of them anew and start all nodes again.
+    #[command(after_help = "\
+Examples:
+  imrs keygen cell.cell --out keys
+  imrs run cell.cell --node nl --keys keys")]
+    Keygen(KeygenArgs),
     /// Run a cell, one process per node over loopback UDP.
     ///
     /// The cell's actions are simulated: each takes a time from its interval, the same under the same --seed. An action
@@ -163,7 +175,7 @@ Examples:
     ///
     /// With --node one node of the cell runs here, at the address that the cell declares for it (`node n at "10.0.0.11"
     /// port 7000;`), and sends to the other nodes at theirs. It remembers its incarnation in $XDG_STATE_HOME/imrs.
-    /// Nothing authenticates packets yet: off the loopback that takes --insecure.
+    /// Off the loopback that takes --keys, which keeps everything but the other nodes out, or --insecure, which keeps nothing out.
     ///
     /// With --rt the nodes run under SCHED_FIFO with their memory locked, each on one core. What the kernel refuses of
     /// that is reported once and shown in the monitor (`NO RT`); the nodes run without it.
@@ -174,7 +186,7 @@ Examples:
   imrs run cell.cell --until-idle                     until only servers are left
   imrs run cell.cell --loss 10% --kill hoist@2s       with faults
   imrs run cell.cell --kill hoist@2s --restart hoist@3s  and started again
-  imrs run cell.cell --node nl --insecure --rt        one node, on its robot
+  imrs run cell.cell --node nl --keys keys --rt       one node, on its robot
   imrs run cell.cell --observe 127.0.0.1:7100         watched over TCP, too
   imrs run cell.cell --observe 0.0.0.0:7100 --observe-token FILE  by who has the file
   imrs run cell.cell --action 'grip=./grip --hard'    a robot's own command

@@ -20,6 +20,7 @@ mod faults;
 mod fmt;
 mod graph;
 mod kept;
+mod keygen;
 mod monitor;
 mod names;
 mod node;
@@ -135,6 +136,7 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
         Verb::Fmt(args) => fmt::run(&args, &mut out),
         Verb::Explain(args) => explain::run(&args, &mut out),
         Verb::Graph(args) => graph::run(&args, &mut out),
+        Verb::Keygen(args) => keygen::run(&args, &mut out),
         Verb::Run(args) => run::run(&args, &mut out),
         Verb::Demo(args) => demo::run(&args, &mut out),
         Verb::Monitor(args) => monitor::run(args, cli.color, &mut out),

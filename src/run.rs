@@ -82,7 +82,7 @@ pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Fail
             )));
         }
     }
-    let secure = |address: SocketAddr| args.insecure || address.ip().is_loopback();
+    let secure = |address: SocketAddr| args.insecure || args.keys.is_some() || address.ip().is_loopback();
     let asks = args.observe_token.is_some() || args.observe_insecure;
     if let Some(address) = args.observe.filter(|address| !asks && !address.ip().is_loopback()) {
         return Err(Failure::Usage(format!(
@@ -93,7 +93,7 @@ pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Fail
         let address = place::address(loaded, only).map_err(LaunchError::from)?;
         if !secure(address) {
             return Err(Failure::Usage(format!(
-                "node `{}` at {address}: nothing authenticates its packets, so any machine that reaches this address could forge them. On a network of your own add --insecure",
+                "node `{}` at {address}: nothing authenticates its packets, so any machine that reaches this address could forge them. Make keys (imrs keygen CELL --out FOLDER), copy to each machine the file of its node, and add --keys FOLDER; or, on a network of your own, add --insecure",
                 nodes[only.index()].name
             )));
         }

@@ -23,6 +23,7 @@ fn every_verb_explains_itself_with_an_example() {
         "replay",
         "bench",
         "completions",
+        "keygen",
         "man",
     ];
     for verb in verbs {

@@ -54,7 +54,7 @@ pub enum ProgramError {
     NoBody(String),
     /// The node's address is no loopback address, and nothing authenticates its packets.
     #[error(
-        "node `{0}` at {1}: nothing authenticates its packets; call `insecure()` on a network of your own"
+        "node `{0}` at {1}: nothing authenticates its packets; call `keys(…)` with keys of `imrs keygen`, or `insecure()` on a network of your own"
     )]
     Insecure(String, SocketAddr),
     /// The observer address is reachable from other machines, and no token is required of monitors.
@@ -138,6 +138,14 @@ pub enum PlaceError {
         node: String,
         /// The id of the process that runs it.
         process: String,
+    },
+    /// The keys of the node cannot be used.
+    #[error("the keys {}: {why}; `imrs keygen` makes keys", path.display())]
+    Keys {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        why: String,
     },
     /// There is no folder in which the incarnation can be stored.
     #[error("no folder to remember in that the node ran: set XDG_STATE_HOME or HOME")]

@@ -8,6 +8,7 @@ use crate::cells::Loaded;
 use crate::error::PlaceError;
 use crate::place;
 use imrs_protocol::{Incarnation, NodeId, NodeTable};
+use imrs_runtime::link::udp::keys::NodeKeys;
 use imrs_runtime::link::udp::{UdpError, UdpLink, UdpOptions};
 use imrs_wire::envelope::supersedes;
 use imrs_wire::obs::place::file_name;
@@ -51,12 +52,17 @@ pub struct Counted {
 }
 
 /// Binds the socket of a node that runs on its own, sets the addresses of its neighbours, and counts its next incarnation. The
-/// count comes after the socket, so that a start without a socket consumes none (D145).
+/// count comes after the socket, so that a start without a socket consumes none (D145). `keys`: what closes its datagrams.
 ///
 /// # Errors
 /// [`UdpError`]: the address cannot be bound. [`PlaceError`]: the node runs already, its incarnation cannot be stored, or a
 /// neighbour has no address.
-pub fn bind<E>(loaded: &Loaded, node: NodeId, address: SocketAddr) -> Result<(UdpLink, Counted), E>
+pub fn bind<E>(
+    loaded: &Loaded,
+    node: NodeId,
+    address: SocketAddr,
+    keys: Option<&NodeKeys>,
+) -> Result<(UdpLink, Counted), E>
 where
     E: From<UdpError> + From<PlaceError>,
 {
@@ -70,7 +76,10 @@ where
         // The address may be in use because another process runs this very node.
         State::refuse_running(&cell.name, name)?;
     }
-    let link = link?;
+    let mut link = link?;
+    if let Some(keys) = keys {
+        link = link.with_keys(keys)?;
+    }
     for (i, peer) in cell.nodes.iter().enumerate() {
         if let Some(&address) = neighbours.get(&peer.name) {
             // All these nodes are neighbours, so setting their addresses cannot fail.

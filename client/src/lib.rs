@@ -92,6 +92,8 @@ mod error;
 #[doc(hidden)]
 pub mod incarnation;
 #[doc(hidden)]
+pub mod keys;
+#[doc(hidden)]
 pub mod place;
 mod program;
 

@@ -3,6 +3,7 @@
 use crate::cells::{self, Loaded};
 use crate::error::ProgramError;
 use crate::incarnation::{self, Counted, State};
+use crate::keys;
 use crate::place;
 use imrs_protocol::{Incarnation, NodeId};
 use imrs_runtime::link::Link;
@@ -15,7 +16,7 @@ use imrs_wire::text::one_line;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
@@ -70,6 +71,7 @@ pub struct Program {
     tasks: BTreeMap<String, Adds>,
     node: Option<String>,
     insecure: bool,
+    keys: Option<PathBuf>,
     observe: Option<SocketAddr>,
     token: Option<String>,
     seed: u64,
@@ -114,6 +116,7 @@ impl Program {
             tasks: BTreeMap::new(),
             node: None,
             insecure: false,
+            keys: None,
             observe: None,
             token: None,
             seed: 0,
@@ -168,6 +171,13 @@ impl Program {
     /// incarnation, or if no neighbour answers, a line on standard error says so.
     pub fn node(mut self, name: &str) -> Self {
         self.node = Some(name.into());
+        self
+    }
+
+    /// Closes the node's packets with the keys in this folder, which `imrs keygen` has made (see [`node`](Self::node)). From then
+    /// on no other process can read or forge them. Its neighbours need keys of the same cell. The folder needs only this node's file.
+    pub fn keys(mut self, folder: impl Into<PathBuf>) -> Self {
+        self.keys = Some(folder.into());
         self
     }
 
@@ -247,7 +257,7 @@ impl Program {
         let node = all.iter().position(|node| node.name == *name).map(NodeId::from_index);
         let node = node.ok_or_else(|| ProgramError::NoNode(name.clone()))?;
         let address = place::address(&self.loaded, node)?;
-        if !self.insecure && !address.ip().is_loopback() {
+        if !self.insecure && self.keys.is_none() && !address.ip().is_loopback() {
             return Err(ProgramError::Insecure(name.clone(), address));
         }
         Ok(vec![node])
@@ -291,7 +301,7 @@ impl Program {
     ) -> Result<Running, ProgramError> {
         let table = Arc::clone(&self.loaded.table);
         let mut builder = Runtime::builder(Arc::clone(&table), node)
-            .insecure(true)
+            .insecure(self.keys.is_none())
             .actions(actions)
             .seed(self.seed)
             .hold_scripts();
@@ -332,7 +342,8 @@ impl Program {
 
     fn link(&self, node: NodeId) -> Result<(Arc<dyn Link>, Counted), ProgramError> {
         let address = place::address(&self.loaded, node)?;
-        let (link, counted) = incarnation::bind::<ProgramError>(&self.loaded, node, address)?;
+        let keys = self.keys.as_deref().map(|folder| keys::read(folder, &self.loaded, node)).transpose()?;
+        let (link, counted) = incarnation::bind::<ProgramError>(&self.loaded, node, address, keys.as_ref())?;
         if let Some(notice) = &counted.notice {
             // Standard error may be closed. The node runs all the same.
             let _ = writeln!(io::stderr(), "imrs: {}", one_line(notice));

@@ -27,6 +27,8 @@ pub struct Setup {
     pub counts: bool,
     /// The address of the node's socket; none: any free port of the loopback.
     pub bind: Option<SocketAddr>,
+    /// The folder with the node's keys, if the node runs on its own with keys.
+    pub keys: Option<PathBuf>,
     /// The TCP address at which the node serves monitors.
     pub observe: Option<SocketAddr>,
     /// The token that monitors must present at that address.

@@ -28,6 +28,8 @@ pub struct Run<'a> {
     pub actions: BTreeMap<String, Vec<String>>,
     /// How results of simulated actions change with time.
     pub ramps: Vec<Ramp>,
+    /// The folder with the keys of the only node that runs here; none: without keys.
+    pub keys: Option<PathBuf>,
     /// The TCP address at which the first node serves monitors; the others take the next ports.
     pub observe: Option<SocketAddr>,
     /// The token that monitors must present there.

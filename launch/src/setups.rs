@@ -28,6 +28,7 @@ pub fn setups(run: &Run<'_>, notices: Option<&Path>) -> Result<Vec<(NodeId, Setu
             // (D49).
             counts: run.only.is_some(),
             bind: None,
+            keys: run.keys.clone(),
             // The nodes take successive ports.
             observe: run.observe.map(|first| observed_at(first, all.len())),
             observe_token: run.observe_token.clone(),

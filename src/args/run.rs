@@ -48,6 +48,9 @@ pub struct LaunchArgs {
     /// Run this node only, at the address that the cell declares; the others run elsewhere.
     #[arg(long, value_name = "NAME")]
     pub node: Option<String>,
+    /// Close the node's packets with its keys in this folder, made by `imrs keygen`: no other process can read or forge them.
+    #[arg(long, value_name = "FOLDER", requires = "node", conflicts_with = "insecure")]
+    pub keys: Option<PathBuf>,
     /// Let packets leave this machine though nothing authenticates them.
     #[arg(long)]
     pub insecure: bool,

@@ -94,6 +94,7 @@ pub fn plan<'a>(
         in_process: args.in_process,
         actions: BTreeMap::new(),
         ramps: Vec::new(),
+        keys: args.keys.clone(),
         observe: args.observe,
         observe_token: None,
         rt: args.rt,

@@ -13,7 +13,7 @@ pub use error::NodeError;
 use crate::cells::{self, Loaded};
 use crate::host::Host;
 use crate::pipe::{Order, Setup, Word, hear};
-use imrs_client::incarnation;
+use imrs_client::{incarnation, keys};
 use imrs_protocol::{Incarnation, NodeId, NodeTable};
 use imrs_runtime::guard::{GuardProgram, Notices};
 use imrs_runtime::link::faulty::FaultyLink;
@@ -158,7 +158,7 @@ impl Process {
         let narrator = Arc::new(Narrator::new(Arc::clone(&loaded)));
         let builder = Runtime::builder(Arc::clone(&cell), id)
             .incarnation(Incarnation(setup.incarnation), setup.restarted)
-            .insecure(true)
+            .insecure(setup.keys.is_none())
             .real_time(real_time)
             .link(Arc::clone(&link) as Arc<dyn imrs_runtime::link::Link>)
             .actions(actions(host, setup, &loaded)?)
@@ -377,7 +377,8 @@ fn socket(
             UdpOptions { statements, ..UdpOptions::new(Incarnation(setup.incarnation), setup.restarted) };
         return Ok((UdpLink::bind(table.clone(), address, options)?, None));
     }
-    let (link, counted) = incarnation::bind::<NodeError>(loaded, table.node, address)?;
+    let keys = setup.keys.as_deref().map(|folder| keys::read(folder, loaded, table.node)).transpose()?;
+    let (link, counted) = incarnation::bind::<NodeError>(loaded, table.node, address, keys.as_ref())?;
     counted.notice.iter().for_each(|notice| host.complain(notice));
     (setup.incarnation, setup.restarted) = (counted.incarnation.0, counted.restarted);
     Ok((link, Some(counted.state)))
