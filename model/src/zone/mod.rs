@@ -11,4 +11,5 @@
 
 pub(crate) mod dbm;
 pub(crate) mod forks;
+mod pack;
 mod times;

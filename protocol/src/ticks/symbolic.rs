@@ -53,7 +53,7 @@ pub struct Symbol {
 /// A time in a packed state, which a zone packs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Time {
-    /// What is left until an instant, zero if that is past. `forgets`: since when it is past makes no difference.
+    /// The time until an instant, zero if that is past. `forgets`: since when it is past makes no difference.
     Left {
         /// See above.
         forgets: bool,

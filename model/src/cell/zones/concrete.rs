@@ -4,7 +4,6 @@ use super::runner::{From, Run};
 use super::search::{Hit, Search, is_sampled};
 use crate::cell::plan::{CellFaults, CellPlan, Times};
 use crate::cell::run_state::CellMove;
-use crate::cell::search::timed;
 use crate::cell::unpacked::Unpacked;
 use crate::cell::verdict::{Finding, Phase};
 use crate::cell::waiting::for_ever;
@@ -28,7 +27,7 @@ pub fn told(
     hit: &Hit,
 ) -> Option<Finding> {
     let legs = legs(search, hit)?;
-    let plan = &timed(plan, Times::Every);
+    let plan = &Arc::new(CellPlan { times: Times::Every, ..CellPlan::clone(plan) });
     let moves = replayed(plan, (phase, faults), &legs, hit)?;
     let shown = starve::decided(plan, &moves, hit.shown.clone());
     Some(story::finding(plan, (phase, hypothesis), faults, moves, &shown))

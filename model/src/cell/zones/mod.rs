@@ -5,6 +5,7 @@
 //!   store     the kept states: for each control, the zones that were reached
 //!   search    expands kept states, breadth first
 //!   concrete  picks times for a path, and replays it on plain ticks
+//!   explore   tells what a search found
 //! ```
 //!
 //! A state is a *control*, all but its times, and a *zone*, the times that it was reached with. The moves, their order within an
@@ -16,11 +17,12 @@
 //! A finding is told only if it is found again on plain ticks.
 
 mod concrete;
+mod explore;
 mod runner;
 mod search;
 mod store;
 
-pub(super) use search::explore;
+pub(super) use explore::explore;
 
 use super::plan::{CellFaults, CellPlan};
 use imrs_protocol::rules::Rules;

@@ -1,16 +1,12 @@
 //! Expands kept states, breadth first.
 
-use super::concrete;
 use super::runner::{From, Run, Runner};
 use super::store::{Origin, Store};
-use crate::cell::done::Done;
 use crate::cell::judge::Shown;
-use crate::cell::plan::{CellFaults, CellPlan, Times};
-use crate::cell::verdict::{Coverage, Finding, Kind, Phase};
+use crate::cell::plan::CellPlan;
 use crate::explore::resident_bytes;
 use crate::zone::dbm::Dbm;
 use crate::zone::forks::{Cut, each};
-use std::sync::Arc;
 use std::time::Instant;
 
 /// A finding of a run from a kept state.
@@ -34,70 +30,14 @@ pub(super) struct Search {
     pub store: Store,
     pub hits: Vec<Hit>,
     /// Runs whose times were not all exact.
-    inexact: u64,
-    outgrown: bool,
-    longest: usize,
-}
-
-/// Searches a cell by zones. All that it finds was found again on plain ticks.
-pub(in crate::cell) fn explore(
-    plan: &Arc<CellPlan>,
-    (phase, hypothesis): (Phase, usize),
-    faults: &CellFaults,
-) -> Done {
-    let start = Instant::now();
-    let runner = Runner::new(plan, phase, faults);
-    let mut search =
-        Search { runner, store: Store::default(), hits: Vec::new(), inexact: 0, outgrown: false, longest: 0 };
-    let mut ended_by = search.run(plan, start);
-    if search.outgrown {
-        ended_by
-            .get_or_insert_with(|| "a number in some states is too large for the checker to store".into());
-    }
-    if search.inexact > 0 {
-        ended_by.get_or_insert_with(|| {
-            "the times of three instants met in one, which zones do not cover exactly; use --times every"
-                .into()
-        });
-    }
-    let hits = std::mem::take(&mut search.hits);
-    let pruned = hits.iter().any(|hit| hit.shown.last || hit.shown.kind == Kind::Deadlock);
-    let mut told: Vec<Finding> = Vec::new();
-    for hit in &hits {
-        match concrete::told(plan, (phase, hypothesis), faults, &mut search, hit) {
-            Some(finding) => told.push(finding),
-            None => {
-                let what =
-                    format!("{} is not found at plain times: {}", hit.shown.kind.name(), hit.shown.cause);
-                ended_by.get_or_insert(what);
-            }
-        }
-    }
-    let (warnings, findings) = told.into_iter().partition(|found| found.kind.is_warning());
-    let Search { runner, store, longest, .. } = search;
-    let depth = store.states.iter().map(|state| u64::from(state.depth)).max().unwrap_or(0);
-    let coverage = Coverage {
-        phase,
-        hypothesis,
-        times: Times::Zones,
-        parts: 1,
-        states: store.len() as u64,
-        moves: runner.moves,
-        depth,
-        whole_depth: store.least_left().map_or(depth, u64::from),
-        ticks: 0,
-        complete: ended_by.is_none(),
-        pruned,
-        ended_by,
-        longest_state: longest as u64,
-        seconds: start.elapsed().as_secs_f64(),
-    };
-    Done { coverage, findings, warnings, reached: runner.reached, mattered: runner.mattered }
+    pub inexact: u64,
+    pub outgrown: bool,
+    pub longest: usize,
 }
 
 impl Search {
     /// Searches until no state is left, or returns the budget that ended the search.
-    fn run(&mut self, plan: &CellPlan, start: Instant) -> Option<String> {
+    pub fn run(&mut self, plan: &CellPlan, start: Instant) -> Option<String> {
         let budget = plan.budget;
         self.expand(None);
         let mut done = 0_usize;
