@@ -1,4 +1,4 @@
-//! The key files of a cell's nodes (D196): one for each node, with its own key, the public keys of the others, and the cell's key.
+//! The key files of a cell's nodes (D191): one for each node, with its own key, the public keys of the others, and the cell's key.
 //!
 //! ```text
 //! imrs-keys 1

@@ -148,8 +148,7 @@ impl Process {
         // This is set before any other thread of the node starts, because threads inherit the scheduling.
         let real_time = if setup.rt { rt::begin(id.index()) } else { RealTime::NotAsked };
         if network.is_none() {
-            // A slow reader of standard error must not block the node. If the node shares the launcher's process, the
-            // launcher has already seen to this.
+            // A slow reader of standard error must not block the node. A launcher that runs nodes as threads did this.
             rt::behind(|| host.complain_aside())?;
         }
 

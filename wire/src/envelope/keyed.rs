@@ -1,4 +1,4 @@
-//! The layout of mode 1: datagrams closed by keys (D196). Which bytes they are made of, without any cryptography.
+//! The layout of mode 1: datagrams closed by keys (D191). Which bytes they are made of, without any cryptography.
 //!
 //! ```text
 //!  0..2   magic 9d 4d

@@ -1,4 +1,4 @@
-//! A link whose datagrams are closed by keys (D196): what of the sessions concerns sockets, clocks and threads.
+//! A link whose datagrams are closed by keys (D191): what of the sessions concerns sockets, clocks and threads.
 
 use super::keys::{Answer, Channel, Live, NoRandom, NodeKeys};
 use super::peer::{Peer, Route};

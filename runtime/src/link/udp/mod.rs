@@ -12,7 +12,7 @@
 //! Addresses come only from the address book, never from traffic. A datagram is judged by its content (digests, sender, receiver,
 //! session, counter), not by its source address: a neighbour behind another port is heard, but no sender draws traffic to itself.
 //! In the envelope's checksum mode this keeps out accidents, not attackers: a process that reaches the socket can forge datagrams.
-//! With keys ([`UdpLink::with_keys`]) it keeps out both (D196).
+//! With keys ([`UdpLink::with_keys`]) it keeps out both (D191).
 
 mod delay;
 mod greet;
