@@ -112,7 +112,7 @@ impl Telling<'_> {
     /// The times at which events were tried: the scope of a verdict.
     fn times(&self) -> String {
         let msec = |usec: u64| {
-            if usec % 1000 == 0 { format!("{} msec", usec / 1000) } else { format!("{usec} usec") }
+            if usec.is_multiple_of(1000) { format!("{} msec", usec / 1000) } else { format!("{usec} usec") }
         };
         let tick = msec(self.subject.tick_us);
         let model = self
