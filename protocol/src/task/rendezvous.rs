@@ -8,7 +8,7 @@
 //! |---|---|
 //! | [`reach`](Rendezvous::reach) | sends ARRIVE to all others; releases at once if all are here |
 //! | [`hear`](Rendezvous::hear) of ARRIVE | may complete the round |
-//! | [`hear`](Rendezvous::hear) of CONFIRM | releases, if it is of the round waited in |
+//! | [`hear`](Rendezvous::hear) of CONFIRM | releases, if it is of the round and incarnation in which the task waits |
 //! | [`hear`](Rendezvous::hear) of ABORT | voids an arrival; may name a fresher round or prove a release |
 //! | [`advance`](Rendezvous::advance) | retransmits what is due |
 //! | [`leave`](Rendezvous::leave) | the patience ended, or the wait was cancelled: sends ABORT, except under one variant |

@@ -1,6 +1,6 @@
 //! Keys between nodes: who may make a session with whom, and how its datagrams are closed (D191).
 //!
-//! Nothing here has a socket or reads a clock. A [`Channel`] makes the sessions with one neighbour, and a [`Live`] session closes and
+//! Nothing here has a socket or reads a clock. A `Channel` makes the sessions with one neighbour, and a `Live` session closes and
 //! opens datagrams. The handshake is Noise KKpsk0, behind an exchange of a cookie:
 //!
 //! ```text
