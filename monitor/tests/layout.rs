@@ -264,7 +264,7 @@ fn the_help_of_a_screen_explains_each_of_its_columns() {
             .collect();
         for title in titles {
             let is_key = |line: &&str| line.get(..16).unwrap_or(line).contains(title);
-            assert!(explained.iter().any(|line| is_key(line)), "{keys}: {title} in {explained:#?}");
+            assert!(explained.iter().any(is_key), "{keys}: {title} in {explained:#?}");
         }
     }
 }

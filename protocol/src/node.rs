@@ -1,7 +1,7 @@
 //! A node (§5.1, D38): its communication tasks, one transit buffer, one Timer, and the demultiplexing between them.
 //!
-//! Single-threaded drivers call [`Node::step`]; the threaded runtime takes a node apart and puts every part behind its
-//! own lock. Both call the same pure functions of [`route`](crate::route).
+//! Single-threaded drivers call [`Node::step`]; the threaded runtime takes a node apart and puts the parts behind
+//! several locks. Both call the same pure functions of [`route`](crate::route).
 
 mod fused;
 #[cfg(feature = "checker")]
@@ -65,7 +65,7 @@ pub trait NodeOutbox {
     }
 }
 
-/// The parts of a node, for a driver that puts each behind its own lock.
+/// The parts of a node, for a driver that puts them behind several locks.
 #[derive(Clone, Debug)]
 pub struct Parts {
     /// The table.

@@ -25,7 +25,7 @@ impl fmt::Display for TableError {
             Self::NotNewer { held, given } => {
                 write!(
                     f,
-                    "the table has epoch {given}, and the node runs epoch {held}: give it a later epoch"
+                    "the table has epoch {given}, and the node knows epoch {held}: give it a later epoch"
                 )
             }
             Self::OtherSlots(what) => write!(
@@ -39,7 +39,8 @@ impl fmt::Display for TableError {
 impl core::error::Error for TableError {}
 
 impl NodeTable {
-    /// Whether this node may take `next` while it runs: all entries have the same positions, and the epoch is later.
+    /// Whether this node may take `next` while it runs: all entries have the same positions, and the epoch is later than that of the
+    /// node's table, and not before that of a table that the node has learned.
     ///
     /// # Errors
     /// What differs, or the two epochs.
@@ -57,11 +58,18 @@ impl NodeTable {
             return Err(TableError::OtherSlots(what));
         }
         let (held, given) = (self.cell.epoch(), next.epoch());
-        if given > held { Ok(()) } else { Err(TableError::NotNewer { held, given }) }
+        // A table that comes late must not end what a later one has begun: this node may already be the only one without it.
+        let latest = self.other.as_ref().map_or(held, |other| other.epoch().max(held));
+        if given > held && given >= latest {
+            Ok(())
+        } else {
+            Err(TableError::NotNewer { held: latest, given })
+        }
     }
 
     /// From now on the node also takes packets that come by the routes of `next`, and still sends by its own. If every node learns
-    /// a table before the first one [replaces](Self::replace) its own, no packet is dropped for its route.
+    /// a table before the first one [replaces](Self::replace) its own, no packet is dropped for its route. A node knows two tables:
+    /// learning one ends the knowledge of a former table that was not [retired](Self::retire) yet.
     ///
     /// # Errors
     /// See [`check`](Self::check). Nothing has changed then.

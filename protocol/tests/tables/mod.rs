@@ -95,7 +95,7 @@ fn an_old_epoch_and_other_slots_are_refused_by_name() {
         assert_eq!(net.learn_table(A, &stale), Err(refused));
         assert_eq!(
             refused.to_string(),
-            format!("the table has epoch {epoch}, and the node runs epoch 2: give it a later epoch")
+            format!("the table has epoch {epoch}, and the node knows epoch 2: give it a later epoch")
         );
     }
     type Change = fn(&mut Cell);
@@ -116,6 +116,17 @@ fn an_old_epoch_and_other_slots_are_refused_by_name() {
     }
     let Parts { table, .. } = net.nodes[0].node.parts();
     assert_eq!((table.epoch(), table.next_hop(A, D)), (2, Some(C)), "refusals change nothing");
+}
+
+#[test]
+fn a_table_that_comes_after_a_later_one_is_refused() {
+    let mut net = VirtualCell::new(diamond(0));
+    let base = CellTable::new(diamond(0)).unwrap();
+    let [late, third] = [2, 3].map(|epoch| around(&base, epoch, &[(A, B)], &[]));
+    assert_eq!(net.learn_table(A, &third), Ok(()));
+    let refused = Err(TableError::NotNewer { held: 3, given: 2 });
+    assert_eq!((net.learn_table(A, &late), net.replace_table(A, &late)), (refused, refused));
+    assert_eq!((net.learn_table(A, &third), net.replace_table(A, &third)), (Ok(()), Ok(())));
 }
 
 #[test]

@@ -9,7 +9,8 @@
 //! A *turn* is one hold of the lock. The clock is read once a turn, and a turn takes at most [`TURN`] inputs from `inside`; then the
 //! lock is released, all other effects are carried out, and the same thread begins the next turn. Actions of scripts begin
 //! between turns, without the lock. A future is polled without the lock, too; each of its calls is a turn, which it stamps with
-//! its own reading of the clock (D187). So other threads wait for at most a turn:
+//! its own reading of the clock (D187). A script that is answered at once goes on within the turn, as far as the limit of its steps
+//! allows. Other threads wait for at most a turn:
 //!
 //! - an input for any member is left in the domain's inbox while the lock is held. Its holder takes it before it ends its turn, or
 //!   right after it. A thread that finds the inbox full waits for the lock;

@@ -43,7 +43,10 @@ impl Node {
         effects: &mut Effects,
     ) -> (R, bool) {
         let local = &self.locals.list[place];
-        let work = |domain: &mut Domain, effects: &mut Effects| work(domain, local.home.member, effects);
+        // A panic here is one of the machine, though a program is being polled.
+        let work = |domain: &mut Domain, effects: &mut Effects| {
+            guarded("a communication task", || work(domain, local.home.member, effects))
+        };
         let entered = local.handoff.enter_shared(work, effects);
         self.carry_out(effects);
         entered

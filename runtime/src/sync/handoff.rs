@@ -1,6 +1,6 @@
-//! The hand-off between threads and one communication task: a combining lock with an inbox (D39, D40).
+//! The hand-off between threads and one domain of communication tasks: a combining lock with an inbox (D39, D40, D186).
 //!
-//! The communication task is a data structure, run by the thread that brings input. Two ways lead to it:
+//! A communication task is a data structure, run by the thread that brings input. Two ways lead to it:
 //!
 //! - [`Handoff::deliver`] is for every thread. If the lock is free, the thread takes it and works for all (flat combining). If
 //!   not, it leaves the input in the [`Inbox`] and goes on. The holder rechecks the inbox after unlocking, so nothing stays

@@ -144,8 +144,7 @@ impl Server {
         Some(left)
     }
 
-    /// Whether [`hear`](Self::hear) would take this message in, hand it over at once if the task waits for it: whole, new, and
-    /// with no earlier one of its source in the way.
+    /// Whether [`hear`](Self::hear) would take this message in as it is: it is new, and no earlier one of its source is in the way.
     pub fn takes_fused(&self, (inbox, source): Origin, id: MessageId, now: Instant) -> bool {
         let inbox = &self.inboxes[inbox];
         let known = &inbox.sources[source];
