@@ -225,6 +225,9 @@ def dead(cell):
     cell.type("1")
     screen.save("monitor-dead.svg", "The overview after a node was killed: its last state is kept, and who waits for it is named",
                 r"(?s)BLOCKED BY hoist@nh - DEAD.*waitfor lift.*waitfor lift")
+    cell.type("8")
+    screen.save("monitor-problems.svg", "The problems of all nodes: the dead node above what waits for it, then the nearest deadlines",
+                r"(?s)\A(?!.*waitfor lift r\d).*BLOCKED BY hoist@nh - DEAD.*PROBLEM.*part")
     cell.type("7")
     screen.save("monitor-model.svg", "Whether the nodes do what the verified model does", r"transition kinds seen")
     cell.type("?")
