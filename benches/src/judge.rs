@@ -39,7 +39,8 @@ impl Why {
 pub struct Outcome {
     /// The row.
     pub row: Row,
-    /// The ratios of the rounds that count; `None` if one of the two cases was not measured, or no round counts.
+    /// The ratios of the two cases, one for each round in which the processors had the distance of the row. `None` if a case was not
+    /// measured, or there was no such round.
     pub ratio: Option<Spread>,
     /// How far apart the two processors were in these rounds, if the row is of two.
     pub apart: Option<Apart>,

@@ -112,7 +112,7 @@ pub struct Scenario {
     pub delay: Option<u8>,
     /// The fault budgets.
     pub budget: Budget,
-    /// The deviations of time.
+    /// How much later than due timers may end, and how much less than its true delay a link may charge.
     pub timing: Timing,
     /// A variant of the rules: after how many messages sequence numbers wrap; `None`: never.
     pub wrap: Option<u8>,

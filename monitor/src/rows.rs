@@ -26,7 +26,7 @@ pub struct Row {
 /// The sort order. Rows stay within their node and task.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Sort {
-    /// In the order of declaration.
+    /// No sorting: rows keep the order in which the cell declares them.
     #[default]
     Name,
     /// Least time left first.

@@ -31,7 +31,7 @@ const LAST: Key = (Instant::NEVER, u64::MAX);
 
 /// An entry of a queue, with the keys by which the queue orders its entries.
 pub trait Entry {
-    /// Data stored beside each entry of a watched queue. It decides when the entry is due.
+    /// What a watched queue stores beside each entry: it decides when the caller must look at the entry again.
     type Side: Copy + Default;
 
     /// The urgency: the least key is served first. Keys are unique within a queue.

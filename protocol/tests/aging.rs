@@ -114,7 +114,7 @@ fn among_messages_at_the_cap_the_first_rejected_goes_first() {
     room.y.pass(1);
     room.hear_urgent(HIGH, 2, 20);
     room.y.ask(Request::Done);
-    // A running thread is offered no message, so both messages get old enough.
+    // While the thread of `y` works, no message is offered to it. So both messages wait until they have reached the highest rank.
     room.y.ask(Request::Work);
     room.y.pass(3);
     room.y.ask(Request::Done);

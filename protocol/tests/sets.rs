@@ -1,4 +1,5 @@
-//! Class-2 messages to several tasks at once (R26, R40, D12): one set of answers, with a mark for each.
+//! Class-2 messages to several tasks at once (R26, R40, D12): the sender gets one set of answers, in which each task
+//! is marked as answered, refused or missing.
 
 use crate::support::{NextExpiry, Solo, contents, get, handle, reply, send, send_all};
 use imrs_protocol::*;

@@ -303,7 +303,7 @@ impl<'a> Thread<'_, 'a> {
         port.map(PortId::from_index).filter(|port| self.resolver.heartbeats.contains(port))
     }
 
-    /// `p := alive`: reads what the partner published last (D61).
+    /// `p := alive`: reads the record that the other task of the couple last sent with its heartbeats (D61).
     pub fn published(&mut self, port: PortId, place: &'a Place) -> Option<StatementKind> {
         let declared = self.resolver.hir.ports[port.index()].clone();
         if declared.usage_of(self.task).is_none() {

@@ -4,7 +4,7 @@ use super::{diagnostics, rendered, source};
 use crate::support::bytes::formats;
 use proptest::prelude::*;
 
-/// Names in either case, some of which are free keywords.
+/// Names in either case. Some of them are keywords that a cell may also use as names.
 fn name() -> impl Strategy<Value = &'static str> {
     proptest::sample::select(vec![
         "a", "B2", "armL", "x_1", "Rate", "class", "stop", "FROM", "within", "order", "Silence",

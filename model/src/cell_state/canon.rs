@@ -114,12 +114,12 @@ impl CellState {
         self.behind = behind;
     }
 
-    /// For each port, how far the least round in use is from the first round.
+    /// For each port, the distance from the round with which a new incarnation begins to the least round that a member uses now.
     fn behind_from(&self, bases: &Bases) -> Vec<u8> {
         let of_port = |(port, &behind): (usize, &u8)| {
             let moved = bases.rounds[port].steps_from(self.rounds[port]).cast_signed();
             let from_first = i32::from(behind) + i32::from(moved);
-            // If no round is in use, a new incarnation is behind no member.
+            // While no member uses a round of the port, a restarted node has no rounds to catch up with.
             let from_first = if bases.used[port] { from_first } else { 0 };
             u8::try_from(from_first.clamp(0, i32::from(FAR_BEHIND))).unwrap_or(FAR_BEHIND)
         };

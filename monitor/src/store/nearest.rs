@@ -21,9 +21,9 @@ pub struct Near {
     pub port: PortId,
     /// The task that sent it, and its id, if the node lists its queue.
     pub message: Option<(TaskId, MessageId)>,
-    /// Its remaining time.
+    /// The remaining time of the message.
     pub left: Left,
-    /// When it is likely done, in microseconds from now: 99 of 100 are done earlier.
+    /// When its receiver has probably served it, in microseconds from now: 99 of 100 messages are served earlier.
     pub needs_us: Option<u64>,
 }
 

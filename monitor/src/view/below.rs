@@ -69,7 +69,7 @@ fn heard(app: &App, cell: &Name, at: NodeId, peer: NodeId, now: Moment) -> Optio
     last.snapshot.links.iter().find(|link| link.peer == peer)?.heard_us
 }
 
-/// The validator's verdict on all nodes together.
+/// Whether all nodes together do what the verified model does, as the replay of their recordings says.
 fn model(app: &App, cell: &Name) -> Vec<(String, Ink)> {
     let store = app.store();
     let (mut steps, mut unknown, mut violated) = (0_u64, 0, None);

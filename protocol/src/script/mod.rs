@@ -63,7 +63,7 @@ pub enum ScriptInput {
         /// Its result.
         value: i32,
     },
-    /// The driver chose.
+    /// The driver chose this alternative, after the script asked for a choice.
     Chosen(u16),
 }
 

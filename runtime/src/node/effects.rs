@@ -87,7 +87,7 @@ pub(crate) struct Bundles {
     of: Vec<Bundle>,
     /// The tasks that have held inputs, in the order in which they got them; each once for every [`BUNDLE`] of packets.
     full: VecDeque<usize>,
-    /// An empty queue, to hand out.
+    /// An empty queue, whose memory the next task that holds packets uses again.
     spare: VecDeque<Addressed>,
 }
 

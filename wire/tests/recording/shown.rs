@@ -9,7 +9,7 @@ fn hello(schema: u32) -> Hello {
     Hello { schema, pid: 7, build: "imrs 1".into(), mono_us: 9, role: Role::Monitor }
 }
 
-/// The schema of the released programs that speak version 1.0.
+/// The schema digest of the observation protocol in the programs that were released with its version 1.0.
 const SCHEMA_1_0: u32 = 0x3723_afbb;
 
 /// One value of each kind of [`Shown`].

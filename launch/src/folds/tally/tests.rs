@@ -174,7 +174,7 @@ fn what_is_settled_counts_as_it_did_before() {
     assert_eq!((folded.released(), folded.rounds.len()), (plain.released(), 16));
     let rounds = plain.rounds();
     assert!(rounds.released > 300 && rounds.timed_out > 50 && rounds.divergent > 30, "{rounds:?}");
-    // `last_words` must be the same whether or not the rounds are settled.
+    // The last lines about a dead task must be the same whether or not finished rounds were already dropped from the tally.
     for tally in [&mut plain, &mut folded] {
         tally.died(TaskId(2), 500_500);
     }

@@ -37,7 +37,7 @@ impl Kind {
 pub struct Steps {
     /// The number of kinds of script steps in the run.
     pub kinds: usize,
-    /// Kinds that no walk met: the task, and the operation in which its script waited.
+    /// Kinds of steps that no random walk took: the task, and the operation in which its script waited.
     pub missing: Vec<(TaskId, Address)>,
     /// Random walks through the model.
     pub walks: u64,
