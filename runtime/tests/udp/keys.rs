@@ -60,7 +60,8 @@ fn a_packet_is_not_to_be_seen_and_a_repeated_or_plain_datagram_is_dropped() {
     let (a, b) = pair(&keys());
     carried(&a, &b, 1..2);
     let bytes = taken_on_its_way(&a, &b, packet(2));
-    assert!(!bytes.windows(8).any(|seen| encoded(2).windows(8).any(|sent| sent == seen)));
+    // The 16 bytes in clear hold a counter, whose zeros are also those of an empty part of the packet.
+    assert!(!bytes[16..].windows(8).any(|seen| encoded(2).windows(8).any(|sent| sent == seen)));
     let (at_b, forger) = (Memory::default(), raw_socket());
     let throw = |bytes: &[u8]| forger.send_to(bytes, b.local_address()).unwrap();
     let mut changed = bytes.clone();
