@@ -235,21 +235,22 @@ impl Theme {
 mod tests {
     use super::*;
 
+    const INKS: [Ink; 9] = [
+        Ink::Plain,
+        Ink::Head,
+        Ink::Dim,
+        Ink::Selected,
+        Ink::Good,
+        Ink::Warn,
+        Ink::Bad,
+        Ink::Alarm,
+        Ink::Bar,
+    ];
+
     #[test]
     fn without_colour_nothing_is_coloured_and_the_selection_still_stands_out() {
-        let inks = [
-            Ink::Plain,
-            Ink::Head,
-            Ink::Dim,
-            Ink::Selected,
-            Ink::Good,
-            Ink::Warn,
-            Ink::Bad,
-            Ink::Alarm,
-            Ink::Bar,
-        ];
         for theme in [Theme::MONO, Theme::ASCII] {
-            for style in inks.map(|ink| theme.style(ink)) {
+            for style in INKS.map(|ink| theme.style(ink)) {
                 assert!([style.fg, style.bg].iter().all(|c| matches!(c, None | Some(Color::Reset))));
             }
             assert!(theme.style(Ink::Selected).add_modifier.contains(Modifier::REVERSED));
@@ -259,18 +260,7 @@ mod tests {
     /// The eight first colours of a terminal and its default background belong to the user, so white text could be on white.
     #[test]
     fn the_contrast_theme_sets_both_text_and_background_everywhere() {
-        let inks = [
-            Ink::Plain,
-            Ink::Head,
-            Ink::Dim,
-            Ink::Selected,
-            Ink::Good,
-            Ink::Warn,
-            Ink::Bad,
-            Ink::Alarm,
-            Ink::Bar,
-        ];
-        for ink in inks {
+        for ink in INKS {
             let style = Theme::CONTRAST.style(ink);
             for colour in [style.fg, style.bg] {
                 assert!(matches!(colour, Some(Color::Indexed(16..))), "{ink:?}: {style:?}");
