@@ -168,7 +168,9 @@ impl Node {
                 self.carry_out(work, out);
             }
         }
-        self.flush(out);
+        if !self.parts.transit.is_empty() {
+            self.flush(out);
+        }
     }
 
     /// Takes one input and leaves its effects within the node pending, for a checker that interleaves them (see `orders`, D39).

@@ -246,7 +246,9 @@ impl Requests {
     #[inline]
     pub fn pop(&mut self) -> Option<Request> {
         let Self([first, second]) = self;
-        if first.is_none() && second.is_some() { second.take() } else { first.take() }
+        let next = if first.is_some() { first } else { second };
+        // Not `take`, which copies what is not there, too.
+        if next.is_some() { next.take() } else { None }
     }
 }
 
@@ -298,21 +300,18 @@ impl Script {
         requests: &mut Requests,
         out: &mut impl ScriptOutbox,
     ) {
-        let standing = self.standing;
+        let is_new = matches!(self.standing, Standing::NotBegun);
+        let runs = matches!(self.standing, Standing::Runs);
         let mut interpreter = Interpreter::new(self, program, code, requests, out);
-        match (standing, input) {
-            (Standing::Ended(_), _)
-            | (
-                Standing::NotBegun,
-                ScriptInput::Signal(_) | ScriptInput::Acted { .. } | ScriptInput::Chosen(_),
-            )
-            | (Standing::Runs, ScriptInput::Begin) => {}
-            (Standing::NotBegun, ScriptInput::Begin) => interpreter.begin(),
-            (Standing::Runs, ScriptInput::Signal(signal)) => interpreter.signal(signal),
-            (Standing::Runs, &ScriptInput::Acted { level, ok, value }) => {
-                interpreter.acted(level, Acted { ok, value });
-            }
-            (Standing::Runs, &ScriptInput::Chosen(choice)) => interpreter.chosen(choice),
+        match *input {
+            ScriptInput::Signal(ref signal) if runs => interpreter.signal(signal),
+            ScriptInput::Acted { level, ok, value } if runs => interpreter.acted(level, Acted { ok, value }),
+            ScriptInput::Chosen(choice) if runs => interpreter.chosen(choice),
+            ScriptInput::Begin if is_new => interpreter.begin(),
+            ScriptInput::Begin
+            | ScriptInput::Signal(_)
+            | ScriptInput::Acted { .. }
+            | ScriptInput::Chosen(_) => {}
         }
     }
 

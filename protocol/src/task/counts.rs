@@ -28,7 +28,20 @@ impl From<u64> for Count {
 }
 
 impl AddAssign<u64> for Count {
+    #[inline]
     fn add_assign(&mut self, more: u64) {
+        let low = &mut self.0[0];
+        // Nearly always one more is counted, and the sum fits into the low part.
+        match u16::try_from(more).ok().and_then(|more| low.checked_add(more)) {
+            Some(sum) => *low = sum,
+            None => self.carry(more),
+        }
+    }
+}
+
+impl Count {
+    #[cold]
+    fn carry(&mut self, more: u64) {
         *self = u64::from(*self).saturating_add(more).into();
     }
 }

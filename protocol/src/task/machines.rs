@@ -147,6 +147,7 @@ impl Machines {
     }
 
     /// The next instant at which time alone makes the task act.
+    #[inline]
     pub fn due(&self) -> Instant {
         let wait = match self.interrupts.pending() {
             Pending::Get { deadline, .. } => deadline,
@@ -160,9 +161,12 @@ impl Machines {
         };
         // This is a fast path for most tasks between two inputs: only the wait of the running activation can be due.
         let quiet = self.server.is_empty() && self.meetings.are_quiet() && self.lease.is_none();
-        if quiet && self.interrupts.depth() == 0 {
-            return wait;
-        }
+        if quiet && self.interrupts.depth() == 0 { wait } else { self.due_with(wait) }
+    }
+
+    /// The next instant at which something other than the wait of the running activation is due, or that wait.
+    #[inline(never)]
+    fn due_with(&self, wait: Instant) -> Instant {
         // The next offer of a rejected message matters only if a handler could begin.
         let offered = self.server.has_offers() && self.is_interruptible();
         let offer = if offered { self.server.next_offer() } else { Instant::NEVER };
@@ -238,6 +242,9 @@ impl Machines {
         inbox: Option<u16>,
         source: Option<TaskId>,
     ) -> bool {
+        if self.server.has_nothing(inbox) {
+            return false;
+        }
         let Some((origin, held)) = self.server.next(step, inbox, source) else { return false };
         self.hand_over(step, origin, &held);
         true

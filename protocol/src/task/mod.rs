@@ -136,7 +136,8 @@ impl CommTask {
         }
         // A request of a waiting activation gets its signal below; an offer would be a second signal.
         let answered = matches!(input, Input::Request(_)) && !self.is_idle();
-        let Self { own, machines, due } = self;
+        self.due = None;
+        let Self { own, machines, .. } = self;
         let step = &mut Step { table, own, out };
         match input {
             Input::Time => {}
@@ -149,7 +150,17 @@ impl CommTask {
         if !answered {
             machines.offer_to_waiting(step);
         }
-        *due = Some(machines.due());
+    }
+
+    /// Moves the task's clock to `now` if nothing is due by then. False, and nothing has changed, if something is, or under a rule by
+    /// which time changes what waits.
+    #[inline]
+    pub fn let_idle_time_pass(&mut self, table: &NodeTable, now: Instant) -> bool {
+        let is_idle = now < self.keep_deadline() && table.rules().charge_residence;
+        if is_idle {
+            self.own.now = self.own.now.max(now);
+        }
+        is_idle
     }
 
     /// Follows a table that replaced `former` between two inputs, at the task's own time. What depends on a route is read from the
@@ -175,6 +186,7 @@ impl CommTask {
     }
 
     /// As [`next_deadline`](Self::next_deadline), and keeps the result for the next input.
+    #[inline]
     pub fn keep_deadline(&mut self) -> Instant {
         let due = self.next_deadline();
         self.due = Some(due);
@@ -190,7 +202,7 @@ impl CommTask {
             self.machines.server.give_back(&self.own, elapsed);
             self.due = None;
         }
-        if self.next_deadline() <= self.own.now {
+        if self.keep_deadline() <= self.own.now {
             self.act(table, out);
         }
     }

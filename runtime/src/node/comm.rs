@@ -57,7 +57,7 @@ impl Comm {
             table,
             wants_keyframe,
             alarm,
-            cover: Cover::new(home.place),
+            cover: Cover::new(home.place()),
             home,
             homes,
             answer: None,
@@ -101,7 +101,7 @@ impl Comm {
     }
 
     /// Whether nothing becomes due until `now`.
-    pub fn is_idle_until(&self, now: Micros) -> bool {
+    pub fn is_idle_until(&mut self, now: Micros) -> bool {
         now < self.due()
     }
 
@@ -199,13 +199,13 @@ impl Comm {
     }
 
     /// When the machine next expires.
-    fn due(&self) -> Micros {
-        self.started.saturating_add(self.machine.next_deadline().0)
+    fn due(&mut self) -> Micros {
+        self.started.saturating_add(self.machine.keep_deadline().0)
     }
 
     /// Says when the machine next expires, while its task's thread does `rest`.
     pub fn settle(&mut self, rest: Rest) -> Micros {
-        let due = self.started.saturating_add(self.machine.keep_deadline().0);
+        let due = self.due();
         self.cover.settle(&self.alarm, rest, due);
         due
     }
@@ -221,12 +221,10 @@ impl Comm {
         if self.now() == now {
             return true;
         }
-        let only_time = self.now() < now && self.is_idle_until(now);
-        if only_time {
+        self.now() < now && {
             let now = self.machine.now() + self.elapsed(now);
-            self.machine.handle(&self.table, now, &Input::Time, &mut Nowhere);
+            self.machine.let_idle_time_pass(&self.table, now)
         }
-        only_time
     }
 
     /// Takes an input of a task that has no script.
@@ -260,17 +258,6 @@ pub struct Completion {
     pub at: Micros,
 }
 
-/// The outbox of a step in which nothing is due.
-struct Nowhere;
-
-impl Outbox for Nowhere {
-    fn transmit(&mut self, _: Packet) {}
-    fn signal(&mut self, _: Signal) {}
-    fn arm(&mut self, _: TimeId, _: u8, _: Ticks) {}
-    fn disarm(&mut self, _: TimeId) {}
-    fn observe(&mut self, _: Observation) {}
-}
-
 /// The outbox of one input.
 struct Out<'a> {
     at: Micros,
@@ -285,7 +272,7 @@ struct Out<'a> {
 
 impl Outbox for Out<'_> {
     fn transmit(&mut self, packet: Packet) {
-        let is_inside = |home: &Home| home.domain == self.home.domain && home.run_by != RunBy::ItsThread;
+        let is_inside = |home: &Home| home.domain() == self.home.domain() && home.run_by != RunBy::ItsThread;
         match self.homes.of(packet.destination).filter(is_inside) {
             Some(home) => {
                 let stamped = Stamped { at: self.at, input: Input::Packet(packet) };

@@ -21,6 +21,7 @@ use crate::node::comm::{Comm, Completion};
 use crate::node::effects::{Addressed, Effects, Inside, Stamped};
 use crate::node::failstop::guarded;
 use crate::node::home::{Home, Homes, RunBy};
+use crate::observe::ring::Ring;
 use crate::script::ScriptRunner;
 use crate::sync::handoff::{Protected, Rest};
 use imrs_protocol::{
@@ -78,7 +79,7 @@ impl Domain {
                 let mut turn = self.turn_of(member);
                 if let Some(answer) = turn.take(stamped, effects) {
                     turn.answer = Some(answer);
-                    effects.called.push(turn.home.place);
+                    effects.called.push(turn.home.place());
                 }
                 None
             }
@@ -86,38 +87,42 @@ impl Domain {
         }
     }
 
-    /// The future of a member takes its answer, or brings an input if there is none yet. Answers for other members that this
-    /// leads to go to `answers`: the calling thread is that of the futures.
+    /// The future of a member takes its answer. If there is none yet, it makes a request at this time, or only lets time pass. Its
+    /// answer, and answers for other members that this leads to, go to `answers`: the calling thread is that of the futures.
     pub fn ask(
         &mut self,
         member: usize,
-        stamped: Stamped,
+        (at, request): (Micros, Option<&Request>),
         answers: &mut Answers,
         effects: &mut Effects,
-    ) -> Option<Completion> {
+    ) {
         if let Some(answer) = self.members[member].answer.take() {
-            return Some(answer);
+            return answers.put(member, answer);
         }
         let before = effects.called.len();
-        let mut answer = guarded("a communication task", || self.turn_of(member).ask(stamped, effects));
-        self.work_inside(effects);
+        self.turn_of(member).ask((at, request), answers, effects);
+        if !effects.inside.is_empty() {
+            self.work_inside(effects);
+        }
         for &place in &effects.called[before..] {
-            let there = self.homes.at(place).member;
-            let Some(found) = self.members[there].answer.take() else { continue };
-            if there == member {
-                answer = Some(found);
-            } else {
-                answers.put(there, found);
+            let there = self.homes.at(place).member();
+            if let Some(answer) = self.members[there].answer.take() {
+                answers.put(there, answer);
             }
         }
-        answer
     }
 
     /// As [`ask`](Self::ask), for a member whose program takes no answers any more.
-    pub fn tell(&mut self, member: usize, stamped: Stamped, answers: &mut Answers, effects: &mut Effects) {
+    pub fn tell(
+        &mut self,
+        member: usize,
+        (at, request): (Micros, &Request),
+        answers: &mut Answers,
+        effects: &mut Effects,
+    ) {
         self.members[member].answer = None;
         answers.take(member);
-        self.ask(member, stamped, answers, effects);
+        self.ask(member, (at, Some(request)), answers, effects);
     }
 
     fn turn_of(&mut self, member: usize) -> Turn<'_> {
@@ -146,15 +151,16 @@ impl Protected for Domain {
 
     fn work_inside(&mut self, effects: &mut Effects) {
         for _ in 0..TURN {
-            let Some((home, inside)) = effects.inside.pop_front_if(|(home, _)| home.domain == self.id) else {
+            let Some((home, inside)) = effects.inside.pop_front_if(|(home, _)| home.domain() == self.id)
+            else {
                 return;
             };
             guarded("a communication task", || match inside {
                 Inside::Input(stamped) => {
-                    self.take(home.member, stamped, effects);
+                    self.take(home.member(), stamped, effects);
                 }
                 Inside::Told => {
-                    self.with_runner(home.member, effects, |runner, turn, effects| {
+                    self.with_runner(home.member(), effects, |runner, turn, effects| {
                         runner.go_on(turn, effects);
                     });
                 }
@@ -167,7 +173,7 @@ impl Protected for Domain {
         if self.members[0].home.run_by == RunBy::ItsThread {
             return self.members[0].settle(rest);
         }
-        for member in self.changed.drain(..) {
+        while let Some(member) = self.changed.pop() {
             let member = &mut self.members[member];
             member.changed = false;
             // No thread sleeps until the expiry of a script or a future.
@@ -185,16 +191,21 @@ pub(crate) struct Answers {
 }
 
 impl Answers {
+    #[inline]
     fn put(&mut self, member: usize, answer: Completion) {
-        if self.of.len() <= member {
-            self.of.resize(member + 1, None);
+        if let Some(of) = self.of.get_mut(member) {
+            *of = Some(answer);
+        } else {
+            self.of.resize(member, None);
+            self.of.push(Some(answer));
         }
-        self.of[member] = Some(answer);
     }
 
     /// The answer for a member, if there is one.
     pub fn take(&mut self, member: usize) -> Option<Completion> {
-        self.of.get_mut(member)?.take()
+        let of = self.of.get_mut(member)?;
+        // Not `take` alone, which copies what is not there, too.
+        if of.is_some() { of.take() } else { None }
     }
 }
 
@@ -228,19 +239,25 @@ impl Turn<'_> {
         }
     }
 
-    /// The member's future asks, or lets time pass.
-    fn ask(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Completion> {
-        if let Input::Request(request @ (Request::Send { .. } | Request::Reply { .. })) = stamped.input
+    /// The member's future makes a request, or lets time pass.
+    fn ask(
+        &mut self,
+        (at, request): (Micros, Option<&Request>),
+        answers: &mut Answers,
+        effects: &mut Effects,
+    ) {
+        let own = self.home.member();
+        if let Some(request @ (Request::Send { .. } | Request::Reply { .. })) = request
             && self.is_usual()
-            && self.catch_up_with(stamped.at)
+            && self.catch_up_with(at)
+            && self.fuse(request, &mut ToFutures { own, answers }, effects)
         {
-            let mut answer = None;
-            let answers = &mut |signal| answer = Some(Completion { signal, at: stamped.at });
-            if self.fuse(&request, answers, effects) {
-                return answer;
-            }
+            return;
         }
-        self.take(stamped, effects)
+        let input = request.map_or(Input::Time, |&request| Input::Request(request));
+        if let Some(answer) = self.take(Stamped { at, input }, effects) {
+            answers.put(own, answer);
+        }
     }
 
     /// The member takes a request as one fused step with the other member that it concerns (D176). False, and nothing has
@@ -248,7 +265,7 @@ impl Turn<'_> {
     pub fn fuse(
         &mut self,
         request: &Request,
-        answers: &mut dyn FnMut(Signal),
+        signals: &mut impl FusedSignals,
         effects: &mut Effects,
     ) -> bool {
         if self.members.len() == 1 {
@@ -258,59 +275,88 @@ impl Turn<'_> {
         let (home, there) = (self.home, self.homes.at(fusible.other));
         // A packet that the other member has not taken comes first.
         let is_before = |(to, inside): &(Home, Inside)| *to == there && matches!(inside, Inside::Input(_));
-        if home.domain != there.domain || effects.inside.iter().any(is_before) {
+        if home.domain() != there.domain() || effects.inside.iter().any(is_before) {
             return false;
         }
-        let Ok([own, other]) = self.members.get_disjoint_mut([home.member, there.member]) else {
+        let Ok([own, other]) = self.members.get_disjoint_mut([home.member(), there.member()]) else {
             return false;
         };
         if !(own.is_usual() && other.is_usual() && other.catch_up_with(own.now())) {
             return false;
         }
-        let mut told = None;
-        let (at, task) = (own.now(), own.machine.task());
-        let rings = (&mut own.ring, &mut other.ring);
-        let mut out = Fused { at, task, rings, answers, told: &mut told };
+        let mut out = Fused {
+            at: own.now(),
+            task: own.machine.task(),
+            rings: (&mut own.ring, &mut other.ring),
+            signals,
+            other: (there.member(), &mut other.runner),
+            told: false,
+        };
         if !fusible.step(&mut own.machine, &mut other.machine, request, &mut out) {
             return false;
         }
-        match (told, &mut other.runner) {
-            (Some(signal), Some(runner)) => {
-                runner.tell_later(signal);
-                effects.inside.push_back((there, Inside::Told));
+        if out.told {
+            match there.run_by {
+                RunBy::AnyThread => effects.inside.push_back((there, Inside::Told)),
+                RunBy::TheThreadOfFutures | RunBy::ItsThread => effects.called.push(there.place()),
             }
-            (Some(signal), None) => {
-                other.answer = Some(Completion { signal, at });
-                effects.called.push(there.place);
-            }
-            (None, _) => {}
         }
-        self.change(there.member);
+        self.change(there.member());
         true
     }
 }
 
+/// Where the signals of a fused step go.
+pub(crate) trait FusedSignals {
+    /// To the task that makes the request.
+    fn own(&mut self, answer: Completion);
+    /// To the other member, which may have a script.
+    fn other(&mut self, member: usize, script: Option<&mut ScriptRunner>, answer: Completion);
+}
+
+/// To the futures of a node, on their thread.
+struct ToFutures<'a> {
+    own: usize,
+    answers: &'a mut Answers,
+}
+
+impl FusedSignals for ToFutures<'_> {
+    fn own(&mut self, answer: Completion) {
+        self.answers.put(self.own, answer);
+    }
+
+    fn other(&mut self, member: usize, _: Option<&mut ScriptRunner>, answer: Completion) {
+        self.answers.put(member, answer);
+    }
+}
+
 /// The outbox of one fused step. It drops nothing and sends nothing.
-struct Fused<'a> {
+struct Fused<'a, S> {
     at: Micros,
     task: TaskId,
     /// Of the task itself, and of the other one.
-    rings: (&'a mut crate::observe::ring::Ring, &'a mut crate::observe::ring::Ring),
-    answers: &'a mut dyn FnMut(Signal),
-    told: &'a mut Option<Signal>,
+    rings: (&'a mut Ring, &'a mut Ring),
+    signals: &'a mut S,
+    other: (usize, &'a mut Option<Box<ScriptRunner>>),
+    /// Whether the other task was told something.
+    told: bool,
 }
 
-impl NodeOutbox for Fused<'_> {
+impl<S: FusedSignals> NodeOutbox for Fused<'_, S> {
     fn link(&mut self, _: NodeId, _: Packet) {}
 
+    #[inline(always)]
     fn signal(&mut self, task: TaskId, signal: Signal) {
+        let answer = Completion { signal, at: self.at };
         if task == self.task {
-            (self.answers)(signal);
+            self.signals.own(answer);
         } else {
-            *self.told = Some(signal);
+            self.told = true;
+            self.signals.other(self.other.0, self.other.1.as_deref_mut(), answer);
         }
     }
 
+    #[inline]
     fn observe(&mut self, at: Option<TaskId>, observation: Observation) {
         let ring = if at == Some(self.task) { &mut self.rings.0 } else { &mut self.rings.1 };
         ring.push(self.at, observation);

@@ -45,7 +45,7 @@ impl Node {
         let local = &self.locals.list[place];
         // A panic here is one of the machine, though a program is being polled.
         let work = |domain: &mut Domain, effects: &mut Effects| {
-            guarded("a communication task", || work(domain, local.home.member, effects))
+            guarded("a communication task", || work(domain, local.home.member(), effects))
         };
         let entered = local.handoff.enter_shared(work, effects);
         self.carry_out(effects);

@@ -16,14 +16,29 @@ pub(crate) enum RunBy {
 /// Where a communication task of the node is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Home {
-    /// Its position among the node's tasks.
-    pub place: usize,
-    /// Its domain: the place of that domain's first member.
-    pub domain: usize,
-    /// Its position among the members of the domain.
-    pub member: usize,
+    // A cell has at most 65,536 tasks, and a home goes along with each packet.
+    place: u16,
+    domain: u16,
+    member: u16,
     /// Which thread runs the task's program: the same for all members of a domain.
     pub run_by: RunBy,
+}
+
+impl Home {
+    /// Its position among the node's tasks.
+    pub const fn place(self) -> usize {
+        self.place as usize
+    }
+
+    /// Its domain: the place of that domain's first member.
+    pub const fn domain(self) -> usize {
+        self.domain as usize
+    }
+
+    /// Its position among the members of the domain.
+    pub const fn member(self) -> usize {
+        self.member as usize
+    }
 }
 
 /// Where the communication tasks of a node are.
@@ -41,8 +56,8 @@ impl Homes {
         let mut of_task = vec![None; tasks];
         let mut of_place = Vec::new();
         let (mut scripts, mut futures) = (None, None);
-        for (place, (task, run_by)) in local.enumerate() {
-            let shared: Option<&mut Option<(usize, usize)>> = match run_by {
+        for (place, (task, run_by)) in (0..).zip(local) {
+            let shared: Option<&mut Option<(u16, u16)>> = match run_by {
                 RunBy::ItsThread => None,
                 RunBy::AnyThread => Some(&mut scripts),
                 RunBy::TheThreadOfFutures => Some(&mut futures),

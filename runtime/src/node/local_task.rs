@@ -79,7 +79,7 @@ impl LocalTask {
     }
 
     fn addressed(&self, stamped: Stamped) -> Addressed {
-        Addressed { member: self.home.member, stamped }
+        Addressed { member: self.home.member(), stamped }
     }
 
     /// Brings input from any thread: see [`Handoff::deliver`].
@@ -94,7 +94,7 @@ impl LocalTask {
 
     /// Holds an input back, to deliver it together with others.
     pub fn hold(&self, stamped: Stamped, effects: &mut Effects) {
-        effects.bundles.push(self.home.place, self.addressed(stamped));
+        effects.bundles.push(self.home.place(), self.addressed(stamped));
     }
 
     /// Puts input into the inbox without taking the lock: see [`Handoff::leave`].
@@ -109,14 +109,14 @@ impl LocalTask {
         work: impl FnOnce(&mut ScriptRunner, &mut Turn<'_>, &mut Effects),
     ) {
         let visit = |domain: &mut Domain, effects: &mut Effects| {
-            domain.with_runner(self.home.member, effects, work);
+            domain.with_runner(self.home.member(), effects, work);
         };
         self.handoff.visit(visit, effects);
     }
 
     /// Looks at the communication task after draining the inbox: see [`Handoff::with`].
     pub fn look<R>(&self, look: impl FnOnce(&mut Comm) -> R, effects: &mut Effects) -> R {
-        self.handoff.with(|domain| look(domain.member(self.home.member)), effects)
+        self.handoff.with(|domain| look(domain.member(self.home.member())), effects)
     }
 
     pub fn liveness(&self) -> Liveness {
@@ -144,14 +144,15 @@ pub(crate) fn local_tasks(
     let mut tasks = Vec::new();
     for comm in comms {
         tasks.push((comm.machine().task(), comm.home));
-        domains.entry(comm.home.domain).or_default().push(comm);
+        domains.entry(comm.home.domain()).or_default().push(comm);
     }
     let handoff = |(id, members)| {
         let domain = Domain::new(id, members, table.clone(), Arc::clone(homes));
         (id, Arc::new(Handoff::new(domain, link.cloned())))
     };
     let domains: BTreeMap<usize, _> = domains.into_iter().map(handoff).collect();
-    let local = |(task, home): (TaskId, Home)| LocalTask::new(task, home, Arc::clone(&domains[&home.domain]));
+    let local =
+        |(task, home): (TaskId, Home)| LocalTask::new(task, home, Arc::clone(&domains[&home.domain()]));
     tasks.into_iter().map(local).collect()
 }
 
@@ -183,6 +184,6 @@ impl LocalTasks {
 
     /// The position of `task` in the list.
     pub fn place(&self, task: TaskId) -> Option<usize> {
-        Some(self.homes.of(task)?.place)
+        Some(self.homes.of(task)?.place())
     }
 }

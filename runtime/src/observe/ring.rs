@@ -38,10 +38,15 @@ impl Ring {
     }
 
     /// Records an observation, if there is a subscriber.
+    #[inline]
     pub fn push(&mut self, at: Micros, observation: Observation) {
-        if self.readers == 0 {
-            return;
+        if self.readers > 0 {
+            self.keep(at, observation);
         }
+    }
+
+    #[cold]
+    fn keep(&mut self, at: Micros, observation: Observation) {
         let entry = (at, observation);
         if self.kept.len() < self.room {
             self.kept.push(entry);

@@ -3,8 +3,8 @@
 use super::actions::{Begun, OutsideEffect};
 use super::{Note, Stands, Watch};
 use crate::clock::{self, Micros};
-use crate::node::comm::Comm;
-use crate::node::domain::Turn;
+use crate::node::comm::{Comm, Completion};
+use crate::node::domain::{FusedSignals, Turn};
 use crate::node::effects::{Effects, Stamped};
 use crate::node::failstop::guarded;
 use crate::record::{Did, OutputDigest, ScriptStep, Step};
@@ -167,9 +167,7 @@ impl ScriptRunner {
     /// Makes the request together with another script of the node, if nothing about it is unusual and no watch wants to see each
     /// small step.
     fn fuse(&mut self, comm: &mut Turn<'_>, request: &Request, effects: &mut Effects) -> bool {
-        let host = &mut self.host;
-        self.side.watch.is_none()
-            && comm.fuse(request, &mut |signal| host.tell(ScriptInput::Signal(signal)), effects)
+        self.side.watch.is_none() && comm.fuse(request, &mut ToScripts(&mut self.host), effects)
     }
 
     fn step(&mut self, comm: &mut Turn<'_>, step: Step, effects: &mut Effects) {
@@ -197,6 +195,21 @@ impl ScriptRunner {
 
     fn next_request(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) -> Option<Request> {
         self.host.next(&mut Out { comm, side: &mut self.side, effects })
+    }
+}
+
+/// Where the signals of a fused step of two scripts go.
+struct ToScripts<'a>(&'a mut ScriptHost);
+
+impl FusedSignals for ToScripts<'_> {
+    fn own(&mut self, answer: Completion) {
+        self.0.tell(ScriptInput::Signal(answer.signal));
+    }
+
+    fn other(&mut self, _: usize, script: Option<&mut ScriptRunner>, answer: Completion) {
+        if let Some(script) = script {
+            script.tell_later(answer.signal);
+        }
     }
 }
 

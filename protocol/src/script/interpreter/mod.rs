@@ -70,7 +70,7 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
 
     pub fn signal(&mut self, signal: &'a Signal) {
         // The usual answer, before all others are told apart.
-        let is_usual = self.frame().wait == Wait::Signal
+        let is_usual = matches!(self.frame().wait, Wait::Signal)
             && !matches!(signal, Signal::Interrupt(_) | Signal::Granted(_) | Signal::Fault(_));
         if is_usual || self.is_plain_answer(signal) {
             self.resume(|turn| turn.answered(signal).map(|()| Flow::Next));

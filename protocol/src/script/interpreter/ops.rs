@@ -193,7 +193,7 @@ impl<O: ScriptOutbox> Interpreter<'_, O> {
     }
 
     /// Begins a statement, and asks for a boundary if a handler may be waiting for one (D15).
-    #[inline]
+    #[inline(always)]
     pub(super) fn statement(&mut self, at: Address) -> Flow {
         self.out.statement(at);
         self.forget_answer();

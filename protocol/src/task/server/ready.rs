@@ -185,6 +185,12 @@ impl Server {
         urgent.len() + offers.len() + ends.len() == 0
     }
 
+    /// Whether no message waits at an inbox, or at any inbox without a handler.
+    #[inline]
+    pub fn has_nothing(&self, inbox: Option<u16>) -> bool {
+        inbox.map_or(self.ready.urgent.len(), |inbox| self.inboxes[usize::from(inbox)].queue.len()) == 0
+    }
+
     /// The next instant at which something expires.
     pub fn next_end(&self) -> Instant {
         let first = |order: &Heap| order.first_instant(|at| self.inboxes[usize::from(at)].due());

@@ -5,13 +5,13 @@ use crate::api::message::Bytes;
 use crate::clock::{self, Micros};
 use crate::node::comm::{Comm, Completion};
 use crate::node::domain::{Answers, Domain};
-use crate::node::effects::{Effects, Stamped};
+use crate::node::effects::Effects;
 use crate::node::failstop::guarded;
 use crate::node::{Inlet, More, Node};
 use crate::sync::awake::{Kind, SpinPolicy};
 use crate::sync::handoff::Entry;
 use crate::sync::lead::Led;
-use imrs_protocol::{Contents, Delivery, Input, PortId, ReplyTo, Request, Signal, TaskId, Ticks};
+use imrs_protocol::{Contents, Delivery, PortId, ReplyTo, Request, Signal, TaskId, Ticks};
 use std::cell::RefCell;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -22,6 +22,8 @@ use std::time::Duration;
 pub(crate) struct Caller {
     pub node: Arc<Node>,
     place: usize,
+    /// The task's position in its domain.
+    member: usize,
     effects: Effects,
     /// What the thread receives with where it leads. Made when it first leads.
     inlet: Option<Inlet>,
@@ -44,12 +46,13 @@ pub(crate) struct Caller {
 
 impl Caller {
     pub fn new(node: Arc<Node>, place: usize) -> Self {
-        let task = node.locals.list[place].task;
+        let local = &node.locals.list[place];
         Self {
             policy: SpinPolicy::new(node.spin),
-            node,
             place,
-            effects: Effects::new(Some(task)),
+            member: local.home.member(),
+            effects: Effects::new(Some(local.task)),
+            node,
             inlet: None,
             stopped: false,
             failed: None,
@@ -77,18 +80,15 @@ impl Caller {
 
     /// As [`call`](Self::call), without waiting: returns what there is for the task now. If that is an answer to an earlier
     /// request, the new request is not made.
-    pub fn call_now(&mut self, request: Option<Request>) -> Result<Option<(Signal, Ticks)>, TaskError> {
+    pub fn call_now(&mut self, request: Option<&Request>) -> Result<Option<(Signal, Ticks)>, TaskError> {
         if let Some(error) = &self.failed {
             return Err(error.clone());
         }
         if self.stopped {
             return Err(TaskError::Stopped);
         }
-        let (at, input) = match request {
-            Some(request) => (clock::next(), Input::Request(request)),
-            None => (clock::now(), Input::Time),
-        };
-        match self.enter(Stamped { at, input }) {
+        let at = if request.is_some() { clock::next() } else { clock::now() };
+        match self.enter(at, request) {
             Some(Completion { signal: Signal::Fault(fault), .. }) => Err(super::RequestFault(fault).into()),
             Some(Completion { signal, at: since }) => Ok(Some((signal, Ticks(at.saturating_sub(since))))),
             None if self.stopped => {
@@ -99,18 +99,18 @@ impl Caller {
         }
     }
 
-    /// The future takes its answer, or brings an input if there is none yet.
-    fn enter(&mut self, stamped: Stamped) -> Option<Completion> {
+    /// The future takes its answer. If there is none yet, it makes the request first, or lets time pass.
+    fn enter(&mut self, at: Micros, request: Option<&Request>) -> Option<Completion> {
         let answers = self.answers.as_ref()?;
-        if let Some(answer) = answers.borrow_mut().take(self.node.locals.list[self.place].home.member) {
-            return Some(answer);
+        let answer = answers.borrow_mut().take(self.member);
+        if answer.is_some() {
+            return answer;
         }
         let ask = |domain: &mut Domain, member: usize, effects: &mut Effects| {
-            domain.ask(member, stamped, &mut answers.borrow_mut(), effects)
+            domain.ask(member, (at, request), &mut answers.borrow_mut(), effects);
         };
-        let (answer, stopped) = self.node.look_in(self.place, ask, &mut self.effects);
-        self.stopped = stopped;
-        answer
+        ((), self.stopped) = self.node.look_in(self.place, ask, &mut self.effects);
+        answers.borrow_mut().take(self.member)
     }
 
     /// Whether `waker` was to be called for an answer when the future last entered. If not, it is from here on, and the future
@@ -277,9 +277,9 @@ impl Caller {
 
     fn tell(&mut self, request: Request) {
         if let Some(answers) = &self.answers {
-            let stamped = Stamped { at: clock::next(), input: Input::Request(request) };
+            let at = clock::next();
             let tell = |domain: &mut Domain, member: usize, effects: &mut Effects| {
-                domain.tell(member, stamped, &mut answers.borrow_mut(), effects);
+                domain.tell(member, (at, &request), &mut answers.borrow_mut(), effects);
             };
             self.node.look_in(self.place, tell, &mut self.effects);
             return;

@@ -35,7 +35,8 @@ impl<S> Future for Asking<'_, S> {
         let Self { context, next, stage } = self.get_mut();
         *stage = Stage::Waits;
         loop {
-            let answer = context.caller.call_now(next.take());
+            let answer = context.caller.call_now(next.as_ref());
+            *next = None;
             match answer {
                 Ok(Some((Signal::Interrupt(call), age))) => match context.interrupted(call, age) {
                     Ok(()) => *next = Some(Request::Return),

@@ -263,7 +263,7 @@ impl<S> AsyncContext<S> {
     fn withdraw(&mut self) {
         let mut next = Request::Cancel;
         loop {
-            match self.caller.call_now(Some(next)) {
+            match self.caller.call_now(Some(&next)) {
                 Ok(Some((Signal::Interrupt(call), age))) => {
                     if self.interrupted(call, age).is_err() {
                         return;
