@@ -60,6 +60,7 @@ impl<'a> Ends<'a> {
 
 impl Party {
     /// The time_out of a request of the task. The others at the port rely on the declared one, so a request may only shorten it.
+    #[inline]
     pub(crate) fn time_out_of(&self, wanted: Option<Ticks>) -> Ticks {
         wanted.map_or(self.time_out, |wanted| wanted.min(self.time_out))
     }

@@ -126,11 +126,13 @@ impl Client {
     }
 
     /// Whether the request at a position is closed: it has ended, and the task knows how.
+    #[inline]
     pub fn is_closed(&self, request: u16) -> bool {
         self.requests[usize::from(request)].phase == Phase::Closed
     }
 
     /// [`send`](Self::send) in a fused step, for one recipient that has already taken the message.
+    #[inline(always)]
     pub fn open_fused(
         &mut self,
         request: u16,
@@ -146,6 +148,7 @@ impl Client {
     }
 
     /// Whether a request waits for exactly this answer.
+    #[inline(always)]
     pub fn waits_only_for(&self, request: u16, recipient: u16, id: MessageId) -> bool {
         let request = &self.requests[usize::from(request)];
         let asked = &request.recipients[usize::from(recipient)];
@@ -154,10 +157,11 @@ impl Client {
 
     /// [`answer`](Self::answer) in a fused step, for the answer that [`waits_only_for`](Self::waits_only_for) allows. Returns
     /// the deadline that the request had.
-    pub fn close_fused(&mut self, request: u16) -> Instant {
+    #[inline(always)]
+    pub fn close_fused(&mut self, request: u16, recipient: u16) -> Instant {
         let request = &mut self.requests[usize::from(request)];
         let deadline = request.deadline;
-        request.close();
+        request.close_only(recipient.into());
         deadline
     }
 

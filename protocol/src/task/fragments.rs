@@ -137,6 +137,7 @@ impl Assembly {
     }
 
     /// Drops all fragments, and from now on expects those of the message `id`.
+    #[inline]
     pub fn begin(&mut self, id: MessageId) {
         (self.id, self.have, self.fragments, self.expires) = (id, 0, None, Instant::NEVER);
     }

@@ -121,7 +121,7 @@ impl CommTask {
         let Some(left) = machines.server.answer_fused(origin, to, contents, own.now) else { return false };
         out.observe(Some(own.task), Observation::of(Event::Replied, to.port, to.source, to.id, left));
         out.signal(own.task, Signal::Accepted(1));
-        let left = theirs.client.close_fused(request) - their.now;
+        let left = theirs.client.close_fused(request, recipient) - their.now;
         theirs.interrupts.end_wait();
         their.endpoints[there].counters.delivered += 1;
         out.observe(Some(their.task), Observation::of(Event::Answered, to.port, own.task, to.id, left));

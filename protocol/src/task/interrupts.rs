@@ -182,6 +182,7 @@ impl Interrupts {
     }
 
     /// Whether the running activation waits in a GET for a message of this port and source.
+    #[inline]
     pub fn gets(&self, id: PortId, from: TaskId, handled: bool) -> bool {
         matches!(self.running.pending, Pending::Get { port, source, .. }
             if port.map_or(!handled, |port| port == id) && source.is_none_or(|source| source == from))

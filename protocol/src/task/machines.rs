@@ -242,9 +242,6 @@ impl Machines {
         inbox: Option<u16>,
         source: Option<TaskId>,
     ) -> bool {
-        if self.server.has_nothing(inbox) {
-            return false;
-        }
         let Some((origin, held)) = self.server.next(step, inbox, source) else { return false };
         self.hand_over(step, origin, &held);
         true

@@ -181,6 +181,7 @@ impl CommTask {
 
     /// The next instant at which time alone makes the task act. Until then an [`Input::Time`] does nothing.
     #[must_use]
+    #[inline]
     pub fn next_deadline(&self) -> Instant {
         self.due.unwrap_or_else(|| self.machines.due())
     }

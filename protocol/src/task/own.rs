@@ -136,6 +136,7 @@ impl Own {
     }
 
     /// The position of the endpoint of a port.
+    #[inline]
     pub fn place(&self, port: PortId) -> Option<usize> {
         self.endpoints.binary_search_by_key(&port, |endpoint| endpoint.port).ok()
     }
@@ -145,6 +146,7 @@ impl Own {
         self.endpoints.get_mut(at)
     }
 
+    #[inline]
     pub fn role(&self, port: PortId) -> Option<Role> {
         Some(self.endpoints[self.place(port)?].role)
     }
@@ -165,6 +167,7 @@ impl Own {
     }
 
     /// The inbox of a port, or the fault of a request that needs one.
+    #[inline]
     pub fn receiving(&self, port: PortId) -> Result<u16, Fault> {
         let Some(role) = self.role(port) else { return Err(Fault::NotYourPort) };
         if let Role::Receives(inbox) = role { Ok(inbox) } else { Err(Fault::WrongUsage) }

@@ -105,6 +105,7 @@ impl Machines {
     }
 
     /// Takes the most urgent message among the heads of the ports, or waits for one (procedure `get`, §5.2.1).
+    #[inline]
     fn get(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -112,7 +113,7 @@ impl Machines {
         time_out: Option<Ticks>,
     ) -> Answer {
         let inbox = port.map(|port| step.own.receiving(port)).transpose()?;
-        if self.serve(step, inbox, source) {
+        if !self.server.has_nothing(inbox) && self.serve(step, inbox, source) {
             return Ok(None);
         }
         if time_out == Some(Ticks::ZERO) {

@@ -1,7 +1,7 @@
 //! A communication task behind its lock, with its clock, its recorder and its observations.
 
 use crate::clock::{self, Micros};
-use crate::node::effects::{Effect, Effects, Inside, Stamped};
+use crate::node::effects::{Effect, Effects, Stamped};
 use crate::node::home::{Home, Homes, RunBy};
 use crate::observe::ring::Ring;
 use crate::record::{Digesting, Log, OutputDigest, ScriptStep, Step};
@@ -217,6 +217,7 @@ impl Comm {
     }
 
     /// Lets time pass up to `now` at a task that is not recorded. False, and nothing has changed, if that is more than time alone.
+    #[inline]
     pub fn catch_up_with(&mut self, now: Micros) -> bool {
         if self.now() == now {
             return true;
@@ -228,6 +229,7 @@ impl Comm {
     }
 
     /// Takes an input of a task that has no script.
+    #[inline]
     pub fn take(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Completion> {
         // The bringing thread, and with it the node, may have been stopped since it read the clock: a lease that has ended
         // meanwhile ends before the input has any effect (D153).
@@ -275,8 +277,7 @@ impl Outbox for Out<'_> {
         let is_inside = |home: &Home| home.domain() == self.home.domain() && home.run_by != RunBy::ItsThread;
         match self.homes.of(packet.destination).filter(is_inside) {
             Some(home) => {
-                let stamped = Stamped { at: self.at, input: Input::Packet(packet) };
-                self.effects.inside.push_back((home, Inside::Input(stamped)));
+                self.effects.inside.send(home, Stamped { at: self.at, input: Input::Packet(packet) });
             }
             None => self.effects.queue.push_back(Effect::Transmit(self.at, packet)),
         }

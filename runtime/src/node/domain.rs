@@ -18,9 +18,9 @@
 
 use crate::clock::Micros;
 use crate::node::comm::{Comm, Completion};
-use crate::node::effects::{Addressed, Effects, Inside, Stamped};
+use crate::node::effects::{Addressed, Effects, Stamped};
 use crate::node::failstop::guarded;
-use crate::node::home::{Home, Homes, RunBy};
+use crate::node::home::{Homes, RunBy};
 use crate::observe::ring::Ring;
 use crate::script::ScriptRunner;
 use crate::sync::handoff::{Protected, Rest};
@@ -121,8 +121,8 @@ impl Domain {
         effects: &mut Effects,
     ) {
         self.members[member].answer = None;
-        answers.take(member);
         self.ask(member, (at, Some(request)), answers, effects);
+        answers.take(member);
     }
 
     fn turn_of(&mut self, member: usize) -> Turn<'_> {
@@ -151,15 +151,12 @@ impl Protected for Domain {
 
     fn work_inside(&mut self, effects: &mut Effects) {
         for _ in 0..TURN {
-            let Some((home, inside)) = effects.inside.pop_front_if(|(home, _)| home.domain() == self.id)
-            else {
-                return;
-            };
-            guarded("a communication task", || match inside {
-                Inside::Input(stamped) => {
+            let Some((home, input)) = effects.inside.take(self.id) else { return };
+            guarded("a communication task", || match input {
+                Some(stamped) => {
                     self.take(home.member(), stamped, effects);
                 }
-                Inside::Told => {
+                None => {
                     self.with_runner(home.member(), effects, |runner, turn, effects| {
                         runner.go_on(turn, effects);
                     });
@@ -271,11 +268,12 @@ impl Turn<'_> {
         if self.members.len() == 1 {
             return false;
         }
-        let Some(fusible) = Fusible::of(self.table, self.machine().task(), request) else { return false };
-        let (home, there) = (self.home, self.homes.at(fusible.other));
+        let own = &self.members[self.member];
+        let (home, task) = (own.home, own.machine.task());
+        let Some(fusible) = Fusible::of(self.table, task, request) else { return false };
+        let there = self.homes.at(fusible.other);
         // A packet that the other member has not taken comes first.
-        let is_before = |(to, inside): &(Home, Inside)| *to == there && matches!(inside, Inside::Input(_));
-        if home.domain() != there.domain() || effects.inside.iter().any(is_before) {
+        if home.domain() != there.domain() || effects.inside.has_input_for(there) {
             return false;
         }
         let Ok([own, other]) = self.members.get_disjoint_mut([home.member(), there.member()]) else {
@@ -286,7 +284,7 @@ impl Turn<'_> {
         }
         let mut out = Fused {
             at: own.now(),
-            task: own.machine.task(),
+            task,
             rings: (&mut own.ring, &mut other.ring),
             signals,
             other: (there.member(), &mut other.runner),
@@ -297,7 +295,7 @@ impl Turn<'_> {
         }
         if out.told {
             match there.run_by {
-                RunBy::AnyThread => effects.inside.push_back((there, Inside::Told)),
+                RunBy::AnyThread => effects.inside.told(there),
                 RunBy::TheThreadOfFutures | RunBy::ItsThread => effects.called.push(there.place()),
             }
         }

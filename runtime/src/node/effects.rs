@@ -34,12 +34,52 @@ pub(crate) enum Effect {
     Disarm(Micros, TaskId, TimeId),
 }
 
-/// What one member of a domain has for another.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Inside {
-    Input(Stamped),
+/// What members of a domain have for each other, in the order in which it was sent.
+#[derive(Debug, Default)]
+pub(crate) struct Inside {
+    /// For whom, and what. What is told between scripts is most of it, so an entry is small.
+    order: VecDeque<(Home, What)>,
+    /// The inputs, in the same order.
+    inputs: VecDeque<Stamped>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum What {
+    Input,
     /// A fused step has told the member's script something.
     Told,
+}
+
+impl Inside {
+    pub fn send(&mut self, to: Home, input: Stamped) {
+        self.order.push_back((to, What::Input));
+        self.inputs.push_back(input);
+    }
+
+    /// A fused step has told the member's script something.
+    pub fn told(&mut self, to: Home) {
+        self.order.push_back((to, What::Told));
+    }
+
+    /// Whether there is input for a member.
+    pub fn has_input_for(&self, to: Home) -> bool {
+        !self.inputs.is_empty() && self.order.contains(&(to, What::Input))
+    }
+
+    /// For whom the first is.
+    pub fn first(&self) -> Option<Home> {
+        self.order.front().map(|&(to, _)| to)
+    }
+
+    /// Takes out the first, if it is for a member of this domain: `None` for what was told to its script.
+    pub fn take(&mut self, domain: usize) -> Option<(Home, Option<Stamped>)> {
+        let (to, what) = self.order.pop_front_if(|(to, _)| to.domain() == domain)?;
+        Some((to, if what == What::Input { self.inputs.pop_front() } else { None }))
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.order.is_empty()
+    }
 }
 
 /// The effects that one thread still has to carry out. Each thread keeps its own: once they have grown to size, nothing is
@@ -47,8 +87,7 @@ pub(crate) enum Inside {
 #[derive(Debug)]
 pub(crate) struct Effects {
     pub queue: VecDeque<Effect>,
-    /// What members of a domain have for each other, in the order in which it was sent.
-    pub inside: VecDeque<(Home, Inside)>,
+    pub inside: Inside,
     /// The places of the futures for which there is an answer.
     pub called: Vec<usize>,
     /// Whether this is the thread of the node's futures.
@@ -182,7 +221,7 @@ impl Effects {
     pub fn of_an_onlooker() -> Self {
         Self {
             queue: VecDeque::new(),
-            inside: VecDeque::new(),
+            inside: Inside::default(),
             called: Vec::new(),
             of_the_futures: false,
             outside: VecDeque::new(),
@@ -214,6 +253,7 @@ impl Effects {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::node::home::{Homes, RunBy};
 
     fn numbered(at: Micros) -> Addressed {
         Addressed { member: 0, stamped: Stamped { at, input: Input::Time } }
@@ -252,6 +292,26 @@ mod tests {
         }
         // One task more than there is room for.
         assert_eq!(through(&mut bundles, &[0, 0, 1]), [(2, vec![0])]);
+    }
+
+    #[test]
+    fn what_is_inside_of_a_domain_comes_out_in_its_order() {
+        let tasks = [RunBy::AnyThread, RunBy::AnyThread, RunBy::TheThreadOfFutures];
+        let homes = Homes::new((0..).map(TaskId).zip(tasks), 3);
+        let [a, b, c] = [0, 1, 2].map(|place| homes.at(place));
+        let input = |at: Micros| Stamped { at, input: Input::Time };
+        let mut inside = Inside::default();
+        inside.told(a);
+        inside.send(b, input(1));
+        inside.told(b);
+        inside.send(a, input(2));
+        inside.send(c, input(3));
+        assert!(inside.has_input_for(a) && inside.has_input_for(b));
+        let out: Vec<_> = std::iter::from_fn(|| inside.take(a.domain())).collect();
+        let out: Vec<_> = out.into_iter().map(|(to, input)| (to, input.map(|input| input.at))).collect();
+        assert_eq!(out, [(a, None), (b, Some(1)), (b, None), (a, Some(2))]);
+        assert!(!inside.has_input_for(a) && inside.has_input_for(c));
+        assert_eq!(inside.first(), Some(c), "of another domain");
     }
 
     #[test]

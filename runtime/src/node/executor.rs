@@ -29,6 +29,7 @@ const ELSEWHERE: u32 = 8;
 
 impl Node {
     /// Calls the futures for which there is an answer.
+    #[inline]
     pub(crate) fn call_futures(&self, effects: &mut Effects) {
         while let Some(place) = effects.called.pop() {
             guarded("the waker of a future", || self.locals.list[place].call(effects));

@@ -302,7 +302,7 @@ impl Node {
             }
             if effects.queue.is_empty() && effects.called.is_empty() {
                 // The next turn of a domain, now that all its other effects are carried out.
-                let Some((home, _)) = effects.inside.front() else { return };
+                let Some(home) = effects.inside.first() else { return };
                 self.locals.list[home.place()].handoff.visit(|_, _| (), effects);
             }
         }

@@ -202,10 +202,12 @@ impl ScriptRunner {
 struct ToScripts<'a>(&'a mut ScriptHost);
 
 impl FusedSignals for ToScripts<'_> {
+    #[inline(always)]
     fn own(&mut self, answer: Completion) {
         self.0.tell(ScriptInput::Signal(answer.signal));
     }
 
+    #[inline(always)]
     fn other(&mut self, _: usize, script: Option<&mut ScriptRunner>, answer: Completion) {
         if let Some(script) = script {
             script.tell_later(answer.signal);

@@ -8,12 +8,17 @@ use crate::sync::{AtomicU64, Ordering};
 const BITS: usize = u64::BITS as usize;
 
 pub(crate) struct ReadyFutures<P = Sound> {
-    words: Box<[AtomicU64]>,
-    /// The marks that the thread itself made. No other thread touches them, so they take no locked instruction.
-    own: Box<[AtomicU64]>,
+    words: Box<[Marks]>,
     /// Where the thread waits while no future is ready.
     pub park: Park,
     plant: P,
+}
+
+/// The marks of up to 64 futures.
+struct Marks {
+    all: AtomicU64,
+    /// Those that the thread itself made. No other thread touches them, so they take no locked instruction.
+    own: AtomicU64,
 }
 
 /// The bugs that the explorers must find.
@@ -39,10 +44,11 @@ impl ReadyFutures {
 impl<P: Plants<Plant>> ReadyFutures<P> {
     /// As [`new`](ReadyFutures::new), with a bug.
     pub fn planted(count: usize, park: Park, plant: P) -> Self {
-        let marks = |first: usize| u64::MAX >> BITS.saturating_sub(count - first);
-        let words = (0..count).step_by(BITS).map(|first| AtomicU64::new(marks(first))).collect();
-        let own = (0..count).step_by(BITS).map(|_| AtomicU64::new(0)).collect();
-        Self { words, own, park, plant }
+        let marks = |first: usize| Marks {
+            all: AtomicU64::new(u64::MAX >> BITS.saturating_sub(count - first)),
+            own: AtomicU64::new(0),
+        };
+        Self { words: (0..count).step_by(BITS).map(marks).collect(), park, plant }
     }
 
     /// The future at `place` is ready. A waker that marked it before has called the thread, or is about to.
@@ -50,7 +56,7 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
         if self.plant.has(Plant::CallsFirst) {
             self.park.call();
         }
-        let (word, bit) = (&self.words[place / BITS], 1 << (place % BITS));
+        let (word, bit) = (&self.words[place / BITS].all, 1 << (place % BITS));
         if self.plant.has(Plant::OnlyReads) && word.load(Ordering::Acquire) & bit != 0 {
             return;
         }
@@ -63,7 +69,7 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
 
     /// As [`wake`](Self::wake), from the thread of the futures itself: it polls them, so it need not be called.
     pub fn mark_own(&self, place: usize) {
-        let word = &self.own[place / BITS];
+        let word = &self.words[place / BITS].own;
         word.store(word.load(Ordering::Relaxed) | (1 << (place % BITS)), Ordering::Relaxed);
     }
 
@@ -73,13 +79,15 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
         if !self.plant.has(Plant::BeginsLate) {
             self.park.begins();
         }
-        for (index, (word, own)) in self.words.iter().zip(&self.own).enumerate() {
-            let mut ready = self.take(word) | own.load(Ordering::Relaxed);
+        let mut first = 0;
+        for Marks { all, own } in &self.words {
+            let mut ready = self.take(all) | own.load(Ordering::Relaxed);
             own.store(0, Ordering::Relaxed);
             while ready != 0 {
-                poll(index * BITS + ready.trailing_zeros() as usize);
+                poll(first + ready.trailing_zeros() as usize);
                 ready &= ready - 1;
             }
+            first += BITS;
         }
         if self.plant.has(Plant::BeginsLate) {
             self.park.begins();
@@ -88,7 +96,9 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
 
     /// Whether a future is ready already, so that the thread need not try to wait.
     pub fn any(&self) -> bool {
-        self.words.iter().chain(&self.own).any(|word| word.load(Ordering::Relaxed) != 0)
+        self.words
+            .iter()
+            .any(|marks| marks.own.load(Ordering::Relaxed) != 0 || marks.all.load(Ordering::Relaxed) != 0)
     }
 
     fn take(&self, word: &AtomicU64) -> u64 {

@@ -72,6 +72,7 @@ pub(super) struct Outstanding {
 
 impl Recipient {
     /// Whether this task's answer to the message with this id is missing.
+    #[inline]
     pub fn waits_for(&self, id: MessageId) -> bool {
         self.answer == Answer::Open && self.id == id
     }
@@ -143,6 +144,7 @@ impl Outstanding {
     }
 
     /// Notes that a recipient was sent a message of so many packets.
+    #[inline]
     pub fn sent(&mut self, recipient: usize, id: MessageId, packets: u8) {
         let recipient = &mut self.recipients[recipient];
         (recipient.id, recipient.answer, recipient.packets_out) = (id, Answer::Open, packets.into());
@@ -160,7 +162,18 @@ impl Outstanding {
         self.forget();
     }
 
+    /// As [`close`](Self::close), where only this recipient was asked and nothing of its answer is kept here.
+    #[inline]
+    pub fn close_only(&mut self, recipient: usize) {
+        self.phase = Phase::Closed;
+        self.settle();
+        let asked = &mut self.recipients[recipient];
+        (asked.answer, asked.packets_out, asked.id) = (Answer::NotAsked, 0, MessageId::default());
+        asked.contents.begin(MessageId::default());
+    }
+
     /// Forgets the answers.
+    #[inline]
     pub fn forget(&mut self) {
         // A recipient that was not asked by the last request has nothing to forget.
         for recipient in self.recipients.iter_mut().filter(|recipient| recipient.answer != Answer::NotAsked) {
@@ -173,6 +186,7 @@ impl Outstanding {
     }
 
     /// Opens the request: the request was sent, and its answers are awaited.
+    #[inline]
     pub fn open_for(
         &mut self,
         set: bool,
@@ -196,6 +210,7 @@ impl Outstanding {
     }
 
     /// Clears the deadline, the retransmissions and the id of the request.
+    #[inline]
     pub fn settle(&mut self) {
         (self.deadline, self.copy_at, self.copies_left) = (Instant::NEVER, Instant::NEVER, 0);
         self.contents = Contents::EMPTY;

@@ -1,7 +1,7 @@
 //! What happens to a message from its wait to its answer: GET, delivery with the execution budget, and REPLY (§5.2.1).
 
 use super::inbox::{Admission, Inbox, RetryState};
-use super::memory::{CommandStatus, DedupEntry, Memory, Seen};
+use super::memory::{CommandStatus, DedupEntry, Memory};
 use super::{Held, Origin, Server, rest_of};
 use crate::ids::{MessageId, TaskId};
 use crate::mapping;
@@ -131,6 +131,7 @@ impl Server {
     }
 
     /// [`reply`](Self::reply) in a fused step. `None` if the message cannot be answered; then nothing has changed.
+    #[inline(always)]
     pub fn answer_fused(
         &mut self,
         (inbox, source): Origin,
@@ -145,16 +146,16 @@ impl Server {
     }
 
     /// Whether [`hear`](Self::hear) would take this message in as it is: it is new, and no earlier one of its source is in the way.
+    #[inline(always)]
     pub fn takes_fused(&self, (inbox, source): Origin, id: MessageId, now: Instant) -> bool {
         let inbox = &self.inboxes[inbox];
         let known = &inbox.sources[source];
-        let waits = known.command().is_some_and(|command| command.waits(now));
-        let is_new = !waits && !inbox.latest && known.look_up(id, now) == Seen::New;
-        is_new && self.knows(known.task, id.incarnation)
+        !inbox.latest && known.is_next(id, now) && self.knows(known.task, id.incarnation)
     }
 
     /// [`hear`](Self::hear) and [`deliver`](Self::deliver) in a fused step, for a message that
     /// [`takes_fused`](Self::takes_fused) allows.
+    #[inline(always)]
     pub fn take_fused(
         &mut self,
         origin: Origin,
@@ -205,6 +206,7 @@ impl Server {
     }
 
     /// Records a message from a task of this node: no link took any of its time. Returns its class.
+    #[inline(always)]
     fn remember_fused(
         &mut self,
         (inbox, source): Origin,
@@ -226,6 +228,7 @@ impl Server {
     }
 
     /// Whether the task has a handler for messages of an inbox.
+    #[inline]
     pub fn is_handled(&self, inbox: u16) -> bool {
         self.inboxes[usize::from(inbox)].handled
     }
@@ -247,6 +250,7 @@ impl Server {
 
 impl Inbox {
     /// The time for which the sender still waits, if the message can still be answered.
+    #[inline]
     fn answerable(&self, source: usize, to: ReplyTo, now: Instant) -> Result<Ticks, Fault> {
         // Once the dedup entry has ended, the sender's wait has ended, too.
         let known = self.sources[source].command().filter(|c| c.until > now);

@@ -138,6 +138,7 @@ impl Source {
     }
 
     /// The dedup entry of the source's last command.
+    #[inline]
     pub fn command(&self) -> Option<&DedupEntry> {
         match &self.memory {
             Memory::Command(command) => command.as_ref(),
@@ -146,6 +147,7 @@ impl Source {
     }
 
     /// As [`command`](Self::command), to be changed.
+    #[inline]
     pub fn command_mut(&mut self) -> Option<&mut DedupEntry> {
         match &mut self.memory {
             Memory::Command(command) => command.as_mut(),
@@ -214,6 +216,20 @@ impl Source {
                 let bits = backs.filter(|back| (1..=64).contains(back));
                 window.seen &= bits.fold(0, |bits, back| bits | 1 << (back - 1));
             }
+        }
+    }
+
+    /// Whether a message of the source's present incarnation is new, and no command of the source waits.
+    #[inline]
+    pub fn is_next(&self, id: MessageId, now: Instant) -> bool {
+        match &self.memory {
+            Memory::Command(Some(last)) if last.until > now => match last.status {
+                CommandStatus::Held => false,
+                CommandStatus::Lapsed if last.id == id => true,
+                _ => last.id != id && !last.id.sequence.is_newer_than(id.sequence),
+            },
+            Memory::Command(_) => true,
+            Memory::Status(window) => !window.has(id.sequence, now),
         }
     }
 

@@ -6,7 +6,7 @@ use super::outcome::{Asked, Received, Rendezvous, Sent, TaskError};
 use crate::api::message::{LONGEST, Message};
 use crate::clock;
 use imrs_protocol::{
-    CONTENTS_BYTES, Class, Contents, Delivery, PUBLISHED_BYTES, PortId, Ranked, ReplyTo, Request,
+    CONTENTS_BYTES, Class, Contents, Delivery, PUBLISHED_BYTES, PortDecl, PortId, Ranked, ReplyTo, Request,
     ServiceOrder, Signal, Target, TaskId, Ticks, TimeId,
 };
 use std::future::Future;
@@ -48,11 +48,14 @@ pub(super) trait Calls {
         }
     }
 
-    /// Hands all fragments of a message but the first to the communication task, and returns the first (D28).
-    async fn staged(&mut self, port: PortId, bytes: &[u8], packets: u8) -> Result<Contents, TaskError> {
-        if let Some(short) = Contents::new(bytes) {
-            return Ok(short);
-        }
+    /// Hands all fragments of a long message but the first to the communication task, and returns the first (D28).
+    async fn staged(
+        &mut self,
+        port: PortId,
+        bytes: &[u8],
+        packets: impl FnOnce(&PortDecl) -> u8,
+    ) -> Result<Contents, TaskError> {
+        let packets = self.caller().node.table.port(port).map_or(1, |port| packets(&port.decl));
         let too_long = || TaskError::TooLong(bytes.len());
         if bytes.len() > PACKET * usize::from(packets.max(1)) {
             return Err(too_long());
@@ -72,8 +75,11 @@ pub(super) trait Calls {
         contents: &[u8],
         time_out: Option<Duration>,
     ) -> Result<Sent, TaskError> {
-        let packets = self.caller().node.table.port(port).map_or(1, |port| port.decl.fragments);
-        let (contents, time_out) = (self.staged(port, contents, packets).await?, time_out.map(ticks));
+        let contents = match Contents::new(contents) {
+            Some(short) => short,
+            None => self.staged(port, contents, |decl| decl.fragments).await?,
+        };
+        let time_out = time_out.map(ticks);
         let request = Request::Send { port, to, contents, time_out };
         match self.ask(request).await?.0 {
             Signal::Accepted(copies) => Ok(Sent::Copies(copies)),
@@ -84,8 +90,10 @@ pub(super) trait Calls {
     }
 
     async fn replied(&mut self, to: &ReplyTo, contents: &[u8]) -> Result<(), TaskError> {
-        let packets = self.caller().node.table.port(to.port).map_or(1, |port| port.decl.answer_fragments);
-        let contents = self.staged(to.port, contents, packets).await?;
+        let contents = match Contents::new(contents) {
+            Some(short) => short,
+            None => self.staged(to.port, contents, |decl| decl.answer_fragments).await?,
+        };
         self.accepted(Request::Reply { to: *to, contents }).await.map(|_| ())
     }
 
