@@ -42,7 +42,7 @@ pub trait Entry {
     fn yields(&self) -> bool;
 }
 
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(bound(
     serialize = "T: Serialize, T::Side: Serialize",
     deserialize = "T: Deserialize<'de>, T::Side: Deserialize<'de>"
@@ -54,7 +54,7 @@ pub struct Queue<T: Entry> {
 }
 
 /// The orders that a queue keeps over its slots.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Order<S> {
     /// The heap by urgency. For a free slot it stores the next free slot instead: a free list.
     urgent: Heap,
@@ -69,7 +69,7 @@ struct Order<S> {
 }
 
 /// The second order of a watched queue, beside urgency: by the instant at which the caller must look at an entry again.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 struct Watch<S> {
     sides: Box<[S]>,
     due: Heap,

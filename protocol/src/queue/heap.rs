@@ -18,7 +18,7 @@ const NOTHING: [u64; 4] = {
 const ROOT: usize = 3;
 
 /// Four adjacent words: half a cache line, never split over two lines.
-#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[repr(align(32))]
 struct Group([u64; 4]);
 
@@ -27,7 +27,7 @@ struct Group([u64; 4]);
 ///
 /// An entry is one word, the instant above the number, so a comparison needs the key only if the instants are equal.
 /// All instants from 2^48 - 5 ticks on (8.9 years of microseconds) count as equal.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Heap {
     groups: Box<[Group]>,
     /// For each number in the heap, its place, counted from `ROOT`. For a number outside the heap, the value that

@@ -33,7 +33,7 @@ use outstanding::{Answer, Outstanding, Phase};
 use serde::{Deserialize, Serialize};
 
 /// The task's outstanding requests, one for each port on which it asks, with the answers to the last request on the port.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Client {
     requests: Box<[Outstanding]>,
     overdue: Option<Overdue>,

@@ -54,7 +54,7 @@ impl Activation {
 }
 
 /// The activations and timers of a task.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Interrupts {
     /// The running activation: the task's own thread, or the handler that interrupted last.
     running: Activation,

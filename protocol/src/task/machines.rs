@@ -19,7 +19,7 @@ use crate::ticks::{Instant, Ticks};
 use serde::{Deserialize, Serialize};
 
 /// The parts of a communication task. Each part owns its state.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Machines {
     pub client: Client,
     pub server: Server,

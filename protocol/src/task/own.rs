@@ -35,7 +35,7 @@ pub(crate) enum Role {
 }
 
 /// An endpoint: the task's side of one port.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Endpoint {
     pub port: PortId,
     pub role: Role,
@@ -57,7 +57,7 @@ impl Endpoint {
 }
 
 /// The state that the parts share.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Own {
     pub task: TaskId,
     pub incarnation: Incarnation,

@@ -56,7 +56,7 @@ pub(crate) use delivery::send_answer;
 pub(crate) use inbox::Held;
 
 /// The waiting messages, and the dedup entries of the received ones.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Server {
     inboxes: Box<[Inbox]>,
     ready: ReadySet,

@@ -49,6 +49,14 @@ impl CommTask {
         server.walk_guards(w);
     }
 
+    /// Whether both are in the same state, with their counters, orders and numbers of arrival: more than the packed bytes of a
+    /// state have. When they next expire follows from it, whether it is kept or not.
+    #[must_use]
+    pub fn is_same(&self, other: &Self) -> bool {
+        let Self { own, machines, due: _ } = self;
+        (own, machines) == (&other.own, &other.machines) && self.next_deadline() == other.next_deadline()
+    }
+
     /// Does everything that time alone makes due, without comparing the next deadline first. If that deadline has not come,
     /// this does nothing.
     pub fn look_around(&mut self, table: &NodeTable, out: &mut impl Outbox) {

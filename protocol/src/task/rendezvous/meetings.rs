@@ -14,7 +14,7 @@ use alloc::boxed::Box;
 use serde::{Deserialize, Serialize};
 
 /// The task's side of each rendezvous in which it takes part.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Meetings {
     pub(super) list: Box<[Rendezvous]>,
     /// A heap of the rendezvous, by when they act next (D108).

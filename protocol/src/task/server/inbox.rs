@@ -71,7 +71,7 @@ impl Entry for Held {
 }
 
 /// An inbox: the receiver's state of one port.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Inbox {
     pub port: PortId,
     /// The position of the endpoint of the inbox's port.
@@ -91,7 +91,7 @@ pub(super) struct Inbox {
 }
 
 /// Storage for messages and answers of several fragments.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Long {
     /// For each slot of the queue, the fragments after the first. Empty if messages take one packet.
     bodies: Box<[Parts]>,

@@ -16,7 +16,7 @@ use crate::ticks::Instant;
 use serde::{Deserialize, Serialize};
 
 /// The heaps of the ready set.
-#[derive(Clone, Debug, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct ReadySet {
     /// Non-empty ports without a handler, by the urgency of their head.
     urgent: Heap,
