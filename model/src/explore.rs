@@ -222,6 +222,12 @@ impl Ground for World {
     }
 
     fn step(&mut self, state: &Packed, action: Action) -> Packed {
+        if let Action::Act(i) = action
+            && let Err(violation) = self.compare_in(state, usize::from(i))
+        {
+            self.violation = Some(violation);
+            return self.store();
+        }
         let touch = match touched(&self.scenario, action) {
             Touch::All => None,
             Touch::One(i) => Some(i),

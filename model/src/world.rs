@@ -11,12 +11,13 @@ use crate::spec_state::{Judge, SpecState, question};
 use crate::state::Violation;
 
 use imrs_protocol::{
-    Class, Event, Kind, MessageId, NodeId, NodeInput, NodeOutbox, Observation, Outcome, Packet, Reason,
+    Class, Event, Kind, MessageId, Node, NodeId, NodeInput, NodeOutbox, Observation, Outcome, Packet, Reason,
     Request, Round, Seq24, Signal, Target, TaskId, TaskState, Ticks,
 };
 use std::sync::Arc;
 
 mod canon;
+mod members;
 mod timing;
 mod turns;
 
@@ -84,6 +85,8 @@ pub(crate) struct World {
     /// What the last transition showed about each task, for charts.
     pub log: Vec<(TaskId, Shown)>,
     pub keep_log: bool,
+    /// A node with all members of a meeting, for copies of their states.
+    together: Option<Node>,
 }
 
 /// Packets in a transit buffer. Few are enough, because a world empties its transit buffers at once.
@@ -149,6 +152,7 @@ impl World {
             named: (0..n).collect(),
             log: Vec::new(),
             keep_log: false,
+            together: members::together(scenario),
             scenario: Arc::clone(scenario),
         }
     }
@@ -340,20 +344,6 @@ impl World {
         if let Err(violation) = result {
             self.violation = Some(violation);
         }
-    }
-
-    /// The rounds that members other than `i` announced and no longer wait in, as a bit mask.
-    fn left_by_others(&self, i: usize) -> u32 {
-        let others = (0..self.n()).filter(|&other| other != i);
-        others.fold(0, |mask, other| {
-            let here = match self.task(other).state() {
-                TaskState::Waiting { round, .. } if self.nodes[other].up => {
-                    1_u32.checked_shl(u32::from(round.steps_from(self.rounds[0])))
-                }
-                _ => None,
-            };
-            mask | (self.spec_states[other].announced & !here.unwrap_or(0))
-        })
     }
 
     /// Lets a packet arrive. It is charged the link's bound and `extra` ticks.

@@ -123,7 +123,7 @@ mod transit;
 
 pub use cell::{Cell, CellError, CoupleDecl, MAX_FRAGMENTS, Penalty, PortDecl, Rate, Usage};
 pub use ids::{Incarnation, MessageId, NodeId, PortId, Round, Seq24, TaskId};
-pub use node::{Fusible, Node, NodeInput, NodeOutbox, Parts, discarded};
+pub use node::{Fusible, Gathering, Members, Node, NodeInput, NodeOutbox, Parts, discarded};
 pub use observe::{
     Event, HeldView, MeetingState, MeetingView, MemberView, Observation, PortCounters, PortView, QueueEntry,
     QueueView, Reason, TaskState, TaskView, TransitView,

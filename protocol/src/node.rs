@@ -24,7 +24,7 @@ use crate::timer::Timer;
 use crate::transit::{RouteOutbox, Transit};
 use alloc::boxed::Box;
 use alloc::collections::VecDeque;
-pub use fused::Fusible;
+pub use fused::{Fusible, Gathering, Members};
 use serde::{Deserialize, Serialize};
 use work::Work;
 

@@ -150,7 +150,8 @@ impl Run {
         let (sender, receiver) = match port.decl.usage {
             Usage::Send | Usage::Query => (owner, user),
             Usage::Receive | Usage::Response => (user, owner),
-            Usage::Reply | Usage::Waitfor => return,
+            Usage::Waitfor => return self.meet(id, a, b, counts),
+            Usage::Reply => return,
         };
         let time_out = (b & 0x300 == 0).then(|| Ticks(u64::from(b % 70)));
         let source = (b & 0x800 == 0).then_some(sender);
@@ -161,6 +162,19 @@ impl Run {
         self.ask(sender, Request::Send { port: id, to, contents, time_out }, counts);
         if b & 0x6000 != 0 {
             self.answer(receiver, a, b, counts);
+        }
+    }
+
+    /// Most members of a waitfor reach it, one after the other, and some of them with less patience.
+    fn meet(&mut self, port: PortId, a: u16, b: u16, counts: &mut Counts) {
+        let parties: Vec<TaskId> =
+            self.table.port(port).expect("a port").parties.iter().map(|party| party.task).collect();
+        for (at, &task) in parties.iter().cycle().skip(usize::from(b)).take(parties.len()).enumerate() {
+            if (a >> (at % 16)) & 7 != 0 {
+                let time_out = (b >> (at % 16) & 7 == 1).then(|| Ticks(u64::from(a % 70)));
+                let arguments = [a.to_le_bytes()[0]; 8];
+                self.ask(task, Request::Arrive { port, arguments, time_out }, counts);
+            }
         }
     }
 
@@ -181,6 +195,8 @@ impl Run {
             if node.clone().fuse(*task, request, &mut Did::default()) {
                 *counts.entry(name(&self.table, request)).or_default() += 1;
                 node.step(self.now, input, &mut found);
+                let released = |effect: &Effect| matches!(effect, Effect::Told(_, Signal::Released { .. }));
+                *counts.entry("meeting").or_default() += u32::from(found.0.iter().any(released));
                 assert_eq!(state(node), state(&small), "{input:?}");
                 assert_eq!(node.time_left(), small.time_left(), "{input:?}");
             } else {
@@ -219,6 +235,7 @@ fn name(table: &CellTable, request: &Request) -> &'static str {
             Some((_, Class::Status)) => "status",
             _ => "command",
         },
+        Request::Arrive { .. } => "arrival",
         Request::Reply { to, .. } if of(to.port).is_some_and(|(usage, _)| queries(usage)) => "response",
         _ => "reply",
     }
@@ -242,7 +259,7 @@ fn a_fused_step_equals_the_small_steps() {
             run.step(op, &mut counts);
         }
     }
-    for kind in ["command", "status", "query", "reply", "response"] {
+    for kind in ["command", "status", "query", "reply", "response", "arrival", "meeting"] {
         let times = counts.get(kind).copied().unwrap_or_default();
         assert!(times >= 1000, "{kind}: only {times} of {counts:?}");
     }

@@ -2,7 +2,7 @@
 
 use crate::failure::Failure;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped};
-use imrs_model::cell_state::compared;
+use imrs_model::compared;
 use imrs_model::{Outcome, Report, Verdict};
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -219,11 +219,12 @@ fn last_line(report: &Report, took: Duration, out: &mut Output) -> Result<(), Fa
     let states: u64 = report.claims.iter().map(|v| v.states).sum();
     let style = if good == all { GOOD } else { BAD };
     let what = Styled(style, format!("{good} of {all} as expected"));
-    let [messages, answers] = compared();
-    if messages + answers > 0 {
-        let messages = count(messages, "message");
-        let answers = count(answers, "answer");
-        out.line(format!("fused steps: {messages} and {answers} had the same effects as their small steps"))?;
+    let Compared { messages, answers, arrivals, meetings } = compared();
+    if messages + answers + arrivals > 0 {
+        let [messages, answers] = [count(messages, "message"), count(answers, "answer")];
+        let [arrivals, meetings] = [count(arrivals, "arrival"), count(meetings, "meeting")];
+        let what = format!("{messages}, {answers} and {arrivals} ({meetings})");
+        out.line(format!("fused steps: {what} had the same effects as their small steps"))?;
     }
     out.line(format!("{what}, {} in {:.1} s", count(states, "state"), took.as_secs_f64()))
 }

@@ -1,47 +1,34 @@
-//! Compares each fused step of a node with the small steps that it stands for (D176).
+//! Compares each fused step of a node with the small steps that it stands for (D176, D193).
 //!
 //! The search takes the small steps. Wherever a fused step applies, both are made on copies, which must then be equal: the
-//! packed state, the node's tasks, and everything that the node does, in its order.
+//! packed state, all of the node's tasks, and everything that the node does, in its order.
 
 use super::wires::Wires;
 use super::{CellState, Effect, small};
+use crate::fused::{are_same, count, may_have};
 use crate::state::Violation;
 use imrs_protocol::{Node, NodeId, NodeInput, NodeOutbox, Packet, Request, Signal, TaskId};
-use std::sync::atomic::{AtomicU64, Ordering};
-
-/// How many fused steps this process has compared: messages and answers.
-static COMPARED: [AtomicU64; 2] = [AtomicU64::new(0), AtomicU64::new(0)];
-
-/// How many fused steps this process has compared so far: messages to a task that waits for them, and answers.
-#[must_use]
-pub fn compared() -> [u64; 2] {
-    [&COMPARED[0], &COMPARED[1]].map(|count| count.load(Ordering::Relaxed))
-}
 
 impl CellState {
     /// Compares the fused step of a request, if it has one, with its small steps.
     pub(super) fn compare_fused(&self, i: usize, task: TaskId, request: &Request) -> Result<(), Violation> {
-        let kind = match request {
-            _ if self.is_symbolic => return Ok(()),
-            Request::Send { .. } => 0,
-            Request::Reply { .. } => 1,
-            _ => return Ok(()),
-        };
+        if self.is_symbolic || !may_have(request) {
+            return Ok(());
+        }
         let here = &self.nodes[i].node;
         // Most requests have no fused step: the copy of a node is cheaper than that of a cell.
         let may = !here.is_busy() && here.parts().tasks.len() > 1;
         if !may || !here.clone().fuse(task, request, &mut Unheard) {
             return Ok(());
         }
-        COMPARED[kind].fetch_add(1, Ordering::Relaxed);
         let (mut fused, found) =
             self.copy_after(i, |node, out| node.step(node.now(), NodeInput::Request(task, *request), out));
         let (mut plain, expected) = self
             .copy_after(i, |node, out| node.small_steps(node.now(), NodeInput::Request(task, *request), out));
-        // The packed state has neither counters nor the ready set, which is rebuilt when it is read.
-        let [one, other] = [&fused, &plain].map(|cell| &cell.nodes[i].node.parts().tasks);
-        let alike = one.iter().zip(other).all(|(one, other)| one.is_same(other));
-        let same = alike && found == expected && fused.store() == plain.store();
+        let is_release = |effect: &Effect| matches!(effect, Effect::Signalled(_, Signal::Released { .. }));
+        count(request, found.iter().any(is_release));
+        let same = are_same(&fused.nodes[i].node, &plain.nodes[i].node);
+        let same = same && found == expected && fused.store() == plain.store();
         if same { Ok(()) } else { Err(Violation::Fused) }
     }
 

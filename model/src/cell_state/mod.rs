@@ -24,7 +24,6 @@ mod wires;
 pub mod worlds;
 
 pub use chart::draw_cell_state;
-pub use fused::compared;
 pub(crate) use node_state::{Heard, NodeState};
 pub use search::{CellModel, LiveCellState, explore_cell_state};
 

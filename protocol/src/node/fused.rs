@@ -1,11 +1,17 @@
 //! Fused steps within a node: which two tasks a request concerns. `task/fused.rs` says what they do.
 
-use super::{Node, NodeOutbox, Parts};
+mod gathering;
+
+pub use gathering::{Gathering, Members};
+
+use super::work::Work;
+use super::{Node, NodeOutbox, Parts, TaskEffects};
 use crate::ids::{PortId, TaskId};
 use crate::mapping;
 use crate::request::{Request, Target};
 use crate::table::{Ends, NodeTable};
-use crate::task::CommTask;
+use crate::task::{CommTask, Outbox};
+use alloc::collections::VecDeque;
 
 /// What a request is about that a task may take as one fused step with another task of its node (D176).
 #[derive(Clone, Copy, Debug)]
@@ -55,13 +61,40 @@ impl<'a> Fusible<'a> {
 }
 
 impl Node {
-    /// Takes a request as one fused step with the other task that it concerns (D176); [`step`](Self::step) does so by itself.
+    /// Takes a request as one fused step with the other tasks that it concerns (D176, D193); [`step`](Self::step) does so by itself.
     /// False, and nothing has changed, if anything about it is unusual.
     pub fn fuse(&mut self, task: TaskId, request: &Request, out: &mut impl NodeOutbox) -> bool {
+        if matches!(request, Request::Arrive { .. }) {
+            return self.gather(task, request, out);
+        }
         let Parts { table, tasks, .. } = &mut self.parts;
         let Some(fusible) = Fusible::of(table, task, request) else { return false };
         let Some(place) = table.place(task) else { return false };
         let Ok([own, other]) = tasks.get_disjoint_mut([place, fusible.other]) else { return false };
         fusible.step(own, other, request, out)
+    }
+
+    /// Of its own, so that messages and answers do not pay for it.
+    #[inline(never)]
+    fn gather(&mut self, task: TaskId, request: &Request, out: &mut impl NodeOutbox) -> bool {
+        let Parts { table, tasks, .. } = &mut self.parts;
+        let Some(gathering) = Gathering::of(table, task, request) else { return false };
+        gathering.step(&mut Local { tasks, work: &mut self.work, out })
+    }
+}
+
+/// The tasks of a node, and where their effects go.
+struct Local<'a, O> {
+    tasks: &'a mut [CommTask],
+    work: &'a mut VecDeque<Work>,
+    out: &'a mut O,
+}
+
+impl<O: NodeOutbox> Members for Local<'_, O> {
+    fn at(&mut self, place: usize) -> (&mut CommTask, impl Outbox) {
+        let Self { tasks, work, out } = self;
+        let task = &mut tasks[place];
+        let effects = TaskEffects { task: task.task(), work, out: *out };
+        (task, effects)
     }
 }

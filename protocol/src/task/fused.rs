@@ -7,6 +7,8 @@
 //!
 //! The checker explores the small steps, and compares both wherever a fused step applies.
 
+mod meeting;
+
 use super::CommTask;
 use super::machines::Machines;
 use super::own::Role;

@@ -18,6 +18,7 @@
 //! round fresher than `fresh`, and holds no arrival in a round that the member gave up.
 
 mod check;
+mod fused;
 mod hear;
 #[cfg(feature = "checker")]
 mod ignores;
@@ -27,6 +28,7 @@ mod view;
 #[cfg(feature = "checker")]
 mod walk;
 
+pub(crate) use fused::Arrival;
 pub(crate) use meetings::Meetings;
 
 use super::counts::Counts;

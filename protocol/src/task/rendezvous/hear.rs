@@ -127,7 +127,7 @@ impl Rendezvous {
 
     /// Stores an arrival, unless its sender gave up that round or has arrived in a fresher one. Returns whether it was
     /// stored.
-    fn record(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, arrived: Arrived) -> bool {
+    pub(super) fn record(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, arrived: Arrived) -> bool {
         let member = &mut self.members[from];
         // An arrival whose patience has ended does not count.
         let held = member.arrived.filter(|held| held.expires > at.now());
@@ -175,7 +175,7 @@ impl Rendezvous {
 
     /// Notes a round that the task heard of, if it is fresher than its own. Round numbers have no order beyond half
     /// the circle.
-    fn hear_of(&mut self, round: Round) {
+    pub(super) fn hear_of(&mut self, round: Round) {
         if self.numbered && round.is_newer_than(self.announced) {
             self.fresh = self.fresh.fresher(round);
         }

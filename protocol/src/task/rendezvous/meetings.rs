@@ -5,7 +5,7 @@ use crate::ids::NodeId;
 use crate::observe::MeetingView;
 use crate::packet::Packet;
 use crate::queue::Heap;
-use crate::table::{NodeTable, Peer};
+use crate::table::{NodeTable, Peer, Port};
 use crate::task::own::{Own, Role, are_alike, index};
 use crate::task::step::{Outbox, Step};
 use crate::task::wait::{Ended, Finished, Pending};
@@ -38,18 +38,28 @@ impl Meetings {
         meeting: u16,
         act: impl FnOnce(&mut Rendezvous, &mut At<'_, '_, O>) -> R,
     ) -> Option<(R, Option<Ended>)> {
-        let rendezvous = self.list.get_mut(usize::from(meeting))?;
-        let (id, due) = (rendezvous.port, rendezvous.due());
-        let port = step.table.port(id)?;
-        let endpoint = step.own.place(id)?;
+        let id = self.list.get(usize::from(meeting))?.port;
+        let (port, endpoint) = (step.table.port(id)?, step.own.place(id)?);
+        Some(self.run_at(step, (port, endpoint, meeting), act))
+    }
+
+    /// As [`run`](Self::run), where the port and the position of its endpoint are known.
+    pub(super) fn run_at<'a, R, O: Outbox>(
+        &mut self,
+        step: &mut Step<'a, O>,
+        (port, endpoint, meeting): (&'a Port, usize, u16),
+        act: impl FnOnce(&mut Rendezvous, &mut At<'_, '_, O>) -> R,
+    ) -> (R, Option<Ended>) {
+        let rendezvous = &mut self.list[usize::from(meeting)];
+        let due = rendezvous.due();
         let mut at = At { step, port, endpoint, released: None };
         let done = act(rendezvous, &mut at);
         let released = at.released;
         if rendezvous.due() != due {
             self.touch(meeting);
         }
-        let released = released.map(|(round, by)| Finished::Released { port: id, round, by });
-        Some((done, released.map(|finished| left(meeting, finished))))
+        let released = released.map(|(round, by)| Finished::Released { port: port.id, round, by });
+        (done, released.map(|finished| left(meeting, finished)))
     }
 
     /// Lets the task reach a waitfor. If the task is released at once, returns how its wait ended.

@@ -1,0 +1,49 @@
+//! How many fused steps were compared with the small steps that they stand for (D176, D193), and what is compared.
+
+use imrs_protocol::{Node, Request};
+use std::sync::atomic::{AtomicU64, Ordering};
+
+static COMPARED: [AtomicU64; 4] = [const { AtomicU64::new(0) }; 4];
+
+/// How many fused steps this process has compared so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Compared {
+    /// Messages to a task of the same node.
+    pub messages: u64,
+    /// Answers to them.
+    pub answers: u64,
+    /// Arrivals at a `waitfor` whose members are all on one node.
+    pub arrivals: u64,
+    /// Those of the last member, with which all are released.
+    pub meetings: u64,
+}
+
+/// How many fused steps this process has compared so far.
+#[must_use]
+pub fn compared() -> Compared {
+    let [messages, answers, arrivals, meetings] =
+        [0, 1, 2, 3].map(|kind: usize| COMPARED[kind].load(Ordering::Relaxed));
+    Compared { messages, answers, arrivals, meetings }
+}
+
+/// Counts a fused step for this request. `meets`: it released the members of a `waitfor`.
+pub(crate) fn count(request: &Request, meets: bool) {
+    let kind = match request {
+        Request::Send { .. } => 0,
+        Request::Reply { .. } => 1,
+        _ => 2,
+    };
+    COMPARED[kind].fetch_add(1, Ordering::Relaxed);
+    COMPARED[3].fetch_add(u64::from(meets), Ordering::Relaxed);
+}
+
+/// Whether a request may have a fused step.
+pub(crate) const fn may_have(request: &Request) -> bool {
+    matches!(request, Request::Send { .. } | Request::Reply { .. } | Request::Arrive { .. })
+}
+
+/// Whether the tasks of two copies of a node are in the same state. The packed state has neither their counters nor the ready set,
+/// which is rebuilt when it is read.
+pub(crate) fn are_same(one: &Node, other: &Node) -> bool {
+    one.parts().tasks.iter().zip(&other.parts().tasks).all(|(one, other)| one.is_same(other))
+}

@@ -1,0 +1,94 @@
+//! Fused arrivals: a task reaches a `waitfor`, and the other members, all on its node, hear of it in the same step (D193).
+//!
+//! In small steps the task sends ARRIVE to each of the others. If it is the last one, each member is released and sends CONFIRM to
+//! all others, n (n - 1) in all, each an input of its own. Here every member hears of the arrival by the same functions, and no
+//! packet is made: the CONFIRMs would only find that their receivers are released.
+
+use crate::cell::Usage;
+use crate::ids::TaskId;
+use crate::mapping;
+use crate::request::{Request, TimeId};
+use crate::table::{NodeTable, Port};
+use crate::task::{CommTask, Outbox};
+use crate::ticks::Ticks;
+use crate::{Observation, Packet, Signal};
+
+/// The communication tasks of a node, of which some are members of a `waitfor`.
+pub trait Members {
+    /// The communication task at this position among the node's tasks, ascending by task, and the outbox of its step.
+    fn at(&mut self, place: usize) -> (&mut CommTask, impl Outbox);
+}
+
+/// A task's arrival at a `waitfor` that it may take as one fused step with all other members.
+#[derive(Clone, Copy, Debug)]
+pub struct Gathering<'a> {
+    table: &'a NodeTable,
+    port: &'a Port,
+    /// The position of the task among the members.
+    from: usize,
+    arguments: [u8; 8],
+    patience: Ticks,
+}
+
+impl<'a> Gathering<'a> {
+    /// The arrival that `request` of `task` is. `None` if it is none, or if a member is on another node.
+    #[must_use]
+    pub fn of(table: &'a NodeTable, task: TaskId, request: &Request) -> Option<Self> {
+        let Request::Arrive { port, arguments, time_out } = *request else { return None };
+        let (port, own) = mapping::own_end(table, port, task).ok().filter(|_| table.is_decided())?;
+        let is_whole = port.decl.usage == Usage::Waitfor
+            && port.parties.iter().all(|party| table.place(party.task).is_some());
+        let from = port.party_index(task).filter(|_| is_whole)?;
+        Some(Self { table, port, from, arguments, patience: own.time_out_of(time_out) })
+    }
+
+    /// The positions of the other members among the node's tasks.
+    pub fn others(&self) -> impl Iterator<Item = usize> + use<'a> {
+        let Self { table, port, from, .. } = *self;
+        let others = port.parties.iter().enumerate().filter(move |&(member, _)| member != from);
+        others.filter_map(|(_, party)| table.place(party.task))
+    }
+
+    /// Takes the step. All members must stand at the same time, and the others must have taken all that was sent to them before. False, and
+    /// nothing has changed, if anything about it is unusual.
+    pub fn step(&self, members: &mut impl Members) -> bool {
+        let Self { table, port, from, arguments, patience } = *self;
+        let at = |member: usize| table.place(port.parties[member].task).unwrap_or_default();
+        let (own, _) = members.at(at(from));
+        let Some(arrival) = own.may_reach((port, from), arguments, patience) else { return false };
+        let others = || (0..port.parties.len()).filter(|&member| member != from);
+        if !others().all(|member| members.at(at(member)).0.may_hear((port, member), &arrival)) {
+            return false;
+        }
+        let (own, out) = members.at(at(from));
+        own.reach_fused(table, (port, from), &arrival, &mut Silent(out));
+        for member in others() {
+            let (other, out) = members.at(at(member));
+            other.hear_fused(table, (port, member), &arrival, &mut Silent(out));
+        }
+        true
+    }
+}
+
+/// The outbox of a member: its packets are for members of the same step, which need none.
+struct Silent<O>(O);
+
+impl<O: Outbox> Outbox for Silent<O> {
+    fn transmit(&mut self, _: Packet) {}
+
+    fn signal(&mut self, signal: Signal) {
+        self.0.signal(signal);
+    }
+
+    fn arm(&mut self, id: TimeId, turn: u8, length: Ticks) {
+        self.0.arm(id, turn, length);
+    }
+
+    fn disarm(&mut self, id: TimeId) {
+        self.0.disarm(id);
+    }
+
+    fn observe(&mut self, observation: Observation) {
+        self.0.observe(observation);
+    }
+}

@@ -1,0 +1,72 @@
+//! A member's part in a fused arrival at a `waitfor` (D193). `node/fused/gathering.rs` goes through the members.
+
+use crate::table::{NodeTable, Port};
+use crate::task::CommTask;
+use crate::task::own::Role;
+use crate::task::rendezvous::Arrival;
+use crate::task::step::{Outbox, Step};
+use crate::task::wait::Pending;
+use crate::ticks::Ticks;
+
+impl CommTask {
+    /// What the other members hear once the task, the member at a position, reaches the `waitfor`. `None` if anything about it is
+    /// unusual here.
+    pub(crate) fn may_reach(
+        &self,
+        (port, member): (&Port, usize),
+        arguments: [u8; 8],
+        patience: Ticks,
+    ) -> Option<Arrival> {
+        let Self { own, machines, .. } = self;
+        let Role::Meets(meeting) = own.endpoints[usize::from(port.parties[member].place)].role else {
+            return None;
+        };
+        let is_usual = machines.interrupts.waits_for_nothing() && machines.is_plain();
+        let rendezvous = machines.meetings.at(meeting);
+        if is_usual { rendezvous.may_reach(own, (port, member), (arguments, patience)) } else { None }
+    }
+
+    /// Whether the member at a position hears of an arrival as usual.
+    pub(crate) fn may_hear(&self, (port, member): (&Port, usize), arrival: &Arrival) -> bool {
+        let Self { own, machines, .. } = self;
+        let Role::Meets(meeting) = own.endpoints[usize::from(port.parties[member].place)].role else {
+            return false;
+        };
+        machines.meetings.at(meeting).may_hear(own, (port, member), arrival)
+    }
+
+    /// Reaches the `waitfor` as [`may_reach`](Self::may_reach) allows.
+    pub(crate) fn reach_fused<'a>(
+        &'a mut self,
+        table: &'a NodeTable,
+        (port, member): (&'a Port, usize),
+        arrival: &Arrival,
+        out: &'a mut impl Outbox,
+    ) {
+        let Self { own, machines, due } = self;
+        let endpoint = usize::from(port.parties[member].place);
+        let Role::Meets(meeting) = own.endpoints[endpoint].role else { return };
+        machines.interrupts.wait(Pending::Meeting(meeting));
+        let step = &mut Step { table, own, out };
+        let ended = machines.meetings.reach_fused(step, (port, endpoint, meeting), (member, arrival));
+        machines.end(step, ended);
+        *due = None;
+    }
+
+    /// Hears of an arrival as [`may_hear`](Self::may_hear) allows.
+    pub(crate) fn hear_fused<'a>(
+        &'a mut self,
+        table: &'a NodeTable,
+        (port, member): (&'a Port, usize),
+        arrival: &Arrival,
+        out: &'a mut impl Outbox,
+    ) {
+        let Self { own, machines, due } = self;
+        let endpoint = usize::from(port.parties[member].place);
+        let Role::Meets(meeting) = own.endpoints[endpoint].role else { return };
+        let step = &mut Step { table, own, out };
+        let ended = machines.meetings.hear_fused(step, (port, endpoint, meeting), (member, arrival));
+        machines.end(step, ended);
+        *due = None;
+    }
+}
