@@ -3,8 +3,17 @@
 //! It runs on while the machine is suspended, and so do leases, time_outs and timers: a suspend counts as a pause of the node
 //! (D153). Futex sleeps use `CLOCK_MONOTONIC`, which stands still during a suspend. An instant is converted to that clock only
 //! where a thread goes to sleep, and a woken thread reads `CLOCK_BOOTTIME` again.
+//!
+//! Between two sleeps the time comes from the processor's counter, where the kernel keeps its own time by it (D197).
 
+// Named, because a test has this file under a path of its own.
+#[path = "clock/counter.rs"]
+mod counter;
+
+use counter::{Anchor, Between, Clocks, Counter};
 use rustix::time::{ClockId, Timespec};
+use std::cell::Cell;
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
 
@@ -32,6 +41,48 @@ fn read(clock: ClockId) -> u64 {
 
 fn nanos() -> u64 {
     read(ClockId::Boottime)
+}
+
+/// The file that names the clock by which the kernel keeps time.
+const KEPT_BY: &str = "/sys/devices/system/clocksource/clocksource0/current_clocksource";
+/// Its names for the counters that `quanta` reads.
+const COUNTERS: [&str; 2] = ["tsc", "arch_sys_counter"];
+
+/// The clocks of this machine.
+struct Here(quanta::Clock);
+
+impl Clocks for Here {
+    fn kernel(&self) -> u64 {
+        nanos()
+    }
+    fn count(&self) -> u64 {
+        self.0.raw()
+    }
+}
+
+thread_local! {
+    static ANCHOR: Cell<Anchor> = const { Cell::new(Anchor::NONE) };
+}
+
+fn here() -> &'static (Here, Counter) {
+    static HERE: OnceLock<(Here, Counter)> = OnceLock::new();
+    HERE.get_or_init(|| {
+        let here = Here(quanta::Clock::new());
+        let kept_by = std::fs::read_to_string(KEPT_BY).unwrap_or_default();
+        let counter = Counter::new(&here, COUNTERS.contains(&kept_by.trim()));
+        (here, counter)
+    })
+}
+
+/// Whether the time between two sleeps comes from the processor's counter.
+pub(crate) fn is_by_counter() -> bool {
+    here().1.is_trusted()
+}
+
+/// The bounds of the time now.
+fn bounds() -> Between {
+    let (here, counter) = here();
+    ANCHOR.with(|anchor| counter.read(here, anchor))
 }
 
 /// Measures the offset between the clocks, stores and returns it.
@@ -70,16 +121,17 @@ pub(crate) fn look_for_suspend() -> Micros {
 
 /// The current time, rounded down to a microsecond: for everything that happens to a task.
 pub(crate) fn now() -> Micros {
-    nanos() / NANOS_PER_MICRO
+    bounds().earliest / NANOS_PER_MICRO
 }
 
 /// The current time, rounded up to a microsecond: for a task's requests, so that rounding never shortens a time_out.
 pub(crate) fn next() -> Micros {
-    nanos().div_ceil(NANOS_PER_MICRO)
+    bounds().latest.div_ceil(NANOS_PER_MICRO)
 }
 
 /// Converts an instant to nanoseconds of `CLOCK_MONOTONIC`, for a sleep that begins now; `None` if the instant never comes.
 pub(crate) fn nanos_of(at: Micros) -> Option<u64> {
+    ANCHOR.with(counter::renew);
     let at = at.checked_mul(NANOS_PER_MICRO)?;
     Some(at.saturating_sub_signed(ahead()))
 }
@@ -87,6 +139,7 @@ pub(crate) fn nanos_of(at: Micros) -> Option<u64> {
 /// Converts an instant for a kernel timer on `CLOCK_BOOTTIME`; `None` if it never comes. That is the node's own clock, so no
 /// offset is subtracted.
 pub(crate) fn boottime(at: Micros) -> Option<Timespec> {
+    ANCHOR.with(counter::renew);
     at.checked_mul(NANOS_PER_MICRO).map(timespec)
 }
 

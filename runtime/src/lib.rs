@@ -70,3 +70,17 @@ pub use node::program::{StartError, TaskEnd};
 pub use node::threads::{Runtime, SPIN_TAIL};
 pub use observe::observer;
 pub use observe::snapshot::{Observations, Watching};
+
+/// The node's clock in microseconds, for measurements of a reading.
+#[doc(hidden)]
+#[must_use]
+pub fn read_clock() -> u64 {
+    clock::now()
+}
+
+/// Whether the node's clock comes from the processor's counter between two sleeps, for the bounds of measurements.
+#[doc(hidden)]
+#[must_use]
+pub fn is_by_counter() -> bool {
+    clock::is_by_counter()
+}

@@ -1,0 +1,314 @@
+//! Reads `CLOCK_BOOTTIME` through the processor's counter, where the kernel itself keeps time by that counter.
+//!
+//! A thread takes a reading of both clocks, an [`Anchor`], and for the next [`AGE`] derives the time from the counter alone. The
+//! result is a pair of bounds, so that neither error of the rate nor the order of two readings makes anything early: what is due
+//! is decided by the earlier bound, and what begins is stamped with the later one. A new anchor that lies outside of the bounds
+//! of the one before ends the use of the counter in this process. After a suspend it does so, too: only the kernel's clocks say
+//! how long that was (D197).
+
+use std::cell::Cell;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// For how long (ns) a thread uses an anchor.
+const AGE: u64 = 250_000;
+/// The rate is known once the process has two readings that are this far (ns) apart.
+const BASE: u64 = 20_000_000;
+/// A reading of both clocks counts only if it took at most this long (ns).
+const BRIEF: u64 = 2_000;
+/// The bounds lie apart by this share of the time since the anchor to either side: 977 in a million. The kernel adjusts its
+/// clocks by at most 500, and [`BRIEF`] of [`BASE`] to either side is 200.
+const SHARE: u64 = 1_024;
+/// And by this (ns) in addition: a processor may read its counter before what stands in front of that is done.
+const SLACK: u64 = 100;
+/// The bits of a rate behind its point.
+const POINT: u32 = 32;
+/// The rate of a counter that is not used, or no longer.
+const NEVER: u64 = u64::MAX;
+
+/// The two clocks.
+pub(super) trait Clocks {
+    /// `CLOCK_BOOTTIME`, in nanoseconds.
+    fn kernel(&self) -> u64;
+    /// The processor's counter.
+    fn count(&self) -> u64;
+}
+
+/// One reading of the kernel's clock, between two of the counter.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Anchor {
+    kernel: u64,
+    before: u64,
+    after: u64,
+    /// For how many counts it is used; 0 if not at all.
+    lasts: u64,
+}
+
+/// The earliest and the latest time that it may be, in nanoseconds of the kernel's clock.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Between {
+    pub earliest: u64,
+    pub latest: u64,
+}
+
+/// Nanoseconds of so many counts.
+fn nanos(counts: u64, rate: u64) -> u64 {
+    u64::try_from((u128::from(counts) * u128::from(rate)) >> POINT).unwrap_or(u64::MAX)
+}
+
+impl Anchor {
+    /// No reading yet.
+    pub const NONE: Self = Self { kernel: 0, before: 0, after: 0, lasts: 0 };
+
+    fn take(clocks: &impl Clocks) -> Self {
+        let before = clocks.count();
+        let kernel = clocks.kernel();
+        Self { kernel, before, after: clocks.count(), lasts: 0 }
+    }
+
+    /// The bounds at a count.
+    fn at(&self, count: u64, rate: u64) -> Between {
+        let least = nanos(count.saturating_sub(self.after), rate);
+        let most = nanos(count.saturating_sub(self.before), rate);
+        Between {
+            earliest: self.kernel.saturating_add((least - least / SHARE).saturating_sub(SLACK)),
+            latest: self.kernel.saturating_add(most).saturating_add(most / SHARE + SLACK),
+        }
+    }
+
+    fn took(&self, rate: u64) -> u64 {
+        nanos(self.after.saturating_sub(self.before), rate)
+    }
+}
+
+/// What a process knows of its counter.
+pub(super) struct Counter {
+    /// Nanoseconds a count, with [`POINT`] bits behind the point; 0 while it is not known.
+    rate: AtomicU64,
+    first: Anchor,
+}
+
+impl Counter {
+    /// A counter whose rate is measured from now on, if it is `usable`.
+    pub fn new(clocks: &impl Clocks, usable: bool) -> Self {
+        Self {
+            rate: AtomicU64::new(if usable { 0 } else { NEVER }),
+            first: (0..8)
+                .map(|_| Anchor::take(clocks))
+                .min_by_key(|anchor| anchor.after.wrapping_sub(anchor.before))
+                .unwrap_or_default(),
+        }
+    }
+
+    /// Whether time is derived from the counter, or will be as soon as its rate is known.
+    pub fn is_trusted(&self) -> bool {
+        self.rate.load(Ordering::Relaxed) != NEVER
+    }
+
+    /// The time, by the anchor of the calling thread or a new one.
+    #[inline]
+    pub fn read(&self, clocks: &impl Clocks, anchor: &Cell<Anchor>) -> Between {
+        let (rate, known) = (self.rate.load(Ordering::Relaxed), anchor.get());
+        if rate != NEVER {
+            let count = clocks.count();
+            // A count from before the anchor wraps around, and so is too far behind it.
+            if count.wrapping_sub(known.after) < known.lasts {
+                return known.at(count, rate);
+            }
+        }
+        self.anew(clocks, anchor)
+    }
+
+    /// The time by the kernel, and an anchor for the next readings.
+    #[cold]
+    fn anew(&self, clocks: &impl Clocks, anchor: &Cell<Anchor>) -> Between {
+        let rate = self.rate.load(Ordering::Relaxed);
+        if rate == NEVER {
+            let now = clocks.kernel();
+            return Between { earliest: now, latest: now };
+        }
+        let (known, mut new) = (anchor.get(), Anchor::take(clocks));
+        let now = Between { earliest: new.kernel, latest: new.kernel };
+        if rate == 0 {
+            self.measure(&new);
+            return now;
+        }
+        let parted = known.kernel != 0
+            && (new.kernel < known.at(new.before, rate).earliest
+                || new.kernel > known.at(new.after, rate).latest
+                || new.before < known.after);
+        if parted {
+            self.rate.store(NEVER, Ordering::Relaxed);
+            return now;
+        }
+        if new.took(rate) <= BRIEF {
+            new.lasts = u64::try_from((u128::from(AGE) << POINT) / u128::from(rate)).unwrap_or_default();
+        }
+        anchor.set(new);
+        now
+    }
+
+    /// Derives the rate from the first reading and this one, if both were brief and are far enough from each other.
+    fn measure(&self, new: &Anchor) {
+        let (length, counts) =
+            (new.kernel.saturating_sub(self.first.kernel), new.after.saturating_sub(self.first.after));
+        if length < BASE || counts == 0 {
+            return;
+        }
+        let rate = u64::try_from((u128::from(length) << POINT) / u128::from(counts)).unwrap_or(NEVER);
+        if rate == 0 || self.first.took(rate) > BRIEF {
+            // The process was stopped in its first reading, or this is no counter.
+            self.rate.store(NEVER, Ordering::Relaxed);
+        } else if new.took(rate) <= BRIEF {
+            // Another thread may have come first: its rate stays, so that all anchors have the same.
+            let _ = self.rate.compare_exchange(0, rate, Ordering::Relaxed, Ordering::Relaxed);
+        }
+    }
+}
+
+/// From the next reading on, the thread has a new anchor: it is about to sleep.
+pub(super) fn renew(anchor: &Cell<Anchor>) {
+    anchor.set(Anchor { lasts: 0, ..anchor.get() });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::cell::RefCell;
+
+    /// Clocks that are set by hand: a true time, and a counter of 2.6 GHz that may be told to go wrong.
+    struct Given {
+        now: Cell<u64>,
+        counted: Cell<u64>,
+        per_mille: Cell<u64>,
+        taken: RefCell<u64>,
+    }
+
+    impl Given {
+        fn new() -> Self {
+            let (now, counted) = (Cell::new(1_000_000_000), Cell::new(77_000_000));
+            Self { now, counted, per_mille: Cell::new(2_600), taken: RefCell::new(0) }
+        }
+
+        fn pass(&self, nanos: u64) {
+            self.now.set(self.now.get() + nanos);
+            self.counted.set(self.counted.get() + nanos * self.per_mille.get() / 1_000);
+        }
+
+        /// A counter whose rate is known.
+        fn counter(&self) -> Counter {
+            let counter = Counter::new(self, true);
+            self.pass(BASE);
+            counter.read(self, &Cell::default());
+            assert_ne!(counter.rate.load(Ordering::Relaxed), 0, "the rate is known");
+            counter
+        }
+    }
+
+    impl Clocks for Given {
+        fn kernel(&self) -> u64 {
+            *self.taken.borrow_mut() += 1;
+            self.now.get()
+        }
+        fn count(&self) -> u64 {
+            self.counted.get()
+        }
+    }
+
+    /// Reads every 10 us for 10 ms, and returns how much the readings were early at most (ns), and how often the kernel was asked.
+    fn readings(given: &Given, counter: &Counter, anchor: &Cell<Anchor>) -> (u64, u64) {
+        let (mut early, asked) = (0, *given.taken.borrow());
+        for _ in 0..1_000 {
+            given.pass(10_000);
+            let found = counter.read(given, anchor);
+            assert!(found.earliest <= found.latest);
+            early = early.max(found.earliest.saturating_sub(given.now.get()));
+            early = early.max(given.now.get().saturating_sub(found.latest));
+        }
+        (early, *given.taken.borrow() - asked)
+    }
+
+    #[test]
+    fn a_good_counter_saves_the_kernel_and_nothing_is_early() {
+        let given = Given::new();
+        let (counter, anchor) = (given.counter(), Cell::default());
+        let (early, asked) = readings(&given, &counter, &anchor);
+        assert_eq!(early, 0);
+        assert!(
+            counter.is_trusted() && asked <= 1_000 / (AGE / 10_000 - 1),
+            "the kernel was asked {asked} times"
+        );
+    }
+
+    #[test]
+    fn what_the_kernel_may_adjust_makes_nothing_early_and_keeps_the_trust() {
+        for per_mille in [2_599, 2_601] {
+            let given = Given::new();
+            let (counter, anchor) = (given.counter(), Cell::default());
+            given.per_mille.set(per_mille);
+            assert_eq!(readings(&given, &counter, &anchor).0, 0, "{per_mille}");
+            assert!(counter.is_trusted(), "{per_mille}");
+        }
+    }
+
+    #[test]
+    fn a_counter_that_parts_from_the_kernel_is_not_used_after_one_anchor() {
+        for (per_mille, most) in [(2_700, AGE / 20), (5_200, AGE), (2_500, AGE / 20), (1_300, 2 * AGE)] {
+            let given = Given::new();
+            let (counter, anchor) = (given.counter(), Cell::default());
+            given.per_mille.set(per_mille);
+            let (early, _) = readings(&given, &counter, &anchor);
+            assert!(early <= most, "{per_mille}: {early} ns");
+            assert!(!counter.is_trusted(), "{per_mille}");
+            assert_eq!(readings(&given, &counter, &anchor).0, 0, "{per_mille}: by the kernel from now on");
+        }
+    }
+
+    #[test]
+    fn a_jump_ends_the_trust_and_a_long_one_is_not_even_read() {
+        for jump in [-5_000_000_i64, 5_000_000] {
+            let given = Given::new();
+            let (counter, anchor) = (given.counter(), Cell::default());
+            counter.read(&given, &anchor);
+            given.pass(1_000);
+            given.counted.set(given.counted.get().saturating_add_signed(jump));
+            assert_eq!(counter.read(&given, &anchor).earliest, given.now.get(), "{jump}: the kernel says it");
+            assert!(!counter.is_trusted(), "{jump}");
+        }
+    }
+
+    #[test]
+    fn a_suspend_is_left_to_the_kernel() {
+        let given = Given::new();
+        let (counter, anchor) = (given.counter(), Cell::default());
+        counter.read(&given, &anchor);
+        renew(&anchor);
+        // The kernel's clock went on, the counter stood still.
+        given.now.set(given.now.get() + 3_600_000_000_000);
+        assert_eq!(counter.read(&given, &anchor).earliest, given.now.get());
+        assert!(!counter.is_trusted());
+    }
+
+    #[test]
+    fn a_thread_that_slept_asks_the_kernel_first() {
+        let given = Given::new();
+        let (counter, anchor) = (given.counter(), Cell::default());
+        counter.read(&given, &anchor);
+        given.pass(5_000);
+        assert!(
+            counter.read(&given, &anchor).earliest < given.now.get(),
+            "by the counter: the earlier bound"
+        );
+        renew(&anchor);
+        assert_eq!(counter.read(&given, &anchor).earliest, given.now.get());
+        assert!(counter.is_trusted());
+    }
+
+    #[test]
+    fn a_counter_that_is_not_usable_is_never_read_for_the_time() {
+        let given = Given::new();
+        let (counter, anchor) = (Counter::new(&given, false), Cell::default());
+        given.pass(2 * BASE);
+        let (early, asked) = readings(&given, &counter, &anchor);
+        assert_eq!((early, asked, counter.is_trusted()), (0, 1_000, false));
+    }
+}
