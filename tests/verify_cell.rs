@@ -230,8 +230,20 @@ fn a_search_that_is_cut_short_says_how_far_it_came() {
     // This is less time than any machine needs.
     let answer = run(&["verify", "examples/shared_tool.cell", "--within", "1ms"]);
     assert_eq!(answer.code, Some(4), "{answer:?}");
-    let told = "cut short, out of time (0.001 s): every order of events was looked at up to its choice ";
-    assert!(answer.out.contains(told), "{answer:?}");
+    for told in [
+        "cut short, out of time (0.001 s): ",
+        " of these states were looked at (",
+        "and every order of events was looked at up to its choice ",
+        "\n  to let it end: ",
+        "give it more (`--within 10m`, `--memory 8G`)\n",
+    ] {
+        assert!(answer.out.contains(told), "{told}: {answer:?}");
+    }
+    let answer =
+        run(&["verify", "examples/shared_tool.cell", "--within", "1ms", "--format", "json"]);
+    let said: serde_json::Value = serde_json::from_str(&answer.out).expect("one line of JSON");
+    let left = &said["phases"][0]["unfinished"];
+    assert!(left["states"].as_u64() > Some(0) && left["sampled"].as_u64() > Some(0), "{said}");
 }
 
 #[test]

@@ -20,5 +20,6 @@ mod simulate;
 mod standstill;
 mod support;
 mod traps;
+mod unfinished;
 mod verdicts;
 mod zones;

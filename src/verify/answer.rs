@@ -4,7 +4,8 @@ use super::advice::help;
 use super::limits::not_looked_for;
 use super::subject::Subject;
 use imrs_model::cell::{
-    CellFaults, CellPlan, Concerned, Coverage, Finding, Kind, Pause, Phase, Refused, Times, Verdicts,
+    CellFaults, CellPlan, Concerned, Coverage, Finding, Kind, ManyValues, Pause, Phase, Refused, Times,
+    Unfinished, Verdicts,
 };
 use imrs_protocol::script::Address;
 use imrs_protocol::{CellTable, TaskId};
@@ -137,7 +138,27 @@ struct Searched<'a> {
     pruned: bool,
     /// The budget that ended the search; null if none did.
     ended_by: Option<&'a str>,
+    /// The states that were found and not looked at when the budget ended the search; null if none were left.
+    unfinished: Option<Left<'a>>,
     seconds: f64,
+}
+
+/// What is left of a search that a budget ended.
+#[derive(Serialize)]
+struct Left<'a> {
+    states: u64,
+    /// How many of them the following fields describe, and how many of these differ in something other than times.
+    sampled: u64,
+    apart_from_times: u64,
+    /// The variables with the most values.
+    variables: Vec<Variable<'a>>,
+}
+
+#[derive(Serialize)]
+struct Variable<'a> {
+    task: &'a str,
+    name: &'a str,
+    values: u64,
 }
 
 /// The faults that a search may use: counts, the nodes that crash, the ends of the links that are cut.
@@ -208,7 +229,7 @@ impl Subject {
             not_tried: self.places(&verdicts.not_tried),
             not_seen: self.places(&verdicts.not_seen),
             rounded: self.rounded_times(),
-            phases: verdicts.phases.iter().map(|phase| searched(plan, phase)).collect(),
+            phases: verdicts.phases.iter().map(|phase| self.searched(plan, phase)).collect(),
         }
     }
 
@@ -256,29 +277,42 @@ impl Subject {
             saved,
         }
     }
-}
 
-fn searched<'a>(plan: &'a CellPlan, phase: &'a Coverage) -> Searched<'a> {
-    let with_faults = phase.phase == Phase::Faults;
-    let faults = plan.faults.get(phase.hypothesis).filter(|_| with_faults);
-    Searched {
-        with_faults,
-        bounds: bounds(&plan.table, faults),
-        times: match phase.times {
-            Times::Auto | Times::Ends => "ends",
-            Times::Between => "between",
-            Times::Every => "every",
-            Times::Zones => "zones",
-        },
-        parts: phase.parts,
-        states: phase.states,
-        transitions: phase.moves,
-        depth: phase.depth,
-        whole_depth: phase.whole_depth,
-        complete: phase.complete,
-        pruned: phase.pruned,
-        ended_by: phase.ended_by.as_deref(),
-        seconds: phase.seconds,
+    fn searched<'a>(&'a self, plan: &'a CellPlan, phase: &'a Coverage) -> Searched<'a> {
+        let with_faults = phase.phase == Phase::Faults;
+        let faults = plan.faults.get(phase.hypothesis).filter(|_| with_faults);
+        Searched {
+            with_faults,
+            bounds: bounds(&plan.table, faults),
+            times: match phase.times {
+                Times::Auto | Times::Ends => "ends",
+                Times::Between => "between",
+                Times::Every => "every",
+                Times::Zones => "zones",
+            },
+            parts: phase.parts,
+            states: phase.states,
+            transitions: phase.moves,
+            depth: phase.depth,
+            whole_depth: phase.whole_depth,
+            complete: phase.complete,
+            pruned: phase.pruned,
+            ended_by: phase.ended_by.as_deref(),
+            unfinished: phase.unfinished.as_ref().map(|left| self.left(left)),
+            seconds: phase.seconds,
+        }
+    }
+
+    fn left<'a>(&'a self, left: &'a Unfinished) -> Left<'a> {
+        let variables = left.variables.iter();
+        let variable =
+            |of: &'a ManyValues| Variable { task: self.task(of.task), name: &of.name, values: of.values };
+        Left {
+            states: left.open,
+            sampled: left.sampled,
+            apart_from_times: left.apart_from_times,
+            variables: variables.map(variable).collect(),
+        }
     }
 }
 

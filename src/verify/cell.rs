@@ -1,6 +1,7 @@
 //! `imrs verify CELL`: checks the cell's own scripts and communication tasks, with the faults that the cell declares.
 
 use super::save::save;
+use super::search_lines::SearchLines;
 use super::subject::Subject;
 use super::tell::{self, Telling};
 use crate::args::{CellFaultArgs, Format, VerifyVerb};
@@ -8,7 +9,7 @@ use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::kept;
 use crate::output::{Output, complain, harmless};
-use imrs_model::cell::{CellPlan, Coverage, Folding, Verdicts, chart, check_cell, drawn, svg};
+use imrs_model::cell::{CellPlan, Coverage, Folding, Verdicts, chart, check_cell_and_tell, drawn, svg};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -26,7 +27,9 @@ pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Fai
     for file in [&args.faults.trace, &args.faults.save].into_iter().flatten() {
         kept::check(file, args.faults.force)?;
     }
-    let verdicts = check_cell(&plan);
+    let lines = SearchLines::new(&subject, &plan, format);
+    let verdicts = check_cell_and_tell(&plan, &lines);
+    lines.clear();
     // The findings are shown even if saving them fails.
     let kept = keep(&subject, &plan, &verdicts, &args.faults);
     let saved = kept.as_ref().map_or(None, |saved| *saved);
@@ -81,7 +84,9 @@ fn keep(
     let Some(path) = &args.save else { return Ok(None) };
     let searched = |phase: &&Coverage| (phase.phase, phase.hypothesis) == (finding.phase, finding.hypothesis);
     let bounds = verdicts.phases.iter().find(searched);
-    let bounds = bounds.map(|phase| tell::bounds(plan, phase)).unwrap_or_default();
+    let bounds = bounds
+        .map(|phase| tell::bounds(plan, (phase.phase, phase.hypothesis), phase.times))
+        .unwrap_or_default();
     let saved = save(path, subject, plan, finding, bounds, args.force)?;
     Ok(saved.then_some(at + 1))
 }

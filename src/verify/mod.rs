@@ -7,8 +7,10 @@ mod limits;
 mod progress;
 mod report;
 mod save;
+mod search_lines;
 mod subject;
 mod tell;
+mod unfinished;
 
 pub use answer::{FindingAnswer, NotChecked, Place, Rounded};
 pub use subject::{Subject, conduct, faults};

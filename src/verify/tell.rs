@@ -3,6 +3,7 @@
 use super::advice::help;
 use super::limits::{not_looked_for, values_tried};
 use super::subject::Subject;
+use super::unfinished;
 use crate::args::{self, CellFaultArgs, VerifyVerb};
 use crate::cell_file;
 use crate::failure::Failure;
@@ -76,8 +77,11 @@ impl Telling<'_> {
         }
         unkept.into_iter().try_for_each(|said| out.line(Styled(NOTE, said)))?;
         for phase in &verdicts.phases {
-            out.line(Styled(HEAD, bounds(self.plan, phase)))?;
+            out.line(Styled(HEAD, bounds(self.plan, (phase.phase, phase.hypothesis), phase.times)))?;
             out.line(format!("  {}", looked_at(phase)))?;
+            for said in unfinished::explained(self.subject, self.plan, phase) {
+                out.line(Styled(NOTE, format!("  {said}")))?;
+            }
         }
         out.line(Styled(FAINT, format!("  looked at: {}", self.times())))?;
         for what in not_looked_for(self.plan) {
@@ -344,12 +348,12 @@ pub fn chart(chart: &str, all: Option<&String>, out: &mut Output) -> Result<(), 
 }
 
 /// The faults and times of a phase: those declared and those requested.
-pub(super) fn bounds(plan: &CellPlan, phase: &Coverage) -> String {
-    let faults = match phase.phase {
+pub(super) fn bounds(plan: &CellPlan, (phase, hypothesis): (Phase, usize), times: Times) -> String {
+    let faults = match phase {
         Phase::FaultFree => "Without faults".into(),
-        Phase::Faults => format!("With at most {}", faults(plan, phase.hypothesis)),
+        Phase::Faults => format!("With at most {}", faults(plan, hypothesis)),
     };
-    let times = match phase.times {
+    let times = match times {
         Times::Every if plan.step > 1 => "at every model tick",
         Times::Zones => "at every tick, by zones",
         Times::Every => "at every tick",
@@ -394,7 +398,8 @@ fn looked_at(phase: &Coverage) -> String {
     let whole = match (&phase.ended_by, phase.pruned) {
         (Some(by), _) => {
             let whole = grouped(phase.whole_depth);
-            format!("cut short, {by}: every order of events was looked at up to its choice {whole}")
+            let share = unfinished::share(phase);
+            format!("cut short, {by}: {share}every order of events was looked at up to its choice {whole}")
         }
         (None, true) => "everything up to the findings".into(),
         (None, false) => "everything within the bounds".into(),

@@ -44,6 +44,7 @@ impl Done {
         all.complete &= one.complete;
         all.pruned |= one.pruned;
         all.ended_by = all.ended_by.take().or(one.ended_by);
+        all.unfinished = all.unfinished.take().or(one.unfinished);
         all.longest_state = all.longest_state.max(one.longest_state);
         all.seconds += one.seconds;
         self.findings.extend(other.findings);

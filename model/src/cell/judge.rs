@@ -1,6 +1,7 @@
 //! Judges a move: its findings, and the statements that it reached.
 
 use super::plan::Conduct;
+use super::progress::FoundSoFar;
 use super::run_state::RunState;
 use super::verdict::{Kind, Phase};
 use crate::cell_state::script::ScriptReaction;
@@ -31,6 +32,12 @@ impl Shown {
     pub fn whole(kind: Kind, cause: &str) -> Self {
         let (cause, others) = (cause.into(), Vec::new());
         Self { kind, task: None, address: None, check: None, cause, last: true, couple: None, others }
+    }
+
+    /// As told while the search goes on.
+    pub fn so_far(&self) -> FoundSoFar<'_> {
+        let place = self.task.zip(self.address).map(|(task, at)| (TaskId::from_index(task), at));
+        FoundSoFar { kind: self.kind, cause: &self.cause, place }
     }
 
     /// Whether both are the same finding, whatever moves lead to them.

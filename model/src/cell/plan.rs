@@ -82,6 +82,14 @@ impl CellFaults {
     pub fn are_none(&self) -> bool {
         *self == Self::default()
     }
+
+    /// How many kinds of faults may happen: losses, crashes, cuts, ...
+    #[must_use]
+    pub fn kinds(&self) -> usize {
+        let counted = [self.loss, self.dup, self.reorder, self.fail, self.drift].map(|had| had > 0);
+        let listed = [self.crash.is_empty(), self.cut.is_empty(), self.pause.is_empty()].map(|none| !none);
+        counted.into_iter().chain(listed).filter(|&has| has).count()
+    }
 }
 
 /// What a check demands.

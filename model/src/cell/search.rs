@@ -10,12 +10,14 @@ use super::judge::{self, Reached, Shown};
 use super::outside::{tried, with_programs};
 use super::parts::parts;
 use super::plan::{CellFaults, CellPlan, Conduct, Times};
+use super::progress::{SearchProgress, SoFar};
 use super::run_state::{CellMove, RunState};
 use super::seen::{Seen, is_in_sample};
 use super::standstill::{self, OutOfMemory, StateGraph};
 use super::verdict::{Coverage, Finding, Kind, Phase, Refused, Verdicts};
 use super::walker::{Hit, Origin, Walker, Walks};
-use super::{starve, story, zones};
+use super::{starve, story, unfinished, zones};
+use crate::Silent;
 use crate::explore::resident_bytes;
 use crate::side_by_side::side_by_side;
 use imrs_protocol::TaskId;
@@ -61,7 +63,7 @@ pub(super) struct Kept {
 
 /// Searches, and returns the states that it kept, too.
 pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Kept {
-    let (search, done) = search(plan, (phase, 0), faults);
+    let (search, done) = search(plan, (phase, 0), faults, &Silent);
     let hits = search.hits.into_iter().map(|hit| hit.shown).collect();
     let Done { coverage, findings, reached, .. } = done;
     Kept { seen: search.seen, states: coverage.states, complete: coverage.complete, hits, findings, reached }
@@ -70,6 +72,12 @@ pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &Cell
 /// Checks a cell: first without faults, then within each hypothesis of faults. The first search finds what goes wrong by itself.
 #[must_use]
 pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
+    check_cell_and_tell(plan, &Silent)
+}
+
+/// As [`check_cell`], and tells `progress` how far the searches are.
+#[must_use]
+pub fn check_cell_and_tell(plan: &Arc<CellPlan>, progress: &dyn SearchProgress) -> Verdicts {
     let outside = tried(plan);
     let is_open = plan.has_extern() || plan.has_open_results();
     let plan = &with_programs(plan);
@@ -77,11 +85,14 @@ pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
         return Verdicts { refused: Some(refused), ..Verdicts::default() };
     }
     let (parts, none) = (parts(plan), CellFaults::default());
-    let plain = look_at_each(plan, &parts, &none, None, |plan| look(plan, (Phase::FaultFree, 0), &none));
-    let mut done = vec![plain];
+    let without_faults = |plan: &Arc<CellPlan>| look(plan, (Phase::FaultFree, 0), &none, progress);
+    let mut done = vec![look_at_each(plan, &parts, &none, None, without_faults)];
+    progress.finished(&done[0].coverage);
     for (hypothesis, faults) in plan.faults.iter().enumerate().filter(|(_, faults)| !faults.are_none()) {
-        let search = |plan: &Arc<CellPlan>| look(plan, (Phase::Faults, hypothesis), faults);
-        done.push(look_at_each(plan, &parts, faults, Some(&done[0]), search));
+        let search = |plan: &Arc<CellPlan>| look(plan, (Phase::Faults, hypothesis), faults, progress);
+        let next = look_at_each(plan, &parts, faults, Some(&done[0]), search);
+        progress.finished(&next.coverage);
+        done.push(next);
     }
     conclude(plan, done, (outside, is_open))
 }
@@ -92,16 +103,23 @@ pub(super) fn timed(plan: &Arc<CellPlan>, times: Times) -> Arc<CellPlan> {
 }
 
 /// Searches with the finest event times that take no more states than [`Times::Auto`] allows.
-fn look(plan: &Arc<CellPlan>, phase: (Phase, usize), faults: &CellFaults) -> Done {
+fn look(
+    plan: &Arc<CellPlan>,
+    phase: (Phase, usize),
+    faults: &CellFaults,
+    progress: &dyn SearchProgress,
+) -> Done {
+    let explore = |plan: &Arc<CellPlan>| search(plan, phase, faults, progress).1;
     if plan.times == Times::Zones {
+        progress.started(phase, Times::Zones);
         return zones::explore(plan, phase, faults);
     }
     if plan.times != Times::Auto {
-        return explore(plan, phase, faults);
+        return explore(plan);
     }
     // If each action and packet takes one time only, the ends are all times. Pauses change that, because they end at any time.
     if plan.is_exact() && faults.pause.is_empty() {
-        let mut done = explore(&timed(plan, Times::Ends), phase, faults);
+        let mut done = explore(&timed(plan, Times::Ends));
         done.coverage.times = Times::Every;
         return done;
     }
@@ -111,18 +129,18 @@ fn look(plan: &Arc<CellPlan>, phase: (Phase, usize), faults: &CellFaults) -> Don
         let mut short = CellPlan::clone(&timed(plan, times));
         short.budget.states = short.budget.states.min(most);
         short.budget.seconds /= 4.0;
-        let mut done = explore(&Arc::new(short.clone()), phase, faults).with(tried);
+        let mut done = explore(&Arc::new(short.clone())).with(tried);
         if done.coverage.complete {
             if !done.findings.is_empty() {
                 // Report findings of the coarse times (`Times::Ends`) first: their schedules have declared, thus rounder, times.
                 short.times = Times::Ends;
-                done.findings.splice(0..0, explore(&Arc::new(short), phase, faults).findings);
+                done.findings.splice(0..0, explore(&Arc::new(short)).findings);
             }
             return done;
         }
         tried = Some(done);
     }
-    explore(&timed(plan, Times::Ends), phase, faults).with(tried)
+    explore(&timed(plan, Times::Ends)).with(tried)
 }
 
 /// What one search can hold: a bit for each node and each direction of a link, a byte for a task.
@@ -172,16 +190,18 @@ pub(super) fn too_large(plan: &CellPlan) -> Option<Refused> {
     Some(Refused { task: TaskId::from_index(0), at: 0, why })
 }
 
-fn explore(plan: &Arc<CellPlan>, phase: (Phase, usize), faults: &CellFaults) -> Done {
-    search(plan, phase, faults).1
-}
-
-fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &CellFaults) -> (Search, Done) {
+fn search(
+    plan: &Arc<CellPlan>,
+    (phase, hypothesis): (Phase, usize),
+    faults: &CellFaults,
+    progress: &dyn SearchProgress,
+) -> (Search, Done) {
     let start = Instant::now();
+    progress.started((phase, hypothesis), plan.times);
     let mut search = Search::default();
     let walker = || Walker::new(phase, RunState::new(plan, faults));
     let mut walkers: Vec<Walker> = (0..plan.jobs.max(1)).map(|_| walker()).collect();
-    let ended_by = search.run(plan, &mut walkers, start);
+    let ended_by = search.run(plan, &mut walkers, (start, progress));
     let outgrown = || {
         search.outgrown.then(|| "a number in some states is too large for the checker to store".to_string())
     };
@@ -224,6 +244,7 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
         // What tasks in a deadlock would have done is not searched either.
         pruned: search.hits.iter().any(|hit| hit.shown.last || hit.shown.kind == Kind::Deadlock),
         ended_by,
+        unfinished: (!search.queue.is_empty()).then(|| unfinished::of(plan, faults, &search.queue)),
         longest_state: search.longest as u64,
         seconds: start.elapsed().as_secs_f64(),
     };
@@ -241,18 +262,34 @@ fn out_of_memory(plan: &CellPlan) -> String {
 
 impl Search {
     /// Searches until the queue is empty, or returns the budget that ended the search.
-    fn run(&mut self, plan: &CellPlan, walkers: &mut [Walker], start: Instant) -> Option<String> {
+    fn run(
+        &mut self,
+        plan: &CellPlan,
+        walkers: &mut [Walker],
+        (start, progress): (Instant, &dyn SearchProgress),
+    ) -> Option<String> {
         let budget = plan.budget;
         if let Some(first) = walkers.first_mut() {
             first.start(&self.seen);
             self.take_in(first.take());
         }
+        let mut told = 0;
         while !self.queue.is_empty() {
             if start.elapsed().as_secs_f64() > budget.seconds {
                 return Some(format!("out of time ({} s)", budget.seconds));
             }
             if resident_bytes().is_some_and(|bytes| bytes > budget.bytes) {
                 return Some(out_of_memory(plan));
+            }
+            let seconds = start.elapsed().as_secs_f64();
+            progress.states(&SoFar {
+                states: self.origins.len() as u64,
+                open: self.queue.len() as u64,
+                seconds,
+                at_most_seconds: budget.seconds,
+            });
+            for hit in &self.hits[std::mem::replace(&mut told, self.hits.len())..] {
+                progress.found(&hit.shown.so_far());
             }
             let batch: Vec<_> = self.queue.drain(..self.queue.len().min(BATCH)).collect();
             for walks in self.walk_on(&batch, walkers) {

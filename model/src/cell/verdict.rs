@@ -166,6 +166,9 @@ pub struct Coverage {
     pub pruned: bool,
     /// The budget that ended the search, if one did.
     pub ended_by: Option<String>,
+    /// The states that the search had found and not expanded when the budget ended it.
+    #[serde(default)]
+    pub unfinished: Option<Unfinished>,
     /// Bytes of the longest packed state.
     pub longest_state: u64,
     /// Duration in seconds.
@@ -174,6 +177,30 @@ pub struct Coverage {
 
 const fn one() -> u32 {
     1
+}
+
+/// The states that were found and not expanded, because a budget ended the search.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Unfinished {
+    /// How many there are.
+    pub open: u64,
+    /// How many of them the following fields describe, drawn at equal distances.
+    pub sampled: u64,
+    /// How many of these differ in something other than times.
+    pub apart_from_times: u64,
+    /// The variables of tasks with the most values among these, the one with the most first.
+    pub variables: Vec<ManyValues>,
+}
+
+/// A variable that has many values.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ManyValues {
+    /// The task.
+    pub task: TaskId,
+    /// The variable's name in the task.
+    pub name: String,
+    /// How many values it has.
+    pub values: u64,
 }
 
 /// Why a cell cannot be checked.

@@ -60,6 +60,7 @@ pub(in crate::cell) fn explore(
         complete: ended_by.is_none(),
         pruned,
         ended_by,
+        unfinished: None,
         longest_state: longest as u64,
         seconds: start.elapsed().as_secs_f64(),
     };

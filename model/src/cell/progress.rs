@@ -1,0 +1,54 @@
+//! What a search of a cell tells while it runs.
+
+use super::plan::Times;
+use super::verdict::{Coverage, Kind, Phase};
+use crate::Silent;
+use imrs_protocol::TaskId;
+use imrs_protocol::script::Address;
+
+/// Follows the searches of a cell. All methods are called by the thread that called
+/// [`check_cell_and_tell`](super::check_cell_and_tell).
+pub trait SearchProgress {
+    /// A search begins. A phase has several of them if its parts are searched one by one, or if finer times took too long.
+    fn started(&self, phase: (Phase, usize), times: Times) {
+        let _ = (phase, times);
+    }
+    /// The search goes on.
+    fn states(&self, so_far: &SoFar) {
+        let _ = so_far;
+    }
+    /// Something was found. A look at its path, after the search, may give it another name.
+    fn found(&self, found: &FoundSoFar<'_>) {
+        let _ = found;
+    }
+    /// A phase ends.
+    fn finished(&self, coverage: &Coverage) {
+        let _ = coverage;
+    }
+}
+
+impl SearchProgress for Silent {}
+
+/// How far a search is.
+#[derive(Clone, Copy, Debug)]
+pub struct SoFar {
+    /// The states that were kept.
+    pub states: u64,
+    /// How many of them are still to be expanded.
+    pub open: u64,
+    /// The seconds since the search began.
+    pub seconds: f64,
+    /// The seconds that it may take.
+    pub at_most_seconds: f64,
+}
+
+/// A finding of a search that goes on.
+#[derive(Clone, Copy, Debug)]
+pub struct FoundSoFar<'a> {
+    /// Its kind.
+    pub kind: Kind,
+    /// One line in the cell's words.
+    pub cause: &'a str,
+    /// The task and the operation of its program, if the finding has them.
+    pub place: Option<(TaskId, Address)>,
+}

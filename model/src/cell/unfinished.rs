@@ -1,0 +1,74 @@
+//! What the states have in common that a search had no time to expand: what makes a cell large.
+
+use super::judge::program;
+use super::plan::{CellFaults, CellPlan};
+use super::run_state::RunState;
+use super::verdict::{ManyValues, Unfinished};
+use imrs_protocol::TaskId;
+use imrs_protocol::symbolic::{self, Symbol, Time, Zone};
+use std::cell::RefCell;
+use std::collections::{HashSet, VecDeque};
+use std::rc::Rc;
+use std::sync::Arc;
+
+/// At most so many states are looked at.
+const SAMPLE: usize = 8_192;
+/// A variable with fewer values does not make a cell large.
+const MANY: usize = 8;
+/// So many variables are named at most.
+const NAMED: usize = 3;
+
+/// Packs all times alike, so that only the rest of a state is compared.
+struct Timeless;
+
+impl Zone for Timeless {
+    fn is_negative(&mut self, symbol: Symbol) -> bool {
+        symbol.offset < 0
+    }
+    fn sum(&mut self, one: Symbol, _: Symbol) -> Symbol {
+        one
+    }
+    fn pack(&mut self, _: Time, symbol: Option<Symbol>) -> u8 {
+        u8::from(symbol.is_some())
+    }
+}
+
+/// Describes the states that are left in a queue.
+pub(super) fn of(
+    plan: &Arc<CellPlan>,
+    faults: &CellFaults,
+    queue: &VecDeque<(u32, Box<[u8]>)>,
+) -> Unfinished {
+    let mut run_state = RunState::new(plan, faults);
+    let mut values: Vec<Vec<HashSet<i64>>> = (0..plan.tasks.len())
+        .map(|task| vec![HashSet::new(); program(&run_state, task).map_or(0, |of| of.variables.len())])
+        .collect();
+    let mut controls: HashSet<Box<[u8]>> = HashSet::new();
+    let every = queue.len().div_ceil(SAMPLE).max(1);
+    let sample = queue.iter().step_by(every);
+    let sampled = sample.len() as u64;
+    for (_, state) in sample {
+        run_state.load(state);
+        for (task, variables) in values.iter_mut().enumerate() {
+            let Some(actor) = &run_state.cell.bodies[task].actor else { continue };
+            for (at, values) in (0..).zip(variables) {
+                values.extend(actor.host.script.var(at));
+            }
+        }
+        let timeless = Rc::new(RefCell::new(Timeless));
+        controls.extend(symbolic::within(timeless, || run_state.store()).ok());
+    }
+    let mut variables: Vec<ManyValues> = Vec::new();
+    for (task, found) in values.iter().enumerate() {
+        let Some(program) = program(&run_state, task) else { continue };
+        for (variable, values) in
+            program.variables.iter().zip(found).filter(|(_, values)| values.len() >= MANY)
+        {
+            let (task, name) = (TaskId::from_index(task), variable.name.clone());
+            variables.push(ManyValues { task, name, values: values.len() as u64 });
+        }
+    }
+    variables.sort_by_key(|variable| std::cmp::Reverse(variable.values));
+    variables.truncate(NAMED);
+    Unfinished { open: queue.len() as u64, sampled, apart_from_times: controls.len() as u64, variables }
+}

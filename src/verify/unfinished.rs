@@ -1,0 +1,41 @@
+//! What is said of a search that a budget ended: how far it came, what makes it large, and what would let it end.
+
+use super::subject::Subject;
+use crate::output::grouped;
+use imrs_model::cell::{CellPlan, Coverage, Phase};
+
+/// So many states for each that differs in something other than times make times worth naming.
+const MANY_TIMES: u64 = 3;
+
+/// How many of the states that were found were looked at, too: the beginning of a sentence, empty if all were.
+pub(super) fn share(phase: &Coverage) -> String {
+    let Some(left) = &phase.unfinished else { return String::new() };
+    let done = phase.states.saturating_sub(left.open);
+    let percent = (done * 100).checked_div(phase.states).unwrap_or(0);
+    format!("{} of these states were looked at ({percent} %), and ", grouped(done))
+}
+
+/// Sentences that explain an unfinished search.
+pub(super) fn explained(subject: &Subject, plan: &CellPlan, phase: &Coverage) -> Vec<String> {
+    let Some(left) = &phase.unfinished else { return Vec::new() };
+    let (mut large, mut smaller): (Vec<String>, Vec<String>) = (Vec::new(), Vec::new());
+    let alike = left.sampled.checked_div(left.apart_from_times).unwrap_or(0);
+    if alike >= MANY_TIMES {
+        large.push(format!("times ({alike} states for each one that differs in anything else)"));
+        smaller.push("write one time where the spread of an interval is not the point".into());
+    }
+    for variable in &left.variables {
+        let task = subject.task(variable.task);
+        large.push(format!("`{}` of {task} ({} values)", variable.name, grouped(variable.values)));
+    }
+    if let Some(first) = left.variables.first() {
+        smaller.push(format!("let `{}` have fewer values", first.name));
+    }
+    let faults = plan.faults.get(phase.hypothesis).filter(|_| phase.phase == Phase::Faults);
+    if faults.is_some_and(|faults| faults.kinds() > 1) {
+        smaller.push("declare each of these faults in a `faults` line of its own".into());
+    }
+    smaller.push("give it more (`--within 10m`, `--memory 8G`)".into());
+    let large = (!large.is_empty()).then(|| format!("what makes it large: {}", large.join(", ")));
+    large.into_iter().chain([format!("to let it end: {}", smaller.join("; or "))]).collect()
+}
