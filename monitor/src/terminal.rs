@@ -4,17 +4,24 @@ use crate::error::MonitorError;
 use crossterm::clipboard::CopyToClipboard;
 use crossterm::cursor::{Hide, Show};
 use crossterm::event::{DisableMouseCapture, EnableMouseCapture};
-use crossterm::execute;
-use crossterm::terminal::{EnterAlternateScreen, LeaveAlternateScreen, disable_raw_mode, enable_raw_mode};
+use crossterm::terminal::{
+    BeginSynchronizedUpdate, EndSynchronizedUpdate, EnterAlternateScreen, LeaveAlternateScreen,
+    disable_raw_mode, enable_raw_mode,
+};
+use crossterm::{execute, queue};
 use ratatui::Terminal;
 use ratatui::backend::{Backend, CrosstermBackend};
+use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
-use std::io::{self, BufWriter, Stdout};
+use std::io::{self, BufWriter, Stdout, Write};
 use std::panic;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// Whether the monitor holds the terminal. Set before the terminal changes, so that a signal in between still restores it.
 static BORROWED: AtomicBool = AtomicBool::new(false);
+
+/// How many bytes are collected before they are written: a whole frame of a large screen.
+const FRAME_BYTES: usize = 1 << 18;
 
 /// The terminal while the monitor draws on it. Dropping it restores the terminal.
 #[derive(Debug)]
@@ -37,7 +44,7 @@ impl Borrowed {
             report(info);
         }));
         grab(mouse).map_err(MonitorError::Terminal)?;
-        let backend = CrosstermBackend::new(BufWriter::new(io::stdout()));
+        let backend = CrosstermBackend::new(BufWriter::with_capacity(FRAME_BYTES, io::stdout()));
         let terminal = Terminal::new(backend).map_err(|e| {
             give_back();
             MonitorError::Terminal(e)
@@ -66,9 +73,8 @@ impl Borrowed {
     ///
     /// # Errors
     /// [`MonitorError::Terminal`].
-    pub fn draw(&mut self, view: impl FnOnce(&mut ratatui::buffer::Buffer)) -> Result<(), MonitorError> {
-        let drawn = self.terminal.draw(|frame| view(frame.buffer_mut()));
-        drawn.map(|_| ()).map_err(MonitorError::Terminal)
+    pub fn draw(&mut self, view: impl FnOnce(&mut Buffer)) -> Result<(), MonitorError> {
+        frame(&mut self.terminal, view).map_err(MonitorError::Terminal)
     }
 
     /// Takes the terminal again after it was released, and forgets its contents.
@@ -99,6 +105,18 @@ pub fn is_borrowed() -> bool {
     BORROWED.load(Ordering::SeqCst)
 }
 
+/// Draws one frame as a synchronized update: the terminal shows nothing of it until it has all of it. Terminals that do
+/// not know synchronized updates ignore the marks.
+fn frame<W: Write>(
+    terminal: &mut Terminal<CrosstermBackend<W>>,
+    view: impl FnOnce(&mut Buffer),
+) -> io::Result<()> {
+    queue!(terminal.backend_mut(), BeginSynchronizedUpdate)?;
+    let drawn = terminal.draw(|frame| view(frame.buffer_mut())).map(|_| ());
+    // A terminal would hold back the shell's output too, so the update ends even if drawing failed.
+    execute!(terminal.backend_mut(), EndSynchronizedUpdate).and(drawn)
+}
+
 fn grab(mouse: bool) -> io::Result<()> {
     BORROWED.store(true, Ordering::SeqCst);
     enable_raw_mode()
@@ -111,6 +129,46 @@ fn grab(mouse: bool) -> io::Result<()> {
 pub fn give_back() {
     if BORROWED.swap(false, Ordering::SeqCst) {
         let _ = disable_raw_mode();
-        let _ = execute!(io::stdout(), DisableMouseCapture, Show, LeaveAlternateScreen);
+        let _ =
+            execute!(io::stdout(), EndSynchronizedUpdate, DisableMouseCapture, Show, LeaveAlternateScreen);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ratatui::{TerminalOptions, Viewport};
+    use std::cell::RefCell;
+    use std::rc::Rc;
+
+    #[derive(Clone, Default)]
+    struct Written(Rc<RefCell<Vec<u8>>>);
+
+    impl Write for Written {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            self.0.borrow_mut().write(bytes)
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn a_frame_is_one_synchronized_update() {
+        let options = TerminalOptions { viewport: Viewport::Fixed(Rect::new(0, 0, 20, 2)) };
+        let out = Written::default();
+        let mut terminal = Terminal::with_options(CrosstermBackend::new(out.clone()), options).unwrap();
+        for (text, next) in [("first", "second"), ("second", "third")] {
+            frame(&mut terminal, |buffer| {
+                buffer.set_string(0, 0, text, ratatui::style::Style::new());
+            })
+            .unwrap();
+            let written = out.0.take();
+            let written = String::from_utf8(written).unwrap();
+            let inner = written.strip_prefix("\x1b[?2026h").and_then(|rest| rest.strip_suffix("\x1b[?2026l"));
+            let inner = inner.unwrap_or_else(|| panic!("{written:?}"));
+            assert!(inner.contains(text) && !inner.contains("2026") && !inner.contains(next), "{inner:?}");
+        }
     }
 }
