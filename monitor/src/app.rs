@@ -346,7 +346,7 @@ impl App {
             }
             Msg::Key(event) if event.kind == KeyEventKind::Release => Effect::Nothing,
             Msg::Key(event) if self.typing => self.typed(&event),
-            Msg::Key(event) if self.command.is_some() => self.typed_command(&event),
+            Msg::Key(event) if self.command.is_some() => self.typed_command(&event, now),
             Msg::Key(event) => {
                 let told = self.told.take().is_some();
                 let effect = keys::action(&event, self.screen).map(|action| self.act(action, now));

@@ -22,6 +22,8 @@ pub enum Hit {
     Scrub(u64),
     /// A row of the problems.
     Problem(ProblemKey),
+    /// A line of the list, by its scrollbar.
+    Line(usize),
     /// A message of a queue: its source and its id.
     Entry(TaskId, MessageId),
 }

@@ -5,7 +5,7 @@ use crate::name::Name;
 use crate::query::{Field, Filter, NodeRow, PortRow, Row as Fields, Value};
 use crate::store::health::{Finding, Place};
 use crate::store::journal::Severity;
-use crate::store::{Condition, NodeIncarnation, Store, Unseen, unseen};
+use crate::store::{Condition, IncarnationId, NodeIncarnation, Presence, Store, Unseen, unseen};
 use imrs_protocol::PortView;
 use imrs_wire::obs::TaskSnapshot;
 use std::collections::BTreeSet;
@@ -76,17 +76,57 @@ pub struct Shape {
     pub earlier: bool,
 }
 
-/// The rows of a cell.
+/// Up to this many nodes are all shown one by one, with what is within them.
+const FEW: usize = 6;
+
+/// The healthy nodes that one row stands for: those that are up and without a finding, in a cell of many nodes. `loud`
+/// are nodes that are shown in any case. A filter, and an order by amounts, compare the nodes themselves.
 #[must_use]
-pub fn rows(store: &Store, cell: &Name, shape: &Shape, findings: &[Finding], now: Moment) -> Vec<Row> {
+pub fn healthy(
+    store: &Store,
+    cell: &Name,
+    shape: &Shape,
+    (findings, loud): (&[Finding], &[Place]),
+    now: Moment,
+) -> Vec<IncarnationId> {
+    let compares = matches!(shape.sort, Sort::Slack | Sort::Queue) || !shape.filter.is_empty();
+    if compares || !is_large(store, cell) {
+        return Vec::new();
+    }
+    let is_healthy = |incarnation: &&NodeIncarnation| {
+        let place = Place { node: Ok(incarnation.id), task: None, port: None };
+        let mut named = findings.iter().map(|finding| &finding.place).chain(loud);
+        incarnation.presence(now) == Presence::Up && !named.any(|named| place.holds(named))
+    };
+    let found: Vec<_> = store.present(cell).filter(is_healthy).map(|incarnation| incarnation.id).collect();
+    if found.len() > 1 { found } else { Vec::new() }
+}
+
+/// Whether the cell has more than a few nodes. Then the nodes are closed at first.
+fn is_large(store: &Store, cell: &Name) -> bool {
+    store.names(cell).is_some_and(|names| names.nodes.len() > FEW)
+}
+
+/// The rows of a cell. One row stands for the `healthy` nodes, after the others.
+#[must_use]
+pub fn rows(
+    store: &Store,
+    cell: &Name,
+    shape: &Shape,
+    (findings, healthy): (&[Finding], &[IncarnationId]),
+    now: Moment,
+) -> Vec<Row> {
     let filter = Filter::lenient(&shape.filter);
-    let maker = Maker { store, shape, filter: filter.as_ref(), findings, now };
+    let is_large = is_large(store, cell);
+    let maker = Maker { store, shape, filter: filter.as_ref(), findings, is_large, now };
     let mut nodes: Vec<(Key, Vec<Row>)> = Vec::new();
+    let mut well: Vec<(Key, Vec<Row>)> = Vec::new();
     for incarnation in store.incarnations_of(cell) {
         let latest = store.is_present(incarnation);
         // A second process of a running node does not hide the first one.
         if latest || shape.earlier || incarnation.condition == Condition::Attached {
-            nodes.extend(maker.node(incarnation, latest));
+            let group = if healthy.contains(&incarnation.id) { &mut well } else { &mut nodes };
+            group.extend(maker.node(incarnation, latest));
         }
     }
     for one in unseen(store, cell) {
@@ -95,7 +135,13 @@ pub fn rows(store: &Store, cell: &Name, shape: &Shape, findings: &[Finding], now
             nodes.push((maker.key(&place, u64::MAX, 0), vec![maker.row(place, 0, false, true)]));
         }
     }
-    maker.flat(nodes)
+    let mut rows = maker.flat(nodes);
+    if !healthy.is_empty() {
+        let row = maker.row(Place::HEALTHY, 0, true, false);
+        rows.push(row);
+        rows.extend(maker.flat(well).into_iter().filter(|_| row.open));
+    }
+    rows
 }
 
 impl Fields for Unseen {
@@ -116,6 +162,7 @@ struct Maker<'a> {
     shape: &'a Shape,
     filter: Option<&'a Filter>,
     findings: &'a [Finding],
+    is_large: bool,
     now: Moment,
 }
 
@@ -177,7 +224,7 @@ impl Maker<'_> {
         }
         let slack = incarnation.tasks().iter().map(|t| self.slack(incarnation, t)).min().unwrap_or(u64::MAX);
         let queued = incarnation.tasks().iter().flat_map(|t| &t.view.ports).map(|p| u64::from(p.len)).sum();
-        let row = self.row(place, 0, !tasks.is_empty(), latest);
+        let row = self.row(place, 0, !tasks.is_empty(), latest && !self.is_large);
         let mut rows = vec![row];
         if row.open {
             rows.extend(self.flat(tasks));

@@ -4,6 +4,7 @@ mod blocked;
 mod common;
 #[path = "../../protocol/tests/allocations.rs"]
 mod counting;
+mod crowd;
 mod events;
 mod export;
 mod history;
@@ -12,6 +13,7 @@ mod large;
 mod layout;
 mod live;
 mod missing;
+mod overview;
 mod problems;
 mod query;
 mod reduce;

@@ -1,6 +1,7 @@
 //! The command line that opens with `:`.
 
 use super::{App, Effect, PortEnd, Screen};
+use crate::clock::Moment;
 use crate::options::Endpoint;
 use crate::store::health::Place;
 use crate::theme::Theme;
@@ -17,7 +18,7 @@ pub const COMMANDS: [(&str, &str); 5] = [
 ];
 
 impl App {
-    pub(super) fn typed_command(&mut self, event: &KeyEvent) -> Effect {
+    pub(super) fn typed_command(&mut self, event: &KeyEvent, now: Moment) -> Effect {
         let ctrl = event.modifiers.contains(KeyModifiers::CONTROL);
         let Some(text) = &mut self.command else { return Effect::Nothing };
         match event.code {
@@ -29,14 +30,14 @@ impl App {
             KeyCode::Esc => self.command = None,
             KeyCode::Enter => {
                 let text = self.command.take().unwrap_or_default();
-                return self.run(text.trim());
+                return self.run(text.trim(), now);
             }
             _ => return Effect::Nothing,
         }
         Effect::Draw
     }
 
-    fn run(&mut self, text: &str) -> Effect {
+    fn run(&mut self, text: &str, now: Moment) -> Effect {
         let (word, rest) = text.split_once(' ').map_or((text, ""), |(word, rest)| (word, rest.trim()));
         self.told = match (word, rest) {
             ("", _) => None,
@@ -49,7 +50,7 @@ impl App {
                 Err(error) => Some(error.to_string()),
             },
             ("port", name) => self.go_to_port(name),
-            ("node" | "task", name) => self.go_to_node(name),
+            ("node" | "task", name) => self.go_to_node(name, now),
             ("theme", name) => match Theme::named(name) {
                 Some(theme) => {
                     self.theme = theme;
@@ -100,7 +101,7 @@ impl App {
         None
     }
 
-    fn go_to_node(&mut self, wanted: &str) -> Option<String> {
+    fn go_to_node(&mut self, wanted: &str, now: Moment) -> Option<String> {
         let cell = self.cell()?;
         let names = self.store().names(&cell)?.clone();
         let node = names.nodes.iter().position(|name| name.shown().eq_ignore_ascii_case(wanted));
@@ -114,9 +115,7 @@ impl App {
         };
         let incarnation = self.store().latest(&cell, node_id).map(|incarnation| incarnation.id);
         let task = task.filter(|_| node.is_none() && incarnation.is_some()).map(TaskId::from_index);
-        self.selected = Some(Place { node: incarnation.ok_or(node_id), task, port: None });
-        self.before = self.screen;
-        (self.screen, self.scroll) = (Screen::Overview, 0);
+        self.go_to(Place { node: incarnation.ok_or(node_id), task, port: None }, now);
         None
     }
 }

@@ -21,9 +21,13 @@ impl App {
             (self.before, self.screen) = (self.screen, Screen::Overview);
         }
         (self.selected, self.scroll) = (Some(place), 0);
-        let is_shown = |app: &Self| app.rows(&[], now).iter().any(|row| row.place == place);
+        let findings = self.findings(now);
+        let is_shown = |app: &Self| app.rows(&findings, now).iter().any(|row| row.place == place);
         if !is_shown(self) {
             self.shape.filter.clear();
+        }
+        if place.node.is_ok_and(|node| self.healthy(&findings, now).contains(&node)) {
+            self.shape.toggled.insert(Place::HEALTHY);
         }
         for parent in [Place { task: None, port: None, ..place }, Place { port: None, ..place }] {
             if !is_shown(self) && !self.shape.toggled.remove(&parent) {

@@ -45,6 +45,11 @@ impl App {
                     self.step_queue(0, now);
                     Effect::Draw
                 }
+                Some(Hit::Line(line)) => {
+                    self.step(isize::MIN, now);
+                    self.step(isize::try_from(line).unwrap_or(isize::MAX), now);
+                    Effect::Draw
+                }
                 Some(Hit::Title(sort)) => {
                     self.sort(sort, self.shape.sort == sort && !self.shape.inverted);
                     Effect::Draw

@@ -2,12 +2,12 @@
 
 use super::{App, PortEnd, Screen};
 use crate::clock::Moment;
-use crate::rows::{Row, rows};
+use crate::rows::{Row, healthy, rows};
 use crate::store::blocked::{Blocker, blockers};
 use crate::store::health::{self, Finding, Place};
 use crate::store::message::MessageKey;
 use crate::store::queue::{Waiting, queue};
-use crate::store::{NodeIncarnation, Store};
+use crate::store::{IncarnationId, NodeIncarnation, Store};
 use imrs_protocol::{PortView, Usage};
 use imrs_wire::obs::TaskSnapshot;
 
@@ -28,7 +28,16 @@ impl App {
     #[must_use]
     pub fn rows(&self, findings: &[Finding], now: Moment) -> Vec<Row> {
         let Some(cell) = self.cell() else { return Vec::new() };
-        rows(self.store(), &cell, &self.shape, findings, self.moment(now))
+        let healthy = self.healthy(findings, now);
+        rows(self.store(), &cell, &self.shape, (findings, &healthy), self.moment(now))
+    }
+
+    /// The healthy nodes of a large cell, for which one row stands.
+    #[must_use]
+    pub fn healthy(&self, findings: &[Finding], now: Moment) -> Vec<IncarnationId> {
+        let Some(cell) = self.cell() else { return Vec::new() };
+        let loud: Vec<_> = self.blockers(now).iter().map(|blocker| blocker.place).collect();
+        healthy(self.store(), &cell, &self.shape, (findings, &loud), self.moment(now))
     }
 
     /// The index of the selected row: the chosen one, its nearest existing parent, or the first.
@@ -36,7 +45,8 @@ impl App {
     pub fn selected(&self, rows: &[Row]) -> usize {
         let Some(place) = self.selected else { return 0 };
         let fits = |wanted: Place| rows.iter().position(|r| r.place == wanted);
-        let parents = [place, Place { port: None, ..place }, Place { task: None, port: None, ..place }];
+        let node = Place { task: None, port: None, ..place };
+        let parents = [place, Place { port: None, ..place }, node, Place::HEALTHY];
         parents.into_iter().find_map(fits).unwrap_or(0)
     }
 

@@ -343,7 +343,7 @@ impl App {
         self.scroll = 0;
     }
 
-    fn step(&mut self, by: isize, now: Moment) {
+    pub(super) fn step(&mut self, by: isize, now: Moment) {
         match self.screen {
             Screen::Overview => {
                 let rows = self.rows(&self.findings(now), now);

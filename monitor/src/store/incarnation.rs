@@ -1,16 +1,17 @@
 //! One incarnation of a node as the monitor sees it: its last state and the recent past.
 
 use super::health::Looked;
+use super::left::Left;
 use super::names::Names;
 use super::presence::Presence;
-use crate::clock::{Moment, Span, micros};
+use super::recent::Recent;
+use crate::clock::{Moment, micros};
 use crate::name::Name;
 use imrs_protocol::{NodeId, PortCounters, PortId, PortView, QueueView, TaskId, Ticks, TimeId};
 use imrs_wire::obs::{
     Count, Delta, Detail, HeldBack, Lateness, Liveness, Pong, Snapshot, TaskSnapshot, Vitals,
 };
 use std::collections::{BTreeMap, VecDeque};
-use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -48,22 +49,6 @@ pub enum Condition {
         /// The moment.
         since: Moment,
     },
-}
-
-/// A remaining time, counted down since its sample.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Left {
-    /// Microseconds; zero if it has probably ended.
-    pub us: u64,
-    /// Whether the sample is old, so that the value may be wrong.
-    pub estimated: bool,
-}
-
-impl fmt::Display for Left {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mark = if self.estimated { "~" } else { "" };
-        f.pad(&format!("{mark}{}", Span::micros(self.us)))
-    }
 }
 
 /// A snapshot and its arrival.
@@ -179,6 +164,10 @@ pub struct NodeIncarnation {
     pub clock: Option<ClockOffset>,
     /// Cached findings of its tasks, valid until its next frame.
     pub(super) looked: Looked,
+    /// Its last seconds.
+    pub recent: Recent,
+    /// How many of its predecessors that are no longer kept have died.
+    pub(super) buried: u32,
 }
 
 impl NodeIncarnation {
@@ -313,7 +302,7 @@ impl NodeIncarnation {
             ports.map(port).sum::<usize>() + size_of_val(sample.snapshot.tasks.as_slice())
         };
         // A sample that is kept twice is counted twice.
-        samples.into_iter().flatten().map(tasks).sum()
+        samples.into_iter().flatten().map(tasks).sum::<usize>() + self.recent.weight()
     }
 
     /// The features to compare with the next state.
@@ -399,6 +388,9 @@ impl NodeIncarnation {
     /// Handles a new `last`: makes it the next `base` when due.
     fn sampled(&mut self, at: Moment) {
         self.note_timers();
+        if let Some(last) = &self.last {
+            self.recent.sampled(at, &last.snapshot, self.tick_us);
+        }
         let due = self.next_base.as_ref().is_none_or(|next| at.saturating_sub(next.at) >= RATE);
         if due {
             self.base = std::mem::replace(&mut self.next_base, self.last.clone());

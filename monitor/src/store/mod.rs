@@ -3,15 +3,18 @@
 pub mod blocked;
 pub mod conformance;
 pub mod coverage;
+mod earlier;
 pub mod health;
 mod incarnation;
 pub mod journal;
+mod left;
 pub mod meeting;
 pub mod message;
 mod names;
 pub mod nearest;
 mod presence;
 pub mod queue;
+pub mod recent;
 pub mod rounds;
 pub mod service;
 pub mod timeline;
@@ -20,8 +23,9 @@ mod unseen;
 pub mod waits;
 
 pub use incarnation::{
-    ClockOffset, Condition, IncarnationId, Left, NodeIncarnation, Received, SILENT, Sample, Watched,
+    ClockOffset, Condition, IncarnationId, NodeIncarnation, Received, SILENT, Sample, Watched,
 };
+pub use left::Left;
 pub use names::{Names, PortInfo, TaskInfo};
 pub use presence::Presence;
 pub use unseen::{Unseen, is_killed, unseen};
@@ -37,8 +41,6 @@ use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use trail::Trail;
 
-/// How many earlier incarnations of a node are kept beside the latest one.
-const EARLIER_INCARNATIONS: usize = 3;
 /// How many attach errors are kept.
 const TROUBLES: usize = 64;
 
@@ -228,6 +230,8 @@ impl Store {
             watched: Vec::new(),
             clock: None,
             looked: health::Looked::default(),
+            recent: recent::Recent::default(),
+            buried: 0,
         };
         let again = self
             .incarnations
@@ -249,28 +253,6 @@ impl Store {
         self.incarnations
             .sort_by(|a, b| (&a.names.cell, a.node_id, a.id).cmp(&(&b.names.cell, b.node_id, b.id)));
         self.forget_early_incarnations();
-    }
-
-    /// Drops the earliest ended incarnations of nodes that have had many.
-    fn forget_early_incarnations(&mut self) {
-        let later = |incarnation: &NodeIncarnation| {
-            let same = |l: &&NodeIncarnation| {
-                l.names.cell == incarnation.names.cell && l.node == incarnation.node && l.id > incarnation.id
-            };
-            self.incarnations.iter().filter(same).count()
-        };
-        let gone = |incarnation: &NodeIncarnation| incarnation.condition != Condition::Attached;
-        let forgotten: Vec<_> = self
-            .incarnations
-            .iter()
-            .filter(|l| gone(l) && later(l) > EARLIER_INCARNATIONS)
-            .map(|l| l.id)
-            .collect();
-        self.incarnations.retain(|l| !forgotten.contains(&l.id));
-        for id in forgotten {
-            self.services.forget(id);
-            self.judged.remove(&id);
-        }
     }
 
     fn frame(&mut self, at: Moment, source: SourceId, frame: ServerFrame) {

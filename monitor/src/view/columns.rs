@@ -6,16 +6,22 @@ use crate::rows::Sort;
 /// The index of the health cell.
 pub(super) const HEALTH_CELL: usize = 10;
 
-/// The columns for a width, and the indices of the cells that they show.
-pub(super) fn columns(width: u16) -> (Vec<Column>, &'static [usize]) {
+/// The least width of the names.
+const NAME: u16 = 14;
+
+/// The columns for a width, and the indices of the cells that they show. `longest` are the longest name and the longest
+/// queue on the screen: what they do not need is for the health, and no number is cut.
+pub(super) fn columns(width: u16, longest: (u16, u16)) -> (Vec<Column>, &'static [usize]) {
     let (name, state, queue, cells): (u16, u16, u16, &[usize]) = match width {
         0..60 => (0, 0, 5, &[0, 2, 3, HEALTH_CELL]),
         60..80 => (18, 14, 5, &[0, 1, 2, 3, HEALTH_CELL]),
         80..90 => (20, 22, 5, &[0, 1, 2, 3, 5, HEALTH_CELL]),
         90..116 => (20, 28, 5, &[0, 1, 2, 3, 5, HEALTH_CELL]),
-        116..160 => (26, 28, 11, &[0, 1, 2, 3, 4, 5, 6, 7, HEALTH_CELL]),
+        116..160 => (26, 32, 11, &[0, 1, 2, 3, 4, 5, 6, 7, HEALTH_CELL]),
         _ => (36, 40, 11, &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, HEALTH_CELL]),
     };
+    let name = if name == 0 { 0 } else { longest.0.clamp(NAME, name) };
+    let queue = queue.max(longest.1);
     let column = |&cell: &usize| match cell {
         0 => Column::left("NODE/TASK/PORT", name),
         1 => Column::left("STATE", state),

@@ -15,9 +15,12 @@ pub(super) const BANNER: &[(&str, &str)] = &[
 const OVERVIEW: &[(&str, &str)] = &[
     ("NODE/TASK/PORT", "a node and its process, its tasks, their ports"),
     ("STATE", "what it does; of a port: class, usage, parties"),
+    ("lines", "at the end of a node's state: messages a second, and least slack, of the last minute"),
+    ("10 nodes", "the healthy nodes of a large cell; Enter shows them"),
     ("QUEUE", "messages waiting / space; of a waitfor: arrived / members"),
     ("SLACK", "remaining time of the most urgent message, or of the wait"),
     ("MSG/s", "sent and served by this end, over the last seconds"),
+    ("+3", "so many more in the last five seconds; otherwise the count since the start"),
     ("EXP", "messages that expired here"),
     ("OVF", "messages refused or evicted for space"),
     ("REJ", "messages the task rejected by rank"),

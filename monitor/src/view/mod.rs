@@ -1,5 +1,6 @@
 //! Draws the screens: pure functions of the app and the moment, one screen per file.
 
+mod accused;
 mod banner;
 mod below;
 mod canvas;
@@ -9,14 +10,17 @@ mod explain;
 mod explained;
 mod foot;
 mod help;
+mod lists;
 mod message;
 mod model;
+mod nodes;
 mod overview;
 mod port;
 mod problems;
 mod rendezvous;
 mod replay;
 mod scrub;
+mod sums;
 mod timeline;
 mod timers;
 mod words;

@@ -1,23 +1,25 @@
 //! Screen 1: nodes, their tasks and their ports. Each row shows the most severe finding within it.
 
-use super::canvas::{self, Canvas, bar, first_row};
+use super::accused::{accuse, health};
+use super::canvas::{self, Canvas, Column, bar, first_row};
 use super::columns::{HEALTH_CELL, columns, sort_of};
-use super::{Hit, below, mark};
+use super::lists::Window;
+use super::sums::{Counts, Sum, per_second};
+use super::{Hit, below, nodes};
 use crate::app::App;
-use crate::clock::{Moment, Span};
+use crate::clock::Moment;
 use crate::rows::{Row, Sort};
 use crate::store::blocked::Blocker;
 use crate::store::health::{Finding, Place, held_back_words};
-use crate::store::journal::Severity;
 use crate::store::meeting::state;
-use crate::store::{IncarnationId, Left, NodeIncarnation, Presence, is_killed};
+use crate::store::{IncarnationId, Left, NodeIncarnation, is_killed};
 use crate::theme::Ink;
-use imrs_protocol::{PortCounters, PortView, TaskId, Usage};
-use imrs_wire::obs::{Liveness, RealTime, TaskSnapshot};
-use std::time::Duration;
+use imrs_protocol::{PortView, Usage};
+use imrs_wire::obs::{Liveness, TaskSnapshot};
+use ratatui::layout::Rect;
 
 /// Name, state, queue, slack, rate, expired, overflow, rejected, re-sent, timed out, health.
-type Cells = [(String, Ink); 11];
+pub(super) type Cells = [(String, Ink); 11];
 
 pub(super) fn draw(
     app: &App,
@@ -26,62 +28,102 @@ pub(super) fn draw(
     now: Moment,
     canvas: &mut Canvas<'_>,
 ) {
+    let healthy = app.healthy(findings, now);
     let rows = app.rows(findings, now);
     let selected = app.selected(&rows);
-    let (columns, shown) = columns(canvas.area.width);
-    let mut titles = canvas.below(0);
-    let indented = ratatui::layout::Rect {
-        x: titles.area.x + 2.min(titles.area.width),
-        width: titles.area.width.saturating_sub(2),
-        ..titles.area
-    };
-    titles.area = indented;
-    let widths = titles.widths(&columns);
-    titles.titles(0, &columns, &widths);
+    let below = below::rows(canvas.height());
+    let height = usize::from(canvas.height().saturating_sub(1 + below));
+    let window = Window { first: first_row(selected, rows.len(), height), page: height, lines: rows.len() };
+    let foot = canvas.height().saturating_sub(below);
+    below::draw(app, now, &mut canvas.below(foot));
+    canvas.list(height, rows.len());
+    let whole = canvas.area;
+    let list = Rect { height: foot.min(whole.height), ..whole };
+    canvas.part(list).scrollbar(1, window);
+    let width = whole.width - u16::from(window.is_partial() && whole.width > 1);
+    let indent = 2.min(width);
+    let inner = Rect { x: whole.x + indent, width: width - indent, ..list };
+    // Only visible rows are built, so that a cell of ten thousand ports costs no more.
+    let shown: Vec<_> = (rows.iter().enumerate().skip(window.first).take(height))
+        .map(|(i, row)| (i, row, row_cells(app, row, (findings, blockers, &healthy), width, now)))
+        .collect();
+    let longest =
+        |cell: usize| shown.iter().map(|(.., cells)| canvas::columns(&cells[cell].0)).max().unwrap_or(0);
+    let (columns, of) = columns(width, (longest(0), longest(2)));
+    let widths = canvas.part(inner).widths(&columns);
+    titles(app, (&columns, &widths), &window.position(selected), &mut canvas.part(inner));
+    for (y, (i, row, cells)) in (1..).zip(&shown) {
+        let texts: Vec<_> = of.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
+        if *i == selected {
+            canvas.at(0, y, 1, app.theme.glyphs.selected, Ink::Head);
+        }
+        let mut inner = canvas.part(inner);
+        inner.row(y, &columns, &widths, &texts);
+        if row.depth == 0 && of.contains(&1) {
+            let x = widths[0] + 1;
+            let taken = canvas::columns(&cells[1].0).min(widths[1]);
+            nodes::sparklines(app, row, (x + taken, x + widths[1]), y, &mut inner);
+        }
+        let mut line = canvas.part(Rect { width, ..whole });
+        if *i == selected {
+            line.select(y);
+        }
+        line.target(0, y, width, Hit::Row(row.place));
+    }
+}
+
+/// Draws the titles of the columns, each a target, and behind them the order and the position.
+fn titles(app: &App, (columns, widths): (&[Column], &[u16]), position: &str, canvas: &mut Canvas<'_>) {
+    canvas.titles(0, columns, widths);
     let mut start = 0;
-    for (column, width) in columns.iter().zip(&widths) {
+    for (column, width) in columns.iter().zip(widths) {
         if let Some(sort) = sort_of(column.title) {
-            titles.target(start, 0, *width, Hit::Title(sort));
+            canvas.target(start, 0, *width, Hit::Title(sort));
             if sort == app.shape.sort && sort != Sort::Name {
                 let indent =
                     if column.right { width.saturating_sub(canvas::columns(column.title)) } else { 0 };
-                titles.at(start + indent, 0, width - indent, column.title, Ink::Head);
+                canvas.at(start + indent, 0, width - indent, column.title, Ink::Head);
             }
         }
         start += width + 1;
     }
-    if app.shape.sort != Sort::Name || app.shape.inverted {
-        let inverted = if app.shape.inverted { "inverted" } else { "" };
-        let both = format!("by {} {inverted}", app.shape.sort.word()).trim_end().to_owned();
-        titles.corner(0, &[both, inverted.to_owned()], Ink::Head);
+    let order = if app.shape.sort != Sort::Name || app.shape.inverted {
+        let inverted = if app.shape.inverted { " inverted" } else { "" };
+        format!("by {}{inverted} ", app.shape.sort.word())
+    } else {
+        String::new()
+    };
+    let inverted = if app.shape.inverted { "inverted" } else { "" };
+    let texts = [format!("{order} {position}"), order, position.to_owned(), inverted.to_owned()];
+    let texts: Vec<_> = texts.iter().map(|text| text.trim().to_owned()).collect();
+    canvas.corner(0, &texts, Ink::Head);
+}
+
+/// The findings, what blocks the cell, and the healthy nodes that have no rows of their own.
+type Known<'a> = (&'a [Finding], &'a [Blocker], &'a [IncarnationId]);
+
+fn row_cells(
+    app: &App,
+    row: &Row,
+    (findings, blockers, healthy): Known<'_>,
+    width: u16,
+    now: Moment,
+) -> Cells {
+    let mut cells = cells(app, row, findings, width, now);
+    if row.place == Place::HEALTHY {
+        nodes::healthy(app, healthy, row, now, &mut cells);
+        return cells;
     }
-    let below = below::rows(canvas.height());
-    let height = usize::from(canvas.height().saturating_sub(1 + below));
-    let first = first_row(selected, rows.len(), height);
-    let foot = canvas.height().saturating_sub(below);
-    below::draw(app, now, &mut canvas.below(foot));
-    canvas.list(height, rows.len());
-    // Only visible rows are built, so that a cell of ten thousand ports costs no more.
-    for (y, (i, row)) in (1..).zip(rows.iter().enumerate().skip(first).take(height)) {
-        let mut cells = cells(app, row, findings, canvas.area.width, now);
-        accuse(app, row, findings, blockers, canvas.area.width, &mut cells);
-        let cells: Vec<_> = shown.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
-        if i == selected {
-            canvas.at(0, y, 1, app.theme.glyphs.selected, Ink::Head);
-        }
-        let mut inner = canvas.below(0);
-        inner.area = indented;
-        inner.row(y, &columns, &widths, &cells);
-        if i == selected {
-            canvas.select(y);
-        }
-        canvas.target(0, y, canvas.area.width, Hit::Row(row.place));
-    }
+    accuse(app, row, findings, blockers, width, &mut cells);
+    cells
 }
 
 /// The name of a place: `node.task.port`, as far as it goes.
 pub(crate) fn label(app: &App, place: Place) -> String {
     let store = app.store();
+    if place == Place::HEALTHY {
+        return "healthy nodes".to_owned();
+    }
     let Ok(incarnation) = place.node else {
         let cell = app.cell().and_then(|c| store.names(&c).cloned());
         return cell.zip(place.node.err()).map_or_else(String::new, |(names, id)| names.node(id).to_string());
@@ -101,6 +143,7 @@ fn cells(app: &App, row: &Row, findings: &[Finding], width: u16, now: Moment) ->
     let (health, ink) = health(row, findings, width);
     let mut cells: Cells = std::array::from_fn(|_| (String::new(), Ink::Plain));
     match row.place.node {
+        Err(_) if row.place == Place::HEALTHY => {}
         Err(id) => {
             let cell = app.cell();
             let names = cell.as_ref().and_then(|cell| Some((cell, app.store().names(cell)?)));
@@ -115,7 +158,7 @@ fn cells(app: &App, row: &Row, findings: &[Finding], width: u16, now: Moment) ->
             let Some(incarnation) = app.store().incarnation(id) else { return cells };
             let gone = incarnation.presence(now).is_gone();
             match (row.place.task.and_then(|t| incarnation.task(t)), row.place.port) {
-                (None, _) => node(app, incarnation, row, now, &mut cells),
+                (None, _) => nodes::node(app, incarnation, row, now, &mut cells),
                 (Some(task), None) => self::task(app, incarnation, task, row, now, &mut cells),
                 (Some(task), Some(port)) => {
                     if let Some(view) = task.view.ports.iter().find(|p| p.port == port) {
@@ -144,55 +187,13 @@ fn is_gone(app: &App, id: IncarnationId, now: Moment) -> bool {
     app.store().incarnation(id).is_some_and(|incarnation| incarnation.presence(now).is_gone())
 }
 
-fn fold_sign(app: &App, row: &Row) -> &'static str {
+/// The sign of a row with rows within it.
+pub(super) fn fold_sign(app: &App, row: &Row) -> &'static str {
     match (row.parent, row.open) {
         (true, true) => app.theme.glyphs.open,
         (true, false) => app.theme.glyphs.closed,
         (false, _) => " ",
     }
-}
-
-fn node(app: &App, incarnation: &NodeIncarnation, row: &Row, now: Moment, cells: &mut Cells) {
-    let presence = incarnation.presence(now);
-    let sign = if presence.is_gone() { app.theme.glyphs.dead } else { fold_sign(app, row) };
-    // A node of the checker has no process.
-    let pid = if incarnation.pid == 0 { String::new() } else { format!(" (pid {})", incarnation.pid) };
-    cells[0] = (format!("{sign} {}{pid}", incarnation.node), Ink::Plain);
-    let uptime = incarnation.last.as_ref().map(|s| Duration::from_micros(s.snapshot.uptime_us));
-    cells[1] = match (presence, uptime) {
-        (Presence::Up, Some(uptime)) => {
-            let again = if is_restarted(app, incarnation) {
-                format!(" (incarn. {})", incarnation.number)
-            } else {
-                String::new()
-            };
-            (format!("up {}{again}", Span(uptime)), Ink::Good)
-        }
-        (Presence::Up, None) => ("attached".to_owned(), Ink::Plain),
-        (Presence::Silent(_), _) => (presence.to_string(), Ink::Warn),
-        _ => (format!("{presence} (incarn. {})", incarnation.number), Ink::Dim),
-    };
-    let longest = incarnation.longest_held_back(now);
-    if let Some(longest) = longest.filter(|_| matches!(presence, Presence::Up)) {
-        cells[1] = (format!("up, held back {} s", longest.div_ceil(1_000_000)), Ink::Warn);
-    }
-    match incarnation.last.as_ref().map(|s| s.snapshot.real_time).filter(|_| !presence.is_gone()) {
-        Some(RealTime::Had) => cells[1].0 += "  rt",
-        Some(RealTime::Refused { .. }) => cells[1] = (format!("{}  NO RT", cells[1].0), Ink::Warn),
-        Some(RealTime::NotAsked) | None => {}
-    }
-    sum(app, incarnation, incarnation.tasks(), now, cells);
-    if let Some(transit) =
-        incarnation.last.as_ref().map(|s| &s.snapshot.transit).filter(|t| t.len > 0 && !presence.is_gone())
-    {
-        cells[1].0 += &format!("  transit {}", transit.len);
-    }
-}
-
-/// Whether the monitor has seen an earlier incarnation of the node.
-fn is_restarted(app: &App, incarnation: &NodeIncarnation) -> bool {
-    let all = app.store().incarnations_of(&incarnation.names.cell);
-    all.filter(|other| other.node_id == incarnation.node_id).count() > 1
 }
 
 fn task(
@@ -215,7 +216,7 @@ fn task(
             (state(incarnation, &task.view.state) + &left, Ink::Plain)
         }
     };
-    sum(app, incarnation, std::slice::from_ref(task), now, cells);
+    Sum::of(app, incarnation, std::slice::from_ref(task), now).show(cells);
 }
 
 /// The remaining time of the task's present wait.
@@ -227,75 +228,6 @@ fn remaining(incarnation: &NodeIncarnation, task: &TaskSnapshot, now: Moment) ->
         AwaitingReply { remaining, .. } | Waiting { remaining, .. } => Some(remaining),
     };
     remaining.map(|r| incarnation.left(r, task.age_us, now))
-}
-
-/// The sums over the ports of tasks: queue, least slack, rate, counters.
-fn sum(app: &App, incarnation: &NodeIncarnation, tasks: &[TaskSnapshot], now: Moment, cells: &mut Cells) {
-    let (mut len, mut capacity, mut rate) = (0_u64, 0_u64, None::<f64>);
-    let mut least: Option<Left> = None;
-    let mut total = PortCounters::default();
-    for task in tasks {
-        let earlier = incarnation.earlier(task);
-        let slacks = task.view.ports.iter().filter_map(|port| port.min_slack);
-        let left = slacks.min().map(|slack| incarnation.left(slack, task.age_us, now));
-        least = [least, left].into_iter().flatten().min();
-        for port in &task.view.ports {
-            if port.usage != Usage::Waitfor {
-                len += u64::from(port.len);
-                capacity += u64::from(port.capacity);
-            }
-            rate = [rate, incarnation.rate_of(earlier, port)].into_iter().flatten().reduce(|a, b| a + b);
-            let c = counted(app, incarnation, task.view.task, port);
-            total.expired = total.expired.saturating_add(c.expired);
-            total.refused = total.refused.saturating_add(c.refused).saturating_add(c.evicted);
-            total.rejected = total.rejected.saturating_add(c.rejected);
-            total.resent = total.resent.saturating_add(c.resent);
-            total.timed_out = total.timed_out.saturating_add(c.timed_out);
-        }
-    }
-    if capacity > 0 {
-        cells[2] = (format!("{len}/{capacity}"), Ink::Plain);
-    }
-    cells[3] = (least.map_or_else(|| "-".to_owned(), |l| l.to_string()), Ink::Plain);
-    cells[4] = (per_second(rate), Ink::Plain);
-    counts(cells, &total);
-}
-
-/// A port's counters since the start, or since the mark if the user chose that.
-fn counted(app: &App, incarnation: &NodeIncarnation, task: TaskId, view: &PortView) -> PortCounters {
-    let marked = app.mark().filter(|_| app.since_mark);
-    let before = marked
-        .and_then(|(_, store)| store.incarnation(incarnation.id)?.port(task, view.port))
-        .map(|p| p.counters);
-    let (now, before) = (view.counters, before.unwrap_or_default());
-    PortCounters {
-        expired: now.expired.saturating_sub(before.expired),
-        refused: now.refused.saturating_sub(before.refused),
-        evicted: now.evicted.saturating_sub(before.evicted),
-        rejected: now.rejected.saturating_sub(before.rejected),
-        resent: now.resent.saturating_sub(before.resent),
-        timed_out: now.timed_out.saturating_sub(before.timed_out),
-        ..now
-    }
-}
-
-fn per_second(rate: Option<f64>) -> String {
-    rate.map_or_else(|| "-".to_owned(), |rate| format!("{rate:.0}"))
-}
-
-fn counts(cells: &mut Cells, c: &PortCounters) {
-    let overflow = c.refused.saturating_add(c.evicted);
-    for (cell, count) in [(5, c.expired), (6, overflow), (7, c.rejected), (8, c.resent), (9, c.timed_out)] {
-        cells[cell] = (short(count), if count > 0 { Ink::Warn } else { Ink::Dim });
-    }
-}
-
-fn short(count: u64) -> String {
-    match count {
-        0..10_000 => count.to_string(),
-        10_000..10_000_000 => format!("{}k", count / 1000),
-        _ => format!("{}M", count / 1_000_000),
-    }
 }
 
 fn port(
@@ -326,51 +258,5 @@ fn port(
         cells[3] = (left.map_or_else(|| "-".to_owned(), |l| l.to_string()), Ink::Plain);
     }
     cells[4] = (per_second(incarnation.rate(task.view.task, view.port)), Ink::Plain);
-    counts(cells, &counted(app, incarnation, task.view.task, view));
-}
-
-/// Marks the row of what blocks the cell, and those of the tasks that it holds.
-fn accuse(app: &App, row: &Row, findings: &[Finding], blockers: &[Blocker], width: u16, cells: &mut Cells) {
-    let mut alarming = blockers.iter().filter(|blocker| blocker.is_alarming());
-    // What only follows from a block is not as loud as its cause.
-    let worst = findings.iter().find(|finding| row.place.holds(&finding.place));
-    if worst.is_some_and(|worst| blockers.iter().any(|blocker| blocker.explains(worst))) {
-        cells[HEALTH_CELL].1 = Ink::Warn;
-    }
-    let is_shown_within = |blocker: &Blocker| row.open && row.place != blocker.place;
-    if let Some(blocker) =
-        alarming.clone().find(|blocker| blocker.is_within(&row.place) && !is_shown_within(blocker))
-    {
-        cells[0].1 = Ink::Alarm;
-        let names = app.cell().and_then(|cell| app.store().names(&cell));
-        let all = names.map_or(0, |names| names.tasks.len());
-        // A finding of its own says more than the number of tasks that wait.
-        if width >= 60 && !blocker.by.is_empty() && row.depth == 1 {
-            let own = findings.iter().find(|f| row.place.holds(&f.place) && !blocker.explains(f));
-            let own = own.map_or_else(String::new, |f| format!("; {}", f.text));
-            let text = format!("{} holds {} of {all}{own}", mark(blocker.level), blocker.by.len());
-            cells[HEALTH_CELL] = (text, Ink::Bad);
-        }
-        return;
-    }
-    // A row of a port has its own findings.
-    let Some(blocker) = alarming.find(|blocker| row.depth == 1 && blocker.holds(&row.place)) else { return };
-    let worst = findings.iter().find(|f| row.place.holds(&f.place) && !blocker.explains(f));
-    if worst.is_none() {
-        let text = if width < 60 { String::new() } else { format!(" held by {}", blocker.name) };
-        cells[HEALTH_CELL] = (format!("!{text}"), Ink::Warn);
-    }
-    cells[0].1 = Ink::Warn;
-}
-
-/// The most severe finding within a row; on a narrow screen only its sign.
-fn health(row: &Row, findings: &[Finding], width: u16) -> (String, Ink) {
-    let Some(worst) = findings.iter().find(|f| row.place.holds(&f.place)) else {
-        let never_seen = row.place.node.is_err();
-        let text = if never_seen { "?" } else { "ok" };
-        return (text.to_owned(), if never_seen { Ink::Dim } else { Ink::Good });
-    };
-    let ink = if worst.level == Severity::Bad { Ink::Bad } else { Ink::Warn };
-    let text = if width < 60 { String::new() } else { format!(" {}", worst.text) };
-    (format!("{}{text}", mark(worst.level)), ink)
+    Counts::of(app, incarnation, task.view.task, view, now).show(cells);
 }

@@ -1,6 +1,7 @@
 //! The sample cell of these tests: three nodes, and two arms and a hoist that meet, with fixed states.
 
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+pub mod crowd;
 pub mod server;
 
 use imrs_monitor::app::{App, Effect, Msg};

@@ -29,6 +29,9 @@ pub struct Place {
 }
 
 impl Place {
+    /// The row that stands for the healthy nodes of a large cell. No cell has a node of this number.
+    pub const HEALTHY: Self = Self { node: Err(NodeId(u16::MAX)), task: None, port: None };
+
     /// The place of a whole node.
     const fn node(incarnation: &NodeIncarnation) -> Self {
         Self { node: Ok(incarnation.id), task: None, port: None }

@@ -1,0 +1,66 @@
+//! What the health cell of a row says, and how a block shows in the overview.
+
+use super::columns::HEALTH_CELL;
+use super::mark;
+use super::overview::Cells;
+use crate::app::App;
+use crate::rows::Row;
+use crate::store::blocked::Blocker;
+use crate::store::health::{Finding, Place};
+use crate::store::journal::Severity;
+use crate::theme::Ink;
+
+/// Marks the row of what blocks the cell, and those of the tasks that it holds.
+pub(super) fn accuse(
+    app: &App,
+    row: &Row,
+    findings: &[Finding],
+    blockers: &[Blocker],
+    width: u16,
+    cells: &mut Cells,
+) {
+    let mut alarming = blockers.iter().filter(|blocker| blocker.is_alarming());
+    // What only follows from a block is not as loud as its cause.
+    let worst = findings.iter().find(|finding| row.place.holds(&finding.place));
+    if worst.is_some_and(|worst| blockers.iter().any(|blocker| blocker.explains(worst))) {
+        cells[HEALTH_CELL].1 = Ink::Warn;
+    }
+    let is_shown_within = |blocker: &Blocker| row.open && row.place != blocker.place;
+    if let Some(blocker) =
+        alarming.clone().find(|blocker| blocker.is_within(&row.place) && !is_shown_within(blocker))
+    {
+        cells[0].1 = Ink::Alarm;
+        let names = app.cell().and_then(|cell| app.store().names(&cell));
+        let all = names.map_or(0, |names| names.tasks.len());
+        // A finding of its own says more than the number of tasks that wait.
+        let is_innermost = row.depth == 1 || row.depth == 0 && !row.open;
+        if width >= 60 && !blocker.by.is_empty() && is_innermost {
+            let own = findings.iter().find(|f| row.place.holds(&f.place) && !blocker.explains(f));
+            let own = own.map_or_else(String::new, |f| format!("; {}", f.text));
+            let task = if row.depth == 0 { format!("{} ", blocker.name) } else { String::new() };
+            let text = format!("{} {task}holds {} of {all}{own}", mark(blocker.level), blocker.by.len());
+            cells[HEALTH_CELL] = (text, Ink::Bad);
+        }
+        return;
+    }
+    // A row of a port has its own findings.
+    let Some(blocker) = alarming.find(|blocker| row.depth == 1 && blocker.holds(&row.place)) else { return };
+    let worst = findings.iter().find(|f| row.place.holds(&f.place) && !blocker.explains(f));
+    if worst.is_none() {
+        let text = if width < 60 { String::new() } else { format!(" held by {}", blocker.name) };
+        cells[HEALTH_CELL] = (format!("!{text}"), Ink::Warn);
+    }
+    cells[0].1 = Ink::Warn;
+}
+
+/// The most severe finding within a row; on a narrow screen only its sign.
+pub(super) fn health(row: &Row, findings: &[Finding], width: u16) -> (String, Ink) {
+    let Some(worst) = findings.iter().find(|f| row.place.holds(&f.place)) else {
+        let never_seen = row.place.node.is_err() && row.place != Place::HEALTHY;
+        let text = if never_seen { "?" } else { "ok" };
+        return (text.to_owned(), if never_seen { Ink::Dim } else { Ink::Good });
+    };
+    let ink = if worst.level == Severity::Bad { Ink::Bad } else { Ink::Warn };
+    let text = if width < 60 { String::new() } else { format!(" {}", worst.text) };
+    (format!("{}{text}", mark(worst.level)), ink)
+}

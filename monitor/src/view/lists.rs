@@ -1,0 +1,89 @@
+//! What lists have in common: a scrollbar, the position, and sparklines.
+
+use super::canvas::Canvas;
+use crate::drawn::Hit;
+use crate::theme::Ink;
+use ratatui::layout::Rect;
+use ratatui::symbols::bar;
+use ratatui::widgets::{Scrollbar, ScrollbarOrientation, ScrollbarState, Sparkline, StatefulWidget, Widget};
+
+/// The part of a list that is shown.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Window {
+    /// The first line shown.
+    pub first: usize,
+    /// How many lines have room.
+    pub page: usize,
+    /// All lines.
+    pub lines: usize,
+}
+
+impl Window {
+    /// Whether some lines have no room.
+    pub(super) const fn is_partial(self) -> bool {
+        self.lines > self.page
+    }
+
+    /// `37/156` for the line `at`, if not all lines have room.
+    pub(super) fn position(self, at: usize) -> String {
+        if self.is_partial() { format!("{}/{} ", at + 1, self.lines) } else { String::new() }
+    }
+}
+
+impl Canvas<'_> {
+    /// Draws the scrollbar of a list that begins at row `y` into the last column, if not all lines have room. A click
+    /// on it moves there.
+    pub(super) fn scrollbar(&mut self, y: u16, window: Window) {
+        let height = self.area.height.saturating_sub(y).min(u16::try_from(window.page).unwrap_or(u16::MAX));
+        if !window.is_partial() || height < 2 || self.area.width < 2 {
+            return;
+        }
+        let column = self.area.width - 1;
+        let area = Rect { x: self.area.x + column, y: self.area.y + y, width: 1, height };
+        let signs = self.theme.glyphs;
+        let bar = Scrollbar::new(ScrollbarOrientation::VerticalRight)
+            .begin_symbol(None)
+            .end_symbol(None)
+            .thumb_symbol(signs.full)
+            .track_symbol(Some(signs.lane))
+            .style(self.theme.style(Ink::Dim));
+        let mut state = ScrollbarState::new(window.lines - window.page + 1)
+            .position(window.first)
+            .viewport_content_length(window.page);
+        bar.render(area, self.buffer, &mut state);
+        let last = usize::from(height - 1).max(1);
+        for row in 0..height {
+            let line = usize::from(row) * (window.lines - 1) / last;
+            self.target(column, y + row, 1, Hit::Line(line));
+        }
+    }
+
+    /// Draws the last of `values` as a sparkline, the latest at the right. `None` leaves a gap.
+    pub(super) fn sparkline(&mut self, x: u16, y: u16, width: u16, values: &[Option<u64>], ink: Ink) {
+        if y >= self.area.height || x >= self.area.width {
+            return;
+        }
+        let width = width.min(self.area.width - x);
+        let shown = &values[values.len().saturating_sub(width.into())..];
+        let used = u16::try_from(shown.len()).unwrap_or(width);
+        let area = Rect { x: self.area.x + x + (width - used), y: self.area.y + y, width: used, height: 1 };
+        let heights = self.theme.glyphs.heights;
+        let set = bar::Set {
+            empty: heights[0],
+            one_eighth: heights[0],
+            one_quarter: heights[1],
+            three_eighths: heights[2],
+            half: heights[3],
+            five_eighths: heights[4],
+            three_quarters: heights[5],
+            seven_eighths: heights[6],
+            full: heights[7],
+        };
+        let line = Sparkline::default()
+            .data(shown.iter().copied())
+            .bar_set(set)
+            .absent_value_symbol(" ")
+            .style(self.theme.style(ink));
+        line.render(area, self.buffer);
+    }
+}

@@ -1,0 +1,182 @@
+//! Tests of the overview: large cells, restarts, sparklines, counters of the last seconds, the scrollbar.
+
+use crate::common::crowd::{CROWD, CROWD_NOW};
+use crate::common::{BEAT, Stage, ms, snapshot, text};
+use crossterm::event::{KeyCode, KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
+use imrs_monitor::app::Msg;
+use imrs_monitor::rows::Sort;
+use imrs_monitor::store::health::Place;
+use imrs_monitor::theme::Theme;
+use imrs_wire::obs::ServerFrame;
+
+fn click(stage: &mut Stage, column: u16, row: u16) {
+    let kind = MouseEventKind::Down(MouseButton::Left);
+    stage.app.update(Msg::Mouse(MouseEvent { kind, column, row, modifiers: KeyModifiers::NONE }), CROWD_NOW);
+}
+
+#[test]
+fn of_a_large_cell_one_row_stands_for_the_healthy_nodes() {
+    let mut stage = Stage::crowd(Theme::ASCII);
+    let shown = text(&stage.draw(CROWD_NOW, 120, 24));
+    let rows: Vec<_> = shown.lines().skip(3).take_while(|line| !line.contains(" links ")).collect();
+    let named: Vec<_> = rows.iter().filter(|row| !row.trim().is_empty()).collect();
+    assert_eq!(named.len(), 3, "the dead node, the one in trouble, and the others: {shown}");
+    assert!(shown.contains("x node3") && shown.contains("+ node5"), "{shown}");
+    let healthy = rows.iter().find(|row| row.contains("+ 10 nodes")).unwrap();
+    assert!(healthy.contains("up: node0, node1, node2") && healthy.ends_with("ok"), "{healthy}");
+    // The row opens, and its nodes are closed.
+    stage.keys(CROWD_NOW, "Gl");
+    let shown = text(&stage.draw(CROWD_NOW, 120, 24));
+    for node in (0..CROWD.nodes).filter(|node| ![3, 5].contains(node)) {
+        assert!(shown.contains(&format!("+ node{node} ")), "{node}: {shown}");
+    }
+    stage.keys(CROWD_NOW, "jl");
+    assert!(text(&stage.draw(CROWD_NOW, 120, 24)).contains("- task0"));
+    // The selection stays with the group when its node is closed in it, and nothing is copied that is no name.
+    stage.keys(CROWD_NOW, "k");
+    stage.key(CROWD_NOW, KeyCode::Left);
+    assert!(text(&stage.draw(CROWD_NOW, 120, 24)).lines().any(|line| line.starts_with("> + 10 nodes")));
+}
+
+#[test]
+fn a_node_in_trouble_leaves_the_row_of_the_healthy_ones_and_comes_back() {
+    let mut stage = Stage::crowd(Theme::ASCII);
+    let count = |stage: &Stage, now| stage.app.healthy(&stage.app.findings(now), now).len();
+    assert_eq!(count(&stage, CROWD_NOW), 10);
+    stage.lose(ms(9_050), 7);
+    assert_eq!(count(&stage, ms(9_100)), 9);
+    assert!(text(&stage.draw(ms(9_100), 120, 24)).contains("x node7"));
+    stage.crowd_again(ms(9_200), 7, 2);
+    assert_eq!(count(&stage, ms(9_250)), 10);
+}
+
+/// Who sorts by an amount, or filters, compares nodes: then each has its row.
+#[test]
+fn a_filter_and_an_order_by_amounts_show_each_node() {
+    for keys in ["s", "ss", "/node\n"] {
+        let mut stage = Stage::crowd(Theme::ASCII);
+        stage.keys(CROWD_NOW, keys);
+        let rows = stage.app.rows(&stage.app.findings(CROWD_NOW), CROWD_NOW);
+        assert!(!rows.iter().any(|row| row.place == Place::HEALTHY), "{keys}");
+        let nodes = rows.iter().filter(|row| row.depth == 0).count();
+        assert_eq!(nodes, usize::from(CROWD.nodes), "{keys}");
+    }
+    let mut stage = Stage::crowd(Theme::ASCII);
+    stage.keys(CROWD_NOW, "sss");
+    assert_eq!(stage.app.shape.sort, Sort::Health);
+    assert_eq!(stage.app.healthy(&stage.app.findings(CROWD_NOW), CROWD_NOW).len(), 10);
+}
+
+#[test]
+fn a_command_shows_a_node_that_was_folded() {
+    let mut stage = Stage::crowd(Theme::ASCII);
+    stage.keys(CROWD_NOW, ":task task30\n");
+    let shown = text(&stage.draw(CROWD_NOW, 120, 24));
+    let selected = shown.lines().find(|line| line.starts_with('>')).unwrap();
+    assert!(selected.contains("task30"), "{shown}");
+}
+
+#[test]
+fn the_row_of_a_restarted_node_says_which_incarnation_it_is_and_how_many_died() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    for incarnation in 2..10 {
+        stage.lose(ms(1_100), 0);
+        stage.attach(ms(1_110), 0, incarnation);
+    }
+    let shown = stage.text(ms(1_150), 120, 24);
+    assert!(shown.contains("up 4m12s incarnation 9, 8 deaths"), "{shown}");
+    assert!(stage.text(ms(1_150), 200, 24).contains("incarnation 9, 8 deaths"));
+    // A node that says goodbye does not die.
+    let mut stage = Stage::cell(Theme::ASCII);
+    let bye = imrs_wire::obs::Bye { reason: imrs_wire::obs::Goodbye::Stopping };
+    stage.frame(ms(1_100), 0, ServerFrame::Bye(bye));
+    stage.attach(ms(1_110), 0, 2);
+    assert!(stage.text(ms(1_150), 120, 24).contains("incarnation 2 "));
+}
+
+/// The counters of the last five seconds stand out; older ones are what they are since the start.
+#[test]
+fn counters_say_what_was_added_in_the_last_five_seconds() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    let expired = |stage: &Stage, now| {
+        let shown = stage.text(now, 120, 40);
+        let row = shown.lines().filter(|line| line.contains(" beat ")).nth(1).unwrap().to_owned();
+        row.split_whitespace().nth(9).unwrap().to_owned()
+    };
+    assert_eq!(expired(&stage, ms(1_050)), "2");
+    let mut state = snapshot(1);
+    for second in 1..=12 {
+        let beat = state.tasks[0].view.ports.iter_mut().find(|p| p.port == BEAT).unwrap();
+        beat.counters.expired += u64::from(second <= 3);
+        state.mono_us += 1_000_000;
+        let now = ms(1_000 + 1_000 * second);
+        stage.frame(now, 1, ServerFrame::Snapshot(state.clone()));
+        let said = expired(&stage, now);
+        let least = [3, 2, 1].iter().find(|n| said == format!("+{n}"));
+        match second {
+            1..=3 => assert_eq!(said, format!("+{second}"), "{second}"),
+            4..=5 => assert_eq!(said, "+3", "{second}"),
+            6..=7 => assert!(least.is_some(), "{second}: {said}"),
+            8 => {}
+            _ => assert_eq!(said, "5", "{second}"),
+        }
+    }
+}
+
+/// Sixty states of a node, whose traffic grows, make a line that rises.
+#[test]
+fn each_node_has_a_line_of_its_traffic_and_of_its_slack() {
+    let mut stage = Stage::cell(Theme::COLOUR);
+    let mut state = snapshot(1);
+    for second in 1..=12_u64 {
+        state.mono_us += 1_000_000;
+        let beat = state.tasks[0].view.ports.iter_mut().find(|p| p.port == BEAT).unwrap();
+        beat.counters.delivered += 10 * second;
+        beat.min_slack = Some(imrs_protocol::Ticks(100_000 * (13 - second)));
+        stage.frame(ms(1_000 + 1_000 * second), 1, ServerFrame::Snapshot(state.clone()));
+    }
+    let shown = stage.text(ms(13_050), 120, 24);
+    let row = shown.lines().find(|line| line.contains("nr (pid")).unwrap();
+    let bars: Vec<char> = row.chars().filter(|c| ('▁'..='█').contains(c)).collect();
+    assert!(bars.len() >= 10, "{row}");
+    let (traffic, slack) = bars.split_at(bars.len() / 2);
+    assert!(traffic.is_sorted() && traffic.first() < traffic.last(), "{row}");
+    assert!(slack.iter().rev().is_sorted() && slack.first() > slack.last(), "{row}");
+    // A narrow screen has no room for them, and a new node nothing to show.
+    assert!(!stage.text(ms(13_050), 64, 24).contains('▇'));
+}
+
+#[test]
+fn the_health_has_what_the_other_columns_do_not_need() {
+    for (width, least) in [(80, 15), (120, 20), (200, 60)] {
+        let shown = Stage::crowd(Theme::ASCII).text(CROWD_NOW, width, 24);
+        let at = shown.lines().nth(2).unwrap().find("HEALTH").unwrap();
+        assert!(usize::from(width) - at >= least, "{width}: {at}");
+    }
+    let wide = Stage::crowd(Theme::ASCII).text(CROWD_NOW, 120, 24);
+    assert!(wide.contains("!! dead, last state kept"), "{wide}");
+    // The sum of a whole cell is longer than a port's, and stays whole.
+    assert!(Stage::crowd(Theme::ASCII).text(CROWD_NOW, 80, 24).contains("18/720 "));
+}
+
+#[test]
+fn a_list_that_does_not_fit_has_a_scrollbar_and_says_where_one_is() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    let all = stage.app.rows(&[], CROWD_NOW).len();
+    let shown = text(&stage.draw(CROWD_NOW, 80, 12));
+    assert!(shown.lines().nth(2).unwrap().ends_with(&format!("1/{all}")), "{shown}");
+    stage.keys(CROWD_NOW, "G");
+    let shown = text(&stage.draw(CROWD_NOW, 80, 12));
+    assert!(shown.lines().nth(2).unwrap().ends_with(&format!("{all}/{all}")), "{shown}");
+    let bar: String = shown.lines().skip(3).take(7).filter_map(|line| line.chars().nth(79)).collect();
+    assert!(bar.starts_with('|') && bar.ends_with('#'), "{bar}");
+    // A click on its beginning leads to the first row, on its end to the last.
+    click(&mut stage, 79, 3);
+    assert!(text(&stage.draw(CROWD_NOW, 80, 12)).lines().nth(3).unwrap().starts_with('>'));
+    click(&mut stage, 79, 9);
+    let shown = text(&stage.draw(CROWD_NOW, 80, 12));
+    assert!(shown.lines().nth(2).unwrap().ends_with(&format!("{all}/{all}")), "{shown}");
+    // Where all rows fit there is neither.
+    let shown = text(&stage.draw(CROWD_NOW, 120, 40));
+    assert!(!shown.contains(&format!("/{all}")), "{shown}");
+}
