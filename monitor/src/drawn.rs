@@ -22,8 +22,12 @@ pub enum Hit {
     Scrub(u64),
     /// A row of the problems.
     Problem(ProblemKey),
-    /// A line of the list, by its scrollbar.
+    /// A line of the list.
     Line(usize),
+    /// The same, by the scrollbar.
+    Scroll(usize),
+    /// A lane of the timeline.
+    Lane(TaskId),
     /// A message of a queue: its source and its id.
     Entry(TaskId, MessageId),
 }
@@ -37,6 +41,8 @@ pub struct Drawn {
     pub page: usize,
     /// All lines of its list.
     pub lines: usize,
+    /// How many lanes of the timeline had room.
+    pub lanes: usize,
     pub(crate) hits: Vec<(Rect, Hit)>,
 }
 

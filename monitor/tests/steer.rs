@@ -158,10 +158,7 @@ fn lost_observations_leave_a_gap_before_what_came_after_them() {
     let stage = Stage::busy(Theme::ASCII);
     let chart = stage.app.chart();
     let lost = chart.rows.iter().position(|row| matches!(row, Slice::Lost(gap) if gap.lost == 17)).unwrap();
-    let hoist = |row: &Slice| match row {
-        Slice::Marks(marks) => marks.iter().any(|&m| chart.timeline.marks[m].task == TaskId(2)),
-        Slice::Lost(_) | Slice::Quiet(_) => false,
-    };
+    let hoist = |row: &Slice| row.marks().iter().any(|&m| chart.timeline.marks[m].task == TaskId(2));
     assert_eq!(chart.rows.iter().position(hoist), Some(lost + 1));
 }
 

@@ -1,7 +1,9 @@
 //! Tests of the timeline's rows: their times, and the lanes that do not fit.
 
-use crate::common::{BEAT, LIFT, Stage, at, events, left, ms, observed, snapshot};
-use crossterm::event::KeyCode;
+use crate::common::crowd::CROWD_NOW;
+use crate::common::{BEAT, HALT, LIFT, Stage, at, events, left, ms, observed, snapshot};
+use crossterm::event::{KeyCode, KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
+use imrs_monitor::app::Msg;
 use imrs_monitor::theme::Theme;
 use imrs_protocol::Event;
 use imrs_wire::obs::{Pong, ServerFrame};
@@ -87,6 +89,9 @@ fn lanes_that_do_not_fit_are_counted_and_their_rows_say_what_happened() {
     let mut stage = Stage::cell(Theme::ASCII);
     stage.frame(ms(1_000), 0, ServerFrame::Events(events(0, &[observed(Event::Sent, BEAT, 1, 7)])));
     stage.frame(ms(1_000), 2, ServerFrame::Events(events(2, &[observed(Event::Reached, LIFT, 2, 12)])));
+    // The right arm is the busiest, so that the hoist has no room.
+    let busy = [observed(Event::Sent, HALT, 0, 1), observed(Event::Sent, HALT, 0, 2)];
+    stage.frame(ms(1_000), 1, ServerFrame::Events(events(1, &busy)));
     let shown = stage.typed(NOW, (60, 24), "4");
     let heads = shown.lines().find(|line| line.contains("TIME")).unwrap();
     assert!(heads.contains(">armL@nl") && heads.ends_with(">1"), "{heads}");
@@ -96,4 +101,82 @@ fn lanes_that_do_not_fit_are_counted_and_their_rows_say_what_happened() {
     let heads = shown.lines().skip(2).find(|line| line.contains("hoist")).unwrap();
     assert!(heads.starts_with("1<"), "{heads}");
     assert!(shown.lines().any(|line| line.contains("< armL: beat#7 > armR")), "{shown}");
+}
+
+fn click(stage: &mut Stage, column: usize, row: usize) {
+    let (column, row) = (u16::try_from(column).unwrap(), u16::try_from(row).unwrap());
+    let kind = MouseEventKind::Down(MouseButton::Left);
+    stage.app.update(Msg::Mouse(MouseEvent { kind, column, row, modifiers: KeyModifiers::NONE }), NOW);
+}
+
+/// Events of a lane without room fold into one row; if one of them is bad, it is named.
+#[test]
+fn what_happens_in_hidden_lanes_takes_one_row() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    let sent = |n: u64| (4_700 + n, left(Event::Sent, HALT, 0, u32::try_from(n).unwrap(), 100));
+    let many: Vec<_> = (0..12).map(sent).collect();
+    stage.frame(ms(1_000), 2, ServerFrame::Events(at(2, &many)));
+    let twice: Vec<_> = (0..20).map(|n| (4_900 + n, left(Event::Sent, BEAT, 1, 7, 200))).collect();
+    stage.frame(ms(1_000), 0, ServerFrame::Events(at(0, &twice)));
+    let once: Vec<_> = (0..20).map(|n| (4_950 + n, left(Event::Sent, HALT, 0, 7, 200))).collect();
+    stage.frame(ms(1_000), 1, ServerFrame::Events(at(1, &once)));
+    let shown = stage.typed(NOW, (60, 50), "4");
+    assert!(shown.lines().any(|line| line.ends_with("+12 elsewhere >")), "{shown}");
+    assert!(!shown.contains("hoist:"), "{shown}");
+    let bad = [sent(12), (4_713, left(Event::TimedOut, HALT, 0, 13, 0)), sent(14)];
+    stage.frame(ms(1_000), 2, ServerFrame::Events(at(2, &bad)));
+    let shown = stage.typed(NOW, (60, 50), "4");
+    assert!(shown.contains("+15 elsewhere, hoist: x halt#13 timed out >"), "{shown}");
+    // With a lane chosen to the right, the hidden ones are to the left.
+    stage.key(NOW, KeyCode::Right);
+    let shown = stage.typed(NOW, (60, 50), "l");
+    assert!(shown.contains("< +20 elsewhere"), "{shown}");
+}
+
+#[test]
+fn the_busiest_lanes_are_shown_first() {
+    let mut stage = Stage::crowd(Theme::ASCII);
+    let shown = stage.typed(CROWD_NOW, (120, 30), "4");
+    let heads = shown.lines().find(|line| line.contains("TIME")).unwrap();
+    for task in ["task3@node1", "task15@node5", "task24@node8"] {
+        assert!(heads.contains(task), "{heads}");
+    }
+    assert!(heads.ends_with(">32"), "{heads}");
+    // All fit: the order is the cell's.
+    let mut stage = Stage::busy(Theme::ASCII);
+    let shown = stage.typed(NOW, (120, 30), "4");
+    let heads = shown.lines().find(|line| line.contains("TIME")).unwrap();
+    assert!(heads.find("armL").unwrap() < heads.find("hoist").unwrap(), "{heads}");
+}
+
+/// A row with events in sight says how many more there are in hidden lanes, and where.
+#[test]
+fn a_row_marks_the_events_in_hidden_lanes() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    for node in 0..3 {
+        let one = [(4_900, left(Event::Reached, LIFT, 0, 12, 200))];
+        stage.frame(ms(1_000), node, ServerFrame::Events(at(node, &one)));
+    }
+    let shown = stage.typed(NOW, (60, 24), "4-----");
+    assert!(shown.lines().any(|line| line.contains("lift r12") && line.ends_with("+1>")), "{shown}");
+}
+
+#[test]
+fn a_click_selects_a_lane_and_a_row_and_a_second_one_opens_the_message() {
+    let mut stage = Stage::busy(Theme::ASCII);
+    let shown = stage.typed(NOW, (120, 40), "4");
+    let row = shown.lines().position(|line| line.contains("TIME")).unwrap();
+    let column = shown.lines().nth(row).unwrap().find("armR@nr").unwrap();
+    click(&mut stage, column, row);
+    let shown = stage.typed(NOW, (120, 40), "");
+    assert!(shown.lines().nth(row).unwrap().contains(">armR@nr"), "{shown}");
+    let row = shown.lines().position(|line| line.contains("beat#8810 taken")).unwrap();
+    click(&mut stage, 60, row);
+    stage.draw(NOW, 120, 40);
+    let chart = stage.app.chart();
+    assert!(chart.held && chart.mark(chart.bottom).unwrap().seen.what.event == Event::Delivered);
+    let shown = stage.typed(NOW, (120, 40), "");
+    let row = shown.lines().position(|line| line.contains("beat#8810 taken")).unwrap();
+    click(&mut stage, 60, row);
+    assert_eq!(stage.app.message().map(|key| key.number), Some(8_810));
 }

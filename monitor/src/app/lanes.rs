@@ -1,11 +1,13 @@
 //! The user's settings for the timeline: lanes, zoom and position.
 
-use super::App;
+use super::{App, Screen};
 use crate::name::Name;
 use crate::store::timeline::{Gap, Mark, Timeline, timeline};
 use crate::store::{IncarnationId, NodeIncarnation};
 use imrs_protocol::{Event, NodeId, PortId, TaskId};
-use std::collections::BTreeSet;
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 use std::time::Duration;
 
 /// How many marks a frame orders at most.
@@ -46,10 +48,12 @@ impl Anchor {
 }
 
 /// The user's settings for the timeline.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Lanes {
     /// The lane whose clock labels the rows.
     lane: Option<TaskId>,
+    /// The tasks, busiest first, when the timeline was opened. Without room for all lanes the busiest come first.
+    busiest: Vec<TaskId>,
     /// An index into [`ZOOMS`].
     zoom: usize,
     /// The mark in the bottom row; `None` follows the latest.
@@ -67,6 +71,19 @@ pub enum Slice {
     Lost(Gap),
     /// Nothing happened for this long.
     Quiet(Duration),
+    /// Several rows of lanes that have no room: their marks.
+    Elsewhere(Vec<usize>),
+}
+
+impl Slice {
+    /// The positions of its marks.
+    #[must_use]
+    pub fn marks(&self) -> &[usize] {
+        match self {
+            Self::Marks(marks) | Self::Elsewhere(marks) => marks,
+            Self::Lost(_) | Self::Quiet(_) => &[],
+        }
+    }
 }
 
 /// The timeline in rows.
@@ -74,8 +91,10 @@ pub enum Slice {
 pub struct Chart {
     /// The marks of all lanes. A mark is an event that the timeline draws.
     pub timeline: Timeline,
-    /// The lanes, in the order of the cell.
+    /// The lanes, in the order of the cell. Without room for all, the busiest come before the others.
     pub lanes: Vec<TaskId>,
+    /// The lanes that have room.
+    pub shown: Range<usize>,
     /// The index of the selected lane.
     pub lane: usize,
     /// The rows, oldest first.
@@ -94,20 +113,23 @@ impl Chart {
     /// The last mark of a row, if it has any.
     #[must_use]
     pub fn mark(&self, row: usize) -> Option<&Mark> {
-        match self.rows.get(row)? {
-            Slice::Marks(marks) => marks.last().and_then(|&at| self.timeline.marks.get(at)),
-            Slice::Lost(_) | Slice::Quiet(_) => None,
-        }
+        self.rows.get(row)?.marks().last().and_then(|&at| self.timeline.marks.get(at))
     }
 }
 
 impl App {
-    /// The timeline of the cell shown.
+    /// The timeline of the cell shown, with the lanes that the last frame had room for.
     #[must_use]
     pub fn chart(&self) -> Chart {
+        self.chart_of(if self.drawn.screen == Screen::Timeline { self.drawn.lanes } else { usize::MAX })
+    }
+
+    /// The timeline with room for so many lanes.
+    #[must_use]
+    pub fn chart_of(&self, room: usize) -> Chart {
         let Some(cell) = self.cell() else { return Chart::default() };
         let timeline = timeline(self.store(), &cell, MOST);
-        let lanes = self.wanted_lanes(&cell);
+        let lanes = self.ordered(self.wanted_lanes(&cell), &timeline, room);
         let ports = self.wanted_ports(&cell);
         let shown: BTreeSet<TaskId> = lanes.iter().copied().collect();
         let wanted = |mark: &Mark| {
@@ -118,17 +140,53 @@ impl App {
         };
         let lane = self.lanes.lane.and_then(|wanted| lanes.iter().position(|t| *t == wanted)).unwrap_or(0);
         let zoom = ZOOMS.get(self.lanes.zoom).copied().flatten();
+        let count = room.clamp(1, lanes.len().max(1));
+        let first = (lane + 1).saturating_sub(count);
+        let in_sight: BTreeSet<TaskId> = lanes.iter().copied().skip(first).take(count).collect();
         let rows = slices(&timeline, wanted, zoom);
+        let rows = folded(rows, |at| in_sight.contains(&timeline.marks[at].task));
         let last = rows.len().saturating_sub(1);
-        let is_held = |row: &Slice| match row {
-            Slice::Marks(marks) => {
-                marks.iter().any(|&at| Some(Anchor::of(&timeline.marks[at])) == self.lanes.held)
-            }
-            Slice::Lost(_) | Slice::Quiet(_) => false,
+        let is_held = |row: &Slice| {
+            row.marks().iter().any(|&at| Some(Anchor::of(&timeline.marks[at])) == self.lanes.held)
         };
         let held = self.lanes.held.map(|_| rows.iter().rposition(is_held).unwrap_or(0));
         let bottom = held.unwrap_or(last).min(last);
-        Chart { timeline, lanes, lane, rows, bottom, held: held.is_some(), zoom, sparse: self.lanes.sparse }
+        Chart {
+            timeline,
+            lanes,
+            shown: first..first + count,
+            lane,
+            rows,
+            bottom,
+            held: held.is_some(),
+            zoom,
+            sparse: self.lanes.sparse,
+        }
+    }
+
+    /// The lanes, with the busiest first if there is no room for all; otherwise in their order.
+    fn ordered(&self, lanes: Vec<TaskId>, timeline: &Timeline, room: usize) -> Vec<TaskId> {
+        if lanes.len() <= room || !self.lane_filter.is_empty() {
+            return lanes;
+        }
+        let now = if self.lanes.busiest.is_empty() { busiest(timeline) } else { Vec::new() };
+        let known = if now.is_empty() { &self.lanes.busiest } else { &now };
+        let chosen: BTreeSet<TaskId> =
+            known.iter().copied().filter(|task| lanes.contains(task)).take(room).collect();
+        let (mut first, rest): (Vec<_>, Vec<_>) = lanes.into_iter().partition(|task| chosen.contains(task));
+        first.extend(rest);
+        first
+    }
+
+    /// Chooses the busiest lanes anew: the timeline is opened.
+    pub(super) fn choose_lanes(&mut self) {
+        let timeline = self.cell().map(|cell| timeline(self.store(), &cell, MOST));
+        self.lanes.busiest = timeline.as_ref().map(busiest).unwrap_or_default();
+    }
+
+    /// Selects the lane of a task.
+    pub(super) fn choose_lane(&mut self, task: TaskId) {
+        self.lanes.lane = Some(task);
     }
 
     /// The tasks whose name or node contains the filter's text; all tasks if none does.
@@ -182,11 +240,20 @@ impl App {
 
     pub(super) fn step_chart(&mut self, by: isize) {
         let chart = self.chart();
+        self.hold(&chart, chart.bottom.saturating_add_signed(by), by < 0);
+    }
+
+    /// Selects a row of the timeline.
+    pub(super) fn go_to_chart_row(&mut self, row: usize) {
+        self.hold(&self.chart(), row, true);
+    }
+
+    /// Holds the row `to`. Only rows with marks can be held, so others are skipped in the direction of the step.
+    fn hold(&mut self, chart: &Chart, to: usize, back: bool) {
         let last = chart.rows.len().saturating_sub(1);
-        let mut to = chart.bottom.saturating_add_signed(by).min(last);
-        // Only rows with marks can be held, so skip others in the direction of the step.
+        let mut to = to.min(last);
         while chart.mark(to).is_none() && to > 0 && to < last {
-            to = if by < 0 { to - 1 } else { to + 1 };
+            to = if back { to - 1 } else { to + 1 };
         }
         self.lanes.held = chart.mark(to).map(Anchor::of).filter(|_| to < last);
     }
@@ -231,6 +298,44 @@ const fn is_traffic(event: Event) -> bool {
         | Event::TookOver
         | Event::Fenced => false,
     }
+}
+
+/// The tasks with marks, those with the most first.
+fn busiest(timeline: &Timeline) -> Vec<TaskId> {
+    let mut counts: BTreeMap<TaskId, usize> = BTreeMap::new();
+    for mark in &timeline.marks {
+        *counts.entry(mark.task).or_default() += 1;
+    }
+    let mut tasks: Vec<_> = counts.into_iter().collect();
+    tasks.sort_by_key(|(task, count)| (Reverse(*count), *task));
+    tasks.into_iter().map(|(task, _)| task).collect()
+}
+
+/// The rows, where those without a mark in sight are folded into one as long as they follow each other.
+fn folded(rows: Vec<Slice>, is_in_sight: impl Fn(usize) -> bool) -> Vec<Slice> {
+    let mut out: Vec<Slice> = Vec::with_capacity(rows.len());
+    for row in rows {
+        let Slice::Marks(marks) = row else {
+            out.push(row);
+            continue;
+        };
+        if marks.is_empty() || marks.iter().any(|&at| is_in_sight(at)) {
+            out.push(Slice::Marks(marks));
+            continue;
+        }
+        // Of the quiet time between two such rows nothing is in sight either.
+        let is_quiet =
+            |row: &Slice| matches!(row, Slice::Quiet(_)) || matches!(row, Slice::Marks(m) if m.is_empty());
+        let before = out.iter().rposition(|row| !is_quiet(row));
+        match before.map(|at| (at, &mut out[at])) {
+            Some((at, Slice::Elsewhere(earlier))) => {
+                earlier.extend(marks);
+                out.truncate(at + 1);
+            }
+            _ => out.push(Slice::Elsewhere(marks)),
+        }
+    }
+    out
 }
 
 fn slices(timeline: &Timeline, wanted: impl Fn(&Mark) -> bool, zoom: Option<Duration>) -> Vec<Slice> {

@@ -1,6 +1,6 @@
 //! Mouse actions. The mouse is optional: every action also has a key.
 
-use super::{App, Effect};
+use super::{App, Effect, Screen};
 use crate::clock::Moment;
 use crate::keys::Action;
 use crate::view::Hit;
@@ -45,9 +45,13 @@ impl App {
                     self.step_queue(0, now);
                     Effect::Draw
                 }
-                Some(Hit::Line(line)) => {
-                    self.step(isize::MIN, now);
-                    self.step(isize::try_from(line).unwrap_or(isize::MAX), now);
+                Some(Hit::Line(line)) if self.line() == Some(line) => self.act(Action::Enter, now),
+                Some(Hit::Line(line) | Hit::Scroll(line)) => {
+                    self.go_to_line(line, now);
+                    Effect::Draw
+                }
+                Some(Hit::Lane(task)) => {
+                    self.choose_lane(task);
                     Effect::Draw
                 }
                 Some(Hit::Title(sort)) => {
@@ -63,6 +67,14 @@ impl App {
             | MouseEventKind::ScrollLeft
             | MouseEventKind::ScrollRight => Effect::Nothing,
         }
+    }
+
+    fn go_to_line(&mut self, line: usize, now: Moment) {
+        if self.screen == Screen::Timeline {
+            return self.go_to_chart_row(line);
+        }
+        self.step(isize::MIN, now);
+        self.step(isize::try_from(line).unwrap_or(isize::MAX), now);
     }
 
     fn again(&mut self, action: Action, now: Moment) -> Effect {

@@ -83,6 +83,21 @@ impl App {
         self.entry.and_then(chosen).unwrap_or(self.scroll).min(queue.len().saturating_sub(1))
     }
 
+    /// The selected line of the screen's list.
+    pub(super) fn line(&self) -> Option<usize> {
+        match self.screen {
+            Screen::Timeline => {
+                let chart = self.chart();
+                chart.held.then_some(chart.bottom)
+            }
+            Screen::Events => {
+                let held = self.held?;
+                self.events().iter().rposition(|event| event.number <= held)
+            }
+            _ => Some(self.scroll),
+        }
+    }
+
     /// The queue of the shown port.
     #[must_use]
     pub fn queue(&self, now: Moment) -> Vec<Waiting> {

@@ -194,6 +194,9 @@ impl App {
                 self.port = self.selected.and_then(port_end);
             }
         }
+        if screen == Screen::Timeline {
+            self.choose_lanes();
+        }
         self.scroll = 0;
         (self.entry, self.problem) = (None, None);
     }

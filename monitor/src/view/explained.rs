@@ -74,6 +74,7 @@ const TIMELINE: &[(&str, &str)] = &[
     ("TIME", "on the clock of the selected lane's node, since it started"),
     ("#12 r3", "a message's number; a round"),
     ("+2", "so many more in this row"),
+    ("+12 elsewhere", "events in lanes without room; the busiest lanes are shown, 4 chooses again"),
 ];
 
 const TIMERS: &[(&str, &str)] = &[

@@ -54,7 +54,7 @@ impl Canvas<'_> {
         let last = usize::from(height - 1).max(1);
         for row in 0..height {
             let line = usize::from(row) * (window.lines - 1) / last;
-            self.target(column, y + row, 1, Hit::Line(line));
+            self.target(column, y + row, 1, Hit::Scroll(line));
         }
     }
 

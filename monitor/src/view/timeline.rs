@@ -1,13 +1,17 @@
 //! Screen 4: the timeline. Each task has a lane, and time runs downwards. No effect is above its cause, and lines
 //! between the lanes show messages.
 
+use super::Hit;
 use super::canvas::{Canvas, columns, cut};
+use super::lists::Window;
 use super::words::{ink, short};
 use crate::app::App;
 use crate::app::lanes::{Chart, Slice};
 use crate::clock::Span;
+use crate::store::journal::{Severity, level_of};
 use crate::store::timeline::{Mark, since_start};
 use crate::theme::Ink;
+use ratatui::layout::Rect;
 use std::time::Duration;
 
 /// The width of the time axis.
@@ -21,7 +25,9 @@ const TALL: u16 = 8;
 const BELOW: usize = 64;
 
 pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
-    let chart = app.chart();
+    let count = room_for(canvas.area.width);
+    let chart = app.chart_of(count);
+    canvas.drawn.lanes = count;
     if chart.lanes.is_empty() {
         canvas.line(1, &[(" This cell has no tasks yet.", Ink::Plain)]);
         return;
@@ -31,12 +37,27 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
     corner(app, &chart, canvas);
 }
 
+/// Whether a screen of this width lists the events of all lanes below each other.
+const fn is_list(width: u16) -> bool {
+    width < AXIS + LANE + 20
+}
+
+/// How many lanes have room beside each other.
+fn room_for(width: u16) -> usize {
+    if is_list(width) { usize::MAX } else { usize::from(width.saturating_sub(AXIS + 1) / LANE) }
+}
+
 fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
     let room = usize::from(canvas.height().saturating_sub(1));
     let first = (chart.bottom + 1).saturating_sub(room);
     canvas.list(room, chart.rows.len());
-    let list = canvas.area.width < AXIS + LANE + 20;
-    let sheet = Sheet::new(chart, canvas.area.width);
+    let list = is_list(canvas.area.width);
+    let window = Window { first, page: room, lines: chart.rows.len() };
+    canvas.scrollbar(1, window);
+    let whole = canvas.area;
+    let width = whole.width - u16::from(window.is_partial() && whole.width > 1);
+    let canvas = &mut canvas.part(Rect { width, ..whole });
+    let sheet = Sheet::new(chart, whole.width - u16::from(whole.width > 1));
     if list {
         canvas.line(0, &[("     TIME  TASK       WHAT", Ink::Dim)]);
     } else {
@@ -57,7 +78,7 @@ fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
                 let quiet = format!("{text:AXIS$} nothing", AXIS = usize::from(AXIS));
                 canvas.line(y, &[(&quiet, Ink::Dim)]);
             }
-            Slice::Marks(marks) => {
+            Slice::Marks(marks) | Slice::Elsewhere(marks) => {
                 let marks: Vec<&Mark> = marks.iter().map(|&i| &chart.timeline.marks[i]).collect();
                 if let Some(time) = time {
                     canvas.at(0, y, AXIS, &time.to_string(), if time.exact { Ink::Plain } else { Ink::Dim });
@@ -72,6 +93,7 @@ fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
         if chart.held && at == chart.bottom {
             canvas.select(y);
         }
+        canvas.target(0, y, u16::MAX, Hit::Line(at));
     }
     if chart.rows.is_empty() {
         canvas.line(1, &[(" Nothing has happened since the monitor attached.", Ink::Dim)]);
@@ -91,7 +113,11 @@ fn corner(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
     } else {
         (String::new(), String::new())
     };
-    let texts = [format!("{clocks}{zoom}{new} "), format!("{zoom}{new} "), few];
+    let room = usize::from(canvas.height().saturating_sub(1));
+    let at = Window { first: 0, page: room, lines: chart.rows.len() }.position(chart.bottom);
+    let at = if at.is_empty() { at } else { format!(" {at}") };
+    let texts =
+        [format!("{clocks}{zoom}{new} {at}"), format!("{zoom}{new} {at}"), format!("{zoom}{new} "), few];
     canvas.corner(0, &texts, if chart.held { Ink::Warn } else { Ink::Dim });
 }
 
@@ -124,7 +150,7 @@ impl std::fmt::Display for Time {
 fn times(app: &App, chart: &Chart, first: usize, count: usize) -> Vec<Option<Time>> {
     let incarnation = chart.lanes.get(chart.lane).and_then(|task| app.incarnation_of_task(*task));
     let time = |row: &Slice| {
-        let (Slice::Marks(marks), Some(incarnation)) = (row, incarnation) else { return None };
+        let (marks, Some(incarnation)) = (row.marks(), incarnation) else { return None };
         let own = marks.iter().find(|&&at| chart.timeline.marks[at].incarnation == incarnation.id);
         let mark = &chart.timeline.marks[*own.or(marks.first())?];
         let us = since_start(incarnation, if own.is_some() { mark.at } else { mark.order })?;
@@ -160,8 +186,7 @@ struct Sheet {
 impl Sheet {
     fn new(chart: &Chart, width: u16) -> Self {
         let room = width.saturating_sub(AXIS);
-        let count = usize::from(room / LANE).clamp(1, chart.lanes.len().max(1));
-        let first = (chart.lane + 1).saturating_sub(count);
+        let (first, count) = (chart.shown.start, chart.shown.len());
         Self { first, count, width: room / u16::try_from(count).unwrap_or(1).max(1) }
     }
 
@@ -190,6 +215,7 @@ impl Sheet {
             let inkling = if at == chart.lane { Ink::Head } else { Ink::Plain };
             let end = canvas.at(x.saturating_sub(1), 0, width, &format!("{sign}{name}"), inkling);
             canvas.at(end, 0, (x + width).saturating_sub(end + 1), &node, Ink::Dim);
+            canvas.target(x.saturating_sub(1), 0, width, Hit::Lane(*task));
         }
         if self.first > 0 {
             canvas.at(0, 0, 4, &format!("{}{}", self.first, app.theme.glyphs.back), Ink::Warn);
@@ -220,8 +246,11 @@ impl Sheet {
             let end = canvas.at(x + 2, y, room, &text, worst.unwrap_or(Ink::Plain));
             mark_taken(&mut taken, x, end + 1);
         }
-        if !marks.iter().any(|mark| lane_of(mark).is_some_and(|lane| self.x(lane).1)) {
+        if marks.iter().any(|mark| lane_of(mark).is_some_and(|lane| self.x(lane).1)) {
+            self.beside(app, chart, marks, y, canvas);
+        } else {
             self.hidden(app, chart, marks, y, canvas);
+            return;
         }
         for mark in marks {
             let cause = mark.cause.and_then(|cause| chart.timeline.marks.get(cause));
@@ -239,19 +268,57 @@ impl Sheet {
         }
     }
 
-    /// Shows a row without marks in the visible lanes: at the side of the hidden lane, its task and what happened.
+    /// How many of the marks are in lanes to the left and to the right of those in sight.
+    fn sides(&self, chart: &Chart, marks: &[&Mark]) -> (usize, usize) {
+        let lane_of = |mark: &&&Mark| chart.lanes.iter().position(|task| *task == mark.task);
+        let lanes = || marks.iter().filter_map(|mark| lane_of(&mark));
+        let left = lanes().filter(|lane| *lane < self.first).count();
+        (left, lanes().filter(|lane| *lane >= self.first + self.count).count())
+    }
+
+    /// Marks at the edges of a row how many of its events are in hidden lanes there.
+    fn beside(&self, app: &App, chart: &Chart, marks: &[&Mark], y: u16, canvas: &mut Canvas<'_>) {
+        let (left, right) = self.sides(chart, marks);
+        if left > 0 {
+            canvas.at(AXIS - 1, y, 1, app.theme.glyphs.back, Ink::Warn);
+        }
+        if right > 0 {
+            canvas.corner(y, &[format!("+{right}{}", app.theme.glyphs.arrow)], Ink::Warn);
+        }
+    }
+
+    /// Shows a row without marks in the lanes in sight: the worst of its events and its task, how many more there are,
+    /// and at which side their lanes are.
     fn hidden(&self, app: &App, chart: &Chart, marks: &[&Mark], y: u16, canvas: &mut Canvas<'_>) {
-        let Some(mark) = marks.first() else { return };
-        let Some(incarnation) = app.store().incarnation(mark.incarnation) else { return };
+        let worst = marks.iter().rev().max_by_key(|mark| level_of(mark.seen.what.event));
+        let Some((mark, incarnation)) =
+            worst.and_then(|mark| Some((mark, app.store().incarnation(mark.incarnation)?)))
+        else {
+            return;
+        };
         let what = short(mark, &incarnation.names, &app.theme);
-        let more = if marks.len() > 1 { format!(" +{}", marks.len() - 1) } else { String::new() };
-        let text = format!("{}: {what}{more}", incarnation.names.task(mark.task));
+        let what = format!("{}: {what}", incarnation.names.task(mark.task));
+        let is_bad = level_of(mark.seen.what.event) >= Severity::Warn;
+        let text = match marks.len() {
+            1 => what,
+            all if is_bad => format!("+{all} elsewhere, {what}"),
+            all => format!("+{all} elsewhere"),
+        };
+        let (left, right) = self.sides(chart, marks);
         let (back, arrow) = (app.theme.glyphs.back, app.theme.glyphs.arrow);
-        let left = chart.lanes.iter().position(|task| *task == mark.task).is_some_and(|at| at < self.first);
-        let text = if left { format!("{back} {text}") } else { format!("{text} {arrow}") };
+        let text = match (left, right) {
+            (0, _) => format!("{text} {arrow}"),
+            (_, 0) => format!("{back} {text}"),
+            _ => format!("{back} {text} {arrow}"),
+        };
         let room = canvas.area.width.saturating_sub(AXIS + 1);
-        let x = if left { AXIS + 1 } else { AXIS + 1 + room.saturating_sub(columns(&text)) };
-        canvas.at(x, y, room, &text, Ink::Dim);
+        let end = room.saturating_sub(columns(&text));
+        let x = match (left, right) {
+            (0, _) => end,
+            (_, 0) => 0,
+            _ => end / 2,
+        };
+        canvas.at(AXIS + 1 + x, y, room, &text, if is_bad { ink(mark.seen.what.event) } else { Ink::Dim });
     }
 
     /// Draws the arrow of a message in the row of its arrival, around the text there.
