@@ -1,6 +1,8 @@
 //! The state of the screen as a value. Every event is a [`Msg`], which [`App::update`] reduces.
 
 mod command;
+mod complete;
+mod entry;
 mod jump;
 pub mod lanes;
 mod mouse;
@@ -9,6 +11,8 @@ mod shown;
 mod steer;
 
 pub use command::COMMANDS;
+pub use complete::{Completion, fuzzy};
+pub use entry::{Entry, Kind};
 
 use crate::clock::Moment;
 use crate::drawn::Drawn;
@@ -125,10 +129,10 @@ pub struct App {
     event_filter: String,
     /// The filter of the timeline.
     lane_filter: String,
-    /// Whether keys go into the filter.
-    pub typing: bool,
-    /// The command that is typed.
-    pub command: Option<String>,
+    /// The line that is typed: a filter or a command.
+    pub entry_line: Option<Entry>,
+    /// The lines that were typed before.
+    typed_before: entry::Typed,
     /// The text on the bottom line; the next key removes it.
     pub told: Option<String>,
     /// The message whose history is shown.
@@ -185,8 +189,8 @@ impl App {
             discards_hidden: false,
             event_filter: String::new(),
             lane_filter: String::new(),
-            typing: false,
-            command: None,
+            entry_line: None,
+            typed_before: entry::Typed::default(),
             told: None,
             message: None,
             chosen_on: Screen::Port,
@@ -345,8 +349,7 @@ impl App {
                 Effect::Nothing
             }
             Msg::Key(event) if event.kind == KeyEventKind::Release => Effect::Nothing,
-            Msg::Key(event) if self.typing => self.typed(&event),
-            Msg::Key(event) if self.command.is_some() => self.typed_command(&event, now),
+            Msg::Key(event) if self.entry_line.is_some() => self.typed(&event, now),
             Msg::Key(event) => {
                 let told = self.told.take().is_some();
                 let effect = keys::action(&event, self.screen).map(|action| self.act(action, now));

@@ -21,6 +21,7 @@ mod replay;
 mod screens;
 mod steer;
 mod timeline;
+mod typing;
 mod waits;
 
 use counting::allocations;

@@ -293,7 +293,7 @@ fn rows_are_filtered_with_their_parents_and_sorted_within_them() {
     assert!(stage.text(ms(1_000), 80, 24).contains("/BEA_"));
     stage.key(ms(1_000), KeyCode::Backspace);
     stage.key(ms(1_000), KeyCode::Enter);
-    assert!(!stage.app.typing);
+    assert!(stage.app.entry_line.is_none());
     stage.key(ms(1_000), KeyCode::Esc);
     assert_eq!(count(&stage), 14);
     stage.keys(ms(1_000), "s");

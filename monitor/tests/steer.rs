@@ -232,7 +232,7 @@ fn commands_go_where_they_say_and_unknown_ones_name_those_there_are() {
     assert_eq!(command(&mut stage, "quit"), Effect::Quit);
     stage.keys(NOW, ":quit");
     stage.key(NOW, KeyCode::Esc);
-    assert_eq!(stage.app.command, None);
+    assert!(stage.app.entry_line.is_none());
 }
 
 #[test]

@@ -1,11 +1,11 @@
 //! The command line that opens with `:`.
 
+use super::complete::fuzzy;
 use super::{App, Effect, PortEnd, Screen};
 use crate::clock::Moment;
 use crate::options::Endpoint;
 use crate::store::health::Place;
 use crate::theme::Theme;
-use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use imrs_protocol::{NodeId, PortId, TaskId};
 
 /// The commands: what is typed, and what it does.
@@ -18,26 +18,8 @@ pub const COMMANDS: [(&str, &str); 5] = [
 ];
 
 impl App {
-    pub(super) fn typed_command(&mut self, event: &KeyEvent, now: Moment) -> Effect {
-        let ctrl = event.modifiers.contains(KeyModifiers::CONTROL);
-        let Some(text) = &mut self.command else { return Effect::Nothing };
-        match event.code {
-            KeyCode::Char('c') if ctrl => return Effect::Quit,
-            KeyCode::Char('z') if ctrl => return Effect::Suspend,
-            KeyCode::Char(c) if !ctrl && !c.is_control() => text.push(c),
-            KeyCode::Backspace if text.is_empty() => self.command = None,
-            KeyCode::Backspace => drop(text.pop()),
-            KeyCode::Esc => self.command = None,
-            KeyCode::Enter => {
-                let text = self.command.take().unwrap_or_default();
-                return self.run(text.trim(), now);
-            }
-            _ => return Effect::Nothing,
-        }
-        Effect::Draw
-    }
-
-    fn run(&mut self, text: &str, now: Moment) -> Effect {
+    /// Carries out a command.
+    pub(super) fn run(&mut self, text: &str, now: Moment) -> Effect {
         let (word, rest) = text.split_once(' ').map_or((text, ""), |(word, rest)| (word, rest.trim()));
         self.told = match (word, rest) {
             ("", _) => None,
@@ -56,7 +38,7 @@ impl App {
                     self.theme = theme;
                     None
                 }
-                None => Some(format!("there is no such theme; there are {}", Theme::names().join(", "))),
+                None => Some(no_theme()),
             },
             _ => {
                 let known = COMMANDS.map(|(usage, _)| format!(":{usage}")).join("  ");
@@ -66,12 +48,36 @@ impl App {
         Effect::Draw
     }
 
+    /// What is wrong with a command so far, while it is typed.
+    pub(super) fn slip_of_command(&self, text: &str) -> Option<String> {
+        let (word, rest) = text
+            .trim_start()
+            .split_once(' ')
+            .map_or((text.trim(), None), |(word, rest)| (word, Some(rest.trim())));
+        match (word, rest.unwrap_or_default()) {
+            (_, "") => {
+                let words = self.words_of_command("");
+                let is_begun =
+                    words.iter().any(|known| known.starts_with(word)) || matches!(word, "q" | "task");
+                (!is_begun).then(|| format!("no such command; there are {}", words.join(", ")))
+            }
+            ("connect", address) => address.parse::<Endpoint>().err().map(|error| error.to_string()),
+            ("port", name) => nearest(name, self.names_of_ports()).is_none().then(|| no_port(name)),
+            ("node" | "task", name) => {
+                nearest(name, self.names_of_places()).is_none().then(|| no_place(name))
+            }
+            ("theme", name) => Theme::names().iter().all(|known| !known.starts_with(name)).then(no_theme),
+            _ => None,
+        }
+    }
+
     /// Shows the queue of a port, at the task that receives there.
     fn go_to_port(&mut self, wanted: &str) -> Option<String> {
-        let (task, port) = wanted.split_once('.').map_or((None, wanted), |(task, port)| (Some(task), port));
+        let Some(found) = nearest(wanted, self.names_of_ports()) else { return Some(no_port(wanted)) };
+        let (task, port) = found.rsplit_once('.').map_or((None, &*found), |(task, port)| (Some(task), port));
         let cell = self.cell()?;
         let names = self.store().names(&cell)?.clone();
-        let is = |shown: &str, wanted: &str| shown.eq_ignore_ascii_case(wanted);
+        let is = |shown: &str, wanted: &str| shown == wanted;
         let found = (0..names.ports.len())
             .map(PortId::from_index)
             .filter(|&id| is(names.port_name(id).shown(), port));
@@ -93,7 +99,7 @@ impl App {
             view.map_or(0, |view| view.capacity)
         };
         let Some(end) = ends.iter().find(|end| capacity(end) > 0).or_else(|| ends.first()).copied() else {
-            return Some(format!("this cell has no port {}", crate::name::shown(wanted)));
+            return Some(no_port(wanted));
         };
         self.before = self.screen;
         (self.screen, self.port) = (Screen::Port, Some(end));
@@ -102,15 +108,16 @@ impl App {
     }
 
     fn go_to_node(&mut self, wanted: &str, now: Moment) -> Option<String> {
+        let Some(found) = nearest(wanted, self.names_of_places()) else { return Some(no_place(wanted)) };
         let cell = self.cell()?;
         let names = self.store().names(&cell)?.clone();
-        let node = names.nodes.iter().position(|name| name.shown().eq_ignore_ascii_case(wanted));
-        let task = names.tasks.iter().position(|task| task.name.shown().eq_ignore_ascii_case(wanted));
+        let node = names.nodes.iter().position(|name| name.shown() == found);
+        let task = names.tasks.iter().position(|task| task.name.shown() == found);
         let node_id = match (node, task) {
             (Some(node), _) => NodeId::from_index(node),
             (None, Some(task)) => names.home(TaskId::from_index(task))?,
             (None, None) => {
-                return Some(format!("this cell has no node or task {}", crate::name::shown(wanted)));
+                return Some(no_place(wanted));
             }
         };
         let incarnation = self.store().latest(&cell, node_id).map(|incarnation| incarnation.id);
@@ -118,4 +125,22 @@ impl App {
         self.go_to(Place { node: incarnation.ok_or(node_id), task, port: None }, now);
         None
     }
+}
+
+/// The name that is meant: this one in any case, or the one that has its letters.
+fn nearest(wanted: &str, names: Vec<String>) -> Option<String> {
+    let exact = names.iter().find(|name| name.eq_ignore_ascii_case(wanted)).cloned();
+    exact.or_else(|| fuzzy(wanted, names).into_iter().next()).filter(|_| !wanted.is_empty())
+}
+
+fn no_port(wanted: &str) -> String {
+    format!("this cell has no port {}", crate::name::shown(wanted))
+}
+
+fn no_place(wanted: &str) -> String {
+    format!("this cell has no node or task {}", crate::name::shown(wanted))
+}
+
+fn no_theme() -> String {
+    format!("there is no such theme; there are {}", Theme::names().join(", "))
 }

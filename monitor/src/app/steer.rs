@@ -1,42 +1,18 @@
 //! Carries out the actions of keys.
 
-use super::{App, Effect, PortEnd, Screen, port_end};
+use super::{App, Effect, Kind, PortEnd, Screen, port_end};
 use crate::clock::{Moment, Span};
 use crate::keys::Action;
-use crate::query::Filter;
 use crate::replay::{At, Player, Ribbon};
 use crate::rows::Sort;
 use crate::store::health::Place;
 use crate::store::journal::What;
 use crate::store::message::{MessageKey, key_of};
 use crate::store::trail::Seen;
-use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use imrs_protocol::Usage;
 use std::sync::Arc;
 
 impl App {
-    pub(super) fn typed(&mut self, event: &KeyEvent) -> Effect {
-        let ctrl = event.modifiers.contains(KeyModifiers::CONTROL);
-        match event.code {
-            KeyCode::Char('c') if ctrl => return Effect::Quit,
-            KeyCode::Char('z') if ctrl => return Effect::Suspend,
-            KeyCode::Char(c) if !ctrl && !c.is_control() => self.filter_mut().push(c),
-            KeyCode::Backspace => drop(self.filter_mut().pop()),
-            KeyCode::Enter => {
-                self.typing = false;
-                // Plain words match as text. The message below shows why an attempted condition is invalid.
-                let slip = Filter::parse(self.filter()).err();
-                self.told = slip.map(|error| format!("no condition, so looked for as it is: {error}"));
-            }
-            KeyCode::Esc => {
-                self.typing = false;
-                self.filter_mut().clear();
-            }
-            _ => return Effect::Nothing,
-        }
-        Effect::Draw
-    }
-
     pub(super) fn act(&mut self, action: Action, now: Moment) -> Effect {
         if self.replay.is_some() && (is_winding(action) || action == Action::Pause) {
             self.wind(action, now);
@@ -56,7 +32,7 @@ impl App {
             }
             Action::Write => return Effect::Write,
             Action::Copy => return self.copy(now),
-            Action::Command => self.command = Some(String::new()),
+            Action::Command => self.open_entry(Kind::Command),
             Action::Mark => self.set_mark(now),
             Action::Difference => self.since_mark = self.mark.is_some() && !self.since_mark,
             Action::Cycles => {
@@ -73,7 +49,7 @@ impl App {
             Action::Pause => self.pause(now),
             Action::Theme => self.theme = self.theme.next(),
             Action::Cell => self.next_cell(),
-            Action::Filter => self.typing = true,
+            Action::Filter => self.open_entry(Kind::Filter),
             Action::Sort => self.sort(self.shape.sort.next(), false),
             Action::Invert => self.sort(self.shape.sort, !self.shape.inverted),
             Action::Everything if self.screen == Screen::Timeline => self.thin_chart(),

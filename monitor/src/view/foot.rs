@@ -2,7 +2,7 @@
 
 use super::canvas::{Canvas, columns};
 use super::{before_pause, mark, overview};
-use crate::app::{App, Screen};
+use crate::app::{App, Entry, Kind, Screen};
 use crate::clock::{Moment, Span};
 use crate::keys;
 use crate::store::blocked::Blocker;
@@ -19,12 +19,8 @@ pub(super) fn draw(
     canvas: &mut Canvas<'_>,
 ) {
     let y = canvas.height() - 1;
-    if app.typing {
-        canvas.line(y, &[(" /", Ink::Head), (app.filter(), Ink::Plain), ("_", Ink::Plain)]);
-        return;
-    }
-    if let Some(command) = &app.command {
-        canvas.line(y, &[(" :", Ink::Head), (command, Ink::Plain), ("_", Ink::Plain)]);
+    if let Some(entry) = &app.entry_line {
+        line_typed(app, entry, y, canvas);
         return;
     }
     // The next key removes an answer, so it may take the whole row.
@@ -40,6 +36,39 @@ pub(super) fn draw(
     let area = Rect { width: room, ..canvas.area };
     let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
     canvas.part(area).line(y, &pieces);
+}
+
+/// Draws the line that is typed, its cursor, and behind it what is wrong with it or how it may go on.
+fn line_typed(app: &App, entry: &Entry, y: u16, canvas: &mut Canvas<'_>) {
+    let sign = if entry.kind == Kind::Filter { " /" } else { " :" };
+    let start = canvas.at(0, y, u16::MAX, sign, Ink::Head);
+    let text = entry.input.value();
+    // Half of the row at most is for the text, so that what is wrong with it has room, too.
+    let room = canvas.area.width.saturating_sub(start + 1);
+    let room = if columns(text) > room / 2 { room } else { room / 2 };
+    let skipped = entry.input.visual_scroll(usize::from(room.max(1)));
+    let mut x = start;
+    let mut at = 0;
+    for (number, sign) in text.chars().chain([' ']).enumerate() {
+        let width = columns(sign.encode_utf8(&mut [0; 4]));
+        let is_here = number == entry.input.cursor();
+        if at >= skipped && x < start + room + 1 {
+            let is_end = number == text.chars().count();
+            let sign = if is_end && is_here { "_".to_owned() } else { sign.to_string() };
+            let ink = if is_here && !is_end { Ink::Selected } else { Ink::Plain };
+            x = canvas.at(x, y, u16::MAX, &sign, ink);
+        }
+        at += usize::from(width);
+    }
+    let (text, ink) = match app.slip() {
+        Some(slip) => (slip, Ink::Warn),
+        None => {
+            let words = app.completion().words;
+            let text = if words.is_empty() { String::new() } else { format!("Tab: {}", words.join("  ")) };
+            (text, Ink::Dim)
+        }
+    };
+    canvas.at(x + 2, y, u16::MAX, &text, ink);
 }
 
 /// As many key hints as fit; the help always.

@@ -1,0 +1,181 @@
+//! The line that the user types: a filter after `/`, or a command after `:`. It has a cursor, a history and completions,
+//! and what is wrong with it is known while it is typed.
+
+use super::complete::{Completion, word_at};
+use super::{App, Effect};
+use crate::clock::Moment;
+use crate::query::Filter;
+use crossterm::event::{Event, KeyCode, KeyEvent, KeyModifiers};
+use tui_input::Input;
+use tui_input::backend::crossterm::EventHandler as _;
+
+/// How many lines of each kind are remembered.
+const REMEMBERED: usize = 50;
+
+/// What a line is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Rows are shown only if they match it.
+    Filter,
+    /// It is carried out when it is complete.
+    Command,
+}
+
+/// The line that is typed.
+#[derive(Clone, Debug)]
+pub struct Entry {
+    /// What it is for.
+    pub kind: Kind,
+    /// The text and the cursor.
+    pub input: Input,
+    /// While the history is shown: how far back, and the text that was typed before.
+    back: Option<(usize, String)>,
+    /// While completions are tried: which ones, and which is shown.
+    tried: Option<(Completion, usize)>,
+}
+
+/// The lines that were typed before, latest last.
+#[derive(Clone, Debug, Default)]
+pub struct Typed {
+    filters: Vec<String>,
+    commands: Vec<String>,
+}
+
+impl Typed {
+    const fn of(&mut self, kind: Kind) -> &mut Vec<String> {
+        match kind {
+            Kind::Filter => &mut self.filters,
+            Kind::Command => &mut self.commands,
+        }
+    }
+
+    fn remember(&mut self, kind: Kind, text: &str) {
+        let lines = self.of(kind);
+        lines.retain(|line| line != text);
+        if !text.trim().is_empty() {
+            lines.push(text.to_owned());
+        }
+        let surplus = lines.len().saturating_sub(REMEMBERED);
+        lines.drain(..surplus);
+    }
+}
+
+impl App {
+    /// Opens a line. A filter begins with what it is.
+    pub(super) fn open_entry(&mut self, kind: Kind) {
+        let text = if kind == Kind::Filter { self.filter().to_owned() } else { String::new() };
+        self.entry_line = Some(Entry { kind, input: text.into(), back: None, tried: None });
+    }
+
+    /// A key while a line is typed.
+    pub(super) fn typed(&mut self, event: &KeyEvent, now: Moment) -> Effect {
+        let Some(entry) = &mut self.entry_line else { return Effect::Nothing };
+        let (kind, ctrl) = (entry.kind, event.modifiers.contains(KeyModifiers::CONTROL));
+        if !matches!(event.code, KeyCode::Tab | KeyCode::BackTab) {
+            entry.tried = None;
+        }
+        match event.code {
+            KeyCode::Char('c') if ctrl => return Effect::Quit,
+            KeyCode::Char('z') if ctrl => return Effect::Suspend,
+            KeyCode::Backspace if kind == Kind::Command && entry.input.value().is_empty() => {
+                self.entry_line = None;
+            }
+            KeyCode::Esc => {
+                self.entry_line = None;
+                if kind == Kind::Filter {
+                    self.filter_mut().clear();
+                }
+            }
+            KeyCode::Enter => return self.enter_line(now),
+            KeyCode::Up | KeyCode::Down => self.leaf(event.code == KeyCode::Up),
+            KeyCode::Tab | KeyCode::BackTab => self.complete(event.code == KeyCode::Tab),
+            _ => {
+                if entry.input.handle_event(&Event::Key(*event)).is_none() {
+                    return Effect::Nothing;
+                }
+            }
+        }
+        self.apply_filter();
+        Effect::Draw
+    }
+
+    /// While a filter is typed the rows follow it.
+    fn apply_filter(&mut self) {
+        let text = self.entry_line.as_ref().filter(|entry| entry.kind == Kind::Filter);
+        if let Some(text) = text.map(|entry| entry.input.value().to_owned()) {
+            *self.filter_mut() = text;
+        }
+    }
+
+    fn enter_line(&mut self, now: Moment) -> Effect {
+        let Some(entry) = self.entry_line.take() else { return Effect::Nothing };
+        let text = entry.input.value();
+        self.typed_before.remember(entry.kind, text);
+        match entry.kind {
+            Kind::Command => self.run(text.trim(), now),
+            Kind::Filter => {
+                // Plain words match as text. The message below shows why an attempted condition is invalid.
+                let slip = Filter::parse(text).err();
+                self.told = slip.map(|error| format!("no condition, so looked for as it is: {error}"));
+                Effect::Draw
+            }
+        }
+    }
+
+    /// Shows an earlier or a later line of the history.
+    fn leaf(&mut self, earlier: bool) {
+        let Some(entry) = &mut self.entry_line else { return };
+        let lines = self.typed_before.of(entry.kind);
+        let (at, draft) = entry.back.clone().unwrap_or_else(|| (0, entry.input.value().to_owned()));
+        let to = if earlier { (at + 1).min(lines.len()) } else { at.saturating_sub(1) };
+        let text = if to == 0 { draft.clone() } else { lines[lines.len() - to].clone() };
+        entry.back = (to > 0).then_some((to, draft));
+        entry.input = text.into();
+    }
+
+    /// Puts the next completion in the place of the word before the cursor.
+    fn complete(&mut self, forward: bool) {
+        let Some(entry) = &self.entry_line else { return };
+        let (completion, at) = match &entry.tried {
+            Some((completion, at)) => {
+                let count = completion.words.len();
+                let to = if forward { at + 1 } else { at + count - 1 };
+                (completion.clone(), to % count)
+            }
+            None => {
+                let completion = self.completion();
+                let last = completion.words.len().saturating_sub(1);
+                (completion, if forward { 0 } else { last })
+            }
+        };
+        let Some(word) = completion.words.get(at).cloned() else { return };
+        let text = format!("{}{word}{}", completion.before, completion.after);
+        let cursor = completion.before.chars().count() + word.chars().count();
+        if let Some(entry) = &mut self.entry_line {
+            entry.input = Input::new(text).with_cursor(cursor);
+            entry.tried = Some((completion, at));
+        }
+    }
+
+    /// The words that may stand before the cursor, best first.
+    #[must_use]
+    pub fn completion(&self) -> Completion {
+        let Some(entry) = &self.entry_line else { return Completion::default() };
+        let (before, word, after) = word_at(entry.input.value(), entry.input.cursor());
+        let candidates = match entry.kind {
+            Kind::Command => self.words_of_command(before),
+            Kind::Filter => self.words_of_filter(),
+        };
+        Completion::new(before, word, after, candidates)
+    }
+
+    /// What is wrong with the line so far.
+    #[must_use]
+    pub fn slip(&self) -> Option<String> {
+        let entry = self.entry_line.as_ref()?;
+        match entry.kind {
+            Kind::Filter => Filter::parse(entry.input.value()).err().map(|error| error.to_string()),
+            Kind::Command => self.slip_of_command(entry.input.value()),
+        }
+    }
+}
