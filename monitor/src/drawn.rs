@@ -1,5 +1,6 @@
 //! The layout of a drawn frame: where a click leads, and how much of a list fitted.
 
+use crate::keys::Action;
 use crate::problems::ProblemKey;
 use crate::rows::Sort;
 use crate::screen::Screen;
@@ -17,7 +18,7 @@ pub enum Hit {
     /// The banner: the place of what blocks the cell.
     Place(Place),
     /// The title of a sortable column.
-    Title(Sort),
+    Title(Sort, &'static str),
     /// A place of the scrub bar, in the unit of its ribbon.
     Scrub(u64),
     /// A row of the problems.
@@ -28,6 +29,10 @@ pub enum Hit {
     Scroll(usize),
     /// A lane of the timeline.
     Lane(TaskId),
+    /// The title of a column, to be explained.
+    Column(&'static str),
+    /// A key that the bottom line names.
+    Key(Action),
     /// A message of a queue: its source and its id.
     Entry(TaskId, MessageId),
 }
@@ -43,6 +48,8 @@ pub struct Drawn {
     pub lines: usize,
     /// How many lanes of the timeline had room.
     pub lanes: usize,
+    /// For each line of a list whose lines are about places: the place.
+    pub places: Vec<Option<Place>>,
     pub(crate) hits: Vec<(Rect, Hit)>,
 }
 

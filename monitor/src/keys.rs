@@ -186,10 +186,10 @@ pub const BINDINGS: &[Binding] = &[
         "the history of this message",
     ),
     on(
-        &[Screen::Rendezvous, Screen::Timers, Screen::Model],
-        &[code(KeyCode::Enter), key('b')],
-        Action::Culprit,
-        "to the task or node that blocks the cell",
+        &[Screen::Rendezvous, Screen::Timers, Screen::Model, Screen::Message],
+        &[code(KeyCode::Enter)],
+        Action::Enter,
+        "to the node or task of this row",
     ),
     everywhere(
         &[key('b')],
@@ -273,11 +273,9 @@ const fn hinted(screen: Screen) -> &'static [(Action, &'static str)] {
         Screen::Port => {
             &[(Action::Enter, "history"), (Action::Left, "previous"), (Action::Right, "next port")]
         }
-        Screen::Message | Screen::Explain | Screen::Help => {
-            &[(Action::Back, "back"), (Action::Down, "scroll")]
-        }
+        Screen::Message | Screen::Explain | Screen::Help => &[(Action::Back, "back"), (Action::Down, "down")],
         Screen::Rendezvous => {
-            &[(Action::Culprit, "culprit"), (Action::Cycles, "cycles"), (Action::Pause, "pause")]
+            &[(Action::Enter, "go there"), (Action::Culprit, "culprit"), (Action::Cycles, "cycles")]
         }
         Screen::Timeline => &[
             (Action::Right, "next lane"),
@@ -286,7 +284,7 @@ const fn hinted(screen: Screen) -> &'static [(Action, &'static str)] {
             (Action::Enter, "history"),
             (Action::Filter, "filter"),
         ],
-        Screen::Timers | Screen::Model => &[(Action::Culprit, "culprit"), (Action::Pause, "pause")],
+        Screen::Timers | Screen::Model => &[(Action::Enter, "go there"), (Action::Culprit, "culprit")],
         Screen::Events => &[
             (Action::NextError, "next error"),
             (Action::Everything, "all"),
@@ -297,8 +295,8 @@ const fn hinted(screen: Screen) -> &'static [(Action, &'static str)] {
     }
 }
 
-/// The key hints of a screen, the help first: `? help`, `Enter open`.
-pub fn hints(screen: Screen) -> impl Iterator<Item = String> {
+/// The key hints of a screen, the help first: `? help`, `Enter open`, each with its action.
+pub fn hints(screen: Screen) -> impl Iterator<Item = (String, Action)> {
     let help = [(Action::Show(Screen::Help), "help")];
     let all = help.into_iter().chain(hinted(screen).iter().copied()).chain([(Action::Quit, "quit")]);
     all.filter_map(move |(action, word)| {
@@ -307,7 +305,7 @@ pub fn hints(screen: Screen) -> impl Iterator<Item = String> {
         let is_letter = |key: &Key| matches!(key.code, KeyCode::Char('a'..='z'));
         let key = binding.keys.iter().find(|key| !is_letter(key)).or_else(|| binding.keys.first())?;
         let key = if action == Action::Quit { binding.keys.first()? } else { key };
-        Some(format!("{} {word}", key.label()))
+        Some((format!("{} {word}", key.label()), action))
     })
 }
 

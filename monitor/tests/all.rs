@@ -5,6 +5,7 @@ mod common;
 #[path = "../../protocol/tests/allocations.rs"]
 mod counting;
 mod crowd;
+mod cursor;
 mod events;
 mod export;
 mod history;

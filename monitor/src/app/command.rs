@@ -4,15 +4,16 @@ use super::complete::fuzzy;
 use super::{App, Effect, PortEnd, Screen};
 use crate::clock::Moment;
 use crate::options::Endpoint;
-use crate::store::health::Place;
+use crate::store::health::{Place, codes};
 use crate::theme::Theme;
 use imrs_protocol::{NodeId, PortId, TaskId};
 
 /// The commands: what is typed, and what it does.
-pub const COMMANDS: [(&str, &str); 5] = [
+pub const COMMANDS: [(&str, &str); 6] = [
     ("connect unix:PATH|tcp:HOST:PORT", "attach to one more node"),
     ("port NAME", "the queue of a port (also TASK.PORT)"),
     ("node NAME", "a node, or a task, in the overview"),
+    ("explain COLUMN|CODE", "what a column shows, or what a finding means"),
     ("theme NAME", "how the screen looks"),
     ("quit", "quit"),
 ];
@@ -33,6 +34,7 @@ impl App {
             },
             ("port", name) => self.go_to_port(name),
             ("node" | "task", name) => self.go_to_node(name, now),
+            ("explain", word) => self.explain_word(word),
             ("theme", name) => match Theme::named(name) {
                 Some(theme) => {
                     self.theme = theme;
@@ -66,9 +68,26 @@ impl App {
             ("node" | "task", name) => {
                 nearest(name, self.names_of_places()).is_none().then(|| no_place(name))
             }
+            ("explain", word) => nearest(word, self.words_explained()).is_none().then(|| no_word(word)),
             ("theme", name) => Theme::names().iter().all(|known| !known.starts_with(name)).then(no_theme),
             _ => None,
         }
+    }
+
+    /// The words that can be explained: the columns of the shown screen, and the codes of findings.
+    pub(super) fn words_explained(&self) -> Vec<String> {
+        let columns = crate::view::explained_columns(self.screen).iter().map(|(name, _)| *name);
+        columns.chain(codes::ALL.iter().map(|lint| lint.code)).map(str::to_owned).collect()
+    }
+
+    /// Explains a column of the shown screen on the bottom line, or opens the page of a code.
+    fn explain_word(&mut self, wanted: &str) -> Option<String> {
+        let Some(word) = nearest(wanted, self.words_explained()) else { return Some(no_word(wanted)) };
+        if let Some(text) = crate::view::explain_column(self.screen, &word) {
+            return Some(text);
+        }
+        self.open_page(codes::find(&word)?.code);
+        None
     }
 
     /// Shows the queue of a port, at the task that receives there.
@@ -125,6 +144,10 @@ impl App {
         self.go_to(Place { node: incarnation.ok_or(node_id), task, port: None }, now);
         None
     }
+}
+
+fn no_word(wanted: &str) -> String {
+    format!("this screen has no column, and `imrs explain` no page, {}", crate::name::shown(wanted))
 }
 
 /// The name that is meant: this one in any case, or the one that has its letters.

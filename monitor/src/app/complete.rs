@@ -81,6 +81,7 @@ impl App {
             }
             Some("port") => self.names_of_ports(),
             Some("node" | "task") => self.names_of_places(),
+            Some("explain") => self.words_explained(),
             Some("theme") => Theme::names().into_iter().map(str::to_owned).collect(),
             Some(_) => Vec::new(),
         }

@@ -245,7 +245,10 @@ impl App {
 
     /// Selects a row of the timeline.
     pub(super) fn go_to_chart_row(&mut self, row: usize) {
-        self.hold(&self.chart(), row, true);
+        let chart = self.chart();
+        self.hold(&chart, row, true);
+        // A click means this row, also the last one.
+        self.lanes.held = self.lanes.held.or_else(|| chart.mark(row).map(Anchor::of));
     }
 
     /// Holds the row `to`. Only rows with marks can be held, so others are skipped in the direction of the step.

@@ -54,10 +54,16 @@ impl App {
                     self.choose_lane(task);
                     Effect::Draw
                 }
-                Some(Hit::Title(sort)) => {
+                Some(Hit::Title(sort, title)) => {
                     self.sort(sort, self.shape.sort == sort && !self.shape.inverted);
+                    self.told = crate::view::explain_column(self.screen, title);
                     Effect::Draw
                 }
+                Some(Hit::Column(title)) => {
+                    self.told = crate::view::explain_column(self.screen, title);
+                    Effect::Draw
+                }
+                Some(Hit::Key(action)) => self.act(action, now),
                 None => Effect::Nothing,
             },
             MouseEventKind::Down(_)
@@ -72,6 +78,10 @@ impl App {
     fn go_to_line(&mut self, line: usize, now: Moment) {
         if self.screen == Screen::Timeline {
             return self.go_to_chart_row(line);
+        }
+        if self.screen == Screen::Events {
+            self.held = self.events().get(line).map(|event| event.number);
+            return;
         }
         self.step(isize::MIN, now);
         self.step(isize::try_from(line).unwrap_or(isize::MAX), now);

@@ -82,6 +82,12 @@ impl App {
         (self.port, self.entry) = (Some(end), None);
     }
 
+    /// Shows the page about a code.
+    pub(super) fn open_page(&mut self, code: &'static str) {
+        (self.explained, self.explained_on) = (Some(code), self.screen);
+        self.open(Screen::Explain);
+    }
+
     /// Shows a screen from its beginning.
     fn open(&mut self, screen: Screen) {
         (self.before, self.screen, self.scroll) = (self.screen, screen, 0);
@@ -107,10 +113,7 @@ impl App {
             }
         };
         match code {
-            Some(code) => {
-                (self.explained, self.explained_on) = (Some(code), self.screen);
-                self.open(Screen::Explain);
-            }
+            Some(code) => self.open_page(code),
             None => self.told = Some("there is no finding here".to_owned()),
         }
     }

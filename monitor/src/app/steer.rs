@@ -218,6 +218,15 @@ impl App {
     }
 
     fn enter(&mut self, now: Moment) {
+        if matches!(self.screen, Screen::Rendezvous | Screen::Timers | Screen::Model | Screen::Message) {
+            let known = self.drawn.screen == self.screen;
+            let line = self.scroll.min(self.drawn.lines.saturating_sub(1));
+            match self.drawn.places.get(line).copied().flatten().filter(|_| known) {
+                Some(place) => self.go_to(place, now),
+                None => self.told = Some("this row is of no node or task".to_owned()),
+            }
+            return;
+        }
         if self.screen != Screen::Overview {
             match self.message_here(now) {
                 Some(key) => {
@@ -340,9 +349,12 @@ impl App {
             | Screen::Model
             | Screen::Explain
             | Screen::Help => {
-                // Before the screen was drawn its length is unknown; drawing then limits the position.
+                // Before the screen was drawn its length is unknown; drawing then limits the position. Of a text the
+                // first line moves, of a list the selected one.
                 let known = self.drawn.screen == self.screen;
-                let most = if known { self.drawn.lines.saturating_sub(self.drawn.page) } else { usize::MAX };
+                let is_text = matches!(self.screen, Screen::Explain | Screen::Help);
+                let beside = if is_text { self.drawn.page } else { 1 };
+                let most = if known { self.drawn.lines.saturating_sub(beside) } else { usize::MAX };
                 self.scroll = self.scroll.min(most).saturating_add_signed(by).min(most);
             }
         }

@@ -1,8 +1,9 @@
 //! The row below the overview: the links, and the verdict of the validator.
 
 use super::canvas::{Canvas, columns};
-use crate::app::App;
+use crate::app::{App, Screen};
 use crate::clock::{Moment, Span};
+use crate::drawn::Hit;
 use crate::name::Name;
 use crate::store::conformance::{Verdict, conformance};
 use crate::theme::Ink;
@@ -24,9 +25,11 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     for (text, ink) in links(app, &cell, now) {
         x = canvas.at(x, 0, room.saturating_sub(x), &text, ink);
     }
+    let start = x;
     for (text, ink) in verdict {
         x = canvas.at(x, 0, u16::MAX, &text, ink);
     }
+    canvas.target(start, 0, x.saturating_sub(start), Hit::Tab(Screen::Model));
 }
 
 /// For each link: active, quiet for how long, or down at one end.

@@ -130,6 +130,11 @@ impl Canvas<'_> {
     pub(super) fn titles(&mut self, y: u16, columns: &[Column], widths: &[u16]) {
         let cells: Vec<_> = columns.iter().map(|c| (c.title, Ink::Dim)).collect();
         self.row(y, columns, widths, &cells);
+        let mut x = 0_u16;
+        for (column, width) in columns.iter().zip(widths) {
+            self.target(x, y, *width, Hit::Column(column.title));
+            x = x.saturating_add(width + 1);
+        }
     }
 }
 

@@ -1,7 +1,8 @@
 //! Screen 6: the event log, newest entry at the bottom. It follows new entries until the user scrolls up; `G` resumes.
 
 use super::canvas::{Canvas, Column};
-use super::mark;
+use super::lists::Window;
+use super::{Hit, mark};
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::store::journal::{Entry, Severity};
@@ -22,20 +23,24 @@ fn columns(width: u16) -> Vec<Column> {
 
 pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let lines = app.events();
-    let columns = columns(canvas.area.width);
-    let widths = canvas.widths(&columns);
-    canvas.titles(0, &columns, &widths);
     let room = usize::from(canvas.height().saturating_sub(1));
     canvas.list(room, lines.len());
     let last = lines.len().checked_sub(1);
+    let bottom = last.map_or(0, |last| {
+        app.held.map_or(last, |held| lines.iter().rposition(|e| e.number <= held).unwrap_or(0))
+    });
+    let first = (bottom + 1).saturating_sub(room);
+    let window = Window { first, page: room, lines: lines.len() };
+    let canvas = &mut canvas.beside_scrollbar(1, window);
+    let columns = columns(canvas.area.width);
+    let widths = canvas.widths(&columns);
+    canvas.titles(0, &columns, &widths);
     let Some(last) = last else {
         let text =
             if app.filter().is_empty() { " Nothing to report so far." } else { " No event has this text." };
         canvas.line(1, &[(text, Ink::Dim)]);
         return;
     };
-    let bottom = app.held.map_or(last, |held| lines.iter().rposition(|e| e.number <= held).unwrap_or(0));
-    let first = (bottom + 1).saturating_sub(room);
     for (y, (i, entry)) in (1..).zip(lines.iter().enumerate().skip(first).take(room)) {
         let level = entry.level();
         let ink = match level {
@@ -58,6 +63,7 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
         if app.held.is_some() && i == bottom {
             canvas.select(y);
         }
+        canvas.target(0, y, canvas.area.width, Hit::Line(i));
     }
     let newer = last - bottom;
     let which = match (app.everything, app.discards_hidden) {
@@ -68,7 +74,8 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     };
     let follows = app.held.map_or("following".to_owned(), |_| format!("+{newer} new, G follows"));
     let few = app.held.map_or_else(String::new, |_| format!("+{newer} "));
-    let texts = [format!("{which}{follows} "), format!("{follows} "), few];
+    let at = window.position(bottom);
+    let texts = [format!("{which}{follows} {at}"), format!("{follows} {at}"), format!("{follows} "), few];
     canvas.corner(0, &texts, if app.held.is_some() { Ink::Warn } else { Ink::Dim });
 }
 

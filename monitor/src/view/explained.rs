@@ -111,8 +111,14 @@ const PROBLEMS: &[(&str, &str)] = &[
     ("needs", "when it is likely done: place in the queue x 99th percentile of service"),
 ];
 
+/// What a column of a screen shows, if it has a title: `SLACK: remaining time ...`.
+pub(crate) fn column(screen: Screen, title: &str) -> Option<String> {
+    let (name, text) = columns(screen).iter().find(|(name, _)| *name == title)?;
+    Some(format!("{name}: {text}"))
+}
+
 /// Explanations of a screen's columns.
-pub(super) const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
+pub(crate) const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
     match screen {
         Screen::Overview | Screen::Help => OVERVIEW,
         Screen::Port => PORT,

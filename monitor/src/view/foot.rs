@@ -4,7 +4,8 @@ use super::canvas::{Canvas, columns};
 use super::{before_pause, mark, overview};
 use crate::app::{App, Entry, Kind, Screen};
 use crate::clock::{Moment, Span};
-use crate::keys;
+use crate::drawn::Hit;
+use crate::keys::{self, Action};
 use crate::store::blocked::Blocker;
 use crate::store::health::Finding;
 use crate::store::journal::Severity;
@@ -31,8 +32,17 @@ pub(super) fn draw(
     let pieces = pieces(app, findings, blockers, now);
     let width = canvas.area.width;
     let hints = hints(app.screen, if pieces.is_empty() { width } else { width / 5 * 2 });
-    let room = width.saturating_sub(columns(&hints) + 2);
-    canvas.at(room + 1, y, u16::MAX, &hints, Ink::Dim);
+    let taken = hints.iter().map(|(hint, _)| columns(hint) + 2).sum::<u16>();
+    let room = width.saturating_sub(taken);
+    let mut x = room + 1;
+    for (hint, action) in &hints {
+        let end = canvas.at(x, y, u16::MAX, hint, Ink::Dim);
+        canvas.target(x, y, end.saturating_sub(x), Hit::Key(*action));
+        x = end + 2;
+    }
+    if let Some(worst) = root(findings, blockers) {
+        canvas.target(0, y, room, Hit::Place(worst.place));
+    }
     let area = Rect { width: room, ..canvas.area };
     let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
     canvas.part(area).line(y, &pieces);
@@ -72,15 +82,17 @@ fn line_typed(app: &App, entry: &Entry, y: u16, canvas: &mut Canvas<'_>) {
 }
 
 /// As many key hints as fit; the help always.
-fn hints(screen: Screen, width: u16) -> String {
-    let mut text = String::new();
-    for hint in keys::hints(screen) {
-        let gap = if text.is_empty() { "" } else { "  " };
-        if text.is_empty() || columns(&text) + columns(gap) + columns(&hint) < width {
-            text = text + gap + &hint;
+fn hints(screen: Screen, width: u16) -> Vec<(String, Action)> {
+    let mut chosen: Vec<(String, Action)> = Vec::new();
+    let mut used = 0;
+    for (hint, action) in keys::hints(screen) {
+        let gap = if chosen.is_empty() { 0 } else { 2 };
+        if chosen.is_empty() || used + gap + columns(&hint) < width {
+            used += gap + columns(&hint);
+            chosen.push((hint, action));
         }
     }
-    text
+    chosen
 }
 
 /// What is unusual: the mode of the screen, and the most severe finding.

@@ -3,6 +3,7 @@
 
 use super::canvas::Canvas;
 use super::explained::{BANNER, columns};
+use super::lists::Window;
 use crate::app::{App, COMMANDS, Screen};
 use crate::keys::{BINDINGS, Binding};
 use crate::theme::{Ink, Theme};
@@ -14,6 +15,7 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
     let lines = lines(app);
     let room = usize::from(canvas.height());
     let first = canvas.scrolled(app.scroll, room, lines.len());
+    let canvas = &mut canvas.beside_scrollbar(0, Window { first, page: room, lines: lines.len() });
     let left_width = if canvas.area.width < 60 { 11 } else { 15 };
     for (y, (left, right, ink)) in (0..).zip(lines.iter().skip(first).take(room)) {
         if right.is_empty() {

@@ -1,7 +1,8 @@
 //! What lists have in common: a scrollbar, the position, and sparklines.
 
-use super::canvas::Canvas;
+use super::canvas::{Canvas, first_row};
 use crate::drawn::Hit;
+use crate::store::health::Place;
 use crate::theme::Ink;
 use ratatui::layout::Rect;
 use ratatui::symbols::bar;
@@ -31,6 +32,37 @@ impl Window {
 }
 
 impl Canvas<'_> {
+    /// Draws the scrollbar of a list that begins at row `y`. Returns the part beside it.
+    pub(super) fn beside_scrollbar(&mut self, y: u16, window: Window) -> Canvas<'_> {
+        self.scrollbar(y, window);
+        let width = self.area.width - u16::from(window.is_partial() && self.area.width > 1);
+        self.part(Rect { width, ..self.area })
+    }
+
+    /// Notes the lines of a list in which the line `chosen` is selected, and the places that they are about. Returns
+    /// the part that is shown, and the selected line.
+    pub(super) fn chosen(
+        &mut self,
+        chosen: usize,
+        page: usize,
+        places: Vec<Option<Place>>,
+    ) -> (Window, usize) {
+        let lines = places.len();
+        self.list(page, lines);
+        self.drawn.places = places;
+        let at = chosen.min(lines.saturating_sub(1));
+        (Window { first: first_row(at, lines, page), page, lines }, at)
+    }
+
+    /// Makes a drawn line of a list a target, and marks it if it is selected.
+    pub(super) fn line_of(&mut self, y: u16, line: usize, selected: usize) {
+        if line == selected {
+            self.at(0, y, 1, self.theme.glyphs.selected, Ink::Head);
+            self.select(y);
+        }
+        self.target(0, y, self.area.width, Hit::Line(line));
+    }
+
     /// Draws the scrollbar of a list that begins at row `y` into the last column, if not all lines have room. A click
     /// on it moves there.
     pub(super) fn scrollbar(&mut self, y: u16, window: Window) {

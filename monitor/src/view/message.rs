@@ -4,6 +4,7 @@ use super::canvas::{Canvas, Column, bar};
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::store::Names;
+use crate::store::health::Place;
 use crate::store::message::{MessageKey, Passed, Stage, incarnation_of};
 use crate::store::queue::{Waiting, queue};
 use crate::store::timeline::own_clock;
@@ -91,8 +92,15 @@ fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, canvas: &mut
     let room = usize::from(canvas.height().saturating_sub(1));
     // All rows use one clock, because the nodes' own clocks have different origins and would not be in order.
     let first = stages.first().and_then(|stage| app.store().incarnation(stage.mark.incarnation));
-    let top = canvas.scrolled(app.scroll, room, stages.len());
-    for (y, stage) in (1..).zip(stages.iter().skip(top).take(room)) {
+    let place = |stage: &Stage| {
+        let mark = &stage.mark;
+        let is_of_task = !mark.in_transit;
+        let task = is_of_task.then_some(mark.task);
+        Some(Place { node: Ok(mark.incarnation), task, port: task.map(|_| mark.seen.what.port) })
+    };
+    let (window, selected) = canvas.chosen(app.scroll, room, stages.iter().map(place).collect());
+    let canvas = &mut canvas.beside_scrollbar(1, window);
+    for (y, (number, stage)) in (1..).zip(stages.iter().enumerate().skip(window.first).take(room)) {
         let event = stage.mark.seen.what.event;
         let ink = super::words::ink(event);
         let incarnation = app.store().incarnation(stage.mark.incarnation);
@@ -124,6 +132,7 @@ fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, canvas: &mut
         ];
         let cells: Vec<_> = shown.iter().map(|&i| all[i]).collect();
         canvas.row(y, &columns, &widths, &cells);
+        canvas.line_of(y, number, selected);
     }
 }
 

@@ -98,6 +98,7 @@ const fn split(area: Rect, rows: u16) -> (Rect, Rect) {
     (Rect { height: above, ..area }, Rect { y: area.y + above, height: rows, ..area })
 }
 
+pub(crate) use explained::{column as explain_column, columns as explained_columns};
 pub(crate) use overview::label;
 
 /// A buffer as text, line by line, without trailing spaces.

@@ -8,6 +8,7 @@ use crate::name::Name;
 use crate::store::NodeIncarnation;
 use crate::store::conformance::{Verdict, conformance};
 use crate::store::coverage::{Abilities, KINDS};
+use crate::store::health::Place;
 use crate::store::timeline::timeline_of;
 use crate::store::trail::{KEPT, Trail};
 use crate::theme::Ink;
@@ -19,37 +20,43 @@ const BEFORE: usize = 20;
 pub(super) type Line = Vec<(String, Ink)>;
 
 pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
-    let lines = lines(app, now, canvas.area.width);
+    let (lines, places) = lines(app, now, canvas.area.width.saturating_sub(1));
     let room = usize::from(canvas.height());
-    let first = canvas.scrolled(app.scroll, room, lines.len());
-    for (y, line) in (0..).zip(lines.iter().skip(first).take(room)) {
+    let (window, selected) = canvas.chosen(app.scroll, room, places);
+    let canvas = &mut canvas.beside_scrollbar(0, window);
+    for (y, (at, line)) in (0..).zip(lines.iter().enumerate().skip(window.first).take(room)) {
         let pieces: Vec<_> = line.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
         canvas.line(y, &pieces);
+        canvas.line_of(y, at, selected);
     }
 }
 
-/// All lines of the screen.
-fn lines(app: &App, now: Moment, width: u16) -> Vec<Line> {
-    let Some(cell) = app.cell() else { return Vec::new() };
+/// All lines of the screen, and the node or task that each is about.
+fn lines(app: &App, now: Moment, width: u16) -> (Vec<Line>, Vec<Option<Place>>) {
+    let Some(cell) = app.cell() else { return (Vec::new(), Vec::new()) };
     let store = app.store();
-    let mut lines: Vec<Line> = Vec::new();
+    let (mut lines, mut places): (Vec<Line>, Vec<_>) = (Vec::new(), vec![None]);
     let mut whole = Sum::default();
     for incarnation in store.present(&cell) {
         if !lines.is_empty() {
             lines.push(Vec::new());
+            places.push(None);
         }
+        let place = Place { node: Ok(incarnation.id), task: None, port: None };
         node(app, incarnation, now, width, &mut lines);
+        places.resize(lines.len() + 1, Some(place));
         for task in incarnation.tasks() {
             let sum = Sum::of(store.trail(), incarnation, task.view.task);
             whole.add(&sum);
             coverage(app, incarnation, task.view.task, &sum, width, &mut lines);
+            places.resize(lines.len() + 1, Some(Place { task: Some(task.view.task), ..place }));
         }
     }
     let (fired, possible) = (whole.fired.len(), whole.fired.len() + whole.never.len());
     let percent = (fired * 100).checked_div(possible).unwrap_or(0);
     let head = format!(" {fired} of {possible} transition kinds seen ({percent}%)");
     lines.insert(0, vec![(head, Ink::Head), ("  since the monitor attached; with counts".into(), Ink::Dim)]);
-    lines
+    (lines, places)
 }
 
 /// The validator's verdict on the recorded inputs of a node.

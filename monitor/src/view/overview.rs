@@ -39,8 +39,7 @@ pub(super) fn draw(
     canvas.list(height, rows.len());
     let whole = canvas.area;
     let list = Rect { height: foot.min(whole.height), ..whole };
-    canvas.part(list).scrollbar(1, window);
-    let width = whole.width - u16::from(window.is_partial() && whole.width > 1);
+    let width = canvas.part(list).beside_scrollbar(1, window).area.width;
     let indent = 2.min(width);
     let inner = Rect { x: whole.x + indent, width: width - indent, ..list };
     // Only visible rows are built, so that a cell of ten thousand ports costs no more.
@@ -74,16 +73,19 @@ pub(super) fn draw(
 
 /// Draws the titles of the columns, each a target, and behind them the order and the position.
 fn titles(app: &App, (columns, widths): (&[Column], &[u16]), position: &str, canvas: &mut Canvas<'_>) {
-    canvas.titles(0, columns, widths);
     let mut start = 0;
     for (column, width) in columns.iter().zip(widths) {
         if let Some(sort) = sort_of(column.title) {
-            canvas.target(start, 0, *width, Hit::Title(sort));
-            if sort == app.shape.sort && sort != Sort::Name {
-                let indent =
-                    if column.right { width.saturating_sub(canvas::columns(column.title)) } else { 0 };
-                canvas.at(start + indent, 0, width - indent, column.title, Ink::Head);
-            }
+            canvas.target(start, 0, *width, Hit::Title(sort, column.title));
+        }
+        start += width + 1;
+    }
+    canvas.titles(0, columns, widths);
+    let mut start = 0;
+    for (column, width) in columns.iter().zip(widths) {
+        if sort_of(column.title).is_some_and(|sort| sort == app.shape.sort && sort != Sort::Name) {
+            let indent = if column.right { width.saturating_sub(canvas::columns(column.title)) } else { 0 };
+            canvas.at(start + indent, 0, width - indent, column.title, Ink::Head);
         }
         start += width + 1;
     }

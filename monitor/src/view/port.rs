@@ -2,6 +2,7 @@
 
 use super::Hit;
 use super::canvas::{Canvas, Column, bar, first_row};
+use super::lists::Window;
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::store::queue::{Waiting, queue};
@@ -179,6 +180,11 @@ const STARVING: u32 = 3;
 
 impl Queue<'_> {
     fn draw(&self, canvas: &mut Canvas<'_>) {
+        let room = usize::from(canvas.height().saturating_sub(1));
+        let selected = self.app.entry(&self.waiting);
+        let lines = self.waiting.len();
+        let window = Window { first: first_row(selected, lines, room), page: room, lines };
+        let canvas = &mut canvas.beside_scrollbar(1, window);
         let width = canvas.area.width;
         let shown: &[usize] = match width {
             0..60 => &[0, 1, 4, 5],
@@ -198,11 +204,8 @@ impl Queue<'_> {
         }
         let bar_at = shown.iter().position(|&i| i == 5).unwrap_or(0);
         let bar_width = widths.get(bar_at).map_or(0, |w| w.saturating_sub(2)).min(60);
-        let room = usize::from(inner.height().saturating_sub(1));
-        let selected = self.app.entry(&self.waiting);
-        let first = first_row(selected, self.waiting.len(), room);
-        inner.list(room, self.waiting.len());
-        for (y, (i, waiting)) in (1..).zip(self.waiting.iter().enumerate().skip(first).take(room)) {
+        inner.list(room, lines);
+        for (y, (i, waiting)) in (1..).zip(self.waiting.iter().enumerate().skip(window.first).take(room)) {
             let cells = self.cells(i, waiting, bar_width);
             let cells: Vec<_> = shown.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
             let mut inner = canvas.below(0);
@@ -215,7 +218,7 @@ impl Queue<'_> {
             }
             canvas.target(0, y, canvas.area.width, Hit::Entry(waiting.entry.source, waiting.entry.id));
         }
-        self.hidden(first + room, canvas);
+        self.hidden(window.first + room, canvas);
     }
 
     /// Shows at the right of the titles how many rows are below.

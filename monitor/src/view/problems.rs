@@ -2,6 +2,7 @@
 //! nearest to missing their deadline.
 
 use super::canvas::{Canvas, Column, first_row};
+use super::lists::Window;
 use super::{Hit, label, mark};
 use crate::app::App;
 use crate::clock::{Moment, Span};
@@ -35,21 +36,23 @@ pub(super) fn draw(
     canvas: &mut Canvas<'_>,
 ) {
     let rows = app.problems(findings, blockers, now);
+    let room = usize::from(canvas.height().saturating_sub(1));
+    canvas.list(room, rows.len());
+    let selected = app.problem(&rows);
+    let window = Window { first: first_row(selected, rows.len(), room), page: room, lines: rows.len() };
+    let canvas = &mut canvas.beside_scrollbar(1, window);
     let columns = columns(canvas.area.width);
     let mut inner = canvas.below(0);
     inner.area.x += 1.min(inner.area.width);
     inner.area.width = inner.area.width.saturating_sub(1);
     let (area, widths) = (inner.area, inner.widths(&columns));
     inner.titles(0, &columns, &widths);
-    let room = usize::from(canvas.height().saturating_sub(1));
-    canvas.list(room, rows.len());
+    canvas.corner(0, &[window.position(selected)], Ink::Head);
     if rows.is_empty() {
         canvas.line(1, &[(" Nothing is wrong, and no message waits.", Ink::Good)]);
         return;
     }
-    let selected = app.problem(&rows);
-    let first = first_row(selected, rows.len(), room);
-    for (y, (i, row)) in (1..).zip(rows.iter().enumerate().skip(first).take(room)) {
+    for (y, (i, row)) in (1..).zip(rows.iter().enumerate().skip(window.first).take(room)) {
         let mut cells = cells(app, row);
         // The task and the port say more than the node, if there is no room for all three.
         if canvas.area.width < 60

@@ -5,6 +5,7 @@ use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::name::Name;
 use crate::store::Presence;
+use crate::store::health::Place;
 use crate::store::meeting::{Meeting, Member, Standing, meetings};
 use crate::store::rounds::history;
 use crate::store::waits::cycles;
@@ -14,22 +15,33 @@ use imrs_protocol::TaskId;
 type Line = Vec<(String, Ink)>;
 
 pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
-    let lines = cards(app, now, canvas.area.width);
+    let (lines, places) = cards(app, now, canvas.area.width.saturating_sub(1));
     if lines.is_empty() {
         canvas.line(1, &[(" This cell has no waitfor.", Ink::Plain)]);
         return;
     }
     let room = usize::from(canvas.height());
-    let first = canvas.scrolled(app.scroll, room, lines.len());
-    for (y, line) in (0..).zip(lines.iter().skip(first).take(room)) {
+    let (window, selected) = canvas.chosen(app.scroll, room, places);
+    let canvas = &mut canvas.beside_scrollbar(0, window);
+    for (y, (at, line)) in (0..).zip(lines.iter().enumerate().skip(window.first).take(room)) {
         let pieces: Vec<_> = line.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
         canvas.line(y, &pieces);
+        canvas.line_of(y, at, selected);
     }
 }
 
-fn cards(app: &App, now: Moment, width: u16) -> Vec<Line> {
-    let Some(cell) = app.cell() else { return Vec::new() };
-    let mut lines = Vec::new();
+/// The place of a task on the latest incarnation of its node.
+fn place_of(app: &App, cell: &Name, task: TaskId) -> Option<Place> {
+    let home = app.store().names(cell)?.home(task)?;
+    let node = app.store().latest(cell, home).map(|incarnation| incarnation.id).ok_or(home);
+    // Of a node that was never seen there is only the row of the node.
+    Some(Place { node, task: node.is_ok().then_some(task), port: None })
+}
+
+/// The lines of all cards, and the place that each is about.
+fn cards(app: &App, now: Moment, width: u16) -> (Vec<Line>, Vec<Option<Place>>) {
+    let Some(cell) = app.cell() else { return (Vec::new(), Vec::new()) };
+    let (mut lines, mut places) = (Vec::new(), Vec::new());
     let cycles = cycles(app.store(), &cell, now);
     let in_cycle = |task: TaskId| cycles.iter().any(|cycle| cycle.tasks.contains(&task));
     for cycle in &cycles {
@@ -48,11 +60,24 @@ fn cards(app: &App, now: Moment, width: u16) -> Vec<Line> {
         if !lines.is_empty() {
             lines.push(Vec::new());
         }
+        places.resize(lines.len(), None);
+        let owner = meeting.members.first().and_then(|member| place_of(app, &cell, member.task));
+        lines.push(heading(app, meeting, width));
+        places.push(owner.map(|place| Place { port: place.task.map(|_| meeting.port), ..place }));
+        let before = lines.len();
         card(app, meeting, width, &mut lines);
+        places.resize(before + usize::from(width >= NARROW), None);
+        let members = meeting.members.iter().chain(meeting.lost());
+        places.extend(members.map(|member| place_of(app, &cell, member.task)));
         lines.extend(past(app, &cell, meeting, width));
+        places.resize(lines.len(), None);
     }
-    lines
+    places.resize(lines.len(), None);
+    (lines, places)
 }
+
+/// Below this width there are no titles and no matrix.
+const NARROW: u16 = 60;
 
 /// The statistics of the last rounds.
 fn past(app: &App, cell: &Name, meeting: &Meeting, width: u16) -> Vec<Line> {
@@ -83,9 +108,9 @@ fn past(app: &App, cell: &Name, meeting: &Meeting, width: u16) -> Vec<Line> {
     vec![line]
 }
 
+/// The members: titles, a row for each, and a line for each that can never arrive.
 fn card(app: &App, meeting: &Meeting, width: u16, lines: &mut Vec<Line>) {
-    lines.push(heading(app, meeting, width));
-    let narrow = width < 60;
+    let narrow = width < NARROW;
     // A matrix of many members does not fit. The rows name the awaited members anyway.
     let matrix = !narrow && meeting.members.len() * 5 <= usize::from(width) / 3;
     if !narrow {

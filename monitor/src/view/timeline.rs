@@ -11,7 +11,6 @@ use crate::clock::Span;
 use crate::store::journal::{Severity, level_of};
 use crate::store::timeline::{Mark, since_start};
 use crate::theme::Ink;
-use ratatui::layout::Rect;
 use std::time::Duration;
 
 /// The width of the time axis.
@@ -53,10 +52,8 @@ fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
     canvas.list(room, chart.rows.len());
     let list = is_list(canvas.area.width);
     let window = Window { first, page: room, lines: chart.rows.len() };
-    canvas.scrollbar(1, window);
     let whole = canvas.area;
-    let width = whole.width - u16::from(window.is_partial() && whole.width > 1);
-    let canvas = &mut canvas.part(Rect { width, ..whole });
+    let canvas = &mut canvas.beside_scrollbar(1, window);
     let sheet = Sheet::new(chart, whole.width - u16::from(whole.width > 1));
     if list {
         canvas.line(0, &[("     TIME  TASK       WHAT", Ink::Dim)]);

@@ -3,10 +3,12 @@
 use super::canvas::{Canvas, Column, bar};
 use crate::app::App;
 use crate::clock::{Moment, Span};
+use crate::store::health::Place;
 use crate::store::trail::Trail;
 use crate::store::{Left, NodeIncarnation};
 use crate::theme::Ink;
 use imrs_protocol::{Event, PortId, TaskId, TaskState, TimeId};
+use ratatui::layout::Rect;
 
 /// A timer or a wait.
 struct Entry {
@@ -37,7 +39,10 @@ const COLUMNS: [Column; 7] = [
 ];
 
 pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
-    let lines = lines(app, now);
+    let (lines, places): (Vec<_>, Vec<_>) = lines(app, now).into_iter().unzip();
+    let room = usize::from(canvas.height().saturating_sub(1));
+    let (window, selected) = canvas.chosen(app.scroll, room, places);
+    let canvas = &mut canvas.beside_scrollbar(1, window);
     let width = canvas.area.width;
     let shown: &[usize] = match width {
         0..60 => &[0, 2, 4, 6],
@@ -53,14 +58,12 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
             _ => column.width,
         };
     }
-    let mut inner = canvas.below(0);
-    inner.area.x += 1.min(inner.area.width);
-    inner.area.width = inner.area.width.saturating_sub(1);
-    let widths = inner.widths(&columns);
-    inner.titles(0, &columns, &widths);
-    let room = usize::from(inner.height().saturating_sub(1));
-    let first = inner.scrolled(app.scroll, room, lines.len());
-    for (y, line) in (1..).zip(lines.iter().skip(first).take(room)) {
+    let indented = Rect { x: canvas.area.x + 1.min(width), width: width.saturating_sub(1), ..canvas.area };
+    let widths = canvas.part(indented).widths(&columns);
+    canvas.part(indented).titles(0, &columns, &widths);
+    canvas.corner(0, &[window.position(selected)], Ink::Head);
+    for (y, (at, line)) in (1..).zip(lines.iter().enumerate().skip(window.first).take(room)) {
+        let mut inner = canvas.part(indented);
         match line {
             Line::Node(text, ink) => inner.line(y, &[(text, *ink)]),
             Line::Note(text) => inner.line(y, &[("  ", Ink::Plain), (text, Ink::Dim)]),
@@ -80,11 +83,12 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
                 inner.row(y, &columns, &widths, &cells);
             }
         }
+        canvas.line_of(y, at, selected);
     }
 }
 
-/// All lines of the screen.
-fn lines(app: &App, now: Moment) -> Vec<Line> {
+/// All lines of the screen, and the node or task that each is about.
+fn lines(app: &App, now: Moment) -> Vec<(Line, Option<Place>)> {
     let Some(cell) = app.cell() else { return Vec::new() };
     let store = app.store();
     let mut lines = Vec::new();
@@ -98,16 +102,19 @@ fn lines(app: &App, now: Moment) -> Vec<Line> {
             (false, true) => Ink::Warn,
             (false, false) => Ink::Head,
         };
-        lines.push(Line::Node(
-            format!("{}{presence}  Timer: {timers} running  {late}", incarnation.node),
-            ink,
-        ));
+        let place = Place { node: Ok(incarnation.id), task: None, port: None };
+        let text = format!("{}{presence}  Timer: {timers} running  {late}", incarnation.node);
+        lines.push((Line::Node(text, ink), Some(place)));
         let mut entries = entries(incarnation, store.trail(), now);
         entries.sort_by_key(|entry| (entry.left.us, entry.owner));
         if entries.is_empty() {
-            lines.push(Line::Note("nothing runs out here"));
+            lines.push((Line::Note("nothing runs out here"), Some(place)));
         }
-        lines.extend(entries.into_iter().map(|entry| line(incarnation, entry, gone)));
+        let of = |entry: Entry| {
+            let place = Place { task: Some(entry.owner), ..place };
+            (line(incarnation, entry, gone), Some(place))
+        };
+        lines.extend(entries.into_iter().map(of));
     }
     lines
 }

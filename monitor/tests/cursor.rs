@@ -1,0 +1,150 @@
+//! Tests of the cursor and of Enter on every screen, and of what can be clicked.
+
+use crate::common::{Stage, ms, text};
+use crossterm::event::{KeyCode, KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
+use imrs_monitor::app::{Effect, Msg, Screen};
+use imrs_monitor::theme::Theme;
+use std::time::Duration;
+
+const NOW: Duration = ms(1_150);
+const SIZE: (u16, u16) = (120, 40);
+
+fn click(stage: &mut Stage, column: usize, row: usize) -> Effect {
+    let (column, row) = (u16::try_from(column).unwrap(), u16::try_from(row).unwrap());
+    let kind = MouseEventKind::Down(MouseButton::Left);
+    stage.app.update(Msg::Mouse(MouseEvent { kind, column, row, modifiers: KeyModifiers::NONE }), NOW)
+}
+
+fn drawn(stage: &mut Stage) -> String {
+    text(&stage.draw(NOW, SIZE.0, SIZE.1))
+}
+
+fn selected(shown: &str) -> usize {
+    shown.lines().position(|line| line.starts_with('>')).unwrap_or_else(|| panic!("no cursor: {shown}"))
+}
+
+/// The row that contains these words.
+fn row_of(shown: &str, words: &str) -> usize {
+    shown.lines().position(|line| line.contains(words)).unwrap_or_else(|| panic!("no {words}: {shown}"))
+}
+
+/// The screens whose rows are about nodes and tasks: the keys to it, words of a row, and what the overview selects.
+const PLACES: [(&str, &str, &str); 6] = [
+    ("3", "armR@nr", "armR"),
+    ("3", "lift r12", "lift "),
+    ("5", "the others at lift", "armL"),
+    ("5", "nh  Timer", "nh (pid"),
+    ("7", "hoist ", "hoist"),
+    ("2l\n", "sent   ", "beat"),
+];
+
+#[test]
+fn every_screen_has_a_cursor_and_enter_leads_to_what_the_row_is_about() {
+    for (keys, words, place) in PLACES {
+        let mut stage = Stage::busy(Theme::ASCII);
+        stage.typed(NOW, SIZE, keys);
+        let screen = stage.app.screen;
+        let shown = drawn(&mut stage);
+        let (first, wanted) = (selected(&shown), row_of(&shown, words));
+        for step in 1..=wanted - first {
+            let moved = stage.typed(NOW, SIZE, "j");
+            assert_eq!(selected(&moved), first + step, "{keys}: {moved}");
+        }
+        stage.key(NOW, KeyCode::Enter);
+        let shown = drawn(&mut stage);
+        assert_eq!(stage.app.screen, Screen::Overview, "{keys}");
+        let line = shown.lines().nth(selected(&shown)).unwrap();
+        assert!(line.contains(place), "{keys}: {line}");
+        // By the mouse: a click selects, and one on the selected row opens.
+        let mut stage = Stage::busy(Theme::ASCII);
+        stage.typed(NOW, SIZE, keys);
+        stage.key(NOW, KeyCode::End);
+        drawn(&mut stage);
+        click(&mut stage, 30, wanted);
+        let shown = drawn(&mut stage);
+        assert_eq!((stage.app.screen, selected(&shown)), (screen, wanted), "{keys}");
+        click(&mut stage, 30, wanted);
+        let shown = drawn(&mut stage);
+        assert_eq!(stage.app.screen, Screen::Overview, "{keys}");
+        assert!(shown.lines().nth(selected(&shown)).unwrap().contains(place), "{keys}");
+    }
+}
+
+#[test]
+fn a_row_that_is_about_no_place_says_so() {
+    let mut stage = Stage::busy(Theme::ASCII);
+    stage.typed(NOW, SIZE, "7");
+    stage.key(NOW, KeyCode::Enter);
+    assert!(drawn(&mut stage).contains("this row is of no node or task"));
+    assert_eq!(stage.app.screen, Screen::Model);
+}
+
+/// Each title explains itself, with the words of the help.
+#[test]
+fn a_click_on_a_title_explains_the_column() {
+    for (keys, titles) in [
+        ("1", &["NODE/TASK/PORT", "STATE", "QUEUE", "SLACK", "MSG/s", "EXP", "HEALTH"][..]),
+        ("2l", &["FROM", "MSG", "REMAIN", "TIME LEFT", "VERDICT"]),
+        ("2l\n", &["WHERE", "WHAT", "CHARGED", "CLOCKS"]),
+        ("5", &["OWNER", "KIND", "LENGTH", "LEFT", "WHAT"]),
+        ("6", &["AGO", "NODE", "OBJECT", "DETAIL"]),
+        ("8", &["PLACE", "PROBLEM", "CODE"]),
+    ] {
+        for title in titles {
+            let mut stage = Stage::busy(Theme::ASCII);
+            stage.typed(NOW, SIZE, keys);
+            let shown = drawn(&mut stage);
+            let row =
+                shown.lines().position(|line| line.contains(titles[0]) && line.contains(title)).unwrap();
+            let column = shown.lines().nth(row).unwrap().find(title).unwrap();
+            click(&mut stage, column, row);
+            let shown = drawn(&mut stage);
+            let foot = shown.lines().last().unwrap();
+            assert!(foot.starts_with(&format!(" {title}: ")), "{keys} {title}: {foot}");
+        }
+    }
+    // By the keyboard: a command, which also knows the codes of findings.
+    let mut stage = Stage::busy(Theme::ASCII);
+    stage.keys(NOW, ":explain slack\n");
+    assert!(drawn(&mut stage).contains("SLACK: remaining time"));
+    stage.keys(NOW, ":explain node-dead\n");
+    assert_eq!((stage.app.screen, stage.app.explained()), (Screen::Explain, Some("node-dead")));
+}
+
+/// What the bottom line names can be clicked: keys, and the worst finding.
+#[test]
+fn the_bottom_line_can_be_clicked() {
+    let mut stage = Stage::busy(Theme::ASCII);
+    let shown = drawn(&mut stage);
+    let foot = shown.lines().last().unwrap();
+    let (help, sort) = (foot.find("? help").unwrap(), foot.find("s sort").unwrap());
+    click(&mut stage, sort + 1, 39);
+    assert_eq!(stage.app.shape.sort, imrs_monitor::rows::Sort::Slack);
+    drawn(&mut stage);
+    click(&mut stage, help + 1, 39);
+    assert_eq!(stage.app.screen, Screen::Help);
+    let mut stage = Stage::busy(Theme::ASCII);
+    stage.typed(NOW, SIZE, "6");
+    click(&mut stage, 3, 39);
+    let shown = drawn(&mut stage);
+    assert_eq!(stage.app.screen, Screen::Overview);
+    assert!(shown.lines().nth(selected(&shown)).unwrap().contains("beat"), "{shown}");
+    // The verdict below the overview leads to the model.
+    let row = row_of(&shown, "model: UNKNOWN");
+    let column = shown.lines().nth(row).unwrap().find("UNKNOWN").unwrap();
+    click(&mut stage, column, row);
+    assert_eq!(stage.app.screen, Screen::Model);
+}
+
+#[test]
+fn a_click_selects_an_event_and_a_second_one_opens_its_message() {
+    let mut stage = Stage::busy(Theme::ASCII);
+    stage.typed(NOW, SIZE, "6");
+    let shown = drawn(&mut stage);
+    let row = row_of(&shown, "expired_on_the_way");
+    click(&mut stage, 20, row);
+    assert!(stage.app.held.is_some());
+    drawn(&mut stage);
+    click(&mut stage, 20, row);
+    assert_eq!(stage.app.message().map(|key| key.number), Some(6));
+}
