@@ -1,14 +1,16 @@
 //! Tests that a node believes a neighbour only about tasks whose routes lead through that neighbour.
 
+use crate::common::udp::{Nobody, links_with_keys};
 use crate::common::{A, B, C, LONG, LONG_TICKS, cell, finish, report, table};
 use imrs_protocol::{
     Cell, CellTable, Class, Contents, Incarnation, Kind, MAX_HOPS, MessageId, NodeId, Packet, PortDecl,
     PortId, Reason, Seal, Seq24, TaskId, Ticks, Usage,
 };
 use imrs_runtime::Runtime;
+use imrs_runtime::link::udp::UdpLink;
 use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
 use std::sync::{Arc, Condvar, Mutex};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// A link that hands over the packets that the test gives it, in the name of any neighbour.
 #[derive(Default)]
@@ -112,4 +114,48 @@ fn a_packet_from_the_wrong_neighbour_is_dropped_counted_and_shown() {
     drop(seen);
     finish(node);
     assert_eq!(told.iter().collect::<Vec<_>>(), [(A, 3), (B, 4)]);
+}
+
+/// Sends packets to `c`'s node, once there is a session with it.
+fn sends(link: &UdpLink, packets: &[Packet]) {
+    let (end, mut left) = (Instant::now() + LONG, packets);
+    while !left.is_empty() {
+        assert!(Instant::now() < end, "there is no session");
+        if link.ready(NodeId(2)) {
+            let sent = link.send(NodeId(2), left).unwrap_or_default();
+            left = &left[sent..];
+        } else {
+            link.poll(&Nobody, Some(Instant::now() + Duration::from_millis(20)));
+        }
+    }
+}
+
+/// The node of `a` has keys of the cell, and claims to speak for `b`, the only user of a port.
+#[test]
+fn a_node_with_keys_is_not_believed_about_the_user_of_a_port_on_another_node() {
+    let mut cell = star().cell().clone();
+    cell.port(PortDecl::new("jobs", C, Usage::Receive, &[B], LONG_TICKS).bounded_buffer(8));
+    let table = table(cell);
+    let mut links = links_with_keys(&table);
+    let of_c = links.pop().expect("three links");
+    let (tell, told) = report();
+    let node = Runtime::builder(Arc::clone(&table), NodeId(2)).incarnation(Incarnation(1), false);
+    let node = node.link(Arc::new(of_c)).task("c", move |ctx| {
+        for _ in 0..2 {
+            let news = ctx.receive(None, None)?.expect("only a message ends it");
+            tell.send((news.from.source, news.contents.as_bytes()[0])).expect("the test listens");
+        }
+        Ok(())
+    });
+    let node = node.start().unwrap();
+    let job = |source, number| Packet { port: PortId(2), ..news(source, number) };
+    // In one datagram: what follows the forgeries shows that they were judged.
+    sends(&links[0], &[job(B, 1), job(A, 2), news(A, 3)]);
+    assert_eq!(told.recv_timeout(LONG), Ok((A, 3)));
+    sends(&links[1], &[job(B, 4)]);
+    assert_eq!(told.recv_timeout(LONG), Ok((B, 4)), "the user of the port, over its own link");
+    let counts = node.node().snapshot(0).discards;
+    let count = counts.iter().find(|count| count.name == Reason::NotAllowed.name()).expect("every reason");
+    assert_eq!(count.count, 2);
+    finish(node);
 }

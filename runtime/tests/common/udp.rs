@@ -2,14 +2,16 @@
 
 use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, Packet, Ticks};
 use imrs_runtime::link::faulty::FaultyLink;
+use imrs_runtime::link::udp::keys::{NodeKeys, SecretKey, draw_cell_key, draw_node_keys};
 use imrs_runtime::link::udp::{UdpLink, UdpOptions};
 use imrs_runtime::link::{Link, LinkDiscard, PollEnd, Sink};
 use imrs_runtime::{Builder, Runtime};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
 /// The sink of a link whose neighbours have sent nothing yet.
-struct Nobody;
+pub struct Nobody;
 
 impl Sink for Nobody {
     fn packets(&self, _from: NodeId, _packets: &[Packet], _charge: Ticks, _at: Instant) {}
@@ -33,6 +35,20 @@ pub fn links(table: &Arc<CellTable>, loss: f64) -> Vec<Arc<FaultyLink<UdpLink>>>
     (0..).zip(bound(table)).map(faulty).collect()
 }
 
+/// Links of all nodes of a cell that know each other's addresses, with keys.
+#[allow(dead_code, reason = "`all.rs` uses it")]
+pub fn links_with_keys(table: &Arc<CellTable>) -> Vec<UdpLink> {
+    let cell = draw_cell_key().expect("random numbers");
+    let draw = |node| (NodeId::from_index(node), draw_node_keys().expect("random numbers"));
+    let pairs: Vec<_> = (0..table.cell().nodes.len()).map(draw).collect();
+    let publics: BTreeMap<_, _> = pairs.iter().map(|(node, (_, public))| (*node, *public)).collect();
+    let of = |(link, (_, (private, _))): (UdpLink, &(_, (SecretKey, _)))| {
+        let keys = NodeKeys::new(cell.clone(), private.clone(), publics.clone());
+        link.with_keys(&keys).expect("all keys")
+    };
+    bound(table).into_iter().zip(&pairs).map(of).collect()
+}
+
 fn bound(table: &Arc<CellTable>) -> Vec<UdpLink> {
     let count = table.cell().nodes.len();
     let bind = |node| {
@@ -42,8 +58,9 @@ fn bound(table: &Arc<CellTable>) -> Vec<UdpLink> {
     };
     let links: Vec<UdpLink> = (0..count).map(bind).collect();
     for (a, from) in links.iter().enumerate() {
-        for (b, to) in links.iter().enumerate().filter(|&(b, _)| a != b) {
-            from.set_address(NodeId::from_index(b), Some(to.local_address())).expect("a neighbour");
+        for neighbour in table.neighbours(NodeId::from_index(a)) {
+            let address = links[neighbour.index()].local_address();
+            from.set_address(neighbour, Some(address)).expect("a neighbour");
         }
         // The event is taken here. Otherwise the receiving thread might learn the addresses at any later time, and send
         // waiting packets just then.
