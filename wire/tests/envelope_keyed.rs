@@ -1,9 +1,10 @@
 //! Tests of mode 1 of the envelope: golden bytes, round trips, and datagrams that must be rejected.
 
+use crate::support::keyed::check;
 use imrs_protocol::{Incarnation, NodeId};
 use imrs_wire::envelope::keyed::{self, Bound, Handshake, HandshakeBytes, Keyed, MAX_KEYED_BYTES, Step};
 use imrs_wire::envelope::{
-    Datagram, Digests, Echo, Envelope, EnvelopeError, Greeting, MAX_PACKETS, Purpose, Session,
+    Datagram, Digests, Echo, Envelope, EnvelopeError, Greeting, MAX_PACKETS, Purpose, Session, VERSION,
 };
 use proptest::prelude::*;
 
@@ -102,7 +103,38 @@ fn other_versions_and_modes_are_told_by_name() {
     assert_eq!(with(15, 6), Some(EnvelopeError::Purpose(6)));
 }
 
+/// Bytes that begin as a datagram of mode 1 does, of any kind, with the length of a valid one more often than not.
+fn beginnings() -> impl Strategy<Value = Vec<u8>> {
+    let lengths = prop_oneof![
+        Just(72_usize),
+        Just(104),
+        Just(56),
+        Just(64),
+        Just(124),
+        Just(112),
+        Just(57),
+        0..200_usize
+    ];
+    (lengths, 0..7_u8, proptest::collection::vec(any::<u8>(), 200)).prop_map(|(length, kind, mut bytes)| {
+        bytes[..4].copy_from_slice(&[0x9d, 0x4d, VERSION, 1]);
+        bytes[15] = kind;
+        if kind > 0 {
+            bytes[8..15].fill(0);
+        }
+        bytes.truncate(length);
+        bytes
+    })
+}
+
 proptest! {
+    #[test]
+    fn what_any_bytes_decode_to_is_encoded_alike(bytes in beginnings(), plain in proptest::collection::vec(any::<u8>(), 0..120)) {
+        check(&bytes);
+        check(&plain);
+        // The content of a datagram behind its 16 bytes in clear.
+        check(bytes.get(16..bytes.len().saturating_sub(16)).unwrap_or_default());
+    }
+
     #[test]
     fn what_is_sealed_is_read(
         packets in 0..=MAX_PACKETS, remembers in any::<Option<u8>>(), wants_answer: bool, has_echo: bool,

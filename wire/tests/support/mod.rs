@@ -1,3 +1,4 @@
-//! Code that the tests of this crate share with its fuzz target.
+//! Code that the tests of this crate share with its fuzz targets.
 
 pub mod bytes;
+pub mod keyed;

@@ -16,8 +16,12 @@
 //! valid for some seconds of one start of the responder, so that a recorded initiation costs one hash more, and nothing is ever
 //! computed or kept for it.
 
+#[cfg(any(test, feature = "fuzzing"))]
+pub mod bytes;
 mod channel;
 mod live;
+#[cfg(any(test, feature = "fuzzing"))]
+mod rig;
 #[cfg(test)]
 mod tests;
 

@@ -1,107 +1,13 @@
-//! Two nodes with keys and a network between them, without sockets.
+//! Sessions between two nodes: under loss, renewal, restarts, with other keys, and against a forger.
 
+use super::rig::{DIGESTS, ENDS, End, MS, acquainted, end, ends, keys};
 use super::*;
 use crate::link::LinkDiscard;
-use imrs_protocol::Incarnation;
-use imrs_wire::envelope::keyed::{self, Keyed, MAX_KEYED_BYTES};
-use imrs_wire::envelope::{COUNTER_END, Datagram, Digests, Envelope, Purpose, Refused, Session};
-
-const DIGESTS: Digests = Digests { cell: 7, statements: 8 };
-const ENDS: [NodeId; 2] = [NodeId(0), NodeId(1)];
-const MS: u64 = 1_000;
-
-/// One of the two nodes.
-struct End {
-    me: usize,
-    channel: Channel,
-    counter: u64,
-    /// The counters that it opened, in order.
-    opened: Vec<u64>,
-}
-
-/// The keys of both nodes of a cell.
-fn keys() -> [NodeKeys; 2] {
-    let cell = draw_cell_key().unwrap();
-    let pairs = [0, 1].map(|_| draw_node_keys().unwrap());
-    [0, 1].map(|me| {
-        let publics = BTreeMap::from([(ENDS[1 - me], pairs[1 - me].1)]);
-        NodeKeys::new(cell.clone(), pairs[me].0.clone(), publics)
-    })
-}
-
-fn end(keys: &[NodeKeys; 2], me: usize, session: u64, digests: Digests) -> End {
-    let ends = (ENDS[me], ENDS[1 - me]);
-    let channel = Channel::new(&keys[me], ends, Session(session), digests, 3).unwrap().unwrap();
-    End { me, channel, counter: 0, opened: Vec::new() }
-}
-
-fn ends(keys: &[NodeKeys; 2]) -> [End; 2] {
-    [0, 1].map(|me| end(keys, me, 10 + me as u64, DIGESTS))
-}
-
-impl End {
-    /// A datagram with one packet, if there is a session.
-    fn datagram(&mut self) -> Option<Vec<u8>> {
-        let live = self.channel.sending()?;
-        let envelope = Envelope {
-            sender: ENDS[self.me],
-            receiver: ENDS[1 - self.me],
-            incarnation: Incarnation(1),
-            restarted: false,
-            session: Session(0),
-            counter: self.counter,
-            tx_mono: 5,
-            echo: None,
-            purpose: Purpose::Packets,
-        };
-        self.counter += 1;
-        let mut datagram = Datagram::default();
-        datagram.push(&[9; 32]);
-        live.seal(&mut datagram, &envelope).unwrap();
-        Some(datagram.sealed().to_vec())
-    }
-
-    /// Takes a datagram in as the link does. Returns the answer.
-    fn take(&mut self, bytes: &[u8], now: u64) -> Result<Option<Vec<u8>>, LinkDiscard> {
-        match keyed::read(bytes)? {
-            Keyed::Transport { index, counter, closed } => {
-                let live = self.channel.find(index).cloned().ok_or(LinkDiscard::StaleSession)?;
-                let mut room = [0; MAX_KEYED_BYTES];
-                let opened = live.open(counter, closed, &mut room)?;
-                assert_eq!((opened.envelope.sender, opened.packets), (ENDS[1 - self.me], &[[9; 32]][..]));
-                self.channel.confirm(&live);
-                self.opened.push(counter);
-                Ok(None)
-            }
-            Keyed::Handshake(said) if said.sender != ENDS[1 - self.me] => Err(LinkDiscard::UnknownNode),
-            Keyed::Handshake(said) => Ok(match self.channel.heard(bytes, &said, now)? {
-                Answer::Nothing => None,
-                Answer::Send(reply) => Some(reply.to_vec()),
-                Answer::Made => self.datagram(),
-                Answer::Refused { reply, .. } => reply.map(|reply| reply.to_vec()),
-            }),
-        }
-    }
-
-    fn knock(&mut self, now: u64) -> Option<Vec<u8>> {
-        let wants = self.channel.wants(now, self.counter);
-        wants.then(|| self.channel.knock(now)).flatten().map(|hello| hello.to_vec())
-    }
-}
-
-/// Makes a session without any loss, asked for by the first end. Returns all datagrams.
-fn acquainted(ends: &mut [End; 2], now: u64) -> Vec<(usize, Vec<u8>)> {
-    let mut sent = vec![(1, ends[0].knock(now).unwrap())];
-    let mut at = 0;
-    while let Some((to, bytes)) = sent.get(at).cloned() {
-        if let Some(reply) = ends[to].take(&bytes, now).unwrap() {
-            sent.push((1 - to, reply));
-        }
-        at += 1;
-    }
-    assert!(ends.iter().all(|end| end.channel.sending().is_some()));
-    sent
-}
+use imrs_protocol::{
+    Class, Contents, Incarnation, Kind, MAX_HOPS, MessageId, Packet, PortId, Seal, Seq24, TaskId, Ticks,
+};
+use imrs_wire::envelope::keyed::{self, Keyed};
+use imrs_wire::envelope::{COUNTER_END, Datagram, Digests, Echo, Envelope, Purpose, Refused, Session};
 
 /// Some milliseconds of both nodes, with a network that loses, repeats and overtakes.
 struct Net {
@@ -199,68 +105,153 @@ fn state(end: &End) -> String {
     format!("{windows:?} {:?} {tried:?} {} {:?}", making.is_some(), answered.len(), end.opened)
 }
 
-#[test]
-fn a_forger_with_the_format_changes_nothing() {
-    let count = std::env::var("IMRS_FORGERIES").ok().and_then(|count| count.parse().ok()).unwrap_or(100_000);
-    let keys = keys();
-    let mut ends = ends(&keys);
-    let mut known = acquainted(&mut ends, 0);
-    for _ in 0..50 {
-        for me in [0, 1] {
-            let bytes = ends[me].datagram().unwrap();
-            ends[1 - me].take(&bytes, 0).unwrap();
-            known.push((1 - me, bytes));
-        }
-    }
-    // What the forger has of another cell, and of an earlier start of this one.
-    let mut others = self::ends(&self::keys());
-    let of_others = acquainted(&mut others, 0);
-    let mut earlier = self::ends(&keys);
-    let of_earlier = acquainted(&mut earlier, 0);
-    let next = ends[0].datagram().unwrap();
-    let before = ends.each_ref().map(state);
-    let mut random = fastrand::Rng::with_seed(3);
-    let now = 15_000 * MS;
-    let mut taken = 0;
-    for number in 0..count {
-        let me = random.usize(..2);
-        let of = match random.u8(..4) {
-            0 => &of_others,
-            1 => &of_earlier,
-            _ => &known,
-        };
-        let (to, mut bytes) = of[random.usize(..of.len())].clone();
-        let me = match number % 8 {
-            // Repeated as it was, at whom it was for; reflected.
+/// What a forger has who holds no key of the cell, and can do anything else: read and hold back datagrams, run a cell of their own.
+struct Forger {
+    random: fastrand::Rng,
+    /// All that was ever sent, and to whom: of this run, of an earlier start of its nodes, of the forger's cell.
+    sent: [Vec<(usize, Vec<u8>)>; 3],
+    /// Both ends of the forger's cell, which has the same nodes.
+    own: [End; 2],
+    /// The indices of the session at both ends, which are sent in clear.
+    indices: [u32; 2],
+}
+
+impl Forger {
+    /// A datagram to one of the ends, of the next kind. `next`: the counters that the ends have not used yet.
+    fn datagram(&mut self, number: u64, next: [u64; 2]) -> (usize, Vec<u8>) {
+        let of = [0, 0, 1, 2][self.random.usize(..4)];
+        let (to, mut bytes) = self.sent[of][self.random.usize(..self.sent[of].len())].clone();
+        let me = self.random.usize(..2);
+        let me = match number % 11 {
+            // Repeated as it was, at whom it was for, a handshake too; reflected.
             0 => to,
             1 => 1 - to,
             // The next counter, and the last one there can be.
             2 | 3 => {
-                let counter = if number % 8 == 2 { ends[1 - me].counter + 1 } else { COUNTER_END - 1 };
+                let counter = if number % 11 == 2 { next[1 - me] + 1 } else { COUNTER_END - 1 };
                 bytes[8..15].copy_from_slice(&counter.to_le_bytes()[..7]);
                 me
             }
             // Another kind, node or index; some bit; another length.
             4 => {
-                bytes[random.usize(4..16)] = random.u8(..);
+                bytes[self.random.usize(4..16)] = self.random.u8(..);
                 me
             }
             5 | 6 => {
-                let at = random.usize(..bytes.len());
-                bytes[at] ^= 1 << random.u8(..8);
+                let at = self.random.usize(..bytes.len());
+                bytes[at] ^= 1 << self.random.u8(..8);
+                me
+            }
+            7 => {
+                bytes.truncate(self.random.usize(..bytes.len()));
+                me
+            }
+            // What a neighbour never said, closed with the keys of the forger's cell, and without keys.
+            8 | 9 => {
+                bytes = self.closed(me, next[1 - me]);
                 me
             }
             _ => {
-                bytes.truncate(random.usize(..bytes.len()));
+                let envelope = self.envelope(me, next[1 - me]);
+                let mut datagram = Datagram::default();
+                datagram.push(&self.packet());
+                bytes = datagram.seal(&envelope, DIGESTS).to_vec();
                 me
             }
         };
-        taken += usize::from(ends[me].take(&bytes, now).is_ok_and(|reply| reply.is_none()));
+        (me, bytes)
+    }
+
+    /// A next incarnation, a clock that is far ahead, an echo of one that never was, the end of the counters.
+    fn envelope(&mut self, to: usize, next: u64) -> Envelope {
+        let clocks = [0, 5, 1 << 40, u64::MAX];
+        let session = Session(10 + self.random.u64(..4));
+        Envelope {
+            sender: ENDS[1 - to],
+            receiver: ENDS[to],
+            incarnation: Incarnation(1 + self.random.u8(..3)),
+            restarted: self.random.bool(),
+            session,
+            counter: [next, next + 1, COUNTER_END - 1][self.random.usize(..3)],
+            tx_mono: clocks[self.random.usize(..4)],
+            echo: self.random.bool().then(|| Echo { session, mono: clocks[self.random.usize(..4)] }),
+            purpose: Purpose::Packets,
+        }
+    }
+
+    /// A CONFIRM, which would release the members of a rendezvous.
+    fn packet(&self) -> [u8; 32] {
+        let confirm = Packet {
+            kind: Kind::Confirm,
+            class: Class::Command,
+            more: false,
+            resent: false,
+            hops: MAX_HOPS,
+            fragment: 0,
+            destination: TaskId(1),
+            source: TaskId(0),
+            port: PortId(0),
+            id: MessageId { incarnation: Incarnation(1), sequence: Seq24::new(1) },
+            remaining: Ticks(60_000_000),
+            contents: Contents::EMPTY,
+            seal: Seal::NONE,
+        };
+        confirm.encode(DIGESTS.cell, 0)
+    }
+
+    fn closed(&mut self, to: usize, next: u64) -> Vec<u8> {
+        let envelope = self.envelope(to, next);
+        let mut datagram = Datagram::default();
+        datagram.push(&self.packet());
+        let own = self.own[1 - to].channel.sending().unwrap();
+        own.seal(&mut datagram, &envelope).unwrap();
+        let mut bytes = datagram.sealed().to_vec();
+        bytes[4..8].copy_from_slice(&self.indices[to].to_le_bytes());
+        bytes
+    }
+}
+
+#[test]
+fn a_forger_with_the_format_changes_nothing() {
+    let count = std::env::var("IMRS_FORGERIES").map_or(100_000, |count| count.parse().expect("a number"));
+    let keys = keys();
+    let mut ends = ends(&keys);
+    let mut sent = acquainted(&mut ends, 0);
+    for _ in 0..50 {
+        for me in [0, 1] {
+            let bytes = ends[me].datagram().unwrap();
+            ends[1 - me].take(&bytes, 0).unwrap();
+            sent.push((1 - me, bytes));
+        }
+    }
+    let mut earlier = rig::ends(&keys);
+    let mut own = rig::ends(&rig::keys());
+    let sent = [sent, acquainted(&mut earlier, 0), acquainted(&mut own, 0)];
+    let indices = ends.each_ref().map(|end| end.channel.sending().unwrap().index);
+    let mut forger = Forger { random: fastrand::Rng::with_seed(3), sent, own, indices };
+    let late = ends[0].datagram().unwrap();
+    let (before, next) = (ends.each_ref().map(state), ends.each_ref().map(|end| end.counter));
+    let (mut taken, mut reasons) = (0, BTreeMap::<String, u64>::new());
+    for number in 0..count {
+        let (to, bytes) = forger.datagram(number, next);
+        // While cookies of the handshake are valid, and later.
+        let outcome = ends[to].take(&bytes, forger.random.u64(..30_000) * MS);
+        taken += usize::from(matches!(outcome, Ok(None)));
+        let reason = outcome.map_or_else(|reason| format!("{reason:?}"), |_| "answered".into());
+        *reasons.entry(reason).or_default() += 1;
+        if number % 4_096 == 0 {
+            assert_eq!(ends.each_ref().map(state), before, "datagram {number}");
+        }
     }
     assert_eq!(taken, 0, "none was taken in");
     assert_eq!(ends.each_ref().map(state), before);
-    ends[1].take(&next, now).unwrap();
-    assert_eq!(ends[1].take(&next, now), Err(LinkDiscard::Replayed));
+    println!("total: {count} forged datagrams, none taken in: {reasons:?}");
+    for reason in ["Forged", "Mode", "Replayed", "OtherKeys", "StaleSession", "answered"] {
+        assert!(reasons.contains_key(reason), "{reason} was not put to the test: {reasons:?}");
+    }
+    // The genuine datagram that was held back all the time is heard, once.
+    ends[1].take(&late, 15_000 * MS).unwrap();
+    assert_eq!(ends[1].take(&late, 15_000 * MS), Err(LinkDiscard::Replayed));
 }
 
 #[test]

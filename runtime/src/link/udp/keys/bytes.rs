@@ -1,0 +1,160 @@
+//! What holds of two nodes with keys whatever the network does to their datagrams. The fuzz target `keys` runs this, too.
+
+use super::NodeKeys;
+use super::rig::{End, MS, end, ends, keys};
+use std::sync::LazyLock;
+
+/// The keys of all runs: to draw them costs more than a run.
+static KEYS: LazyLock<[NodeKeys; 2]> = LazyLock::new(keys);
+/// How many datagrams the network holds, at most.
+const FLYING: usize = 64;
+
+/// A network that does with datagrams what the bytes say.
+struct Network<'a> {
+    bytes: &'a [u8],
+    ends: [End; 2],
+    now: u64,
+    starts: u64,
+    /// To whom, and what.
+    flying: Vec<(usize, Vec<u8>)>,
+}
+
+/// Lets the network deliver, lose, repeat, hold back, change and make up datagrams, and start nodes again, as the bytes say.
+///
+/// # Panics
+/// A counter is taken in that the other end has not used, or twice in one session; or the two do not talk once the network leaves
+/// their datagrams alone.
+pub fn check(bytes: &[u8]) {
+    let mut net = Network { bytes, ends: ends(&KEYS), now: 0, starts: 100, flying: Vec::new() };
+    while let Some(what) = net.byte() {
+        net.step(what);
+        for me in [0, 1] {
+            let (sent, opened) = (net.ends[1 - me].counter, &net.ends[me].opened);
+            assert!(opened.iter().all(|&counter| counter < sent), "a datagram that was never sent");
+            let mut once = opened.clone();
+            once.sort_unstable();
+            assert!(once.windows(2).all(|pair| pair[0] != pair[1]), "a datagram was taken in twice");
+        }
+    }
+    net.talk();
+}
+
+impl Network<'_> {
+    fn byte(&mut self) -> Option<u8> {
+        let (&first, rest) = self.bytes.split_first()?;
+        self.bytes = rest;
+        Some(first)
+    }
+
+    fn some(&mut self, count: usize) -> usize {
+        usize::from(self.byte().unwrap_or_default()) % count.max(1)
+    }
+
+    fn send(&mut self, to: usize, bytes: Option<Vec<u8>>) {
+        if self.flying.len() < FLYING {
+            self.flying.extend(bytes.map(|bytes| (to, bytes)));
+        }
+    }
+
+    fn step(&mut self, what: u8) {
+        let me = usize::from(what >> 7);
+        match what & 0x0f {
+            0 => {
+                let hello = self.ends[me].knock(self.now);
+                self.send(1 - me, hello);
+            }
+            1 => {
+                let datagram = self.ends[me].datagram();
+                self.send(1 - me, datagram);
+            }
+            2 => self.now += 1 << (self.some(36) as u64),
+            3 => self.restart(me),
+            // Bytes that neither of them made.
+            4 => {
+                let length = self.some(256).min(self.bytes.len());
+                let (made_up, rest) = self.bytes.split_at(length);
+                self.bytes = rest;
+                self.arrive(me, made_up);
+            }
+            what => {
+                if self.flying.is_empty() {
+                    return;
+                }
+                let at = self.some(self.flying.len());
+                let (to, mut bytes) = self.flying[at].clone();
+                match what {
+                    5 => drop(self.flying.remove(at)),
+                    // A copy that comes later, too.
+                    6 => self.arrive(to, &bytes),
+                    // Reflected.
+                    7 => self.arrive(1 - to, &bytes),
+                    8 | 9 => {
+                        let (place, by) = (self.some(bytes.len()), self.byte().unwrap_or(1));
+                        bytes[place] ^= by;
+                        self.arrive(to, &bytes);
+                    }
+                    10 => {
+                        bytes.truncate(self.some(bytes.len()));
+                        self.arrive(to, &bytes);
+                    }
+                    _ => {
+                        self.flying.remove(at);
+                        self.arrive(to, &bytes);
+                    }
+                }
+            }
+        }
+    }
+
+    fn arrive(&mut self, to: usize, bytes: &[u8]) {
+        // Why a datagram is dropped does not matter here.
+        let reply = self.ends[to].take(bytes, self.now).unwrap_or_default();
+        self.send(1 - to, reply);
+    }
+
+    /// The node starts again: it keeps its keys and counts from 0. Whatever it sent before is lost.
+    fn restart(&mut self, me: usize) {
+        self.starts += 1;
+        self.ends[me] = end(&KEYS, me, self.starts, super::rig::DIGESTS);
+        self.ends[1 - me].opened.clear();
+        // Counters of an earlier start are used again; datagrams of its sessions may still arrive.
+        self.flying.clear();
+    }
+
+    /// From now on nothing is lost or changed: both take in a datagram of the other within some attempts.
+    fn talk(&mut self) {
+        self.flying.clear();
+        let heard = self.ends.each_ref().map(|end| end.opened.len());
+        for _ in 0..2_000 {
+            if self.ends.iter().zip(heard).all(|(end, before)| end.opened.len() > before) {
+                return;
+            }
+            for me in [0, 1] {
+                let hello = self.ends[me].knock(self.now);
+                let datagram = self.ends[me].datagram();
+                self.send(1 - me, hello);
+                self.send(1 - me, datagram);
+            }
+            for (to, bytes) in std::mem::take(&mut self.flying) {
+                self.arrive(to, &bytes);
+            }
+            self.now += 10 * MS;
+        }
+        panic!("the two do not talk any more");
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn whatever_the_network_does_nothing_is_taken_in_twice_and_the_two_talk_again(
+            bytes in proptest::collection::vec(any::<u8>(), 0..400),
+        ) {
+            check(&bytes);
+        }
+    }
+}
