@@ -1,7 +1,7 @@
 //! A cell with a camera in Rust: the camera finds parts on a belt, and a scripted robot picks them.
 //!
 //! `cargo run --example extern_task`, or the camera alone: `cargo run --example extern_task -- --node nc`, beside
-//! `imrs run examples/extern_task.cell --node np`.
+//! `imrs run examples/extern_task.cell --node np`, with the keys of `imrs keygen examples/extern_task.cell`.
 
 use imrs_client::{Context, Program, ProgramError, TaskEnd, TaskError};
 use std::time::Duration;

@@ -149,8 +149,9 @@ Examples:
     /// on the machine of its node, and nowhere else. To replace keys, make all of them anew and start all nodes again.
     #[command(after_help = "\
 Examples:
-  imrs keygen cell.cell --out keys
-  imrs run cell.cell --node nl --keys keys")]
+  imrs keygen cell.cell                   into the folder cell.keys
+  imrs run cell.cell --node nl            with the keys in that folder
+  imrs run cell.cell --node nl --keys /etc/imrs/cell")]
     Keygen(KeygenArgs),
     /// Run a cell, one process per node over loopback UDP.
     ///
@@ -175,7 +176,8 @@ Examples:
     ///
     /// With --node one node of the cell runs here, at the address that the cell declares for it (`node n at "10.0.0.11"
     /// port 7000;`), and sends to the other nodes at theirs. It remembers its incarnation in $XDG_STATE_HOME/imrs.
-    /// Off the loopback that takes --keys, which keeps everything but the other nodes out, or --insecure, which keeps nothing out.
+    /// It takes the keys of `imrs keygen`, so that no other process can read or forge its packets. Without --node the run makes keys
+    /// of its own, and forgets them.
     ///
     /// With --rt the nodes run under SCHED_FIFO with their memory locked, each on one core. What the kernel refuses of
     /// that is reported once and shown in the monitor (`NO RT`); the nodes run without it.
@@ -186,7 +188,7 @@ Examples:
   imrs run cell.cell --until-idle                     until only servers are left
   imrs run cell.cell --loss 10% --kill hoist@2s       with faults
   imrs run cell.cell --kill hoist@2s --restart hoist@3s  and started again
-  imrs run cell.cell --node nl --keys keys --rt       one node, on its robot
+  imrs run cell.cell --node nl --rt                   one node, on its robot
   imrs run cell.cell --observe 127.0.0.1:7100         watched over TCP, too
   imrs run cell.cell --observe 0.0.0.0:7100 --observe-token FILE  by who has the file
   imrs run cell.cell --action 'grip=./grip --hard'    a robot's own command

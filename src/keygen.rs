@@ -4,11 +4,15 @@ use crate::args::KeygenArgs;
 use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::kept;
-use crate::output::Output;
-use imrs_client::keys;
-use imrs_launch::cells;
-use std::fs::{self, DirBuilder};
+use crate::output::{Output, count};
+use imrs_client::{cell_file, keys};
+use imrs_launch::{LaunchError, cells};
+use std::fs::DirBuilder;
 use std::os::unix::fs::DirBuilderExt;
+use std::path::PathBuf;
+
+/// The file that keeps the folder out of a git repository.
+const IGNORE: &str = ".gitignore";
 
 /// Draws keys for each node of a cell, and writes one file for each.
 ///
@@ -16,29 +20,41 @@ use std::os::unix::fs::DirBuilderExt;
 /// [`Failure`]; an existing file is one, without `--force`.
 pub fn run(args: &KeygenArgs, out: &mut Output) -> Result<Exit, Failure> {
     let (_, loaded) = cells::open(&args.cell, false)?;
-    let folder = &args.out;
-    let failed = |why: &dyn std::fmt::Display| Failure::Usage(format!("--out {}: {why}", folder.display()));
+    let folder = folder_of(args)?;
     if !folder.is_dir() {
-        let made = DirBuilder::new().recursive(true).mode(0o700).create(folder);
-        made.map_err(|error| failed(&error))?;
+        let made = DirBuilder::new().recursive(true).mode(0o700).create(&folder);
+        made.map_err(|error| Failure::Usage(format!("{}: {error}", folder.display())))?;
     }
-    let drawn = keys::draw(&loaded).map_err(|error| failed(&error))?;
-    let path = |node: &str| keys::file_of(folder, node);
+    let drawn = keys::draw(&loaded).map_err(LaunchError::from)?;
+    let nodes = loaded.table.cell().nodes.iter();
+    let files: Vec<PathBuf> = nodes.map(|node| keys::file_of(&folder, &node.name)).collect();
     // Keys of two draws do not fit each other, so all files are checked before one is written.
-    for (node, _) in &drawn {
-        kept::check(&path(node), args.force)?;
+    for path in &files {
+        kept::check(path, args.force)?;
     }
-    for (node, text) in &drawn {
-        kept::keep_text(&path(node), args.force, text)?;
+    if !folder.join(IGNORE).exists() {
+        kept::keep_text(&folder.join(IGNORE), false, "*\n")?;
     }
-    let folder = fs::canonicalize(folder).unwrap_or_else(|_| folder.clone());
-    for (node, _) in &drawn {
-        out.line(format_args!("{}", path(node).display()))?;
+    for (path, text) in files.iter().zip(&drawn) {
+        kept::keep_text(path, args.force, text)?;
+        out.line(path.display())?;
     }
+    let (cell, here) = (cell_file::shown(&args.cell), folder == keys::beside(&args.cell));
+    let named = if here { String::new() } else { format!(" --keys {}", folder.display()) };
     out.line(format_args!(
-        "Copy to each machine the file of its node alone, then: imrs run {} --node NAME --keys {}",
-        args.cell.display(),
-        folder.display()
+        "Keys of {}. Here: imrs run {cell} --node NAME{named}",
+        count(files.len() as u64, "node")
     ))?;
+    out.line("On another machine: copy the file of its node, and no other, into a folder, and name that with --keys.")?;
     Ok(Exit::Well)
+}
+
+fn folder_of(args: &KeygenArgs) -> Result<PathBuf, Failure> {
+    match &args.out {
+        Some(folder) => Ok(folder.clone()),
+        None if cell_file::is_stdin(&args.cell) => Err(Failure::Usage(
+            "name a folder for the keys of a cell from standard input: --out FOLDER".into(),
+        )),
+        None => Ok(keys::beside(&args.cell)),
+    }
 }

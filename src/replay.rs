@@ -197,6 +197,10 @@ fn divergence(verdict: Verdict, name: &str) -> Option<String> {
 
 fn show(replayed: &Replayed, out: &mut Output) -> Result<(), Failure> {
     out.line(format!("node {} of cell {}, recorded by {}", replayed.node, replayed.cell, replayed.build))?;
+    if replayed.insecure {
+        let words = "INSECURE: the node ran without keys, so other processes could forge its packets";
+        out.line(format!("  {}", Styled(BAD, words)))?;
+    }
     for task in &replayed.tasks {
         let steps = count(task.steps as u64, "step");
         match (&task.divergence, task.lost + task.unjudged as u64) {

@@ -13,15 +13,14 @@ use crate::exit::Exit;
 use crate::failure::Failure;
 use crate::names::did_you_mean;
 use crate::output::Output;
-use imrs_client::place;
+use imrs_client::{cell_file, keys, place};
 use imrs_launch::cells::{self, Loaded};
-use imrs_launch::{LaunchError, Run, record_file};
+use imrs_launch::{Keys, LaunchError, Run, record_file};
 use imrs_protocol::NodeId;
 use imrs_wire::files;
 use std::collections::BTreeMap;
 use std::env;
-use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Runs a cell.
 ///
@@ -44,9 +43,23 @@ pub fn run(args: &RunArgs, out: &mut Output) -> Result<Exit, Failure> {
         }
         actions.insert(bound.name.clone(), bound.words.clone());
     }
-    let args = &args.launch;
-    let run = plan(source, &loaded, args, (args.length, only), None)?;
+    let (cell, args) = (&args.cell, &args.launch);
+    let mut run = plan(source, &loaded, args, (args.length, only), None)?;
+    if let Some(name) = args.node.as_ref().filter(|_| !args.insecure) {
+        run.keys = Keys::Folder(folder_of_keys(cell, args, name)?);
+    }
     launch(Run { actions, ..run }, args, None, out)
+}
+
+/// The folder with the keys of a node that runs on its own: the named one, else the one beside the cell.
+fn folder_of_keys(cell: &Path, args: &LaunchArgs, node: &str) -> Result<PathBuf, Failure> {
+    let beside = || Some(keys::beside(cell)).filter(|beside| !cell_file::is_stdin(cell) && beside.is_dir());
+    args.keys.clone().or_else(beside).ok_or_else(|| {
+        let cell = cell_file::shown(cell);
+        Failure::Usage(format!(
+            "node `{node}` has no keys, and without them other processes could forge its packets. Type `imrs keygen {cell}` once, and start the nodes again; on another machine, name a folder with the file of its node: --keys FOLDER. On a network of your own, --insecure on all nodes does without keys"
+        ))
+    })
 }
 
 /// Whether the program of a command can be found, by the same rules as when it is executed.
@@ -82,7 +95,6 @@ pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Fail
             )));
         }
     }
-    let secure = |address: SocketAddr| args.insecure || args.keys.is_some() || address.ip().is_loopback();
     let asks = args.observe_token.is_some() || args.observe_insecure;
     if let Some(address) = args.observe.filter(|address| !asks && !address.ip().is_loopback()) {
         return Err(Failure::Usage(format!(
@@ -90,13 +102,7 @@ pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Fail
         )));
     }
     if let Some(only) = only {
-        let address = place::address(loaded, only).map_err(LaunchError::from)?;
-        if !secure(address) {
-            return Err(Failure::Usage(format!(
-                "node `{}` at {address}: nothing authenticates its packets, so any machine that reaches this address could forge them. Make keys (imrs keygen CELL --out FOLDER), copy to each machine the file of its node, and add --keys FOLDER; or, on a network of your own, add --insecure",
-                nodes[only.index()].name
-            )));
-        }
+        place::address(loaded, only).map_err(LaunchError::from)?;
     }
     recordings_are_free(loaded, only, args)?;
     Ok(only)

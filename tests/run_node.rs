@@ -2,11 +2,22 @@
 
 use crate::run::{Bench, port};
 use crate::support::program::Program;
-use crate::support::{imrs, number, own_address, run_in};
+use crate::support::{imrs, number, own_address, run_in, signal};
+use rustix::process::Signal;
 use serde_json::Value;
+use std::io::{BufRead, BufReader};
+use std::os::unix::process::ExitStatusExt;
+use std::process::{Command, Stdio};
 
-/// The cell of [`Bench`] with addresses for its two nodes, which are now neighbours.
+/// The cell of [`Bench`] with addresses for its two nodes, which are now neighbours, and their keys beside it.
 fn placed(bench: &Bench, host: Option<&str>) -> String {
+    let cell = without_keys(bench, host);
+    let made = run_in(bench.0.path(), &["keygen", &cell, "--force"]);
+    assert_eq!(made.code, Some(0), "{made:?}");
+    cell
+}
+
+fn without_keys(bench: &Bench, host: Option<&str>) -> String {
     let (own, [a, b]) = own_address();
     let host = host.map_or_else(|| own.to_string(), str::to_owned);
     let text = std::fs::read_to_string(bench.cell()).expect("the cell");
@@ -54,6 +65,8 @@ fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_
 fn a_node_without_a_place_to_run_is_told_what_is_missing() {
     let bench = Bench::new();
     let (bare, far) = (bench.cell(), placed(&bench, Some("192.0.2.7")));
+    let unkeyed = format!("{far}.unkeyed");
+    std::fs::copy(&far, &unkeyed).expect("a cell");
     let bare = bare.to_str().expect("UTF-8");
     for (cell, args, words) in [
         (
@@ -62,7 +75,11 @@ fn a_node_without_a_place_to_run_is_told_what_is_missing() {
             "node `na` has no address: write `node na at \"10.0.0.11\" port 7000;`",
         ),
         (bare, &["--node", "nx"], "the cell has no node `nx`"),
-        (&far, &["--node", "na"], "add --insecure"),
+        (&unkeyed, &["--node", "na"], "node `na` has no keys"),
+        (&unkeyed, &["--node", "nb"], "imrs keygen "),
+        (&unkeyed, &["--node", "nb"], "--insecure on all nodes"),
+        (&unkeyed, &["--node", "nb", "--keys", "/no/folder"], "the keys /no/folder/nb.keys: "),
+        (&far, &["--node", "na"], "cannot bind UDP address 192.0.2.7"),
         (&far, &["--node", "na", "--insecure"], "cannot bind UDP address 192.0.2.7"),
         (&far, &["--node", "nb", "--kill", "na@1s"], "`na` is not run here"),
         (bare, &["--observe", "0.0.0.0:0"], "--observe 0.0.0.0:0: any machine that reaches this address"),
@@ -180,8 +197,11 @@ fn nodes_of_two_cell_files_say_so_on_both_sides() {
         assert!(text.contains(from));
         let other = bench.0.path().join("other.cell");
         std::fs::write(&other, text.replace(from, to)).expect("a file");
+        let keys = bench.0.path().join("placed.keys");
         let args = |cell: &str, node: &str| {
-            ["run", cell, "--node", node, "--for", "4s", "--format", "json"].map(str::to_owned)
+            let keys = keys.to_str().expect("UTF-8");
+            ["run", cell, "--node", node, "--keys", keys, "--for", "4s", "--format", "json"]
+                .map(str::to_owned)
         };
         let start = |cell: &str, node: &str| {
             Program::start(imrs(bench.0.path(), &args(cell, node).each_ref().map(String::as_str)))
@@ -193,5 +213,88 @@ fn nodes_of_two_cell_files_say_so_on_both_sides() {
             let summary = said.last_json();
             assert_eq!(summary["nodes"][0]["refusals"].as_array().map(Vec::len), Some(1), "{summary}");
         }
+    }
+}
+
+#[test]
+fn nodes_that_do_not_close_their_datagrams_alike_say_so_on_both_sides() {
+    let bench = Bench::new();
+    let cell = placed(&bench, None);
+    let others = bench.0.path().join("others");
+    let others = others.to_str().expect("UTF-8");
+    let made = run_in(bench.0.path(), &["keygen", &cell, "--out", others]);
+    assert_eq!(made.code, Some(0), "{made:?}");
+    for (how, words) in [
+        (&["--insecure"][..], "one of them has keys and the other has none"),
+        (&["--keys", others], "their keys differ"),
+    ] {
+        let start = |node: &'static str, how: &[&str]| {
+            let args = [&["run", &cell, "--node", node, "--for", "10m"], how].concat();
+            Program::start(imrs(bench.0.path(), &args))
+        };
+        let (mut b, mut a) = (start("nb", how), start("na", &[]));
+        for node in [&mut b, &mut a] {
+            let mut refusal = String::new();
+            node.read_until(|line| {
+                refusal = line.to_owned();
+                line.contains("do not talk")
+            });
+            assert!(refusal.contains(words), "{refusal}");
+        }
+        for node in [b, a] {
+            node.interrupt();
+            assert_eq!(node.finish().code, Some(1));
+        }
+    }
+}
+
+/// Two nodes with `--insecure` meet, and say what they are; the header of a recording has it, too.
+#[test]
+fn nodes_without_keys_run_only_if_asked_to_and_say_so_everywhere() {
+    let bench = Bench::that_waits(8);
+    let cell = without_keys(&bench, None);
+    let file = bench.0.path().join("run.imrs");
+    let start = |node: &str| {
+        let record = file.to_str().expect("UTF-8");
+        let args = ["run", &cell, "--node", node, "--for", "10m", "--insecure", "--record", record];
+        Program::start(imrs(bench.0.path(), &args))
+    };
+    let (b, a) = (start("nb"), start("na"));
+    let a = a.finish();
+    b.interrupt();
+    let b = b.finish();
+    assert_eq!(a.code, Some(0), "{a:?} {b:?}");
+    for said in [&a, &b] {
+        assert!(said.out.contains("INSECURE"), "{said:?}");
+    }
+    let na = bench.0.path().join("run.na.imrs");
+    let replayed = run_in(bench.0.path(), &["replay", na.to_str().expect("UTF-8"), "--cell", &cell]);
+    assert!(replayed.out.contains("INSECURE"), "{replayed:?}");
+}
+
+/// The key of a node is in its memory, which the kernel writes to no core file.
+#[test]
+fn a_node_with_keys_leaves_no_core_file() {
+    let bench = Bench::new();
+    let cell = placed(&bench, None);
+    let dumps = |node: &str, how: &str| {
+        let imrs = imrs(bench.0.path(), &["run", &cell, "--node", node, "--for", "10m"]);
+        let mut shell = Command::new("sh");
+        shell.args(["-c", "ulimit -c unlimited; exec \"$@\"", "sh"]).arg(imrs.get_program());
+        shell.args(imrs.get_args()).args(how.split_whitespace()).current_dir(bench.0.path());
+        shell.envs(imrs.get_envs().filter_map(|(name, value)| Some((name, value?))));
+        let mut node = shell.stdout(Stdio::piped()).spawn().expect("it starts");
+        // Its first line comes once the node runs.
+        let mut line = String::new();
+        let mut out = BufReader::new(node.stdout.take().expect("a pipe"));
+        out.read_line(&mut line).expect("a line");
+        signal(node.id(), Signal::ILL);
+        let status = node.wait().expect("its end");
+        assert_eq!(status.signal(), Some(Signal::ILL.as_raw()), "{line}");
+        status.core_dumped()
+    };
+    assert!(!dumps("na", ""), "a core file with keys");
+    if !dumps("nb", "--insecure") {
+        eprintln!("this system writes no core files: a node with keys would not have left one in any case");
     }
 }

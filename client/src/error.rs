@@ -52,11 +52,11 @@ pub enum ProgramError {
     /// The extern task runs on a node of this program, and has no body.
     #[error("task `{0}` is extern and was given no body: call `task(\"{0}\", …)`")]
     NoBody(String),
-    /// The node's address is no loopback address, and nothing authenticates its packets.
+    /// Nothing authenticates the packets of the node.
     #[error(
-        "node `{0}` at {1}: nothing authenticates its packets; call `keys(…)` with keys of `imrs keygen`, or `insecure()` on a network of your own"
+        "node `{0}` has no keys, and without them other processes could forge its packets: `imrs keygen CELL` makes them beside the cell file; call `keys(…)` if they are elsewhere, or `insecure()` for all nodes on a network of your own"
     )]
-    Insecure(String, SocketAddr),
+    NoKeys(String),
     /// The observer address is reachable from other machines, and no token is required of monitors.
     #[error(
         "monitors at {0}: any machine that reaches this address could watch, because no token is asked for; call `observe_token(…)`, or take a loopback address"
@@ -147,6 +147,9 @@ pub enum PlaceError {
         /// Why.
         why: String,
     },
+    /// No keys can be made.
+    #[error("no keys can be made: {0}")]
+    NoNewKeys(String),
     /// There is no folder in which the incarnation can be stored.
     #[error("no folder to remember in that the node ran: set XDG_STATE_HOME or HOME")]
     NoFolder,

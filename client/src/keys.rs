@@ -15,16 +15,26 @@ use imrs_runtime::link::udp::keys::{
 };
 use imrs_wire::files;
 use imrs_wire::obs::place::file_name;
-use rustix::process::{Resource, Rlimit, setrlimit};
+use rustix::process::{DumpableBehavior, set_dumpable_behavior};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use zeroize::Zeroizing;
+
+/// The text of a key file. It is erased from memory when it is dropped.
+pub type KeyText = Zeroizing<String>;
 
 /// The first line of each file.
 const FIRST: &str = "imrs-keys 1";
 /// Most bytes of a file: more than the keys of all nodes that a cell can have.
 const LONGEST: u64 = 1 << 20;
+
+/// The folder in which a cell's keys are kept unless another is named: `line.keys` beside `line.cell`.
+#[must_use]
+pub fn beside(cell: &Path) -> PathBuf {
+    cell.with_extension("keys")
+}
 
 /// The file of a node in a folder of keys.
 #[must_use]
@@ -32,47 +42,75 @@ pub fn file_of(folder: &Path, node: &str) -> PathBuf {
     folder.join(format!("{}.keys", file_name(node)))
 }
 
-/// Draws keys for a cell. Returns the text of the file of each node, by the node's name: a secret.
+/// Draws keys for a cell. Returns the text of the file of each node, in the order of the nodes. The memory of this process is
+/// private from now on.
 ///
 /// # Errors
-/// [`NoRandom`].
-pub fn draw(loaded: &Loaded) -> Result<Vec<(String, String)>, NoRandom> {
+/// [`PlaceError::NoNewKeys`].
+pub fn draw(loaded: &Loaded) -> Result<Vec<KeyText>, PlaceError> {
+    make_memory_private().map_err(PlaceError::NoNewKeys)?;
+    drawn(loaded).map_err(|error| PlaceError::NoNewKeys(error.to_string()))
+}
+
+fn drawn(loaded: &Loaded) -> Result<Vec<KeyText>, NoRandom> {
     let cell = draw_cell_key()?;
     let nodes = &loaded.table.cell().nodes;
     let pairs = nodes.iter().map(|_| draw_node_keys()).collect::<Result<Vec<_>, _>>()?;
+    let line = |word: &str, name: &str| FIRST.len() + word.len() + name.len() + 2 * KEY_BYTES + 3;
+    // The text never grows beyond this room, so that no copy of it is left behind.
+    let most = line("", "") + nodes.iter().map(|node| line("node", &node.name)).sum::<usize>();
     let text = |at: usize| {
-        let mut text = format!("{FIRST}\ncell {}\n", hex(&cell));
+        let mut text = KeyText::new(String::with_capacity(most));
+        text.extend([FIRST, "\ncell "]);
+        push_hex(&mut text, &cell);
         for (other, (node, (private, public))) in nodes.iter().zip(&pairs).enumerate() {
-            let (word, key) = if other == at { ("node", &**private) } else { ("peer", public) };
-            // Writing to a string cannot fail.
-            let _ = writeln!(text, "{word} {} {}", node.name, hex(key));
+            let (word, key) = if other == at { ("\nnode ", &**private) } else { ("\npeer ", public) };
+            text.extend([word, &node.name, " "]);
+            push_hex(&mut text, key);
         }
+        text.push('\n');
         text
     };
-    Ok(nodes.iter().enumerate().map(|(at, node)| (node.name.clone(), text(at))).collect())
+    Ok((0..nodes.len()).map(text).collect())
 }
 
-/// Reads the keys of a node from a folder, and lets the kernel write no core file of this process from now on.
+/// Reads the keys of a node from a folder, also as the text of their file. The memory of this process is private from now on.
 ///
 /// # Errors
 /// [`PlaceError::Keys`]: there is no such file, others can read it, or it is none of this node.
-pub fn read(folder: &Path, loaded: &Loaded, node: NodeId) -> Result<NodeKeys, PlaceError> {
-    let name = &loaded.table.cell().nodes[node.index()].name;
-    let path = file_of(folder, name);
+pub fn read(folder: &Path, loaded: &Loaded, node: NodeId) -> Result<(KeyText, NodeKeys), PlaceError> {
+    let path = file_of(folder, &loaded.table.cell().nodes[node.index()].name);
     let failed = |why: String| PlaceError::Keys { path: path.clone(), why };
+    make_memory_private().map_err(failed)?;
     let text = files::secret(&path, LONGEST).map_err(|error| failed(error.to_string()))?;
-    setrlimit(Resource::Core, Rlimit { current: Some(0), maximum: Some(0) })
-        .map_err(|error| failed(format!("core files cannot be switched off: {error}")))?;
-    let keys = parse(&text, loaded, name).map_err(failed)?;
+    let text = KeyText::new(text);
+    let keys = parse(&text, loaded, node).map_err(failed)?;
+    Ok((text, keys))
+}
+
+/// The keys of a node in the text of its file. The memory of this process is private from now on.
+///
+/// # Errors
+/// Why these are no keys of this node.
+pub fn parse(text: &str, loaded: &Loaded, node: NodeId) -> Result<NodeKeys, String> {
+    make_memory_private()?;
+    let keys = lines(text, loaded, &loaded.table.cell().nodes[node.index()].name)?;
     let table = NodeTable::new(Arc::clone(&loaded.table), node);
     let missing = table.neighbours(node).find(|&peer| !keys.has(peer));
     missing.map_or(Ok(keys), |peer| {
         let peer = &loaded.table.cell().nodes[peer.index()].name;
-        Err(failed(format!("it has no key of node `{peer}`: make new keys of this cell for all nodes")))
+        Err(format!("it has no key of node `{peer}`: make new keys of this cell for all nodes"))
     })
 }
 
-fn parse(text: &str, loaded: &Loaded, name: &str) -> Result<NodeKeys, String> {
+/// From now on no core file or core handler gets the memory of this process, and no process of the same user may read it or
+/// attach to it (`prctl(2)`, PR_SET_DUMPABLE). A command that this process starts is free of that.
+fn make_memory_private() -> Result<(), String> {
+    set_dumpable_behavior(DumpableBehavior::NotDumpable)
+        .map_err(|error| format!("core files cannot be switched off: {error}"))
+}
+
+fn lines(text: &str, loaded: &Loaded, name: &str) -> Result<NodeKeys, String> {
     let mut lines = text.lines().enumerate();
     if lines.next().map(|(_, first)| first) != Some(FIRST) {
         return Err(format!("its first line is not `{FIRST}`"));
@@ -100,12 +138,11 @@ fn parse(text: &str, loaded: &Loaded, name: &str) -> Result<NodeKeys, String> {
     Ok(NodeKeys::new(cell, private, publics))
 }
 
-fn hex(key: &[u8; KEY_BYTES]) -> String {
-    key.iter().fold(String::new(), |mut text, byte| {
+fn push_hex(text: &mut String, key: &[u8; KEY_BYTES]) {
+    for byte in key {
         // Writing to a string cannot fail.
         let _ = write!(text, "{byte:02x}");
-        text
-    })
+    }
 }
 
 fn unhex(text: &str) -> Option<SecretKey> {
@@ -124,6 +161,7 @@ fn unhex(text: &str) -> Option<SecretKey> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rustix::process::dumpable_behavior;
     use std::fs;
     use std::os::unix::fs::PermissionsExt;
 
@@ -141,9 +179,9 @@ end right;
     /// A folder with the keys of the cell.
     fn kept(loaded: &Loaded) -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
-        for (node, text) in draw(loaded).unwrap() {
-            let path = file_of(folder.path(), &node);
-            fs::write(&path, text).unwrap();
+        for (node, text) in loaded.table.cell().nodes.iter().zip(draw(loaded).unwrap()) {
+            let path = file_of(folder.path(), &node.name);
+            fs::write(&path, &*text).unwrap();
             fs::set_permissions(path, fs::Permissions::from_mode(0o600)).unwrap();
         }
         folder
@@ -154,9 +192,15 @@ end right;
         let loaded = crate::cells::load("two.cell", CELL, false).unwrap();
         let folder = kept(&loaded);
         for node in [0, 1] {
-            let keys = read(folder.path(), &loaded, NodeId(node)).unwrap();
+            let (text, keys) = read(folder.path(), &loaded, NodeId(node)).unwrap();
             assert!(keys.has(NodeId(1 - node)) && !keys.has(NodeId(node)));
+            assert_eq!(
+                *text,
+                fs::read_to_string(file_of(folder.path(), ["na", "nb"][node as usize])).unwrap()
+            );
         }
+        // The kernel gives the memory of this process to no file and no other process.
+        assert_eq!(dumpable_behavior().unwrap(), DumpableBehavior::NotDumpable);
         let [na, nb] = ["na", "nb"].map(|node| file_of(folder.path(), node));
         let text = fs::read_to_string(&na).unwrap();
         let refused = |text: &str, words: &str| {

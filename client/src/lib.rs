@@ -54,7 +54,8 @@
 //!
 //! Both nodes run as threads of that program. On the robots each program runs one of them:
 //! [`node("nc")`](Program::node), over UDP at the address in the cell. A node of scripts alone needs no program:
-//! `imrs run vision.cell --node np`.
+//! `imrs run vision.cell --node np`. Both take the keys that `imrs keygen vision.cell` makes beside the cell file, so that no
+//! other process can read or forge what they send.
 //!
 //! # Which crate to link
 //!

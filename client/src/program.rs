@@ -72,6 +72,8 @@ pub struct Program {
     node: Option<String>,
     insecure: bool,
     keys: Option<PathBuf>,
+    /// Where keys are looked for if no folder is named.
+    beside: Option<PathBuf>,
     observe: Option<SocketAddr>,
     token: Option<String>,
     seed: u64,
@@ -98,7 +100,10 @@ impl Program {
     /// # Errors
     /// [`ProgramError::Cell`], with the compiler's diagnostics.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, ProgramError> {
-        cells::open(path.as_ref(), false).map(Self::of).map_err(|error| ProgramError::Cell(error.to_string()))
+        let loaded = cells::open(path.as_ref(), false);
+        let mut program = loaded.map(Self::of).map_err(|error| ProgramError::Cell(error.to_string()))?;
+        program.beside = Some(keys::beside(path.as_ref()));
+        Ok(program)
     }
 
     /// The cell of a text; `name` stands for its file in diagnostics.
@@ -117,6 +122,7 @@ impl Program {
             node: None,
             insecure: false,
             keys: None,
+            beside: None,
             observe: None,
             token: None,
             seed: 0,
@@ -167,21 +173,23 @@ impl Program {
     }
 
     /// Runs only this node, at the address that the cell declares; the others run elsewhere, as by `imrs run --node`. Its
-    /// incarnation is stored in `$XDG_STATE_HOME/imrs` (else `~/.local/state/imrs`). If neighbours remember a later
+    /// incarnation is stored in `$XDG_STATE_HOME/imrs` (else `~/.local/state/imrs`). It takes [`keys`](Self::keys). If neighbours remember a later
     /// incarnation, or if no neighbour answers, a line on standard error says so.
     pub fn node(mut self, name: &str) -> Self {
         self.node = Some(name.into());
         self
     }
 
-    /// Closes the node's packets with the keys in this folder, which `imrs keygen` has made (see [`node`](Self::node)). From then
-    /// on no other process can read or forge them. Its neighbours need keys of the same cell. The folder needs only this node's file.
+    /// Closes the node's packets with the keys in this folder, which `imrs keygen` has made (see [`node`](Self::node)), so that no
+    /// other process can read or forge them. Without this call the folder is the one beside the cell's file: `line.keys` for
+    /// `line.cell`. Its neighbours need keys of the same cell. The folder needs only this node's file.
     pub fn keys(mut self, folder: impl Into<PathBuf>) -> Self {
         self.keys = Some(folder.into());
         self
     }
 
-    /// Lets the node's packets leave this machine though nothing authenticates them.
+    /// Runs the node without keys, though any process that reaches its socket can forge its packets then. Its neighbours must do
+    /// the same.
     pub const fn insecure(mut self) -> Self {
         self.insecure = true;
         self
@@ -256,11 +264,17 @@ impl Program {
         let Some(name) = &self.node else { return Ok((0..all.len()).map(NodeId::from_index).collect()) };
         let node = all.iter().position(|node| node.name == *name).map(NodeId::from_index);
         let node = node.ok_or_else(|| ProgramError::NoNode(name.clone()))?;
-        let address = place::address(&self.loaded, node)?;
-        if !self.insecure && self.keys.is_none() && !address.ip().is_loopback() {
-            return Err(ProgramError::Insecure(name.clone(), address));
+        place::address(&self.loaded, node)?;
+        if !self.insecure && self.folder().is_none() {
+            return Err(ProgramError::NoKeys(name.clone()));
         }
         Ok(vec![node])
+    }
+
+    /// The folder of the node's keys, if it runs with keys.
+    fn folder(&self) -> Option<&Path> {
+        let found = || self.beside.as_deref().filter(|folder| folder.is_dir());
+        self.keys.as_deref().or_else(found).filter(|_| !self.insecure)
     }
 
     fn check(&self, nodes: &[NodeId]) -> Result<(), ProgramError> {
@@ -301,7 +315,7 @@ impl Program {
     ) -> Result<Running, ProgramError> {
         let table = Arc::clone(&self.loaded.table);
         let mut builder = Runtime::builder(Arc::clone(&table), node)
-            .insecure(self.keys.is_none())
+            .insecure(self.node.is_some() && self.insecure)
             .actions(actions)
             .seed(self.seed)
             .hold_scripts();
@@ -342,8 +356,9 @@ impl Program {
 
     fn link(&self, node: NodeId) -> Result<(Arc<dyn Link>, Counted), ProgramError> {
         let address = place::address(&self.loaded, node)?;
-        let keys = self.keys.as_deref().map(|folder| keys::read(folder, &self.loaded, node)).transpose()?;
-        let (link, counted) = incarnation::bind::<ProgramError>(&self.loaded, node, address, keys.as_ref())?;
+        let keys = self.folder().map(|folder| keys::read(folder, &self.loaded, node)).transpose()?;
+        let keys = keys.as_ref().map(|(_, keys)| keys);
+        let (link, counted) = incarnation::bind::<ProgramError>(&self.loaded, node, address, keys)?;
         if let Some(notice) = &counted.notice {
             // Standard error may be closed. The node runs all the same.
             let _ = writeln!(io::stderr(), "imrs: {}", one_line(notice));

@@ -1,7 +1,9 @@
 //! Tests which programs are refused, and runs a cell whose two nodes are two programs.
 
-use imrs_client::{Context, Program, ProgramError, TaskEnd, TaskError};
-use std::path::PathBuf;
+use imrs_client::{Context, Program, ProgramError, TaskEnd, TaskError, cells, keys};
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
@@ -20,6 +22,10 @@ fn what_does_not_fit_the_cell_is_refused() {
     let unknown = body("camera").action("pik_at", |_| Ok(0));
     assert!(matches!(unknown.run(soon), Err(ProgramError::NoAction(name)) if name == "pik_at"));
     assert!(matches!(body("camera").node("nx").run(soon), Err(ProgramError::NoNode(name)) if name == "nx"));
+    // The cell of a text has no folder of keys beside it.
+    let text = std::fs::read_to_string(cell()).expect("the cell");
+    let alone = Program::of_text("x.cell", &text).expect("a cell").task("camera", |_| Ok(())).node("nc");
+    assert!(matches!(alone.run(soon), Err(ProgramError::NoKeys(name)) if name == "nc"));
     let faulty = Program::of_text("x.cell", "cell x;\nnode a\n");
     assert!(matches!(faulty, Err(ProgramError::Cell(words)) if words.contains("x.cell:2:")));
     let missing = Program::open("no.cell");
@@ -50,9 +56,11 @@ task right on nb extern
   use_port ask(x: int16) usage = receive;
 end right;
 "#;
-/// The environment variable that names the node of a child process; the next one has the node's address.
+/// The environment variable that names the node of a child process; the next ones have the node's address, and the folder of its
+/// keys if it has some.
 const NODE: &str = "IMRS_TEST_CLIENT_NODE";
 const ADDRESS: &str = "IMRS_TEST_CLIENT_ADDRESS";
+const KEYS: &str = "IMRS_TEST_CLIENT_KEYS";
 /// How long the nodes may run. This limit ends the test only if they do not find each other.
 const LENGTH: Duration = Duration::from_secs(300);
 
@@ -84,31 +92,50 @@ fn the_program_of_one_node() {
         if node == "na" { ("left", left) } else { ("right", right) };
     let text = CELL.replace("ADDRESS", &std::env::var(ADDRESS).expect("an address"));
     let program = Program::of_text("apart.cell", &text).expect("a cell").task(task, body).node(&node);
+    let program = match std::env::var_os(KEYS) {
+        Some(keys) => program.keys(keys),
+        None => program.insecure(),
+    };
     let ends = program.run(Some(LENGTH)).expect("it runs");
     assert_eq!(ends, [(task.to_owned(), TaskEnd::Returned)]);
 }
 
 #[test]
-fn two_programs_run_a_node_each() {
+fn two_programs_run_a_node_each_with_keys_and_without() {
     let state = tempfile::tempdir().expect("a folder");
     let [_, a, b, c] = std::process::id().to_be_bytes();
     // Other programs on this machine use addresses 127.0.x.y.
     let address = format!("127.{}.{b}.{c}", 64 | a);
+    let loaded = cells::load("apart.cell", &CELL.replace("ADDRESS", &address), false).expect("a cell");
+    for (node, text) in ["na", "nb"].iter().zip(keys::draw(&loaded).expect("keys")) {
+        let file = keys::file_of(state.path(), node);
+        std::fs::write(&file, &*text).expect("a file");
+        std::fs::set_permissions(&file, Permissions::from_mode(0o600)).expect("its mode");
+    }
+    for with_keys in [true, false] {
+        two_programs(state.path(), &address, with_keys);
+    }
+}
+
+fn two_programs(state: &Path, address: &str, with_keys: bool) {
     let start = |node: &str| -> Child {
         let mut program = Command::new(std::env::current_exe().expect("this program"));
         program.args(["--exact", "program::the_program_of_one_node", "--nocapture", "--test-threads", "1"]);
         program
             .env(NODE, node)
-            .env(ADDRESS, &address)
-            .env("XDG_STATE_HOME", state.path())
-            .env("XDG_RUNTIME_DIR", state.path());
+            .env(ADDRESS, address)
+            .env("XDG_STATE_HOME", state)
+            .env("XDG_RUNTIME_DIR", state);
+        if with_keys {
+            program.env(KEYS, state);
+        }
         program.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts")
     };
     let programs = ["na", "nb"].map(|node| (node, start(node)));
     for (node, program) in programs {
         let said = program.wait_with_output().expect("its end");
         assert!(said.status.success(), "{node}: {said:?}");
-        let stored = state.path().join(format!("imrs/apart/{node}.life"));
+        let stored = state.join(format!("imrs/apart/{node}.life"));
         let stored = std::fs::read_to_string(stored).expect("its incarnation");
         assert!(stored.trim().parse::<u8>().is_ok(), "{stored}");
     }

@@ -50,6 +50,6 @@ pub use host::Host;
 pub use launcher::{Ended, Launcher, StartedNode, Verdict};
 pub use node::{NodeError, rt, run_process as run_node};
 pub use pipe::{Outcomes, RefusalFigures};
-pub use run::{Moment, Run};
+pub use run::{Keys, Moment, Run};
 pub use setups::record_file;
 pub use signals::Interrupts;

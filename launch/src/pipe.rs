@@ -3,6 +3,7 @@
 use crate::cells::Source;
 use crate::checks::Change;
 use crate::script_event::Did;
+use imrs_client::keys::KeyText;
 use imrs_protocol::{PortCounters, PortId, Round, TaskId};
 use imrs_runtime::script::Ramp;
 use imrs_wire::obs::Token;
@@ -11,9 +12,13 @@ use std::collections::BTreeMap;
 use std::io::{self, BufRead, Write};
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use zeroize::Zeroizing;
+
+/// Room for a line.
+const LINE_BYTES: usize = 1 << 15;
 
 /// The first line to a node: its identity and how it runs.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, PartialEq, Serialize, Deserialize)]
 pub struct Setup {
     /// The cell that the node belongs to.
     pub cell: Source,
@@ -27,8 +32,10 @@ pub struct Setup {
     pub counts: bool,
     /// The address of the node's socket; none: any free port of the loopback.
     pub bind: Option<SocketAddr>,
-    /// The folder with the node's keys, if the node runs on its own with keys.
-    pub keys: Option<PathBuf>,
+    /// The text of the node's key file, if keys close its datagrams.
+    pub keys: Option<KeyText>,
+    /// Whether nothing but checksums closes its datagrams.
+    pub insecure: bool,
     /// The TCP address at which the node serves monitors.
     pub observe: Option<SocketAddr>,
     /// The token that monitors must present at that address.
@@ -208,7 +215,7 @@ impl RefusalFigures {
             }
             "other_mode" => {
                 return format!(
-                    "node {node} and node {neighbour} do not talk: one of them has keys and the other has none; start both with --keys, or both with --insecure"
+                    "node {node} and node {neighbour} do not talk: one of them has keys and the other has none; start both with keys (`imrs keygen`), or both with --insecure"
                 );
             }
             "other_cell" => "declarations",
@@ -274,7 +281,9 @@ impl Figures {
 /// # Errors
 /// The pipe failed: most likely the other process has exited.
 pub fn say(pipe: &mut impl Write, line: &impl Serialize) -> io::Result<()> {
-    let mut text = serde_json::to_vec(line)?;
+    // The line may have keys in it. The room is enough for most lines, so that few copies of them are left behind.
+    let mut text = Zeroizing::new(Vec::with_capacity(LINE_BYTES));
+    serde_json::to_writer(&mut *text, line)?;
     text.push(b'\n');
     pipe.write_all(&text)?;
     pipe.flush()
@@ -285,7 +294,7 @@ pub fn say(pipe: &mut impl Write, line: &impl Serialize) -> io::Result<()> {
 /// # Errors
 /// The pipe failed, or the line does not parse.
 pub fn hear<T: for<'de> Deserialize<'de>>(pipe: &mut impl BufRead) -> io::Result<Option<T>> {
-    let mut text = String::new();
+    let mut text = Zeroizing::new(String::with_capacity(LINE_BYTES));
     pipe.read_line(&mut text)?;
     if !text.ends_with('\n') {
         return Ok(None);

@@ -28,8 +28,8 @@ pub struct Run<'a> {
     pub actions: BTreeMap<String, Vec<String>>,
     /// How results of simulated actions change with time.
     pub ramps: Vec<Ramp>,
-    /// The folder with the keys of the only node that runs here; none: without keys.
-    pub keys: Option<PathBuf>,
+    /// What closes the datagrams of the nodes. Nodes that share this process send none.
+    pub keys: Keys,
     /// The TCP address at which the first node serves monitors; the others take the next ports.
     pub observe: Option<SocketAddr>,
     /// The token that monitors must present there.
@@ -55,6 +55,17 @@ pub struct Run<'a> {
     /// Whether the run gets an explanation: events are kept for its [`Story`](crate::Story), and it judges the tasks that abort
     /// after a fault.
     pub is_explained: bool,
+}
+
+/// What closes the datagrams between nodes.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Keys {
+    /// Keys that the launcher draws for this run. They are in memory and in the pipes to the nodes, and in no file.
+    Drawn,
+    /// Those of the only node that runs here, in a file of this folder.
+    Folder(PathBuf),
+    /// Checksums: any process that reaches a node's socket can forge them.
+    Checksums,
 }
 
 /// A fault that is injected when a task has begun an action for the given time.

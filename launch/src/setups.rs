@@ -2,7 +2,8 @@
 
 use crate::error::LaunchError;
 use crate::pipe::Setup;
-use crate::run::Run;
+use crate::run::{Keys, Run};
+use imrs_client::keys::{self, KeyText};
 use imrs_client::place::{self, observed_at};
 use imrs_protocol::NodeId;
 use std::path::{Path, PathBuf};
@@ -10,9 +11,10 @@ use std::path::{Path, PathBuf};
 /// The setups of all nodes that run here.
 ///
 /// # Errors
-/// The only node that runs here has no address.
+/// The only node that runs here has no address, or the keys cannot be used.
 pub fn setups(run: &Run<'_>, notices: Option<&Path>) -> Result<Vec<(NodeId, Setup)>, LaunchError> {
     let cell = run.loaded.table.cell();
+    let mut keys = keys_of(run)?;
     let mut all = Vec::new();
     for (i, node) in cell.nodes.iter().enumerate() {
         let id = NodeId::from_index(i);
@@ -28,7 +30,8 @@ pub fn setups(run: &Run<'_>, notices: Option<&Path>) -> Result<Vec<(NodeId, Setu
             // (D49).
             counts: run.only.is_some(),
             bind: None,
-            keys: run.keys.clone(),
+            keys: keys.get_mut(i).and_then(Option::take),
+            insecure: !run.in_process && run.keys == Keys::Checksums,
             // The nodes take successive ports.
             observe: run.observe.map(|first| observed_at(first, all.len())),
             observe_token: run.observe_token.clone(),
@@ -47,6 +50,20 @@ pub fn setups(run: &Run<'_>, notices: Option<&Path>) -> Result<Vec<(NodeId, Setu
         all.push((id, setup));
     }
     Ok(all)
+}
+
+/// The keys of each node that runs here, by the node's id.
+fn keys_of(run: &Run<'_>) -> Result<Vec<Option<KeyText>>, LaunchError> {
+    match (&run.keys, run.only) {
+        (Keys::Drawn, _) if !run.in_process => Ok(keys::draw(run.loaded)?.into_iter().map(Some).collect()),
+        (Keys::Folder(folder), Some(only)) => {
+            let (text, _) = keys::read(folder, run.loaded, only)?;
+            let mut all = vec![None; only.index()];
+            all.push(Some(text));
+            Ok(all)
+        }
+        _ => Ok(Vec::new()),
+    }
 }
 
 /// The recording file of one node: `run.imrs` becomes `run.nl.imrs`.

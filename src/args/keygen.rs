@@ -9,9 +9,9 @@ pub struct KeygenArgs {
     /// The cell.
     #[arg(value_name = "CELL")]
     pub cell: PathBuf,
-    /// The folder for the files, made if it is missing.
-    #[arg(long, value_name = "FOLDER", default_value = "keys")]
-    pub out: PathBuf,
+    /// The folder for the files, made if it is missing [default: cell.keys beside cell.cell].
+    #[arg(long, value_name = "FOLDER")]
+    pub out: Option<PathBuf>,
     /// Replace the keys that are there.
     #[arg(long)]
     pub force: bool,

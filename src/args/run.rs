@@ -48,11 +48,11 @@ pub struct LaunchArgs {
     /// Run this node only, at the address that the cell declares; the others run elsewhere.
     #[arg(long, value_name = "NAME")]
     pub node: Option<String>,
-    /// Close the node's packets with its keys in this folder, made by `imrs keygen`: no other process can read or forge them.
+    /// Close the node's packets with its keys in this folder, made by `imrs keygen` [default: the folder beside the cell].
     #[arg(long, value_name = "FOLDER", requires = "node", conflicts_with = "insecure")]
     pub keys: Option<PathBuf>,
-    /// Let packets leave this machine though nothing authenticates them.
-    #[arg(long)]
+    /// Run without keys, though any process that reaches a node could forge its packets; all nodes must do the same.
+    #[arg(long, conflicts_with = "in_process")]
     pub insecure: bool,
     /// Serve monitors over TCP, too; of several nodes each takes the next port.
     #[arg(long, value_name = "ADDR:PORT")]

@@ -4,7 +4,7 @@ use crate::args::{Format, LaunchArgs};
 use crate::failure::Failure;
 use crate::faults::{FaultError, Wanted, here, node, schedule};
 use imrs_launch::cells::{Loaded, Source};
-use imrs_launch::{Fault, Outcome, Run, Story};
+use imrs_launch::{Fault, Keys, Outcome, Run, Story};
 use imrs_protocol::{Cell, NodeId, TaskId};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -94,7 +94,7 @@ pub fn plan<'a>(
         in_process: args.in_process,
         actions: BTreeMap::new(),
         ramps: Vec::new(),
-        keys: args.keys.clone(),
+        keys: if args.insecure { Keys::Checksums } else { Keys::Drawn },
         observe: args.observe,
         observe_token: None,
         rt: args.rt,

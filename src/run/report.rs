@@ -6,7 +6,7 @@ use crate::checks;
 use crate::failure::Failure;
 use crate::faults::Restart;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped, span};
-use imrs_launch::{NodeSummary, RendezvousSummary, Run, StartedNode, Summary};
+use imrs_launch::{Keys, NodeSummary, RendezvousSummary, Run, StartedNode, Summary};
 use imrs_protocol::{CellTable, Usage};
 use std::collections::BTreeMap;
 
@@ -22,11 +22,15 @@ pub fn started(
     out: &mut Output,
 ) -> Result<(), Failure> {
     out.line(format!(
-        "{}: {}, {} (checksummed, not authenticated)",
+        "{}: {}, {}",
         Styled(HEAD, &run.loaded.table.cell().name),
         count(nodes.len() as u64, "node"),
         how(run),
     ))?;
+    if !run.in_process && run.keys == Keys::Checksums {
+        let words = "INSECURE: any process that reaches these addresses can forge the packets (--insecure)";
+        out.line(format!("  {}", Styled(BAD, words)))?;
+    }
     let tasks = |node: &StartedNode<'_>| match &node.tasks[..] {
         [] => "nothing: it relays".to_owned(),
         tasks => format!("runs {}", tasks.join(", ")),
@@ -57,10 +61,12 @@ pub fn started(
 }
 
 fn how(run: &Run<'_>) -> &'static str {
-    match (run.only, run.in_process) {
-        (Some(_), _) => "the only one of the cell here, over UDP",
-        (None, true) => "all in this process",
-        (None, false) => "one process each, over loopback UDP",
+    match (run.only, &run.keys) {
+        (None, _) if run.in_process => "all in this process",
+        (None, Keys::Checksums) => "one process each, over loopback UDP",
+        (None, _) => "one process each, over loopback UDP, with keys of this run",
+        (Some(_), Keys::Checksums) => "the only one of the cell here, over UDP",
+        (Some(_), _) => "the only one of the cell here, over UDP, with its keys",
     }
 }
 

@@ -50,7 +50,7 @@ impl Stranger {
 fn garbage_is_counted_by_reason_and_does_no_harm() {
     let dir = runtime_dir();
     let file = dir.path().join("run.imrs");
-    let demo = Live::steady_with(&["--loss", "1%", "--record", file.to_str().unwrap()]);
+    let demo = Live::steady_with(&["--insecure", "--loss", "1%", "--record", file.to_str().unwrap()]);
     let recorded = dir.path().join("run.nl.imrs");
     wait_until("the recording has its header", || {
         File::open(&recorded).is_ok_and(|file| RecordingReader::new(file).is_ok())

@@ -77,8 +77,9 @@ impl Scene {
         let start = |(number, (text, args)): (usize, &(&str, &[&str]))| {
             let file = dir.path().join(format!("{number}.cell"));
             std::fs::write(&file, text).expect("the cell is written");
+            let insecure = if args.contains(&"--node") { &["--insecure"][..] } else { &[] };
             let run = ["run", file.to_str().expect("UTF-8"), "--for", "10m", "--seed", "1"];
-            Live::start(dir.path(), &[&run, *args].concat())
+            Live::start(dir.path(), &[&run, *args, insecure].concat())
         };
         let cells: Vec<Live> = cells.iter().enumerate().map(start).collect();
         let (all, started) = (cells.iter().map(|cell| cell.nodes.len()).sum(), Instant::now());
@@ -99,7 +100,7 @@ impl Scene {
     pub fn start_node(&mut self, text: &str, name: &str) {
         let file = self.dir.path().join("again.cell");
         std::fs::write(&file, text).expect("the cell is written");
-        let args = ["run", file.to_str().expect("UTF-8"), "--for", "10m", "--node", name];
+        let args = ["run", file.to_str().expect("UTF-8"), "--for", "10m", "--insecure", "--node", name];
         self.cells.push(Live::start(self.dir.path(), &args));
     }
 

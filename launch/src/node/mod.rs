@@ -13,12 +13,12 @@ pub use error::NodeError;
 use crate::cells::{self, Loaded};
 use crate::host::Host;
 use crate::pipe::{Order, Setup, Word, hear};
-use imrs_client::{incarnation, keys};
+use imrs_client::incarnation;
 use imrs_protocol::{Incarnation, NodeId, NodeTable};
 use imrs_runtime::guard::{GuardProgram, Notices};
 use imrs_runtime::link::faulty::FaultyLink;
 use imrs_runtime::link::in_process::Network;
-use imrs_runtime::link::udp::{UdpLink, UdpOptions};
+use imrs_runtime::link::udp::UdpLink;
 use imrs_runtime::observer::{AddressBook, Observer, Place, Showing};
 use imrs_runtime::script::{Actions, Commands, Give, Simulated};
 use imrs_runtime::{Builder, Observations, Runtime};
@@ -29,12 +29,12 @@ use rustix::process::{Signal, set_parent_process_death_signal};
 use scripted::Narrator;
 use std::collections::BTreeMap;
 use std::io::{self, BufRead, BufReader, Write};
-use std::net::{Ipv4Addr, SocketAddr};
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
 use std::thread;
 use std::time::{Duration, Instant};
-use way::Way;
+use way::{Way, socket};
 
 /// How often the node reports events to the launcher.
 const TELL_EVERY: Duration = Duration::from_millis(20);
@@ -99,9 +99,9 @@ pub fn run(
     out: Words,
     network: Option<&Arc<Network>>,
 ) -> Result<(), NodeError> {
-    let Some(setup) = hear::<Setup>(&mut input)? else { return Ok(()) };
+    let Some(mut setup) = hear::<Setup>(&mut input)? else { return Ok(()) };
     let (orders, ordered) = mpsc::channel();
-    let mut node = Process::start(host, &setup, out, network)?;
+    let mut node = Process::start(host, &mut setup, out, network)?;
     let address = node.link.inner().udp().map(UdpLink::local_address);
     let observe = node.over_tcp.as_ref().and_then(|observer| match observer.place() {
         Place::Tcp(address) => Some(*address),
@@ -136,7 +136,7 @@ fn listen(mut input: impl BufRead, orders: &Sender<Order>) {
 impl Process {
     fn start(
         host: &'static dyn Host,
-        setup: &Setup,
+        setup: &mut Setup,
         out: Words,
         network: Option<&Arc<Network>>,
     ) -> Result<Self, NodeError> {
@@ -152,12 +152,11 @@ impl Process {
             rt::behind(|| host.complain_aside())?;
         }
 
-        let setup = &mut setup.clone();
         let (link, state) = joined(host, setup, network, &loaded, &table)?;
         let narrator = Arc::new(Narrator::new(Arc::clone(&loaded)));
         let builder = Runtime::builder(Arc::clone(&cell), id)
             .incarnation(Incarnation(setup.incarnation), setup.restarted)
-            .insecure(setup.keys.is_none())
+            .insecure(setup.insecure)
             .real_time(real_time)
             .link(Arc::clone(&link) as Arc<dyn imrs_runtime::link::Link>)
             .actions(actions(host, setup, &loaded)?)
@@ -360,27 +359,6 @@ fn observers(
         host.complain(&format_args!("node {} runs, but no monitor can see it: {error}", setup.node));
     }
     Ok((observer.ok(), over_tcp.transpose()?))
-}
-
-/// Binds the socket of a node. A node that runs on its own also counts its incarnation.
-fn socket(
-    host: &'static dyn Host,
-    setup: &mut Setup,
-    loaded: &Loaded,
-    table: &NodeTable,
-) -> Result<(UdpLink, Option<incarnation::State>), NodeError> {
-    let address = setup.bind.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
-    if !setup.counts {
-        let statements = loaded.all_statements();
-        let options =
-            UdpOptions { statements, ..UdpOptions::new(Incarnation(setup.incarnation), setup.restarted) };
-        return Ok((UdpLink::bind(table.clone(), address, options)?, None));
-    }
-    let keys = setup.keys.as_deref().map(|folder| keys::read(folder, loaded, table.node)).transpose()?;
-    let (link, counted) = incarnation::bind::<NodeError>(loaded, table.node, address, keys.as_ref())?;
-    counted.notice.iter().for_each(|notice| host.complain(notice));
-    (setup.incarnation, setup.restarted) = (counted.incarnation.0, counted.restarted);
-    Ok((link, Some(counted.state)))
 }
 
 /// The executor of the scripts' actions: commands where they are given, simulation otherwise.

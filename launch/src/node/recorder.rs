@@ -42,7 +42,7 @@ impl NodeRecording {
             move |error: &WriteError| host.complain(&format_args!("{name} is no longer written: {error}"));
         let about = About {
             incarnation: (Incarnation(setup.incarnation), setup.restarted),
-            insecure: setup.keys.is_none(),
+            insecure: setup.insecure,
             build: concat!("imrs ", env!("CARGO_PKG_VERSION")),
             statements: loaded.statements(table.node),
         };

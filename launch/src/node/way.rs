@@ -1,9 +1,15 @@
 //! A node's connection to its neighbours: its own UDP socket, or a network within this process.
 
-use imrs_protocol::{NodeId, Packet};
+use super::NodeError;
+use crate::cells::Loaded;
+use crate::host::Host;
+use crate::pipe::Setup;
+use imrs_client::{incarnation, keys};
+use imrs_protocol::{Incarnation, NodeId, NodeTable, Packet};
 use imrs_runtime::link::in_process::InProcess;
-use imrs_runtime::link::udp::UdpLink;
+use imrs_runtime::link::udp::{UdpLink, UdpOptions};
 use imrs_runtime::link::{Leading, Link, LinkBusy, PollEnd, Sink};
+use std::net::{Ipv4Addr, SocketAddr};
 use std::time::Instant;
 
 /// A link of either kind.
@@ -63,4 +69,34 @@ impl Link for Way {
     fn leading(&self) -> Option<&dyn Leading> {
         self.link().leading()
     }
+}
+
+/// Binds the socket of a node, and takes the keys out of its setup. A node that runs on its own also counts its incarnation.
+///
+/// # Errors
+/// [`NodeError`]: the keys are none of this node, the socket cannot be bound, or the incarnation cannot be counted.
+pub fn socket(
+    host: &'static dyn Host,
+    setup: &mut Setup,
+    loaded: &Loaded,
+    table: &NodeTable,
+) -> Result<(UdpLink, Option<incarnation::State>), NodeError> {
+    let address = setup.bind.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
+    let keys = setup.keys.take().map(|text| keys::parse(&text, loaded, table.node)).transpose();
+    let keys = keys.map_err(|why| NodeError::Setup(format!("keys that are none: {why}")))?;
+    if !setup.counts {
+        let statements = loaded.all_statements();
+        let options =
+            UdpOptions { statements, ..UdpOptions::new(Incarnation(setup.incarnation), setup.restarted) };
+        let link = UdpLink::bind(table.clone(), address, options)?;
+        let link = match keys {
+            Some(keys) => link.with_keys(&keys)?,
+            None => link,
+        };
+        return Ok((link, None));
+    }
+    let (link, counted) = incarnation::bind::<NodeError>(loaded, table.node, address, keys.as_ref())?;
+    counted.notice.iter().for_each(|notice| host.complain(notice));
+    (setup.incarnation, setup.restarted) = (counted.incarnation.0, counted.restarted);
+    Ok((link, Some(counted.state)))
 }

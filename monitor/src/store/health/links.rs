@@ -12,6 +12,7 @@ const SIGNS: &[(&str, &Lint)] = &[
     ("too_short", &codes::INTEGRITY),
     ("not_imrs", &codes::INTEGRITY),
     ("replayed", &codes::INTEGRITY),
+    ("forged", &codes::INTEGRITY),
     ("packet_checksum", &codes::INTEGRITY),
     ("packet_malformed", &codes::INTEGRITY),
     ("packet_port", &codes::INTEGRITY),
@@ -26,8 +27,9 @@ const SIGNS: &[(&str, &Lint)] = &[
     ("kernel_dropped", &codes::KERNEL_RESIDENCY),
 ];
 
-/// Packets of a neighbour's previous incarnation, which still arrive after a restart, are routine.
-const ORDINARY: &[&str] = &["stale_incarnation", "unproven_session"];
+/// Packets of a neighbour's previous incarnation, which still arrive after a restart, are routine. So are answers in handshakes
+/// that came too late, on a busy machine.
+const ORDINARY: &[&str] = &["stale_incarnation", "unproven_session", "stale_session"];
 
 pub(super) fn look(incarnation: &NodeIncarnation, lately: &Lately<'_>, found: &mut Vec<Finding>) {
     let place = Place::node(incarnation);
