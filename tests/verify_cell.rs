@@ -239,8 +239,7 @@ fn a_search_that_is_cut_short_says_how_far_it_came() {
     ] {
         assert!(answer.out.contains(told), "{told}: {answer:?}");
     }
-    let answer =
-        run(&["verify", "examples/shared_tool.cell", "--within", "1ms", "--format", "json"]);
+    let answer = run(&["verify", "examples/shared_tool.cell", "--within", "1ms", "--format", "json"]);
     let said: serde_json::Value = serde_json::from_str(&answer.out).expect("one line of JSON");
     let left = &said["phases"][0]["unfinished"];
     assert!(left["states"].as_u64() > Some(0) && left["sampled"].as_u64() > Some(0), "{said}");

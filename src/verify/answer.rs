@@ -138,16 +138,16 @@ struct Searched<'a> {
     pruned: bool,
     /// The budget that ended the search; null if none did.
     ended_by: Option<&'a str>,
-    /// The states that were found and not looked at when the budget ended the search; null if none were left.
+    /// What is left of a search that the budget ended; null if nothing is.
     unfinished: Option<Left<'a>>,
     seconds: f64,
 }
 
-/// What is left of a search that a budget ended.
+/// The states that were found and not looked at, and what makes the search large.
 #[derive(Serialize)]
 struct Left<'a> {
     states: u64,
-    /// How many of them the following fields describe, and how many of these differ in something other than times.
+    /// How many of all states the following fields describe, and how many of these differ in something other than times.
     sampled: u64,
     apart_from_times: u64,
     /// The variables with the most values.

@@ -47,6 +47,7 @@ struct Search {
     graph: StateGraph,
     /// For each kept state, the fingerprint of its core: all but its remaining faults.
     cores: Vec<u64>,
+    sample: unfinished::Sample,
     /// The least depth in the last batch, if a budget ended the search before all its results were merged.
     batch: Option<u16>,
 }
@@ -244,7 +245,8 @@ fn search(
         // What tasks in a deadlock would have done is not searched either.
         pruned: search.hits.iter().any(|hit| hit.shown.last || hit.shown.kind == Kind::Deadlock),
         ended_by,
-        unfinished: (!search.queue.is_empty()).then(|| unfinished::of(plan, faults, &search.queue)),
+        unfinished: (!search.queue.is_empty())
+            .then(|| unfinished::of(plan, faults, &search.sample, search.queue.len())),
         longest_state: search.longest as u64,
         seconds: start.elapsed().as_secs_f64(),
     };
@@ -341,6 +343,7 @@ impl Search {
                 self.longest = self.longest.max(stop.state.len());
                 self.origins.push(stop.origin);
                 self.cores.push(stop.mark.core());
+                self.sample.take_in(stop.mark.core(), &stop.state);
                 self.queue.push_back((at, stop.state));
             }
         }

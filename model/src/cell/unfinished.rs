@@ -1,4 +1,4 @@
-//! What the states have in common that a search had no time to expand: what makes a cell large.
+//! What the states of a search that a budget ended differ in: what makes a cell large.
 
 use super::judge::program;
 use super::plan::{CellFaults, CellPlan};
@@ -7,11 +7,11 @@ use super::verdict::{ManyValues, Unfinished};
 use imrs_protocol::TaskId;
 use imrs_protocol::symbolic::{self, Symbol, Time, Zone};
 use std::cell::RefCell;
-use std::collections::{HashSet, VecDeque};
+use std::collections::HashSet;
 use std::rc::Rc;
 use std::sync::Arc;
 
-/// At most so many states are looked at.
+/// At most so many states are kept in the sample.
 const SAMPLE: usize = 8_192;
 /// A variable with fewer values does not make a cell large.
 const MANY: usize = 8;
@@ -33,21 +33,44 @@ impl Zone for Timeless {
     }
 }
 
-/// Describes the states that are left in a queue.
-pub(super) fn of(
-    plan: &Arc<CellPlan>,
-    faults: &CellFaults,
-    queue: &VecDeque<(u32, Box<[u8]>)>,
-) -> Unfinished {
+/// A sample of the states that a search keeps, chosen by their fingerprints, so that it is the same for any number of threads.
+pub(super) struct Sample {
+    /// A state is in the sample if the high half of its fingerprint is a multiple of this. The low half decides which states of
+    /// a chain are kept at all.
+    stride: u64,
+    states: Vec<(u64, Box<[u8]>)>,
+}
+
+impl Default for Sample {
+    fn default() -> Self {
+        Self { stride: 1, states: Vec::new() }
+    }
+}
+
+impl Sample {
+    /// Takes in a kept state. A sample that has grown too large drops every other state.
+    pub fn take_in(&mut self, fingerprint: u64, state: &[u8]) {
+        let high = fingerprint >> 32;
+        if !high.is_multiple_of(self.stride) {
+            return;
+        }
+        self.states.push((high, state.into()));
+        if self.states.len() > SAMPLE {
+            self.stride *= 2;
+            let stride = self.stride;
+            self.states.retain(|(high, _)| high.is_multiple_of(stride));
+        }
+    }
+}
+
+/// Describes a search with so many open states.
+pub(super) fn of(plan: &Arc<CellPlan>, faults: &CellFaults, sample: &Sample, open: usize) -> Unfinished {
     let mut run_state = RunState::new(plan, faults);
     let mut values: Vec<Vec<HashSet<i64>>> = (0..plan.tasks.len())
         .map(|task| vec![HashSet::new(); program(&run_state, task).map_or(0, |of| of.variables.len())])
         .collect();
     let mut controls: HashSet<Box<[u8]>> = HashSet::new();
-    let every = queue.len().div_ceil(SAMPLE).max(1);
-    let sample = queue.iter().step_by(every);
-    let sampled = sample.len() as u64;
-    for (_, state) in sample {
+    for (_, state) in &sample.states {
         run_state.load(state);
         for (task, variables) in values.iter_mut().enumerate() {
             let Some(actor) = &run_state.cell.bodies[task].actor else { continue };
@@ -70,5 +93,6 @@ pub(super) fn of(
     }
     variables.sort_by_key(|variable| std::cmp::Reverse(variable.values));
     variables.truncate(NAMED);
-    Unfinished { open: queue.len() as u64, sampled, apart_from_times: controls.len() as u64, variables }
+    let (sampled, apart_from_times) = (sample.states.len() as u64, controls.len() as u64);
+    Unfinished { open: open as u64, sampled, apart_from_times, variables }
 }

@@ -179,12 +179,12 @@ const fn one() -> u32 {
     1
 }
 
-/// The states that were found and not expanded, because a budget ended the search.
+/// The states that were found and not expanded, because a budget ended the search, and what makes it large.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Unfinished {
     /// How many there are.
     pub open: u64,
-    /// How many of them the following fields describe, drawn at equal distances.
+    /// How many of all states the following fields describe.
     pub sampled: u64,
     /// How many of these differ in something other than times.
     pub apart_from_times: u64,
