@@ -37,10 +37,15 @@ impl CommTask {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ids::Incarnation;
-    use crate::task::fixture::{A, B, Fixture, LIFT, MOVE};
+    use crate::ids::{Incarnation, NodeId};
+    use crate::request::Request;
+    use crate::table::CellTable;
+    use crate::task::Input;
+    use crate::task::fixture::{A, B, Effects, Fixture, LIFT, MOVE};
     use crate::task::invariants::{Violation, check};
-    use crate::ticks::Instant;
+    use crate::ticks::{Instant, Ticks};
+    use alloc::format;
+    use alloc::sync::Arc;
 
     #[test]
     fn a_deadline_that_is_kept_and_is_not_the_next_one_is_found() {
@@ -51,6 +56,29 @@ mod tests {
         assert_eq!(check(&task, &table), Ok(()));
         task.due = Some(Instant(1));
         assert_eq!(check(&task, &table), Err(Violation::WrongDeadline));
+    }
+
+    /// Up to the next deadline, time that passes by itself leaves what the same time as an input leaves. From there on nothing passes.
+    #[test]
+    fn idle_time_passes_up_to_the_next_deadline() {
+        let table = Fixture::new(A).table;
+        let mut task = CommTask::new(&table, A, Incarnation(0), false);
+        let get = Request::Get { port: None, source: None, time_out: Some(Ticks(5)) };
+        task.handle(&table, Instant(0), &Input::Request(get), &mut Effects::default());
+        assert_eq!(task.next_deadline(), Instant(5), "the end of the wait");
+        let mut by_input = task.clone();
+        by_input.handle(&table, Instant(4), &Input::Time, &mut Effects::default());
+        assert!(task.let_idle_time_pass(&table, Instant(4)));
+        assert_eq!(format!("{task:?}"), format!("{by_input:?}"));
+        assert!(task.let_idle_time_pass(&table, Instant(3)), "an older now is no time");
+        assert_eq!(task.now(), Instant(4));
+        assert!(!task.let_idle_time_pass(&table, Instant(5)), "the wait ends");
+        let mut lenient = table.cell().clone();
+        lenient.rules.charge_residence = false;
+        let cell = Arc::new(CellTable::new(lenient).expect("a cell"));
+        let mut waits = CommTask::new(&table, A, Incarnation(0), false);
+        assert!(!waits.let_idle_time_pass(&NodeTable::new(cell, NodeId(0)), Instant(1)));
+        assert_eq!((task.now(), waits.now()), (Instant(4), Instant(0)), "nothing has changed");
     }
 
     /// A keyframe may come from anybody, so the validation must find a wait for an object that does not exist.

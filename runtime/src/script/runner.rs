@@ -160,6 +160,7 @@ impl ScriptRunner {
     }
 
     /// A fused step told the script something: it takes that when it next goes on.
+    #[inline]
     pub fn tell_later(&mut self, signal: Signal) {
         self.host.tell(ScriptInput::Signal(signal));
     }

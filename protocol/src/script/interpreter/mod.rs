@@ -312,13 +312,18 @@ impl<'a, O: ScriptOutbox> Interpreter<'a, O> {
             Err(fault) => return self.fault(fault),
         };
         frame.wait = Wait::Nothing;
-        self.run();
+        let at = frame.at;
+        self.run_from(at);
     }
 
     /// Runs operations until one waits or the script ends.
     fn run(&mut self) {
+        let at = self.frame().at;
+        self.run_from(at);
+    }
+
+    fn run_from(&mut self, mut at: Address) {
         let code = self.code;
-        let mut at = self.frame().at;
         let mut left = STEP_LIMIT;
         while left > 0 {
             let shortcut = code.shortcut(at);

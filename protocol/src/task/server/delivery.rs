@@ -250,7 +250,7 @@ impl Server {
 
 impl Inbox {
     /// The time for which the sender still waits, if the message can still be answered.
-    #[inline]
+    #[inline(always)]
     fn answerable(&self, source: usize, to: ReplyTo, now: Instant) -> Result<Ticks, Fault> {
         // Once the dedup entry has ended, the sender's wait has ended, too.
         let known = self.sources[source].command().filter(|c| c.until > now);

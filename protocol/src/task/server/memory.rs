@@ -220,7 +220,7 @@ impl Source {
     }
 
     /// Whether a message of the source's present incarnation is new, and no command of the source waits.
-    #[inline]
+    #[inline(always)]
     pub fn is_next(&self, id: MessageId, now: Instant) -> bool {
         match &self.memory {
             Memory::Command(Some(last)) if last.until > now => match last.status {
