@@ -3,9 +3,9 @@
 use super::{DEADLOCK, must_fail, must_fail_large};
 use crate::clock::{FAR, Micros};
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
-use crate::sync::alarm::{Alarm, Cover, Plant};
+use crate::sync::alarm::{Alarm, Cover, Keeps, Plant};
 use crate::sync::handoff::{Handoff, Protected, Rest};
-use crate::sync::{AtomicBool, Ordering};
+use crate::sync::{AtomicBool, Mutex, Ordering, lock};
 
 type Planted = Alarm<Option<Plant>>;
 
@@ -191,4 +191,69 @@ fn an_expiry_always_has_somebody_to_look_after_it() {
 #[test]
 fn an_expiry_before_the_end_of_the_sleep_needs_the_timer() {
     must_fail_large(DEADLOCK, || an_expiry_changes_hands(true));
+}
+
+/// A machine whose expiries only the Timer thread covers. It asks, and is mostly answered in time.
+struct Kept {
+    cover: Cover,
+    now: Micros,
+    due: Micros,
+}
+
+impl Kept {
+    /// Something changes when the machine next expires.
+    fn expires(&mut self, due: Micros, alarm: &Planted) {
+        self.due = due;
+        self.settle(alarm);
+    }
+
+    /// The Timer thread advances the machine.
+    fn time_is_up(&mut self, alarm: &Planted) {
+        self.now = NOW;
+        self.due = if self.due <= NOW { FAR } else { self.due };
+        self.settle(alarm);
+        assert!(alarm.slot(0) > NOW, "what is over stays published");
+    }
+
+    fn settle(&self, alarm: &Planted) {
+        self.cover.keep(alarm, self.now, self.due);
+        assert!(alarm.slot(0) <= self.due, "an expiry is hidden");
+    }
+}
+
+/// A machine asks, is answered in time, asks again and then for less, while the Timer thread serves it. Returns what stands
+/// published after the answer.
+fn an_answered_request_stays_published(keeps: Option<Keeps>) -> Micros {
+    let alarm = alarm(1, None);
+    let mut cover = Cover::new(0);
+    cover.keeps = keeps;
+    let machine = Arc::new(Mutex::new(Kept { cover, now: 0, due: FAR }));
+    let closing = Arc::new(AtomicBool::new(false));
+    let (theirs, told, served) = (Arc::clone(&alarm), Arc::clone(&closing), Arc::clone(&machine));
+    let timer = thread::spawn(move || serve(&theirs, &told, || lock(&served).time_is_up(&theirs)));
+    lock(&machine).expires(NOW - 1, &alarm);
+    lock(&machine).expires(FAR, &alarm);
+    let stands = alarm.slot(0);
+    lock(&machine).expires(2 * NOW, &alarm);
+    lock(&machine).expires(NOW + 1, &alarm);
+    closing.store(true, Ordering::SeqCst);
+    alarm.ring();
+    timer.join().unwrap();
+    stands
+}
+
+#[test]
+fn what_was_answered_in_time_is_published_until_it_is_over() {
+    let seen = explore_large(|| an_answered_request_stays_published(None));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [NOW - 1, FAR], "{seen:?}");
+}
+
+#[test]
+fn a_cover_that_keeps_what_is_over_never_rests() {
+    must_fail_large("what is over stays", || an_answered_request_stays_published(Some(Keeps::WhatIsOver)));
+}
+
+#[test]
+fn a_cover_that_keeps_what_is_later_hides_an_expiry() {
+    must_fail_large("an expiry is hidden", || an_answered_request_stays_published(Some(Keeps::WhatIsLater)));
 }

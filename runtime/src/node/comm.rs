@@ -210,6 +210,12 @@ impl Comm {
         due
     }
 
+    /// As [`settle`](Self::settle), where no thread of the task sleeps until its expiry.
+    pub fn settle_shared(&mut self) {
+        let due = self.due();
+        self.cover.keep(&self.alarm, self.now(), due);
+    }
+
     /// Whether the task may take part in a fused step: its steps are not recorded one by one, and a pause of the node cannot end
     /// its lease.
     pub const fn is_usual(&self) -> bool {

@@ -174,7 +174,7 @@ impl Protected for Domain {
             let member = &mut self.members[member];
             member.changed = false;
             // No thread sleeps until the expiry of a script or a future.
-            member.settle(Rest::No);
+            member.settle_shared();
         }
         Micros::MAX
     }
