@@ -1,8 +1,10 @@
-//! Tests of tasks of a node that share a domain: two futures, which exchange messages in fused steps (D187).
+//! Tests of tasks of a node that share a domain: futures that exchange messages in fused steps (D187), and futures or scripts that
+//! meet in them (D193).
 
 use crate::common::{LONG, LONG_TICKS, Tape, ask, cell, one_node, table};
-use imrs_protocol::{PortView, Ticks};
-use imrs_runtime::{AsyncContext, Builder, TaskEnd, TaskError};
+use imrs_protocol::script::{Binary, End, Program, ProgramBuilder, Type};
+use imrs_protocol::{PortCounters, PortDecl, PortId, PortView, TaskId, Ticks, Usage};
+use imrs_runtime::{AsyncContext, Builder, Rendezvous, TaskEnd, TaskError};
 use std::future::{Future, poll_fn};
 use std::pin::pin;
 use std::sync::Arc;
@@ -88,4 +90,80 @@ fn a_future_with_another_waker_than_the_executors_is_woken_by_that_one() {
     assert_eq!(ports[1][0].counters.delivered, QUESTIONS);
     let calls = u64::from(calls.load(Ordering::Relaxed));
     assert!(calls >= QUESTIONS, "{calls} calls for {QUESTIONS} questions and as many answers");
+}
+
+const MEETINGS: u64 = 50;
+
+async fn meet(mut ctx: AsyncContext) -> Result<(), TaskError> {
+    let lift = ctx.port("lift")?;
+    for _ in 0..MEETINGS {
+        let met = ctx.waitfor(lift).await?;
+        assert!(matches!(met, Rendezvous::Released { .. }), "{met:?}");
+    }
+    Ok(())
+}
+
+/// A script that meets the others and ends.
+fn meeter() -> Arc<Program> {
+    let mut b = ProgramBuilder::new("meeter");
+    let n = b.variable("n", Type::Int32);
+    let (top, over) = (b.label(), b.label());
+    b.put(top);
+    b.waitfor(PortId(0));
+    b.statement().load(n).push(1).int(Binary::Add).store(n);
+    b.statement()
+        .load(n)
+        .push(i64::try_from(MEETINGS).expect("few"))
+        .int(Binary::Less)
+        .unless(over)
+        .jump(top);
+    b.put(over);
+    b.end();
+    Arc::new(b.finish().expect("a sound program"))
+}
+
+/// What the ports of four tasks count that meet again and again. `with` gives the node its tasks.
+fn met(with: impl FnOnce(Builder) -> Builder) -> Vec<PortCounters> {
+    let mut cell = cell(&[0, 0, 0, 0], Ticks(2_000));
+    cell.port(PortDecl::new(
+        "lift",
+        TaskId(1),
+        Usage::Waitfor,
+        &[TaskId(3), TaskId(0), TaskId(2)],
+        LONG_TICKS,
+    ));
+    let node = with(one_node(&table(cell))).start().unwrap();
+    assert!(node.wait(LONG), "a program did not end");
+    let ports = node.node().snapshot(0).tasks.into_iter().map(|task| task.view.ports[0].counters).collect();
+    let ends = node.stop(LONG);
+    let well = |end: &TaskEnd| matches!(end, TaskEnd::Returned | TaskEnd::Script(End::Finished));
+    assert!(ends.iter().all(|(_, end)| well(end)), "{ends:?}");
+    ports
+}
+
+fn all(node: Builder, add: impl Fn(Builder, &str) -> Builder) -> Builder {
+    ["a", "b", "c", "d"].into_iter().fold(node, add)
+}
+
+#[test]
+fn tasks_that_meet_in_fused_steps_meet_as_often_as_those_that_are_recorded() {
+    let futures = |node: Builder| all(node, |node, name| node.async_task(name, meet));
+    let scripts = |node: Builder| all(node, |node, name| node.script(name, meeter()));
+    // A script is in no domain with futures.
+    let mixed = |node: Builder| {
+        let three = ["a", "b", "c"].into_iter().fold(node, |node, name| node.async_task(name, meet));
+        three.script("d", meeter())
+    };
+    let tape = |node: Builder| node.recorder(Arc::new(Tape::default()));
+    let counts = |ports: Vec<PortCounters>| -> Vec<_> {
+        ports.into_iter().map(|port| (port.sent, port.delivered, port.timed_out)).collect()
+    };
+    let expected = vec![(MEETINGS, MEETINGS, 0); 4];
+    assert_eq!(counts(met(futures)), expected);
+    assert_eq!(counts(met(scripts)), expected);
+    assert_eq!(counts(met(mixed)), expected);
+    assert_eq!(counts(met(|node| tape(futures(node)))), expected);
+    assert_eq!(counts(met(|node| tape(scripts(node)))), expected);
+    // Nothing is sent within a fused step: no CONFIRM comes when its receiver has gone on to the next round.
+    assert!(met(scripts).iter().all(|port| port.dropped == 0));
 }

@@ -16,6 +16,8 @@
 //!   right after it. A thread that finds the inbox full waits for the lock;
 //! - the Timer thread brings the time of a member that expires, and observers look at members, under the lock.
 
+mod gather;
+
 use crate::clock::Micros;
 use crate::node::comm::{Comm, Completion};
 use crate::node::effects::{Addressed, Effects, Stamped};
@@ -244,7 +246,8 @@ impl Turn<'_> {
         effects: &mut Effects,
     ) {
         let own = self.home.member();
-        if let Some(request @ (Request::Send { .. } | Request::Reply { .. })) = request
+        if let Some(request) = request
+            && matches!(request, Request::Send { .. } | Request::Reply { .. } | Request::Arrive { .. })
             && self.is_usual()
             && self.catch_up_with(at)
             && self.fuse(request, &mut ToFutures { own, answers }, effects)
@@ -257,7 +260,7 @@ impl Turn<'_> {
         }
     }
 
-    /// The member takes a request as one fused step with the other member that it concerns (D176). False, and nothing has
+    /// The member takes a request as one fused step with the other members that it concerns (D176, D193). False, and nothing has
     /// changed, if anything about it is unusual. Then the caller takes the small steps.
     pub fn fuse(
         &mut self,
@@ -267,6 +270,9 @@ impl Turn<'_> {
     ) -> bool {
         if self.members.len() == 1 {
             return false;
+        }
+        if matches!(request, Request::Arrive { .. }) {
+            return self.gather(request, signals, effects);
         }
         let own = &self.members[self.member];
         let (home, task) = (own.home, own.machine.task());
