@@ -64,11 +64,10 @@ impl Node {
     /// Takes a request as one fused step with the other tasks that it concerns (D176, D193); [`step`](Self::step) does so by itself.
     /// False, and nothing has changed, if anything about it is unusual.
     pub fn fuse(&mut self, task: TaskId, request: &Request, out: &mut impl NodeOutbox) -> bool {
-        if matches!(request, Request::Arrive { .. }) {
-            return self.gather(task, request, out);
-        }
         let Parts { table, tasks, .. } = &mut self.parts;
-        let Some(fusible) = Fusible::of(table, task, request) else { return false };
+        let Some(fusible) = Fusible::of(table, task, request) else {
+            return matches!(request, Request::Arrive { .. }) && self.gather(task, request, out);
+        };
         let Some(place) = table.place(task) else { return false };
         let Ok([own, other]) = tasks.get_disjoint_mut([place, fusible.other]) else { return false };
         fusible.step(own, other, request, out)

@@ -246,8 +246,8 @@ impl Turn<'_> {
         effects: &mut Effects,
     ) {
         let own = self.home.member();
-        if let Some(request) = request
-            && matches!(request, Request::Send { .. } | Request::Reply { .. } | Request::Arrive { .. })
+        if let Some(request @ (Request::Send { .. } | Request::Reply { .. } | Request::Arrive { .. })) =
+            request
             && self.is_usual()
             && self.catch_up_with(at)
             && self.fuse(request, &mut ToFutures { own, answers }, effects)
@@ -271,12 +271,11 @@ impl Turn<'_> {
         if self.members.len() == 1 {
             return false;
         }
-        if matches!(request, Request::Arrive { .. }) {
-            return self.gather(request, signals, effects);
-        }
         let own = &self.members[self.member];
         let (home, task) = (own.home, own.machine.task());
-        let Some(fusible) = Fusible::of(self.table, task, request) else { return false };
+        let Some(fusible) = Fusible::of(self.table, task, request) else {
+            return matches!(request, Request::Arrive { .. }) && self.gather(request, signals, effects);
+        };
         let there = self.homes.at(fusible.other);
         // A packet that the other member has not taken comes first.
         if home.domain() != there.domain() || effects.inside.has_input_for(there) {
