@@ -72,6 +72,7 @@ class Program:
         for path, of_file in by_path.items():
             self.put(path, of_file)
         library = self.texts.get(LIBRARY) or (ROOT / LIBRARY).read_text()
+        library = library.replace('#[cfg(feature = "checker")]\nextern crate std;\n', "")
         self.texts[LIBRARY] = library.replace("#![no_std]\n", "#![no_std]\n#![allow(warnings)]\n").replace(
             "extern crate alloc;\n", "extern crate alloc;\n" + SWITCH)
 
