@@ -1,9 +1,13 @@
 //! Rendezvous: of tasks on threads (P9), and of scripts (P10).
 
 use super::cells::{self, LONG_TICKS};
-use crate::sample::{Sample, laps, nanos_of};
+use super::floors::GROUP;
+use crate::sample::{Sample, each, laps, nanos_of};
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
-use imrs_protocol::{CellTable, NodeId, PortDecl, PortId, TaskId, Usage};
+use imrs_protocol::{
+    CellTable, Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Packet, PortDecl, PortId,
+    Request, Signal, TaskId, Usage,
+};
 use imrs_runtime::Runtime;
 use rustix::thread::futex;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -18,6 +22,11 @@ const WARM_UP: u32 = 5;
 #[must_use]
 pub fn meetings() -> Suite {
     let mut suite = Suite::new("meetings");
+    suite.case(
+        "machine/meet of 3",
+        "three members reach it one after the other through the state machine of a node alone",
+        |effort| machine(effort, 3),
+    );
     for n in [2, 4, 8, 16_usize] {
         let name = |of: &str| format!("{of} of {n}");
         suite.case(
@@ -47,6 +56,11 @@ pub fn meetings() -> Suite {
             name("runtime/scripts meet"),
             "scripts of a node meet again and again, run by the thread that began them; a value is a node's mean",
             move |effort| scripts_meet(effort, n),
+        );
+        suite.case(
+            name("machine/meet"),
+            "the members reach it one after the other through the state machine of a node alone: no lock, no clock, no thread",
+            move |effort| machine(effort, n),
         );
         let own = name("runtime/waitfor");
         let times = if n == 16 { 2.0 } else { 1.0 };
@@ -118,13 +132,15 @@ fn waitfor(effort: Effort, n: usize) -> Sample {
 }
 
 fn scripts_meet(effort: Effort, n: usize) -> Sample {
-    const TIMES: u32 = 100;
+    let all = effort.of(4_000);
+    // One input may cause at most 10,000 steps of scripts.
+    let times = all.min(8_000 / n as u32);
     let table = table(n);
     let mut nanos = Vec::new();
-    for _ in 0..effort.of(10) {
+    for _ in 0..all / times {
         let mut builder = Runtime::builder(Arc::clone(&table), NodeId(0)).hold_scripts();
         for task in 0..n {
-            builder = builder.script(&format!("t{task}"), cells::meeter(LIFT, TIMES));
+            builder = builder.script(&format!("t{task}"), cells::meeter(LIFT, times));
         }
         let node = builder.start().expect("a node that starts");
         let begins = Instant::now();
@@ -132,5 +148,28 @@ fn scripts_meet(effort: Effort, n: usize) -> Sample {
         nanos.push(nanos_of(begins.elapsed()));
         cells::stop(node);
     }
-    Sample::of(nanos, TIMES)
+    Sample::of(nanos, times)
+}
+
+/// How many members were released.
+#[derive(Default)]
+struct Released(usize);
+
+impl NodeOutbox for Released {
+    fn link(&mut self, _: NodeId, _: Packet) {}
+    fn signal(&mut self, _: TaskId, signal: Signal) {
+        self.0 += usize::from(matches!(signal, Signal::Released { .. }));
+    }
+}
+
+fn machine(effort: Effort, n: usize) -> Sample {
+    let mut node = Node::new(NodeTable::new(table(n), NodeId(0)), Incarnation(0), false, 4);
+    let reach = Request::Arrive { port: LIFT, arguments: [0; 8], time_out: None };
+    each(effort.of(20_000), GROUP, || {
+        let mut released = Released::default();
+        for task in (0..n).map(TaskId::from_index) {
+            node.step(node.now(), NodeInput::Request(task, reach), &mut released);
+        }
+        assert_eq!(released.0, n, "not all were released");
+    })
 }
