@@ -5,6 +5,7 @@ pub mod floors;
 pub mod growth;
 pub mod handoff;
 pub mod heaps;
+pub mod keys;
 pub mod meet;
 pub mod network;
 pub mod observe;
@@ -47,7 +48,8 @@ pub fn all() -> Vec<Suite> {
 fn is_on_two(suite: &str, case: &str) -> bool {
     match suite {
         "awake" => case == "kameo/ask from a thread",
-        "threads" | "network" => !case.ends_with("one core"),
+        "threads" => !case.ends_with("one core"),
+        "network" => !(case.ends_with("one core") || case.starts_with("refuse/")),
         "urgent" | "streams" => true,
         // Scripts, and tokio's tasks, meet on one thread.
         "meetings" => case.starts_with("floor/") || case.starts_with("runtime/waitfor"),

@@ -2,6 +2,7 @@
 
 use super::cells::{self, LONG_TICKS};
 use super::floors;
+use super::keys;
 use super::recording::{Onlooker, Watched};
 use super::urgent::WINDOW;
 use crate::cores::{self, Core};
@@ -18,7 +19,7 @@ use std::sync::mpsc::channel;
 use std::time::{Duration, Instant};
 
 /// How many packets of 32 bytes the baseline of P12 puts into one datagram.
-const COALESCED: usize = 43;
+pub const COALESCED: usize = 43;
 /// How many datagrams one call sends, if the kernel segments them.
 const SEGMENTS: usize = 4;
 
@@ -43,12 +44,12 @@ pub fn network() -> Suite {
         suite.case(
             format!("runtime/UDP {name}"),
             "send, receive, reply between Rust tasks of two nodes of one process, each asleep in its socket before every message (spin budget 0), deadline in the packet, checksum mode",
-            move |effort| ask(effort, other, Watched::Not, Duration::ZERO),
+            move |effort| ask(effort, other, Watched::Not, Duration::ZERO, Closing::Checksum),
         );
         suite.case(
             format!("runtime/UDP as they are {name}"),
-            "the same with the spin budget that a node has unless told otherwise",
-            move |effort| ask(effort, other, Watched::Not, SPIN),
+            "the same in checksum mode, with the spin budget that a node has unless told otherwise",
+            move |effort| ask(effort, other, Watched::Not, SPIN, Closing::Checksum),
         );
     }
     suite.case("floor/UDP spinning", "32 bytes there and back, two hot threads, two cores", |effort| {
@@ -69,17 +70,17 @@ pub fn network() -> Suite {
     suite.case(
         "runtime/UDP one way",
         "class-1 messages from a task to one of another node, sent 43 together, taken as many at once as are there, at most 256 under way; nanoseconds per message",
-        |effort| one_way(effort, COALESCED as u64, WINDOW),
+        |effort| one_way(effort, COALESCED as u64, WINDOW, Closing::Checksum),
     );
     suite.case(
         "runtime/UDP one way, 172 together",
         "the same, sent 172 together, which leave in one call where the kernel cuts it into datagrams, at most 428 under way (as much as the floor that does so may have)",
-        |effort| one_way(effort, BURST, WINDOW + BURST),
+        |effort| one_way(effort, BURST, WINDOW + BURST, Closing::Checksum),
     );
     suite.case(
         "runtime/UDP one way, each alone",
         "the same, each message sent by itself: a datagram each",
-        |effort| one_way(effort, 1, WINDOW),
+        |effort| one_way(effort, 1, WINDOW, Closing::Checksum),
     );
     let (one, two) = ("runtime/UDP one core", "runtime/UDP two cores");
     suite.row(Row::new("P11", one, "floor/UDP one core", Stat::P50, Goal::AtMost(1.5)).was("<= 1.2"));
@@ -96,11 +97,20 @@ pub fn network() -> Suite {
     // What segmentation gains if only the calls cost anything (D129).
     let segmented = "floor/UDP one way, 43 a datagram, segmented";
     suite.row(Row::new("P12", segmented, floor, Stat::Mean, Goal::AtLeast(1.0)));
-    suite
+    keys::join(suite)
 }
 
-/// The builders of the two nodes, each with a link that knows the other's address.
-fn two_nodes(table: &Arc<CellTable>) -> [Builder; 2] {
+/// What closes the datagrams between two nodes.
+#[derive(Clone, Copy)]
+pub enum Closing {
+    /// A checksum.
+    Checksum,
+    /// Keys of both nodes.
+    Keys,
+}
+
+/// The links of two nodes that know each other's addresses.
+pub fn two_links(table: &Arc<CellTable>, closing: Closing) -> [UdpLink; 2] {
     let bind = |node| {
         let options = UdpOptions::new(Incarnation(1), false);
         let table = NodeTable::new(Arc::clone(table), node);
@@ -108,12 +118,21 @@ fn two_nodes(table: &Arc<CellTable>) -> [Builder; 2] {
     };
     let nodes = [NodeId(0), NodeId(1)];
     let links = nodes.map(bind);
+    let links = match closing {
+        Closing::Checksum => links,
+        Closing::Keys => keys::with_keys(links),
+    };
     for (link, other) in [(0, 1), (1, 0)] {
         let address = Some(links[other].local_address());
         links[link].set_address(nodes[other], address).expect("a neighbour");
     }
-    let mut nodes = nodes.into_iter();
-    links.map(|link| {
+    links
+}
+
+/// The builders of the two nodes.
+fn two_nodes(table: &Arc<CellTable>, closing: Closing) -> [Builder; 2] {
+    let mut nodes = [NodeId(0), NodeId(1)].into_iter();
+    two_links(table, closing).map(|link| {
         let node = nodes.next().expect("as many as links");
         Runtime::builder(Arc::clone(table), node).incarnation(Incarnation(1), false).link(Arc::new(link))
     })
@@ -121,9 +140,9 @@ fn two_nodes(table: &Arc<CellTable>) -> [Builder; 2] {
 
 /// Round trips between two nodes over UDP. The tasks run on the first core and on `other`, and spin this long before they
 /// sleep.
-pub fn ask(effort: Effort, other: Core, how: Watched, spin: Duration) -> Sample {
+pub fn ask(effort: Effort, other: Core, how: Watched, spin: Duration, closing: Closing) -> Sample {
     let table = cells::asking(2, Usage::Send);
-    let [a, b] = two_nodes(&table).map(|node| node.spin(spin));
+    let [a, b] = two_nodes(&table, closing).map(|node| node.spin(spin));
     let mut onlookers = [NodeId(0), NodeId(1)].map(|node| Onlooker::of(how, &table, node));
     let (a, b) = (onlookers[0].told_by(a), onlookers[1].told_by(b));
     let (tell, told) = channel();
@@ -145,11 +164,12 @@ pub fn ask(effort: Effort, other: Core, how: Watched, spin: Duration) -> Sample 
     sample
 }
 
-fn one_way(effort: Effort, together: u64, window: u64) -> Sample {
+/// Class-1 messages from one node to another, sent so many together, at most `window` of them under way.
+pub fn one_way(effort: Effort, together: u64, window: u64, closing: Closing) -> Sample {
     let mut cell = cells::cell(2, 2);
     let decl = PortDecl::new("news", cells::A, Usage::Send, &[cells::B], LONG_TICKS);
     cell.port(decl.bounded_buffer(u16::try_from(window).expect("few")));
-    let [a, b] = two_nodes(&cells::table(cell));
+    let [a, b] = two_nodes(&cells::table(cell), closing);
     let times = u64::from(effort.of(30_000));
     let taken = Arc::new(AtomicU64::new(0));
     let other = Arc::clone(&taken);

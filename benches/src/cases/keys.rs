@@ -1,0 +1,163 @@
+//! What keys between nodes cost (D191): beside the same without keys, and for each datagram that is refused.
+
+use super::cells;
+use super::network::{COALESCED, Closing, ask, one_way, two_links};
+use super::recording::Watched;
+use super::urgent::WINDOW;
+use crate::cores::{self, Core};
+use crate::sample::Sample;
+use crate::suite::{Effort, Goal, Row, Stat, Suite};
+use imrs_protocol::{
+    Class, Contents, Incarnation, Kind, MAX_HOPS, MessageId, NodeId, Packet, PortId, Seal, Seq24, Ticks,
+    Usage,
+};
+use imrs_runtime::link::udp::UdpLink;
+use imrs_runtime::link::udp::keys::{NodeKeys, draw_cell_key, draw_node_keys};
+use imrs_runtime::link::{Link, LinkDiscard, Sink};
+use imrs_wire::envelope::MAX_PACKETS;
+use std::collections::BTreeMap;
+use std::net::{Ipv4Addr, UdpSocket};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
+
+const NODES: [NodeId; 2] = [NodeId(0), NodeId(1)];
+/// How many datagrams wait in the socket when the link begins to refuse them: too few to count as a flood, from which it rests.
+const WAITING: usize = 15;
+/// How long the link waits for more.
+const SHORT: Duration = Duration::from_millis(20);
+
+/// A forged datagram, by what it takes to refuse it.
+#[derive(Clone, Copy)]
+enum Forged {
+    /// A session has its index, and its tag is wrong.
+    Tag,
+    /// No session has its index.
+    Index,
+    /// A first datagram of a handshake, closed with another key.
+    Hello,
+    /// Without keys: its checksum is wrong.
+    Checksum,
+}
+
+/// The suite with the cases and rows about keys.
+pub fn join(mut suite: Suite) -> Suite {
+    for (name, other) in [("keys/UDP one core", Core::First), ("keys/UDP two cores", Core::Second)] {
+        suite.case(
+            name,
+            "as runtime/UDP, with keys: each datagram is encrypted, with one tag",
+            move |effort| ask(effort, other, Watched::Not, Duration::ZERO, Closing::Keys),
+        );
+    }
+    suite.case("keys/UDP one way", "as runtime/UDP one way, with keys", |effort| {
+        one_way(effort, COALESCED as u64, WINDOW, Closing::Keys)
+    });
+    let about = "a node takes forged datagrams from its socket, 15 at a time, and drops them; nanoseconds per datagram, most of them for the kernel";
+    for (name, forged, packets) in [
+        ("refuse/checksum, 1 packet", Forged::Checksum, 1),
+        ("refuse/tag, 1 packet", Forged::Tag, 1),
+        ("refuse/checksum, 44 packets", Forged::Checksum, MAX_PACKETS),
+        ("refuse/tag, 44 packets", Forged::Tag, MAX_PACKETS),
+        ("refuse/index", Forged::Index, 1),
+        ("refuse/hello", Forged::Hello, 1),
+    ] {
+        suite.case(name, about, move |effort| refused(effort, forged, packets));
+    }
+    let p15 = |subject, against, stat, goal| Row::new("P15", subject, against, stat, goal);
+    let (one, two) = ("keys/UDP one core", "keys/UDP two cores");
+    suite.row(p15(two, "runtime/UDP two cores", Stat::P50, Goal::AtMost(1.05)));
+    suite.row(p15(one, "runtime/UDP one core", Stat::P50, Goal::AtMost(1.2)));
+    suite.row(p15("keys/UDP one way", "runtime/UDP one way", Stat::Mean, Goal::AtMost(1.5)));
+    let (tag, checksum) = ("refuse/tag, 1 packet", "refuse/checksum, 1 packet");
+    suite.row(p15(tag, checksum, Stat::Mean, Goal::AtMost(1.5)));
+    suite.row(p15("refuse/index", checksum, Stat::Mean, Goal::AtMost(1.1)));
+    suite
+}
+
+/// Both links with keys of one cell.
+pub fn with_keys(links: [UdpLink; 2]) -> [UdpLink; 2] {
+    let cell = draw_cell_key().expect("random numbers");
+    let pairs = NODES.map(|node| (node, draw_node_keys().expect("random numbers")));
+    let publics: BTreeMap<_, _> = pairs.iter().map(|(node, (_, public))| (*node, *public)).collect();
+    let mut own = pairs.into_iter().map(|(_, (private, _))| private);
+    links.map(|link| {
+        let private = own.next().expect("as many as links");
+        link.with_keys(&NodeKeys::new(cell.clone(), private, publics.clone())).expect("all keys")
+    })
+}
+
+/// Counts what a link drops.
+#[derive(Default)]
+struct Dropped(AtomicUsize);
+
+impl Sink for Dropped {
+    fn packets(&self, _from: NodeId, _packets: &[Packet], _charge: Ticks, _at: Instant) {}
+    fn peer(&self, _node: NodeId, _incarnation: Incarnation, _restarted: bool) {}
+    fn discarded(&self, _reason: LinkDiscard) {
+        self.0.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+const PACKET: Packet = Packet {
+    kind: Kind::Send,
+    class: Class::Status,
+    more: false,
+    resent: false,
+    hops: MAX_HOPS,
+    fragment: 0,
+    destination: cells::B,
+    source: cells::A,
+    port: PortId(0),
+    id: MessageId { incarnation: Incarnation(1), sequence: Seq24::new(1) },
+    remaining: Ticks(60_000_000),
+    contents: Contents::EMPTY,
+    seal: Seal::NONE,
+};
+
+/// Intercepts a genuine datagram of the first node to the second: of a session, or the first one of a handshake.
+fn taken(links: &[UdpLink; 2], packets: usize, is_hello: bool) -> Vec<u8> {
+    let [a, b] = links;
+    let (sink, mut bytes) = (Dropped::default(), vec![0; 2_048]);
+    while !is_hello && !a.ready(NODES[1]) {
+        for link in [a, b] {
+            link.poll(&sink, Some(Instant::now() + Duration::from_millis(1)));
+        }
+    }
+    let between = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).expect("a socket");
+    a.set_address(NODES[1], between.local_addr().ok()).expect("a neighbour");
+    if is_hello {
+        a.ready(NODES[1]);
+    } else {
+        a.send(NODES[1], &vec![PACKET; packets]).expect("it is ready");
+    }
+    let length = between.recv(&mut bytes).expect("a datagram");
+    bytes.truncate(length);
+    bytes
+}
+
+fn refused(effort: Effort, forged: Forged, packets: usize) -> Sample {
+    let closing = if matches!(forged, Forged::Checksum) { Closing::Checksum } else { Closing::Keys };
+    let links = two_links(&cells::asking(2, Usage::Send), closing);
+    let mut bytes = taken(&links, packets, matches!(forged, Forged::Hello));
+    match forged {
+        // The upper half of an index is the place of a neighbour.
+        Forged::Index => bytes[6] ^= 1,
+        Forged::Tag | Forged::Hello | Forged::Checksum => *bytes.last_mut().expect("a tag") ^= 1,
+    }
+    let [_, b] = links;
+    let (sink, from) = (Dropped::default(), UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).expect("a socket"));
+    let (times, mut done, mut elapsed) = (effort.of(10_000) as usize, 0, Duration::ZERO);
+    cores::pin(Core::First);
+    while done < times {
+        for _ in 0..WAITING {
+            from.send_to(&bytes, b.local_address()).expect("sent");
+        }
+        let begin = Instant::now();
+        while sink.0.load(Ordering::Relaxed) < done + WAITING && begin.elapsed() < SHORT {
+            b.poll(&sink, Some(begin + SHORT));
+        }
+        elapsed += begin.elapsed();
+        done = sink.0.load(Ordering::Relaxed);
+    }
+    cores::unpin();
+    Sample::of_all(elapsed, done as u64)
+}
