@@ -60,7 +60,10 @@ impl Running {
             }
             ServerFrame::Delta(_) => self.whole.contains(&source),
             // Clocks and addresses mean nothing when the recording is replayed.
-            ServerFrame::Pong(_) | ServerFrame::Places(_) | ServerFrame::Denied(_) => false,
+            ServerFrame::Pong(_)
+            | ServerFrame::Places(_)
+            | ServerFrame::Denied(_)
+            | ServerFrame::Challenge(_) => false,
             ServerFrame::Table(_)
             | ServerFrame::Events(_)
             | ServerFrame::Bye(_)

@@ -123,11 +123,13 @@ fn strangers_lock_nobody_out() {
     for _ in 0..MAX_MONITORS {
         let mut stranger = Monitor::tcp(address);
         assert!(matches!(stranger.hello(NEW), Handshake::Hello(_)), "it takes no place yet");
+        assert!(matches!(stranger.next(), ServerFrame::Challenge(_)));
         greeted.push(stranger);
     }
     let mut monitor = Monitor::tcp(address);
     assert!(matches!(monitor.hello(NEW), Handshake::Hello(_)));
-    monitor.say(&ClientFrame::Token(token));
+    let ServerFrame::Challenge(challenge) = monitor.next() else { panic!("no challenge") };
+    monitor.say(&ClientFrame::Proof(token.proof(&challenge)));
     assert!(matches!(monitor.next(), ServerFrame::Table(_)));
     // Clients that show no token are closed after a while.
     for mut stranger in greeted {

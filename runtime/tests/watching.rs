@@ -9,8 +9,8 @@ use imrs_runtime::Runtime;
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::observer::{AddressBook, Observer, Place, Showing};
 use imrs_wire::obs::{
-    ClientFrame, Denied, EventFilter, FrameError, Handshake, Kinds, NodePlace, Ping, RecordingFacts, Refusal,
-    ServerFrame, Snapshot, Token, VERSION, Version, Want,
+    Challenge, ClientFrame, Denied, EventFilter, FrameError, Handshake, Kinds, NodePlace, Ping,
+    RecordingFacts, Refusal, ServerFrame, Snapshot, Token, VERSION, Version, Want,
 };
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -240,24 +240,37 @@ fn over_tcp_a_token_keeps_others_out() {
     let showing = Showing::new(runtime.node().clone()).token(Some(token.clone()));
     let observer = showing.start_tcp(any).unwrap();
     let Place::Tcp(address) = *observer.place() else { panic!("over TCP") };
-    let denied = |said: &ClientFrame| {
+    let challenged = || {
         let mut monitor = Monitor::tcp(address);
         assert!(matches!(monitor.hello(NEW), Handshake::Hello(_)));
-        monitor.say(said);
+        let ServerFrame::Challenge(challenge) = monitor.next() else {
+            panic!("it says more before the proof")
+        };
+        (monitor, challenge)
+    };
+    let denied = |said: &dyn Fn(&Challenge) -> ClientFrame| {
+        let (mut monitor, challenge) = challenged();
+        monitor.say(&said(&challenge));
         let answer = monitor.next();
         assert!(matches!(monitor.reader.read_frame(), Err(FrameError::Closed)));
         answer
     };
     let other = Token::of("a token of another test").unwrap();
-    assert_eq!(denied(&ClientFrame::Token(other)), ServerFrame::Denied(Denied::WrongToken));
-    assert_eq!(denied(&ClientFrame::Want(want())), ServerFrame::Denied(Denied::NoToken));
-    // A monitor of version 1.0 cannot show a token, so the refusal names the two versions.
-    let refused = Handshake::Refused(Refusal::OtherMajor { node: VERSION, monitor: OLD.0 });
-    assert_eq!(Monitor::tcp(address).hello(OLD), refused);
+    let (wrong, missing) = (ServerFrame::Denied(Denied::WrongToken), ServerFrame::Denied(Denied::NoToken));
+    assert_eq!(denied(&|challenge| ClientFrame::Proof(other.proof(challenge))), wrong);
+    // A recorded proof is one of another connection.
+    let recorded = token.proof(&challenged().1);
+    assert_eq!(denied(&|_| ClientFrame::Proof(recorded)), wrong);
+    assert_eq!(denied(&|_| ClientFrame::Want(want())), missing);
+    assert_eq!(denied(&|_| ClientFrame::Token(token.clone())), missing, "the token itself, in clear");
+    // Monitors of earlier versions cannot prove anything, so the refusal names the two versions.
+    for old in [OLD, (Version { major: 1, minor: 2 }, 0xed49_0a48)] {
+        let refused = Handshake::Refused(Refusal::OtherMajor { node: VERSION, monitor: old.0 });
+        assert_eq!(Monitor::tcp(address).hello(old), refused);
+    }
 
-    let mut monitor = Monitor::tcp(address);
-    assert!(matches!(monitor.hello(NEW), Handshake::Hello(_)));
-    monitor.say(&ClientFrame::Token(token));
+    let (mut monitor, challenge) = challenged();
+    monitor.say(&ClientFrame::Proof(token.proof(&challenge)));
     assert!(matches!(monitor.next(), ServerFrame::Table(_)));
     monitor.say(&ClientFrame::Want(want()));
     assert!(matches!(monitor.next(), ServerFrame::Delta(_)));

@@ -6,5 +6,6 @@ mod obs;
 mod obs_bytes;
 mod obs_delta;
 mod obs_place;
+mod obs_token;
 mod recording;
 mod support;

@@ -288,6 +288,16 @@ fn samples_1_2() -> Vec<(&'static str, Vec<u8>)> {
     vec![("held_back", bytes(&held)), ("held_back_none", bytes(&none))]
 }
 
+/// Every kind of frame that version 1.3 added.
+fn samples_1_3() -> Vec<(&'static str, Vec<u8>)> {
+    let challenge = ServerFrame::Challenge(Challenge([7; 32]));
+    let proof = ClientFrame::Proof(Proof([9; 32]));
+    vec![
+        ("challenge", postcard::to_allocvec(&challenge).unwrap()),
+        ("proof", postcard::to_allocvec(&proof).unwrap()),
+    ]
+}
+
 /// A delta of changed parts, and one that sends some parts whole.
 fn deltas() -> (Delta, Delta) {
     let old = snapshot();
@@ -341,41 +351,23 @@ fn kept(version: &str, samples: Vec<(&'static str, Vec<u8>)>, write: bool) -> Ve
     all
 }
 
-/// The schema of the released programs that speak version 1.0.
-const SCHEMA_1_0: u32 = 0x3723_afbb;
-
-/// The frames of a version never change. Version 1.0 is released, so its files are never rewritten.
+/// The frames of a version never change. After a deliberate change of version 1.3, as long as it is unreleased, run with
+/// `IMRS_WRITE_GOLDEN=1`. Then set `SCHEMA` to the value in the test's failure.
 #[test]
-fn golden_bytes_of_version_1_0_are_kept() {
-    let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
-    assert_eq!(crc.checksum(&kept("1.0", samples(), false)), SCHEMA_1_0);
-}
-
-/// The schema of the programs that speak version 1.1.
-const SCHEMA_1_1: u32 = 0x17ad_ceff;
-
-/// The frames of version 1.1 never change either.
-#[test]
-fn golden_bytes_of_version_1_1_are_kept() {
-    let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
-    let mut digest = crc.digest();
-    digest.update(&kept("1.0", samples(), false));
-    digest.update(&kept("1.1", samples_1_1(), false));
-    assert_eq!(digest.finalize(), SCHEMA_1_1);
-}
-
-/// After a deliberate change of version 1.2, as long as it is unreleased, run with `IMRS_WRITE_GOLDEN=1`. Then set
-/// `SCHEMA` to the value in the test's failure.
-#[test]
-fn golden_bytes_of_version_1_2_are_kept() {
+fn golden_bytes_of_every_version_are_kept() {
     let write = std::env::var_os("IMRS_WRITE_GOLDEN").is_some();
     let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
     let mut digest = crc.digest();
-    digest.update(&kept("1.0", samples(), false));
-    digest.update(&kept("1.1", samples_1_1(), false));
-    digest.update(&kept("1.2", samples_1_2(), write));
-    let schema = digest.finalize();
-    assert_eq!(SCHEMA, schema, "the schema is {schema:#010x}");
+    for (version, samples, schema) in [
+        ("1.0", samples(), 0x3723_afbb),
+        ("1.1", samples_1_1(), 0x17ad_ceff),
+        ("1.2", samples_1_2(), 0xed49_0a48),
+        ("1.3", samples_1_3(), SCHEMA),
+    ] {
+        digest.update(&kept(version, samples, write && version == "1.3"));
+        let now = digest.clone().finalize();
+        assert_eq!(schema, now, "the schema of {version} is {now:#010x}");
+    }
 }
 
 #[test]
@@ -398,7 +390,7 @@ fn another_major_version_is_named_whatever_follows_it() {
     bytes.extend([0xff; 40]);
     let error = Handshake::decode(&bytes).unwrap_err();
     assert_eq!(error, DecodeError::OtherMajor { theirs: Version { major: 2, minor: 7 }, ours: VERSION });
-    assert_eq!(error.to_string(), "the other side speaks imrs-obs 2.7, this program 1.2");
+    assert_eq!(error.to_string(), "the other side speaks imrs-obs 2.7, this program 1.3");
     assert_eq!(Handshake::decode(b"GET / HTTP/1.1\r\n"), Err(DecodeError::NotObs));
     assert_eq!(Handshake::decode(b"IMOB\x01"), Err(DecodeError::NotObs));
 }

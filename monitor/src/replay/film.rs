@@ -305,6 +305,7 @@ pub(crate) fn is_odd(shown: &Shown) -> bool {
             | ServerFrame::Pong(_)
             | ServerFrame::Places(_)
             | ServerFrame::Denied(_)
+            | ServerFrame::Challenge(_)
             | ServerFrame::HeldBack(_),
         )
         | Shown::Attached { .. }

@@ -1,10 +1,14 @@
 //! One connection to one node, from connecting to its end.
 
+#[cfg(test)]
+mod tests;
+
 use super::{Feed, Sink, SourceId, Wishes};
 use crate::options::Endpoint;
 use imrs_wire::obs::{
-    ClientFrame, DecodeError, FrameError, FrameReader, FrameWriter, Handshake, Hello, MAX_FRAME, MAX_WATCHED,
-    NodeIdentity, Ping, Places, Role, SCHEMA, ServerFrame, Subscribe, Token, VERSION, Version, Want, agree,
+    Challenge, ClientFrame, DecodeError, FrameError, FrameReader, FrameWriter, Handshake, Hello, MAX_FRAME,
+    MAX_WATCHED, NodeIdentity, Ping, Places, Role, SCHEMA, ServerFrame, Subscribe, Token, VERSION, Version,
+    Want, agree,
 };
 use std::fmt::Display;
 use std::io::{self, Read, Write};
@@ -12,6 +16,9 @@ use std::net::{TcpStream, ToSocketAddrs};
 use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
+
+/// The first minor version in which a monitor proves that it has the token.
+const PROOFS: u16 = 3;
 
 /// How long a node has to answer a hello: on a busy machine its thread for monitors runs last.
 const PATIENCE: Duration = Duration::from_secs(3);
@@ -108,13 +115,16 @@ fn talk(endpoint: &Endpoint, with: &Talk<'_>, reader: impl Read, writer: impl Wr
     let Feed::Attached { identity, .. } = &attached else { return End::Stopped };
     let identity = identity.clone();
     let mut session = Session::new(with, identity, writer, version.minor >= 1);
-    // A node that requires a token sends nothing more until it has the token.
     let mut attached = Some(attached);
     let ended = |attached: &Option<Feed>, why: &dyn Display| match attached {
         Some(_) => End::Failed(format!("{endpoint}: {why}")),
         None => End::Lost(why.to_string()),
     };
-    if let Err(error) = session.begin() {
+    // A node that requires a token sends a challenge first, and nothing more before the proof. A node that cannot do so gets no
+    // token: anyone could answer in its place.
+    if (with.token.is_none() || version.minor < PROOFS)
+        && let Err(error) = session.begin()
+    {
         return ended(&attached, &error);
     }
     loop {
@@ -132,11 +142,20 @@ fn talk(endpoint: &Endpoint, with: &Talk<'_>, reader: impl Read, writer: impl Wr
         };
         let frame = match frame {
             Ok(ServerFrame::Denied(denied)) => return End::Failed(format!("{endpoint}: {denied}")),
+            Ok(ServerFrame::Challenge(challenge)) => match session.prove(&challenge) {
+                Ok(()) => continue,
+                Err(error) => return ended(&attached, &error),
+            },
             Ok(frame) => frame,
             // The node should not have sent a frame of a later minor version, but it can be skipped.
             Err(DecodeError::UnknownKind(_)) => continue,
             Err(error) => return ended(&attached, &format!("it sent {error}")),
         };
+        if !session.begun
+            && let Err(error) = session.begin()
+        {
+            return ended(&attached, &error);
+        }
         if let Some(attached) = attached.take()
             && !with.sink.deliver(with.id, attached)
         {
@@ -157,6 +176,8 @@ struct Session<'a, W> {
     writer: FrameWriter<W>,
     /// Whether the node speaks version 1.1.
     new: bool,
+    /// Whether the node was told what the monitor wants.
+    begun: bool,
     /// Frames received for which no credit was returned yet.
     owed: u16,
     /// The versions of the wishes that were sent to the node.
@@ -171,7 +192,18 @@ struct Session<'a, W> {
 impl<'a, W: Write> Session<'a, W> {
     fn new(with: &'a Talk<'a>, identity: NodeIdentity, writer: FrameWriter<W>, new: bool) -> Self {
         let ping_at = Instant::now();
-        Self { with, identity, writer, new, owed: 0, known: (0, 0), told: None, ping_at, deaf: false }
+        Self {
+            with,
+            identity,
+            writer,
+            new,
+            begun: false,
+            owed: 0,
+            known: (0, 0),
+            told: None,
+            ping_at,
+            deaf: false,
+        }
     }
 
     fn say(&mut self, frame: &ClientFrame) -> Result<(), FrameError> {
@@ -187,7 +219,15 @@ impl<'a, W: Write> Session<'a, W> {
         }
     }
 
+    /// Proves that this monitor has the token. Without a token it says nothing: the node denies access then.
+    fn prove(&mut self, challenge: &Challenge) -> Result<(), FrameError> {
+        let Some(token) = self.with.token.filter(|_| !self.begun) else { return Ok(()) };
+        self.say(&ClientFrame::Proof(token.proof(challenge)))?;
+        self.begin()
+    }
+
     fn begin(&mut self) -> Result<(), FrameError> {
+        self.begun = true;
         if !self.new {
             let wanted = self.with.wishes.present().0;
             let subscribe = Subscribe {
@@ -197,9 +237,6 @@ impl<'a, W: Write> Session<'a, W> {
                 credit: CREDIT,
             };
             return self.say(&ClientFrame::Subscribe(subscribe));
-        }
-        if let Some(token) = self.with.token {
-            self.writer.push(&ClientFrame::Token(token.clone()))?;
         }
         self.known.1 = self.with.wishes.whole();
         self.want()
@@ -227,7 +264,7 @@ impl<'a, W: Write> Session<'a, W> {
 
     /// Sends changed wishes, and a ping when due.
     fn keep_up(&mut self) -> Result<(), FrameError> {
-        if !self.new {
+        if !self.new || !self.begun {
             return Ok(());
         }
         if self.known.0 != self.with.wishes.version() {
@@ -322,70 +359,5 @@ fn explained(error: DecodeError) -> String {
             )
         }
         other => other.to_string(),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::clock::Clock;
-    use imrs_protocol::Incarnation;
-    use imrs_wire::obs::Table;
-    use std::sync::{Arc, Mutex};
-
-    /// A writer that accepts one write, the hello; later writes fail.
-    struct Closed(bool);
-
-    impl Write for Closed {
-        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-            if std::mem::replace(&mut self.0, true) {
-                return Err(io::ErrorKind::BrokenPipe.into());
-            }
-            Ok(bytes.len())
-        }
-
-        fn flush(&mut self) -> io::Result<()> {
-            Ok(())
-        }
-    }
-
-    #[test]
-    fn what_a_node_said_before_it_went_is_read_although_it_can_be_told_nothing() {
-        let mut said = FrameWriter::new(Vec::new());
-        let role = Role::Node(NodeIdentity {
-            cell: "beam-lift".into(),
-            digest: 1,
-            node: "nl".into(),
-            id: 0,
-            incarnation: Incarnation(1),
-            tick_us: 1,
-        });
-        let hello = Hello { schema: SCHEMA, pid: 1, build: "fake 1".into(), mono_us: 0, role };
-        said.push_bytes(&Handshake::Hello(hello).encode(VERSION)).unwrap();
-        let last = ServerFrame::Table(Table::default());
-        said.push(&last).unwrap();
-        said.flush().unwrap();
-        let heard = Arc::new(Mutex::new(Vec::new()));
-        let hears = heard.clone();
-        let sink = Sink::new(Clock::start(), move |arrival| {
-            hears.lock().unwrap().push(arrival.feed);
-            true
-        });
-        let with = Talk {
-            id: SourceId(0),
-            pace: Pace { period: Duration::from_millis(100) },
-            wishes: &Wishes::default(),
-            token: None,
-            sink: &sink,
-            stop: &AtomicBool::new(false),
-            told: &|_, _| {},
-        };
-        let end = talk(&Endpoint::Tcp("here".into()), &with, said.get_ref().as_slice(), Closed(false));
-        assert!(matches!(&end, End::Lost(why) if why == "the connection was closed"), "{end:?}");
-        let heard = heard.lock().unwrap();
-        assert!(
-            matches!(heard.as_slice(), [Feed::Attached { .. }, Feed::Frame(frame)] if **frame == last),
-            "{heard:?}"
-        );
     }
 }

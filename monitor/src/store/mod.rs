@@ -271,7 +271,7 @@ impl Store {
             ServerFrame::HeldBack(what) => self.incarnations[index].held_back = Some(Received { at, what }),
             ServerFrame::Pong(pong) => self.incarnations[index].compare_clocks(at, pong),
             // The source has already handled these.
-            ServerFrame::Places(_) | ServerFrame::Denied(_) => {}
+            ServerFrame::Places(_) | ServerFrame::Denied(_) | ServerFrame::Challenge(_) => {}
             ServerFrame::Events(events) => self.events(at, index, events),
             ServerFrame::Bye(bye) => match bye.reason {
                 Goodbye::Stopping => self.end(at, source, Condition::Stopped { since: at }),

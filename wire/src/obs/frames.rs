@@ -5,7 +5,7 @@ use super::delta::Delta;
 use super::snapshot::Snapshot;
 use super::told::{Denied, Detail, HeldBack, Places, Pong, Vitals};
 use super::version::Version;
-use super::want::{Ping, Token, Want};
+use super::want::{Challenge, Ping, Proof, Token, Want};
 use imrs_protocol::{CellTable, Class, NodeId, Observation, TaskId, Ticks, Usage};
 use serde::{Deserialize, Serialize};
 
@@ -165,6 +165,8 @@ pub enum ServerFrame {
     Denied(Denied),
     /// The scripts of a restarted node that have not begun yet (1.2).
     HeldBack(HeldBack),
+    /// The node requires a token, and the monitor shall prove that it has it (1.3).
+    Challenge(Challenge),
 }
 
 impl ServerFrame {
@@ -180,6 +182,7 @@ impl ServerFrame {
             | Self::Places(_)
             | Self::Denied(_) => 1,
             Self::HeldBack(_) => 2,
+            Self::Challenge(_) => 3,
         };
         Version { major: 1, minor }
     }
@@ -194,7 +197,8 @@ impl ServerFrame {
             | Self::Pong(_)
             | Self::Places(_)
             | Self::Denied(_)
-            | Self::HeldBack(_) => false,
+            | Self::HeldBack(_)
+            | Self::Challenge(_) => false,
         }
     }
 
@@ -203,7 +207,7 @@ impl ServerFrame {
     /// # Errors
     /// [`DecodeError`]. After [`DecodeError::UnknownKind`] the next frame can still be read.
     pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
-        whole(bytes, 11)
+        whole(bytes, 12)
     }
 }
 
@@ -232,10 +236,12 @@ pub enum ClientFrame {
     Want(Want),
     /// Asks for the node's clock (1.1).
     Ping(Ping),
-    /// Proves that the monitor may watch (1.1). Sent before any other frame.
+    /// The token itself (1.1). Since 1.3 no node takes it, and no monitor sends it: others could read it on the network.
     Token(Token),
     /// Asks for a whole snapshot instead of the next delta (1.1).
     Whole,
+    /// Answers a [`ServerFrame::Challenge`] (1.3). Sent before any other frame.
+    Proof(Proof),
 }
 
 impl ClientFrame {
@@ -244,6 +250,6 @@ impl ClientFrame {
     /// # Errors
     /// [`DecodeError`].
     pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
-        whole(bytes, 6)
+        whole(bytes, 7)
     }
 }

@@ -8,7 +8,7 @@ use thiserror::Error;
 
 /// The CRC-32 of the golden frames of [`VERSION`] and of the minor versions before it. Two builds of one version with
 /// different values have different frame types, and would misread each other.
-pub const SCHEMA: u32 = 0xed49_0a48;
+pub const SCHEMA: u32 = 0x792d_984e;
 
 const MAGIC: [u8; 4] = *b"IMOB";
 /// Length of the magic, the major and the minor version: the bytes whose meaning no version changes.

@@ -18,14 +18,19 @@
 //! A monitor sends [`ClientFrame::Want`] instead of [`ClientFrame::Subscribe`]. Then only the first snapshot is whole,
 //! and later ones are sent as a [`Delta`]. For watched ports the node sends what each queued message has been through
 //! ([`Detail`]). From time to time it sends metrics of its process ([`Vitals`]). [`ClientFrame::Ping`] compares the
-//! clocks. [`ServerFrame::Places`] has the addresses of the other nodes. A node with a [`Token`] sends nothing but its
-//! hello until the monitor has sent that token; without it the node sends [`Denied`]. Neither side sends any of these
+//! clocks. [`ServerFrame::Places`] has the addresses of the other nodes. Neither side sends any of these
 //! frames to a peer that speaks 1.0.
 //!
 //! # What version 1.2 adds
 //!
 //! [`ServerFrame::HeldBack`] lists the scripts of a restarted node that are held back, and for how long. A peer that
 //! speaks 1.1 does not receive it.
+//!
+//! # What version 1.3 adds
+//!
+//! A node with a [`Token`] sends nothing but its hello and a [`ServerFrame::Challenge`] until the monitor has answered that with a
+//! [`ClientFrame::Proof`]; otherwise the node sends [`Denied`]. Until 1.2 the monitor sent the token itself. A node with a token refuses such a
+//! monitor, and a monitor sends no token to such a node.
 //!
 //! No message can change a node: a monitor can only say how much it wants to see, and how often.
 //!
@@ -66,4 +71,4 @@ pub use told::{
     RecordingFacts, Vitals,
 };
 pub use version::{VERSION, Version};
-pub use want::{EventFilter, Kinds, MAX_TOKEN, Ping, Token, TokenError, Want};
+pub use want::{Challenge, EventFilter, Kinds, MAX_TOKEN, Ping, Proof, Token, TokenError, Want};

@@ -1,5 +1,8 @@
 //! The subscription of version 1.1: what a monitor wants to see, and the token that allows it.
 
+use blake2::digest::consts::U32;
+use blake2::digest::{Digest, KeyInit, Mac};
+use blake2::{Blake2s256, Blake2sMac};
 use imrs_protocol::{Event, PortId, TaskId};
 use serde::{Deserialize, Serialize};
 
@@ -116,8 +119,18 @@ pub struct Ping {
 /// The longest token, in bytes.
 pub const MAX_TOKEN: usize = 256;
 
-/// The shared secret that lets a monitor watch a node. It is sent in plain text: anyone who can read the network can
-/// read it, and everything that the node sends. Use a tunnel on a network that others can read.
+/// The shared secret that lets a monitor watch a node. It does not cross the network: the monitor [proves](Self::proof) that it has
+/// it. But everything that the node sends crosses it in clear: use a tunnel on a network that others can read.
+///
+/// ```
+/// use imrs_wire::obs::{Challenge, Token};
+///
+/// let token = Token::of("a secret of the cell")?;
+/// let challenge = Challenge([7; 32]);
+/// assert!(token.is_proven(&challenge, &token.proof(&challenge)));
+/// assert!(!token.is_proven(&Challenge([8; 32]), &token.proof(&challenge)));
+/// # Ok::<(), imrs_wire::obs::TokenError>(())
+/// ```
 #[derive(Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Token(Vec<u8>);
 
@@ -137,16 +150,35 @@ impl Token {
         if fits { Ok(Self(text.into())) } else { Err(TokenError) }
     }
 
-    /// Whether the tokens are equal, compared in a time that does not reveal where they differ.
+    /// Proves to the node that has drawn the challenge that this program has the token.
     #[must_use]
-    pub fn is(&self, other: &Self) -> bool {
-        let differ = (0..self.0.len().max(other.0.len())).fold(0, |differ, at| {
-            let (ours, theirs) = (self.0.get(at).copied(), other.0.get(at).copied());
-            differ | (ours.unwrap_or(0) ^ theirs.unwrap_or(0)) | u8::from(ours.is_none() != theirs.is_none())
-        });
-        std::hint::black_box(differ) == 0
+    pub fn proof(&self, challenge: &Challenge) -> Proof {
+        Proof(self.hash(challenge).finalize().into_bytes().into())
+    }
+
+    /// Whether a proof is that of this token. Takes as long for a wrong one.
+    #[must_use]
+    pub fn is_proven(&self, challenge: &Challenge, proof: &Proof) -> bool {
+        self.hash(challenge).verify((&proof.0).into()).is_ok()
+    }
+
+    /// A hash of the challenge, keyed with the token.
+    fn hash(&self, challenge: &Challenge) -> Blake2sMac<U32> {
+        let key = Blake2s256::digest(&self.0);
+        let mut hash = <Blake2sMac<U32> as KeyInit>::new(&key);
+        hash.update(b"imrs monitor");
+        hash.update(&challenge.0);
+        hash
     }
 }
+
+/// What a node has drawn for one connection, to see whether the monitor has its token.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Challenge(pub [u8; 32]);
+
+/// A monitor's answer to a [`Challenge`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Proof(pub [u8; 32]);
 
 /// Hides the secret.
 impl std::fmt::Debug for Token {

@@ -4,8 +4,8 @@ use super::due::{Subscription, mono_us};
 use super::stream::Stream;
 use super::{MAX_MONITORS, Showing};
 use imrs_wire::obs::{
-    Bye, ClientFrame, DecodeError, Denied, FrameError, FrameReader, FrameWriter, Goodbye, Handshake, Hello,
-    MAX_REQUEST, Pong, Refusal, Role, SCHEMA, ServerFrame, Table, VERSION, Version, agree,
+    Bye, Challenge, ClientFrame, DecodeError, Denied, FrameError, FrameReader, FrameWriter, Goodbye,
+    Handshake, Hello, MAX_REQUEST, Pong, Refusal, Role, SCHEMA, ServerFrame, Table, VERSION, Version, agree,
 };
 use std::os::fd::{AsFd, BorrowedFd};
 use std::time::{Duration, Instant};
@@ -16,8 +16,8 @@ const GREETING: Duration = Duration::from_secs(5);
 const IDLE: Duration = Duration::from_secs(5);
 /// How many requests of one monitor are read before the other monitors get their turn.
 const REQUESTS: usize = 16;
-/// The first version with tokens, and with everything that came with them.
-const NEW: Version = Version { major: 1, minor: 1 };
+/// The first version in which a monitor proves that it has the token, and does not send it.
+const PROOFS: Version = Version { major: 1, minor: 3 };
 /// The first version that reports which scripts are held back.
 const HELD_BACK: Version = Version { major: 1, minor: 2 };
 
@@ -42,6 +42,7 @@ enum State {
     /// The monitor has not yet shown that it may look.
     Unproven {
         until: Instant,
+        challenge: Challenge,
     },
     /// The monitor may subscribe, and has not done so.
     Idle,
@@ -80,7 +81,7 @@ impl Client {
     /// When the connection needs service next, even if the monitor sends nothing.
     pub fn due(&self) -> Option<Instant> {
         match &self.state {
-            State::Greeting { until } | State::Unproven { until } => Some(*until),
+            State::Greeting { until } | State::Unproven { until, .. } => Some(*until),
             State::Subscribed(subscription) if self.writer.is_drained() => subscription.due(),
             State::Subscribed(_) | State::Idle | State::Leaving => None,
         }
@@ -123,7 +124,7 @@ impl Client {
         }
         // This check comes only after reading everything in the socket, because on a busy machine the observer may be late,
         // not the monitor.
-        if let State::Greeting { until } | State::Unproven { until } = self.state
+        if let State::Greeting { until } | State::Unproven { until, .. } = self.state
             && until <= now
         {
             return Err(Gone);
@@ -161,9 +162,9 @@ impl Client {
                     let hello = Handshake::decode(frame);
                     self.greet(&hello, room, until)?;
                 }
-                State::Unproven { .. } => {
+                State::Unproven { challenge, .. } => {
                     let frame = ClientFrame::decode(frame);
-                    self.prove(frame, room)?;
+                    self.prove(&challenge, &frame, room)?;
                 }
                 State::Idle | State::Subscribed(_) => match ClientFrame::decode(frame) {
                     Ok(frame) => self.take(frame, now),
@@ -197,8 +198,8 @@ impl Client {
                 }
             }
             ClientFrame::Ping(ping) => self.pong = Some(Pong { echo_us: ping.mono_us, mono_us: mono_us() }),
-            // The monitor may look without a token, so the token is ignored.
-            ClientFrame::Token(_) => {}
+            // The monitor may look already.
+            ClientFrame::Token(_) | ClientFrame::Proof(_) => {}
         }
     }
 
@@ -226,8 +227,8 @@ impl Client {
             Err(_) => return Err(Gone),
             Ok((theirs, Handshake::Hello(Hello { role: Role::Monitor, schema, .. }))) => {
                 match agree((VERSION, SCHEMA), (*theirs, *schema)) {
-                    // In this version a monitor cannot show a token.
-                    Ok(version) if self.showing.token.is_some() && version.minor < NEW.minor => {
+                    // In this version a monitor cannot prove that it has the token.
+                    Ok(version) if self.showing.token.is_some() && version.minor < PROOFS.minor => {
                         Some(Refusal::OtherMajor { node: VERSION, monitor: *theirs })
                     }
                     Ok(version) => {
@@ -255,7 +256,10 @@ impl Client {
         };
         self.writer.push_bytes(&Handshake::Hello(ours).encode(VERSION))?;
         if self.showing.token.is_some() {
-            self.state = State::Unproven { until };
+            let mut challenge = Challenge([0; 32]);
+            getrandom::fill(&mut challenge.0).map_err(|_| Gone)?;
+            self.writer.push(&ServerFrame::Challenge(challenge))?;
+            self.state = State::Unproven { until, challenge };
             return Ok(());
         }
         self.admit()
@@ -268,13 +272,20 @@ impl Client {
         Ok(())
     }
 
-    /// Checks the monitor's first frame, which must be the token.
-    fn prove(&mut self, frame: Result<ClientFrame, DecodeError>, room: bool) -> Result<(), Gone> {
+    /// Checks the monitor's first frame, which must prove that it has the token.
+    fn prove(
+        &mut self,
+        challenge: &Challenge,
+        frame: &Result<ClientFrame, DecodeError>,
+        room: bool,
+    ) -> Result<(), Gone> {
         let denied = match (&self.showing.token, frame) {
-            (Some(ours), Ok(ClientFrame::Token(theirs))) if !ours.is(&theirs) => Denied::WrongToken,
-            (None, _) | (Some(_), Ok(ClientFrame::Token(_))) if room => return self.admit(),
+            (Some(token), Ok(ClientFrame::Proof(proof))) if !token.is_proven(challenge, proof) => {
+                Denied::WrongToken
+            }
+            (None, _) | (Some(_), Ok(ClientFrame::Proof(_))) if room => return self.admit(),
             // Another monitor took the last place meanwhile. If this monitor connects again, it gets an answer that says so.
-            (None, _) | (Some(_), Ok(ClientFrame::Token(_))) => return Err(Gone),
+            (None, _) | (Some(_), Ok(ClientFrame::Proof(_))) => return Err(Gone),
             (Some(_), _) => Denied::NoToken,
         };
         self.writer.push(&ServerFrame::Denied(denied))?;
