@@ -90,6 +90,7 @@ impl End {
 }
 
 /// Makes a session without any loss, asked for by the first end. Returns all datagrams.
+#[cfg(test)]
 pub(super) fn acquainted(ends: &mut [End; 2], now: u64) -> Vec<(usize, Vec<u8>)> {
     let mut sent = vec![(1, ends[0].knock(now).unwrap())];
     let mut at = 0;
