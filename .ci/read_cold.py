@@ -28,8 +28,10 @@ def paragraphs(lines):
     """Each block of prose between blank lines: its line, and its text below the headings that it stands under."""
     headings, fenced, block = {}, False, []
     for number, line in enumerate(lines + [""], 1):
-        if line.startswith("```"):
+        if line.startswith("```") or fenced == "-->" and line.startswith("-->"):
             fenced = not fenced
+        elif line.startswith("<!--") and "-->" not in line:
+            fenced = "-->"
         heading = not fenced and re.match(r"(#+) ", line)
         if heading:
             depth = len(heading[1])
