@@ -7,12 +7,12 @@ use std::path::Path;
 
 const HEAD: &str = "# Codes
 
-What `imrs check` says has a code: E for an error, W for a warning, N for a note. A cell with an error is not run and not verified; one with
-warnings is. `imrs explain E104` shows a code with a wrong cell and a right one. This page is written from those.
+Each diagnostic of `imrs check` has a code, which begins with E for an error, W for a warning, and N for a note. A cell with an error is neither
+run nor verified; a cell with warnings is. `imrs explain E104` explains a code, with a wrong cell and a right one. This page has the same texts.
 
-An error hides no others: what of a file could be read is checked, and nothing is said that may only follow from an error. Where
-something was therefore left out, a last line says so (`unchecked` with `--format json`). The exit code is 1 where there are errors, 2 where the
-file is larger or deeper than is looked at (E012, E123).
+One error does not hide others: the compiler checks all parts of a file that it could read, and leaves out diagnostics that may only follow from
+another error. If it left out some, a last line says so (`unchecked` with `--format json`). The exit code is 1 if there are errors, and 2 if the
+file exceeds a limit (E012, E123).
 
 ## What the paper asks of its compiler
 
@@ -27,7 +27,7 @@ file is larger or deeper than is looked at (E012, E123).
 | a parameter is one word where nothing is said | E112, where it does not fit |
 | where tasks are best placed, from their time_outs | E201, W318, E207, W315 |
 
-What it leaves to the programmer is found, too: calls in a ring (E202), rendezvous in different orders (E203) or without a member (E104, W314),
+The compiler also finds faults that the paper leaves to the programmer: calls in a ring (E202), rendezvous in different orders (E203) or without a member (E104, W314),
 commands that no task takes or answers (E204, E209, W308), a bad outcome without a branch (E208, W301), buffers that are too small (W302),
 work that keeps a message waiting too long (W303), a penalty that is too long (W306) or starves (W307), what is not reached or not used
 (W309, W310, W311), time_outs of a few ticks (E206, N201), numbers that may come again (E304), a name
