@@ -25,7 +25,7 @@ pub enum CellFileError {
     NotText {
         /// The file that is not text.
         path: PathBuf,
-        /// Where the first invalid bytes are, as text.
+        /// A text that says where in the file the first bytes are that are not UTF-8.
         message: String,
     },
     /// The operating system cannot read the file.

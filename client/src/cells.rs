@@ -109,8 +109,8 @@ impl Loaded {
         self.all_actions().map(|action| action.name.as_str())
     }
 
-    /// The ranges from which simulated results of actions are drawn: the declared range; else the values with which the cell
-    /// compares the results; else a small default.
+    /// For each action, the range from which a simulated result is drawn: the declared range if there is one; otherwise
+    /// the values with which the cell compares the result; without these a small default range.
     #[must_use]
     pub fn results(&self) -> Vec<Results> {
         let mut results: BTreeMap<&str, (i64, i64, bool)> = BTreeMap::new();

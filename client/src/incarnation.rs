@@ -24,7 +24,8 @@ use std::time::{Duration, Instant};
 
 /// How long a node waits for its neighbours to say which incarnation of it they remember.
 const ASK_WITHIN: Duration = Duration::from_secs(1);
-/// How long a node waits for its lock. A process that only asks whether the node runs holds the lock for a moment.
+/// How long a node waits for its lock. Another process that only asks whether the node runs holds the lock for a
+/// moment.
 const LOCK_WITHIN: Duration = Duration::from_millis(50);
 /// Interval between attempts to lock.
 const LOCK_EVERY: Duration = Duration::from_millis(5);
@@ -51,8 +52,9 @@ pub struct Counted {
     pub notice: Option<String>,
 }
 
-/// Binds the socket of a node that runs on its own, sets the addresses of its neighbours, and counts its next incarnation. The
-/// count comes after the socket, so that a start without a socket consumes none (D145). `keys`: what closes its datagrams.
+/// Binds the socket of a node that runs on its own, sets the addresses of its neighbours, and counts its next
+/// incarnation. The count comes after the socket, so that a start without a socket consumes none (D145). `keys` encrypt
+/// and authenticate its datagrams.
 ///
 /// # Errors
 /// [`UdpError`]: the address cannot be bound. [`PlaceError`]: the node runs already, its incarnation cannot be stored, or a
@@ -121,7 +123,8 @@ fn count(link: &UdpLink, cell: &str, node: &str) -> Result<Counted, PlaceError> 
 /// stored one.
 fn next(before: Option<Incarnation>, remembered: &[Incarnation]) -> (Incarnation, bool) {
     let after = |Incarnation(number): Incarnation| Incarnation(number.wrapping_add(1));
-    // A node without stored state has no count of its own. A neighbour that does not answer may consider incarnation 0 old.
+    // A node without stored state has no count of its own. If a neighbour that does not answer now remembers a later
+    // incarnation of this node, it will drop packets of incarnation 0 as old.
     let counted = before.map(after);
     let next = remembered.iter().fold(counted, |next, &other| {
         next.filter(|&next| supersedes(next, other)).or_else(|| Some(after(other)))

@@ -126,7 +126,7 @@ fn lines(text: &str, loaded: &Loaded, name: &str) -> Result<NodeKeys, String> {
             ["node", of, _] if of == name => private = Some(key),
             ["node", of, _] => return Err(format!("it is the file of node `{of}`")),
             ["peer", of, _] => {
-                // Of a node that the cell no longer has, nothing is needed.
+                // The file may list a node that the cell no longer has. Its key is not needed.
                 let peer = nodes.iter().position(|node| node.name == of).map(NodeId::from_index);
                 publics.extend(peer.map(|peer| (peer, *key)));
             }

@@ -34,8 +34,9 @@ type Adds = Box<dyn FnOnce(Builder, Gate) -> Builder + Send>;
 /// over UDP at the address that the cell declares for it. Actions without a function are simulated. Monitors find the nodes
 /// as they find those of `imrs run`.
 ///
-/// First [`open`](Self::open) or [`of_text`](Self::of_text); then what the program adds, in any order; last
-/// [`run`](Self::run), which starts the nodes and returns when they have ended.
+/// Call [`open`](Self::open) or [`of_text`](Self::of_text) first, then the methods that add functions and
+/// options, in any order, and last [`run`](Self::run), which starts the nodes and returns when they have
+/// ended.
 ///
 /// ```
 /// use imrs_client::{Program, TaskEnd};

@@ -218,7 +218,8 @@ pub enum PortOptionKind {
     Resend(Duration),
     /// `penalty = 20 msec`, `penalty = paper 20 msec`
     Penalty {
-        /// Whether it is `paper`: each penalty also lengthens the message's time_out, as the paper says literally (D4).
+        /// Whether the option says `paper`: then each penalty also lengthens the message's time_out, as the paper says
+        /// literally (D4).
         literal: bool,
         /// How long a rejected message waits until it is offered again.
         length: Duration,
@@ -336,7 +337,8 @@ pub enum StatementKind {
         into: Vec<Place>,
         /// The only sender from which it receives.
         from: Option<Name>,
-        /// The longest wait of the statement. The task's time_out of the port limits it, too. With neither it never ends.
+        /// How long the statement waits at most. If the task declares a time_out for the port, that limits the wait,
+        /// too. Without both the wait never ends.
         within: Option<Duration>,
     },
     /// `reply(args)` and `response(args)` answer the last message. `reply p(args) for t` answers an earlier one.
@@ -472,7 +474,8 @@ pub enum ExprKind {
     Not(Box<Expr>),
     /// `-x`
     Negate(Box<Expr>),
-    /// `x + y` and the like. The parser marks each as an operation on integers, because types are not known yet.
+    /// `x + y` and the like. The parser marks each operation as one on integers, because it does not know the
+    /// types yet.
     Binary(Binary, Box<Expr>, Box<Expr>),
 }
 
@@ -492,7 +495,7 @@ pub enum CoupleKind {
     Loose {
         /// The tasks that share something.
         tasks: Vec<Name>,
-        /// The task that administers what the others share.
+        /// The task that administers what the other tasks of the couple share.
         over: Name,
     },
     /// `tight {a, b}`

@@ -36,7 +36,7 @@ impl Compiled {
 /// Options of a compilation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Options {
-    /// Whether only the words of the paper are allowed, and its own rules hold (D92).
+    /// Whether only the words of the paper are allowed, and the paper's own rules apply (D92).
     pub paper: bool,
 }
 
@@ -46,8 +46,9 @@ pub fn compile(source: &Source) -> Compiled {
     compile_with(source, Options::default())
 }
 
-/// Compiles a file: syntax, names and types, then the behaviour of the cell and the tables of the protocol. After errors in a
-/// phase the later ones check the rest. They report only what does not follow from those errors: each fault is reported once.
+/// Compiles a file: syntax, names and types, then the behaviour of the cell and the tables of the protocol. After
+/// errors in one phase, the later phases check the other parts of the file, and report only what does not follow from
+/// these errors. So each fault is reported once.
 #[must_use]
 pub fn compile_with(source: &Source, options: Options) -> Compiled {
     let parsed = parse(source);

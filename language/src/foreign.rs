@@ -5,7 +5,7 @@ use crate::diagnostic::Diagnostic;
 use crate::lexer::Kind;
 use crate::span::Span;
 
-/// Words that mean the same thing, in lower case, and what to write here.
+/// Words of other languages that mean the same thing, in lower case, and the word to write in a cell instead.
 type Row = (&'static [&'static str], &'static str);
 
 /// The diagnostic for a line that begins with an unknown word, which the message shows as `shown`. `follows` is the token
@@ -36,14 +36,14 @@ fn statement(word: &str) -> Option<&'static str> {
     find(STATEMENTS, word).or_else(|| find(DECLARATIONS, word))
 }
 
-/// What to write where a declaration is expected, and this word stands there.
+/// The advice for a word of another language in a place where a declaration is expected.
 pub(crate) fn declaration(word: &str) -> &'static str {
     find(DECLARATIONS, word).unwrap_or(
         "begin with the keyword of a declaration: `node n1;`, `task arm on n1 ..`; statements belong into a task",
     )
 }
 
-/// What to write in front of a task's `begin`, where this word stands there.
+/// The advice for a word of another language in front of a task's `begin`.
 pub(crate) fn in_task(word: &str) -> &'static str {
     let otherwise = "declare ports and variables here, and write `begin` in front of statements";
     find(DECLARATIONS, word).unwrap_or(otherwise)

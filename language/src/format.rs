@@ -1,7 +1,8 @@
 //! The formatter, `imrs fmt`: one way to write a cell file.
 //!
-//! Like gofmt, it keeps line breaks and comments where they are. It sets the rest: indentation, spaces, at most one empty
-//! line, lower-case keywords, one spelling of each option (D10). Trailing `//` comments that stand below each other stay so.
+//! Like gofmt, it keeps line breaks and comments where they are. It decides everything else: indentation, spaces, at
+//! most one empty line, lower-case keywords, one spelling of each option (D10). Trailing `//` comments of consecutive
+//! lines that begin in one column still do so afterwards.
 
 mod align;
 mod layout;

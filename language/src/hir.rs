@@ -161,7 +161,7 @@ pub struct Port {
     pub resend: Option<Duration>,
     /// `penalty`: the time, and whether the paper's literal rule applies (D4).
     pub penalty: Option<(Duration, bool)>,
-    /// The value of `rate`: at most so many messages in each such time.
+    /// The value of `rate`: at most this many messages in each period of this length.
     pub rate: Option<(u16, Duration)>,
     /// Whether the port has the option `latest`.
     pub latest: bool,

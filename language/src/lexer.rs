@@ -1,4 +1,5 @@
-//! The lexer: turns text into tokens. It keeps comments aside for the formatter, and reports and skips what is no token.
+//! The lexer: turns text into tokens. It keeps comments aside for the formatter. It reports and skips characters that
+//! form no token.
 
 use crate::codes::{NUMBER, OPERATOR, UNCLOSED_TEXT, UNKNOWN};
 use crate::diagnostic::Diagnostic;
@@ -266,7 +267,7 @@ fn comment(text: &str) -> (usize, bool) {
     (bytes.len(), false)
 }
 
-/// Whether a statement or a declaration may begin behind this token, but no condition.
+/// Whether a statement or a declaration, but no condition, may begin right after this token.
 const fn ends_statement(token: Kind) -> bool {
     use Word::{Begin, Do, Else, Is, Loop, Record, Takeover, Then};
     matches!(token, Kind::Semicolon | Kind::Word(Begin | Do | Then | Else | Loop | Is | Record | Takeover))

@@ -77,8 +77,8 @@ impl<'a> EventLog<'a> {
     }
 }
 
-/// The judge also judges recordings, which have no launcher. So it has methods of its own, and this turns facts into calls
-/// of them.
+/// The judge also judges recordings, which have no launcher. So it has methods of its own, and this implementation
+/// turns each fact into a call of one of them.
 impl Fold for Judge<'_> {
     fn take(&mut self, at: u64, fact: &Fact) {
         match fact {

@@ -62,7 +62,7 @@ pub struct Launcher<'a> {
     /// The fault that waits for an action to begin, and how often that action has begun so far.
     moment: Option<(Moment, usize)>,
     started: Instant,
-    /// Whether the event log has been told that only servers are left.
+    /// Whether the launcher has already put into the event log that only tasks are left that serve for ever.
     idle_told: bool,
     interrupts: Interrupts,
     /// The earlier deadline for readiness, set by the first Ctrl-C.
@@ -196,7 +196,8 @@ impl<'a> Launcher<'a> {
         self.children.name(node).to_owned()
     }
 
-    /// Tells every node the TCP addresses of all, so that a monitor finds all nodes through one of them.
+    /// Sends every node the TCP addresses at which all nodes serve monitors, so that a monitor finds all
+    /// nodes through one of them.
     fn tell_observed(&mut self) {
         if !self.observed.is_empty() {
             self.children.order_all(&Order::Observed(self.observed.clone()));

@@ -62,7 +62,8 @@ pub struct Setup {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Order {
-    /// The addresses of nodes by name. The first book starts the node; a later one holds changed addresses.
+    /// The addresses of nodes by name. The first such message starts the node; a later one has changed
+    /// addresses.
     Book(BTreeMap<String, SocketAddr>),
     /// The TCP addresses at which nodes serve monitors, by node name.
     Observed(BTreeMap<String, SocketAddr>),

@@ -46,7 +46,7 @@ pub struct Run<'a> {
     pub faults: Vec<(Duration, Fault)>,
     /// A fault that waits for an action to begin; none if there is no such fault.
     pub moment: Option<Moment>,
-    /// The file beside which each node writes its recording.
+    /// The path from which the file name of each node's recording is made; none: no recordings.
     pub record: Option<PathBuf>,
     /// Whether a recording may replace an existing file.
     pub force: bool,

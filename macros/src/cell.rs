@@ -137,12 +137,12 @@ fn types(hir: &Hir) -> TokenStream {
     quote! {
         #(#records)*
         #(#own)*
-        /// What is sent through each port.
+        /// The type of the messages that are sent through each port.
         #[allow(non_camel_case_types, dead_code)]
         pub mod messages {
             #(#messages)*
         }
-        /// What is answered through each port.
+        /// The type of the answers that are sent through each port.
         #[allow(non_camel_case_types, dead_code)]
         pub mod answers {
             #(#answers)*

@@ -177,8 +177,8 @@ proptest! {
         prop_assert_eq!(&got, &old);
     }
 
-    /// Any delta of one snapshot, applied to any other snapshot, either gives an error and changes nothing, or gives some
-    /// snapshot.
+    /// If a delta of one snapshot is applied to any other snapshot, `apply` either returns an error and changes
+    /// nothing, or gives some snapshot.
     #[test]
     fn what_changed_elsewhere_is_borne(seed in 0..50_u64, after in edits(), damage in (any::<usize>(), any::<u8>()), tasks in 0..5_u16) {
         let (old, mut new) = (snapshot(4, 5, seed), snapshot(4, 5, seed + 1));

@@ -118,7 +118,8 @@ impl Need {
         if self.answered { 2 } else { 1 }
     }
 
-    /// The time that message and answer take in any case. A time_out that is not longer always ends first.
+    /// The time that message and answer take in any case. A time_out must be longer, or it ends before the
+    /// answer every time.
     fn certain(&self) -> u64 {
         self.way.saturating_mul(self.ways()).saturating_add(self.work.least)
     }
@@ -149,7 +150,7 @@ impl Need {
     }
 }
 
-/// What the messages of a port need, for each sender and receiver whose nodes are joined.
+/// How much time the messages of a port need, for each sender and receiver that a route joins.
 fn needs(hir: &Hir, id: PortId) -> Vec<Need> {
     let port = &hir.ports[id.index()];
     let mut needs = Vec::new();

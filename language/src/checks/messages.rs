@@ -132,8 +132,8 @@ fn has_room(hir: &Hir, port: &Port, found: &mut Vec<Diagnostic>) {
     );
 }
 
-/// Reports work that outlasts a class-2 message. A `receive` takes the message only after the work in front of it. A handler
-/// is offered the message again until it interrupts (D58), but `atomic` prevents that.
+/// Reports work during which a class-2 message may expire. A `receive` takes the message only after the work in front
+/// of it. A handler is offered the message again until it interrupts (D58), but `atomic` prevents that.
 fn has_time(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
     if port.class != Class::Command {
         return;

@@ -1,5 +1,5 @@
-//! Static checks of a cell (the paper's "compiler"): each finding stands on the line that causes it. What a check cannot
-//! decide it does not report: the model checker tries it.
+//! Static checks of a cell (the paper's "compiler"): each finding stands on the line that causes it. If a check cannot
+//! decide a case, it reports nothing, because the model checker tries that case.
 
 mod answers;
 mod couples;

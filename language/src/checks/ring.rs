@@ -21,7 +21,7 @@ fn shortest(size: usize, edges: &[(usize, usize)]) -> Option<Vec<usize>> {
     (0..size).filter_map(|start| back_to(start, size, edges)).min_by_key(Vec::len)
 }
 
-/// The shortest ring from a vertex through greater ones back to itself.
+/// The shortest ring that leads from the vertex `start` through vertices of greater number back to `start`.
 fn back_to(start: usize, size: usize, edges: &[(usize, usize)]) -> Option<Vec<usize>> {
     let mut from: Vec<Option<usize>> = vec![None; size];
     let mut at = vec![start];

@@ -127,7 +127,8 @@ impl Paths<'_> {
             StatementKind::Loop(body) => self.endless(body, from),
             StatementKind::While(condition, body) if is_true(condition) => self.endless(body, from),
             StatementKind::While(_, body) => {
-                // One pass through the body counts, because the condition may ask whether the message is still there.
+                // The result joins two cases: the body does not run, or it runs once. Further passes are left out,
+                // because the condition may ask whether the message is still there.
                 let once = self.through_all(body, from);
                 Left::by_end(from.or(once.next).or(once.exit))
             }

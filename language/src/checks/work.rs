@@ -7,7 +7,8 @@ use std::cell::Cell;
 
 /// How many statements one search visits at most.
 const STEPS: u32 = 100_000;
-/// How many answers may wait for each other in a chain. Deeper ones count as no time.
+/// How many answers may wait for each other in a chain. An answer further down the chain counts as taking no
+/// time.
 const DEEPEST: usize = 8;
 
 /// The least time between a message's arrival in a task and its answer, in microseconds, on the quickest path through the
@@ -137,7 +138,8 @@ impl Search<'_> {
         left
     }
 
-    /// Follows the paths through the body of a loop. They may begin where the loop is entered, or come from the end of its body.
+    /// Follows the paths through the body of a loop. Such a path begins at the start of the loop or at the end of its
+    /// body.
     fn turned(self, body: &[Statement], from: Open, receives: Option<PortId>) -> Left {
         let once = self.statements(body, from, receives);
         let head = quicker(from, once.next);

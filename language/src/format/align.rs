@@ -17,12 +17,14 @@ struct Trailing {
 
 /// Collects the trailing comments while the lines are written, and then aligns them with spaces.
 ///
-/// Comments of consecutive lines that began in the same column of the source are one group: they begin in the same column of
-/// the output. A comment of another column is a group of its own, even if it happens to end up below the group.
+/// Comments of consecutive lines that began in the same column of the source are one group: they begin in the same
+/// column of the output. A comment that began in another column is a group of its own, even if it then happens to stand
+/// below the comments of the group.
 #[derive(Default)]
 pub(super) struct Aligner {
     comments: Vec<Trailing>,
-    /// How much of the output was looked at for line breaks, and how many were found there.
+    /// The number of bytes of the output in which line breaks were counted, and the number of line breaks
+    /// found in them.
     counted: (usize, usize),
 }
 

@@ -76,7 +76,8 @@ impl Blocks {
                     | Word::Record
             )
         );
-        // Outside of blocks the `takeover` of a `couple` closes nothing, and a `record` stays at the level of its `type`.
+        // Outside of blocks the word `takeover` belongs to a `couple` and closes no block, and a `record` has the
+        // indentation of its `type`.
         if closes && !self.open.is_empty() && !is_comment {
             return inside - 1;
         }

@@ -4,7 +4,7 @@ use super::What;
 use crate::lexer::Kind;
 use crate::words::Word;
 
-/// What the tokens in front say about the next space.
+/// The state that the tokens so far leave, for the decision whether a space follows.
 #[derive(Default)]
 pub(super) struct Spacing {
     last: Option<What>,

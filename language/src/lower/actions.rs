@@ -31,8 +31,9 @@ impl Action {
 }
 
 impl Uses {
-    /// Records a statement and returns the number of its action. A use with another result type or range gets another number
-    /// of the same name, because a result that one use allows the other may forbid.
+    /// Records a statement and returns the number of its action. A statement that runs the action with another result
+    /// type or range gets another number for the same name, because a result may be allowed in one statement and
+    /// forbidden in the other.
     pub fn add(
         &mut self,
         builder: &mut ProgramBuilder,
@@ -174,8 +175,8 @@ fn goes_elsewhere(terms: &[Option<Term>], is: impl Fn(Term) -> bool) -> bool {
 /// How many values from comparisons of other tasks and checks are tried at most.
 const MOST: usize = 16;
 
-/// Adds values to each action whose result is read outside of comparisons with constants: every value with which any task or
-/// check of the cell compares something.
+/// If an action's result is read outside of comparisons with constants, adds more values to try: every value with which
+/// any task or check of the cell compares something.
 pub(super) fn try_what_others_compare(hir: &Hir, tasks: &mut [Behaviour]) {
     let any = |term| matches!(term, Term::Load(_) | Term::Of { .. });
     let [wholes, reals] = [false, true].map(|reals| {

@@ -100,7 +100,8 @@ impl Mapping<'_> {
                 format!("must exceed {needs}: the margin for lost packets, and the link delays"),
             )
         } else {
-            // This error comes only in ticks of the model: in microseconds the checks report it first, with more detail.
+            // This error can come only in ticks of the model. In microseconds the static checks have reported it
+            // before, with more detail.
             (
                 format!("deadline cannot be met: `{name}` takes {needs}, its time_out is {has}"),
                 format!("must exceed {needs}: the links on its route, in ticks"),
@@ -156,7 +157,8 @@ impl Mapping<'_> {
 
     fn takeover(&self, couple: &str, takeover: Ticks, least: Ticks) -> Diagnostic {
         let (has, needs) = (self.time(takeover), self.time(least));
-        // A longer take-over drifts more, and needs a longer one again: four times brings that below a microsecond.
+        // The longer the take-over, the more the clocks drift apart meanwhile, and so the longer it must be. After
+        // four repetitions the difference is below a microsecond.
         let drift = |length| takeover_margin(Ticks::ZERO, length, DRIFT_PPM, Ticks::ZERO, Ticks::ZERO);
         let enough = (0..4).fold(least, |enough, _| least + drift(enough - takeover));
         let whole = enough.0.checked_next_multiple_of((1_000 / self.usec).max(1));

@@ -47,7 +47,8 @@ pub struct Lowered {
 /// The formats of a port's messages.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Formats {
-    /// Messages, or the values told at a `waitfor`. Empty for heartbeats, whose layout the protocol sets.
+    /// The format of messages, or of the values that members bring to a `waitfor`. Empty for heartbeats,
+    /// whose layout the protocol sets.
     pub message: Format,
     /// Answers.
     pub answer: Format,

@@ -132,7 +132,7 @@ impl<'h> Writer<'h, '_> {
             let format = self.emit.builder.format(&types);
             match asked {
                 None => self.emit.op(Op::Arrival { port, task, format }),
-                // The only answer is there already.
+                // Only this task was asked, so the outcome of the statement says whether it answered.
                 Some([one]) if *one == task => self.emit.ops(&[
                     Op::Outcome,
                     Op::Term(Term::Push(StatementOutcome::Reply as i64)),

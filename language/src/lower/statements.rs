@@ -14,8 +14,8 @@ use imrs_protocol::{Class, PortId, Ranked, ServiceOrder, Target, TaskId, Ticks};
 impl<'h> Writer<'h, '_> {
     pub fn statements(&mut self, statements: &'h [Statement]) {
         for statement in statements {
-            // A `while` begins its statement anew at each iteration. The builder of the program begins the statement of an
-            // `order`.
+            // A `while` marks the beginning of its statement at each iteration. For an `order` the program's builder
+            // marks it.
             if !matches!(statement.kind, StatementKind::While(..) | StatementKind::Order(_)) {
                 self.emit.statement(statement.span);
             }

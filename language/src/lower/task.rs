@@ -102,8 +102,8 @@ impl<'h> Writer<'h, '_> {
         });
     }
 
-    /// Emits the operations of `write` as the take-over. For that time the take-over's emitter replaces the one of this
-    /// writer.
+    /// Emits the operations of `write` as the take-over's: while `write` runs, the take-over's emitter replaces the one
+    /// of this writer.
     fn within(&mut self, write: impl FnOnce(&mut Self)) {
         let at = self.task.span;
         let mut emit = std::mem::replace(&mut self.emit, Emitter::new(""));

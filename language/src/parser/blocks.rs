@@ -52,8 +52,8 @@ impl<'t> Driver<'t> {
         !self.is_name(self.at + 1) && behind < self.tokens.len() && !self.is_declaration(behind)
     }
 
-    /// Statements up to a word that ends them: `end`, `else`, `takeover`, or a word that cannot stand in a task. Handlers go
-    /// into `handlers`; they are misplaced where there is none.
+    /// Statements up to a word that ends them: `end`, `else`, `takeover`, or a word that cannot stand in a task.
+    /// Handlers go into `handlers`; without that list they are reported as misplaced.
     fn statements(&mut self, into: &mut Vec<Statement>, mut handlers: Option<&mut Vec<Handler>>) {
         while let Some(kind) = self.kind(self.at) {
             if self.report.is_enough() {
@@ -397,7 +397,8 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// Parses a head: the part between a block's first keyword and its `then` or `do`. Skips that word, too.
+    /// Parses a head: the part between a block's first keyword and its `then` or `do`. Skips the `then` or
+    /// `do`, too.
     fn head<O>(&mut self, line: fn(&Self) -> &Line<'t, O>, from: usize, then: Word) -> Option<O> {
         // The word behind `on` may be the keyword of a statement: `on query`.
         let scan = if self.word(from - 1) == Some(Word::On) && self.kind(from) != Some(Kind::Semicolon) {

@@ -33,7 +33,8 @@ impl Typed {
     }
 }
 
-/// What differs between the expressions of tasks and those of checks: the names, and where diagnostics go.
+/// The two things that differ between the expressions of tasks and those of checks: which names they may use,
+/// and where diagnostics go.
 pub(super) trait Leaves {
     fn report(&mut self, found: Diagnostic);
     /// A variable, or a keyword that stands for a value.

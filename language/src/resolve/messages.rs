@@ -89,7 +89,8 @@ impl<'a> Thread<'_, 'a> {
         whole.then_some((to, written.get(named..).unwrap_or_default()))
     }
 
-    /// One value for each field. A record variable stands for its fields.
+    /// The expressions for the fields of a message, one for each field. A record variable stands for all its
+    /// fields.
     pub fn values(
         &mut self,
         written: &'a [Written],
@@ -152,7 +153,8 @@ impl<'a> Thread<'_, 'a> {
         self.report(found);
     }
 
-    /// The variables for the fields of a message: as many, each of the kind of its field.
+    /// The variables into which the fields of a message are stored: as many variables as fields, each of a
+    /// type that its field fits.
     pub fn destinations(
         &mut self,
         written: &'a [Place],
@@ -220,7 +222,8 @@ impl<'a> Thread<'_, 'a> {
     }
 }
 
-/// Whether such a variable can take the field: reading copies the bits and converts nothing.
+/// Whether a variable of this type can take a field of that type. Reading a message copies bits and converts
+/// nothing.
 fn fits(field: Type, variable: Type) -> bool {
     let kind = |of: Type| match of {
         Type::Bool => 0,

@@ -47,8 +47,8 @@ const SHOWN: usize = 12;
 pub(super) fn nearest<'n>(name: &str, known: impl IntoIterator<Item = &'n str>) -> Option<&'n str> {
     let lower = name.to_lowercase();
     let far = known.into_iter().map(|other| (strsim::osa_distance(&lower, &other.to_lowercase()), other));
-    // One typing error is allowed in a short name, two or three in a long one; case does not count.
-    // For a name of one letter every other one would be similar.
+    // One typing error is allowed in a short name, two or three in a long one; case does not count. For a
+    // name of one letter no error is allowed, because every other letter would be similar.
     let most = (name.len() / 3).clamp(1, 3).min(name.chars().count().saturating_sub(1));
     let near = far.filter(|&(distance, other)| other != name && distance <= most);
     near.min().map(|(_, other)| other)

@@ -348,7 +348,8 @@ impl<'a> Resolver<'a> {
     }
 }
 
-/// The parameters. One without a type takes it from `fields`, as in Figure 1.
+/// The parameters of a port. A parameter without a type takes the type from `fields`, as in the paper's
+/// Figure 1.
 pub(super) fn adopted(decl: &PortDecl, said: &[Field], fields: &[Field]) -> Vec<Field> {
     let mut adopted = said.to_vec();
     if said.len() == fields.len() && decl.parameters.len() == fields.len() {

@@ -105,7 +105,7 @@ fn rings_of_meetings_and_of_calls() {
     check(&pair(&format!("{head} {m} abort \"off\"; {n}"), &b), &never);
     check(&pair(&format!("{head} loop {m} end; {n}"), &b), &never);
     check(&pair(&format!("{head} loop {m} exit; end; {n}"), &b), &["E203 `waitfor m()`"]);
-    // Tasks that ask each other in turns are no ring.
+    // If tasks ask each other one after the other, there is no ring.
     let a = "port p() usage = query user_list = {b} time_out = 50 msec; use_port q() usage = response; begin loop query p() on time_out do skip; end; receive q(); response(); end;";
     let b = "use_port p() usage = response; port q() usage = query user_list = {a} time_out = 50 msec; begin";
     let ask = "query q() on time_out do skip; end;";
@@ -188,8 +188,8 @@ begin loop query q(1) on time_out do skip; end; send go() on time_out do skip; e
 fn what_a_body_receives_is_answered_on_every_path() {
     let forgets = |body: &str| received("", body);
     let (q, go) = ("W308 `receive q(n)`", "W308 `receive go()`");
-    // A path forgets the message at the next iteration, at the end of the task, at another message, or in a loop that never
-    // answers.
+    // On some path the task leaves the message unanswered: at the next iteration, at the end of the task, at another
+    // message, or in a loop that never answers.
     assert_eq!(forgets("loop receive q(n); if n > 0 then response(); end; end;"), [q]);
     assert_eq!(forgets("receive q(n); if n > 0 then response(); end;"), [q]);
     assert_eq!(forgets("loop receive q(n); receive go(); reply(); end;"), [q]);
@@ -351,7 +351,7 @@ fn a_take_over_is_said_with_its_parts() {
     // The check accepts the advised value, although a longer take-over drifts more.
     assert!(found.help[0].starts_with("give it 302 msec, or shorten"), "{:?}", found.help);
     assert!(serious(&WELD.replace("takeover 400 msec", "takeover 302 msec")).is_empty());
-    // The sum of such times does not fit a number.
+    // The sum of these times exceeds 64 bits.
     let endless = serious(&WELD.replace("lease 100 msec", "lease 18446744073709551 msec")).remove(0);
     assert_eq!(endless.code, "E305");
 }

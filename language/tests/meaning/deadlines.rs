@@ -42,7 +42,8 @@ fn limits(links: usize, answer: &str) -> (u64, u64) {
 #[test]
 fn the_way_counts_with_each_link_and_ticks_only_warn() {
     let handler = "begin order q > self; on query q() do response(); end;";
-    // Two ways of 2, 4 and 6 msec. A tick for each link, there and back, is not certain to pass.
+    // The route takes 2, 4 or 6 msec in each direction. A node may also act a tick late on each link, there
+    // and back, but need not.
     assert_eq!([1, 2, 3].map(|links| limits(links, handler)), [(5, 7), (9, 13), (13, 19)]);
     // Within one node there is no link delay: four ticks are the least.
     assert_eq!(limits(0, handler), (1, 4));
@@ -171,7 +172,7 @@ fn who_is_never_asked_needs_no_time() {
     assert_eq!(all_found(&text("")), ["E201 `40 msec`"]);
 }
 
-/// The duration that a help line offers, `give it 27 msec or more`, and the one that it replaces.
+/// The duration that a help line such as `give it 27 msec or more` offers, and the duration that it replaces.
 fn offered(text: &str) -> Option<(String, String)> {
     let source = source(text);
     let found = compile(&source).diagnostics;

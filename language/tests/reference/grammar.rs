@@ -108,8 +108,9 @@ struct Making<'a> {
 }
 
 impl Making<'_> {
-    /// Chooses a number below `of`. Once the choices have run out it is always the first alternative, so that every text
-    /// ends. Expressions have a limit of their own (E012), so they stay small and leave choices for other parts.
+    /// Chooses a number below `of`. Once the choices have run out it is always the first alternative, so that every
+    /// text ends. The length of expressions is limited (E012), so the generator keeps them small, and choices are left
+    /// for other parts.
     fn choose(&mut self, of: usize) -> usize {
         if self.depth > 40 || self.exprs > 1 {
             return 0;

@@ -78,8 +78,8 @@ fn mutated(text: &str, tokens: &[(usize, usize)], seed: &mut u64) -> String {
     format!("{}{other}{}", &text[..begin], &text[end..])
 }
 
-/// A file with one fault seldom has more than a few errors: nearly always three at most. There are more only if the fault is
-/// in a declaration that everything else needs.
+/// A file with one fault seldom has more than a few errors: nearly always at most three. It has more only if the fault
+/// is in a declaration that the other parts need.
 #[test]
 fn one_wrong_word_is_few_errors() {
     let (mut seed, mut number, mut many, mut one, mut mute) = (7, 0, Vec::new(), 0, Vec::new());

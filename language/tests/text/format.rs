@@ -142,7 +142,7 @@ fn gap() -> impl Strategy<Value = &'static str> {
     ])
 }
 
-/// Splits a text at its blanks and puts other gaps there.
+/// Replaces the blanks of a text by other blanks and line breaks.
 fn regapped(text: &'static str) -> impl Strategy<Value = String> {
     // Texts in quotes stay whole, and comments are removed.
     let lines = text.lines().map(|line| line.split("//").next().unwrap_or_default());
@@ -176,8 +176,8 @@ fn columns(text: &str) -> Vec<usize> {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(150))]
 
-    /// Lines that follow each other keep one column for their comments exactly where they had one; each comment has two spaces
-    /// or more in front of it, and exactly two behind the longest line of its group.
+    /// Comments of consecutive lines begin in one column afterwards if and only if they did so before. Each comment has
+    /// at least two spaces in front of it, and exactly two behind the longest line of its group.
     #[test]
     fn comments_below_each_other_move_together(lines in proptest::collection::vec(commented(), 2..6)) {
         let statement = |length: usize| format!("{} := 1;", "x".repeat(length));

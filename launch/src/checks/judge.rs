@@ -13,8 +13,9 @@ use imrs_protocol::{NodeId, TaskId};
 use imrs_runtime::guard::Notice;
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Resolution in microseconds of the order of two steps on different nodes: each time is rounded up to a whole microsecond. A
-/// state that lasted no longer may never have existed.
+/// Resolution in microseconds of the order of two steps on different nodes: each time is rounded up to a whole
+/// microsecond. If a state seems to have lasted no longer than this, the steps may have happened in the other order,
+/// without that state.
 const READING: u64 = 1;
 /// How many events may wait until a silent node reports. If more come, the judge drops waiting changes.
 const WAITING: usize = if cfg!(test) { 64 } else { 1 << 20 };
@@ -53,7 +54,7 @@ pub struct Judge<'a> {
 
 enum Event {
     Change(Change),
-    /// The node reports nothing any more.
+    /// The node has stopped reporting.
     Unknown(NodeId),
     /// The node lives, but could not report all changes from now on.
     Untold(NodeId),
@@ -320,7 +321,8 @@ impl<'a> Judge<'a> {
         matches!(self.loaded.checks[check].kind, CheckKind::Leads { .. })
     }
 
-    /// Lets time pass up to `until` without a change of values. Notes the breaks that last, or that come due before `until`.
+    /// Lets time pass up to `until` without a change of values. Notes checks that are broken all this time, and `leads`
+    /// checks whose time is over before `until`.
     fn pass(&mut self, until: u64, broken: &mut Vec<Broken>) {
         let length = until.saturating_sub(std::mem::replace(&mut self.settled, until));
         for check in 0..self.states.len() {

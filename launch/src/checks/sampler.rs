@@ -16,7 +16,7 @@ pub struct ValueSampler {
     known: Vec<Known>,
 }
 
-/// The last sample of a task, and what later samples need.
+/// The last sample of a task, with the facts that are needed to take the next ones.
 #[derive(Clone, Debug, Default)]
 struct Known {
     /// The values of the last sample.

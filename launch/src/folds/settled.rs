@@ -19,8 +19,8 @@ pub struct Settled {
     pub spans: BTreeMap<i64, i64>,
     /// The last settled round that released a member.
     pub released: Option<i64>,
-    /// Rounds with false releases as far as is known: the members that had not announced the round, and the released ones.
-    /// Reports may still show that announcements of an absent member are missing.
+    /// Rounds that look like false releases, with the members that had not announced the round and the members that
+    /// were released. Later reports may show that an announcement of an absent member did not reach the launcher.
     doubtful: BTreeMap<i64, (u64, u64)>,
 }
 
@@ -42,7 +42,8 @@ impl Settled {
             last = end;
         }
         self.spans.insert(first, last);
-        // No later event names a round that is so old, so the oldest gap can be closed.
+        // No later event can name a round that is this old, so the oldest gap between settled rounds can be
+        // closed.
         if self.spans.len() > GAPS
             && let Some((first, _)) = self.spans.pop_first()
             && let Some((_, last)) = self.spans.pop_first()

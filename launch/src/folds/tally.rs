@@ -66,7 +66,7 @@ impl Tally {
         Self { members, rounds: BTreeMap::new(), open: OPEN, first: None, settled: Settled::default() }
     }
 
-    /// Takes an event of a member. Events of each member come in order.
+    /// Takes an event of a member. The events of one member must come in order of time.
     pub fn take(&mut self, event: &Event) {
         let Some(place) = self.place(event.task) else { return };
         let member = &mut self.members[place];
@@ -211,9 +211,9 @@ impl Tally {
         self.members.iter().enumerate().map(bit).fold(0, |set, bit| set | bit)
     }
 
-    /// The members whose announcement of this round may be unreported, because their nodes were killed after it began. Or a
-    /// node was killed before the round began, and the announcement may have been its last message, which the other members
-    /// keep for the rest of its TTL.
+    /// The members whose announcement of this round may be unreported, because their nodes were killed after it began.
+    /// A node that was killed before the round began counts, too: its last message may have been the announcement, and
+    /// the other members keep that for the rest of its TTL.
     fn killed(&self, round: i64, meeting: &Meeting) -> u64 {
         self.members(|member| {
             let Some(death) = member.died else { return false };

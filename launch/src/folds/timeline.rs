@@ -9,8 +9,8 @@ use crate::words::span;
 use imrs_protocol::{NodeId, TaskId};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// The age in microseconds from which events are shown. Nodes report events every few milliseconds, so no earlier event can
-/// still come then.
+/// An event is shown when it is this old, in microseconds. Nodes report events every few milliseconds, so by then no
+/// earlier event can still come.
 const SETTLED: u64 = 100_000;
 /// Most lines of one task that are shown within one interval of `SPAN`.
 const PER_SPAN: u32 = 20;
@@ -27,7 +27,8 @@ pub struct Timeline<'a> {
     /// Lines by time, then by the order in which they were reported.
     waiting: BTreeMap<(u64, u64), Entry>,
     told: u64,
-    /// For each task, the span of its last line, and how many lines it has had in that span.
+    /// For each task, the span of time in which its last line was shown, and how many of its lines were shown
+    /// in that span.
     paces: Vec<(u64, u32)>,
     /// Refusals between neighbours that a line has already reported.
     refused: BTreeSet<String>,
@@ -46,11 +47,11 @@ enum Entry {
 pub struct Line {
     /// When, in microseconds since the run began.
     pub at: u64,
-    /// What the line tells.
+    /// The content of the line.
     pub what: Telling,
 }
 
-/// What a line tells.
+/// The content of a line.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Telling {
     /// A script did something.

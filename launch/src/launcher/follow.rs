@@ -63,7 +63,7 @@ impl Launcher<'_> {
         self.faults.iter().any(|(_, fault)| matches!(fault, Fault::Restart(_)))
     }
 
-    /// Notes once that only servers are left, if the run has no declared end.
+    /// If the run has no declared end, notes once that only tasks are left that serve for ever.
     fn tell_idle(&mut self) {
         if self.idle_told || self.run.length.is_some() || self.restarts() || self.log.is_over {
             return;

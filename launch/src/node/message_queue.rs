@@ -123,7 +123,8 @@ mod tests {
     fn a_launcher_that_stands_still_keeps_nobody_waiting_and_hears_everything_later() {
         let (words, pipe) = io::pipe().expect("a pipe");
         let queue = MessageQueue::start(Box::new(pipe)).expect("a thread");
-        // These are more messages than the pipe holds. Writing to the pipe directly would block here for ever.
+        // The test sends more messages than the pipe holds. If they were written to the pipe directly, it
+        // would block here for ever.
         let mut told = 0;
         while queue.has_room() {
             queue.say(Word::Told(told)).expect("nobody has gone");

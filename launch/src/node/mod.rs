@@ -145,7 +145,7 @@ impl Process {
         let id = cell.cell().nodes.iter().position(|n| n.name == setup.node).map(NodeId::from_index);
         let id = id.ok_or_else(|| NodeError::Setup(format!("the node `{}`", setup.node)))?;
         let table = NodeTable::new(Arc::clone(&cell), id);
-        // This is set before any other thread of the node starts, because threads inherit the scheduling.
+        // Real-time scheduling is set before any other thread of the node starts, because threads inherit it.
         let real_time = if setup.rt { rt::begin(id.index()) } else { RealTime::NotAsked };
         if network.is_none() {
             // A slow reader of standard error must not block the node. A launcher that runs nodes as threads did this.
@@ -299,7 +299,8 @@ impl Process {
         drop(self.runtime.take().map(|runtime| runtime.stop(PATIENCE)));
         self.tell()?;
         self.count()?;
-        // This follows the counters: they must reach the launcher even if the disk takes longer than the launcher waits.
+        // The recording is stopped after the counters were sent, because these must reach the launcher even if the disk
+        // takes longer than the launcher waits.
         self.unrecorded = self.recording.take().and_then(|recording| recording.stop(PATIENCE));
         if self.unrecorded.is_some() {
             self.count()?;

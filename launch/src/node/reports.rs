@@ -24,7 +24,8 @@ impl Process {
         let mut observed = Vec::new();
         let missed = self.observations.drain(ROOM, &mut observed);
         self.untold += missed;
-        // The counters go first, because the receiver must know that events are missing before it judges the others.
+        // The counts of missing events are sent first, because the receiver must know of them before it judges the
+        // events.
         if missed > 0 || lost.is_some() {
             self.count()?;
         }

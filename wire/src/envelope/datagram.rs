@@ -68,8 +68,9 @@ impl Datagram {
         self.sealed()
     }
 
-    /// Writes the header of mode 1, and lets a session close what follows: `close` encrypts its first argument into the second,
-    /// with a tag, and returns how many bytes that took. Returns the bytes to send. `index` is the receiver's of the session.
+    /// Writes the header of mode 1, and encrypts the rest by `close`: this function encrypts its first argument into
+    /// the second, appends a tag, and returns how many bytes it wrote. Returns the bytes to send. `index` is the
+    /// receiver's number of the session.
     ///
     /// # Errors
     /// Those of `close`.

@@ -1,4 +1,5 @@
-//! The layout of mode 1: datagrams closed by keys (D191). Which bytes they are made of, without any cryptography.
+//! The layout of mode 1: datagrams that are encrypted and authenticated with keys (D191). This file has the
+//! layout alone, without any cryptography.
 //!
 //! ```text
 //!  0..2   magic 9d 4d
@@ -32,8 +33,9 @@
 //! last 16 keyed hash over everything before it
 //! ```
 //!
-//! Sender, receiver, sessions and digests are not in a transport datagram: the session was made for them. The clear part is bound
-//! without associated data: the index chooses the key, the counter is the nonce, and each other byte has one value.
+//! A transport datagram does not carry sender, receiver, sessions and digests, because the session stands for them. The
+//! bytes in clear need no associated data: the index chooses the key, the counter is the nonce, and each other byte has
+//! only one possible value. So a changed byte makes the decryption fail.
 
 use super::header::{flags_of, purpose_of};
 use super::{
@@ -76,7 +78,7 @@ pub enum Keyed<'a> {
     Handshake(Handshake<'a>),
 }
 
-/// A datagram that makes a session, or says that none will be.
+/// A datagram of the handshake that makes a session, or that refuses one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Handshake<'a> {
     /// The node that sent it.
@@ -85,11 +87,11 @@ pub struct Handshake<'a> {
     pub receiver: NodeId,
     /// What the initiator has drawn for this attempt. All datagrams of the attempt have it.
     pub nonce: [u8; NONCE_BYTES],
-    /// What it says.
+    /// The content of the datagram.
     pub step: Step<'a>,
 }
 
-/// What a datagram of a handshake says.
+/// The content of a datagram of a handshake, by its place in the exchange.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Step<'a> {
     /// The sender wants a session.
@@ -123,10 +125,10 @@ pub enum Step<'a> {
     },
 }
 
-/// Decodes the clear part of a datagram of mode 1. Whether keys closed it is not known then.
+/// Decodes the clear part of a datagram of mode 1. Whether the datagram is authentic is not checked here.
 ///
 /// # Errors
-/// Says why the bytes are none. Never panics, whatever the bytes are.
+/// Says why the bytes are no such datagram. Never panics, whatever the bytes are.
 pub fn read(bytes: &[u8]) -> Result<Keyed<'_>, EnvelopeError> {
     let too_short = EnvelopeError::TooShort(bytes.len());
     let length = EnvelopeError::Length(bytes.len());
@@ -275,7 +277,7 @@ pub(super) fn inner(envelope: &Envelope, count: u8) -> [u8; INNER_BYTES] {
     head
 }
 
-/// What a session says of each datagram that it closes.
+/// The fields that are the same in all datagrams of a session.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Bound {
     /// What both nodes have in common.

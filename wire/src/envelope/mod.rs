@@ -80,8 +80,8 @@ pub const MODE_KEYS: u8 = 1;
 pub struct Digests {
     /// Digest of the cell's declarations, computed over its canonical table.
     pub cell: u32,
-    /// Digest of the cell's statements: the compiled scripts of all tasks. Zero if no task has a script. Of a task in
-    /// another language it covers only the declaration.
+    /// Digest of the cell's statements: the compiled scripts of all tasks. Zero if no task has a script. Of an extern
+    /// task it covers only the declaration.
     pub statements: u32,
 }
 

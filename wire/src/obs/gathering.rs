@@ -24,7 +24,8 @@ impl Gathering {
         self.tasks.push(TaskSnapshot { liveness, age_us, view });
     }
 
-    /// The snapshot without the fields that only the node knows: its clock, its Timer and its links.
+    /// The snapshot; the fields that only a running node knows (its clock, its Timer and its links) are
+    /// empty.
     #[must_use]
     pub fn snapshot(mut self, transit: TransitView) -> Snapshot {
         self.add(&transit.discarded);

@@ -14,9 +14,10 @@ use std::time::{Duration, Instant};
 /// How long the thread pauses after a pass that found records, unless [`Alert::hurry`] ends the pause. During the pause
 /// no producer needs to wake the thread.
 const GATHER: Duration = Duration::from_millis(5);
-/// How long the thread parks after a pass that found nothing, unless a producer wakes it. A producer reads the state
-/// without a fence, so it can miss a thread that is about to park; its record is then late by at most this. After this
-/// time every producer sees [`ASLEEP`], so the next park has no timeout.
+/// How long the thread parks after a pass that found nothing, unless a producer wakes it. A producer reads the
+/// thread's state without a fence, so it may not see that the thread is about to park, and not wake it; its record is
+/// then written later, by this time at most. After this time every producer sees [`ASLEEP`], so the next park has no
+/// timeout.
 const SLEEP: Duration = Duration::from_millis(50);
 const BUFFER_BYTES: usize = 64 * 1024;
 /// The longest state or frame in bytes; the other fields of its record fit the remaining 64.
@@ -278,7 +279,8 @@ fn write<W: Write>(
     loop {
         // This flag is read before the last pass, so that all records queued before the stop are written.
         let stopping = shared.stopping.load(Ordering::Acquire);
-        // This is read before the pass, too, because the pass may be the last one before a park without timeout.
+        // `seen` is computed before the pass, too, because the pass may be the last one before a park without
+        // timeout.
         let seen = sleeps_since.is_some_and(|since: Instant| since.elapsed() >= SLEEP);
         let mut found = false;
         for record in queue.try_iter().take(shared.capacity) {

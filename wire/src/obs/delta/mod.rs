@@ -1,8 +1,9 @@
 //! Deltas: what changed from one snapshot to the next. The mere passing of time is not sent.
 //!
-//! Remaining times are compared as deadlines. If the previous snapshot, aged by the time that passed, equals the new one,
-//! nothing is sent. So an idle node costs a few bytes per period. The law is: `old.apply(&Delta::between(&old, &new))`
-//! gives `new`, whatever the two are. A whole snapshot is encoded as the delta from the empty snapshot.
+//! Remaining times are compared as deadlines. If the previous snapshot, aged by the time that passed, equals the new
+//! one, nothing is sent. So an idle node costs a few bytes per period. For any two snapshots,
+//! `old.apply(&Delta::between(&old, &new))` gives `new`. A whole snapshot is encoded as the delta from the empty
+//! snapshot.
 
 mod age;
 mod apply;
