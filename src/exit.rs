@@ -52,8 +52,8 @@ pub fn is_exhausted(error: &(dyn Error + 'static)) -> bool {
         .any(|error| error.downcast_ref().is_some_and(of_system))
 }
 
-/// The error codes by which the operating system says so: no memory, no file descriptors (of this process, of the system),
-/// no thread or process.
+/// The operating system's error codes for a lack of memory, of file descriptors (of this process, of the system), and
+/// of threads or processes.
 pub(crate) const EXHAUSTED: [i32; 4] = [
     Errno::NOMEM.raw_os_error(),
     Errno::MFILE.raw_os_error(),
@@ -61,8 +61,9 @@ pub(crate) const EXHAUSTED: [i32; 4] = [
     Errno::AGAIN.raw_os_error(),
 ];
 
-/// Whether a panic message says that the operating system has run out of these, in one of the two forms of an [`io::Error`].
-/// Libraries may panic on such an error, as the standard library does when a new thread gets no memory for its signal stack.
+/// Whether a panic message says that the operating system has run out of one of these resources, in one of the two
+/// forms of an [`io::Error`]. Libraries may panic on such an error, as the standard library does when a new thread gets
+/// no memory for its signal stack.
 pub fn says_exhausted(panic: &str) -> bool {
     let says = |code| {
         [format!("Os {{ code: {code},"), format!("(os error {code})")].map(|form| panic.contains(&form))

@@ -60,7 +60,7 @@ fn one(path: &Path, only_check: bool, out: &mut Output) -> Result<Exit, Failure>
     Ok(Exit::Well)
 }
 
-/// The difference between the old and the new text, from the first line that differs to the last.
+/// A text that shows how the old and the new text differ, from the first to the last line that differs.
 fn difference(file: &str, old: &str, new: &str) -> String {
     let (old, new): (Vec<&str>, Vec<&str>) = (old.split('\n').collect(), new.split('\n').collect());
     let same = old.iter().zip(&new).take_while(|(a, b)| a == b).count();

@@ -115,8 +115,8 @@ pub fn keep_text(path: &Path, force: bool, text: &str) -> Result<(), KeptError> 
     keep(path, force, |mut file| file.write_all(text.as_bytes()))
 }
 
-/// The message that a named file was not written, and why. Also warns of an older file there, which could be taken for the
-/// answer.
+/// The message that a named file was not written, and why. If an older file with that name exists, also warns that it
+/// is not the answer.
 pub fn nothing_kept(path: &Path, why: &str) -> String {
     let is_old = path.symlink_metadata().is_ok_and(|of| of.is_file());
     let old = if is_old { "; what is there is of an earlier run" } else { "" };

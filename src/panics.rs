@@ -147,7 +147,7 @@ mod tests {
         let all = |word: &str| said.matches(word).count();
         assert_eq!((all("no part"), all("thread 'dress'")), (4, 1), "{said}");
         for (times, is_said) in [(2, 1), (3, 0), (4, 1), (5, 1)] {
-            // The last count comes from `untold`, not from the hook.
+            // The expected last count is printed by `untold`, not by the hook.
             let pieces = said.lines().flat_map(|line| line.split('"'));
             let pieces = pieces.map(|piece| piece.trim_end_matches(", this time with: no part"));
             let told = pieces.filter(|piece| {

@@ -1,6 +1,7 @@
 //! `imrs replay --model` names the assumptions of the checks that a run broke: packets lost or doubled, failed actions,
-//! killed nodes, clocks that drifted apart, each compared with what the cell declares. The recordings come from real runs
-//! with the launcher's faults, or are altered in one respect. Lateness of this machine changes no verdict here.
+//! killed nodes, clocks that drifted apart, each compared with what the cell declares. The recordings come from real
+//! runs with the launcher's faults, or are altered in one respect. If this machine is late, no verdict of these tests
+//! changes.
 
 use crate::support::program::{one_after_the_other, times};
 use crate::support::{Said, run_in, run_until, runtime_dir, tape};

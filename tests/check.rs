@@ -101,7 +101,7 @@ fn strange_texts_are_findings_and_no_faults() {
                 seed ^= seed << 13;
                 seed ^= seed >> 17;
                 seed ^= seed << 5;
-                // Every other round has ASCII text, because other bytes are rejected at once.
+                // Every second round has ASCII text, because a text with other bytes is rejected at once.
                 (seed >> 8) as u8 & if round % 2 == 0 { 0x7f } else { 0xff }
             })
             .collect();

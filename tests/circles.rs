@@ -1,5 +1,5 @@
-//! The import graph of the files of each crate has no cycle, so each file can be read and tested after its imports. If a
-//! file names the files of its folder by their bare names, it and those files count as one.
+//! The import graph of the files of each crate has no cycle, so each file can be read and tested after the files that
+//! it imports. If a file names the files of its folder by their bare names, it and those files count as one.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;

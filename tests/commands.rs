@@ -207,7 +207,7 @@ fn a_killed_guard_takes_its_command_with_it_and_that_is_told() {
     let [command, child, left] = family;
     signal(parent(command), Signal::KILL);
     wait_until("the group of the command has ended", || !is_alive(command) && !is_alive(child));
-    // Its guard is dead, so nothing can kill this process, and the run says so.
+    // The guard of this process is dead, so no guard can kill it, and the run reports that.
     signal(left, Signal::KILL);
     let said = scene.finish();
     assert_eq!(said.code, Some(1), "{said:?}");
@@ -298,7 +298,7 @@ fn a_stopped_node_keeps_its_command_no_longer_than_its_lease() {
     signal(scene.nodes[0], Signal::STOP);
     all_end(family);
     assert!(is_alive(scene.nodes[0]));
-    // The command must not end before the lease that it was last told.
+    // The command must not end before the end of the lease that it received last.
     let last = last().expect("a deadline");
     assert!(boottime() >= last, "{last}");
     assert!(last < first + 600_000_000, "the end of a lease, not that of the action");
@@ -321,7 +321,7 @@ fn a_check_is_unknown_while_the_command_of_a_killed_node_may_go_on() {
     signal(scene.nodes[0], Signal::STOP);
     signal(guard, Signal::KILL);
     signal(scene.nodes[0], Signal::KILL);
-    // The standby has taken over and welds, too.
+    // By now the standby has taken over and welds, too.
     let second = scene.process("by0");
     assert!(is_alive(second) && is_alive(family[1]));
     scene.program().interrupt();

@@ -12,7 +12,7 @@ use crate::support::{
 use rustix::process::Signal;
 use serde_json::Value;
 
-/// Words of the beam lift about an arm that went on alone.
+/// The words with which the explanation of the beam lift reports an arm that went on alone.
 const ALONE: &str = " moved on for ";
 
 /// Whether an arm went on alone. An arm cannot stop if its node is suspended during a lift.
@@ -111,7 +111,8 @@ fn told(args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
     said
 }
 
-/// The same for the beam lift. It runs again if a node was suspended during a lift, or for longer than the others wait.
+/// Runs the beam lift in the same way. Runs it again if a node was suspended during a lift, or for longer than the
+/// others wait.
 fn lift_told<E: FnMut(&str) -> bool>(args: &[&str], is_enough: impl Fn() -> E) -> Said {
     for _ in 0..TIMES {
         let said = said_until(&[&["beam-lift"], args].concat(), is_enough());
@@ -252,7 +253,8 @@ fn begins(line: &str, action: &str) -> Option<(f64, String)> {
 
 #[test]
 fn of_two_that_change_the_speed_at_once_one_gives_way() {
-    // If the machine lets both robots ask at once, their lines are within a few milliseconds of each other.
+    // If the machine lets both robots ask at once, the times of their lines differ by a few milliseconds
+    // only.
     let (mut adapted, mut gave_way) = (Vec::new(), Vec::new());
     let said = told(&["belt-administrator", "--seed", "3"], |line| {
         adapted.extend(begins(line, "adapt"));
@@ -394,7 +396,7 @@ fn a_node_that_stood_still_carries_out_nothing_old() {
 #[test]
 fn a_cut_link_is_survived() {
     tried_again("the launcher stood still until the cut was over", || {
-        // If three lifts of half a second each run, at least one of them falls into the cut.
+        // Each lift takes half a second, so at least one of three lifts falls into the time of the cut.
         let summary = lifts(&["--cut", "nl--nr@500ms+1s"], "some lifts", |seen| {
             let up = named(&seen["nodes"], "nl")["uptime_us"].as_u64();
             released(seen, "armL") >= 3 && up > Some(2_000_000)

@@ -96,7 +96,7 @@ fn in_both_ways<A: Copy>(cases: [A; 3]) -> impl Iterator<Item = (A, &'static [&'
 fn nodes_of_two_runs_are_no_run() {
     let [one, other] = ["11", "12"].map(|seed| {
         let run = Recorded::of(BEAM, &["--seed", seed, "--in-process"], lifts(1));
-        // This leaves a clear gap between the end of one run and the beginning of the other.
+        // The pause puts a clear gap between the end of one run and the beginning of the other.
         std::thread::sleep(std::time::Duration::from_millis(300));
         run
     });

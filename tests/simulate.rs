@@ -99,7 +99,7 @@ fn a_saved_finding_is_shown_again_of_its_own_cell_alone() {
     let other = run(&["simulate", TWICE, "--plan", &saved]);
     assert_eq!(other.code, Some(2), "{other:?}");
     assert!(other.err.contains("it was saved from the cell `token`, this is `twice`"), "{other:?}");
-    // This is the same cell with one more declaration.
+    // The text is the same cell with one more declaration.
     let text = fs::read_to_string(cell).expect("a cell");
     let (_folder, changed) = file("changed.cell", &text.replacen("node n1;", "node n1; node spare;", 1));
     let other = run(&["simulate", &changed, "--plan", &saved]);
@@ -219,7 +219,7 @@ fn times_that_were_rounded_are_named() {
     assert_eq!(json(&args)["rounded"][0]["line"], 10);
 }
 
-/// A cell whose every run has two findings: neither query is answered in time.
+/// A cell in which every run has two findings, because two queries are never answered in time.
 const BUSY: &str = "cell busy;
 tick 1 msec;
 node n1; node n2;

@@ -254,7 +254,7 @@ fn decisions_that_code_and_documents_cite_are_written_down() {
         }
     }
     for path in files {
-        // In code only comments are searched, because `D1` may also be an identifier.
+        // In Rust files only comments are searched, because `D1` may also be an identifier.
         let text = read(&path);
         let is_code = path.extension().is_some_and(|extension| extension == "rs");
         for line in text.lines() {

@@ -94,7 +94,8 @@ fn as_many_states_where_nothing_is_reduced() {
     if !spin_is_here() {
         return;
     }
-    // Under the other rules the machine remembers other things than the twin does.
+    // Under the other rules the states of the machine hold other facts than those of the twin, so their
+    // numbers differ.
     for ((_, confirmation, rule), loss) in [(RULES[0], 0), (RULES[2], 1), (RULES[2], 2)] {
         let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
         let budget = Budget { loss, dup: 0, crash: 0 };
@@ -227,7 +228,8 @@ fn as_many_lost_packets_leave_a_command_without_its_answer() {
         let least = (0..12).find(unanswered).expect("enough losses leave it without");
         assert_eq!(least, retry + 1, "each copy brings an answer of its own");
         assert!(twin_answers(least - 1, &["PROMPT"]) && !twin_answers(least, &["PROMPT"]));
-        // A copy that comes before the first one is answered brings no answer, so with a slow receiver one loss is enough.
+        // The receiver does not answer a copy that comes while the first one is unanswered. So with a slow receiver the
+        // loss of the one answer is enough.
         if retry == 2 {
             assert!(twin_answers(0, &[]) && !twin_answers(1, &[]));
         }
@@ -277,7 +279,7 @@ fn the_margin_of_the_take_over() {
     for (world, margin) in TAKE_OVERS {
         assert_eq!(world.least_margin(), margin, "{world:?}");
     }
-    // With equal bounds, the machine itself has the same margin.
+    // The checker finds the same least margin for the state machine, with equal bounds.
     let report = settled("one-active");
     for (rule, drift) in [("default", 0), ("default, drift", 1)] {
         let verdict = report.claims.iter().find(|v| v.rule == rule).expect("a verdict");

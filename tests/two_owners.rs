@@ -64,7 +64,8 @@ fn nobody_acted_beside_another(trials: &Trials, count: u64) {
         assert_ne!(trial.check, "broken", "{trial:?}");
     }
     assert_eq!(trials.0.len() as u64, count);
-    // At least so many of 200 trials must be conclusive; if there are fewer trials, the same share of them.
+    // The bounds are given for 200 trials. If there are fewer trials, the same share of them must be
+    // conclusive.
     let least = |of_200: u64| of_200 * count / 200;
     assert!(trials.count(|trial| trial.mid_action) >= least(100), "{}", trials.counts());
     assert!(trials.count(|trial| trial.guard_held) >= least(30), "{}", trials.counts());
@@ -81,8 +82,9 @@ fn took_over(trials: &Trials, least: u64, is_asked: bool) {
     }
 }
 
-/// The same measurement finds two owners if only the guard bounds the command, and the guard is stopped. So the zero that
-/// the other trials give is meaningful. In such runs the check is never reported as held.
+/// If only the guard limits the command, and the guard is stopped, this measurement finds two owners at a time. So it
+/// could have found them in the other trials, too, where it gives zero. In such runs the check is never reported as
+/// held.
 fn two_owners_are_seen(comparisons: &Trials, are_many: bool) {
     let unbound = comparisons.0.iter().filter(|trial| trial.guard_held && trial.took_over.is_some());
     let unbound = unbound.filter(|trial| {

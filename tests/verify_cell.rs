@@ -350,7 +350,8 @@ fn statements_that_were_not_reached_are_told_to_programs() {
     let said = json(&outside, &[]);
     assert_eq!(lines(&said["not_tried"]), [("asker".to_owned(), 10)], "{said}");
     assert!(said["outside"].as_array().is_some_and(|values| values.contains(&0.into())), "{said}");
-    // Beyond a finding that ends its path nothing is explored, so the verdict on a check stays unknown.
+    // A search does not explore what follows a finding that ends its path, so here the verdict on the check
+    // stays unknown.
     let failing = format!(
         "{}\ncheck c: always asker.at < 99;\n",
         sound.replace("assert at < 9;", "assert at < 7; skip;")

@@ -93,7 +93,7 @@ pub enum BenchError {
     Output(#[from] io::Error),
 }
 
-/// Measures the chosen suites, and passes the results of each one to `say` as soon as it is done.
+/// Measures the chosen suites, and passes the results of each suite to `say` as soon as it is measured.
 ///
 /// # Errors
 /// [`BenchError`], and the errors of `say`.

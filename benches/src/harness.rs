@@ -1,8 +1,9 @@
 //! Measures in rounds: every case once, then every case again. A ratio compares two cases of one round, so that other load on
 //! the machine affects both. The result is the median of the rounds' ratios.
 //!
-//! A case on two processors counts only while their distance stays what it was, and a row only where its rounds agree
-//! ([`judge`](crate::judge)): otherwise it is measured again, at most [`AGAIN`] times.
+//! A round of a case on two processors counts only if the distance between them did not change meanwhile. A row is
+//! decided only if its rounds agree ([`judge`](crate::judge)); otherwise it is measured again, at most [`AGAIN`]
+//! times.
 
 use crate::judge::{Outcome, judge};
 use crate::sample::Sample;
@@ -20,7 +21,8 @@ pub struct Round {
     /// What was measured.
     #[serde(flatten)]
     pub sample: Sample,
-    /// How far apart the two processors were all the time; none for a case on one, and where that changed in each try.
+    /// How far apart the two processors were during the whole round. `None` for a case on one processor, and if the
+    /// distance changed in every try.
     pub apart: Option<Apart>,
     /// The share of the processors that other programs took during the round, 0 to 1.
     pub others: f64,
@@ -35,7 +37,7 @@ pub struct Measured {
     pub about: &'static str,
     /// Whether threads of it work on two processors at once.
     pub on_two: bool,
-    /// Every round; of a case that was measured again, the last ones.
+    /// All rounds. If the case was measured again, only the rounds of the last measurement.
     pub rounds: Vec<Round>,
 }
 
@@ -92,7 +94,8 @@ pub struct Results {
     pub rows: Vec<Outcome>,
 }
 
-/// Measures a suite in `rounds` rounds, and again what is not decided then. Calls `tell` before each measurement of a case.
+/// Measures a suite in `rounds` rounds, and then measures again the cases of rows that are not decided. Calls `tell`
+/// before each measurement of a case.
 pub fn measure(
     suite: Suite,
     rounds: u32,
@@ -152,7 +155,7 @@ fn one_round(
     }
 }
 
-/// Runs a case; one on two processors again where their distance changed under it.
+/// Runs a case. A case on two processors runs again if their distance changed meanwhile.
 fn once(case: &Case, effort: Effort, here: &mut impl Surroundings) -> Round {
     if !case.on_two {
         return Round { sample: (case.run)(effort), ..Round::default() };
@@ -177,7 +180,8 @@ mod tests {
     use std::cell::{Cell, RefCell};
     use std::rc::Rc;
 
-    /// A machine whose distances are given one after the other, and on which nothing else runs.
+    /// A simulated machine on which nothing else runs. The list has the distances of its processors, in the
+    /// order in which they are read.
     struct Given(Vec<Apart>);
 
     impl Surroundings for Given {
@@ -225,7 +229,8 @@ mod tests {
         assert_eq!(results.cases[0].median(Stat::Mean), Some(9.0));
     }
 
-    /// A suite of one case on two processors that takes these times in turn, the last one for ever.
+    /// A suite of one case on two processors. Its runs take these times in turn, and from the end of the list
+    /// on always the last one.
     fn varies(times: &[f64]) -> (Suite, Rc<Cell<usize>>) {
         let (mut suite, ran) = (Suite::new("varies"), Rc::new(Cell::new(0)));
         let (times, counted) = (times.to_vec(), Rc::clone(&ran));

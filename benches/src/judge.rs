@@ -48,12 +48,13 @@ pub struct Outcome {
     pub rounds: usize,
     /// How often the row was measured again.
     pub again: u32,
-    /// Why it is not decided; `None` also for a row that was not measured.
+    /// Why the row is not decided. `None` if it is decided, and for a row that was not measured.
     pub undecided: Option<Why>,
 }
 
 impl Outcome {
-    /// Whether the goal is met, which a row that is not decided is not; `None` if it was not measured.
+    /// Whether the goal is met. A row that is not decided does not meet it; `None` if the row was not
+    /// measured.
     #[must_use]
     pub fn met(&self, slack: f64) -> Option<bool> {
         if self.undecided.is_some() {
@@ -63,7 +64,7 @@ impl Outcome {
     }
 }
 
-/// The outcome of a row, after it was measured again so many times.
+/// The outcome of a row. `again` says how many times it was measured again.
 #[must_use]
 pub fn judge(row: &Row, measured: &[Measured], again: u32) -> Outcome {
     let none = Outcome { row: row.clone(), ratio: None, apart: None, rounds: 0, again, undecided: None };
@@ -71,7 +72,7 @@ pub fn judge(row: &Row, measured: &[Measured], again: u32) -> Outcome {
     let Some(subject) = named(&row.subject) else { return none };
     let Some(other) = row.other().map_or(Some(subject), named) else { return none };
     let mut pairs: Vec<Pair<'_>> = subject.rounds.iter().zip(&other.rounds).collect();
-    // A number that was not counted is not measured, whatever the processors did.
+    // If a sample has no such number, the row is not measured, however far apart the processors were.
     if pairs.iter().any(|(subject, other)| ratio(row, &subject.sample, &other.sample).is_none()) {
         return none;
     }

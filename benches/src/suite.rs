@@ -45,7 +45,8 @@ pub struct Case {
     pub about: &'static str,
     /// Measures once.
     pub run: Run,
-    /// Whether threads of it work on two processors at once, so that the result depends on how near those are.
+    /// Whether threads of the case work on two processors at once, so that its result depends on how near
+    /// these processors are to each other.
     pub on_two: bool,
 }
 
@@ -109,7 +110,7 @@ pub enum Against {
     Case(String),
     /// Another statistic of the same case.
     Itself(Stat),
-    /// The same statistic of another case: what the subject takes more is shared by so many steps, and that is bounded.
+    /// The same statistic of another case. The difference of the two, divided by this number of steps, is bounded.
     Above(String, u32),
     /// Nothing: the number itself is bounded.
     Nothing,
@@ -169,7 +170,7 @@ pub struct Row {
     pub stat: Stat,
     /// The bound.
     pub goal: Goal,
-    /// The bound as it was first set, where another one replaced it.
+    /// The first bound of the goal, if another bound replaced it.
     pub was: Option<&'static str>,
     /// Whether only rounds count in which other programs left the processors alone.
     pub quiet: bool,
@@ -194,7 +195,7 @@ impl Row {
         Self::of(id, what.into(), subject.into(), Against::Nothing, stat, goal)
     }
 
-    /// Bounds the nanoseconds that a case takes more than another, for each of so many steps.
+    /// Bounds how many nanoseconds a case takes more than another one, divided by the number of its steps.
     pub fn above(id: &'static str, what: &str, cases: [&str; 2], steps: u32, stat: Stat, goal: Goal) -> Self {
         let [subject, against] = cases.map(String::from);
         Self::of(id, what.into(), subject, Against::Above(against, steps), stat, goal)

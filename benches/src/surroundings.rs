@@ -1,5 +1,5 @@
-//! What a measurement depends on beside the program: how near the two processors are to each other, and what other programs
-//! take of them.
+//! Two things outside of the program on which a measurement depends: how near the two processors are to each other, and
+//! how much of them other programs take.
 
 use crate::cases::floors;
 use crate::cores;
@@ -7,8 +7,8 @@ use crate::suite::Effort;
 use rustix::time::{ClockId, clock_gettime};
 use std::time::{Duration, Instant};
 
-/// Two processors are near if a line of the cache goes there and back in at most this time. Two threads of one core take up to
-/// 80 ns on the machines seen so far, and two cores from 230.
+/// Two processors are near if they pass a cache line there and back in at most this time. Two threads of one core take
+/// up to 80 ns on the machines seen so far, and two cores from 230.
 pub const NEAR_NANOS: f64 = 130.0;
 /// How often the line is passed to see that.
 const TRIPS: u32 = 64 * floors::GROUP;
@@ -35,7 +35,7 @@ impl Apart {
         }
     }
 
-    /// What that time of a line of the cache, there and back, means.
+    /// The distance that follows from the time for which a cache line goes there and back.
     #[must_use]
     pub fn of(nanos: f64) -> Self {
         if nanos <= NEAR_NANOS { Self::Near } else { Self::Far }
@@ -81,7 +81,8 @@ impl Surroundings for Here {
     }
 }
 
-/// What all programs have taken of all processors, and what other machines kept from this one (stolen time).
+/// The time that all programs have taken on all processors, and the time that other virtual machines took
+/// from this one (stolen time).
 fn all() -> Duration {
     let stat = std::fs::read_to_string("/proc/stat").unwrap_or_default();
     busy(&stat)
@@ -95,7 +96,7 @@ fn busy(stat: &str) -> Duration {
     [0, 1, 2, 5, 6, 7].into_iter().map(of).map(|ticks| TICK * ticks).sum()
 }
 
-/// What this process has taken.
+/// The processor time that this process has taken.
 fn own() -> Duration {
     let taken = clock_gettime(ClockId::ProcessCPUTime);
     Duration::new(taken.tv_sec.unsigned_abs(), u32::try_from(taken.tv_nsec).unwrap_or_default())

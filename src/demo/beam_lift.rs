@@ -1,4 +1,4 @@
-//! Explains the demo `beam-lift`. Its promise: no arm goes on alone.
+//! Explains the outcome of the demo `beam-lift`. The demo promises that no arm goes on alone.
 
 use crate::output::{count, span};
 use imrs_launch::Fault;

@@ -1,5 +1,5 @@
-//! Explains the demo `belt-administrator`. Its promise: two robots never change the speed at once, each from the same old
-//! value.
+//! Explains the outcome of the demo `belt-administrator`. The demo promises that two robots never both change the speed
+//! from the same old value.
 
 use crate::output::count;
 use imrs_launch::script_event::{Did, ScriptEvent};

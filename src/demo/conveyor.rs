@@ -1,4 +1,5 @@
-//! Explains the demo `conveyor`. Its promise: no pick acts on an old pose, and the belt does not jam.
+//! Explains the outcome of the demo `conveyor`. The demo promises that no pick uses an old pose, and that the
+//! belt does not jam.
 
 use crate::output::{count, span};
 use imrs_launch::script_event::ScriptEvent;

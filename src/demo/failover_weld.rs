@@ -1,4 +1,5 @@
-//! Explains the demo `failover-weld`. Its promise: never are both robots active, and no spot is welded twice without a look.
+//! Explains the outcome of the demo `failover-weld`. The demo promises that the two robots are never both active, and
+//! that no spot is welded twice without an inspection before the second time.
 
 use crate::output::span;
 use imrs_launch::Fault;

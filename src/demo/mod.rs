@@ -224,7 +224,7 @@ mod tests {
         let arm = TaskId::from_index(arm.expect("an arm"));
         let heads = stops.iter().map(|line| loaded.handler(arm, *line).map(|head| loaded.text_of(head)));
         let expected = ["on receive halt(s) do", "on silence beat 10 msec when me.moving do"].map(Some);
-        // The first of these statements stands in the body of the other arm, not in a handler.
+        // The first of these statements is in the body of the other arm, the others are in handlers.
         assert_eq!(heads.collect::<Vec<_>>(), [&[None][..], &expected].concat());
     }
 

@@ -1,5 +1,5 @@
-//! Explains the demo `shared-tool`. Its promise: two robots never have the tool at once, and a killed robot does not keep
-//! it.
+//! Explains the outcome of the demo `shared-tool`. The demo promises that two robots never have the tool at once, and
+//! that a killed robot does not keep it.
 
 use crate::output::{count, span};
 use imrs_launch::Fault;

@@ -58,8 +58,9 @@ impl Output {
         Self { lines: Lines::Direct { stream, closed: false }, color }
     }
 
-    /// From now on separate threads write to standard output and standard error, so that a slow reader blocks no caller. Lines
-    /// written in [passing](Self::passing) are dropped if the reader is too slow, and counted by `notice`.
+    /// Starts threads that from now on write to standard output and standard error, so that a slow reader blocks no
+    /// caller. Lines written in [passing](Self::passing) are dropped if the reader is too slow, and counted by
+    /// `notice`.
     ///
     /// # Errors
     /// [`Failure::Launch`]: the operating system refuses a thread.

@@ -50,7 +50,8 @@ struct Queue {
     missing: u64,
     /// How many of the missing lines were marked as kept: their write failed.
     missing_kept: u64,
-    /// Lines that were marked as kept, whose write failed, and that a notice has counted.
+    /// The number of lines that were marked as kept, whose write failed, and that a notice has already
+    /// counted.
     lost: u64,
     /// Why the last write failed.
     failed: Option<String>,

@@ -195,7 +195,7 @@ impl Assumed<'_> {
 
     /// The breaches by tasks that acted late, by task and line.
     fn late(&self, late: &[Late]) -> Vec<Breach> {
-        // Here each place stands for the greatest lateness, the number of late acts, and the time of the first one.
+        // For each place: the greatest lateness, the number of late acts, and the time of the first late act.
         let mut places: BTreeMap<(TaskId, Option<usize>), (u64, u64, u64)> = BTreeMap::new();
         for one in late {
             let line = self.loaded.line(one.task, one.address);

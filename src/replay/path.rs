@@ -203,7 +203,7 @@ struct IncarnationRecording<'a> {
     incarnation: Incarnation,
     /// Whether the node had an earlier incarnation.
     restarted: bool,
-    /// When the recording was made; none if it is empty.
+    /// The span of time that the recording covers; none if it is empty.
     span: Option<Span<'a>>,
 }
 

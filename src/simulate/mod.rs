@@ -28,7 +28,7 @@ const SEEDS_OF_THE_CLOCK: u128 = 1_000_000_000;
 
 /// The runs that the user asked for.
 enum What {
-    /// `count` seeds from the first one, with the given faults or with those that each seed draws.
+    /// Runs `count` seeds, from `first` on, with the given faults, or with faults that each seed draws.
     Seeds { first: u64, count: u64, faults: Option<Vec<Fault>> },
     /// One schedule of a file.
     Schedule(Schedule),

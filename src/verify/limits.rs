@@ -1,4 +1,4 @@
-//! What a verdict does not cover, and the values with which it was reached.
+//! The texts about what a verdict does not cover, and about the values that the search tried.
 
 use crate::failure::Failure;
 use crate::output::{FAINT, Output, Styled};

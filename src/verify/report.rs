@@ -11,7 +11,7 @@ use std::time::Duration;
 const UNDER_LOSS: &str = "rendezvous-under-loss";
 /// How many lines of a counterexample are shown from its beginning, unless the user asked for its claim.
 const CHART_HEAD: usize = 6;
-/// How many lines are shown from its end, which says what is wrong.
+/// How many lines of a chart are shown: those at its end, which say what is wrong.
 const CHART_TAIL: usize = 3;
 
 /// Prints a report. With `in_full` the counterexamples are printed whole.

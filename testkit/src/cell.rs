@@ -29,7 +29,7 @@ struct Running {
 /// Decides for each packet that leaves a node whether it is lost.
 type Loss = Box<dyn FnMut(NodeId, NodeId, &Packet) -> bool>;
 
-/// The links, the actions, and a record of what the nodes did.
+/// Everything outside of the nodes: the links, the actions, and a record of what the nodes did.
 struct Outside {
     table: Arc<CellTable>,
     programs: Vec<(TaskId, Arc<Program>)>,

@@ -118,7 +118,7 @@ impl ScriptedNode {
     /// happens first.
     pub fn step(&mut self, now: Instant, input: impl Into<HostInput>, out: &mut impl HostOutbox) {
         let input = input.into();
-        // A node without scripts lets the time pass by itself.
+        // A node without scripts lets the time pass in the step itself.
         if now > self.node.now() && !self.scripts.is_empty() && input != HostInput::Node(NodeInput::Time) {
             self.go_on(now, HostInput::Node(NodeInput::Time), out);
         }

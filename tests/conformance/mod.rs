@@ -285,7 +285,7 @@ fn it_keeps_up_with_a_busy_node() {
     let first = later.until("conforms", 1).0;
     let since = Instant::now();
     later.until("conforms", all);
-    // If one look read everything, it took no longer than this time.
+    // If the judge read everything in one look, the look took no longer than this time.
     let (seconds, more) = match all - first {
         0 => (0.25, all),
         more => (since.elapsed().as_secs_f64().max(1e-3), more),

@@ -102,7 +102,7 @@ fn a_node_that_comes_back_is_no_fault_any_more() {
     });
     let mut scene =
         Scene::of(&[(&text, &["--node", "nb"]), (&text, &["--node", "nc"]), (&text, &["--node", "na"])]);
-    // The first nodes may send before the last one has started.
+    // The first nodes may send before the last one has started. That is reported as a fault until it is over.
     scene.is_over("it is a fault that others come later", BTreeSet::is_empty);
     let since = scene.kill("nb");
     // The node stays down until the monitor has shown its death.

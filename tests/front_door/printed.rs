@@ -20,7 +20,7 @@ fn printed(words: &str) -> Vec<String> {
 
 #[test]
 fn the_printed_verdicts_are_those_of_today() {
-    // This compares a line without its last two words, which are the time and its unit.
+    // A line is compared without its last two words, which are the time and its unit.
     let plain = |line: &str| {
         let words: Vec<&str> = line.split_whitespace().collect();
         words[..words.len().saturating_sub(2)].join(" ")

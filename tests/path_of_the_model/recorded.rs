@@ -66,7 +66,7 @@ impl Recorded {
         })
     }
 
-    /// The same for the weld cell, whose relay is killed and restarted.
+    /// A recorded run of the weld cell, whose relay is killed and restarted.
     pub fn restarted_weld(how: &[&str]) -> Self {
         Self::restarted(runtime_dir(), example(WELD), &["n1", "n2", "nt"], "nt", how)
     }

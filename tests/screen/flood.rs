@@ -75,7 +75,8 @@ fn keys_are_seen_at_once_while_a_node_tells_fifty_thousand_events_a_second() {
                 }
                 let now = stub.mono_us();
                 stub.change(|tells| {
-                    // Nor does a real node keep more events if it is not read for long: all of them fit into one frame.
+                    // A real node keeps no more events either, if no monitor reads them for long: as many as fit into
+                    // one frame.
                     if tells.events.len() < MOST_WAITING {
                         let first = number.fetch_add(EACH, Ordering::Relaxed);
                         tells.events.extend((first..first + EACH).map(|n| sent(now, n)));
@@ -90,7 +91,7 @@ fn keys_are_seen_at_once_while_a_node_tells_fifty_thousand_events_a_second() {
         let least = number.load(Ordering::Relaxed) + events;
         wait_until("more events are told", || number.load(Ordering::Relaxed) >= least);
     };
-    // Each key must take effect during the flood, which goes on until then.
+    // Each key must take effect during the flood, so the flood goes on until it has.
     more(FLOOD);
     let flooded = pressed(&terminal);
     terminal.press(&["4"], "[4 Time]");

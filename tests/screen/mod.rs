@@ -124,7 +124,7 @@ fn without_colour_the_selection_is_still_seen() {
 #[test]
 fn a_node_that_appears_later_is_found() {
     let Some((demo, terminal)) = watched("") else { return };
-    // A second run of the same cell in the same folder has nodes with other processes.
+    // In a second run of the same cell in the same folder, the nodes are other processes.
     let record = demo.dir().join("again.imrs");
     let again = Live::steady_in(demo.dir(), &["--record", record.to_str().expect("UTF-8")]);
     let of_hoist = |screen: &str, states: &[&str]| {

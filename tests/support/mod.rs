@@ -20,7 +20,8 @@ use tempfile::TempDir;
 /// Time limit of every wait: no command takes this long, however busy the machine is.
 pub const PATIENCE: Duration = Duration::from_secs(600);
 
-/// Whether nothing is missing that a test needs. Otherwise this prints what was skipped, or fails if `IMRS_REQUIRE_ALL=1`.
+/// Whether a test has all programs that it needs. If one is missing, prints what is not tested, or fails if
+/// `IMRS_REQUIRE_ALL=1`.
 pub fn is_here(missing: Option<&str>, not_done: &str) -> bool {
     let Some(missing) = missing else { return true };
     let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
@@ -51,8 +52,8 @@ pub fn tried(why: &str, is_done: impl FnMut() -> bool) {
     }
 }
 
-/// Tries something that a suspended process may spoil, up to `TIMES` times. A suspension comes by chance only, so the test
-/// fails if every attempt is spoilt.
+/// Repeats an attempt up to `TIMES` times, because a suspended process may spoil one. A suspension comes by chance
+/// only, so the test fails if every attempt is spoilt.
 pub fn tried_again(why: &str, mut is_done: impl FnMut() -> bool) {
     for _ in 0..TIMES {
         if is_done() {

@@ -73,7 +73,8 @@ impl<'a> Twin<'a> {
         let new = tempfile::tempdir_in(BUILT).expect("a folder beside the verifiers");
         let definitions: Vec<String> = self.definitions.iter().map(|&definition| definition.into()).collect();
         let pan = spin::build(new.path(), model, &definitions, self.flags);
-        // The folder gets its name only when it is complete, so an aborted test leaves nothing that another would run.
+        // The folder gets its name only when it is complete, so an aborted test leaves no half-built verifier that
+        // another test would run.
         let whole = new.path().join("whole");
         fs::create_dir(&whole).expect("a folder");
         fs::rename(pan.path(), whole.join("pan")).expect("the verifier is moved");

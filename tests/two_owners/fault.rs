@@ -33,7 +33,7 @@ const fn fault(name: &'static str, [node, guard, tool]: [Fate; 3], means: Means)
     Fault { name, node, guard, tool, means }
 }
 
-/// The fault in which only the node is stopped, as in the first defect of this kind.
+/// The fault in which only the node is stopped. The first defect of this kind showed with this fault.
 pub const NODE_STOPPED: Fault =
     fault("node stopped", [Fate::Held, Fate::Spared, Fate::Spared], Means::Signal);
 

@@ -79,7 +79,7 @@ impl Trials {
         )
     }
 
-    /// For each trial that stopped processes, for how long it did.
+    /// For each trial that stopped processes, how long they stood still.
     fn held(&self) -> impl Iterator<Item = u64> {
         self.0.iter().map(|trial| trial.held).filter(|&held| held > 0)
     }

@@ -1,4 +1,5 @@
-//! Runs one case a given number of times without any result: `.ci/counts` counts the instructions.
+//! Runs one case a given number of times and prints nothing. `.ci/counts` counts the instructions of this
+//! program.
 
 use imrs_bench::cases;
 use imrs_bench::suite::Effort;

@@ -14,7 +14,7 @@ pub const A: TaskId = TaskId(0);
 pub const B: TaskId = TaskId(1);
 /// The port that A asks on.
 pub const ASK: PortId = PortId(0);
-/// The TTL of every message. It is longer than any case takes, so that its end shows as a failure.
+/// The TTL of every message. It is longer than any case takes, so a message that expires shows as a failure.
 pub const LONG: Duration = Duration::from_secs(60);
 /// [`LONG`] in ticks of one microsecond.
 pub const LONG_TICKS: Ticks = Ticks(60_000_000);
@@ -103,7 +103,7 @@ pub async fn answer_as_future(mut ctx: AsyncContext) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// Meets the others; all of them come.
+/// Waits at the rendezvous until all members have come, and fails if the task gave up.
 pub fn meet(ctx: &mut Context, port: PortId) -> Result<(), TaskError> {
     match ctx.waitfor(port)? {
         Rendezvous::Released { .. } => Ok(()),

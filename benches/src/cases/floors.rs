@@ -21,7 +21,8 @@ pub const GROUP: u32 = 32;
 const FAR: Duration = Duration::from_secs(60);
 const STOP: u32 = u32::MAX;
 
-/// Two coroutines that pass a number to each other: boxed futures and a queue of those that are ready.
+/// Two coroutines that pass a number to each other. They are boxed futures, with a queue of the futures that
+/// are ready.
 pub fn coroutines(effort: Effort) -> Sample {
     struct Turn(Rc<Cell<u64>>, Rc<Cell<bool>>, bool);
     impl Future for Turn {
@@ -61,7 +62,8 @@ pub fn coroutines(effort: Effort) -> Sample {
 /// The case that shows how far apart the two cores are.
 pub const LINE: &str = "floor/spinning line";
 
-/// Adds [`LINE`] to a suite whose results depend on it, so that it is measured in the same rounds.
+/// Adds the case [`LINE`] to a suite whose results depend on it, so that both are measured in the same
+/// rounds.
 pub fn line(suite: &mut Suite) {
     suite.case(LINE, "two hot threads on two cores, one cache line", spinning_line);
 }
@@ -225,7 +227,8 @@ fn pass(turn: &AtomicU32, value: u32, steps: u32, row: &[usize], all: &[Thread])
     all[row[next as usize]].unpark();
 }
 
-/// A datagram of 32 bytes there and back over the loopback. Both ends sleep in the socket with a time_out, or spin.
+/// Sends a datagram of 32 bytes there and back over the loopback. Both ends sleep in the socket with a time_out, or
+/// spin.
 pub fn udp(effort: Effort, full: u32, other: Core, spins: bool) -> Sample {
     let socket = || {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).expect("a socket");
@@ -281,7 +284,8 @@ pub fn connected() -> [TcpStream; 2] {
     })
 }
 
-/// 32 bytes there and back over a connection on the loopback. Both ends sleep in the socket with a time_out.
+/// Sends 32 bytes there and back over a TCP connection on the loopback. Both ends sleep in the socket with a
+/// time_out.
 pub fn tcp(effort: Effort, full: u32, other: Core) -> Sample {
     let [mut a, mut b] = connected();
     for stream in [&a, &b] {

@@ -236,7 +236,7 @@ fn allocations() -> Sample {
                     })
                 })
             };
-            // The least of several series counts, because other threads may still be on their way to sleep.
+            // The least of several series counts, because other threads may not sleep yet at the beginning.
             let mut least = None;
             for _ in 0..5 {
                 let (done, allocated) = series();

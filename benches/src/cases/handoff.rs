@@ -211,7 +211,7 @@ fn thread_asks_script(effort: Effort) -> Sample {
     cells::hear(node, &told)
 }
 
-/// The last signal to each of the two tasks.
+/// An outbox that keeps the last signal to each of the two tasks.
 #[derive(Default)]
 struct Told([Option<Signal>; 2]);
 

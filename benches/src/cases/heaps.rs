@@ -4,8 +4,9 @@ use super::queues::Waiting;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
-/// The baseline: the job of a queue as one would write it with std's heap. Keys lead to places of a slab, and an entry that was
-/// taken from its place leaves its key behind, which is skipped when it comes up.
+/// The baseline for the queue: the same operations with the heap of the standard library. The heap holds keys, which
+/// refer to entries in a slab. If an entry is removed from the slab, its key stays in the heap, and is skipped when it
+/// comes to the top.
 pub struct Heaps {
     entries: Vec<Option<Waiting>>,
     free: Vec<u16>,
@@ -29,7 +30,7 @@ impl Heaps {
         }
     }
 
-    /// Adds an entry, and returns its place; none if there is no room.
+    /// Adds an entry, and returns its place in the slab; none if there is no room.
     pub fn push(&mut self, waiting: Waiting) -> Option<u16> {
         let place = self.free.pop()?;
         let key = Reverse((waiting.deadline, waiting.number, place));
@@ -52,7 +53,7 @@ impl Heaps {
         entries[usize::from(place)].as_ref().is_some_and(|waiting| waiting.number == number)
     }
 
-    /// Takes the most urgent entry out, and drops the keys without entry that would come next in the other order.
+    /// Removes the most urgent entry. Then drops keys from the top of the other order whose entries are gone.
     pub fn pop(&mut self) -> Option<Waiting> {
         let first = loop {
             let Reverse(key) = self.urgent.pop()?;

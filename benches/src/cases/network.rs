@@ -263,7 +263,8 @@ fn coalesced(effort: Effort, segments: usize) -> Sample {
         let begins = Instant::now();
         let mut buffer = vec![0; bytes + 1];
         while taken.load(Ordering::Acquire) < calls * packets {
-            // The loopback loses nothing while less is in flight than the socket holds.
+            // The loopback loses no datagram as long as fewer bytes are in flight than the socket's buffer
+            // holds.
             if let Ok(length) = b.recv(&mut buffer) {
                 taken.fetch_add(length as u64 / 32, Ordering::Release);
             }

@@ -1,4 +1,5 @@
-//! What monitors cost a node (M3, M4, M6): real ones over its socket, which are fast, slow, stopped, or send garbage.
+//! Measures what monitors cost a node (goals M3, M4, M6). They are real monitors, connected to its socket: fast,
+//! slow, stopped, or sending garbage.
 
 use super::cells;
 use super::recording::{Onlooker, Watched};
@@ -40,7 +41,7 @@ enum Crowd {
     Stopped,
     /// One, which reads a byte a second.
     Slow,
-    /// One after the other, each of which sends garbage.
+    /// Monitors that connect one after the other, and each send garbage.
     Mad,
 }
 
@@ -262,7 +263,7 @@ fn large() -> Snapshot {
     Snapshot { mono_us: 1 << 32, tasks: (0..100).map(task).collect(), ..Snapshot::default() }
 }
 
-/// Updates in which one port in `apart` has changed; with `usize::MAX`, none.
+/// Measures updates in which one of each `apart` ports has changed; with `usize::MAX`, none.
 fn change(effort: Effort, apart: usize) -> Sample {
     let old = large();
     let mut new = old.clone();

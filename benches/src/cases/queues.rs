@@ -212,7 +212,8 @@ struct Wheel {
 
 impl Wheel {
     fn new(entries: u32, slots: u32) -> Self {
-        // The heads of the slots are behind the entries, each linked to itself.
+        // The list head of each slot of the wheel stands behind the entries, and is linked to itself at
+        // first.
         let links = (0..entries + slots).map(|at| [at, at]).collect();
         Self { links, slots }
     }
@@ -269,7 +270,7 @@ fn lateness(times: u32, mut sleep: impl FnMut(Duration)) -> Sample {
 
 fn lateness_of_the_kernel(effort: Effort) -> Sample {
     let times = effort.of(150);
-    // A thread of its own, so that the next case does not inherit the timer slack.
+    // The case runs on a thread of its own, so that the next case does not inherit its timer slack.
     let thread = std::thread::spawn(move || {
         cores::sleep_exactly();
         lateness(times, |length| {

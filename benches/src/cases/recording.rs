@@ -1,4 +1,4 @@
-//! What recording and observation cost a node, and how fast a recording is replayed (D62).
+//! Measures what recording and observation cost a node, and how fast a recording is replayed (D62).
 
 use super::cells;
 use super::{handoff, network};
@@ -23,7 +23,7 @@ const PATIENCE: Duration = Duration::from_secs(60);
 /// How a node is watched.
 #[derive(Clone, Copy)]
 pub enum Watched {
-    /// It is not watched.
+    /// The node is neither recorded nor observed.
     Not,
     /// A recorder writes into a sink that takes everything.
     Recorded,
@@ -219,7 +219,7 @@ fn replay(effort: Effort) -> Sample {
 mod tests {
     use super::*;
 
-    /// How many steps the recording of two scripts has that ask and answer so often.
+    /// How many steps a recording has in which two scripts make this many round trips.
     fn steps(trips: u32) -> usize {
         let table = cells::asking(1, Usage::Send);
         let (kept, of_node) = (Kept::default(), NodeTable::new(Arc::clone(&table), NodeId(0)));

@@ -66,7 +66,7 @@ fn two_channels() -> (impl FnMut(bool) + Send, impl FnMut() -> Option<bool>) {
     (send, receive)
 }
 
-/// How many urgent messages a round sends: the median of fewer says nothing.
+/// How many urgent messages a round sends. With fewer, the median would depend on chance.
 #[must_use]
 pub fn times(effort: Effort) -> u32 {
     effort.of(100).max(9)
@@ -342,7 +342,8 @@ fn stream_of_ports(effort: Effort, senders: usize, most: usize) -> Sample {
             }
             let port = PortId::from_index(sender);
             for n in 0..each {
-                // A class-1 port drops what does not fit, so the sender keeps to the window.
+                // A full class-1 port drops messages, so the sender waits while `WINDOW` messages are not
+                // taken yet.
                 while n - taken[sender].load(Ordering::Acquire) >= WINDOW {
                     std::thread::yield_now();
                 }

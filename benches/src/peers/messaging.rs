@@ -167,7 +167,7 @@ fn nng(times: u32, other: Core) -> Sample {
     on_threads(other, serve, ask)
 }
 
-/// Two peers that know each other and do not search for others.
+/// Two zenoh peers that know each other's address and do not search for other peers.
 fn sessions() -> (zenoh::Session, zenoh::Session) {
     let at = address();
     let open = |listen: &str, connect: &str| {

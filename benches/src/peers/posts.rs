@@ -15,7 +15,7 @@ const SERVICE: Duration = Duration::from_micros(2);
 pub enum Note {
     /// A message of a stream.
     Plain(Message),
-    /// One that takes 2 us of work.
+    /// A message that takes 2 us of work.
     Work,
     /// An urgent one, and when it was sent.
     Urgent(Instant),
