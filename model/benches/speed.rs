@@ -20,7 +20,7 @@ use support::worlds::{scenario, timed, with};
 const ROUNDS: usize = 7;
 
 fn main() {
-    // `cargo test --benches` only asks whether it runs.
+    // `cargo test --benches` only checks that the bench runs, so it gets the smallest bounds.
     let quick = std::env::args().any(|argument| argument == "--test");
     let rounds = if quick { 1 } else { ROUNDS };
     packed_against_cloned(rounds, if quick { 2_000 } else { 60_000 });
@@ -34,8 +34,8 @@ fn median(mut values: Vec<f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// Three members, one loss, nothing reduced: transitions a second of the packed form and of cloned nested structs, in
-/// the same search.
+/// Compares how many transitions a second a search makes with packed states and with cloned structs, in a world of
+/// three members with one loss and no reduction.
 fn packed_against_cloned(rounds: usize, states: u64) {
     let scenario = with(Reductions::NONE, &timed(3, Watch::FalseRelease, 1, 3, 6));
     let (mut packed, mut cloned) = (Vec::new(), Vec::new());
@@ -175,7 +175,7 @@ fn patient(loss: u8) -> Meeting {
     Meeting { resend: None, budget, ..timed(3, Watch::FalseRelease, 0, 1, 3) }
 }
 
-/// Members that never give up and send every packet once, one of which is lost.
+/// Members that never give up and send every packet once. One packet is lost.
 fn once(members: usize) -> Meeting {
     let budget = Budget { loss: 1, dup: 0, crash: 0 };
     Meeting { delay: Some(1), budget, ..Meeting::new(members, Watch::FalseRelease) }

@@ -84,7 +84,7 @@ fn worlds() -> Vec<World> {
     ]
 }
 
-/// One way to search a world.
+/// A tool and its settings, with which a world is searched.
 struct Tool {
     name: String,
     command: Vec<String>,
@@ -98,7 +98,7 @@ struct Run {
     megabytes: f64,
     states: u64,
     holds: bool,
-    /// What SPIN says itself that it took.
+    /// The memory in megabytes that SPIN itself reports.
     said_megabytes: Option<f64>,
 }
 
@@ -109,7 +109,7 @@ fn main() {
     {
         return search(&worlds()[world.parse::<usize>().expect("a number")], reduced == "reduced");
     }
-    // `cargo test --benches` only asks whether it runs.
+    // `cargo test --benches` only checks that the bench runs, so it gets the smallest bounds.
     let quick = arguments.iter().any(|argument| argument == "--test");
     let missing = spin::missing();
     if let Some(missing) = missing {
@@ -159,7 +159,8 @@ fn folder(number: usize) -> std::path::PathBuf {
     folder
 }
 
-/// SPIN's verifiers of the world: as it is written and with what is reduced by hand, each exact, with COLLAPSE and hash-compact.
+/// SPIN's verifiers of the world: the model as it is, and the model that is reduced by hand; each as an exact search,
+/// with COLLAPSE, and with hash-compact.
 fn verifiers(world: &World, folder: &Path) -> Vec<Tool> {
     let flavours: [(&str, &[&str]); 3] =
         [("exact", &["-O2"]), ("COLLAPSE", &["-O2", "-DCOLLAPSE"]), ("hash-compact", &["-O2", "-DHC4"])];
@@ -218,7 +219,7 @@ fn measure(command: &[String]) -> Run {
     Run { seconds, megabytes, states: verdict.states, holds: verdict.holds, said_megabytes }
 }
 
-/// The most memory that was resident so far, in megabytes, where the system tells.
+/// The most memory that was resident so far, in megabytes; none if the system does not report it.
 fn most_resident(child: &Child) -> Option<f64> {
     let status = std::fs::read_to_string(format!("/proc/{}/status", child.id())).ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
@@ -232,7 +233,8 @@ fn median(values: impl Iterator<Item = f64>) -> f64 {
     values[values.len() / 2]
 }
 
-/// One row for each tool; the ratios are how many times what the checker needs, so more than 1 is in its favour.
+/// Prints one row for each tool. A ratio is what the tool needs divided by what the checker needs, so more than
+/// 1 is in the checker's favour.
 fn show(tools: &[Tool]) {
     let ours = &tools[0].runs;
     println!(

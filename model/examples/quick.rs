@@ -1,4 +1,4 @@
-//! Settles the quick claims, or those of one name, until one comes out other than expected, and names that one. For
+//! Checks the quick claims, or those of one name, until one does not come out as expected, and names that one. For
 //! runs that try many versions of the protocol.
 //!
 //! `quick [CLAIM]`: the exit code is 0 where all came out as expected, 1 where one did not, 2 where no claim has this
@@ -6,7 +6,8 @@
 
 use imrs_model::{Options, Progress, Verdict, claim_names, verify};
 
-/// Ends the process at the first surprise: what else goes wrong does not matter.
+/// Ends the process at the first claim that does not come out as expected, because further ones do not
+/// matter.
 struct UntilTheFirst;
 
 impl Progress for UntilTheFirst {

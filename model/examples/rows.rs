@@ -1,5 +1,5 @@
-//! Settles the claims at the large bounds, says on standard error what came of each row as soon as it ends, and at last
-//! writes the report as `imrs verify --full --format json` does.
+//! Checks the claims at the large bounds. Prints the result of each row on standard error as soon as it ends, and at
+//! the end writes the report as `imrs verify --full --format json` does.
 //!
 //! `rows [--quick] [CLAIM]`: with `--quick` without the large bounds.
 

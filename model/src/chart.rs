@@ -176,8 +176,8 @@ pub(crate) fn one_step(scenario: &Arc<Scenario>, state: &Packed, action: Action)
     recorder
 }
 
-/// The step of `world` whose canonical result is `target`. The states on a path have their members sorted, but in a chart
-/// each member must keep its name. So the path is walked again without sorting.
+/// The step of `world` whose canonical result is `target`. In the states of a path the members are sorted, but in a
+/// chart each member must keep its name. So the path is walked again without sorting members.
 fn concrete_step(world: &World, target: &Packed) -> Option<(Action, World)> {
     let mut actions = Vec::new();
     world.actions(&mut actions);

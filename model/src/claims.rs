@@ -1,5 +1,5 @@
-//! The claims: sentences of the paper or of a decision, with the state spaces that settle them. A claim holds under
-//! the default rules, and fails, with its shortest counterexample, under each named variant.
+//! The claims: sentences of the paper or of a decision, with the state spaces whose search decides them. A claim
+//! holds under the default rules, and fails, with its shortest counterexample, under each named variant.
 
 mod cell_states;
 mod commands;
@@ -29,9 +29,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 pub struct Options {
     /// Whether to search within the large bounds.
     pub full: bool,
-    /// The only claim to settle; `None`: all.
+    /// The name of the only claim to check; `None`: all claims.
     pub claim: Option<String>,
-    /// How many claims to settle at the same time.
+    /// How many claims are checked at the same time.
     pub jobs: usize,
     /// Most resident memory of the process, in bytes.
     pub memory: u64,
@@ -59,7 +59,7 @@ pub struct Silent;
 
 impl Progress for Silent {}
 
-/// One claim under one rule, not yet settled.
+/// One claim under one rule, which is not checked yet.
 pub(crate) struct Claim {
     pub name: &'static str,
     pub rule: &'static str,
@@ -80,7 +80,7 @@ pub(crate) struct Settled {
     /// Whether the claim's own checks passed: the search found every number that it looks for, and the claim does not hold
     /// vacuously.
     pub sound: bool,
-    /// A variant that the same search settled, and that must fail.
+    /// A variant that must fail, and whose verdict came from the same search.
     pub variant: Option<Box<Variant>>,
 }
 
@@ -96,7 +96,7 @@ impl Settled {
     }
 }
 
-/// A variant of a claim that the search of another claim settles, too.
+/// A variant of a claim whose verdict comes from the same search as another claim's.
 pub(crate) struct Variant {
     pub rule: &'static str,
     pub about: &'static str,
@@ -138,7 +138,7 @@ pub(crate) enum Explored {
 
 /// The first state space that is explored for a claim.
 pub(crate) fn first_explored(name: &str) -> Option<Explored> {
-    // One state is enough to find out which state space is explored first.
+    // A budget of one state is enough to find out which state space is explored first.
     let limits = Limits { states: 1, ..Limits::default() };
     all().into_iter().filter(|claim| claim.name == name).find_map(|claim| {
         let mut work =
@@ -274,7 +274,7 @@ fn take<'a>(claims: &'a [Claim], next: &AtomicUsize) -> Option<(usize, &'a Claim
     claims.get(at).map(|claim| (at, claim))
 }
 
-/// Settles a claim, and the variant that the same search settles, if there is one.
+/// Searches for the verdict of a claim, and of the variant that the same search decides, if there is one.
 fn settle(claim: &Claim, limits: Limits, progress: &dyn Progress) -> Vec<Verdict> {
     progress.started(claim.name, claim.rule, claim.parties);
     let mut work = Work { first: None, name: claim.name, limits, progress, counts: Counts::NONE };

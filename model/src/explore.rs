@@ -297,7 +297,8 @@ impl WorldModel {
         })
     }
 
-    /// The state with its turns forgotten. Just after a tick this is the same state with and without the reduction by turns.
+    /// The state without the marks of the reduction by turns. Just after a tick, searches with and without this
+    /// reduction have the same state.
     #[doc(hidden)]
     #[must_use]
     pub fn without_turns(&self, state: &Packed) -> Packed {

@@ -18,7 +18,7 @@ use std::sync::Arc;
 pub enum ExplorerError {
     /// The address is not loopback: the Explorer has no authentication.
     NotLoopback(SocketAddr),
-    /// The claim is settled without a search, or no claim has the name.
+    /// The claim needs no search of states, or no claim has this name.
     NothingToExplore,
     /// The address cannot be served.
     Unavailable(SocketAddr, io::Error),
@@ -40,7 +40,7 @@ impl std::fmt::Display for ExplorerError {
 
 impl std::error::Error for ExplorerError {}
 
-/// The first state space that settles a claim, ready to be explored.
+/// The first state space of a claim, ready to be explored.
 #[derive(Clone, Debug)]
 pub struct Explorer(Explored);
 

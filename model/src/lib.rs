@@ -1,7 +1,7 @@
 //! The model checkers: exhaustive searches through the states of the one state machine of `imrs-protocol`.
 //!
 //! A [`Scenario`] describes nodes, tasks, faults and a property; [`explore`] visits every state within its bounds.
-//! [`verify`] settles the protocol's claims, each under the default rules and under the variants that must fail.
+//! [`verify`] checks the protocol's claims, each under the default rules and under the variants that must fail.
 
 #![forbid(unsafe_code)]
 

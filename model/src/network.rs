@@ -110,7 +110,7 @@ impl Codec {
         let base = frame.rounds.get(packet.port.index()).copied().unwrap_or_default();
         let relative =
             |round: Round| u8::try_from(round.steps_from(base)).ok().filter(|&r| r < 15).ok_or(Overflow);
-        // 15: no hint. A sender that has released no other round names the round itself.
+        // The value 15 stands for no hint: a sender that has released no other round names the round itself.
         let hint = if meeting.released == meeting.round { 15 } else { relative(meeting.released)? };
         out.push((relative(meeting.round)? << 4) | hint)?;
         match packet.kind {

@@ -49,7 +49,7 @@ pub enum Watch {
     Stale,
     /// Every command ends with one outcome within its time_out and one tick, and never with the answer to another command.
     Resolves,
-    /// The same without a time limit: no command ends twice, or with the answer to another command.
+    /// As `Resolves`, but without a time limit: no command ends twice, or with the answer to another command.
     ResolvesOnce,
     /// Every command ends with its answer.
     Answered,

@@ -186,7 +186,8 @@ impl Judge<'_> {
         }
     }
 
-    /// Records that a command was handed over: the one that `source` sent `back - 1` commands before its last one.
+    /// Records that a command of `source` was handed over. The command is the one that `source` sent `back - 1`
+    /// commands before its last one.
     fn executed(&mut self, source: TaskId, back: u8) -> Result<(), Violation> {
         let bit = 1_u8.checked_shl(u32::from(back.saturating_sub(1))).ok_or(Violation::Overflow)?;
         let spec_state = &mut self.spec_states[source.index()];
@@ -225,7 +226,8 @@ impl Judge<'_> {
     }
 }
 
-/// The contents of the command after which its sender has `left` sends left. The answer must repeat these contents.
+/// The contents of a command. `left` is how many commands its sender still sends after it. The answer must repeat
+/// these contents.
 pub(crate) fn question(left: u8) -> Contents {
     Contents::new(&[left]).unwrap_or_default()
 }

@@ -1,6 +1,6 @@
-//! The symmetry reduction: members of a meeting are interchangeable, so the canonical form is the one of all renamings whose
-//! bytes are least. It is computed inside `next_state`, so that every search uses it (stateright's breadth-first search
-//! ignores stateright's own `symmetry`).
+//! The symmetry reduction: members of a meeting are interchangeable, so the canonical form of a state is the renaming
+//! of its members with the least bytes. It is computed inside `next_state`, so that every search uses it (stateright's
+//! breadth-first search ignores stateright's own `symmetry`).
 
 use crate::network::{Codec, InFlight, Packed};
 use crate::state::HEADER;
@@ -119,7 +119,7 @@ struct Block<'a> {
     len: u8,
     /// The node's least round and, if nodes can restart, whether it is up and its incarnation.
     node: &'a [u8],
-    /// If nodes can restart: the incarnation of each other node that this node knows.
+    /// If nodes can restart, the incarnations in which this node knows the other nodes.
     known: &'a [u8],
     /// The node's task without the entries for the members.
     task: &'a [u8],

@@ -101,7 +101,7 @@ pub(crate) enum Shown {
     Signalled(Signal),
 }
 
-/// What one step of a node sent, and what it showed.
+/// The packets that one step of a node sent, and the signals that it showed.
 #[derive(Clone, Debug, Default)]
 struct Effects {
     sent: Vec<Packet>,
@@ -387,7 +387,8 @@ impl World {
     fn answer(&mut self, i: usize) -> Result<(), Violation> {
         self.catch_up(i)?;
         let Some(to) = self.spec_states[i].serving.take() else { return Ok(()) };
-        // The answer repeats the contents of the command, so that a mix-up shows. These contents follow from the sends left.
+        // The answer repeats the contents of its command, so that a wrong assignment shows. These contents follow from
+        // the number of sends left.
         let asked = self.spec_states[to.source.index()].left;
         let back = self.next_sequence(to.source.index()).steps_from(to.id.sequence).saturating_sub(1);
         let contents = question(asked.saturating_add(u8::try_from(back).unwrap_or(u8::MAX)));

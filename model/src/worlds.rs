@@ -13,7 +13,7 @@ const NAMES: [&str; 5] = ["A", "B", "C", "D", "E"];
 pub struct Meeting {
     /// How many members.
     pub members: usize,
-    /// Their time_out in ticks; `None`: they never give up.
+    /// The members' time_out in ticks; `None`: they never give up.
     pub time_out: Option<u64>,
     /// The longest link delay in ticks; `None`: no time passes at all.
     pub delay: Option<u8>,
@@ -63,7 +63,7 @@ impl Meeting {
     /// The scenario of this meeting.
     ///
     /// # Errors
-    /// What is wrong with the declaration: a margin that leaves no time, say.
+    /// What is wrong with the declaration; for example, the margin leaves no time for a release.
     pub fn scenario(&self) -> Result<Arc<Scenario>, Vec<CellError>> {
         let tick = Ticks(1);
         let mut cell = mesh(self.members, u64::from(self.delay.unwrap_or(0)), tick);

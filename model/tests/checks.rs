@@ -12,7 +12,7 @@ fn explored(plan: &Arc<CellScenario>) -> Exploration<Move> {
     explore_cell_state(plan, Limits { states: 200_000, memory: 1 << 30 })
 }
 
-/// A cell in which `a` enters the shared place after each meeting, or only after a release if `honest`; `b` comes to
+/// A cell in which `a` enters the shared place after each meeting (if `honest`, only after a release). `b` comes to
 /// `meetings` meetings.
 fn entering(meetings: u8, honest: bool) -> Arc<CellScenario> {
     let mut cell = Cell::new("entering", Ticks(1));

@@ -62,7 +62,7 @@ fn counts_of_small_worlds() {
 /// else.
 const PINNED: [(u64, u64, u64); 4] = [(75, 172, 12), (280, 1142, 11), (622, 1105, 22), (3568, 7447, 22)];
 
-/// The verdicts of the quick run on the cheap claims, settled once for all tests.
+/// The verdicts of the quick run on the cheap claims, computed once for all tests.
 fn cheap() -> Vec<Verdict> {
     let others = ["pairing", "class-2-resolves", "no-stale-delivery", "at-most-once"];
     UNDER_LOSS

@@ -37,8 +37,8 @@ fn is_ever_fenced(couple: &Couple) -> bool {
     found.violation.is_some()
 }
 
-/// With any link delays within their bounds the least lease is renewed in time. One tick of clock drift is too much for it.
-/// A lease that is a tick shorter is an error of the declaration.
+/// If link delays keep their bounds, the least lease is renewed in time, but one tick of clock drift is too much for
+/// it. A lease that is a tick shorter is an error of the declaration.
 #[test]
 fn the_least_lease_lasts_and_has_no_tick_to_spare() {
     for (delay, every) in [(1, 2), (1, 3), (2, 3)] {

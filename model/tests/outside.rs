@@ -25,9 +25,9 @@ fn a_task_outside_makes_any_use_of_its_ports() {
     assert!(verdicts.statements[1].0 == verdicts.statements[1].1, "what a sends arrives");
 }
 
-/// An extern task may send to one of several receivers. The search tries one use of the port in each period, and no other
-/// timings. Statements that only other timings reach are not reported as superfluous, nor checks that only they decide as
-/// vacuous.
+/// An extern task may send to one of several receivers. The search tries one use of the port in each period, and no
+/// other timings. Statements that only other timings reach are not reported as superfluous, and checks that only they
+/// decide are not reported as vacuous.
 #[test]
 fn a_task_outside_tells_one_of_several_and_may_come_at_other_times() {
     let takes = |name: &str| {
@@ -56,7 +56,7 @@ fn a_task_outside_tells_one_of_several_and_may_come_at_other_times() {
     assert_eq!(verdicts.not_tried.len(), 1, "{:?}", verdicts.not_tried);
 }
 
-/// The first statement does not read the answer, the second one does.
+/// The first statement that asks does not read the answer; the second one does.
 #[test]
 fn a_task_outside_answers_in_the_format_that_any_statement_reads() {
     let text = "cell out;\ntick 1 msec;\nnode na;\ntype Num is record n: int8; end;\n\

@@ -265,7 +265,8 @@ fn pair(seed: u64) -> Option<[String; 2]> {
     (!unlike(&one) && !unlike(&other) && is_sound(&whole)).then_some([text, whole])
 }
 
-/// The findings of this phase, by key and task. Deadlocks are left out, because one part may have one while another goes on.
+/// The findings of this phase, by key and task. Deadlocks are left out, because one part may have a deadlock while
+/// another part goes on.
 fn judged(verdicts: &Verdicts, phase: Phase) -> BTreeSet<String> {
     let mut verdicts = verdicts.clone();
     verdicts.findings.retain(|finding| finding.kind != Kind::Deadlock && finding.phase == phase);
@@ -279,9 +280,9 @@ fn judged(verdicts: &Verdicts, phase: Phase) -> BTreeSet<String> {
 
 /// How the findings of the parts and of the whole differ; `None` if they agree.
 ///
-/// In the search of the whole, a finding that ends paths in one part hides later findings of the other part. If no path of a
-/// phase is ended (pruned), the searches of the parts show the same in that phase. If the phase without faults is pruned,
-/// the whole may show with a fault what the parts show without one.
+/// In the search of the whole cell, a finding that ends paths in one part hides later findings of the other part. If no
+/// path of a phase is ended (pruned), the searches of the parts show the same in that phase. If the phase without
+/// faults is pruned, the whole may show with a fault what the parts show without one.
 fn difference(apart: &Verdicts, whole: &Verdicts) -> Option<String> {
     let hides = |phase: Phase| whole.phases.iter().any(|one| one.phase == phase && one.pruned);
     let hidden = [Phase::FaultFree, Phase::Faults].map(hides);

@@ -57,7 +57,7 @@ fn a_lease_holds_however_long_its_owner_pauses() {
         assert_eq!(took_over.0 == took_over.1, length != " up to 3 msec", "{length}: {took_over:?}");
         assert!(verdicts.still.is_empty() == (length != " up to 3 msec"), "{length}: {:?}", verdicts.still);
     }
-    // The lease also holds if any node may pause, twice.
+    // The property of the lease also holds if any node may pause twice.
     let verdicts = checked(&couple(""), Times::Ends, |cell| {
         let pause = Pause::new(&cell.plan.table, None, Some(Ticks(30)));
         cell.plan.faults = vec![CellFaults { pause: vec![pause; 2], ..CellFaults::default() }];
@@ -96,7 +96,7 @@ check soon: a.goes leads a.done within 25 msec;";
 
 #[test]
 fn a_pause_may_come_between_a_decision_and_its_action() {
-    // Another statement may run the same action with other times.
+    // Here another statement runs the same action with other times.
     let twice = DECIDED.replace("done := true;", "done := true; run go takes 7 msec;");
     for (text, times) in [Times::Ends, Times::Between, Times::Every]
         .map(|times| (DECIDED, times))

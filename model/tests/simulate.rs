@@ -270,7 +270,7 @@ fn one_fault_happens_where_the_plan_says() {
         let checks: Vec<_> = all.found.iter().map(|found| found.finding.check).collect();
         assert_eq!((checks, &all.idle[..]), (vec![Some(0)], &[][..]), "{fault:?}");
         assert!(all.found[0].with_faults(), "{fault:?}");
-        // These runs have the same faults with random choices.
+        // These runs have the same fault with random choices.
         let any = simulator.seeds((1, 20), Some(std::slice::from_ref(&fault)), &mut |_, _| ());
         assert!(any.found[0].runs == 20 && any.with_faults == 20, "{fault:?}: {any:?}");
         assert!(any.idle.is_empty(), "{fault:?}: {any:?}");

@@ -120,7 +120,7 @@ fn a_canonical_state_stands_for_itself() {
 fn a_step_depends_on_its_state_and_on_nothing_looked_at_before() {
     for Held { scenario, walk, .. } in HELD.iter() {
         let worn = WorldModel::new(scenario, Limits::default());
-        // This goes backwards, so that the scratch world holds other leftovers than in the search.
+        // The states are taken backwards, so that the scratch world holds other leftovers than in the search.
         for state in walk.states.iter().rev().step_by(7).take(4_000) {
             let fresh = WorldModel::new(scenario, Limits::default());
             assert_eq!(successors(&worn, state), successors(&fresh, state), "after {state:?}");

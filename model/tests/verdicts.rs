@@ -36,7 +36,7 @@ fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
     };
     assert_eq!(kinds(&waits("na", "nb")), [Kind::Check]);
     assert_eq!(kinds(&waits("nb", "na")), [Kind::Check]);
-    // The same test on one node, whose threads may run two tasks in either order.
+    // Here both tasks are on one node, whose threads may run them in either order.
     assert_eq!(kinds(&waits("na", "na")), [Kind::Check]);
 }
 
@@ -269,7 +269,8 @@ fn statements_of_one_action_have_their_own_results() {
     assert_eq!(kinds(&wide), breaks);
 }
 
-/// A state without progress in which every question is answered must not hide another one in which a question is not.
+/// A state without progress in which every question is answered must not hide another such state in which a question
+/// is not answered.
 #[test]
 fn one_standstill_does_not_hide_another() {
     let text = |k: &str| {
@@ -363,7 +364,7 @@ fn who_waits_for_ever_for_one_that_has_ended_is_told() {
         }
         let counts = "loop if n = 2 then exit; end; receive p(); reply(); n := n + 1; end;";
         assert_eq!(told("send p();", counts, other), waits);
-        // These are servers: one takes single messages, the other takes them in pairs.
+        // Both of these tasks are servers: one takes single messages, the other takes them in pairs.
         assert_eq!(told("send p();", "loop receive p(); reply(); end;", other), []);
         assert_eq!(
             told("send p();", "loop n := 0; receive p(); reply(); run pick takes 5 msec; end;", other),

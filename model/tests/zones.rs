@@ -19,7 +19,7 @@ fn waits(found: &Finding) -> bool {
     matches!(found.kind, Kind::Deadlock | Kind::WaitsForEver)
 }
 
-/// What both searches must tell alike: findings and what was reached.
+/// The facts in which both searches must agree: the findings, and what was reached.
 fn told(verdicts: &Verdicts, is_pruned: bool) -> Vec<String> {
     fn words(all: &[impl Debug]) -> impl Iterator<Item = String> {
         all.iter().map(|one| format!("{one:?}"))
@@ -62,7 +62,8 @@ struct Compared {
     zones: u64,
 }
 
-/// Compares the verdicts of both; `None` if every tick takes too many states.
+/// Compares the verdicts of the search by zones and of the search at every tick; `None` if the latter takes
+/// too many states.
 fn compare(name: &str, cell: &mut Text, states: u64) -> Option<Compared> {
     cell.plan.faults.retain(covered);
     cell.plan.budget = within(states);

@@ -6,7 +6,8 @@ use super::verdict::Finding;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Program;
 
-/// Merges findings that repeat an earlier one: its [`Finding::also`] gets their tasks.
+/// Merges each finding that repeats an earlier one into it: the earlier one's [`Finding::also`] gets the task
+/// of the later one.
 pub(super) fn told_once(plan: &CellPlan, findings: Vec<Finding>) -> Vec<Finding> {
     let mut kept: Vec<Finding> = Vec::new();
     for finding in findings {

@@ -22,7 +22,8 @@ pub(super) fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open)
         Missed::of(conduct, |at| done.iter().any(|done| done.reached.statements[number][at]))
     });
     let missed: Vec<Missed> = missed.collect();
-    // What such a statement stores or sends may lead any task to statements that need no fault of their own.
+    // A statement that needs a fault may store or send something that leads any task to statements which need
+    // no fault of their own.
     let leads_on = missed.iter().any(|missed| missed.leads_on);
     for (number, missed) in missed.into_iter().enumerate() {
         verdicts.statements.push(missed.counts);

@@ -11,7 +11,8 @@ use imrs_protocol::TaskId;
 use imrs_protocol::script::{Activity, Address, End, Op, Predicate, Slot, Term, Variable};
 use std::fmt::Write as _;
 
-/// The cause with the values that explain it, and the tasks that it concerns. `begun`: the statement that each task began last.
+/// Returns the cause of a finding with the values that explain it, and the tasks that it concerns. `begun` has the
+/// statement that each task began last.
 pub(super) fn context(
     run_state: &RunState,
     shown: &Shown,
@@ -72,7 +73,8 @@ fn ended(run_state: &RunState, task: usize, end: End) -> String {
     }
 }
 
-/// The variables that the statement of a finding reads, such as `height = 42`. Those of handlers ended with their activation.
+/// The variables that the statement of a finding reads, such as `height = 42`. Variables of handlers are left out,
+/// because they ended with their activation.
 fn of_statement(run_state: &RunState, shown: &Shown) -> Vec<String> {
     let read = || {
         let (task, at) = (shown.task?, usize::from(shown.address?));
@@ -100,7 +102,8 @@ fn equals(name: &str, declared: &Variable, value: i64) -> String {
 /// Explains since when and by whose step a check is broken.
 pub(super) struct Origin {
     check: Option<usize>,
-    /// The tick since which a `leads` check owes its right side, and the values that its left side read then.
+    /// If the left side of a `leads` check has become true and its right side has not, the tick since then,
+    /// and the values that the left side read then.
     owed: Option<(u64, Vec<String>)>,
     /// The tasks whose scripts ran in the last step.
     acted: Vec<usize>,

@@ -15,7 +15,7 @@ pub(super) struct Done {
 }
 
 impl Done {
-    /// Adds what an earlier search of the same phase found and reached, at other event times.
+    /// Adds what an earlier search of the same phase, at other event times, found and reached.
     pub fn with(mut self, earlier: Option<Self>) -> Self {
         if let Some(earlier) = earlier {
             self.findings.extend(earlier.findings);

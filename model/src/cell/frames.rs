@@ -47,7 +47,7 @@ pub struct Scene {
     pub odd: bool,
     /// What happened, in order.
     pub happened: Vec<Shows>,
-    /// What each task does after it, by position.
+    /// What each task does after the step, by position of the task.
     pub tasks: Vec<TaskView>,
     /// The nodes after it, by position.
     pub nodes: Vec<NodeFrame>,
@@ -156,7 +156,8 @@ fn snapshot(run_state: &RunState, node: usize, dropped: [u64; Reason::ALL.len()]
     Snapshot { timers, ..gathering.snapshot(transit) }
 }
 
-/// What happened in a step, in order: what came, which statements it began, which scripts ended, which packets left.
+/// What happened in a step, in order: the inputs, the statements that began, the scripts that ended, and the packets
+/// that left.
 fn happenings(walked: &Walked<'_>, passed: u64) -> Vec<Shows> {
     let (came, ended) = walked.notes.split_at(walked.notes.len() - walked.ended);
     let words = |note: &Note| note.words(&walked.lanes.names);

@@ -8,8 +8,8 @@
 //!
 //! If a cell has independent parts, their searches must have found and reached what a walk does, too.
 //!
-//! A verdict is only as good as its packed states. What packing omits must not matter to any program, and what a reduction omits
-//! must show nothing new. The walks check both at every step.
+//! A verdict is only as good as its packed states. No program may behave differently because of something that packing
+//! omits, and a state that a reduction omits must show nothing new. The walks check both at every step.
 
 use super::follow::plain;
 use super::judge::{Reached, Shown};
@@ -201,8 +201,8 @@ struct Walk<'a> {
     kept: &'a Kept,
     apart: Option<&'a Apart>,
     moves: Vec<CellMove>,
-    /// A restarted node is farther behind the others' rounds than packed states tell. Both do the same then, with other round
-    /// numbers.
+    /// Whether a restarted node is farther behind the others' rounds than packed states can say. Then the walk and the
+    /// packed form behave alike, but with different round numbers.
     far: bool,
     /// Kept states cover its states in a way that a lookup cannot find.
     unlisted: bool,
@@ -215,8 +215,9 @@ impl<'a> Walk<'a> {
         faults: &CellFaults,
         (kept, apart): (&'a Kept, Option<&'a Apart>),
     ) -> Self {
-        // The search omits the loss of a packet that no task would notice. The state kept instead may allow more than its budgets
-        // tell: an unused cut allows what an open one does, and a packet that arrived at a node that is down may restart it.
+        // The search omits the loss of a packet that no task would notice. The state that is kept instead may allow
+        // more moves than its fault budgets show: an unused cut allows what an open one does, and a packet that arrived
+        // at a node that is down may restart it.
         let doubles = faults.dup > 0 || faults.reorder > 0;
         let takes = faults.loss > 0 || !faults.cut.is_empty();
         let unlisted = !faults.cut.is_empty() && doubles || takes && !faults.crash.is_empty();
@@ -275,7 +276,7 @@ impl<'a> Walk<'a> {
         self.end()
     }
 
-    /// Judges the last move of both; returns whether the walk goes on.
+    /// Judges the last move of the walk and of its packed twin; returns whether the walk goes on.
     fn looked_at(&mut self) -> Result<bool, Disagreement> {
         let (shown, others) = (self.own.shown(), self.twin.shown());
         if shown.len() != others.len() || shown.iter().zip(&others).any(|(a, b)| !a.is_same(b)) {

@@ -195,7 +195,8 @@ fn end(run_state: &RunState, turn: &ScriptReaction, phase: Phase) -> Option<Show
     let name = name(table, turn.task);
     let fault_free = phase != Phase::Faults;
     let (kind, address, cause) = match turn.end? {
-        // A fence is for faults: without one, who should renew the lease has ended, or is too slow.
+        // A lease should end only because of a fault. Without a fault, the task that should renew it has
+        // ended or is too slow.
         End::Fenced if fault_free => (Kind::LeaseLost, turn.at, format!("{name} lost its lease")),
         End::Finished | End::Fenced => return None,
         End::Assertion(at) => (Kind::Assertion, at, format!("{name}: an assertion does not hold")),

@@ -15,7 +15,8 @@ pub struct Legend {
 }
 
 impl Legend {
-    /// The values in a packet: `(3, true)`. Of a message in several packets, those that fit into the first one.
+    /// The values in a packet: `(3, true)`. Of a message in several packets, only the values that fit into the
+    /// first packet.
     pub(super) fn of_packet(&self, packet: &Packet) -> Option<String> {
         let arguments;
         let (bytes, is_answer) = match packet.kind {

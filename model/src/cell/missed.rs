@@ -24,7 +24,8 @@ impl Missed {
         let statements: Vec<_> = all.iter().filter(|&&at| !reached(at)).map(|&at| (at, !plain[at])).collect();
         let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
         let counts = (count(all.len() - statements.len()), count(all.len()));
-        // What may follow those that need a fault, on each path up to the first operation that needs none.
+        // The operations that may follow statements which need a fault, on each path up to the first
+        // operation that needs none.
         let need_fault = statements.iter().filter(|(_, needs_fault)| *needs_fault).map(|&(at, _)| at);
         let code = &program.code;
         let behind =
@@ -53,13 +54,15 @@ fn needs_no_fault(program: &Program) -> Vec<bool> {
     let messages = program.handlers.iter().filter(|handler| matches!(handler.trigger, Trigger::Message(_)));
     let entries = messages.map(|handler| usize::from(handler.entry)).chain([0]);
     reached_from(&program.code, entries, |at| match program.code[at] {
-        // A branch that takes only bad outcomes needs a fault. All others do not: a message may come or not.
+        // A branch that takes only bad outcomes needs a fault. All other branches do not, because a message
+        // may come or not.
         Op::On { outcomes, .. } if outcomes.0 & !Outcomes::BAD.0 == 0 => [None, Some(at + 1)],
         op => next(&op, at),
     })
 }
 
-/// For each operation, whether control flow reaches it from one of these. `goes` says which operations may follow one.
+/// For each operation, whether control flow reaches it from one of the operations `from`. `goes` gives the operations
+/// that may follow an operation.
 pub(super) fn reached_from(
     code: &[Op],
     entries: impl IntoIterator<Item = usize>,

@@ -50,7 +50,7 @@ fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>, values: &Tried) ->
             for number in 0..values.len() {
                 let value = |of: Type| values.value(of, number);
                 let Some(once) = once(plan, task, (port, to), &value, pause, &mut program) else { break };
-                // For messages without fields all values give the same use.
+                // Uses of a port whose messages have no fields are equal for all values, and are added once.
                 if !uses.contains(&once) {
                     uses.push(once);
                 }
@@ -214,7 +214,7 @@ const fn unpacked(op: &Op) -> Option<u16> {
     }
 }
 
-/// The first result of `is` behind an operation, before the next request.
+/// The first value that `is` returns for an operation behind `from`, before the next request.
 fn next(program: &Program, from: usize, is: impl Fn(&Op) -> Option<u16>) -> Option<u16> {
     let after = program.code.iter().skip(from + 1);
     after.take_while(|op| !matches!(op, Op::Send { .. } | Op::Get { .. } | Op::Run { .. })).find_map(is)

@@ -15,7 +15,7 @@ pub enum Conduct {
         program: Arc<Program>,
         /// For each of its actions, the results worth trying; 0 if there are none.
         values: Vec<Vec<i32>>,
-        /// Whether other results of its actions may lead to other statements.
+        /// Whether results of its actions that are not tried may lead to other statements.
         open: bool,
     },
     /// The body of the task is outside the cell: it makes any legal use of its ports, at most at this rate.

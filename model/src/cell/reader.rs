@@ -49,7 +49,7 @@ impl Reader {
         };
     }
 
-    /// Takes what the scripts did in the step, and the log of the step.
+    /// Ends a step: reads what the scripts did in it, and its log.
     pub fn after(&mut self, turns: &[ScriptReaction], log: &[Effect]) {
         for turn in turns {
             if let Some(begun) = self.step.begun.get_mut(turn.task) {
@@ -78,7 +78,8 @@ impl Reader {
         };
         let task = packet.source.index();
         let named = (task, packet.port, number);
-        // No step shows packets that left before the first one. Their task is still at the statement.
+        // A packet that left before the first step is in no step. Its task is still at the statement that
+        // sent it.
         let at = self.sent.get(&named).copied().or_else(|| {
             let begun = self.step.begun.get(task)?.first()?.0;
             let program = program(run_state, task)?;
@@ -142,7 +143,7 @@ impl Reader {
             | Event::WithinMargin
             | Event::GaveUp => self.sent.get(&named).copied().or(before),
             Event::Rejoined => {
-                // The wait goes on in another round.
+                // The same wait goes on in another round.
                 if let Some(at) = before {
                     self.sent.insert(named, at);
                 }

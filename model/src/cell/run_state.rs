@@ -84,7 +84,8 @@ pub(super) struct RunState {
     /// The checks that read several nodes.
     pub spread: Vec<Spread>,
     pub tick_values: Vec<TickValues>,
-    /// Checks that no single state breaks, but a combination of what their nodes showed in one tick.
+    /// Checks that are broken by a combination of the values that their nodes showed in one tick, although no
+    /// single state breaks them.
     pub mixed: Vec<(usize, Mixture)>,
     /// Whether both tasks of some couple act.
     pub both_active: bool,
@@ -92,7 +93,8 @@ pub(super) struct RunState {
     dead: Vec<Dead>,
     /// Scratch buffer for the variables before a move: those of each task, and which of them are dead.
     before: Before,
-    /// What was packed last: room that is used again.
+    /// The state that was packed last. The buffer is kept, so that the next state is packed without
+    /// allocating.
     packed: Vec<u8>,
 }
 
@@ -206,7 +208,8 @@ impl RunState {
         self.broken.clear();
         if let Some(node) = self.node_of(step) {
             self.beside.acted |= bit(node);
-            // Not again for these: `stir` ran in the move that queued the input, or when the passed time made the script due.
+            // `stir` (which ends postponements) does not run for these moves: it ran in the move that queued the input,
+            // or when the passed time made the script due.
             if !matches!(step, CellMove::Take(..) | CellMove::Begin(_)) {
                 self.stir();
             }

@@ -62,7 +62,7 @@ pub(super) struct Kept {
     pub reached: Reached,
 }
 
-/// Searches, and returns the states that it kept, too.
+/// Searches a phase, and also returns the states that it kept.
 pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Kept {
     let (search, done) = search(plan, (phase, 0), faults, &Silent);
     let hits = search.hits.into_iter().map(|hit| hit.shown).collect();
@@ -147,7 +147,7 @@ fn look(
 /// What one search can hold: a bit for each node and each direction of a link, a byte for a task.
 const MOST: (usize, usize, usize) = (64, 255, 32);
 
-/// Refuses a cell that is too large, or whose programs store message numbers: no canonical state could hold them (D51).
+/// Refuses a cell that is too large, or whose programs store message numbers, which no canonical state can hold (D51).
 fn refused(plan: &CellPlan) -> Option<Refused> {
     let names = |task: &Conduct| match task {
         Conduct::Program { program, .. } => program.code.iter().position(|op| *op == Op::ReceivedId),
@@ -242,7 +242,7 @@ fn search(
         whole_depth: left.map_or(depth, u64::from),
         ticks: findings.iter().map(|finding| finding.at_ticks).max().unwrap_or(0),
         complete: ended_by.is_none(),
-        // What tasks in a deadlock would have done is not searched either.
+        // The search does not explore what tasks in a deadlock would have done either.
         pruned: search.hits.iter().any(|hit| hit.shown.last || hit.shown.kind == Kind::Deadlock),
         ended_by,
         unfinished: (!search.queue.is_empty())

@@ -1,5 +1,5 @@
-//! Detects a standstill (livelock): tasks go on for ever without progress. Two robots each hold a zone and poll for the other's;
-//! or one robot polls for a zone whose holder is dead.
+//! Detects a standstill (livelock): tasks go on for ever without progress. For example, two robots each hold a zone and
+//! poll for the other's, or one robot polls for a zone whose holder is dead.
 //!
 //! *Progress* is a step in which an action ends well, a rendezvous completes, or a live variable changes its value. A state is
 //! *still* if no path without faults and restarts leads from it to progress or to an end. A cycle of still states is reported
@@ -20,7 +20,7 @@ use std::sync::Arc;
 /// The most states of a standstill that are explored to find what repeats in it.
 const MOST_STATES: usize = 4096;
 
-/// The most still states that are tried until one of them shows a standstill.
+/// How many still states the search tries at most, until one of them shows a standstill.
 pub(super) const MOST_TOLD: usize = 64;
 
 /// The most bytes that [`StateGraph::all_still`] needs for a state: an entry in a map and on a stack, and two flags.
@@ -120,7 +120,7 @@ pub(super) fn tell(
     if !moves.iter().all(|&step| run_state.survives(step)) {
         return None;
     }
-    // What scripts did before the standstill is no part of it.
+    // The steps of scripts before the standstill are dropped, because they are no part of it.
     run_state.cell.turns.iter_mut().for_each(Vec::clear);
     let seen = Round::walk(&mut run_state, &mut moves)?;
     let asks = seen.asks();

@@ -1,8 +1,9 @@
 //! Detects starvation: a request waits all the time, and is put off more often than aging allows (§5.1.1, D58, D59).
 //!
-//! A request that ended by its time_out may have arrived late, or may have been bypassed while it waited. So the path to the
-//! finding is replayed, and the request is watched at each receiver: how often it is rejected by rank, and how many other
-//! messages are taken before it. Aging bounds both. A request beyond a bound `K` would not have been served with any time_out.
+//! A request that ended by its time_out may have arrived late, or may have been bypassed while it waited. So the path
+//! to the finding is replayed, and two numbers are counted at each receiver of the request: how often it is rejected by
+//! rank, and how many other messages are taken before it. Aging bounds both by some `K`. A request that exceeds its
+//! bound would not have been served with any time_out.
 
 use super::judge::{Shown, name, statement};
 use super::plan::{CellFaults, CellPlan, Conduct};
@@ -20,13 +21,14 @@ struct Wait {
     counted: u64,
     /// Rejections since the request arrived.
     rejected: u64,
-    /// Messages of others that were taken since then.
+    /// How many messages of other tasks were taken since then.
     passed: u64,
     /// The most messages that its port's buffer holds.
     capacity: u64,
 }
 
-/// Makes a time_out a starvation if the moves show that the request starved. `shown` is what the last of the moves shows.
+/// Turns a time_out into a starvation if the path shows that the request starved. `shown` is the finding of the last
+/// move.
 pub(super) fn decided(plan: &Arc<CellPlan>, moves: &[super::CellMove], shown: Shown) -> Shown {
     match (shown.kind, shown.task.zip(shown.address)) {
         (Kind::TimeOut, Some(place)) => match starved(plan, moves, place) {

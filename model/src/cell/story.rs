@@ -88,7 +88,7 @@ pub(super) struct Walked<'a> {
     pub ports: &'a [String],
     pub step: CellMove,
     pub notes: &'a [Note],
-    /// How many notes, the last ones, are about scripts that ended.
+    /// How many of the notes, counted from the end, are about scripts that ended.
     pub ended: usize,
     /// What the scripts did.
     pub turns: &'a [ScriptReaction],
@@ -128,7 +128,7 @@ pub(super) fn walk(
     };
     let timers = plan.tasks.iter().map(timers).collect();
     let mut recorder = ChartRecorder::new(lanes.names.clone()).naming(ports, timers);
-    // What scripts do before the first move is drawn with it.
+    // The steps that scripts take before the first move are drawn together with that move.
     let turns = run_state.cell.turns.replace(Vec::new()).unwrap_or_default();
     let mut begun = vec![None; plan.tasks.len()];
     let mut reader = Reader::default();
@@ -183,7 +183,7 @@ pub(super) fn walk(
     ReplayedPath { recorder, run_state, begun }
 }
 
-/// A panic leaves the cell half changed, so this makes the moves before it again on a new one.
+/// A panic leaves the cell half changed. So the moves before it are made again on a new cell.
 fn before_panic(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove]) -> RunState {
     let mut run_state = RunState::new(plan, faults);
     moves.iter().for_each(|&step| run_state.apply(step));
@@ -315,14 +315,15 @@ pub(super) fn shorten(chart: &str) -> String {
     format!("{head}\n      ... {left_out} lines left out ...\n{tail}")
 }
 
-/// The lane names of a part, and notes with their lanes renumbered for it. `None`: those of the whole cell.
+/// The lane names of a part, and the notes with lanes renumbered for that part. `None`: those of the whole
+/// cell.
 #[must_use]
 pub fn drawn(plan: &CellPlan, part: Option<usize>, notes: Vec<Note>) -> (Vec<String>, Vec<Note>) {
     let part = part.and_then(|number| parts(plan).into_iter().nth(number));
     within(plan, part.as_ref(), notes)
 }
 
-/// The same for a given part.
+/// As [`drawn`], with the part itself instead of its number.
 pub(super) fn within(plan: &CellPlan, part: Option<&Part>, mut notes: Vec<Note>) -> (Vec<String>, Vec<Note>) {
     let lanes = Lanes::of(&plan.table);
     let Some(part) = part else { return (lanes.names, notes) };

@@ -12,7 +12,8 @@ const LINE: usize = 18;
 const TICKS: usize = 60;
 const LINES: usize = 50;
 
-/// Draws the lines of a chart as SVG, one lane for each name. It has no background: that of the page shows.
+/// Draws the lines of a chart as SVG, one lane for each name. The drawing has no background of its own, so
+/// that of the page shows.
 #[must_use]
 pub fn svg<'a>(names: &[String], notes: impl IntoIterator<Item = &'a Note>, cause: &str) -> String {
     let notes: Vec<&Note> = notes.into_iter().collect();

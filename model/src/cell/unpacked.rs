@@ -23,7 +23,7 @@ impl Unpacked {
         Self { run_state, reached, phase }
     }
 
-    /// The same without history, so that packed states can be loaded.
+    /// The same cell without the judge of its history, so that packed states can be loaded.
     pub fn without_history(mut self) -> Self {
         self.run_state.cell.forget_history();
         self

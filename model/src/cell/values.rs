@@ -46,11 +46,13 @@ impl Tried {
                         if is_by_order(operator) {
                             let (less, more) = (value.saturating_sub(1), value.saturating_add(1));
                             whole.near.extend([less, more]);
-                            // It may be compared with the whole part of a real.
+                            // The constant may be compared with the whole part of a real, so the reals around
+                            // it are tried, too.
                             real.near.extend([less, value, more].map(nearest_real));
                         }
                     }
-                    // Nothing says its type: so large a number is rather a real, by its bits.
+                    // The script does not say the type of this constant. A number as large as this is taken
+                    // for a real, given by its bits.
                     _ if (LEAST_BITS..=i64::from(u32::MAX)).contains(&value) => {
                         real.all.extend(as_real(value));
                     }
@@ -73,7 +75,7 @@ impl Tried {
         self.whole.is_empty()
     }
 
-    /// The number of different messages: one if they say nothing.
+    /// The number of different messages to try: one if the message has no fields.
     pub(super) fn len(&self) -> usize {
         self.whole.len().max(self.real.len()).max(1)
     }
@@ -147,7 +149,7 @@ const fn nearest_real(value: i64) -> f32 {
     value as f32
 }
 
-/// The operator that takes a constant: it follows at once, or after one other operand.
+/// The operator that takes a constant as operand: the next term, or the one after one other operand.
 fn operator(behind: &[Option<Term>]) -> Option<Term> {
     let near = behind.iter().take(2).map_while(|term| *term);
     near.into_iter().find(|term| matches!(term, Term::Int(_) | Term::Real(_)))

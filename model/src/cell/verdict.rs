@@ -88,23 +88,23 @@ pub enum Phase {
     Faults,
 }
 
-/// A task that a finding concerns, and what it does then.
+/// A task that a finding concerns, and what the task does at that time.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Concerned {
     /// The task.
     pub task: TaskId,
     /// The operation that it is at or was at last; `None` if it began no statement.
     pub at: Option<Address>,
-    /// What it does, in words.
+    /// What the task does, in words.
     pub does: String,
 }
 
 /// Something that is wrong, and the shortest path to it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Finding {
-    /// Its kind.
+    /// The kind of the finding.
     pub kind: Kind,
-    /// The phase that found it, which tells whether it takes a fault.
+    /// The phase in which it was found, which shows whether it needs a fault.
     pub phase: Phase,
     /// The position of its hypothesis in the plan, in a phase with faults.
     pub hypothesis: usize,
@@ -130,7 +130,7 @@ pub struct Finding {
     pub cause: String,
     /// Ticks from the start to the finding.
     pub at_ticks: u64,
-    /// The moves that lead to it. They can be replayed with the same plan.
+    /// The moves that lead to the finding. They can be replayed with the same plan.
     pub moves: Vec<CellMove>,
     /// The same moves with what they show.
     pub steps: Vec<Step>,
@@ -263,11 +263,11 @@ pub struct TaskView {
     pub up: bool,
     /// The operation in which it waits.
     pub at: Address,
-    /// What it does, in words.
+    /// What the task does, in words.
     pub does: String,
     /// Its variables, in the program's order.
     pub variables: Vec<i64>,
-    /// Its ports, each with the number of waiting messages.
+    /// The task's ports, each with the number of waiting messages.
     pub queues: Vec<(PortId, u16)>,
     /// Its running actions: activation, and the remaining ticks, at least and at most.
     pub acts: Vec<(u8, u32, u32)>,

@@ -7,7 +7,8 @@ use super::verdict::Kind;
 use imrs_protocol::script::{Activity, Op, Program, Term};
 use imrs_protocol::{CellTable, Instant, Packet, PortId, TaskId, Usage};
 
-/// Tasks that wait for each other, or else one that is left waiting. `goes_on`: other moves are still possible.
+/// A finding of tasks that wait for each other; if there are none, of a task that is left waiting. `goes_on`:
+/// other moves are still possible.
 pub(super) fn for_ever(run_state: &RunState, goes_on: bool) -> Option<Shown> {
     let closed = closed(run_state, goes_on);
     // Of most states no task is left.
@@ -32,7 +33,7 @@ fn closed(run_state: &RunState, goes_on: bool) -> Vec<bool> {
         .collect();
     if goes_on {
         keep_closed(run_state, &mut closed);
-        // This scan of all packets comes second, because in most states no task is left by now.
+        // This scan of all packets comes second, because in most states the set is empty by now.
         closed
             .iter_mut()
             .enumerate()

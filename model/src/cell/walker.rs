@@ -45,13 +45,13 @@ struct WalkPath {
     further: bool,
 }
 
-/// What the kept states tell about a state with only one move.
+/// What is known, from the kept states, about a state with only one move.
 enum Known {
     /// Nothing: walk on.
     No,
     /// A kept state covers it: that one allows all its moves.
     Covered(Mark),
-    /// It is one of the states on a chain that are kept: its packed form.
+    /// The state is one of those on a chain that are kept. This is its packed form.
     Post(Mark, Box<[u8]>),
 }
 
@@ -62,7 +62,8 @@ pub(super) struct Walks {
     pub hits: Vec<Hit>,
     pub moves: u64,
     pub graph: StateGraph,
-    /// Whether some state had no packed form. The search does not go on from such a state.
+    /// Whether some number of a state did not fit its field, so that the state has no packed form. The search
+    /// does not go on from such a state.
     pub outgrown: bool,
 }
 
@@ -116,10 +117,10 @@ impl Walker {
         }
     }
 
-    /// Drops the moves that lose a packet whose arrival changes nothing: the arrival leads to the same state, with more faults
-    /// left. A cut may as well begin with the next packet, or end before this one. But an arrival ends postponements of actions
-    /// and packets, and its node may crash right after it; a loss does neither. In these cases the move that ends a cut stays.
-    /// Returns whether the run state was changed.
+    /// Drops the moves that lose a packet whose arrival changes nothing: the arrival leads to the same state, with more
+    /// faults left. A cut may as well begin with the next packet, or end before this one. There are two exceptions: an
+    /// arrival ends postponements of actions and packets, and its node may crash right after it, while a loss has
+    /// neither effect. In these cases the move that ends a cut stays. Returns whether the run state was changed.
     fn leave_out(&mut self, state: &[u8], moves: &mut Vec<(u16, CellMove)>) -> bool {
         if self.run_state.plan.everything {
             return false;
@@ -221,7 +222,7 @@ impl Walker {
         }
     }
 
-    /// Notes for the livelock analysis where a walk leads. A walk with a fault does not count.
+    /// Notes for the livelock analysis to which state a walk leads. A walk with a fault is not noted.
     fn lead(&mut self, path: WalkPath, to: Option<Mark>) {
         if !path.takes_fault {
             self.walks.graph.note(path.from, to.filter(|_| !path.further).map(Mark::core));
@@ -240,8 +241,8 @@ impl Walker {
         })
     }
 
-    /// Looks up the state before a lone arrival. With more faults left the same state has a choice, so it may be kept; otherwise
-    /// paths that have joined meet at the next kept state of the chain.
+    /// Looks up the state before a lone arrival. The same state with more faults left has a choice, and so may have
+    /// been kept. If it was not, two paths that have joined here meet at the next kept state of the chain.
     fn is_known(&mut self, moves: &[CellMove], seen: &Seen) -> Known {
         if !matches!(moves, [CellMove::Deliver(_) | CellMove::Vanish(_)]) {
             return Known::No;

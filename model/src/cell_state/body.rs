@@ -24,7 +24,8 @@ pub(crate) enum Does {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct Activation {
     pub does: Does,
-    /// The command that it must answer, unless a script does, and the first contents byte of its message.
+    /// The command that the activation must answer (none if a script answers it), and the first byte of the
+    /// command's contents.
     pub to: Option<ReplyTo>,
     pub echo: u8,
     /// Whether this handler has sent its nested command.
@@ -224,7 +225,7 @@ impl Body {
 
     /// Takes a signal of its communication task.
     pub fn hear(&mut self, signal: &Signal) {
-        // A script itself keeps track of the commands that it must answer.
+        // A script knows itself which commands it must answer.
         let answers = |delivery: &Delivery| delivery.class == Class::Command && self.actor.is_none();
         let serves = |delivery: &Delivery| Activation {
             does: Does::Serves,
@@ -274,7 +275,8 @@ impl Body {
     }
 }
 
-/// Where `age` stops counting: a service without a longest time is the same from its least time on.
+/// The value at which `age` stops counting. A service without a longest time behaves the same from its least
+/// time on.
 const fn bound((least, most): (u8, u8)) -> u8 {
     if most == u8::MAX { least } else { most }
 }

@@ -151,7 +151,8 @@ impl CellState {
     fn bases(&mut self) -> Bases {
         let sequences = (0..self.bodies.len()).map(|task| self.next_sequence(task)).collect();
         let incarnations = self.plan.incarnations();
-        // In the checker of cells, `behind` says how far behind a new incarnation is.
+        // In the search of a cell, `behind` says how far the rounds of a new incarnation are behind those of
+        // the others.
         if incarnations && self.turns.is_none() {
             // A restarted node counts rounds from the first one: only absolute rounds compare with those of others.
             let used = vec![true; self.rounds.len()];

@@ -30,7 +30,7 @@ pub(crate) struct History {
     tasks: Vec<Listed>,
     /// The source and the id of the packet that is arriving.
     arriving: Option<(TaskId, MessageId)>,
-    /// How many observations and how many steps there were: both number what happens.
+    /// How many observations there were so far, and how many steps. Events are numbered by both.
     events: u64,
     steps: u64,
 }
@@ -50,8 +50,8 @@ struct Listed {
     capped_last: bool,
 }
 
-/// Whether a packet is the same after encoding and decoding. The search passes packets as values; only here are they
-/// encoded, as on a real link.
+/// Whether a packet is the same after encoding and decoding. The search passes packets as values. Only this check
+/// encodes them, as on a real link.
 fn survives(packet: &Packet, table: &CellTable) -> bool {
     let hash = |port| table.port(port).map(|port| port.hash);
     let Some(of_port) = hash(packet.port) else { return false };
@@ -65,7 +65,7 @@ fn survives(packet: &Packet, table: &CellTable) -> bool {
 }
 
 impl Listed {
-    /// Judges a GET that takes a queued message: none that it asks for may be more urgent.
+    /// Judges a GET that takes a queued message: no other message for which it asks may be more urgent.
     fn taken_by_get(&self, at: usize, waits: usize) -> Result<(), Violation> {
         let Some((port, source)) = self.get else { return Ok(()) };
         let (buffer, taken) = (&self.buffers[at], &self.buffers[at].waiting[waits]);
@@ -76,7 +76,8 @@ impl Listed {
         if port.is_some() || source.is_some() {
             return Ok(());
         }
-        // Over all ports: the port that was bypassed too often, or else the one with the most urgent message.
+        // A GET over all ports must take from the port that was bypassed too often, or, if there is none,
+        // from the one with the most urgent message.
         let open = || self.buffers.iter().filter(|buffer| !buffer.handled && !buffer.waiting.is_empty());
         let most = open().map(|buffer| buffer.bypassed.0).max().unwrap_or(0);
         let wrong = if most >= buffer.bypassed.1 {
@@ -252,7 +253,8 @@ impl History {
                 Some(waits) => {
                     let one = &mut buffer.waiting[waits];
                     one.reject(&listed.order, port, steps);
-                    // `compare` reads the back-off after the step; within this step the message goes before no other.
+                    // `compare` reads the message's back-off after the step. Until then the message must not go
+                    // before others.
                     one.not_before = now + 1;
                 }
                 None => listed.rejected = Some((peer, number, steps)),
@@ -328,7 +330,7 @@ impl History {
         Ok(())
     }
 
-    /// Compares the buffers of a task with its lists, and takes over what only the buffers hold.
+    /// Compares the buffers of a task with its lists. Then copies into the lists what only the buffers know.
     fn compare(&mut self, now: u64, task: &CommTask) -> Result<(), Violation> {
         let table = &self.plan.cell;
         let listed = &mut self.tasks[task.task().index()];

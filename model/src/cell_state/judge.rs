@@ -31,7 +31,7 @@ pub(crate) struct SpecStates {
     pub remaining: Vec<(Name, u8)>,
     /// For each source, bit `i`: its message `next - 1 - i` was handed over.
     pub handed: Vec<u16>,
-    /// Likewise: the sender of that message was told that it did not run.
+    /// As `handed`, for commands whose sender was told that they did not run.
     pub denied: Vec<u16>,
     /// For each port of the task watched for fairness, how often its head was bypassed.
     pub bypassed: Vec<u8>,
@@ -39,7 +39,7 @@ pub(crate) struct SpecStates {
     pub refused: Vec<(TaskId, PortId, Name, u8)>,
     /// For each task, the signals since the last tick.
     pub signals: Vec<u8>,
-    /// What checks ask about and no machine keeps.
+    /// The facts that checks ask about and that no state machine keeps.
     pub told: PredicateState,
     /// The newest epoch in which a task became active.
     pub begun: u8,
@@ -161,7 +161,7 @@ impl CellState {
                 self.bodies[task].hear(signal);
                 return if waits { Ok(()) } else { Err(Violation::SecondOutcome) };
             }
-            // A fault after a REPLY ends no wait: it only says that the reply came too late.
+            // A fault after a REPLY ends no wait. It only reports that the reply came too late.
             Signal::Fault(Fault::Late | Fault::NothingToAnswer) if top.does == Does::Serves => return Ok(()),
             Signal::Accepted(_) if top.does == Does::Serves => return Ok(()),
             Signal::Accepted(_) if matches!(top.does, Does::Free) => return Ok(()),
@@ -291,7 +291,7 @@ impl CellState {
         Ok(())
     }
 
-    /// Records and judges that a task is told: its last command did not run.
+    /// Records that a task was told that its last command did not run, and judges whether that is true.
     fn deny(&mut self, task: usize) -> Result<(), Violation> {
         if !self.plan.watches(CellProperty::DidNotRun) {
             return Ok(());
@@ -392,8 +392,9 @@ impl CellState {
 
     /// Judges a node's step: its transit buffer must not keep a status and drop a command for lack of space (D60).
     ///
-    /// Each step offers the buffer one packet; only retransmissions that are due at a tick are more, and they are
-    /// commands. So what the buffer holds or has sent after the step, it held when it dropped the command.
+    /// Each step offers the buffer one packet (several only if retransmissions are due at a tick, and these are
+    /// commands). So every status that the buffer holds or has sent after the step was in it when it dropped the
+    /// command.
     pub(super) fn judge_step(&self, i: usize, effects: &[Effect]) -> Result<(), Violation> {
         if !self.plan.watches(CellProperty::Eviction) {
             return Ok(());
@@ -434,7 +435,7 @@ impl CellState {
                 if activation.does != Does::Waits || activation.left == Activation::FOREVER {
                     continue;
                 }
-                // A wait below a handler hears of its end only when the handler returns.
+                // A wait that a handler interrupted learns that it has ended only when the handler returns.
                 if activation.left == 0 && i == last {
                     return Err(Violation::NoOutcome);
                 }

@@ -108,7 +108,8 @@ pub(crate) struct CellState {
     /// For each port, how far `rounds` has moved from the first round, at most [`FAR_BEHIND`]. Counted only in a cell
     /// whose nodes may restart.
     pub behind: Vec<u8>,
-    /// What scripts did, for the checker of cells, which goes on after a script's end; `None` elsewhere.
+    /// The steps that scripts took, for the checker of cells, which goes on after a script's end; `None` in
+    /// other searches.
     pub turns: Option<Vec<script::ScriptReaction>>,
     /// Whether inputs of a node's tasks queue, so that the search takes them in every order (D170).
     orders: bool,
@@ -187,7 +188,7 @@ impl CellState {
         result
     }
 
-    /// Whether states say how far behind the rounds of a new incarnation would be.
+    /// Whether states hold how far the rounds of a new incarnation would be behind.
     fn counts_behind(&self) -> bool {
         self.turns.is_some() && self.plan.incarnations()
     }

@@ -160,7 +160,7 @@ pub struct Faults {
 /// How packets cross a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Transfer {
-    /// In any time up to the link's bound, overtaking each other.
+    /// Packets take any time up to the link's bound, and may overtake each other.
     Any,
     /// In exactly the link's bound, in the order they left.
     Exact,
@@ -214,7 +214,8 @@ pub enum CellProperty {
     OneActive,
     /// A task that has received an order of one epoch executes none of an older one (D61). Orders carry an epoch.
     FencedOrders,
-    /// Shown by a counterexample to "never": a goal that must be reachable, or the other properties hold vacuously.
+    /// This goal must be reachable, because otherwise the other properties hold vacuously. The search looks for a
+    /// counterexample to "the goal is never reached".
     Reach(Goal),
 }
 
@@ -274,7 +275,8 @@ pub struct CellScenario {
     pub jumps: bool,
     /// For each node, how many ticks its clock is ahead.
     pub clocks: Vec<u64>,
-    /// The first epoch of couples and their actuators: even. A restarted node begins where the machine does.
+    /// The first epoch of couples and their actuators: even. A restarted node begins with the state machine's
+    /// own first epoch.
     pub epoch: u8,
     /// A mask of the nodes that are left out: they are down for ever, and neither they nor their tasks are packed.
     pub(crate) left_out: u64,

@@ -15,7 +15,7 @@ pub(crate) struct Running {
     pub level: u8,
     /// The action.
     pub action: u16,
-    /// How long it still takes, at least and at most.
+    /// How long the action still takes, at least and at most.
     pub least: Ticks,
     pub most: Ticks,
 }
@@ -24,7 +24,8 @@ impl Running {
     /// The `most` of an action that need not end.
     pub const FOREVER: Ticks = Ticks::FAR;
 
-    /// A length of the program. One that a packed state cannot hold has no end.
+    /// A duration of the program as the checker counts it. A duration that a packed state cannot hold counts
+    /// as endless.
     pub fn length(ticks: Ticks) -> Ticks {
         if ticks.0 < u64::from(u32::MAX) { ticks } else { Self::FOREVER }
     }
@@ -76,7 +77,7 @@ impl Actor {
     }
 }
 
-/// What a script did with one input, for its judge.
+/// The reaction of a script to one input, for the judge of the cell.
 #[derive(Clone, Debug)]
 pub(crate) struct ScriptReaction {
     pub task: usize,
@@ -99,7 +100,7 @@ struct Wanted<'a> {
 }
 
 impl Wanted<'_> {
-    /// What the script does with its present input.
+    /// The record of the script's reaction to its present input.
     fn turn(&mut self) -> Option<&mut ScriptReaction> {
         self.turns.as_mut()?.last_mut()
     }
@@ -170,7 +171,7 @@ impl CellState {
         Ok(())
     }
 
-    /// What a task's script asks next. A script that never waits is a finding, and is not stopped.
+    /// The next request of a task's script. A script that never waits is a finding, and is not stopped.
     fn next_request(&mut self, task: usize, steps: &mut usize) -> Result<Option<Request>, Violation> {
         let node_state = &self.nodes[self.node_state_of(task)];
         let machine = node_state.node.task(TaskId::from_index(task)).map(|task| (task, &node_state.table));

@@ -49,7 +49,7 @@ impl CellState {
             ready: _,
             turns,
             orders,
-            // Decides what is checked, and nothing that happens.
+            // Decides only what is checked, so it does not change what happens.
             is_sampled: _,
             is_symbolic: _,
         } = self;
@@ -100,7 +100,7 @@ impl NodeState {
             incarnation: _,
             known: _,
             owed,
-            // Only in a cell, whose own state holds it.
+            // Used only in the search of a cell, which holds it in a state of its own.
             asleep: _,
         } = self;
         w.byte_if(plan.faults.late > 0, owed);
@@ -166,7 +166,8 @@ impl Running {
         if names_actions {
             w.small(action);
         }
-        // An action without an end may end from its least time on: since when makes no difference.
+        // An action without an end may end at any time from its least time on, so the time since then is not
+        // packed.
         w.left(least, *most == Self::FOREVER);
         w.left(most, false);
     }

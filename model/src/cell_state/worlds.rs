@@ -127,8 +127,8 @@ pub fn delays(lengths: [u64; 2]) -> Result<Arc<CellScenario>, Vec<CellError>> {
     Ok(Arc::new(plan.watching(CellProperty::Waits { slack: 0 })))
 }
 
-/// A chain of four nodes whose transit buffers hold one packet each, and which pass one on only if the next node has
-/// room. So the buffers of the inner two can be full of packets for each other.
+/// A chain of four nodes whose transit buffers hold one packet each. A node passes a packet on only if the next node
+/// has room. So the buffers of the inner two can be full of packets for each other.
 ///
 /// # Errors
 /// What is wrong with the declaration.

@@ -31,7 +31,8 @@ pub(super) fn claims() -> Vec<Claim> {
     let crash =
         |base: Couple| Couple { faults: Faults { crash: base.faults.crash + 1, ..base.faults }, ..base };
     let copy = |base: Couple| Couple { faults: Faults { dup: 1, ..base.faults }, ..base };
-    // The same couple with a lease that outlasts only one lost heartbeat, so that fewer heartbeats are in flight.
+    // The couple with a longer heartbeat period: its lease outlasts only one lost heartbeat, so fewer heartbeats
+    // are in flight.
     let seldom = |base: Couple| Couple { every: 3, ..base };
     let slow = |base: Couple| Couple { delay: 2, lease: 14, takeover: 14, every: 5, ..base };
     // Each exchange of roles raises the epoch. With unlimited losses the epochs would never end.
@@ -78,7 +79,8 @@ pub(super) fn claims() -> Vec<Claim> {
     claims
 }
 
-/// A first epoch with which the primary's epoch is the last before the wrap, and the standby's the first after it.
+/// With this first epoch, the primary's epoch is the last one before the wrap, and the standby's the first one
+/// after it.
 const WRAPS: u8 = 252;
 
 /// First epochs that are about half the circle of numbers away from where a restarted node begins. At that distance it is

@@ -65,8 +65,8 @@ fn no_false_release() -> Vec<Claim> {
 
 fn rendezvous_under_loss() -> Vec<Claim> {
     let name = "rendezvous-under-loss";
-    // With five members only `no-confirmation` is searched with losses. The other rules fail only after more losses, and so many
-    // losses give five members too many states.
+    // With five members only `no-confirmation` is searched with losses. The other rules fail only after more losses,
+    // with which five members have too many states.
     let about = "five members with nothing lost: no member waits after all have arrived";
     let lossless = Meeting::new(5, Watch::Stranded);
     vec![

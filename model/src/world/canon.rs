@@ -353,7 +353,7 @@ fn store_node_state(place: &mut NodeState, frame: &Frame<'_>, out: &mut Vec<u8>)
     if place.up {
         task.walk(&place.table, &mut least);
     }
-    // A node that is down has no task. The task in `place` is left over from another state.
+    // A node that is down has no task. The task in `place` belongs to a state that was loaded before.
     let low = least.0.first().copied().flatten().map_or(0, |round| round.steps_from(frame.rounds[0]));
     out.extend([0, u8::try_from(low).ok().filter(|low| low & (OPEN | OWED) == 0).ok_or(Overflow)?]);
     Encode::append(out, frame, |w| walk_node_state(place, w))?;

@@ -217,7 +217,7 @@ impl Cell<'_> {
         self.rest();
     }
 
-    /// Writes a node for each task; sometimes the last two share one.
+    /// Writes a node for each task; sometimes the last two tasks share one.
     fn nodes(&mut self) {
         let nodes = self.tasks - usize::from(self.tape.chance(10));
         for node in 0..nodes {

@@ -186,7 +186,8 @@ fn random_cells_run_as_they_are_searched() {
     assert!(!word.is_empty() || often(fused.messages) && often(fused.answers));
 }
 
-/// Walks a crowd without comparing: the search keeps only one state, which says nothing.
+/// Walks through a crowd without comparing it with a search: the search keeps only one state, which would
+/// show nothing.
 fn walk(crowd: &str, seed: u64) -> Result<Agreement, Disagreement> {
     compare(crowd, seed, 1, Effort { walks: 2, length: 300, times: Times::Ends })
 }

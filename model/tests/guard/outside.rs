@@ -26,7 +26,8 @@ fn with_telling_tasks(text: &str) -> String {
     telling
 }
 
-/// The cell with bodies, but with the checks of the cell without bodies, because those read no variables of bodies.
+/// The cell with bodies for its extern tasks, but with the checks of the cell without bodies, because these checks
+/// read no variables of bodies.
 fn with_checks_of(text: &str, with_bodies: &str) -> String {
     let is_check = |line: &&str| line.starts_with("check ");
     let bodies = with_bodies.lines().filter(|line| !is_check(line));

@@ -132,7 +132,7 @@ impl NodeOutbox for Seen {
 /// The reference form as a stateright model. It ignores the reductions of the scenario, and uses none.
 pub struct ReferenceModel {
     scenario: Arc<Scenario>,
-    /// Reusable nodes. For one step a task is put into a node; between steps they contain nothing.
+    /// Reusable nodes. For one step a task is put into a node; between steps the nodes are empty.
     nodes: Mutex<Vec<Node>>,
     tables: Vec<NodeTable>,
     states: u64,

@@ -1,8 +1,8 @@
 //! Finds roundings of recorded times with which the model can follow a run.
 //!
-//! An event between two ticks of the model may count for either tick. First every time is rounded down. If the run cannot be
-//! followed then, one of the last times is rounded otherwise, the nearest first. That may put two times of one tick in order, or
-//! make the time between two events a tick longer or shorter.
+//! An event between two ticks of the model may count for either tick. First every time is rounded down. If the model
+//! cannot follow the run with these ticks, one of the latest times is rounded up instead, the latest first. That may
+//! put two times of one tick in order, or make the time between two events a tick longer or shorter.
 
 use super::run::{Followed, Run, Unexplained};
 use super::{Follower, Rounding, Stop};
@@ -13,7 +13,8 @@ use std::cmp::Reverse;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Inputs between two kept states, from which another rounding can be tried.
+/// The number of inputs between two kept states of the follower. From a kept state another rounding can be
+/// tried.
 const KEEP_EVERY: usize = 32;
 /// How many of the last inputs may have their times rounded otherwise.
 const BACK: usize = 400;
@@ -116,7 +117,8 @@ impl Guide {
         Ok(false)
     }
 
-    /// Continues from a trial. Drops the kept states that already contain the input whose time is rounded otherwise.
+    /// Continues from the state of a trial. Drops the kept states that already contain the input whose time the
+    /// trial rounds otherwise.
     fn adopt(&mut self, follower: Follower, rounded: (usize, usize)) {
         self.kept.retain(|kept| !kept.done.contains(&rounded));
         self.at = follower;

@@ -44,7 +44,7 @@ const LATE: u64 = 1;
 /// Ticks that no rounding of two times can add to the time between them or take from it.
 const ROUNDED: u64 = 4;
 
-/// An input of a task, and what came of it.
+/// An input of a task, and what its script did with it.
 #[derive(Clone, Debug)]
 struct Group {
     at: u64,
@@ -105,14 +105,15 @@ pub(super) struct Follower {
     pending: Vec<VecDeque<Turn>>,
     /// The packets that arrived last, the newest first.
     arrived: VecDeque<InFlight>,
-    /// For each task, packets that it sent in the model and the run has not shown yet, each with the tick of its node.
+    /// For each task, the packets that it has sent in the model and that the run has not shown yet, each with its
+    /// node's tick.
     sends: Vec<Vec<(u64, Packet)>>,
     pub out: Followed,
 }
 
 /// Why an input cannot be followed now.
 enum No {
-    /// Its packet is not in flight: another task may have to go on first.
+    /// The packet of this input is not in flight in the model yet: another task may have to go on first.
     NotYet(String),
     Never(String),
     /// Nor could it with any other rounding of times.
@@ -130,7 +131,8 @@ pub(super) enum Stop {
     Stuck(Unexplained),
 }
 
-/// The inputs of a task, each with what came of it. Passing time that shows nothing is left out.
+/// The inputs of a task, each with what its script did with it. Inputs that are only passing time, and have
+/// no effect, are left out.
 fn groups(run_state: &RunState, run: &Run, task: usize) -> Vec<Group> {
     let mut groups: Vec<Group> = Vec::new();
     let here = run_state.cell.node_state_of(task);

@@ -7,7 +7,7 @@ use imrs_protocol::Packet;
 
 /// The most moves of a killed node that are guessed for one packet.
 const GUESSES: usize = 8;
-/// Number of packets kept that arrived last: a copy comes soon after.
+/// How many of the latest arrived packets are kept, because a copy of a packet arrives soon after it.
 const REPEATED: usize = 64;
 
 impl Follower {
@@ -50,8 +50,8 @@ impl Follower {
         !is_whole || sent.any(|sent| *sent == named(packet))
     }
 
-    /// Carries a packet along its route to a node; false if a node on the route drops it. `more`: ticks to charge beyond what the
-    /// run shows of its remaining time; `None` if the run does not show that.
+    /// Carries a packet along its route to a node; false if a node on the route drops it. `more`: by how many ticks the
+    /// packet was charged more in the run than in the model; `None` if the run does not show its remaining time.
     fn carry(&mut self, packet: &Packet, node: usize, more: Option<u64>) -> Result<bool, No> {
         while let Some(i) = self.under_way(packet) {
             let carried = self.run_state.cell.in_flight.remove(i);
@@ -157,7 +157,8 @@ impl Follower {
         self.run_state.cell.in_flight.iter().position(|carried| like(&carried.packet))
     }
 
-    /// Of the same packets in flight in the model, the one whose remaining time is nearest to this one's.
+    /// Among the packets in flight in the model that equal this one, the one whose remaining time is nearest
+    /// to this one's.
     pub(super) fn under_way(&self, packet: &Packet) -> Option<usize> {
         let left = packet.remaining.0 / self.tick;
         let same = |other: &Packet| named(other) == named(packet);

@@ -32,7 +32,7 @@ impl Kind {
     }
 }
 
-/// Which script steps of a run the model takes, too.
+/// The result of comparing the script steps of a run with those that random walks through the model take.
 #[derive(Clone, Debug, Default)]
 pub struct Steps {
     /// The number of kinds of script steps in the run.
@@ -59,7 +59,8 @@ pub fn steps_in_model(plan: &Arc<CellPlan>, run: &Run) -> Steps {
     let between = timed(&plan, Times::Between);
     while !missing.is_empty() && start.elapsed().as_secs_f64() < plan.budget.seconds {
         steps.walks += 1;
-        // Half of the walks have no faults: where something always goes wrong, a walk does not reach what takes long.
+        // Half of the walks have no faults, because a walk with faults seldom reaches steps that need a long time
+        // without one.
         match draw.below(2) {
             0 => walk(&between, &CellFaults::default(), &mut draw, &mut missing),
             _ => {

@@ -155,8 +155,8 @@ impl Follower {
         Ok(())
     }
 
-    /// The timers and delays of a node, each with the ticks until it ends and the ticks until it was due. The latter are fewer,
-    /// perhaps below 0, if its end was put off because a late node has not noticed it yet.
+    /// The timers and delays of a node, each with the ticks until it ends and the ticks until it was due. The second
+    /// number is smaller, perhaps below 0, if the end was put off because a late node has not noticed it yet.
     fn timers(&mut self, node: usize) -> Vec<(Timer, u64, i64)> {
         let entries = self.run_state.cell.nodes[node].node.parts().timer.entries();
         // A timer that was put off ends with the next tick; if it does not, it was started again.
@@ -171,9 +171,9 @@ impl Follower {
         entries.into_iter().map(entry).collect()
     }
 
-    /// Lets all the time pass at once, then ends one timer, and puts off other timers that are over. Of timers due in one tick
-    /// any may be first, otherwise only the earliest. Returns the tick in which it was due. `None`: another event comes first,
-    /// and nothing was done.
+    /// Lets all the time pass at once, then ends the given timer, and puts off other timers that are over. If several
+    /// timers are due in one tick, any of them may end first; otherwise only the earliest may. Returns the tick in
+    /// which the timer was due; `None` if another event comes first, and then nothing was done.
     fn end_one(&mut self, node: usize, timer: Timer, all: u64) -> Result<Option<u64>, No> {
         let timers = self.timers(node);
         let Some(&(.., left)) = timers.iter().find(|(one, ..)| *one == timer) else { return Ok(None) };
@@ -206,8 +206,8 @@ impl Follower {
         }
     }
 
-    /// Ends a timer before everything else in its tick. Returns that tick; `None` if the timer does not end in the next tick with
-    /// an event.
+    /// Ends a timer before all other events of its tick. Returns that tick; `None` if the timer does not end in the
+    /// next tick that has an event.
     fn end_before_others(&mut self, node: usize, timer: Timer, expiry: u64) -> Result<Option<u64>, No> {
         if !self.timers(node).iter().any(|(one, left, _)| *one == timer && *left <= expiry) {
             return Ok(None);

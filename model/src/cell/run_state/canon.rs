@@ -76,7 +76,7 @@ impl RunState {
         let may = down.fold(may, |mask, node| mask | bit(node));
         let acted = self.beside.acted;
         self.beside.acted &= may;
-        // These fields hold no rounds and no message numbers, so nothing is relative.
+        // These fields hold no rounds and no message numbers, so no value is packed relative to another.
         let frame = Frame { rounds: &[], sequences: &[], incarnations: true };
         let beside = Encode::append(out, &frame, |w| self.walk_beside(w));
         self.beside.acted = acted;

@@ -3,7 +3,7 @@
 //! A variable changes only in a step of its task's script, or when its node crashes or restarts. So a check that reads variables
 //! of other tasks keeps its value. A predicate may change with any move.
 //!
-//! In the steps from a state of the sample, the other checks are evaluated, too, and must have the values that were taken for granted.
+//! In steps from a sampled state, the checks that kept their values are evaluated, too, and must have these values.
 
 use super::{CellMove, RunState, bit};
 use crate::cell::plan::{CellPlan, Holds};
@@ -25,7 +25,8 @@ pub(super) struct Evaluated {
     values: Vec<Option<[bool; 2]>>,
     /// The tasks whose variables the last move may have changed, as a bit set.
     touched: u64,
-    /// Whether a check had another value than was taken for granted.
+    /// Whether the evaluation of a sampled step gave another value than the kept one, which is a fault of the
+    /// checker.
     is_stale: bool,
 }
 

@@ -23,7 +23,7 @@ impl RunState {
         Ok(())
     }
 
-    /// What nodes did and showed belongs to the instant that ends.
+    /// Ends an instant: forgets which nodes acted and what they showed in it.
     pub fn end_instant(&mut self) {
         self.beside.acted = 0;
         self.begin_tick();

@@ -23,7 +23,8 @@ impl Begins {
 }
 
 impl RunState {
-    /// After a restart: scripts without a hold begin in this tick, the others later.
+    /// Prepares a restarted node's scripts: those that are not held back begin in this tick, the others
+    /// later.
     pub fn begin_again(&mut self, node: usize) {
         self.beside.held_back[node] = Some(self.longest_held(node)).filter(|longest| *longest > 0);
         self.beside.begins[node] = Begins { from: 0, to: 1, begun: 0 };

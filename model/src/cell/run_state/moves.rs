@@ -120,12 +120,13 @@ impl RunState {
         }
     }
 
-    /// Adds the moves of a node in which inputs of tasks wait or scripts are about to begin (D170). Of the other moves only
-    /// those stay that bring a task something, or let the next packet do so. To postpone an action or packet, or to drop the
-    /// last packet of a link, changes nothing for tasks with waiting inputs; so those moves come when no input waits.
+    /// Adds the moves of a node in which inputs of tasks wait or scripts are about to begin (D170). Other moves are
+    /// added only if they give a task an input, or let the next packet do so. Postponing an action or packet, and
+    /// losing the last packet of a link, change nothing for tasks with waiting inputs, so these moves are tried when no
+    /// input waits.
     fn turn_within(&self, node: usize, moves: &mut Vec<CellMove>) {
         let cell_state = &self.cell;
-        // A task takes nothing else before it has noticed the time.
+        // A task takes no other input before it has noticed the time.
         let knows = |task: usize| cell_state.notices_all(node, task);
         let comes = |i: u8| knows(cell_state.in_flight[usize::from(i)].packet.destination.index());
         moves.retain(|&step| match step {
@@ -145,7 +146,7 @@ impl RunState {
         self.beside.reorder > 0 && self.cut_of(link, OPEN).is_none()
     }
 
-    /// The first declared cut of a link, in either direction, that is in this state.
+    /// The first declared cut of a link, in either direction, whose state (not begun, open or over) is `at`.
     fn cut_of(&self, link: u8, at: u8) -> Option<u8> {
         let mut cuts = self.faults.cut.iter().zip(&self.beside.cuts);
         cuts.position(|(&of, &state)| of == usize::from(link) / 2 && state == at).map(small)

@@ -82,7 +82,7 @@ impl RunState {
         let next = self.next_event();
         for node in (0..self.cell.nodes.len()).filter(|&node| self.cell.nodes[node].up) {
             if self.is_asleep(node) {
-                // A pause without a single tick is none.
+                // A pause that has not lasted a tick yet cannot end.
                 if self.cell.slept(node) > Some(0) {
                     moves.push(CellMove::Wake(small(node)));
                 }
@@ -177,7 +177,8 @@ impl RunState {
         if due.is_some_and(|due| due <= ticks) {
             self.beside.acted |= bit(node);
         }
-        // Whether a symbol is zero is not asked: to let no time pass changes nothing.
+        // With symbolic times, no zone is asked whether the symbol is zero, because letting no time pass
+        // changes nothing anyway.
         if self.cell.is_symbolic || !ticks.is_zero() {
             self.cell.pass(node, ticks)?;
         }

@@ -40,8 +40,8 @@ impl Before {
         }
     }
 
-    /// Whether a variable has another value now that is dead neither before nor after: packing resets a dead one, so its old value
-    /// means nothing.
+    /// Whether a variable that was live before the move, and is live after it, has another value now. A dead variable
+    /// does not count, because packing resets it.
     fn differs(&self, run_state: &RunState) -> bool {
         let mut from = 0;
         self.tasks.iter().any(|&(task, end, dead)| {

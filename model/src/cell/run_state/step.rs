@@ -42,7 +42,7 @@ pub enum CellMove {
     Restart(u8),
     /// The declared pause of this number begins at this node, before the node's next step.
     Pause(u8, u8),
-    /// The same, but actions that the node began in this tick begin only when it wakes.
+    /// Pauses the node in the same way, but actions that it began in this tick begin only when it wakes.
     PauseBefore(u8, u8),
     /// Time passes as with [`Pass`](Self::Pass), and the declared pause of this number begins before this node notices.
     PauseNext(u8, u8),

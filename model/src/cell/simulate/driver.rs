@@ -38,7 +38,7 @@ struct Chosen {
     task: u8,
     level: u8,
     action: u16,
-    /// Its latest end, which tells two actions of one activation apart.
+    /// The latest end of the action. It distinguishes two actions that follow each other in one activation.
     latest: u64,
     /// How many times an action without an upper bound still goes on.
     left: u32,
@@ -206,8 +206,9 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// Whether a move may come while inputs wait in a node: an action whose end was chosen for now, or a packet that has no fault
-    /// or has another packet behind it. All other actions and packets are asked when no input waits.
+    /// Whether a move may come while inputs wait in a node: an action whose end was chosen for now, or a packet that
+    /// has no fault or has another packet behind it. For all other actions and packets the choosers decide when no
+    /// input waits.
     fn comes_now(&self, run_state: &RunState, who: Who) -> bool {
         match who {
             Who::Input(_) => true,
@@ -273,7 +274,7 @@ impl<'a> Driver<'a> {
             return Some(CellMove::GoOn(task, level));
         }
         self.actions.retain(|chosen| (chosen.task, chosen.level) != (task, level));
-        // It may end now, or after whole steps, counted back from its most time.
+        // The action may end now, or after whole steps of the model tick, counted back from its most time.
         let step = run_state.plan.step.max(1);
         let most = u32::try_from(running.most.0).unwrap_or(u32::MAX);
         let first = most - (most.saturating_sub(1) / step) * step;
@@ -512,6 +513,6 @@ pub(super) fn random(seed: u64, stream: u64) -> fastrand::Rng {
 enum Cut {
     /// The cut of this number begins with this packet, by the fault at this position.
     Begins(u8, usize),
-    /// The cut is open, and takes the packet, too.
+    /// The cut is open, and this packet is lost, too.
     Lasts,
 }

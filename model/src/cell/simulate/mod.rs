@@ -75,7 +75,7 @@ pub struct Simulated {
 pub struct Found {
     /// The first seed whose run shows it; none for a given schedule.
     pub seed: Option<u64>,
-    /// Its number, from 1, among the findings of the run of that seed, or of the given schedule.
+    /// The finding's number, from 1, among the findings of that seed's run, or of the given schedule's.
     pub number: usize,
     /// Its number among the findings of the run of `schedule`.
     pub number_of_schedule: usize,
@@ -204,7 +204,8 @@ impl Simulator {
         all
     }
 
-    /// Adds what a run shows to the groups. A run that shows the same at several tasks counts once.
+    /// Adds the findings of a run to the groups of equal findings. A run that shows the same finding at
+    /// several tasks counts once.
     fn gather(
         &self,
         groups: &mut Vec<Group>,
@@ -249,7 +250,8 @@ impl Simulator {
             }
         };
         side_by_side((0..self.jobs as u64).take(count as usize), work);
-        // Runs behind a stopped one are dropped, so that the answer covers seeds without a gap.
+        // If a run was stopped, the runs of later seeds are dropped, so that the answer covers seeds without
+        // a gap.
         done.into_iter().map_while(OnceLock::into_inner).collect()
     }
 

@@ -22,7 +22,8 @@ pub enum Fault {
         /// Which packet.
         nth: u32,
     },
-    /// From this packet on, the first one with another packet behind it is overtaken by that one.
+    /// The first packet from this one on that has another packet behind it on its link is overtaken by that
+    /// packet.
     Overtake {
         /// From this node to that one.
         link: (NodeId, NodeId),
@@ -42,8 +43,8 @@ pub enum Fault {
         node: NodeId,
         /// Not before this instant.
         at: u64,
-        /// Ticks until it may restart. It restarts when the next packet arrives for it, or when nothing else happens. `None`: it
-        /// stays down.
+        /// Ticks until the node may restart. It then restarts when the next packet arrives for it, or when nothing else
+        /// happens. `None`: it stays down.
         restart: Option<u64>,
     },
     /// A link loses all packets, in both directions.

@@ -31,7 +31,7 @@ pub(super) fn moves_to(run: &Run, shown: &Shown) -> Option<usize> {
 }
 
 impl Shrinker<'_> {
-    /// Shrinks the schedule; false if that was stopped, or took too many steps.
+    /// Shrinks the schedule. Returns false if shrinking was stopped, or took too many steps.
     pub fn shrink(&mut self) -> bool {
         loop {
             let before = self.best.clone();
@@ -107,8 +107,8 @@ impl Shrinker<'_> {
     }
 }
 
-/// Binary search for the least number from `least` to `now` for which `holds` is true. Supposes that it is true for all larger
-/// ones, and for `now`. `None` from `holds` ends the search.
+/// Binary search for the least number from `least` to `now` for which `holds` is true. Assumes that `holds` is true for
+/// all larger numbers, and for `now`. `None` from `holds` ends the search.
 fn lower((least, now): (u64, u64), holds: &mut dyn FnMut(u64) -> Option<bool>) -> u64 {
     if now <= least {
         return now;

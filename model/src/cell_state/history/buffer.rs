@@ -56,7 +56,8 @@ impl Buffer {
         self.waiting.iter().position(|one| (one.source, one.number) == (source, number))
     }
 
-    /// A message of this incarnation comes: what was remembered of an earlier one of its source no longer counts.
+    /// A message of this incarnation of a source has come, so what was remembered of an earlier incarnation no
+    /// longer counts.
     pub fn enter(&mut self, source: TaskId, incarnation: Incarnation) {
         match self.incarnations.iter_mut().find(|(task, _)| *task == source) {
             None => self.incarnations.push((source, incarnation)),

@@ -56,7 +56,7 @@ impl Couple {
     /// # Errors
     /// What is wrong with the declaration.
     pub fn plan(&self) -> Result<Arc<CellScenario>, Vec<CellError>> {
-        // Both wait without limit, so that each learns at once what becomes of its lease.
+        // Both tasks wait without limit, so that each learns at once when it gets or loses its lease.
         let wait = Errand::Receive { port: None, time_out: None };
         let task = || TaskPlan::new(wait).hurried().serving(0, 0);
         let tasks = vec![task(), task()];

@@ -72,7 +72,7 @@ impl Flood {
         }
         let names = ["patient", "steady", "calm"].into_iter().take(usize::from(self.buffer));
         let patient: Vec<TaskId> = names.map(|name| cell.task(name, node)).collect();
-        // Declared last, so that it also loses every tie.
+        // The port is declared last, so that it also loses every tie.
         let port = PortDecl::new("patient says", receiver, Usage::Receive, &patient, Ticks(self.ttl));
         let asks = cell.port(port.bounded_buffer(self.buffer));
         tasks.extend(patient.iter().map(|_| sends(asks, self.every)));
@@ -159,7 +159,8 @@ impl Workshop {
             senders.extend(vec![endless(wants, 2); usize::from(self.rivals)]);
             handles.push(wants);
         }
-        // Fillers above the watched port, so that it gets the rank `self.rank`.
+        // These entries of the `order` stand above the watched port, so that the port gets the rank
+        // `self.rank`.
         let mut named = vec![Ranked::Own, Ranked::Timers, Ranked::Source(worker)];
         named.truncate(usize::from(self.rank));
         if self.urgent {
