@@ -62,9 +62,9 @@ impl Service {
     /// outranks the task's own thread only once it is capped, because no rank lies between the first one and that of `self`
     /// (D76).
     ///
-    /// The message is rejected at most [`most_refusals`](Self::most_refusals) times. It is offered again each time when the
-    /// penalty is over and the task can be interrupted. Then all earlier rejected messages of any port go before it. Before each
-    /// of those, and before it, one message may go that outranks the thread by itself.
+    /// The message is rejected at most [`most_refusals`](Self::most_refusals) times. It is offered again each time when
+    /// the penalty is over and the task can be interrupted. Then all earlier rejected messages of any port go before
+    /// it. Before each of those messages, and before this one, one message may go that outranks the thread by itself.
     #[must_use]
     pub fn bound(&self) -> Ticks {
         let refusals = u64::from(self.most_refusals());

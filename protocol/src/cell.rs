@@ -93,7 +93,7 @@ pub struct TaskDecl {
     pub module: Option<String>,
 }
 
-/// Two work-coupled tasks (§2, D30, D61): when the one that holds the lease fails, the other takes over.
+/// Two work-coupled tasks (§2, D30, D61): if the task that holds the lease fails, the other one takes over.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct CoupleDecl {
     /// The task that acts first. It owns the `via` port with usage `response`, or uses it with that usage.
@@ -123,7 +123,7 @@ pub struct Penalty {
     pub literal: bool,
 }
 
-/// The highest rate of messages: so many in each period (D53).
+/// The highest rate of messages: at most this many in each period (D53).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Rate {
     /// The number of messages in each period.

@@ -71,7 +71,8 @@ impl Index {
     pub fn remove(&mut self, key: u32) -> Option<Slot> {
         let (Place(mut hole), found) = self.look(key);
         found?;
-        // Entries that probing had moved on move back into the hole, so that every search still finds its key.
+        // Entries that stand further on because this place was taken move back into the hole, so that every
+        // search still finds its key.
         let mut place = self.after(hole);
         loop {
             let word = self.places[place];

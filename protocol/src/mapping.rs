@@ -17,7 +17,7 @@ pub(crate) fn own_end(table: &NodeTable, port: PortId, task: TaskId) -> Result<(
 }
 
 /// The tasks to which a message goes, each with its position among the recipients; each of them gets a copy (§4.3, R39,
-/// R40). For messages with several possible recipients: for one see [`only_peer`].
+/// R40). For a message that can have only one recipient, see [`only_peer`].
 pub(crate) fn destinations(
     port: &Port,
     from: TaskId,
@@ -42,7 +42,7 @@ pub(crate) fn destinations(
     Ok(port.peers(from).enumerate().filter(is_wanted))
 }
 
-/// The only destination of a message, if the port and the target leave only one. It is found without a scan of the parties.
+/// The only destination of a message, if port and target allow only one. It is found without a scan of the parties.
 #[inline]
 pub(crate) fn only_peer(own: &Party, to: Target) -> Option<&Peer> {
     match (&*own.peers, to) {

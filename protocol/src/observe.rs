@@ -115,7 +115,7 @@ pub enum Event {
     Reached,
     /// The task moved on to a fresher round while waiting.
     Rejoined,
-    /// The arrival of another member at the waitfor came in.
+    /// The task heard that another member has arrived at the waitfor.
     PartnerArrived,
     /// Another member gave up the waitfor.
     PartnerAborted,

@@ -311,7 +311,8 @@ impl Waiting {
 
 /// The instant from which on a packet cannot arrive before it expires.
 fn leave_by(table: &NodeTable, packet: &Packet, expires: Instant, way: Hop) -> Instant {
-    // Variants: links charge nothing, or a late reply is still accepted.
+    // Two variants of the rules need this: in one links charge nothing, in the other a late reply is still
+    // accepted.
     let answers = matches!(packet.kind, Kind::Reply | Kind::Response);
     let late =
         (answers && !table.rules().refuse_late_replies) || table.rules().time_stamp == TimeStamp::Absolute;

@@ -13,7 +13,7 @@ const Y: TaskId = TaskId(1);
 /// The port for status messages of X to Y, in order of rank; a rejected offer waits 4 ticks.
 const LOW: PortId = PortId(0);
 const HIGH: PortId = PortId(1);
-/// Three more ports, whose messages are rejected without a penalty.
+/// Three more ports, whose messages have no penalty when they are rejected.
 const PLAIN: [PortId; 3] = [PortId(2), PortId(3), PortId(4)];
 
 fn cell() -> Cell {

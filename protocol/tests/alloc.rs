@@ -160,7 +160,7 @@ fn exercise(pair: &mut Pair, contents: Contents) {
     pair.told(|s| matches!(s, Signal::Released { .. }));
     pair.pass(4);
     pair.pass(4);
-    // The arm waits for the hoist, which does not come, and gives up.
+    // The arm waits for the hoist, which does not arrive, and gives up.
     pair.ask(ARM, arrive);
     pair.pass(50);
     pair.told(|s| matches!(s, Signal::GaveUp { .. }));

@@ -31,7 +31,7 @@ proptest! {
         }
     }
 
-    /// Before the next deadline nothing is due, even if everything is checked: no deadline is recorded too late.
+    /// Checks that the kept deadline is never too late: before it nothing is due, even if all parts are scanned.
     #[test]
     fn nothing_is_to_be_done_before_the_next_deadline(plan in plans(), ops in lively(), lags: [u8; 8]) {
         let mut plain = World::new(&plan.build(), true);
@@ -50,7 +50,7 @@ proptest! {
     }
 }
 
-/// Checks that two worlds do the same if some time passes before each operation.
+/// Checks that two worlds have the same effects if some time passes before each operation.
 fn alike_with_lags(mut worlds: [World; 2], ops: &[Op], lags: [u8; 8]) -> Result<(), TestCaseError> {
     let [one, other] = &mut worlds;
     for (i, &op) in ops.iter().enumerate() {

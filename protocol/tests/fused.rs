@@ -1,5 +1,5 @@
-//! Fused steps against the small steps that they stand for, on random cells: the same state, signals and observations
-//! after every input (D176).
+//! Compares fused steps with the small steps that they stand for, on random cells: after every input, state, signals
+//! and observations must be equal (D176).
 
 use crate::support::plan::{Plan, plans};
 use imrs_protocol::*;
@@ -82,7 +82,7 @@ impl Run {
         }
     }
 
-    /// A task that is free to make a request; now and then a task that is not free.
+    /// Chooses a task that may make a request now; sometimes one that may not.
     fn actor(&self, from: usize, any: bool) -> TaskId {
         let tasks = self.got.len();
         let mut tasks = (0..tasks).map(|i| TaskId::from_index((from + i) % tasks));

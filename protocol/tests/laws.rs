@@ -161,7 +161,7 @@ proptest! {
         compare(&mut plain, &mut other, &ops, rebase, exactly)?;
     }
 
-    /// It does not matter how large the counter of the clock has grown.
+    /// Tests that behaviour does not depend on how large the counter of the clock is.
     #[test]
     fn a_counter_near_its_end_behaves_as_one_at_zero(plan in plans(), ops in ops(), back in 20_000..40_000_u64) {
         let mut plain = World::new(&plan.build(), true);

@@ -91,7 +91,7 @@ fn with_the_link_cut_the_primary_is_fenced_and_the_standby_takes_over_later() {
     assert!(taken >= fenced + (TAKEOVER - LEASE), "fenced at {fenced}, taken over at {taken}");
     assert_eq!(net.heard(P), ["interrupt Fenced"]);
     assert_eq!(net.heard(S), ["interrupt TakeOver(4)"]);
-    // In this couple the roles are not exchanged: the old primary does not act again in this incarnation.
+    // In this couple the roles are not exchanged, so the old primary does not act again in this incarnation.
     net.mend();
     assert_eq!(changes(&mut net, 100).len(), 1);
     net.ask(P, send(MOVE, ARM, 1));
@@ -266,7 +266,8 @@ fn an_actuator_compares_epochs_across_their_wrap() {
     assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["nothing"]);
 }
 
-/// Every port of the couple drops messages of an older epoch. A newer epoch also drops those that wait on any of the ports.
+/// Every port of the couple drops messages of an older epoch. When a message of a newer epoch arrives, older ones that
+/// wait on any of these ports are dropped, too.
 #[test]
 fn a_guard_is_of_the_couple_whichever_port_an_order_comes_through() {
     let mut cell = cell(false);

@@ -104,7 +104,8 @@ fn a_heartbeat_of_an_earlier_incarnation_is_not_answered_once_the_new_one_is_hea
 fn a_standby_that_restarts_goes_on_renewing_the_lease() {
     let mut net = VirtualCell::new(cell(false));
     net.ask(P, Request::Lease);
-    // Run so long that the sequence numbers of the new incarnation stay far from the earlier ones.
+    // The cell runs long enough that the sequence numbers of the new incarnation stay far from the earlier
+    // ones.
     net.run(400);
     assert_eq!(net.heard(P), ["granted 3"]);
     net.restart(NS, 1);
@@ -140,7 +141,7 @@ fn a_wait_for_the_lease_may_be_interrupted_and_ends_when_the_handler_returns() {
     s.pass(TAKEOVER);
     assert!(s.task.is_active());
     assert_eq!(s.ask(Request::Return).words(), ["granted 4"]);
-    // The grant has already told the task, so no take-over interrupts it as well.
+    // The task has already learned of its lease by the grant, so no take-over interrupts it in addition.
     assert_eq!(s.ask(Request::Boundary).words(), ["accepted 0"]);
 }
 

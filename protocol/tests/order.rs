@@ -256,7 +256,8 @@ fn timers_interrupt_by_their_rank_and_wait_without_growing() {
     assert_eq!(room.y.input(over(1, 1)).words(), ["interrupt Timer(TimeId(1))"]);
     room.ask(Request::Return);
     room.ask(Request::Done);
-    // With `self` above the timers, their ends wait for a plain receive, and the lowest timer id goes first.
+    // If `self` ranks above the timers, the ends of timers wait for a plain receive, and the lowest timer id
+    // goes first.
     room.ask(order(&[Ranked::Own, Ranked::Timers]));
     room.ask(start(2, 5));
     room.ask(start(1, 5));

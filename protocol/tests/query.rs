@@ -161,7 +161,7 @@ fn a_query_that_finds_no_place_is_refused() {
     let mut y = Solo::new(&table, Y);
     y.hear(query(Z, 9));
     assert_eq!(y.hear(query(X, 20)).words(), ["REFUSED T1>T0 #0 for 20"]);
-    // A more urgent query takes the place of the other one, whose source is told.
+    // A more urgent query takes the place of the waiting one, whose source gets REFUSED.
     assert_eq!(
         y.hear(Packet { id: MessageId { sequence: Seq24::new(1), ..MessageId::default() }, ..query(X, 8) })
             .words(),
@@ -185,7 +185,8 @@ fn what_can_be_answered_is_told_before_the_answer() {
     );
     y.ask(reply(&delivery, 2));
     assert!(!y.task.can_answer(&to), "it is answered");
-    // A task that answers for another one cannot tell. A task that only sends or receives has nothing to answer.
+    // A task that answers for another one cannot know whether the message can still be answered, so it may try.
+    // A task that only sends or receives has nothing to answer.
     assert!(Solo::new(&table, Z).task.can_answer(&ReplyTo { port: FOR, ..to }));
     assert!(!x.task.can_answer(&to) && !x.task.can_answer(&ReplyTo { port: FOR, ..to }));
 }

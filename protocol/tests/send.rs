@@ -13,7 +13,7 @@ const B: NodeId = NodeId(1);
 
 /// The port for status messages from X to Y and Z.
 const HALT: PortId = PortId(0);
-/// The port for commands from X or Z to Y, whose buffer holds one.
+/// The port for commands from X or Z to Y. Its buffer holds one message.
 const MOVE: PortId = PortId(1);
 /// The port for commands from X to Y or Z, retransmitted twice, 5 ticks apart.
 const GRIP: PortId = PortId(2);
@@ -113,7 +113,8 @@ fn a_reply_after_the_budget_is_late_and_sends_nothing() {
     for _ in 0..2 {
         net.ask(Y, reply(&message, 4));
         assert_eq!(net.transcript(), [format!("{} T1: fault Late", net.now())]);
-        // Long after, when the dedup entry of the message is gone, too, the answer is still the same.
+        // Long afterwards, when the dedup entry of the message is gone, the same request still has the same
+        // result.
         net.run(50);
         net.transcript();
     }

@@ -59,7 +59,7 @@ impl NodeOutbox for Outside {
     }
 }
 
-/// Removes from a text the numbers that packed states hold only relative to others.
+/// Removes from a text the numbers that packed states hold only relative to other numbers.
 fn unnumbered(words: &str) -> String {
     let round =
         |word: &str| word.strip_prefix('r').is_some_and(|n| n.starts_with(|c: char| c.is_ascii_digit()));
@@ -248,7 +248,8 @@ fn delays_are_with_the_timer_at_once_and_its_word_may_be_looked_at_on_its_way() 
     let (out, steps) = node.take(NodeInput::Request(X, Request::Cancel), true);
     assert_eq!((out.words, steps), (vec!["T0: cancelled".into()], 0), "nor the disarming");
     assert_eq!(node.0.next_expiry(), None);
-    // An effect that has not been filed yet is an error, and is not left out silently.
+    // Packing a node with an effect that is not carried out yet is an error: the effect is not left out
+    // silently.
     node.0.begin(Instant::START, NodeInput::Request(X, delay(300)), &mut Outside::default());
     let (rounds, sequences) = node.bases();
     let frame = Frame { rounds: &rounds, sequences: &sequences, incarnations: true };

@@ -65,7 +65,8 @@ fn of_two_commands_that_live_alike_the_earlier_goes_first_whenever_the_state_is_
         let table = table(|rules| rules.charge_residence = false);
         let (mut x, mut z) = (Solo::new(&table, X), Solo::new(&table, Z));
         z.hear(x.ask(send(MOVE, Z, 1)).packets[0]);
-        // X gives up the first command, and Z drops its dedup entry. The command still waits, and loses no time.
+        // X gives up the first command, and Z drops its dedup entry. The command still waits at Z, and its
+        // remaining time does not shrink.
         x.pass(40);
         z.pass(40);
         let second = x.ask(send(MOVE, Z, 2)).packets[0];

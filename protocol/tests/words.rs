@@ -1,4 +1,4 @@
-//! The texts of faults (R35): each is one sentence that says what is wrong, and what to do about it.
+//! Tests the texts of faults (R35): each is one sentence that says what is wrong and what to do about it.
 
 use imrs_protocol::*;
 

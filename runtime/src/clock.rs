@@ -102,8 +102,9 @@ const fn apart(boot: u64, monotonic: u64) -> i64 {
     boot.wrapping_sub(monotonic).cast_signed()
 }
 
-/// The offset, where `boot` was read between the other two: `known`, clamped to what these readings allow. A thread that was
-/// preempted between its readings allows more, so it changes nothing.
+/// The offset of the two clocks. `boot` was read between `before` and `after`, so these readings bound the offset, and
+/// `known` is clamped to the bounds. If the thread was preempted between the readings, the bounds are wide, and `known`
+/// stays.
 fn between(known: i64, before: u64, boot: u64, after: u64) -> i64 {
     known.clamp(apart(boot, after), apart(boot, before))
 }
@@ -136,8 +137,8 @@ pub(crate) fn nanos_of(at: Micros) -> Option<u64> {
     Some(at.saturating_sub_signed(ahead()))
 }
 
-/// Converts an instant for a kernel timer on `CLOCK_BOOTTIME`; `None` if it never comes. That is the node's own clock, so no
-/// offset is subtracted.
+/// Converts an instant for a kernel timer on `CLOCK_BOOTTIME`; `None` if it never comes. `CLOCK_BOOTTIME` is the node's
+/// own clock, so no offset is subtracted.
 pub(crate) fn boottime(at: Micros) -> Option<Timespec> {
     ANCHOR.with(counter::renew);
     at.checked_mul(NANOS_PER_MICRO).map(timespec)

@@ -27,7 +27,7 @@ fn runs(ctx: &mut Context) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// Sends `count` messages while the other task runs, and checks in which order that task takes them.
+/// Sends `count` messages to a task that runs, and checks in which order that task takes them.
 fn send_to_a_task_that_runs(count: u8) {
     let (begins, sent) = (Arc::new(Barrier::new(2)), Arc::new(Barrier::new(2)));
     let (it_runs, all_sent) = (Arc::clone(&begins), Arc::clone(&sent));

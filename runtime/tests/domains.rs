@@ -54,8 +54,8 @@ async fn answer(mut ctx: AsyncContext) -> Result<(), TaskError> {
     Ok(())
 }
 
-/// What the ports of two futures count that ask and answer. `how` completes the node; with `calls` another waker is between each
-/// future and the executor.
+/// The counters of the ports of two futures, one of which asks the other. `how` completes the node. With `calls`,
+/// another waker stands between each future and the executor.
 fn counted(how: impl FnOnce(Builder) -> Builder, calls: Option<Arc<AtomicU32>>) -> Vec<Vec<PortView>> {
     let mut cell = cell(&[0, 0], Ticks(2_000));
     cell.port(ask(LONG_TICKS));

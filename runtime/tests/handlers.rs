@@ -68,7 +68,7 @@ fn without_an_order_a_delay_is_interrupted_only_by_the_rejected_and_with_one_by_
             }
             ctx.on_query(ask, |ctx, number: i32| {
                 ctx.state.push("handler begins");
-                // This delay runs above another one, which goes on meanwhile.
+                // This delay interrupts another delay, which goes on meanwhile.
                 ctx.delay(Duration::from_millis(5))?;
                 ctx.state.push("handler ends");
                 Ok(number + 1)

@@ -65,7 +65,8 @@ fn a_node_with_nothing_pending_never_wakes() {
     let node = on(&network, &table, 0)
         .recorder(recorder.clone())
         .task("idle-task", move |ctx| {
-            // A delay and a time_out come first, and must leave nothing behind.
+            // The task first makes a delay and a wait with a time_out, which must leave no later wake-up
+            // behind.
             ctx.delay(Duration::from_millis(20))?;
             assert_eq!(ctx.receive(None, Some(Duration::from_millis(20)))?, None);
             begin.send(()).expect("the test listens");

@@ -119,7 +119,8 @@ fn a_script_and_a_rust_task_share_a_node() {
 fn two_scripts_of_a_node_that_answer_each_other_for_ever_in_no_time_are_stopped() {
     let mut cell = cell(&[0, 0], Ticks(2_000));
     cell.port(ask(LONG_TICKS));
-    // These are more questions than two scripts may answer each other before input comes from outside.
+    // The number of questions exceeds the number of steps that two scripts may take before an input comes
+    // from outside.
     let node = one_node(&table(cell)).script("a", asker(30_000)).script("b", answerer()).start().unwrap();
     let deadline = Instant::now() + LONG;
     let alive = |node: &Runtime| {
@@ -137,7 +138,8 @@ fn two_scripts_of_a_node_that_answer_each_other_for_ever_in_no_time_are_stopped(
     assert_eq!(ends.iter().filter(|end| runaway(end)).count(), 1, "{ends:?}");
 }
 
-/// What the ports of two scripts count that ask and answer each other. `who` looks on.
+/// The counters of the ports of two scripts that ask and answer each other. `who` adds a watch or a recorder
+/// to the node.
 fn counted(who: impl FnOnce(Builder) -> Builder) -> Vec<Vec<PortView>> {
     let mut cell = cell(&[0, 0], Ticks(2_000));
     cell.port(ask(LONG_TICKS));

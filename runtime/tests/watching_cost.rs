@@ -203,7 +203,7 @@ fn no_event_goes_missing_uncounted() {
                     if is_change {
                         let _ = stands_still.recv();
                     }
-                    // Now and then the reader does something else.
+                    // Now and then the reader pauses.
                     if fastrand::u8(..) < 8 {
                         thread::sleep(Duration::from_millis(30));
                     }

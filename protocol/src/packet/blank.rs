@@ -24,7 +24,7 @@ impl Packet {
 }
 
 impl Contents {
-    /// The first `len` of `bytes`, of which the others are zero.
+    /// Contents of the first `len` of `bytes`. All other bytes must be zero.
     #[inline]
     pub(crate) const fn padded_with(bytes: [u8; CONTENTS_BYTES], len: u8) -> Self {
         Self { len, bytes }

@@ -30,8 +30,8 @@ struct Group([u64; 4]);
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Heap {
     groups: Box<[Group]>,
-    /// For each number in the heap, its place, counted from `ROOT`. For a number outside the heap, the value that
-    /// [`keep`](Self::keep) stored.
+    /// For each number in the heap, its place, counted from `ROOT`. For a number that is not in the heap, the
+    /// value that [`keep`](Self::keep) stored for it.
     places: Box<[u16]>,
     len: u16,
 }
@@ -41,7 +41,8 @@ const LAST: u64 = (1 << (u64::BITS - NUMBER_BITS)) - 5;
 
 /// Packs a number and its instant into a word.
 fn word(instant: Instant, slot: Slot) -> u64 {
-    // Symbols, and numbers beside symbols, only compare: then the keys decide.
+    // Symbolic times, and numbers that occur together with them, can only be compared, not packed into a
+    // word. So their words are equal, and the keys decide.
     #[cfg(feature = "checker")]
     if crate::ticks::symbolic::has_zone() {
         return LAST << NUMBER_BITS | u64::from(slot);

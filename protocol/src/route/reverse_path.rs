@@ -39,8 +39,8 @@ pub(super) fn can_come(table: &NodeTable, from: NodeId, packet: &Packet) -> bool
 
 /// Whether packets that `source` sends to `destination` come to this node from `from`.
 ///
-/// The next hop from here back to the source would be a wrong test: where two paths have the same length, each direction
-/// may take a different one.
+/// It would be wrong to compare `from` with the next hop back to the source: if two paths have the same length, the two
+/// directions may use different ones.
 fn enters_from(table: &NodeTable, from: NodeId, source: NodeId, destination: NodeId) -> bool {
     let mut last = None;
     for node in table.path(source, destination) {

@@ -170,7 +170,8 @@ pub trait Walk {
         *span = if number == u32::MAX { Ticks::FAR } else { Ticks(number.into()) };
     }
 
-    /// A time that is left of something outside the machines, zero if it is over. `forgets`: since when it is over makes no difference.
+    /// Visits a remaining time of something outside the machines; zero if it is over. With `forgets` it does not matter
+    /// for how long it has been over.
     fn left(&mut self, left: &mut Ticks, forgets: bool) {
         let _ = forgets;
         self.span(left);

@@ -344,7 +344,7 @@ mod tests {
             cell.port(port);
             CellTable::new(cell).map(|_| ())
         };
-        // Two links there, two back: 4 ticks for each.
+        // The route has two links there and two back, and each takes its bound.
         assert_eq!(of(3, 12, None), Ok(()));
         let fault = CellError::CannotBeServed { port: name("p"), per: Ticks(11), least: Ticks(12) };
         assert_eq!(of(3, 11, None), Err([fault].into()));

@@ -1,4 +1,4 @@
-//! What each end of a port knows of the others: compiled once, so that a step looks nothing up by task or node (D180).
+//! Compiles what each end of a port knows of the other ends, so that a step looks up nothing by task or node (D180).
 
 use super::port::Peer;
 use super::{CellTable, Port};
@@ -9,7 +9,8 @@ use alloc::vec;
 use alloc::vec::Vec;
 
 impl CellTable {
-    /// Compiles the peers of every end of a checked port: its tasks differ, and each reaches the other.
+    /// Compiles the peers of every end of a port. The port has been checked: its tasks differ, and each can
+    /// reach the others.
     pub(super) fn compile_ends(&self, port: &mut Port) {
         let index = |at: usize| u16::try_from(at).unwrap_or(u16::MAX);
         let tasks: Box<[TaskId]> = port.parties.iter().map(|party| party.task).collect();

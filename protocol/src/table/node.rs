@@ -12,7 +12,8 @@ pub struct NodeTable {
     pub cell: Arc<CellTable>,
     /// This node.
     pub node: NodeId,
-    /// Another table of the cell, by whose routes packets may come: one that the node is to take, or that it had (D184).
+    /// Another table of the cell, by whose routes packets may come: the one that will replace the node's table, or the
+    /// one that it replaced (D184).
     pub(crate) other: Option<Arc<CellTable>>,
 }
 
@@ -29,7 +30,7 @@ impl NodeTable {
         &self.cell.cell().rules
     }
 
-    /// The way of packets to a task of another node.
+    /// The next hop and the delay of packets to a task of another node.
     pub(crate) fn way_to(&self, task: TaskId) -> Option<Hop> {
         self.hop(self.node, self.location(task)?)
     }

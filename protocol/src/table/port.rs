@@ -5,7 +5,7 @@ use crate::ids::{NodeId, PortId, TaskId};
 use crate::ticks::Ticks;
 use alloc::boxed::Box;
 
-/// One end of a port: a task that owns or uses it, with what a step of that task looks up there.
+/// One end of a port: a task that owns or uses it, and the facts that a step of this task needs there.
 #[derive(Clone, Debug)]
 pub struct Party {
     /// The task.
@@ -20,11 +20,12 @@ pub struct Party {
     pub rate: Option<Rate>,
     /// The position of the port among those of the task, by which the communication task finds its state without a search.
     pub place: u16,
-    /// The other ends to which it sends and from which it hears, ascending by task.
+    /// The other ends to which this end sends and from which it hears, ascending by task.
     pub(crate) peers: Box<[Peer]>,
 }
 
-/// What an end of a port knows of another end: how their tasks reach each other, and where each keeps what concerns the other.
+/// What an end of a port knows of another end: how their tasks reach each other, and where each keeps its state about
+/// the other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Peer {
     pub task: TaskId,
@@ -42,7 +43,7 @@ pub(crate) struct Peer {
     pub bound: Ticks,
 }
 
-/// A port as one of its tasks meets another one there: the answer to the one look-up of a step.
+/// A port with the two ends that exchange a packet: the result of the one look-up of a step.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Ends<'a> {
     pub port: &'a Port,
@@ -65,7 +66,7 @@ impl Party {
         wanted.map_or(self.time_out, |wanted| wanted.min(self.time_out))
     }
 
-    /// The other end that `task` has, if this one hears from it.
+    /// The end of `task`, if this end sends to it and hears from it.
     #[inline]
     pub(crate) fn peer(&self, task: TaskId) -> Option<&Peer> {
         if let [only] = &*self.peers {
@@ -134,7 +135,7 @@ impl Port {
         self.ends(task, source).is_some()
     }
 
-    /// The port as `own` meets `other` there, if they may send to each other.
+    /// The port with the ends of `own` and `other`, if these tasks may send to each other.
     pub(crate) fn ends(&self, own: TaskId, other: TaskId) -> Option<Ends<'_>> {
         let own = self.party(own)?;
         Some(Ends { port: self, own, peer: own.peer(other)? })

@@ -58,7 +58,8 @@ impl NodeTable {
             return Err(TableError::OtherSlots(what));
         }
         let (held, given) = (self.cell.epoch(), next.epoch());
-        // A table that comes late must not end what a later one has begun: this node may already be the only one without it.
+        // A table that arrives late must not replace a later one that this node has learned, because all other nodes
+        // may already route by that one.
         let latest = self.other.as_ref().map_or(held, |other| other.epoch().max(held));
         if given > held && given >= latest {
             Ok(())

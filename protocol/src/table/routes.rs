@@ -9,8 +9,8 @@ use alloc::vec;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
-/// Links and nodes that routes go around, because they are out of order (D184). They stay declared: a task that is reached in no
-/// other way is still reached through them.
+/// Links and nodes that routes avoid, because they have failed (D184). They stay declared: a task that can be reached
+/// only through them is still reached in that way.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Avoid {
     /// Links, by their ends in either order. Parallel links are avoided together.
@@ -36,7 +36,7 @@ impl Avoid {
     }
 }
 
-/// The way from one node to another.
+/// A route from one node to another: its next node and its cost.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Hop {
     pub next: NodeId,

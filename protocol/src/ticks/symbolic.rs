@@ -64,18 +64,19 @@ pub enum Time {
     Remaining,
 }
 
-/// What the checker knows of the variables, on the path that the machine takes.
+/// The checker's knowledge of the variables, on the path that the machine takes.
 pub trait Zone {
     /// Whether `first - second + offset` is less than zero. If both answers are possible, the zone chooses one, and assumes
     /// it from then on.
     fn is_negative(&mut self, symbol: Symbol) -> bool;
 
-    /// The sum of two symbols without their offsets, for a time in which more than two variables meet. Variables at a fixed distance
-    /// cancel each other but for that distance. Otherwise the zone makes a new variable, which may stand for more values than the sum has:
-    /// the checker then explores more than can happen.
+    /// The sum of two symbols without their offsets, for a time in which more than two variables meet. If two variables
+    /// have a fixed distance, they are replaced by that distance. Otherwise the zone makes a new variable, which may
+    /// stand for more values than the sum has: the checker then explores more than can happen.
     fn sum(&mut self, one: Symbol, other: Symbol) -> Symbol;
 
-    /// Packs a time as one byte, and keeps what the byte leaves open; `None` stands for "never".
+    /// Packs a time as one byte, and stores in the zone what the byte does not say; `None` stands for
+    /// "never".
     ///
     /// # Panics
     /// If the zone packs no states.

@@ -17,7 +17,8 @@ impl Timer {
         w.clock(&mut self.now);
         let Self {
             now: _,
-            // This is not packed: entries are packed in the order of their ends, and ties in the order of arming.
+            // `armed` is not packed: entries are packed in the order in which they end, and equal ones in the
+            // order of arming.
             armed,
             fresh,
             queue,
@@ -51,7 +52,8 @@ impl Entry {
         let Self {
             owner,
             id,
-            // This is not packed: a single thread drives a packed node, so no message of an earlier start is in flight.
+            // `turn` is not packed: a single thread drives a packed node, so no message of an earlier start is in
+            // flight.
             turn: _,
             expires,
             armed: _,

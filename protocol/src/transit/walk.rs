@@ -26,7 +26,7 @@ impl Transit {
             arrivals,
             queue,
             words,
-            // This is only a counter.
+            // `forwarded` only counts, and changes no behaviour.
             forwarded: _,
             discarded: _,
         } = self;

@@ -9,7 +9,7 @@ pub const TELL: PortId = PortId(1);
 pub const LIFT: PortId = PortId(2);
 pub const PEER: TaskId = TaskId(7);
 
-/// What a step of a script did, in words.
+/// The effects of a step of a script, in words.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Said {
     pub words: Vec<String>,

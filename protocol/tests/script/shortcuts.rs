@@ -111,7 +111,7 @@ const FAULTS: [(&str, Planted); 16] = [
     }),
 ];
 
-/// What an expression is, and over what: its kind, two variables, an operator and a number.
+/// An expression to generate: its kind, two variables, an operator and a number.
 type Expression = (u8, usize, usize, Binary, i64);
 
 /// Programs of random expressions, in the task's own thread and in a handler.
@@ -122,7 +122,8 @@ fn expressions() -> impl Strategy<Value = Program> {
         let mut b = ProgramBuilder::new("expressions");
         let variables = of_each_type(|name, of| b.variable(name, of));
         own.into_iter().for_each(|one| expression(&mut b, &variables, one));
-        // The rest runs on and on, so that the last operations of a step are compared, too.
+        // The program ends in a loop that never waits, so that the last operations before the limit of a step
+        // are compared, too.
         let (truth, own) = (variables[0].1, b.label());
         b.forever(|b| {
             b.statement().load(truth).op(Op::Term(Term::Not)).store(truth);
@@ -138,7 +139,8 @@ fn expressions() -> impl Strategy<Value = Program> {
     })
 }
 
-/// A statement: a message that comes; or over two operands what a variable becomes, a branch, or a message.
+/// Adds a statement: the receiving of a message, or, with an expression of two operands, an assignment, a
+/// branch or a sent message.
 fn expression(
     b: &mut ProgramBuilder,
     variables: &[(Type, Slot)],
@@ -212,7 +214,7 @@ fn random_programs_find_faults_in_compiled_code() {
     assert!(missed.is_empty(), "{missed:?}");
 }
 
-/// Comparisons are worth something only if the shortcuts are taken.
+/// The comparisons mean something only if the random programs take every kind of shortcut.
 #[test]
 fn random_programs_have_every_shortcut() {
     let mut runner = TestRunner::deterministic();

@@ -235,7 +235,7 @@ pub fn handle(port: PortId) -> Request {
     Request::Handle { port, handled: true }
 }
 
-/// The request for an `order` that names these, first to last.
+/// The request for an `order` with these entries, first to last.
 pub fn order(named: &[Ranked]) -> Request {
     Request::Order(ServiceOrder::new(named).expect("few levels"))
 }

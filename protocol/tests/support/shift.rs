@@ -20,7 +20,7 @@ pub enum EpochAt {
     Nowhere,
     /// Packets of the port are heartbeats of a couple and their answers, which carry it.
     Heartbeats,
-    /// Packets of the port are orders, whose last byte carries it.
+    /// Packets of the port are orders; their last byte is the epoch.
     Orders,
 }
 

@@ -93,7 +93,7 @@ impl Example {
         is_zero
     }
 
-    /// Whether these other values would have given the same answers.
+    /// Whether these values of the variables give the same answers to all questions that the run asked.
     fn covers(&self, values: &[i64]) -> bool {
         let other = Self::new(values);
         self.asked.iter().all(|&(symbol, answer)| (other.value(symbol) < 0) == answer)
@@ -108,8 +108,8 @@ impl Zone for Example {
     }
 
     fn sum(&mut self, one: Symbol, other: Symbol) -> Symbol {
-        // If two inputs come at the same time, the later one leaves a clock as it is, so both variables stand for one
-        // instant.
+        // If two inputs come at the same time, the later one does not move the clock, so the variables of both stand
+        // for the same instant.
         for (one, other) in [(one, other), (other, one)] {
             let same = Symbol { second: other.second, ..one };
             if self.is_zero(same) {
@@ -192,7 +192,8 @@ struct Run<S> {
 type Outcome = (Vec<Effects>, Vec<Result<Vec<u8>, Overflow>>);
 
 impl<S: State> Run<S> {
-    /// The run with its symbols replaced by the times of an example. A run on numbers does not change.
+    /// The outcome of the run with its symbols replaced by the times of an example. The outcome of a run on
+    /// numbers stays the same.
     fn at(&self, example: &Example) -> Outcome {
         let mut evaluate = Evaluate(example);
         let effects = self.effects.iter().map(|effects| evaluate.effects(effects)).collect();
@@ -242,8 +243,8 @@ fn random_runs_are_alike<S: State>(
     let alike = cell::Cell::new(0);
     let result = TestRunner::new(config).run(&runs, |(plan, ops, gaps, others)| {
         let world = World::new(&plan.build(), false);
-        // Under this variant of the rules a wait does not count, so a deadline moves by the difference of two instants, and
-        // a time may have three.
+        // Under this variant of the rules time in a buffer is not charged, so a deadline is moved by the difference of
+        // two instants, and a time may be made of three instants.
         let exact = world.tables[0].rules().charge_residence;
         let (start, ops) = (start(world), &ops[..ops.len().min(MOST)]);
         let times = times(&gaps, ops.len());

@@ -56,7 +56,7 @@ fn draws() -> impl Strategy<Value = Vec<Draw>> {
     proptest::collection::vec(any::<Draw>(), 300)
 }
 
-/// Who is asked what, and what became of it.
+/// A run of the random cell: its requests, and how each of them ended.
 struct Run {
     net: VirtualCell,
     tables: Vec<Arc<CellTable>>,
@@ -166,9 +166,9 @@ proptest! {
         prop_assert!(replies + late >= run.outcomes.len(), "{:?}", run.outcomes);
     }
 
-    /// Tables are pushed to the nodes one after the other, in any order, late, and again, while links lose packets. Each request
-    /// has one outcome, no command runs twice, and what is not newer is refused. If all nodes have learnt the table before, no
-    /// packet is dropped for its route.
+    /// Tables are pushed to the nodes one after the other, in any order, late, and again, while links lose packets.
+    /// Each request has one outcome, no command runs twice, and tables that are not newer are refused. If all nodes
+    /// have learnt the table before, no packet is dropped for its route.
     #[test]
     fn a_switch_node_by_node_runs_nothing_twice(
         random in randoms(3),

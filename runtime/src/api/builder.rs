@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
 
-/// How many packets the transit buffer of a node holds unless told otherwise.
+/// How many packets the transit buffer of a node holds, unless the program sets another number.
 pub const TRANSIT_CAPACITY: u16 = 1024;
 
 /// For how long a waiting thread spins before it sleeps, by default: about what it takes to wake a thread on another core.

@@ -33,7 +33,8 @@ pub struct Context<S = ()> {
     pub state: S,
     caller: Caller,
     handlers: Handlers<S>,
-    /// Messages that were taken together and when, before the program gets them. Empty in between.
+    /// Messages that one call took together, with the time of each. Used within a call of `receive_many`, and
+    /// empty between calls.
     taken: Vec<(Micros, Delivery)>,
 }
 

@@ -1,5 +1,5 @@
-//! Scenes of a task that is a future: it listens, and cancels what it asked. It shares its hand-off with other futures, so the answer
-//! for it is in the protected state (D187).
+//! Scenes of a task that is a future: it waits for an answer, or cancels its request. It shares its hand-off with other
+//! futures, so the answer for it is in the protected state (D187).
 
 use super::{DEADLOCK, must_fail};
 use crate::clock::FAR;
@@ -97,7 +97,8 @@ impl Scene {
         })
     }
 
-    /// The future takes its answer, or brings an input if there is none yet; `blindly`, it brings it in any case.
+    /// The future takes its answer; if there is none yet, it gives the machine an input. With `blindly` it gives
+    /// the input in any case.
     fn enter(&self, input: Brought, blindly: bool) -> Option<Got> {
         let mut called = false;
         let ask = |asked: &mut Asked, called: &mut bool| {

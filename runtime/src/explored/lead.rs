@@ -47,7 +47,8 @@ impl Socket {
         }
     }
 
-    /// The leader's wait. A reported datagram is there when it returns, unless the polling thread has taken it.
+    /// The leader's wait. If it reports a datagram, the datagram is there when this returns, unless the polling
+    /// thread has taken it.
     pub(super) fn wait(&self) -> Came {
         let mut state = self.state.lock().unwrap();
         loop {

@@ -27,7 +27,8 @@ impl Scene {
         })
     }
 
-    /// The thread of the futures, until those in `waits` have ended. Returns how often each was polled before it ended.
+    /// Runs the thread of the futures until the futures in `waits` have ended. Returns how often each was polled before
+    /// it ended.
     fn run(&self, waits: [bool; 2]) -> [u32; 2] {
         self.run_and(waits, |_| (), || false)
     }
@@ -46,7 +47,8 @@ impl Scene {
             if waits == [false; 2] {
                 return polls;
             }
-            // For marks of other threads, `any` only saves time: there a call alone keeps the thread awake.
+            // This check only saves time for marks that other threads set, because these also call the
+            // thread, and the call alone keeps it awake.
             if !any() {
                 self.ready.park.sleep();
             }

@@ -72,7 +72,7 @@ fn be_ordinary(cores: Option<&str>) {
     if is_ordinary {
         return;
     }
-    // The call sets the niceness, too, so the niceness is restored afterwards.
+    // The call that sets the scheduler also changes the niceness, so the niceness is restored afterwards.
     let niceness = getpriority_process(None);
     if let Ok(ordinary) = ThreadPriorityValue::try_from(ORDINARY) {
         let policy = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other);

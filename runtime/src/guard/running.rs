@@ -118,7 +118,7 @@ impl Group {
         Some(Self { number, command: command.filter(|_| parent_of(pid) == Some(guard)) })
     }
 
-    /// Kills the whole group, unless its number belongs to another process by now.
+    /// Kills the command's whole process group, unless its number belongs to another process by now.
     fn kill(&self) {
         // A command that is not reaped keeps the number, and so does every member of its group. So if another process has the
         // number, the group is empty.

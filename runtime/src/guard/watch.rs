@@ -244,7 +244,8 @@ impl Watch {
         {
             match input.write_all(format!("deadline {deadline}\n").as_bytes()) {
                 Ok(()) => self.told = Some(deadline),
-                // The command does not read its input. The next renewal tells it the deadline.
+                // The command does not read its input, and the pipe is full. The next renewal sends the
+                // deadline again.
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
                 Err(_) => self.input = None,
             }
@@ -255,7 +256,7 @@ impl Watch {
     /// Kills everything that remains of the command.
     fn end(mut self, why: Why) -> Outcome {
         let status = kin::end_all(self.pid);
-        // All processes that could write have ended, so this ends, too.
+        // All processes that could write to the pipe have ended, so this reading ends, too.
         self.output.read_rest();
         if why == Why::Ended { self.output.outcome(status, self.errand.real) } else { why.outcome() }
     }

@@ -100,7 +100,8 @@ impl<L: Link> FaultyLink<L> {
         if !cut && !lost {
             return self.inner.send_at(next, packets, at);
         }
-        // If the inner link would not take the packets, they are not lost: the node keeps them.
+        // If the inner link would not take the packets, no loss is drawn for them, because the node keeps
+        // them.
         if !self.inner.ready(next) {
             return Err(LinkBusy);
         }

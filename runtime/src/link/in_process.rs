@@ -58,7 +58,7 @@ struct State {
     landed: Vec<Landed>,
     /// Whether a neighbour found this node busy.
     starved: bool,
-    /// Whether this node, after it was busy, takes packets again, and its neighbours must be told.
+    /// Whether this node was busy and takes packets again, so that its neighbours must be informed.
     ready: bool,
     woken: bool,
     draws: fastrand::Rng,

@@ -81,8 +81,9 @@ pub trait Link: Send + Sync {
     /// Whether the link would take a send to this neighbour now.
     fn ready(&self, next: NodeId) -> bool;
 
-    /// How many packets the link takes in one call, at most: by default as many as a datagram holds. A node gathers this many for
-    /// a neighbour, and nothing can overtake them once they are handed over. A link that wraps another one passes this on.
+    /// How many packets the link takes in one call, at most: by default as many as a datagram holds. A node gathers up
+    /// to this many for a neighbour. Once they are handed over, no more urgent packet can overtake them. A link that
+    /// wraps another link returns the number of the inner link.
     fn at_once(&self) -> usize {
         MAX_PACKETS
     }

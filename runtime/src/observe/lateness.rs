@@ -18,7 +18,7 @@ pub(crate) struct LatenessCounts {
     tick: Micros,
 }
 
-/// The counters, as they were at the last look.
+/// The values of the counters when they were last read.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Seen([u64; SIZES]);
 

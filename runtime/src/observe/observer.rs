@@ -125,7 +125,7 @@ impl Observer {
     fn serve_at(showing: Showing, path: &Path) -> Result<Self, ObserverError> {
         let io = |source: io::Error| ObserverError::Io { path: path.into(), source };
         let listener = bind(path)?;
-        // Until now the folder, which only this user can enter, has kept others out.
+        // Until this call, the folder keeps other users out, because only this user can enter it.
         fs::set_permissions(path, Permissions::from_mode(0o600)).map_err(io)?;
         Self::serve(showing, Listener::Unix(listener), Place::Unix(path.into())).map_err(io)
     }

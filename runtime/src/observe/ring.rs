@@ -8,7 +8,7 @@ use imrs_protocol::Observation;
 const KEPT: usize = 1024;
 
 pub(crate) struct Ring {
-    /// The kept observations; empty until the first subscription.
+    /// The latest observations. They are kept only after the first subscription.
     kept: Vec<(Micros, Observation)>,
     /// How many observations were ever written.
     written: u64,

@@ -1,5 +1,5 @@
-//! Snapshots of a running node. A snapshot takes nothing out of the node and advances no clock. Input that was left for a
-//! task is handled first (D130), with the time at which it came.
+//! Snapshots of a running node. A snapshot takes nothing out of the node and advances no clock. Input that was left in
+//! a task's inbox is handled first (D130), with the time at which it arrived.
 
 use crate::clock;
 use crate::link::LinkDiscard;

@@ -59,7 +59,7 @@ struct Aside {
     /// How many records were lost, and how many inputs were among them. They are counted in this order.
     lost: AtomicU64,
     lost_inputs: AtomicU64,
-    /// Exactly those keyframes whose marks are in the lane.
+    /// The keyframes, one for each mark of a keyframe that is in the lane.
     keyframes: Mutex<VecDeque<Vec<u8>>>,
     /// Whether the node has stopped.
     closed: AtomicBool,
@@ -169,8 +169,8 @@ struct TaskLog {
     aside: Arc<Aside>,
     /// Whether something was lost. Until the next keyframe, no record of this task can be replayed.
     needs_keyframe: bool,
-    /// After how many more losses another keyframe is tried, if the last state was too long to be recorded. The number is
-    /// that of the state's bytes, so that the tries cost one byte for each step at most.
+    /// If the last state was too long to be recorded, after how many more lost steps a keyframe is tried again: as many
+    /// as the state has bytes. So these attempts cost at most one byte for each step.
     pause: usize,
     /// How many of the lost records have been reported in gaps.
     told: u64,

@@ -49,7 +49,7 @@ pub trait Log: Send {
     fn step(&mut self, step: &Step, digest: OutputDigest) -> bool;
 
     /// Records a step that the task's script is about to take, with the digest of everything that the script has done
-    /// before. Signals of the communication task are no such steps.
+    /// before. A signal that the communication task gives the script is not recorded as such a step.
     fn script(&mut self, step: ScriptStep, done: OutputDigest) {
         let _ = (step, done);
     }

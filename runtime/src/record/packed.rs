@@ -49,7 +49,7 @@ pub(super) enum Entry {
     Gap {
         lost: u64,
     },
-    /// The mark of a keyframe: the next one of the states that pass beside the lane.
+    /// The mark of a keyframe. Its state is the next one in the queue of states beside the lane.
     Keyframe {
         outputs: u64,
     },

@@ -132,7 +132,7 @@ impl<'t> Replay<'t> {
     /// Runs the next step. After a gap, or after a step whose outputs differ, steps are only counted until a keyframe comes.
     pub fn step(&mut self, entry: Recorded) {
         if self.closed {
-            // Such a step is only counted, and reported as one too many.
+            // A step after the end of the task is only counted, and reported as one too many.
             self.unjudged += 1;
             self.close(self.found() - 1, self.digest);
             return;
@@ -145,7 +145,7 @@ impl<'t> Replay<'t> {
         if self.script.as_mut().is_some_and(|script| !script.expects(&entry.step.input)) {
             self.lose_script();
         }
-        // The script stops with its last request, which comes now, and not at the time when it last did something.
+        // The script stops now, with its last request, and not at the time when it last did something.
         if let Input::Request(Request::Cancel) = entry.step.input
             && let Some((at, Happened::Stopped)) =
                 self.happened.as_mut().and_then(|happened| happened.last_mut())
@@ -272,7 +272,8 @@ impl<'t> Replay<'t> {
         Ok(())
     }
 
-    /// Whether the cell has all that an input names. A running node drops other packets before its tasks take them.
+    /// Whether the cell has all tasks and ports that an input names. A running node drops other packets before its
+    /// tasks take them.
     pub(super) fn knows(&self, input: &Input) -> bool {
         match input {
             Input::Packet(packet) => {

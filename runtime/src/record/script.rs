@@ -1,4 +1,4 @@
-//! Runs the scripts of a recording again, beside their communication tasks, and compares their acts.
+//! Runs the scripts of a recording again, together with their communication tasks, and compares what they do.
 
 use super::OutputDigest;
 use crate::script::{Note, Stands, Watch};
@@ -9,9 +9,9 @@ use serde::Serialize;
 use std::fmt;
 use std::sync::Arc;
 
-/// An act of a script, as it enters the digest. The statements that a script begins enter the digest, too, but not as acts.
-/// A request of a script is compared as the input that it becomes. The order of the variants is part of the recordings'
-/// format.
+/// An act of a script, as it enters the digest. The statements that a script begins enter the digest, too, but not as
+/// acts. A request of a script is no act: it is compared with the recorded input of the communication task. The order
+/// of the variants is part of the recordings' format.
 #[derive(Serialize)]
 pub(crate) enum Did<'a> {
     Acts { level: u8, action: u16, arguments: &'a [i64], least: Ticks, most: Ticks },
@@ -141,7 +141,7 @@ impl Out<'_> {
         }
     }
 
-    /// The turn of the script with its present input; `None` if there is none.
+    /// The record of what the script does with its present input; `None` if there is no input.
     fn turn(&mut self) -> Option<&mut Turn> {
         match self.happened.as_mut()?.last_mut()? {
             (_, Happened::Turn(turn)) => Some(turn),

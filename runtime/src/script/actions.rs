@@ -44,12 +44,12 @@ pub struct Act<'a> {
 pub struct HeldLease {
     /// Its epoch.
     pub epoch: u8,
-    /// When it ends unless it is renewed, in microseconds of `CLOCK_BOOTTIME`: never later than its true end. `None`: the task
-    /// took over and acts alone, so the lease does not end by itself.
+    /// When the lease ends unless it is renewed, in microseconds of `CLOCK_BOOTTIME`: never later than its true end.
+    /// `None`: the task took over and acts alone, so the lease does not end by itself.
     pub until: Option<u64>,
 }
 
-/// Says how an action ended. Dropped without that, it says that the action failed.
+/// Reports how an action ended. If it is dropped without a report, the action counts as failed.
 #[derive(Debug)]
 pub struct Ending {
     node: Weak<Node>,
@@ -103,7 +103,7 @@ impl std::fmt::Debug for Node {
     }
 }
 
-/// What a script wants done outside, once the lock is released.
+/// An effect of a script outside of the node, which is carried out once the lock is released.
 #[derive(Clone, Debug)]
 pub(crate) enum OutsideEffect {
     Begin(Begun),

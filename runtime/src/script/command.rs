@@ -20,7 +20,8 @@ const MARGIN: Duration = Duration::from_secs(2);
 const STOP_WITHIN: Duration = Duration::from_millis(250);
 /// After how many microseconds a lease is checked again, at least and at most; in between, after a quarter of its remaining time.
 const RENEW_EVERY: [u64; 2] = [2_000, 100_000];
-/// The same for a task that acts alone: when its partner comes back, a lease begins.
+/// The time between two checks of the lease, in microseconds, for a task that acts alone: when its partner
+/// comes back, a lease begins.
 const ALONE_EVERY: u64 = 10_000;
 
 /// Executes a command for each action that has one. Another [`Actions`] carries out the rest.
@@ -93,10 +94,10 @@ pub enum CommandError {
         /// Why.
         why: io::Error,
     },
-    /// The launcher cannot be told, so the program was not started.
+    /// The notice for the launcher could not be written, so the program was not started.
     #[error("cannot tell the launcher of the command: {0}")]
     Notices(io::Error),
-    /// It took too long and was killed.
+    /// The command took too long and was killed.
     #[error("took longer than the declared {most:?} and the margin of {margin:?}: killed")]
     Late {
         /// How long the cell lets the action take.
@@ -130,7 +131,8 @@ impl Commands {
         }
     }
 
-    /// Sets what hears of a command that went wrong: the name of the action, and how. For the script the action has failed.
+    /// Sets a function that is called if a command goes wrong, with the name of the action and the error. For the
+    /// script the action has failed.
     #[must_use]
     pub fn tell(self, tell: impl Fn(&str, &CommandError) + Send + Sync + 'static) -> Self {
         Self { tell: Arc::new(tell), ..self }

@@ -1,8 +1,9 @@
 //! Tasks whose behaviour is a script.
 //!
-//! A script has no thread. It is behind the lock of its communication task, which all scripts of the node share (D186), and the thread
-//! that brings input there runs it. So what the two do together is one step, as in the model; local messages between tasks are steps
-//! of their own, or fused ones. The script's actions outside begin after the lock is released, and their ends are input again.
+//! A script has no thread. It is behind the lock of its communication task, which all scripts of the node share (D186),
+//! and the thread that brings input there runs it. So a step of the communication task and the reaction of its script
+//! are one step, as in the model. Messages between tasks of the node take steps of their own, or fused steps. The
+//! script's actions outside begin after the lock is released, and their ends are input again.
 
 mod actions;
 mod command;
@@ -21,9 +22,11 @@ pub(crate) use runner::ScriptRunner;
 use imrs_protocol::script::{Address, End, Script};
 use imrs_protocol::{CommTask, ReplyTo, Request, Signal, TaskId, Ticks};
 
-/// Is told what scripts do. Called under a lock that messages wait for: it must pass the note on and return.
+/// Receives notes about what scripts do. It is called under a lock for which messages wait, so it must pass
+/// the note on and return.
 pub trait Watch: Send + Sync {
-    /// What the script of `task` did at `at`, in microseconds of the node's clock (`CLOCK_BOOTTIME`).
+    /// Takes a note about what the script of `task` did at `at`, in microseconds of the node's clock
+    /// (`CLOCK_BOOTTIME`).
     fn note(&self, task: TaskId, at: u64, note: &Note);
 
     /// The state of `task` since `at`, in microseconds of the node's clock, now that its script waits: a state between two steps

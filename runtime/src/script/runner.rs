@@ -44,7 +44,7 @@ impl ScriptRunner {
         seed: u64,
         together: u32,
     ) -> Self {
-        // By name, so that no two tasks draw the same choices.
+        // The salt is made from the name, so that two tasks never draw the same choices.
         let salt = super::simulated::salt(&program.name);
         let side = Side {
             place,
@@ -140,8 +140,8 @@ impl ScriptRunner {
         self.step(comm, Step { elapsed, input: Input::Request(Request::Cancel) }, effects);
     }
 
-    /// The time passes first, as a step of its own, to the next whole microsecond: so what is asked in this step is never stamped
-    /// before its turn began.
+    /// First the time passes, as a step of its own, to the next whole microsecond. So no request of this step has a
+    /// time before the beginning of its turn.
     fn let_time_pass(&mut self, comm: &mut Turn<'_>, effects: &mut Effects) -> u64 {
         let elapsed = comm.elapsed(time(comm, effects));
         if !elapsed.is_zero() {
@@ -283,7 +283,7 @@ impl ScriptOutbox for Out<'_> {
     }
 
     fn ended(&mut self, end: End) {
-        // The other scripts of the node get their steps back: they did not run away.
+        // The other scripts of the node may take as many steps again, because only this one ran away.
         if matches!(end, End::Fault { fault: ScriptFault::Runaway, .. }) {
             self.effects.steps = 0;
         }

@@ -20,7 +20,8 @@ pub(crate) struct Alarm<P = Sound> {
 /// The bugs that the explorers must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    /// While the Timer thread reads the slots, the old target still stands.
+    /// While the Timer thread reads the slots, the old target stays in force, so that a new expiry does not
+    /// call the thread.
     NoOpenTarget,
     /// No fence orders a slot and the target.
     NoFence,
@@ -65,7 +66,7 @@ impl<P: Plants<Plant>> Alarm<P> {
         }
     }
 
-    /// What `slot` last published.
+    /// The instant that was last published in `slot`.
     pub fn slot(&self, slot: usize) -> Micros {
         self.slots[slot].load(Ordering::Relaxed)
     }

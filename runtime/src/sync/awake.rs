@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicI16, AtomicIsize, AtomicU16, Ordering};
 
 /// How many threads of this process's tasks run, or are about to because another thread woke them.
 static AWAKE: AtomicIsize = AtomicIsize::new(0);
-/// How many of these threads may use only this core, for each core.
+/// For each core, how many of the running threads of tasks may use only this core.
 static BOUND: [AtomicI16; CpuSet::MAX_CPU] = [const { AtomicI16::new(0) }; CpuSet::MAX_CPU];
 /// The thread may use several cores.
 const ANY: u16 = u16::MAX;
@@ -51,8 +51,8 @@ impl ThreadState {
     }
 }
 
-/// How much processor time the process may use, in cores; [`isize::MAX`] without a limit. Determined before the first wait of a
-/// task's thread, then cached.
+/// How much processor time the process may use, in cores; [`isize::MAX`] without a limit. It is read before the first
+/// wait of a task's thread, and then cached.
 pub(crate) fn quota() -> isize {
     const UNKNOWN: isize = 0;
     static QUOTA: AtomicIsize = AtomicIsize::new(UNKNOWN);

@@ -31,14 +31,14 @@ impl<T, P: Plants<Plant>> CombiningLock<T, P> {
         Self { wanted: AtomicBool::new(false), inside: Mutex::new(inside), plant }
     }
 
-    /// Says that there is work. The caller has written the work itself before.
+    /// Declares that there is work. The caller must have written the work itself before.
     pub fn want(&self) {
         // A swap, not a store: it continues the release sequence of earlier swaps, so the swap in `take` acquires all their work.
         self.wanted.swap(true, Ordering::AcqRel);
     }
 
-    /// The lock itself, unless another thread holds it. After dropping the guard the caller must [take](Self::take): work that
-    /// was wanted meanwhile was left to it.
+    /// The lock itself, unless another thread holds it. After it has dropped the guard, the caller must call
+    /// [`take`](Self::take), because other threads may have left work for it meanwhile.
     pub fn enter(&self) -> Option<MutexGuard<'_, T>> {
         try_lock(&self.inside)
     }

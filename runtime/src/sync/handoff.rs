@@ -1,15 +1,17 @@
 //! The hand-off between threads and one domain of communication tasks: a combining lock with an inbox (D39, D40, D186).
 //!
-//! A communication task is a data structure, run by the thread that brings input. Two ways lead to it:
+//! A communication task is a data structure, run by the thread that brings input. There are two ways to call
+//! it:
 //!
 //! - [`Handoff::deliver`] is for every thread. If the lock is free, the thread takes it and works for all (flat combining). If
 //!   not, it leaves the input in the [`Inbox`] and goes on. The holder rechecks the inbox after unlocking, so nothing stays
 //!   behind.
 //! - [`Handoff::enter_and`] is for the task's own thread, which needs the answer.
 //!
-//! The answer (`Completion`) is written under the lock, together with the word on which the task's thread [waits](Waiting). While the
-//! word says that the thread spins, others leave their input to it. It gets the input at once, and its communication task stays
-//! in the near cache of one core (D128). To a running thread they leave what may wait until it enters (D130).
+//! The answer (`Completion`) is written under the lock, together with the word on which the task's thread
+//! [waits](Waiting). While the word says that the thread spins, others leave their input to it. That thread finds the
+//! input at once, and its communication task stays in the near cache of one core (D128). For a running thread, others
+//! leave only input that may wait until it enters (D130).
 //!
 //! The shared part knows nothing of messages: it is generic over the [`Protected`], so that tests can explore its interleavings
 //! with a state machine of two states.
@@ -201,8 +203,9 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         (done, stopped)
     }
 
-    /// Sleeps until there is an answer, the node stops, or `deadline` (nanoseconds of the monotonic clock) passes. Wake-ups may
-    /// be spurious: the caller enters again and checks. False if there was something already.
+    /// Sleeps until there is an answer, the node stops, or `deadline` (nanoseconds of the monotonic clock) passes.
+    /// Wake-ups may be spurious, so the caller enters again and checks. Returns false, without sleeping, if there was
+    /// something already.
     pub fn sleep(&self, deadline: Option<u64>) -> bool {
         self.waiting.sleep(deadline, || self.has_left())
     }
@@ -217,9 +220,9 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         !self.inbox.is_empty()
     }
 
-    /// The task's thread spins for what ends its wait: `look` calls its argument as long as spinning pays. From the first call
-    /// on, others leave their input to this thread. `take_in` receives what may have come elsewhere. Returns whether there is
-    /// something.
+    /// Lets the task's thread spin until something ends its wait: `look` calls its argument as long as spinning pays.
+    /// From the first call on, others leave their input to this thread. `take_in` receives what may have come
+    /// elsewhere. Returns whether there is something.
     pub fn look(
         &self,
         mut take_in: impl FnMut() -> bool,
@@ -246,7 +249,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
     /// Input was left to the spinning thread: calls it.
     fn call_waiter(&self, effects: &mut S::Effects) {
         if !self.waiting.call_waiter() {
-            // It spins no longer, so it may have drained the inbox before this input came.
+            // The thread spins no longer, so it may have drained the inbox before this input came.
             self.second_look(effects);
         }
     }
@@ -263,7 +266,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         self.second_look(effects);
     }
 
-    /// The task's thread never enters again: others leave nothing to it from here on.
+    /// Notes that the task's thread will never enter again, so that from now on others leave no input for it.
     pub fn end(&self, effects: &mut S::Effects) {
         self.waiting.ready();
         self.second_look(effects);
@@ -276,7 +279,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
 
     /// Changes the protected state in a way that may lead to work, from any thread.
     pub fn visit(&self, visit: impl FnOnce(&mut S, &mut S::Effects), effects: &mut S::Effects) {
-        // Drain first: input in the inbox may lead to an answer, and only `work` marks the word.
+        // The inbox is drained first: its input may lead to an answer, and only `work` marks the word.
         self.second_look(effects);
         let mut core = lock(&self.core);
         visit(&mut core.protected, effects);

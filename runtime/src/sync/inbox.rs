@@ -34,7 +34,7 @@ impl<I> Inbox<I> {
         }
     }
 
-    /// An empty vector to [take](Self::take) into.
+    /// An empty vector for the inputs that [`take`](Self::take) takes.
     pub fn spare() -> Vec<I> {
         Vec::with_capacity(ROOM)
     }
@@ -88,9 +88,9 @@ impl<I> Inbox<I> {
         self.count.store(0, Ordering::Relaxed);
     }
 
-    /// The task's thread has entered, and works off what there is.
+    /// Notes that the task's thread has entered, and so takes all inputs that are there.
     pub fn come_in(&self) {
-        // Written only if needed, because others read the cache line.
+        // The flag is written only if it changes, because other threads read its cache line.
         if !self.comes_in.load(Ordering::Relaxed) {
             self.comes_in.store(true, Ordering::Relaxed);
         }

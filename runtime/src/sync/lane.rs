@@ -1,4 +1,5 @@
-//! A single-producer, single-consumer ring of fixed size, without locks and without waiting. What finds no room is not taken.
+//! A single-producer, single-consumer ring of fixed size, without locks and without waiting. A record that finds no
+//! room is not taken.
 //!
 //! A record is several slots in a row. They are filled one by one and published together ([`Fill::publish`]), so the consumer
 //! finds only whole records.
@@ -89,7 +90,8 @@ impl<const WORDS: usize, P: Plants<Plant>> Fill<WORDS, P> {
             crowded();
         }
         let room = self.lane.slots.len() - used;
-        // Only part of it, so that the next look comes early enough to report crowding.
+        // Only a part of the room is noted, so that the next look at `emptied` comes early enough to report
+        // crowding.
         self.free = self.at.wrapping_add(room.min(quarter.max(slots)));
         room >= slots
     }

@@ -1,9 +1,9 @@
-//! Leader and followers (D40). One thread at a time, of a task or of the futures, waits in the link itself and receives for the
-//! node. It finds its own answer without a wake-up; the others sleep on their words. A leader that stops hands nothing on: while
-//! no thread leads, the kernel tells the node's receiving thread of whatever comes.
+//! Leader and followers (D40). One thread at a time, of a task or of the futures, waits in the link itself and receives
+//! for the node. It finds its own answer without a wake-up; the others sleep on their words. A leader that stops need
+//! not inform another thread: while no thread leads, the kernel reports every datagram to the node's receiving thread.
 //!
-//! The kernel tells only the leader of what came meanwhile. So the leader takes that in before it checks whether its wait is
-//! over.
+//! While a thread leads, the kernel reports a datagram to that thread alone. So the leader receives the reported
+//! datagram before it checks whether its wait is over.
 
 use crate::sync::plant::{Plants, Sound};
 use crate::sync::{AtomicBool, Ordering};
@@ -48,7 +48,7 @@ pub(crate) struct Lead<P = Sound> {
 /// The bug that the explorers must find.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    /// A leader whose own wait is over leaves what the kernel told it of.
+    /// A leader whose own wait is over does not receive the datagram that the kernel reported to it.
     LeavesBlindly,
 }
 
@@ -64,8 +64,8 @@ impl<P: Plants<Plant>> Lead<P> {
         Self { taken: AtomicBool::new(false), plant }
     }
 
-    /// Waits in the link until `away` is called, unless another thread leads. `take_in` takes in what `wait` reported. It returns
-    /// false if another thread is taking in already, which then takes this in, too.
+    /// Waits in the link until `away` is called, unless another thread leads. `take_in` receives what `wait` reported.
+    /// It returns false if another thread is receiving already; that thread then receives this, too.
     pub fn wait(
         &self,
         away: &impl Away,

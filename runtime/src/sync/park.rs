@@ -55,8 +55,9 @@ impl<P: Plants<Plant>> Park<P> {
 
     /// The thread is about to poll all futures woken so far. A later call keeps it from waiting.
     pub fn begins(&self) {
-        // Only if called: a call that this load misses keeps the thread from waiting. A swap, not a store: its acquire pairs with
-        // the swap in `call`, so the thread sees what was written before the call.
+        // The word is swapped only if the thread was called. A call that this load misses keeps the thread from waiting
+        // later. It is a swap and not a store, because its acquire pairs with the swap in `call`, so the thread sees
+        // what was written before the call.
         if self.word.load() != RUNNING {
             self.word.swap(RUNNING);
         }

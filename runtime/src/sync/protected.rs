@@ -15,7 +15,8 @@ pub(crate) trait Protected {
     /// Takes one input. Returns an answer for the task, if there is one.
     fn feed(&mut self, input: Self::Input, effects: &mut Self::Effects) -> Option<Self::Completion>;
 
-    /// Takes what earlier inputs left inside of it. Called after each group of inputs that a thread works off for others.
+    /// Processes what earlier inputs left inside of the protected state. Called after each group of inputs that a
+    /// thread processes for others.
     fn work_inside(&mut self, effects: &mut Self::Effects) {
         let _ = effects;
     }
@@ -26,14 +27,14 @@ pub(crate) trait Protected {
 
 /// Wakes a task's thread that waits elsewhere than on its word.
 pub(crate) trait ThreadWaker: Send + Sync {
-    /// Ends the thread's present wait there, or else its next one.
+    /// Ends the thread's present wait; if it is not waiting, its next wait.
     fn wake(&self);
 }
 
 /// What the task's thread does once the lock is released.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Rest {
-    /// The thread runs, or will: it does not come back by itself.
+    /// The thread goes on running, so no instant is noted at which it comes back.
     No,
     /// The thread goes to sleep now, and comes back at the protected state's next expiry.
     Begins,
@@ -41,7 +42,7 @@ pub(crate) enum Rest {
     GoesOn,
 }
 
-/// What the task's own thread gets when it enters.
+/// The result for the task's own thread when it enters.
 #[derive(Debug)]
 pub(crate) struct Entry<M> {
     /// The answer, if it is there.

@@ -30,7 +30,7 @@ pub(crate) enum Plant {
     OnlyReads,
     /// A word is read and then cleared, in two steps.
     TakesInTwoSteps,
-    /// The thread says that it begins after it has taken the marks.
+    /// The thread declares itself running only after it has taken the marks, instead of before.
     BeginsLate,
 }
 
@@ -60,14 +60,16 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
         if self.plant.has(Plant::OnlyReads) && word.load(Ordering::Acquire) & bit != 0 {
             return;
         }
-        // Written even if the bit is set: so the thread that takes it sees what this waker wrote before.
+        // The bit is written even if it is set already, so that the thread that takes it sees what this waker
+        // wrote before.
         let before = word.fetch_or(bit, Ordering::AcqRel);
         if before & bit == 0 && !self.plant.has(Plant::CallsFirst) {
             self.park.call();
         }
     }
 
-    /// As [`wake`](Self::wake), from the thread of the futures itself: it polls them, so it need not be called.
+    /// As [`wake`](Self::wake), for the thread of the futures itself. That thread polls the futures, so it need
+    /// not be called.
     pub fn mark_own(&self, place: usize) {
         let word = &self.words[place / BITS].own;
         word.store(word.load(Ordering::Relaxed) | (1 << (place % BITS)), Ordering::Relaxed);
@@ -75,7 +77,8 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
 
     /// Polls each future that is ready, once, by `poll`.
     pub fn poll_ready(&self, mut poll: impl FnMut(usize)) {
-        // First, so that a call after any of the takes keeps the thread from waiting.
+        // The thread declares itself running before it takes any marks, so that a call after one of the takes
+        // keeps it from waiting.
         if !self.plant.has(Plant::BeginsLate) {
             self.park.begins();
         }
@@ -107,7 +110,8 @@ impl<P: Plants<Plant>> ReadyFutures<P> {
             word.store(0, Ordering::Release);
             return ready;
         }
-        // The swap only if needed. A mark that this load misses has called the thread, or is about to, and so keeps it awake.
+        // The word is swapped only if it has marks. The waker of a mark that this load misses has called the thread, or
+        // is about to, and so keeps it awake.
         if word.load(Ordering::Relaxed) == 0 { 0 } else { word.swap(0, Ordering::AcqRel) }
     }
 }

@@ -12,7 +12,8 @@ impl TaskWaker {
 
     /// From here on, a wake-up calls `waker`.
     pub fn listen(&self, waker: &Waker) {
-        // Dropped without the lock: the old one may own a future, whose end may lead here.
+        // The old waker is dropped without the lock: it may own a future, and dropping that future may call
+        // this function.
         let old = lock(&self.0).replace(waker.clone());
         drop(old);
     }

@@ -47,9 +47,9 @@ pub(crate) enum Plant {
     DropsWhenFull,
     /// A thread that has spun goes to sleep without checking the word again.
     SleepsBlindly,
-    /// A thread that left input to a spinning thread does not check whether that still spins.
+    /// A thread that left input for a spinning thread does not check whether that thread still spins.
     TrustsTheLook,
-    /// A thread that left input to a running thread does not check whether that still runs.
+    /// A thread that left input for a running thread does not check whether that thread still runs.
     TrustsTheRun,
     /// A thread that goes to sleep does not check for input left while it ran.
     SleepsOnIt,
@@ -117,16 +117,16 @@ impl<P: Plants<Plant>> Waiting<P> {
         self.word.0.load() == READY
     }
 
-    /// The thread enters, under the lock. It writes only if needed, because others read the word's cache line. A swap, because a
-    /// thread that spun may be called just now: the acquire pairs with the `replace` in `call_waiter`, so input left before it is
-    /// seen.
+    /// The thread enters, under the lock. It writes only if needed, because others read the word's cache line. It is a
+    /// swap, because another thread may call a thread that spun at this moment: the acquire pairs with the `replace` in
+    /// `call_waiter`, so this thread sees input that was left before it.
     pub fn comes_in(&self) {
         if !self.is_running() {
             self.word.0.swap(RUNNING);
         }
     }
 
-    /// Marks the word `READY`. It stays so until the thread enters: for ever, if the thread never does.
+    /// Marks the word `READY`. The word stays `READY` until the thread enters.
     pub fn ready(&self) -> Was {
         Was(self.word.0.swap(READY))
     }

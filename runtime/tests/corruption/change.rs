@@ -131,7 +131,7 @@ fn alter_request(request: &mut Request, random: &mut fastrand::Rng) {
     }
 }
 
-/// Other contents of the same length; one byte in place of none.
+/// Other contents of the same length; one byte instead of empty contents.
 fn other(bytes: &[u8], random: &mut fastrand::Rng) -> Contents {
     let mut bytes = if bytes.is_empty() { vec![0] } else { bytes.to_vec() };
     let at = random.usize(..bytes.len());

@@ -131,7 +131,7 @@ struct Count {
     made: usize,
     observable: usize,
     noticed: usize,
-    /// Changes that altered nothing observable, and that the replay noticed all the same.
+    /// The number of changes that altered nothing observable, but that the replay noticed all the same.
     besides: usize,
 }
 

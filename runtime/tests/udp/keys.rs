@@ -45,7 +45,7 @@ fn carried(from: &UdpLink, to: &UdpLink, numbers: std::ops::Range<u32>) -> Memor
 fn packets_wait_for_a_session_and_then_come_in_order() {
     let (a, b) = pair(&keys());
     assert!(a.has_keys() && !a.ready(B) && a.send(B, &[packet(1)]).is_err(), "no session yet");
-    // More than one call takes, so that the kernel cuts and merges.
+    // These are more packets than one call takes, so that the kernel cuts and merges datagrams.
     let at_b = carried(&a, &b, 1..400);
     let got = at_b.packets.lock().unwrap();
     let ids: Vec<_> = got.iter().map(|(from, packet, _)| (*from, packet.id)).collect();
@@ -60,7 +60,8 @@ fn a_packet_is_not_to_be_seen_and_a_repeated_or_plain_datagram_is_dropped() {
     let (a, b) = pair(&keys());
     carried(&a, &b, 1..2);
     let bytes = taken_on_its_way(&a, &b, packet(2));
-    // The 16 bytes in clear hold a counter, whose zeros are also those of an empty part of the packet.
+    // The first 16 bytes are in clear. They are left out of this search, because their counter has zeros, and
+    // so has an empty part of the packet.
     assert!(!bytes[16..].windows(8).any(|seen| encoded(2).windows(8).any(|sent| sent == seen)));
     let (at_b, forger) = (Memory::default(), raw_socket());
     let throw = |bytes: &[u8]| forger.send_to(bytes, b.local_address()).unwrap();
@@ -84,7 +85,7 @@ fn a_node_that_starts_again_is_heard() {
     carried(&a, &b, 1..5);
     let old = taken_on_its_way(&a, &b, packet(5));
     drop(a);
-    // Its incarnation is the same: it lost its state.
+    // The new link has the same incarnation, as if the node had lost its state.
     let a = link(A).with_keys(&keys[0]).unwrap();
     let (a, b) = introduced(a, b);
     a.greet();

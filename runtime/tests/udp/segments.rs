@@ -149,7 +149,7 @@ fn what_is_said_together_leaves_in_one_call_the_most_urgent_of_each_datagram_fir
     assert_eq!((a.count(UdpCount::DatagramsSent), a.count(UdpCount::SendsSaved)), (4, 3));
 }
 
-/// A leader gets one event, and must receive all datagrams that it stands for.
+/// The kernel gives a leader one event for several datagrams, and the leader must receive all of them.
 #[test]
 fn the_leader_takes_in_all_that_came_in_one() {
     let (a, b) = pair();

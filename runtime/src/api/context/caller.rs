@@ -25,7 +25,7 @@ pub(crate) struct Caller {
     /// The task's position in its domain.
     member: usize,
     effects: Effects,
-    /// What the thread receives with where it leads. Made when it first leads.
+    /// The buffers with which the thread receives while it leads. Made when it first leads.
     inlet: Option<Inlet>,
     /// The spin policy of the thread.
     policy: SpinPolicy,
@@ -40,7 +40,7 @@ pub(crate) struct Caller {
     pub atomic: bool,
     /// What the callers of the node's futures share, if this is one.
     answers: Option<Rc<RefCell<Answers>>>,
-    /// What is called when there is an answer for the future.
+    /// The waker that is called when there is an answer for the future.
     waker: Option<Waker>,
 }
 
@@ -201,7 +201,7 @@ impl Caller {
     /// to come from there, else asleep. `now` may be some time ago. `waited` says that the task has waited for this before.
     fn wait(&mut self, kind: Option<Kind>, now: Micros, until: Micros, waited: bool) {
         if self.effects.holds {
-            // What was sent must not wait while the task does.
+            // Packets that were sent must not be held while the task waits.
             self.hold(false);
             self.effects.holds = true;
         }
@@ -210,7 +210,7 @@ impl Caller {
         // A wait for a time alone, if it is to be exact, is on the word.
         let link = node.link.as_ref().filter(|_| !node.is_exact || kind.is_some());
         let leading = link.and_then(|link| link.leading());
-        // Set again by what the link brings, whichever thread takes it in.
+        // `by_link` is set again when the link brings something for the task, whichever thread receives it.
         let leading = leading.filter(|_| local.by_link.swap(false, Ordering::Relaxed));
         let handoff = &*local.handoff;
         let is_there = || handoff.is_called() || handoff.has_left();
@@ -239,12 +239,13 @@ impl Caller {
             }
         }
         let early = if until == clock::FAR { until } else { until.saturating_sub(node.spin_tail) };
-        // If `now` is so long ago that `early` has passed since, the kernel says so at once.
+        // If `early` has already passed since `now` was read, the kernel returns at once.
         if now < early {
             handoff.sleep(clock::nanos_of(early));
             return;
         }
-        // Unless the program asked for it, only a thread that has slept spins: brief waits must yield the core, too.
+        // Unless the program set the tail, a thread spins only after it has slept: a wait that is briefer than the
+        // tail must yield the core, too.
         if !waited && !node.is_exact {
             handoff.sleep(clock::nanos_of(until));
             return;
@@ -260,7 +261,8 @@ impl Caller {
         self.failed.get_or_insert(error);
     }
 
-    /// Takes back all outstanding requests, of handlers and of what they interrupted; members of a `waitfor` are told.
+    /// Cancels all outstanding requests, those of handlers and of the activations that they interrupted. Other members
+    /// of a `waitfor` get an ABORT.
     pub fn give_up(&mut self) {
         self.tell(Request::Abandon);
     }
@@ -294,7 +296,8 @@ impl Caller {
         self.still_alive(message, age)
     }
 
-    /// As [`in_hand`](Self::in_hand), for a message taken earlier: the fragments kept by now may be another message's.
+    /// As [`in_hand`](Self::in_hand), for a message that was taken earlier: the fragments that the communication task
+    /// keeps may belong to a later message by now.
     pub fn still_alive(&mut self, message: &Delivery, age: Ticks) -> Option<Delivery> {
         if message.budget > age {
             return Some(Delivery { budget: message.budget - age, ..*message });

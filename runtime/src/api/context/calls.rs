@@ -1,4 +1,5 @@
-//! The calls of a program, each written once: a thread waits in [`Calls::ask`], and a future awaits it.
+//! The calls of a program. Each is written once, for threads and futures: a thread blocks in [`Calls::ask`],
+//! and a future awaits it.
 
 use super::answers::{decoded, encoded, wrong_usage};
 use super::caller::Caller;
@@ -17,7 +18,7 @@ use std::time::Duration;
 /// How many bytes one packet carries.
 const PACKET: usize = CONTENTS_BYTES;
 
-/// The result of a call that does not wait, or whose wait is that of the calling thread.
+/// The result of a call that does not wait, or that blocks the calling thread instead of awaiting.
 pub(super) fn at_once<T>(call: impl Future<Output = Result<T, TaskError>>) -> Result<T, TaskError> {
     match pin!(call).poll(&mut Poller::from_waker(Waker::noop())) {
         Poll::Ready(result) => result,
@@ -143,7 +144,8 @@ pub(super) trait Calls {
     }
 
     async fn delayed(&mut self, length: Duration) -> Result<(), TaskError> {
-        // A handler may delay above a thread that delays: each depth has an id of its own, above those of timers.
+        // A handler may delay while the interrupted thread delays, too. So the delay at each depth of nesting has
+        // an id of its own, above the ids of timers.
         let request = Request::Delay { id: TimeId(u8::MAX - self.caller().depth), length: ticks(length) };
         match self.ask(request).await?.0 {
             Signal::TimeOut(_) => Ok(()),

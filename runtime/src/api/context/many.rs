@@ -60,7 +60,7 @@ impl<S> Context<S> {
         }
     }
 
-    /// Adds what was taken from the ports to what the program gets.
+    /// Adds the messages that were taken from the ports to the list that the program gets.
     fn hand_over(&mut self, taken: &[(Micros, Delivery)], messages: &mut Vec<Delivery>) {
         let now = if taken.is_empty() { 0 } else { clock::now() };
         for (at, message) in taken {
