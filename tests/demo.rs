@@ -111,8 +111,7 @@ fn told(args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
     said
 }
 
-/// Runs the beam lift in the same way. Runs it again if a node was suspended during a lift, or for longer than the
-/// others wait.
+/// Runs the beam lift in the same way. Runs it again if a node was suspended during a lift, or for longer than the others wait.
 fn lift_told<E: FnMut(&str) -> bool>(args: &[&str], is_enough: impl Fn() -> E) -> Said {
     for _ in 0..TIMES {
         let said = said_until(&[&["beam-lift"], args].concat(), is_enough());
@@ -253,8 +252,7 @@ fn begins(line: &str, action: &str) -> Option<(f64, String)> {
 
 #[test]
 fn of_two_that_change_the_speed_at_once_one_gives_way() {
-    // If the machine lets both robots ask at once, the times of their lines differ by a few milliseconds
-    // only.
+    // If the machine lets both robots ask at once, the times of their lines differ by a few milliseconds only.
     let (mut adapted, mut gave_way) = (Vec::new(), Vec::new());
     let said = told(&["belt-administrator", "--seed", "3"], |line| {
         adapted.extend(begins(line, "adapt"));

@@ -218,8 +218,7 @@ pub enum PortOptionKind {
     Resend(Duration),
     /// `penalty = 20 msec`, `penalty = paper 20 msec`
     Penalty {
-        /// Whether the option says `paper`: then each penalty also lengthens the message's time_out, as the paper says
-        /// literally (D4).
+        /// Whether the option says `paper`: each penalty then lengthens the message's time_out, as in the paper (D4).
         literal: bool,
         /// How long a rejected message waits until it is offered again.
         length: Duration,
@@ -337,8 +336,7 @@ pub enum StatementKind {
         into: Vec<Place>,
         /// The only sender from which it receives.
         from: Option<Name>,
-        /// How long the statement waits at most. If the task declares a time_out for the port, that limits the wait,
-        /// too. Without both the wait never ends.
+        /// The longest wait. The task's own time_out of the port is a limit, too. Without both it waits for ever.
         within: Option<Duration>,
     },
     /// `reply(args)` and `response(args)` answer the last message. `reply p(args) for t` answers an earlier one.
@@ -474,8 +472,7 @@ pub enum ExprKind {
     Not(Box<Expr>),
     /// `-x`
     Negate(Box<Expr>),
-    /// `x + y` and the like. The parser marks each operation as one on integers, because it does not know the
-    /// types yet.
+    /// `x + y` and the like. The parser marks each as an operation on integers, because it knows no types yet.
     Binary(Binary, Box<Expr>, Box<Expr>),
 }
 

@@ -387,8 +387,7 @@ impl World {
     fn answer(&mut self, i: usize) -> Result<(), Violation> {
         self.catch_up(i)?;
         let Some(to) = self.spec_states[i].serving.take() else { return Ok(()) };
-        // The answer repeats the contents of its command, so that a wrong assignment shows. These contents follow from
-        // the number of sends left.
+        // The answer repeats its command's contents, which follow from the sends left, so that a mix-up shows.
         let asked = self.spec_states[to.source.index()].left;
         let back = self.next_sequence(to.source.index()).steps_from(to.id.sequence).saturating_sub(1);
         let contents = question(asked.saturating_add(u8::try_from(back).unwrap_or(u8::MAX)));

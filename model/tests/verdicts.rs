@@ -269,8 +269,7 @@ fn statements_of_one_action_have_their_own_results() {
     assert_eq!(kinds(&wide), breaks);
 }
 
-/// A state without progress in which every question is answered must not hide another such state in which a question
-/// is not answered.
+/// A standstill in which every question is answered must not hide one in which a question is not.
 #[test]
 fn one_standstill_does_not_hide_another() {
     let text = |k: &str| {

@@ -63,8 +63,7 @@ struct Order<S> {
     #[serde(skip)]
     last: Option<Slot>,
     watch: Option<Watch<S>>,
-    /// Whether no entry was added since the queue was created or cleared. Then all slots are free, in their first
-    /// order.
+    /// Whether no entry was added since the queue was created or cleared. Then all slots are free, in their first order.
     #[serde(skip)]
     is_as_new: bool,
 }
@@ -378,14 +377,12 @@ impl<T: Entry> Queue<T> {
         if let Some(watch) = &mut order.watch {
             watch.due.clear();
         }
-        // The free list is reset, so that queues with equal entries give out the same slots from now on, whatever they
-        // held before.
+        // The free list is reset, so that equal queues give out the same slots, whatever they held before.
         order.free_all();
         order.last = None;
     }
 
-    /// Whether no entry was added since the queue was created or cleared. For a queue of one slot, this says whether
-    /// it is empty.
+    /// Whether no entry was added since the queue was made or cleared; in a queue of one slot, whether it is empty.
     fn is_as_new(&self) -> bool {
         match &self.order {
             Some(order) => order.is_as_new,

@@ -148,8 +148,7 @@ pub enum Ranked {
     Source(TaskId),
     /// The ends of all timers, except those that the `order` names earlier.
     Timers,
-    /// The end of this timer. Its own rank lets a timer that watches a port for silence rank next to that
-    /// port (D86).
+    /// The end of this timer. Its own rank lets a timer that watches a port for silence rank next to that port (D86).
     Timer(TimeId),
     /// The task's own thread: `self`.
     Own,

@@ -266,8 +266,7 @@ fn an_actuator_compares_epochs_across_their_wrap() {
     assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["nothing"]);
 }
 
-/// Every port of the couple drops messages of an older epoch. When a message of a newer epoch arrives, older ones that
-/// wait on any of these ports are dropped, too.
+/// Every port of the couple drops messages of an older epoch. A newer epoch drops those that wait on any of these ports, too.
 #[test]
 fn a_guard_is_of_the_couple_whichever_port_an_order_comes_through() {
     let mut cell = cell(false);

@@ -26,8 +26,7 @@ fn table(eviction: Eviction) -> NodeTable {
     NodeTable::new(Arc::new(CellTable::new(cell).expect("a checked cell")), NodeId(0))
 }
 
-/// The buffer's effects: notices to tasks that a copy never left, packets, and drops with the dropped packet's sequence
-/// number.
+/// The buffer's effects: notices to tasks that a copy never left, packets, and drops with the dropped packet's sequence number.
 #[derive(Default, Debug, PartialEq)]
 struct Out {
     unsent: Vec<(TaskId, u32)>,

@@ -397,8 +397,7 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// Parses a head: the part between a block's first keyword and its `then` or `do`. Skips the `then` or
-    /// `do`, too.
+    /// Parses a head: the part between a block's first keyword and its `then` or `do`. Skips the `then` or `do`, too.
     fn head<O>(&mut self, line: fn(&Self) -> &Line<'t, O>, from: usize, then: Word) -> Option<O> {
         // The word behind `on` may be the keyword of a statement: `on query`.
         let scan = if self.word(from - 1) == Some(Word::On) && self.kind(from) != Some(Kind::Semicolon) {

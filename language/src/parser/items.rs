@@ -279,8 +279,7 @@ impl Driver<'_> {
     fn is_option(&self, index: usize) -> bool {
         let opens = matches!(self.kind(index + 1), Some(Kind::Equal | Kind::BracketOpen));
         let known = self.word(index).is_some_and(|word| Word::OPTIONS.contains(&word));
-        // The keyword of an option begins a part even if its `=` is missing. But behind `=`, or in a list,
-        // the word is a name.
+        // The keyword of an option begins a part even if its `=` is missing. But behind `=`, or in a list, the word is a name.
         let before = self.kind(index.saturating_sub(1));
         let behind_value = !matches!(
             before,

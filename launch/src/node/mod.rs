@@ -299,8 +299,7 @@ impl Process {
         drop(self.runtime.take().map(|runtime| runtime.stop(PATIENCE)));
         self.tell()?;
         self.count()?;
-        // The recording is stopped after the counters were sent, because these must reach the launcher even if the disk
-        // takes longer than the launcher waits.
+        // The recording stops after the counters were sent, which must reach the launcher even if the disk is slow.
         self.unrecorded = self.recording.take().and_then(|recording| recording.stop(PATIENCE));
         if self.unrecorded.is_some() {
             self.count()?;

@@ -93,8 +93,7 @@ pub(super) struct RunState {
     dead: Vec<Dead>,
     /// Scratch buffer for the variables before a move: those of each task, and which of them are dead.
     before: Before,
-    /// The state that was packed last. The buffer is kept, so that the next state is packed without
-    /// allocating.
+    /// The state that was packed last. The buffer is kept, so that the next state is packed without allocating.
     packed: Vec<u8>,
 }
 

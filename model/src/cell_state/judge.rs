@@ -393,8 +393,7 @@ impl CellState {
     /// Judges a node's step: its transit buffer must not keep a status and drop a command for lack of space (D60).
     ///
     /// Each step offers the buffer one packet (several only if retransmissions are due at a tick, and these are
-    /// commands). So every status that the buffer holds or has sent after the step was in it when it dropped the
-    /// command.
+    /// commands). So every status that the buffer holds or has sent after the step was in it when it dropped the command.
     pub(super) fn judge_step(&self, i: usize, effects: &[Effect]) -> Result<(), Violation> {
         if !self.plan.watches(CellProperty::Eviction) {
             return Ok(());

@@ -108,8 +108,7 @@ pub(crate) struct CellState {
     /// For each port, how far `rounds` has moved from the first round, at most [`FAR_BEHIND`]. Counted only in a cell
     /// whose nodes may restart.
     pub behind: Vec<u8>,
-    /// The steps that scripts took, for the checker of cells, which goes on after a script's end; `None` in
-    /// other searches.
+    /// The steps that scripts took, for the checker of cells, which goes on after a script's end; `None` in other searches.
     pub turns: Option<Vec<script::ScriptReaction>>,
     /// Whether inputs of a node's tasks queue, so that the search takes them in every order (D170).
     orders: bool,

@@ -214,8 +214,7 @@ pub enum CellProperty {
     OneActive,
     /// A task that has received an order of one epoch executes none of an older one (D61). Orders carry an epoch.
     FencedOrders,
-    /// This goal must be reachable, because otherwise the other properties hold vacuously. The search looks for a
-    /// counterexample to "the goal is never reached".
+    /// The search must reach this goal, as a counterexample to "never"; otherwise the other properties hold vacuously.
     Reach(Goal),
 }
 
@@ -275,8 +274,7 @@ pub struct CellScenario {
     pub jumps: bool,
     /// For each node, how many ticks its clock is ahead.
     pub clocks: Vec<u64>,
-    /// The first epoch of couples and their actuators: even. A restarted node begins with the state machine's
-    /// own first epoch.
+    /// The first epoch of couples and their actuators: even. A restarted node begins with the machine's own.
     pub epoch: u8,
     /// A mask of the nodes that are left out: they are down for ever, and neither they nor their tasks are packed.
     pub(crate) left_out: u64,

@@ -272,8 +272,7 @@ impl<'t> Replay<'t> {
         Ok(())
     }
 
-    /// Whether the cell has all tasks and ports that an input names. A running node drops other packets before its
-    /// tasks take them.
+    /// Whether the cell has all tasks and ports of an input. A running node drops other packets earlier.
     pub(super) fn knows(&self, input: &Input) -> bool {
         match input {
             Input::Packet(packet) => {

@@ -1,17 +1,15 @@
 //! The hand-off between threads and one domain of communication tasks: a combining lock with an inbox (D39, D40, D186).
 //!
-//! A communication task is a data structure, run by the thread that brings input. There are two ways to call
-//! it:
+//! A communication task is a data structure, run by the thread that brings input. There are two ways to call it:
 //!
 //! - [`Handoff::deliver`] is for every thread. If the lock is free, the thread takes it and works for all (flat combining). If
 //!   not, it leaves the input in the [`Inbox`] and goes on. The holder rechecks the inbox after unlocking, so nothing stays
 //!   behind.
 //! - [`Handoff::enter_and`] is for the task's own thread, which needs the answer.
 //!
-//! The answer (`Completion`) is written under the lock, together with the word on which the task's thread
-//! [waits](Waiting). While the word says that the thread spins, others leave their input to it. That thread finds the
-//! input at once, and its communication task stays in the near cache of one core (D128). For a running thread, others
-//! leave only input that may wait until it enters (D130).
+//! The answer (`Completion`) is written under the lock, together with the word on which the task's thread [waits](Waiting). While
+//! the word says that the thread spins, others leave their input to it. It finds the input at once, and its communication task
+//! stays in one core's cache (D128). For a running thread they leave only input that may wait until it enters (D130).
 //!
 //! The shared part knows nothing of messages: it is generic over the [`Protected`], so that tests can explore its interleavings
 //! with a state machine of two states.
@@ -203,9 +201,8 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         (done, stopped)
     }
 
-    /// Sleeps until there is an answer, the node stops, or `deadline` (nanoseconds of the monotonic clock) passes.
-    /// Wake-ups may be spurious, so the caller enters again and checks. Returns false, without sleeping, if there was
-    /// something already.
+    /// Sleeps until there is an answer, the node stops, or `deadline` (nanoseconds of the monotonic clock) passes. Wake-ups may
+    /// be spurious, so the caller enters again and checks. Returns false, without sleeping, if there was something already.
     pub fn sleep(&self, deadline: Option<u64>) -> bool {
         self.waiting.sleep(deadline, || self.has_left())
     }
@@ -220,7 +217,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         !self.inbox.is_empty()
     }
 
-    /// Lets the task's thread spin until something ends its wait: `look` calls its argument as long as spinning pays.
+    /// Spins until something ends the wait of the task's thread: `look` calls its argument as long as spinning pays.
     /// From the first call on, others leave their input to this thread. `take_in` receives what may have come
     /// elsewhere. Returns whether there is something.
     pub fn look(
@@ -266,7 +263,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         self.second_look(effects);
     }
 
-    /// Notes that the task's thread will never enter again, so that from now on others leave no input for it.
+    /// Notes that the task's thread never enters again: others leave no input for it any more.
     pub fn end(&self, effects: &mut S::Effects) {
         self.waiting.ready();
         self.second_look(effects);

@@ -206,9 +206,8 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// Whether a move may come while inputs wait in a node: an action whose end was chosen for now, or a packet that
-    /// has no fault or has another packet behind it. For all other actions and packets the choosers decide when no
-    /// input waits.
+    /// Whether a move may come while inputs wait in a node: an action whose end was chosen for now, or a packet that has no
+    /// fault or has another packet behind it. For all other actions and packets the choosers decide when no input waits.
     fn comes_now(&self, run_state: &RunState, who: Who) -> bool {
         match who {
             Who::Input(_) => true,

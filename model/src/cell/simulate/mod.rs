@@ -204,8 +204,7 @@ impl Simulator {
         all
     }
 
-    /// Adds the findings of a run to the groups of equal findings. A run that shows the same finding at
-    /// several tasks counts once.
+    /// Adds a run's findings to the groups of equal findings. A run with one finding at several tasks counts once.
     fn gather(
         &self,
         groups: &mut Vec<Group>,
@@ -250,8 +249,7 @@ impl Simulator {
             }
         };
         side_by_side((0..self.jobs as u64).take(count as usize), work);
-        // If a run was stopped, the runs of later seeds are dropped, so that the answer covers seeds without
-        // a gap.
+        // If a run was stopped, the runs of later seeds are dropped, so that the answer covers seeds without a gap.
         done.into_iter().map_while(OnceLock::into_inner).collect()
     }
 
