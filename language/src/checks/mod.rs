@@ -23,7 +23,7 @@ use crate::diagnostic::Diagnostic;
 use crate::hir::{Hir, Task};
 use imrs_protocol::TaskId;
 
-/// A shorter time_out, in ticks, can be lost to the lateness of timers alone (D42).
+/// The least time_out in ticks. A shorter one can be used up by the lateness of timers alone (D42).
 const LEAST_TICKS: u64 = 4;
 
 /// All findings in a cell whose names and types are right, in the order of the text. With `paper` a `waitfor` needs no

@@ -9,7 +9,8 @@ pub(super) struct Emitter {
     pub spans: Vec<Span>,
     /// The span of the operations that come next.
     pub at: Span,
-    /// The aborts to which the current thread jumps. [`flush`](Self::flush) emits them behind that thread.
+    /// The `abort` operations to which the current thread jumps. [`flush`](Self::flush) emits them behind
+    /// that thread.
     aborts: Vec<(Label, String, Span)>,
 }
 

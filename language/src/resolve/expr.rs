@@ -265,7 +265,7 @@ fn to_real(value: Typed) -> Typed {
     unary(Term::ToReal, Type::Real, value, span)
 }
 
-/// The value if it is a bool, as `if` needs it; else reports it.
+/// The expression of a value, if the value is a bool, as an `if` needs it; any other type is reported.
 pub(super) fn truth(leaves: &mut impl Leaves, value: Typed, of: &str) -> Option<Typed> {
     if value.of == Type::Bool {
         return Some(value);
@@ -323,7 +323,7 @@ fn mismatch(message: &str, span: Span, label: &str) -> Diagnostic {
     Diagnostic::error(TYPES, span, message).label(label)
 }
 
-/// How to get a bool from a number, and a number from a bool.
+/// The advice how to get a bool from a number, or a number from a bool.
 const fn other_kind(wanted: Type) -> &'static str {
     match wanted {
         Type::Bool => "a number is compared to get a bool: `x <> 0`",

@@ -9,7 +9,8 @@ use crate::span::Span;
 use imrs_protocol::{Class, Usage};
 
 impl<'a> Resolver<'a> {
-    /// The options of a declaration. Reports options that are given twice, and a user's that belong to the owner.
+    /// The options of a declaration. Reports options that are given twice, and options of a user that only the
+    /// owner may give.
     pub(super) fn options(&mut self, decl: &'a PortDecl) -> Options<'a> {
         let mut options = Options::default();
         let mut seen: Vec<(&'static str, Span)> = Vec::new();

@@ -216,7 +216,7 @@ fn what_a_body_receives_is_answered_on_every_path() {
         "loop receive q(n) within 20 msec on time_out do skip; end; response() on failed do skip; end; end;",
         "receive q(n); if n > 3 then abort \"too many\"; end; response();",
         "loop receive q(n); exit; end; response(); receive go(); reply();",
-        // The body answers a message that was received last in one iteration in the next one.
+        // The message that the body receives at the end of one iteration is answered in the next iteration.
         "receive q(n); loop response(); receive q(n); end;",
     ] {
         assert_eq!(forgets(whole), [""; 0], "{whole}");

@@ -277,7 +277,7 @@ impl Tally {
         self.members.iter().enumerate().any(|(place, m)| of & 1 << place != 0 && m.announced > round)
     }
 
-    /// Whether a node of one of the members in `of` was down when the round began.
+    /// Whether the node of one of the members in `of` was down when the round began.
     fn buried(&self, meeting: &Meeting, of: u64) -> bool {
         let dead = |m: &Member| {
             m.died.is_some_and(|death| {

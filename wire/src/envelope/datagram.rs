@@ -13,7 +13,7 @@ pub struct Datagram {
     bytes: [u8; MAX_DATAGRAM_BYTES],
     /// At most [`MAX_PACKETS`].
     packets: u8,
-    /// What keys have closed.
+    /// The encrypted datagram, if keys are used.
     closed: Option<Box<Closed>>,
 }
 

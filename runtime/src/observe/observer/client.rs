@@ -98,7 +98,7 @@ impl Client {
         matches!(self.state, State::Idle | State::Subscribed(_))
     }
 
-    /// Since when the monitor has read nothing or wanted nothing, if that is at least [`IDLE`], so that it
+    /// Since when the monitor has read nothing or wanted nothing, if that is at least `IDLE`, so that it
     /// must make room for another monitor.
     pub fn idle_since(&self, now: Instant) -> Option<Instant> {
         let is_idle = self.is_served() && !self.is_active();
