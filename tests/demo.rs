@@ -104,7 +104,7 @@ fn said_until(args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
     run_until(dir.path(), &[&["demo", "--for", "5min"], args].concat(), is_enough)
 }
 
-/// The same for a demo that must end well.
+/// Runs a demo until `is_enough` holds, and expects that it ends well.
 fn told(args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
     let said = said_until(args, is_enough);
     assert!(said.is_well(), "{said:?}");

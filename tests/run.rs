@@ -76,7 +76,7 @@ impl Bench {
         Self::of(RELAYED)
     }
 
-    /// The same cell with time_outs of so many seconds.
+    /// The cell of `new`, with time_outs of so many seconds.
     pub fn that_waits(seconds: u32) -> Self {
         Self::of(&RELAYED.replace("time_out = 600 sec", &format!("time_out = {seconds} sec")))
     }

@@ -33,7 +33,7 @@ pub struct Round {
 pub struct Measured {
     /// The name of the case.
     pub name: String,
-    /// What it measures.
+    /// What the case measures.
     pub about: &'static str,
     /// Whether threads of it work on two processors at once.
     pub on_two: bool,
@@ -86,11 +86,11 @@ impl Spread {
 /// The results of a suite.
 #[derive(Clone, Debug)]
 pub struct Results {
-    /// Its name.
+    /// The suite's name.
     pub suite: &'static str,
-    /// Its cases.
+    /// The results of the suite's cases.
     pub cases: Vec<Measured>,
-    /// Its rows.
+    /// The outcomes of the suite's goals.
     pub rows: Vec<Outcome>,
 }
 

@@ -44,7 +44,7 @@ pub struct Outcome {
     pub ratio: Option<Spread>,
     /// How far apart the two processors were in these rounds, if the row is of two.
     pub apart: Option<Apart>,
-    /// How many rounds count.
+    /// From how many rounds the ratios come.
     pub rounds: usize,
     /// How often the row was measured again.
     pub again: u32,

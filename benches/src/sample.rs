@@ -50,7 +50,7 @@ impl Sample {
         Self::default().with(count)
     }
 
-    /// The same sample with this count.
+    /// The same sample, with this number as its count.
     #[must_use]
     pub const fn with(mut self, count: f64) -> Self {
         self.count = Some(count);

@@ -6,9 +6,9 @@ use std::fmt;
 /// How much work each case does in a round.
 #[derive(Clone, Copy, Debug)]
 pub enum Effort {
-    /// This share of a full round.
+    /// Each case does this share of the operations of a full round.
     Share(f64),
-    /// This many operations, whatever a full round has.
+    /// Each case does this many operations, however many a full round has.
     Times(u32),
 }
 
@@ -39,9 +39,9 @@ pub type Run = Box<dyn Fn(Effort) -> Sample>;
 
 /// A named measurement.
 pub struct Case {
-    /// Its name: the subject, a slash, the operation.
+    /// The case's name: the subject, a slash, the operation.
     pub name: String,
-    /// What exactly is measured.
+    /// What exactly the case measures.
     pub about: &'static str,
     /// Measures once.
     pub run: Run,
@@ -90,7 +90,7 @@ impl Stat {
         }
     }
 
-    /// Its name in tables.
+    /// The name of the statistic in tables.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -106,9 +106,9 @@ impl Stat {
 /// What a case is compared with.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Against {
-    /// The same statistic of another case.
+    /// The subject's statistic is compared with the same statistic of another case.
     Case(String),
-    /// Another statistic of the same case.
+    /// The subject's statistic is compared with another statistic of the same case.
     Itself(Stat),
     /// The same statistic of another case. The difference of the two, divided by this number of steps, is bounded.
     Above(String, u32),
@@ -164,7 +164,7 @@ pub struct Row {
     pub what: String,
     /// The case.
     pub subject: String,
-    /// Its peer or baseline.
+    /// The peer or baseline that the case is compared with.
     pub against: Against,
     /// The statistic of both.
     pub stat: Stat,
@@ -226,7 +226,7 @@ impl Row {
         self
     }
 
-    /// Whether it needs this case.
+    /// Whether the goal needs this case.
     #[must_use]
     pub fn has(&self, case: &str) -> bool {
         self.subject == case || self.other() == Some(case)
@@ -245,7 +245,7 @@ impl Row {
 /// Cases that are measured in turns, and the goals for their ratios.
 #[derive(Default)]
 pub struct Suite {
-    /// Its name.
+    /// The suite's name.
     pub name: &'static str,
     /// The cases, measured in turns: A B C A B C.
     pub cases: Vec<Case>,

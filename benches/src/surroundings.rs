@@ -19,9 +19,9 @@ const TICK: Duration = Duration::from_millis(10);
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Apart {
-    /// As two threads of one core are.
+    /// The processors are as close as two threads of one core.
     Near,
-    /// As two cores are.
+    /// The processors are as far apart as two cores.
     Far,
 }
 

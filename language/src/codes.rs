@@ -5,7 +5,7 @@
 pub struct CodeEntry {
     /// `E005`
     pub code: &'static str,
-    /// What it is about, in a few words.
+    /// What the code is about, in a few words.
     pub title: &'static str,
     /// The page, in Markdown.
     pub explanation: &'static str,

@@ -96,7 +96,7 @@ pub struct Node {
 /// A link.
 #[derive(Clone, Debug)]
 pub struct Link {
-    /// One end.
+    /// The node at one end.
     pub a: NodeId,
     /// The node at the other end.
     pub b: NodeId,
@@ -336,7 +336,7 @@ pub enum Trigger {
         /// The condition; none means that it always holds.
         when: Option<Expr>,
     },
-    /// This timer expired.
+    /// The handler runs when this timer has expired.
     Expiry(TimeId),
     /// The lease was lost (D61).
     Fence,

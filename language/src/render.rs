@@ -11,7 +11,7 @@ use serde::Serialize;
 pub enum Style {
     /// ANSI colours.
     Coloured,
-    /// None.
+    /// Text without colours.
     Plain,
 }
 

@@ -143,7 +143,7 @@ pub struct Event {
     pub port: PortId,
     /// The round of the rendezvous.
     pub round: Round,
-    /// What happened.
+    /// What happened to the task at the waitfor.
     pub what: What,
 }
 
@@ -153,7 +153,7 @@ pub struct Event {
 pub enum What {
     /// The task's arrival in this round was announced.
     Announced,
-    /// All members have arrived, and the task goes on.
+    /// All members of the rendezvous have arrived, and the task goes on.
     Released,
     /// The task's time_out ended before all had arrived.
     GaveUp {

@@ -33,7 +33,7 @@ pub enum Note {
         tick: u32,
         /// The number of the lane in which the event stands.
         lane: usize,
-        /// What happens.
+        /// What happens in the lane, in words.
         text: String,
         /// The line of the cell's source text to which the event belongs, from 1.
         #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -60,7 +60,7 @@ pub enum Note {
     Remark {
         /// Ticks since the start.
         tick: u32,
-        /// What happens.
+        /// What happens, in words.
         text: String,
     },
 }

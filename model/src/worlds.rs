@@ -142,7 +142,7 @@ impl Exchange {
     /// The scenario of this exchange.
     ///
     /// # Errors
-    /// What is wrong with the declaration.
+    /// The errors of the cell's declaration.
     pub fn scenario(&self) -> Result<Arc<Scenario>, Vec<CellError>> {
         let mut cell = mesh(2, u64::from(self.delay), Ticks(1));
         cell.rules = self.rules;

@@ -57,7 +57,7 @@ pub enum Request {
     Get {
         /// One port; `None` chooses among all ports without a handler.
         port: Option<PortId>,
-        /// One sender; `None` takes a message of any.
+        /// The sender whose messages suit; `None` takes a message of any sender.
         source: Option<TaskId>,
         /// How long to wait; `None` waits without a limit.
         time_out: Option<Ticks>,
@@ -88,7 +88,7 @@ pub enum Request {
     Handle {
         /// The port, which the task must have with usage `receive` or `response`.
         port: PortId,
-        /// Whether it has a handler from here on.
+        /// Whether the task has a handler for the port from here on.
         handled: bool,
     },
     /// DELAY: the running activation sleeps. Answered by [`Signal::TimeOut`] (§5.1.2).
@@ -234,9 +234,9 @@ impl ServiceOrder {
 pub struct ReplyTo {
     /// The port it came through.
     pub port: PortId,
-    /// Its sender.
+    /// The sender of the received message.
     pub source: TaskId,
-    /// Its id.
+    /// The received message's id.
     pub id: MessageId,
 }
 
@@ -382,7 +382,7 @@ pub enum Signal {
     Message(Delivery),
     /// A GET ended without a message.
     Nothing,
-    /// All members have arrived.
+    /// All members of the rendezvous have arrived.
     Released {
         /// The port.
         port: PortId,

@@ -13,11 +13,11 @@ use crate::ticks::Ticks;
 /// What to do with a packet that came in over a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Arrival {
-    /// It is for this task of this node.
+    /// The packet is for this task of this node.
     Local(TaskId, Packet),
     /// It is for another node and goes into the transit buffer.
     Relay(Packet),
-    /// It is dropped.
+    /// The packet is dropped, for this reason.
     Discard(Reason, Packet),
 }
 

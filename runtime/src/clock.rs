@@ -114,7 +114,7 @@ pub(crate) fn suspended() -> Micros {
     u64::try_from(AHEAD.load(Ordering::Relaxed)).unwrap_or_default() / NANOS_PER_MICRO
 }
 
-/// As [`suspended`], after a new measurement.
+/// Measures anew, and returns what [`suspended`] returns then.
 pub(crate) fn look_for_suspend() -> Micros {
     ahead();
     suspended()

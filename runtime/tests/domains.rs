@@ -13,7 +13,7 @@ use std::task::{Context, Wake, Waker};
 
 const QUESTIONS: u64 = 100;
 
-/// Another waker than the executor's, which it calls.
+/// A waker that is not the executor's; it calls the executor's waker.
 struct Between {
     waker: Waker,
     calls: Arc<AtomicU32>,

@@ -43,7 +43,7 @@ pub fn table(cell: Cell) -> Arc<CellTable> {
 
 /// The longest contents that fit in one packet.
 pub const FULL: [u8; 12] = [7; 12];
-/// One number, in the layout of the scripts here.
+/// Contents that hold one number, in the layout of the scripts here.
 pub const NUMBER: [u8; 4] = [7; 4];
 
 /// A asks B, by `send` (class 2) or by `query`.
@@ -95,7 +95,7 @@ pub async fn ask_as_future(ctx: &mut AsyncContext, times: u32, group: u32) -> Re
     Ok(Sample::of(nanos, group))
 }
 
-/// As [`answer`], in a task that is a future.
+/// Does what [`answer`] does, in a task that is a future.
 pub async fn answer_as_future(mut ctx: AsyncContext) -> Result<(), TaskError> {
     while let Some(message) = ctx.receive(Some(ASK), None).await? {
         ctx.reply(&message.from, message.contents.as_bytes())?;

@@ -31,11 +31,11 @@ const PERIOD_US: u32 = 100_000;
 /// The monitors of a case.
 #[derive(Clone, Copy)]
 enum Crowd {
-    /// None, and the node has no socket for them.
+    /// No monitor, and the node has no socket for monitors.
     Nobody,
-    /// None, but the node listens.
+    /// No monitor, but the node listens for monitors.
     Empty,
-    /// This many, which read everything.
+    /// This many monitors, which read everything.
     Readers(usize),
     /// One, which never reads.
     Stopped,

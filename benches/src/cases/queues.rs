@@ -19,9 +19,9 @@ const SIZES: [(u16, &str); 3] = [(16, "16"), (1_000, "1k"), (MOST, "65k")];
 
 /// An entry with the key and the size of a packet.
 pub struct Waiting {
-    /// What it is ordered by.
+    /// Entries are ordered by their deadlines.
     pub deadline: u64,
-    /// Which of equals is first.
+    /// Of entries with equal deadlines, the one with the least number is first.
     pub number: u64,
     /// The rest.
     pub packet: [u64; 4],

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 
 /// How many messages wait in front of the urgent one.
 pub const BEHIND: u16 = 1_024;
-/// How long the receiver works for one of them.
+/// How long the receiver works for one of the messages that wait.
 const SERVICE: Duration = Duration::from_micros(2);
 /// How many messages of one sender may be in flight at once.
 pub const WINDOW: u64 = 256;

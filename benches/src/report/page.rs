@@ -15,7 +15,7 @@ const END: &str = "<!-- measured: end -->";
 /// Why the page was not updated.
 #[derive(Debug, thiserror::Error)]
 pub enum PageError {
-    /// It cannot be read or written.
+    /// The page cannot be read or written.
     #[error("cannot renew {path}: {source}")]
     File {
         /// The page.

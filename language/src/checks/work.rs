@@ -32,7 +32,7 @@ pub(super) fn of(hir: &Hir, task: TaskId, port: PortId) -> Work {
     Work { least: search(false), slow: search(true) }
 }
 
-/// One search for the quickest path.
+/// One search for the quickest path from a message to its answer.
 #[derive(Clone, Copy)]
 struct Search<'h> {
     hir: &'h Hir,

@@ -133,6 +133,6 @@ pub struct NodeSummary {
 pub struct Outcome {
     /// Whether the demo's promise was kept; `None` if it was not put to the test.
     pub held: Option<bool>,
-    /// What happened, in sentences.
+    /// What happened in the demo, in sentences.
     pub words: Vec<String>,
 }

@@ -45,7 +45,7 @@ enum Entry {
 /// A line of a run, for people.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Line {
-    /// When, in microseconds since the run began.
+    /// When it happened, in microseconds since the run began.
     pub at: u64,
     /// The content of the line.
     pub what: Telling,

@@ -30,7 +30,7 @@ pub struct Ended<'a> {
 /// How a run is judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// Nothing is wrong, and everything could be judged.
+    /// Nothing went wrong in the run, and every check could be judged.
     Well,
     /// A promise was broken, or something other than the launcher killed a node.
     Finding,

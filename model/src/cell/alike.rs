@@ -29,7 +29,8 @@ fn repeats(plan: &CellPlan, first: &Finding, other: &Finding) -> bool {
         && is_alike(plan, (one, &first.cause), (two, &other.cause))
 }
 
-/// The same for findings of runs, whatever their faults.
+/// Whether two findings of runs are the same, at the same statement of two tasks with the same program, whatever the
+/// runs' faults.
 pub(super) fn shows_alike(plan: &CellPlan, first: &Shown, other: &Shown) -> bool {
     let (Some(one), Some(two)) = (first.task, other.task) else { return false };
     let [one, two] = [one, two].map(TaskId::from_index);

@@ -20,9 +20,9 @@ const QUEUE_LIMIT: usize = 64;
 /// A node after a step.
 #[derive(Clone, Debug)]
 pub struct NodeFrame {
-    /// Its incarnation.
+    /// The node's incarnation.
     pub incarnation: Incarnation,
-    /// Its state; `None` while it is down.
+    /// The node's state; `None` while the node is down.
     pub snapshot: Option<Snapshot>,
     /// Observations of the step: at a task, or at the transit buffer (`None`).
     pub observed: Vec<(Option<TaskId>, Observation)>,
@@ -45,7 +45,7 @@ pub struct Scene {
     /// Whether the step stands out: it has a fault, a packet that does not simply arrive, or a script that ends badly, or it is
     /// the last.
     pub odd: bool,
-    /// What happened, in order.
+    /// What happened in the step, in order.
     pub happened: Vec<Shows>,
     /// What each task does after the step, by position of the task.
     pub tasks: Vec<TaskView>,

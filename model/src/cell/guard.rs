@@ -77,7 +77,7 @@ impl AddAssign for Agreement {
 /// A difference between the search and the cell that is never packed.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Disagreement {
-    /// What differs.
+    /// What differs between the two, in words.
     pub what: String,
     /// The moves that lead to it.
     pub moves: Vec<CellMove>,

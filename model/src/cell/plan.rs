@@ -9,7 +9,7 @@ use std::sync::Arc;
 /// What a task does.
 #[derive(Clone, Debug)]
 pub enum Conduct {
-    /// It runs a program.
+    /// The task runs a program.
     Program {
         /// The program, its durations in ticks.
         program: Arc<Program>,
@@ -111,9 +111,9 @@ pub enum Holds {
 /// A check of the cell.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct CellCheck {
-    /// Its name.
+    /// The check's name.
     pub name: String,
-    /// What it demands.
+    /// What the check demands.
     pub holds: Holds,
 }
 
@@ -155,7 +155,7 @@ pub enum Times {
 impl Times {
     /// The most states that finer times may take without faults before coarser ones are tried.
     pub const AUTO_STATES: u64 = 30_000;
-    /// The same with faults.
+    /// The most states that finer times may take with faults, before coarser ones are tried.
     pub const AUTO_STATES_WITH_FAULTS: u64 = 8_000;
 }
 
@@ -293,9 +293,9 @@ pub(super) fn about(term: &Term) -> Option<usize> {
 /// An independent part of a cell: nodes that no packet and no check connects with the others.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct Part {
-    /// Its position among the parts of the cell.
+    /// The part's position among the parts of the cell.
     pub number: usize,
-    /// Its nodes, as a bit set.
+    /// The part's nodes, as a bit set.
     pub nodes: u64,
     pub checks: Vec<bool>,
 }

@@ -143,7 +143,7 @@ impl Reader {
             | Event::WithinMargin
             | Event::GaveUp => self.sent.get(&named).copied().or(before),
             Event::Rejoined => {
-                // The same wait goes on in another round.
+                // The task goes on with the same wait, in another round.
                 if let Some(at) = before {
                     self.sent.insert(named, at);
                 }

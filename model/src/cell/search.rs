@@ -98,7 +98,7 @@ pub fn check_cell_and_tell(plan: &Arc<CellPlan>, progress: &dyn SearchProgress) 
     conclude(plan, done, (outside, is_open))
 }
 
-/// The same plan with other event times.
+/// A copy of the plan with other event times.
 pub(super) fn timed(plan: &Arc<CellPlan>, times: Times) -> Arc<CellPlan> {
     Arc::new(CellPlan { times, ..CellPlan::clone(plan) })
 }

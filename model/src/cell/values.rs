@@ -19,7 +19,7 @@ pub struct Tried {
     pub real: Vec<f32>,
     /// Values beyond the limit, which are not tried.
     pub left_out: Vec<i64>,
-    /// The same for reals.
+    /// Values of reals beyond the limit, which are not tried.
     pub real_left_out: Vec<f32>,
 }
 

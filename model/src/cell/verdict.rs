@@ -126,7 +126,7 @@ pub struct Finding {
     pub couple: Option<usize>,
     /// The other tasks that it concerns.
     pub others: Vec<Concerned>,
-    /// One line in the cell's words.
+    /// The cause of the finding, one line in the cell's words.
     pub cause: String,
     /// Ticks from the start to the finding.
     pub at_ticks: u64,
@@ -259,13 +259,13 @@ impl Verdicts {
 /// A task after a step.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskView {
-    /// Whether its node runs.
+    /// Whether the task's node runs.
     pub up: bool,
     /// The operation in which it waits.
     pub at: Address,
     /// What the task does, in words.
     pub does: String,
-    /// Its variables, in the program's order.
+    /// The task's variables, in the program's order.
     pub variables: Vec<i64>,
     /// The task's ports, each with the number of waiting messages.
     pub queues: Vec<(PortId, u16)>,
@@ -280,7 +280,7 @@ pub struct Step {
     pub tick: u64,
     /// The move.
     pub step: CellMove,
-    /// What it shows in a chart.
+    /// What the move shows in a chart.
     pub notes: Vec<Note>,
     /// The tasks after it, by position.
     pub tasks: Vec<TaskView>,

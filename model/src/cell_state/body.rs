@@ -9,14 +9,14 @@ use imrs_protocol::{
 /// What an activation of a task is doing.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) enum Does {
-    /// It may do its errand.
+    /// The activation is free to begin its errand.
     #[default]
     Free,
-    /// It waits for its communication task.
+    /// The activation waits for its communication task.
     Waits,
-    /// It serves a message, or its handler runs.
+    /// The activation serves a message, or is a handler that runs.
     Serves,
-    /// It runs an action.
+    /// The activation runs an action.
     Works,
 }
 

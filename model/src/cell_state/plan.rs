@@ -16,7 +16,7 @@ pub enum Times {
 /// What the thread of a task does whenever it is idle.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Errand {
-    /// Nothing: it never makes an API call.
+    /// The thread does nothing: it never makes an API call.
     Rest,
     /// Sends messages or queries.
     Send {
@@ -24,7 +24,7 @@ pub enum Errand {
         port: PortId,
         /// The receivers.
         to: Target,
-        /// How often.
+        /// How often the task sends.
         times: Times,
         /// Fewest ticks between two sends.
         every: u8,
@@ -33,7 +33,7 @@ pub enum Errand {
     Order {
         /// The port.
         port: PortId,
-        /// How often.
+        /// How often the task sends.
         times: Times,
     },
     /// Receives messages, and serves each for the ticks of [`TaskPlan::service`].
@@ -49,21 +49,21 @@ pub enum Errand {
         least: u8,
         /// Most ticks of an action.
         most: u8,
-        /// How often.
+        /// How often the task runs an action.
         times: Times,
     },
     /// Reaches a waitfor.
     Meet {
         /// The port.
         port: PortId,
-        /// How often.
+        /// How often the task reaches the waitfor.
         times: Times,
     },
     /// Delays.
     Delay {
         /// The length of a delay.
         length: Ticks,
-        /// How often.
+        /// How often the task delays.
         times: Times,
     },
 }
@@ -71,11 +71,11 @@ pub enum Errand {
 /// What a task of the cell does.
 #[derive(Clone, Debug)]
 pub struct TaskPlan {
-    /// What its thread does.
+    /// What the task's thread does when it is idle.
     pub errand: Errand,
     /// The ports that it has handlers for.
     pub handles: Vec<PortId>,
-    /// Its `order` of service.
+    /// The task's `order` of service.
     pub order: ServiceOrder,
     /// For how many ticks, at least and at most, the task or its handler serves a message before it answers.
     pub service: (u8, u8),
@@ -127,7 +127,7 @@ impl TaskPlan {
         Self { handles: ports.to_vec(), ..self }
     }
 
-    /// The same task, with this `order` of service.
+    /// The same task with this `order` of service.
     #[must_use]
     pub fn ordered(self, order: ServiceOrder) -> Self {
         Self { order, ..self }
@@ -233,7 +233,7 @@ pub enum Goal {
     Answered,
     /// A query to several comes back with every answer.
     AllAnswered,
-    /// Both ends of a link wait for each other's buffer.
+    /// Each end of a link waits for room in the buffer of the other end.
     BuffersFull,
     /// The second task is active: it took over.
     TookOver,

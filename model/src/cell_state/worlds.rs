@@ -64,7 +64,7 @@ impl Relay {
     /// The plan.
     ///
     /// # Errors
-    /// What is wrong with the declaration.
+    /// The errors of the cell's declaration.
     pub fn plan(&self) -> Result<Arc<CellScenario>, Vec<CellError>> {
         let mut cell = Cell::new("relay", Ticks(1));
         cell.rules = self.rules;
@@ -97,7 +97,7 @@ impl Relay {
 /// A task that waits for an answer that never comes, and one on the same node that never makes an API call.
 ///
 /// # Errors
-/// What is wrong with the declaration.
+/// The errors of the cell's declaration.
 pub fn busy_neighbour(rules: Rules) -> Result<Arc<CellScenario>, Vec<CellError>> {
     let mut cell = Cell::new("busy", Ticks(1));
     cell.rules = rules;
@@ -115,7 +115,7 @@ pub fn busy_neighbour(rules: Rules) -> Result<Arc<CellScenario>, Vec<CellError>>
 /// Two tasks of one node delay under the same timer id, and each waits for its own delay (§5.1.2).
 ///
 /// # Errors
-/// What is wrong with the declaration.
+/// The errors of the cell's declaration.
 pub fn delays(lengths: [u64; 2]) -> Result<Arc<CellScenario>, Vec<CellError>> {
     let mut cell = Cell::new("delays", Ticks(1));
     let node = cell.node("node");
@@ -131,7 +131,7 @@ pub fn delays(lengths: [u64; 2]) -> Result<Arc<CellScenario>, Vec<CellError>> {
 /// has room. So the buffers of the inner two can be full of packets for each other.
 ///
 /// # Errors
-/// What is wrong with the declaration.
+/// The errors of the cell's declaration.
 pub fn full_buffers(sends: u8, watch: CellProperty) -> Result<Arc<CellScenario>, Vec<CellError>> {
     let mut cell = Cell::new("buffers", Ticks(1));
     let nodes = ["c", "a", "b", "d"].map(|name| cell.node(name));

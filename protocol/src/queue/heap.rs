@@ -131,7 +131,7 @@ impl Heap {
         }
     }
 
-    /// All numbers in no particular order.
+    /// The numbers of all entries in no particular order.
     pub fn iter(&self) -> impl Iterator<Item = Slot> {
         self.heap().map(slot)
     }

@@ -10,7 +10,7 @@ use alloc::sync::Arc;
 pub struct NodeTable {
     /// The cell's table.
     pub cell: Arc<CellTable>,
-    /// This node.
+    /// The node that the table belongs to.
     pub node: NodeId,
     /// Another table of the cell, by whose routes packets may come: the one that will replace the node's table, or the
     /// one that it replaced (D184).

@@ -29,7 +29,7 @@ pub struct Party {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Peer {
     pub task: TaskId,
-    /// Its position among the parties.
+    /// The position of the other end among the parties of the port.
     pub party: u16,
     /// Its position among the [`peers`](Party::peers): that of the source in an inbox.
     pub slot: u16,
@@ -85,9 +85,9 @@ impl Party {
 /// A checked port.
 #[derive(Clone, Debug)]
 pub struct Port {
-    /// Its identifier.
+    /// The port's identifier.
     pub id: PortId,
-    /// Its declaration.
+    /// The port's declaration.
     pub decl: PortDecl,
     /// Owner first, then the users in the order of the `user_list`.
     pub parties: Box<[Party]>,

@@ -75,7 +75,7 @@ pub enum GateError {
 /// Why a program may not act.
 #[derive(Debug, Error)]
 pub enum Refused {
-    /// Another program has acted under a newer epoch.
+    /// The program's epoch is over: another program has acted under a newer one.
     #[error("epoch {shown} is over: epoch {newest} acts")]
     Epoch {
         /// The epoch of this program.

@@ -100,7 +100,7 @@ pub trait Link: Send + Sync {
     /// As [`send_at`](Self::send_at), for packets whose remaining times are true now.
     ///
     /// # Errors
-    /// As [`send_at`](Self::send_at).
+    /// The errors of [`send_at`](Self::send_at).
     fn send(&self, next: NodeId, packets: &[Packet]) -> Result<usize, LinkBusy> {
         self.send_at(next, packets, Instant::now())
     }

@@ -23,7 +23,7 @@ pub struct Divergence {
 /// The result of replaying a task's recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
-    /// Nothing is missing, and every output was the same.
+    /// The recording is complete, and each replayed output was the same.
     Same,
     /// Every output that could be judged was the same, but steps are missing.
     Unknown,

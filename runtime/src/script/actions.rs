@@ -27,7 +27,7 @@ pub struct Act<'a> {
     pub task: &'a str,
     /// The name of the action.
     pub name: &'a str,
-    /// Its arguments; a `real` by its bits.
+    /// The action's arguments; a `real` is given by its bits.
     pub arguments: &'a [i64],
     /// How many actions of this task began before.
     pub number: u64,
@@ -42,7 +42,7 @@ pub struct Act<'a> {
 /// The lease of a task that acts.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct HeldLease {
-    /// Its epoch.
+    /// The epoch of the lease.
     pub epoch: u8,
     /// When the lease ends unless it is renewed, in microseconds of `CLOCK_BOOTTIME`: never later than its true end.
     /// `None`: the task took over and acts alone, so the lease does not end by itself.
@@ -60,12 +60,12 @@ pub struct Ending {
 }
 
 impl Ending {
-    /// It succeeded, with this result; a `real` by its bits.
+    /// Reports that the action succeeded, with this result; a `real` is given by its bits.
     pub fn done(mut self, value: i32) {
         self.say(true, value);
     }
 
-    /// It failed.
+    /// Reports that the action failed.
     pub fn failed(mut self) {
         self.say(false, 0);
     }

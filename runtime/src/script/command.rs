@@ -105,10 +105,10 @@ pub enum CommandError {
         /// How much longer it might take.
         margin: Duration,
     },
-    /// The lease of its task ended, and it was killed.
+    /// The lease of the command's task ended, and the command was killed.
     #[error("killed at the end of its lease")]
     LeaseEnded,
-    /// Its guard was killed.
+    /// The guard of the command was killed.
     #[error("its guard was killed: processes that the command started may still run")]
     Unguarded,
 }
@@ -269,7 +269,7 @@ struct Stopping(Mutex<Vec<Stopped>>);
 struct Stopped {
     task: String,
     running: Arc<Running>,
-    /// Until when its end is waited for.
+    /// Until when this thread waits for the command's end.
     until: Instant,
 }
 

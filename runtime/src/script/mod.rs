@@ -39,9 +39,9 @@ pub trait Watch: Send + Sync {
 /// The state of a task between two steps.
 #[derive(Clone, Copy, Debug)]
 pub struct Stands<'a> {
-    /// Its script.
+    /// The task's script.
     pub script: &'a Script,
-    /// Its communication task.
+    /// The task's communication task.
     pub machine: &'a CommTask,
 }
 
@@ -60,7 +60,7 @@ pub enum Note {
         level: u8,
         /// Which action of [`Program::actions`](imrs_protocol::script::Program::actions).
         action: u16,
-        /// Its arguments.
+        /// The action's arguments.
         arguments: Vec<i64>,
         /// The longest time that the action may take.
         most: Ticks,
@@ -69,9 +69,9 @@ pub enum Note {
     Acted {
         /// The thread that waited for the action.
         level: u8,
-        /// Whether it succeeded.
+        /// Whether the action succeeded.
         ok: bool,
-        /// Its result.
+        /// The action's result.
         value: i32,
     },
     /// The action of this thread was cut short.

@@ -43,7 +43,7 @@ impl Alarm {
 }
 
 impl<P: Plants<Plant>> Alarm<P> {
-    /// As [`new`](Alarm::new), with a bug.
+    /// As [`new`](Alarm::new), with a bug planted for a test.
     pub fn planted(slots: usize, plant: P) -> Self {
         let slots = (0..slots).map(|_| AtomicU64::new(FAR)).collect();
         Self { slots, target: AtomicU64::new(FAR), rung: Word::new(0), plant }

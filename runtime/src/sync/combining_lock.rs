@@ -26,7 +26,7 @@ impl<T> CombiningLock<T> {
 }
 
 impl<T, P: Plants<Plant>> CombiningLock<T, P> {
-    /// As [`new`](CombiningLock::new), with a bug.
+    /// As [`new`](CombiningLock::new), with a bug planted for a test.
     pub fn planted(inside: T, plant: P) -> Self {
         Self { wanted: AtomicBool::new(false), inside: Mutex::new(inside), plant }
     }

@@ -48,7 +48,7 @@ impl<S: Protected> Handoff<S> {
 }
 
 impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
-    /// As [`new`](Handoff::new), with a bug.
+    /// As [`new`](Handoff::new), with a bug planted for a test.
     pub fn planted(protected: S, waker: Option<Arc<dyn ThreadWaker>>, plant: P) -> Self {
         let batch = Inbox::<S::Input>::spare();
         Self {
@@ -115,7 +115,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         self.second_look(effects);
     }
 
-    /// As [`enter_and`](Self::enter_and), once.
+    /// Enters the input once, as [`enter_and`](Self::enter_and) does.
     #[cfg(test)]
     pub fn enter(&self, input: S::Input, effects: &mut S::Effects) -> Entry<S::Completion> {
         self.enter_and(input, |_| None, effects)

@@ -15,9 +15,9 @@ struct Slot<const WORDS: usize>([AtomicU64; WORDS]);
 /// What both ends share, in slots of `WORDS` words.
 struct Lane<const WORDS: usize, P> {
     slots: Box<[Slot<WORDS>]>,
-    /// How many slots were ever published.
+    /// How many slots the producer has ever published.
     filled: AtomicUsize,
-    /// How many of them were given back.
+    /// How many slots the consumer has given back.
     emptied: AtomicUsize,
     plant: P,
 }
@@ -36,7 +36,7 @@ pub(crate) enum Plant {
 /// The producer's end.
 pub(crate) struct Fill<const WORDS: usize, P = Sound> {
     lane: Arc<Lane<WORDS, P>>,
-    /// How many slots were filled.
+    /// How many slots the producer has filled.
     at: usize,
     /// Up to this number slots are known to be free, without another look at `emptied`.
     free: usize,
@@ -45,7 +45,7 @@ pub(crate) struct Fill<const WORDS: usize, P = Sound> {
 /// The consumer's end.
 pub(crate) struct Drain<const WORDS: usize, P = Sound> {
     lane: Arc<Lane<WORDS, P>>,
-    /// How many slots were emptied.
+    /// How many slots the consumer has emptied.
     at: usize,
 }
 

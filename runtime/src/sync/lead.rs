@@ -59,7 +59,7 @@ impl Lead {
 }
 
 impl<P: Plants<Plant>> Lead<P> {
-    /// As [`new`](Lead::new), with a bug.
+    /// As [`new`](Lead::new), with a bug planted for a test.
     pub fn planted(plant: P) -> Self {
         Self { taken: AtomicBool::new(false), plant }
     }

@@ -38,7 +38,7 @@ impl Park {
 }
 
 impl<P: Plants<Plant>> Park<P> {
-    /// As [`new`](Park::new), with a bug.
+    /// As [`new`](Park::new), with a bug planted for a test.
     pub fn planted(waker: Option<Arc<dyn ThreadWaker>>, plant: P) -> Self {
         Self { word: Word::new(RUNNING), waker, plant }
     }

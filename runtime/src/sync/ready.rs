@@ -42,7 +42,7 @@ impl ReadyFutures {
 }
 
 impl<P: Plants<Plant>> ReadyFutures<P> {
-    /// As [`new`](ReadyFutures::new), with a bug.
+    /// As [`new`](ReadyFutures::new), with a bug planted for a test.
     pub fn planted(count: usize, park: Park, plant: P) -> Self {
         let marks = |first: usize| Marks {
             all: AtomicU64::new(u64::MAX >> BITS.saturating_sub(count - first)),

@@ -15,14 +15,14 @@ use std::time::{Duration, Instant};
 /// A time that is long enough for everything that is not lost, on a busy machine.
 pub const LONG: Duration = Duration::from_secs(60);
 
-/// The same time in ticks.
+/// The time of [`LONG`] in ticks.
 pub const LONG_TICKS: Ticks = Ticks(60_000_000);
 
 /// A time_out that a test lets expire, though other tasks must be in time for it. A busy machine keeps no thread from running for
 /// nearly this long.
 pub const AMPLE: Duration = Duration::from_secs(4);
 
-/// The same time in ticks.
+/// The time of [`AMPLE`] in ticks.
 pub const AMPLE_TICKS: Ticks = Ticks(4_000_000);
 
 pub const A: TaskId = TaskId(0);

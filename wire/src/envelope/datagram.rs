@@ -73,7 +73,7 @@ impl Datagram {
     /// receiver's number of the session.
     ///
     /// # Errors
-    /// Those of `close`.
+    /// The errors of `close`.
     pub fn seal_keyed<E>(
         &mut self,
         envelope: &Envelope,

@@ -19,7 +19,7 @@ pub struct NodeName {
 /// A declared link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LinkName {
-    /// One end.
+    /// The node at one end of the link.
     pub a: NodeId,
     /// The other end.
     pub b: NodeId,

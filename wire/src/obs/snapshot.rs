@@ -42,7 +42,7 @@ pub struct TimerEntry {
 pub struct Count {
     /// The name of what is counted, in snake_case, as [`Reason::name`](imrs_protocol::Reason::name).
     pub name: String,
-    /// How many were counted.
+    /// How many of them the node has counted.
     pub count: u64,
 }
 

@@ -61,7 +61,7 @@ pub struct Lateness {
     pub p50_us: u64,
     /// The 99th percentile of their lateness, in microseconds.
     pub p99_us: u64,
-    /// Their greatest lateness, in microseconds.
+    /// The greatest lateness of these expiries, in microseconds.
     pub max_us: u64,
 }
 

@@ -54,13 +54,13 @@ pub trait Source: Send {
     /// Appends the records that are there at the time of the call, and no later ones. Returns whether there were any.
     ///
     /// # Errors
-    /// Those of `append`.
+    /// The errors of `append`.
     fn fetch(&mut self, append: &mut Append<'_>) -> Result<bool, WriteError>;
 
     /// Appends the remaining records, and the losses that no gap record has reported yet.
     ///
     /// # Errors
-    /// Those of `append`.
+    /// The errors of `append`.
     fn finish(&mut self, append: &mut Append<'_>) -> Result<(), WriteError>;
 }
 

@@ -123,7 +123,7 @@ enum No {
 /// Where following a run stops.
 #[derive(Clone, Debug)]
 pub(super) enum Stop {
-    /// All of it was followed.
+    /// The whole run was followed.
     Over,
     /// As many inputs as requested were followed.
     Far,

@@ -72,7 +72,7 @@ pub struct Unexplained {
     pub task: TaskId,
     /// The operation at which the task was.
     pub address: Address,
-    /// What is wrong, in the cell's words.
+    /// Why the model cannot explain the event, in the cell's words.
     pub why: String,
     /// Whether no rounding of times would change that.
     pub however: bool,

@@ -44,7 +44,7 @@ impl RunState {
     /// The packed form, as [`pack`](Self::pack) writes it.
     ///
     /// # Errors
-    /// As of `pack`.
+    /// The errors of `pack`.
     pub fn store(&mut self) -> Result<Box<[u8]>, Violation> {
         self.pack()?;
         Ok(self.packed().into())

@@ -8,7 +8,7 @@ use crate::cell_state::script::Running;
 use imrs_protocol::{NodeId, TaskId};
 use who::{Who, is_of_a_turn, who};
 
-/// Where choices come from.
+/// Where a run takes its choices from.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Source<'a> {
     /// Random numbers, the same for the same seed.

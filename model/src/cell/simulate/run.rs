@@ -15,7 +15,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ended {
-    /// Nothing can happen any more.
+    /// The run ended because nothing can happen any more.
     Over,
     /// At a finding that ends a run.
     Found,
@@ -35,7 +35,7 @@ pub(super) struct Run {
     pub faults: CellFaults,
     pub moves: Vec<CellMove>,
     pub ended: Ended,
-    /// Whether it was stopped before its end.
+    /// Whether the run was stopped before its end.
     pub stopped: bool,
     /// Each finding once, with the number of moves before it.
     pub shown: Vec<(usize, Shown)>,

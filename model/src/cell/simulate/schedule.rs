@@ -12,14 +12,14 @@ pub enum Fault {
     Lose {
         /// From this node to that one.
         link: (NodeId, NodeId),
-        /// Which packet.
+        /// The number of the packet on its link.
         nth: u32,
     },
     /// This packet arrives twice; its copy counts as the next packet.
     Copy {
         /// From this node to that one.
         link: (NodeId, NodeId),
-        /// Which packet.
+        /// The number of the packet on its link.
         nth: u32,
     },
     /// The first packet from this one on that has another packet behind it on its link is overtaken by that
@@ -27,14 +27,14 @@ pub enum Fault {
     Overtake {
         /// From this node to that one.
         link: (NodeId, NodeId),
-        /// Which packet.
+        /// The number of the packet on its link.
         nth: u32,
     },
     /// This action of a task fails.
     Fail {
         /// The task.
         task: TaskId,
-        /// Which of all its actions.
+        /// The number of the action among all actions of the task.
         nth: u32,
     },
     /// A node crashes right after one of its steps.
@@ -73,7 +73,7 @@ pub enum Fault {
         node: NodeId,
         /// Not before this instant.
         at: u64,
-        /// Whether it counts a tick twice.
+        /// Whether the node's clock counts one tick twice; else it leaves one out.
         more: bool,
     },
 }

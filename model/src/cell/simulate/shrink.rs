@@ -192,7 +192,7 @@ fn numbers(fault: &Fault) -> Vec<(u64, u64)> {
     }
 }
 
-/// The same fault with another number.
+/// The same fault, with another value in one of its numbers.
 fn with_number(fault: &Fault, number: usize, value: u64) -> Fault {
     let mut fault = fault.clone();
     match (&mut fault, number) {

@@ -54,7 +54,7 @@ impl Couple {
     /// The plan.
     ///
     /// # Errors
-    /// What is wrong with the declaration.
+    /// The errors of the cell's declaration.
     pub fn plan(&self) -> Result<Arc<CellScenario>, Vec<CellError>> {
         // Both tasks wait without limit, so that each learns at once when it gets or loses its lease.
         let wait = Errand::Receive { port: None, time_out: None };
@@ -86,7 +86,7 @@ impl Orders {
     /// The plan.
     ///
     /// # Errors
-    /// What is wrong with the declaration.
+    /// The errors of the cell's declaration.
     pub fn plan(&self) -> Result<Arc<CellScenario>, Vec<CellError>> {
         let mut cell = self.couple.cell();
         cell.rules.heed_epochs = self.heed;

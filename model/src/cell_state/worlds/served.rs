@@ -51,7 +51,7 @@ impl Flood {
     /// The plan.
     ///
     /// # Errors
-    /// What is wrong with the declaration.
+    /// The errors of the cell's declaration.
     pub fn plan(&self) -> Result<Arc<CellScenario>, Vec<CellError>> {
         let mut cell = Cell::new("flood", Ticks(1));
         cell.rules = self.rules;
@@ -133,7 +133,7 @@ impl Workshop {
     /// The plan.
     ///
     /// # Errors
-    /// What is wrong with the declaration.
+    /// The errors of the cell's declaration.
     pub fn plan(&self) -> Result<Arc<CellScenario>, Vec<CellError>> {
         let mut cell = Cell::new("workshop", Ticks(1));
         cell.rules = self.rules;
@@ -218,7 +218,7 @@ impl Interrupted {
     /// The plan.
     ///
     /// # Errors
-    /// What is wrong with the declaration.
+    /// The errors of the cell's declaration.
     pub fn plan(&self) -> Result<Arc<CellScenario>, Vec<CellError>> {
         let mut cell = Cell::new("interrupted", Ticks(1));
         cell.rules = self.rules;
@@ -256,7 +256,7 @@ impl Interrupted {
 /// One task queries two at once, each on a node of its own.
 ///
 /// # Errors
-/// What is wrong with the declaration.
+/// The errors of the cell's declaration.
 pub fn query_all(faults: Faults, watches: Vec<CellProperty>) -> Result<Arc<CellScenario>, Vec<CellError>> {
     let mut cell = Cell::new("set", Ticks(1));
     let nodes = ["parent", "first", "second"].map(|name| cell.node(name));
@@ -278,7 +278,7 @@ pub fn query_all(faults: Faults, watches: Vec<CellProperty>) -> Result<Arc<CellS
 /// because it does not outrank the action, unless aging raises its rank.
 ///
 /// # Errors
-/// What is wrong with the declaration.
+/// The errors of the cell's declaration.
 pub fn refused(
     penalty: (u64, bool),
     aging: Aging,
@@ -306,7 +306,7 @@ pub fn refused(
 /// time penalty a rejected message outlives its sender's time_out.
 ///
 /// # Errors
-/// What is wrong with the declaration.
+/// The errors of the cell's declaration.
 pub fn penalised(literal: bool) -> Result<Arc<CellScenario>, Vec<CellError>> {
     let mut cell = Cell::new("penalised", Ticks(1));
     let node = cell.node("node");

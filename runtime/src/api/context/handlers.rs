@@ -114,7 +114,7 @@ impl<S> Context<S> {
     /// Messages of this port wait for [`receive`](Context::receive) again.
     ///
     /// # Errors
-    /// As [`on_message`](Self::on_message).
+    /// The errors of [`on_message`](Self::on_message).
     pub fn unhandle(&mut self, port: PortId) -> Result<(), TaskError> {
         at_once(self.accepted(Request::Handle { port, handled: false }))?;
         self.handlers.messages.retain(|(of, _)| *of != port);

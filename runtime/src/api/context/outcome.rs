@@ -179,7 +179,7 @@ pub struct Received<M> {
 #[must_use = "a task that gave up must not act as if all had arrived"]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Rendezvous {
-    /// All have arrived.
+    /// All members of the rendezvous have arrived.
     Released {
         /// The round, the same for all tasks that this meeting releases.
         round: Round,

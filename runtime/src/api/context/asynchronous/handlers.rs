@@ -28,7 +28,7 @@ impl<S> AsyncContext<S> {
     /// sender has its outcome already.
     ///
     /// # Errors
-    /// As [`on_message`](Self::on_message).
+    /// The errors of [`on_message`](Self::on_message).
     pub fn on_query<M: Message, R: Message>(
         &mut self,
         port: PortId,
@@ -47,7 +47,7 @@ impl<S> AsyncContext<S> {
     /// Messages of this port wait for [`receive`](Self::receive) again.
     ///
     /// # Errors
-    /// As [`on_message`](Self::on_message).
+    /// The errors of [`on_message`](Self::on_message).
     pub fn unhandle(&mut self, port: PortId) -> Result<(), TaskError> {
         at_once(self.accepted(Request::Handle { port, handled: false }))?;
         self.messages.retain(|(of, _)| *of != port);

@@ -33,7 +33,7 @@ impl<S> AsyncContext<S> {
     /// As [`query`](Self::query), to one of several tasks at the other end, or with a shorter TTL than the port's.
     ///
     /// # Errors
-    /// As [`query`](Self::query).
+    /// The errors of [`query`](Self::query).
     pub async fn query_with<M: Message, R: Message>(
         &mut self,
         port: PortId,
@@ -48,7 +48,7 @@ impl<S> AsyncContext<S> {
     /// refused, at most for the port's time_out.
     ///
     /// # Errors
-    /// As [`query`](Self::query).
+    /// The errors of [`query`](Self::query).
     pub async fn query_all<M: Message, R: Message>(
         &mut self,
         port: PortId,
@@ -82,7 +82,7 @@ impl<S> AsyncContext<S> {
     /// Answers a received query or command with a message.
     ///
     /// # Errors
-    /// As [`reply`](Self::reply).
+    /// The errors of [`reply`](Self::reply).
     pub fn answer<R: Message>(&mut self, to: &ReplyTo, answer: &R) -> Result<(), TaskError> {
         at_once(self.answered(to, answer))
     }
