@@ -83,7 +83,8 @@ impl Scene {
         (scene, family)
     }
 
-    /// The same, except that the launcher kills the node after this time. None if not all processes ran before the kill.
+    /// Does what `with_family` does, but the launcher kills the node after this time. `None` if not all processes ran
+    /// before the kill.
     fn with_doomed_family(killed_after: Duration) -> Option<(Self, [u32; 3])> {
         let begin = Instant::now();
         let scene = Self::start(HELD, "grip", FAMILY, &["--kill", &format!("n@{}s", killed_after.as_secs())]);

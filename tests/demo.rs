@@ -73,7 +73,7 @@ fn interrupted(demo: Live, what: &str, is_so: impl FnMut(&Value) -> bool) -> (Va
     demo.finish()
 }
 
-/// The same for a demo that must then end well. Returns the summary and the complaints.
+/// Interrupts a demo as [`interrupted`] does. The demo must then end well. Returns the summary and the complaints.
 fn ended(demo: Live, what: &str, is_so: impl FnMut(&Value) -> bool) -> (Value, String) {
     let (summary, code, errors) = interrupted(demo, what, is_so);
     assert!(ends_well(&summary, code, &errors), "{errors}");

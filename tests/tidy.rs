@@ -252,7 +252,7 @@ fn words_promise_no_more_than_is_so() {
         .map(|name| (PathBuf::from(name), fs::read_to_string(Path::new(ROOT).join(name)).expect(name)));
     for (path, text) in sources().into_iter().chain(texts) {
         for word in unwanted {
-            // A sentence that denies such a claim is allowed.
+            // A sentence that says that the claim is not made is allowed.
             let claims = text.lines().find(|l| l.contains(word) && !l.contains("no ") && !l.contains("not "));
             assert_eq!(claims, None, "{}", path.display());
         }

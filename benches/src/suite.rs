@@ -112,7 +112,7 @@ pub enum Against {
     Itself(Stat),
     /// The same statistic of another case. The difference of the two, divided by this number of steps, is bounded.
     Above(String, u32),
-    /// Nothing: the number itself is bounded.
+    /// The number is compared with nothing: it is bounded itself.
     Nothing,
 }
 

@@ -14,7 +14,7 @@ pub(crate) struct InFlight {
     pub age: u8,
     /// The incarnation of the node that sent it, as its envelope says.
     pub incarnation: Incarnation,
-    /// Whether it was sent since the last tick, after its receiver's turn (see `world::turns`).
+    /// Whether the packet was sent since the last tick, after its receiver's turn (see `world::turns`).
     pub fresh: bool,
 }
 

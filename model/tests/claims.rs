@@ -33,7 +33,8 @@ fn the_default_is_to_confirm_when_complete_and_it_matters() {
         let without = least_losses(members, Confirmation::None);
         assert!(without < with, "{members} members: {without} and {with}");
     }
-    // The same with retransmission: then a member gives up although all have arrived.
+    // The rule matters with retransmission, too: without a CONFIRM one loss lets a member give up although
+    // all have arrived.
     let gives_up = |confirmation, loss| {
         let rules = Rules { confirmation, ..Rules::DEFAULT };
         let meeting = Meeting { rules, hurry: true, ..timed(2, Watch::GaveUpAfterAllArrived, loss, 3, 8) };

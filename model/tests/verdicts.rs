@@ -27,7 +27,7 @@ fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
         assert_eq!(kinds(&gate(left, right, "5..10 msec")), [Kind::Check], "left on {left}");
         assert_eq!(kinds(&gate(left, right, "5..9 msec")), [], "left on {left}");
     }
-    // The same test with two delays that end in one step of the search.
+    // Tests the same with two delays that end in one step of the search.
     let waits = |a: &str, b: &str| {
         format!(
             "{TWO}task a on {a}\nvar x: bool;\nbegin x := true; delay 5 msec; x := false; end a;\n\

@@ -72,7 +72,7 @@ fn compare(name: &str, cell: &mut Text, states: u64) -> Option<Compared> {
     if !every.is_complete() {
         return None;
     }
-    // Zones have no use for some reductions of the other search.
+    // The search by zones does not use some reductions of the other search, so it may take more states.
     cell.plan.budget = within(8 * states);
     cell.plan.times = Times::Zones;
     let zones = check_cell(&Arc::new(cell.plan.clone()));

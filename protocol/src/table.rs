@@ -39,7 +39,8 @@ pub struct CellTable {
     epoch: u32,
     /// What the routes go around.
     avoid: Avoid,
-    /// For each (from, to): the next node and the summed link bounds. Row-major.
+    /// For each pair of nodes (from, to), row by row: the next node of the route, and the sum of its links'
+    /// bounds.
     routes: Box<[Option<Hop>]>,
     /// For each task, the ports it owns or uses, ascending.
     ports_of: Box<[Box<[PortId]>]>,

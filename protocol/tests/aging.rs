@@ -63,7 +63,8 @@ fn each_rejection_raises_the_rank_by_one_level() {
     {
         room.y.ask(request);
     }
-    // Two levels rank above the message. It is rejected at 0 and after 4 ticks, and outranks `self` after 8.
+    // In the `order`, two levels rank above the message. It is rejected at 0 and after 4 ticks, and outranks
+    // the task's own thread after 8.
     assert!(room.hear(LOW, 1).is_empty());
     assert_eq!(room.y.task.next_expiry(), Some(Ticks(4)));
     assert_eq!(room.ticks_to_interrupt(50), Some((8, "interrupt [1] from T0 for 92".into())));

@@ -13,7 +13,7 @@ const C: TaskId = TaskId(3);
 
 /// Status; the buffer holds two.
 const HEARTBEAT: PortId = PortId(0);
-/// Commands; the buffer holds two.
+/// The port for commands; its buffer holds two.
 const MOVE: PortId = PortId(1);
 /// Status; the buffer holds two.
 const HALT: PortId = PortId(2);

@@ -117,7 +117,7 @@ impl Tokens {
         }
     }
 
-    /// Fails if tokens are left.
+    /// Fails if the line has further tokens.
     pub fn end(&self) -> Result<(), String> {
         if self.is_over() { Ok(()) } else { Err(format!("{} is one word too many", self.found())) }
     }

@@ -24,7 +24,7 @@ pub enum Bound {
     Both,
     /// The gate alone; the deadline is ignored.
     Gate,
-    /// Neither, for comparison: only the guard ends the command.
+    /// Neither the gate nor the deadline, for comparison: only the guard ends the command.
     Neither,
 }
 

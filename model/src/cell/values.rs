@@ -37,7 +37,7 @@ impl Tried {
                         real.all.push(value);
                         if is_by_order(operator) {
                             real.near.extend([value.next_down(), value.next_up()]);
-                            // Something whole may be compared with it.
+                            // A whole number may be compared with this real.
                             whole.near.extend([value.floor(), value.ceil()].map(nearest));
                         }
                     }

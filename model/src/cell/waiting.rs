@@ -11,7 +11,7 @@ use imrs_protocol::{CellTable, Instant, Packet, PortId, TaskId, Usage};
 /// other moves are still possible.
 pub(super) fn for_ever(run_state: &RunState, goes_on: bool) -> Option<Shown> {
     let closed = closed(run_state, goes_on);
-    // Of most states no task is left.
+    // In most states no task waits for ever.
     if !closed.contains(&true) {
         return None;
     }
@@ -199,7 +199,8 @@ fn has_taken_over(run_state: &RunState, task: usize) -> bool {
 /// Whether the `receive` at this address is a first wait of an endless loop.
 fn is_served_at(program: &Program, at: usize) -> bool {
     let code = &program.code;
-    // A round up to its first waits. If it leaves the loop before them, that is a `while`, which may end.
+    // Follows a round of the loop up to its first waits. If a path leaves the loop before them, the loop is a
+    // `while`, which may end.
     let is_first_wait = |head: usize, end: usize| {
         let is_inside = |at: usize| (head..=end).contains(&at);
         let round = reached_from(code, [head], |at| match code[at] {

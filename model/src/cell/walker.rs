@@ -47,9 +47,9 @@ struct WalkPath {
 
 /// What is known, from the kept states, about a state with only one move.
 enum Known {
-    /// Nothing: walk on.
+    /// Nothing is known, so the walk goes on.
     No,
-    /// A kept state covers it: that one allows all its moves.
+    /// A kept state covers this state: the kept one allows all moves that this one allows.
     Covered(Mark),
     /// The state is one of those on a chain that are kept. This is its packed form.
     Post(Mark, Box<[u8]>),

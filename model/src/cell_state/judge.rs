@@ -29,7 +29,7 @@ impl Name {
 pub(crate) struct SpecStates {
     /// The true remaining times of messages, in ticks.
     pub remaining: Vec<(Name, u8)>,
-    /// For each source, bit `i`: its message `next - 1 - i` was handed over.
+    /// A bit mask for each source: bit `i` says that the source's message `next - 1 - i` was handed over.
     pub handed: Vec<u16>,
     /// As `handed`, for commands whose sender was told that they did not run.
     pub denied: Vec<u16>,
@@ -239,7 +239,7 @@ impl CellState {
     fn judge_delay(&self, activation: &Activation) -> Result<(), Violation> {
         let Some(slack) = self.plan.waits() else { return Ok(()) };
         let exact = self.plan.faults.drift == 0 && self.plan.faults.late == 0;
-        // Not subtracted yet: the tick that is passing, and the extra tick that a wait may last.
+        // `left` still includes the tick that is passing, and the extra tick that a wait may last.
         let early = activation.does == Does::Waits
             && activation.left != Activation::FOREVER
             && activation.left > slack + 2;

@@ -45,7 +45,7 @@ use wires::Wires;
 pub enum Move {
     /// A tick passes. Two bits for each node say how it counts the tick: once, not at all, twice, or later.
     Tick(u16),
-    /// The packet at the first position arrives, charged the second number of ticks above its link's bound.
+    /// The packet at this position arrives, charged this many ticks above its link's bound.
     Deliver(u8, u8),
     /// The packet at this position is lost.
     Lose(u8),

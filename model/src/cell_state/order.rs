@@ -26,7 +26,7 @@ impl CellState {
             entries.push((task, port, name, 0));
         }
         let count = &mut entries[at].3;
-        // Without a bound to judge by, rejections beyond the cap make no difference.
+        // If the plan has no bound for rejections, rejections beyond the cap make no difference.
         *count = if most.is_some() { count.saturating_add(1) } else { count.saturating_add(1).min(cap) };
         if most.is_some_and(|most| *count > most) { Err(Violation::RefusedTooOften) } else { Ok(()) }
     }

@@ -155,7 +155,8 @@ fn closed_form(couple: &Couple) -> u64 {
 fn margin(work: &mut Work<'_>, couple: &Couple) -> Settled {
     let mut one_less: Option<(Settled, _)> = None;
     let mut held = None;
-    // Starts one tick below the lease, so that even a margin of zero has a failing one below it.
+    // The search starts one tick below the lease, so that even if the least margin is zero, a smaller one was
+    // tried and failed.
     for takeover in couple.lease - 1..=couple.lease + MOST {
         let tried = Couple { takeover, ..couple.clone() };
         let (settled, counts) = work.part(|work| settle_plan(work, tried.plan()));

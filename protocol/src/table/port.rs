@@ -31,9 +31,10 @@ pub(crate) struct Peer {
     pub task: TaskId,
     /// The position of the other end among the parties of the port.
     pub party: u16,
-    /// Its position among the [`peers`](Party::peers): that of the source in an inbox.
+    /// The other end's position among the [`peers`](Party::peers): that of the source in an inbox.
     pub slot: u16,
-    /// The same among the peers in the order of the parties: that of the recipient in an outstanding request.
+    /// The other end's position among the peers in the order of the parties: that of the recipient in an
+    /// outstanding request.
     pub recipient: u16,
     /// The slot of this end among the peers of the other.
     pub back: u16,

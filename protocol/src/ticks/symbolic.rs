@@ -139,7 +139,7 @@ const fn is_symbol(number: u64) -> bool {
     number.cast_signed() < END
 }
 
-/// Whether one of the two is a symbol.
+/// Whether one of the two numbers stands for a symbol.
 #[inline]
 pub(super) fn is_any(a: u64, b: u64) -> bool {
     (is_symbol(a) || is_symbol(b)) && has_zone()
@@ -225,7 +225,7 @@ pub(crate) fn pack(time: Time, length: Ticks) -> u8 {
     ask(|zone| zone.pack(time, symbol))
 }
 
-/// The time that the zone of the thread packed so.
+/// The time that the thread's zone packed as this byte.
 pub(crate) fn unpack(time: Time, packed: u8) -> Ticks {
     Ticks(ask(|zone| zone.unpack(time, packed)).map_or(NEVER, Symbol::to_number))
 }

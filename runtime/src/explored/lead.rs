@@ -104,7 +104,7 @@ struct Scene {
 /// The planted bugs of a scene.
 #[derive(Clone, Copy, Debug, Default)]
 struct Planted {
-    /// A thread that waits in the link is not woken.
+    /// The link does not wake a thread that waits in it.
     no_waker: bool,
     /// The leader leaves a reported datagram in the socket when its own wait is over.
     leaves_told: bool,

@@ -116,7 +116,7 @@ impl Gate {
     /// [`GateError`] if the file cannot be used, or belongs to something else.
     pub fn open(path: impl AsRef<Path>) -> Result<Self, GateError> {
         let gate = Self { path: path.as_ref().to_owned() };
-        // This finds a foreign file now, and not when the tool should move.
+        // This read finds a foreign file now, and not only when the tool should move.
         gate.locked(FlockOperation::LockShared)?.newest()?;
         Ok(gate)
     }
@@ -124,7 +124,7 @@ impl Gate {
     /// Admits a program that acts under this epoch until `deadline`; from then on no program may act under an older epoch.
     /// Waits for the end of a step that another program is [in the middle of](Permit::act).
     ///
-    /// Epochs wrap around: of two, the newer is the one less than half of 256 ahead. Returns once the epoch is on the disk.
+    /// Epochs wrap around at 256: the newer of two is less than 128 ahead. Returns once the epoch is on the disk.
     ///
     /// # Errors
     /// [`Refused`].

@@ -195,11 +195,12 @@ pub enum LinkDiscard {
     UnprovenSession,
     /// The sender says that it refuses the datagrams of this node.
     RefusedByPeer,
-    /// Of a handshake that was closed with other keys.
+    /// The datagram belongs to a handshake that was encrypted with other keys.
     OtherKeys,
-    /// Of a session with keys, or of an attempt at one, that this node does not have, or has no more.
+    /// The datagram belongs to a session with keys, or to a handshake, that this node does not have, or no
+    /// longer has.
     StaleSession,
-    /// The keys of its session did not close it.
+    /// The datagram was not encrypted with the keys of its session.
     Forged,
     /// A packet inside a good envelope is not one of this cell.
     Packet(PacketError),

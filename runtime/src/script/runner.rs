@@ -108,7 +108,7 @@ impl ScriptRunner {
         effects: &mut Effects,
     ) {
         let (level, number) = end;
-        // First, because what is due by now may cut the action short.
+        // Time passes first, because what is due by now may cut the action short.
         self.let_time_pass(comm, effects);
         let Some(acting) = self.side.acting.get_mut(usize::from(level)) else { return };
         if *acting != Some(number) || self.host.is_stopped() {

@@ -279,7 +279,7 @@ mod tests {
     fn waits_that_are_long_are_looked_at_once_in_64_and_less_each_time_in_vain() {
         let mut policy = policy(FREE);
         assert_eq!(tried(&mut policy, 64), 1);
-        // Another 63 go by six times, then 127, 255, 511, and 1,023 from there on.
+        // Six more times 63 waits pass without a spin, then 127, 255, 511, and from there on 1,023 each.
         assert_eq!(tried(&mut policy, 10_000), 17);
     }
 

@@ -167,7 +167,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         let completion = loop {
             let completion = core.completion.take();
             let Some(next) = completion.as_ref().and_then(&mut more) else { break completion };
-            // Only if half full, as the drain moves its cache line to this core. Once full, others would wait for the lock.
+            // A drain moves the inbox's cache line to this core, but a full inbox would make others wait for the lock.
             if self.inbox.is_half_full() {
                 self.inbox.come_in();
                 self.drain(&mut core, effects);
@@ -346,7 +346,7 @@ impl<S: Protected, P: Plants<Plant>> Handoff<S, P> {
         let done = then(&mut core.protected);
         let rest = if core.resting { Rest::GoesOn } else { Rest::No };
         core.protected.settle(rest, effects);
-        // Last, because the task's thread may be spinning, and then wants the lock.
+        // The word is marked last, because a spinning thread of the task then wants the lock at once.
         let was = if new_completion { self.waiting.mark() } else { Was::RUNNING };
         drop(core);
         self.waiting.call(was);

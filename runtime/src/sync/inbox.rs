@@ -1,7 +1,7 @@
 //! Input left for the next thread that runs a communication task: stored without that task's lock, taken in the same order.
 
 use crate::sync::{AtomicUsize, Mutex, Ordering, lock};
-/// A real atomic, which no explorer explores: it is only a hint.
+/// This is the standard atomic, which no explorer explores, because the flag is only a hint.
 use std::sync::atomic::AtomicBool;
 
 /// How many inputs fit into an inbox. Once it is full, a thread that brings more waits for the lock.

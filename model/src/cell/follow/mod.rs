@@ -49,7 +49,7 @@ const ROUNDED: u64 = 4;
 struct Group {
     at: u64,
     cause: Happened,
-    /// The packets that left its node.
+    /// The packets that left the task's node because of the input.
     sent: Vec<Packet>,
     turns: Vec<Turn>,
 }
@@ -63,7 +63,8 @@ pub(super) enum Rounding {
     Down,
     /// The remaining time of the packet is one tick less.
     Charged,
-    /// Time that passed unnoticed is counted at once where timers end, and deadline by deadline elsewhere: not as usual.
+    /// A late node counts the time that it missed in the other way than usual: at once for timers, and deadline by
+    /// deadline for communication tasks.
     Otherwise,
     /// The timer or delay that the run shows ends before the time_outs of its tick.
     First,
@@ -105,8 +106,7 @@ pub(super) struct Follower {
     pending: Vec<VecDeque<Turn>>,
     /// The packets that arrived last, the newest first.
     arrived: VecDeque<InFlight>,
-    /// For each task, the packets that it has sent in the model and that the run has not shown yet, each with its
-    /// node's tick.
+    /// For each task, the packets that it has sent in the model and that the run has not shown yet, each with its node's tick.
     sends: Vec<Vec<(u64, Packet)>>,
     pub out: Followed,
 }
@@ -116,7 +116,7 @@ enum No {
     /// The packet of this input is not in flight in the model yet: another task may have to go on first.
     NotYet(String),
     Never(String),
-    /// Nor could it with any other rounding of times.
+    /// The model cannot follow the input, whatever the rounding of times.
     However(String),
 }
 

@@ -27,7 +27,8 @@ fn left_len(faults: &CellFaults) -> usize {
     let counted = [faults.loss, faults.dup, faults.reorder, faults.fail, faults.drift];
     let counted = counted.iter().filter(|had| **had > 0).count() + faults.pause.len();
     let len = counted + faults.cut.len();
-    // An open cut forbids copies and overtaking, a cut that is over does not: then cuts cannot be compared. Nor do 9 bytes fit.
+    // An open cut forbids copies and overtaking, a cut that is over does not: then cuts cannot be compared. More than 8
+    // bytes do not fit into [`Left`].
     if faults.dup > 0 || faults.reorder > 0 || len > 8 { counted.min(8) } else { len }
 }
 
@@ -196,14 +197,14 @@ fn walk_thread<W: Walk>((task, level): &mut (u8, u8), w: &mut W) {
     w.byte(level);
 }
 
-/// An optional number of ticks: `None` is 0, `n` is `n + 1`.
+/// Walks an optional number of ticks. In packed form `None` is 0, and `n` is `n + 1`.
 fn or_none<W: Walk>(ticks: &mut Option<u32>, w: &mut W) {
     let mut read = ticks.map_or(0, |ticks| ticks + 1);
     w.number(&mut read);
     *ticks = read.checked_sub(1);
 }
 
-/// An optional obligation, in the same form.
+/// Walks an optional obligation of a check, in the form that `or_none` uses.
 fn walk_due<W: Walk>(due: &mut Option<Ticks>, w: &mut W) {
     let mut read = due.map_or(Ticks::ZERO, |left| left + Ticks(1));
     w.left(&mut read, true);

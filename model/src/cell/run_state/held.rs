@@ -53,14 +53,16 @@ impl RunState {
     /// The next task of a node whose script begins in this tick.
     pub fn begins_next(&self, node: usize) -> Option<usize> {
         let Begins { from, to, begun } = self.beside.begins[node];
-        // The common case: `moves` asks for every node in every state.
+        // In most states no script of the node begins. The check comes first, because `moves` calls this
+        // function for each node in each state.
         if from == to {
             return None;
         }
         self.here(node).filter(|&task| (from..to).contains(&self.held(task))).nth(usize::from(begun))
     }
 
-    /// Whether that script may begin now: its task must have noticed the time first.
+    /// Whether the script that [`begins_next`](Self::begins_next) names may begin now: its task must have
+    /// noticed the time first.
     pub fn may_begin(&self, node: usize) -> bool {
         self.begins_next(node).is_some_and(|task| self.cell.notices_all(node, task))
     }

@@ -247,7 +247,7 @@ impl RunState {
         packets.map(|carried| self.left_of(carried)).chain(ends).chain(self.fixed_events())
     }
 
-    /// The same of events that do not happen earlier than at their instant.
+    /// The times until all events to come that do not happen earlier than at their instant.
     fn fixed_events(&self) -> impl Iterator<Item = Ticks> {
         let cell_state = &self.cell;
         let up = || (0..cell_state.nodes.len()).filter(|&i| cell_state.nodes[i].up);

@@ -20,9 +20,9 @@ pub(super) enum Source<'a> {
 /// How a number is drawn below a limit.
 #[derive(Clone, Copy)]
 enum Spread {
-    /// Each with the same chance.
+    /// Each alternative has the same chance.
     Even,
-    /// In half of the cases one of the two ends.
+    /// In half of the draws the first or the last alternative is chosen.
     Ends,
 }
 
@@ -62,7 +62,7 @@ fn latest(run_state: &RunState, running: &Running) -> u64 {
 struct Line {
     /// Number of packets that have arrived at its end.
     arrived: u32,
-    /// The packet whose time was chosen, and its age then.
+    /// The number of the packet for which an arrival was chosen last, and the age at which it arrives.
     chosen: Option<(u32, u32)>,
 }
 

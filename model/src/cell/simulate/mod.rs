@@ -121,13 +121,13 @@ struct Ran {
 
 /// A finding of several runs, at one task or at several with the same statements.
 struct Group {
-    /// The finding as the first of these runs shows it, and the number of moves to it.
+    /// The finding as the first run shows it, and the number of moves to it.
     shown: Shown,
     moves: usize,
-    /// The other tasks that show it.
+    /// The other tasks that show the finding.
     also: Vec<TaskId>,
     runs: u64,
-    /// The first of these runs.
+    /// The seed of the first run with this finding.
     seed: Option<u64>,
     /// The number of the finding in that run, from 1.
     number: usize,

@@ -26,7 +26,7 @@ pub(super) struct Waiting {
     pub source: TaskId,
     pub number: u32,
     pub class: Class,
-    /// On its node's clock, like `not_before`.
+    /// When the message expires. This and `not_before` are times on the clock of the receiver's node.
     pub expires: u64,
     pub not_before: u64,
     pub arrival: u64,

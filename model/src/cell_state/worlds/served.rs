@@ -202,7 +202,7 @@ impl Workshop {
 pub struct Interrupted {
     /// The time_out of the queries.
     pub time_out: u64,
-    /// How many queries each sends.
+    /// How many queries each asking task sends.
     pub queries: u8,
     /// Whether there is a relay between the nodes.
     pub relay: bool,

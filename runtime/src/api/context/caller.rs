@@ -38,7 +38,7 @@ pub(crate) struct Caller {
     pub depth: u8,
     /// Whether the current thread is in an `atomic` section.
     pub atomic: bool,
-    /// What the callers of the node's futures share, if this is one.
+    /// What the callers of the node's futures share; `None` if the task is no future.
     answers: Option<Rc<RefCell<Answers>>>,
     /// The waker that is called when there is an answer for the future.
     waker: Option<Waker>,
@@ -182,13 +182,15 @@ impl Caller {
             self.wait(kind, now, until, waited);
             waited = true;
             now = clock::now();
-            // Already a spin tail earlier, because that brings what the deadline needs into the caches.
+            // The deadline counts as due a spin tail earlier, because handling it early brings code and data
+            // into the caches.
             let due = now.saturating_add(self.node.spin_tail) >= until;
             entry = self.node.come_back(self.place, now, due, more, &mut self.effects);
         }
     }
 
-    /// From here on, what is sent waits for more, or no longer. Returns the setting before.
+    /// Says whether sent packets wait from here on for more packets to leave with. Returns the earlier
+    /// setting.
     pub fn hold(&mut self, holds: bool) -> bool {
         let before = std::mem::replace(&mut self.effects.holds, holds);
         if !holds && !self.effects.leaving.is_empty() {
@@ -207,7 +209,7 @@ impl Caller {
         }
         let node = &self.node;
         let local = &node.locals.list[self.place];
-        // A wait for a time alone, if it is to be exact, is on the word.
+        // If a wait for a time alone must be exact, the thread sleeps on its word, not in the link.
         let link = node.link.as_ref().filter(|_| !node.is_exact || kind.is_some());
         let leading = link.and_then(|link| link.leading());
         // `by_link` is set again when the link brings something for the task, whichever thread receives it.

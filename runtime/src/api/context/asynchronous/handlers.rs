@@ -106,8 +106,8 @@ impl<S> AsyncContext<S> {
                 let handler = of_timer.map(|(_, handler)| Rc::clone(handler));
                 handler.map_or(Ok(()), |handler| handler(&mut self.state))
             }
-            // A future is not interrupted by these: a task that must react has a thread or a script. Messages that the
-            // future sends under the lost lease are refused.
+            // A lost lease and a take-over do not interrupt a future: a task that must react to them has a thread or a
+            // script. Messages that the future sends under the lost lease are refused.
             Call::Fenced | Call::TakeOver(_) => Ok(()),
         };
         if let Err(error) = &done {
