@@ -5,6 +5,7 @@ import hashlib, re, subprocess, sys
 
 PAGES = re.compile(r"(README|ARCHITECTURE|CONTRIBUTING|SECURITY|docs/.+|specs/.+)\.md")
 GENERATED = re.compile(r"specs/(results/.+|claims-full\.md)")
+NO_PROSE = ("|", "```", "<!--", "    ")  # A table, code, a mark.
 CODE_LINES = 3
 SHORTEST = 60  # Letters of a paragraph. A shorter one leads to a table, a list or code.
 
@@ -36,7 +37,7 @@ def paragraphs(lines):
         if heading:
             depth = len(heading[1])
             headings = {at: text for at, text in headings.items() if at < depth} | {depth: line}
-        elif line.strip() and not fenced and not line.startswith(("|", "```", "<!--")):
+        elif line.strip() and not fenced and not line.startswith(("|", "```", "<!--") if block else NO_PROSE):
             block.append(line)
             continue
         if len(" ".join(block)) >= SHORTEST:
