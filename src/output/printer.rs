@@ -11,7 +11,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Most lines that wait for the reader.
+/// The most lines that wait for the reader; beyond them, lines about scripts are dropped.
 const LINES: usize = 4_096;
 /// Most bytes that wait for the reader. Later lines are dropped and counted.
 const BYTES: usize = 1 << 20;

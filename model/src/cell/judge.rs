@@ -23,7 +23,7 @@ pub(super) struct Shown {
     pub last: bool,
     /// The couple, by position among the cell's work couples.
     pub couple: Option<usize>,
-    /// The other tasks that it concerns.
+    /// The other tasks that the finding concerns.
     pub others: Vec<usize>,
 }
 

@@ -61,8 +61,8 @@ fn needs_no_fault(program: &Program) -> Vec<bool> {
     })
 }
 
-/// For each operation, whether control flow reaches it from one of the operations `from`. `goes` gives the operations
-/// that may follow an operation.
+/// For each operation, whether control flow reaches it from one of the `entries`. `goes` gives the operations that
+/// may follow an operation.
 pub(super) fn reached_from(
     code: &[Op],
     entries: impl IntoIterator<Item = usize>,

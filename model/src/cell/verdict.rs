@@ -124,7 +124,7 @@ pub struct Finding {
     pub check: Option<usize>,
     /// The work couple, by its position among the cell's.
     pub couple: Option<usize>,
-    /// The other tasks that it concerns.
+    /// The other tasks that the finding concerns.
     pub others: Vec<Concerned>,
     /// The cause of the finding, one line in the cell's words.
     pub cause: String,

@@ -205,7 +205,7 @@ fn is_served_at(program: &Program, at: usize) -> bool {
         let is_inside = |at: usize| (head..=end).contains(&at);
         let round = reached_from(code, [head], |at| match code[at] {
             op if waits(&op) || !is_inside(at) => [None; 2],
-            // `while true`.
+            // The head of `while true`: its condition never ends the loop.
             Op::Unless(_) if at > head && code[at - 1] == Op::Term(Term::Push(1)) => [None, Some(at + 1)],
             op => next(&op, at),
         });

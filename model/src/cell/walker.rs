@@ -241,8 +241,8 @@ impl Walker {
         })
     }
 
-    /// Looks up the state before a lone arrival. The same state with more faults left has a choice, and so may have
-    /// been kept. If it was not, two paths that have joined here meet at the next kept state of the chain.
+    /// Looks up the state before a lone arrival. The same state with more faults left has a choice, so the search
+    /// may have kept it. If it did not, two paths that join here meet again at the next kept state of the chain.
     fn is_known(&mut self, moves: &[CellMove], seen: &Seen) -> Known {
         if !matches!(moves, [CellMove::Deliver(_) | CellMove::Vanish(_)]) {
             return Known::No;

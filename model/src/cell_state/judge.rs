@@ -31,7 +31,7 @@ pub(crate) struct SpecStates {
     pub remaining: Vec<(Name, u8)>,
     /// A bit mask for each source: bit `i` says that the source's message `next - 1 - i` was handed over.
     pub handed: Vec<u16>,
-    /// As `handed`, for commands whose sender was told that they did not run.
+    /// A bit mask for each source, as `handed`, of the commands whose sender was told that they did not run.
     pub denied: Vec<u16>,
     /// For each port of the task watched for fairness, how often its head was bypassed.
     pub bypassed: Vec<u8>,

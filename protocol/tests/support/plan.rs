@@ -33,7 +33,7 @@ pub fn plans() -> impl Strategy<Value = Plan> {
 }
 
 impl Plan {
-    /// A plan from any numbers.
+    /// Makes a plan of a cell from any numbers.
     pub fn new([tasks, nodes, delay]: [u8; 3], ports: Vec<[u8; 6]>, rules: [u8; 4], couple: u8) -> Self {
         let within = |n: u8, most: u8| 1 + n % most;
         let (tasks, nodes) = (u16::from(within(tasks, 4)), u16::from(within(nodes, 3)));

@@ -16,7 +16,7 @@ const MAGNITUDES: u32 = 16;
 pub(super) struct Census {
     /// Directed links on which packets arrive, with the number of packets.
     lines: Vec<((NodeId, NodeId), u32)>,
-    /// Tasks whose actions end, with the number of actions.
+    /// Tasks whose actions end, each with the number of its actions.
     tasks: Vec<(TaskId, u32)>,
     ticks: u64,
 }
