@@ -388,7 +388,7 @@ pub enum Signal {
         port: PortId,
         /// The round: the same for all members that are released together.
         round: Round,
-        /// How this task learnt of it.
+        /// How this task learnt of the release.
         by: ReleasedBy,
     },
     /// An ARRIVE ended without a release.

@@ -62,7 +62,7 @@ impl Scene {
         Self::within(dir, &[(text, &["--action", &action])])
     }
 
-    /// Lets the action `go` end. Returns the instant of that.
+    /// Lets the action `go` end, and returns the instant at which it did so.
     pub fn go(&self) -> Instant {
         std::fs::write(self.dir.path().join("gone"), "").expect("a file");
         Instant::now()

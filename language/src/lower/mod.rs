@@ -83,7 +83,7 @@ pub struct Action {
     pub name: String,
     /// The types of the action's arguments.
     pub arguments: Vec<Type>,
-    /// The type of its result; none if nothing reads it.
+    /// The type of the action's result; none if nothing reads the result.
     pub result: Option<Type>,
     /// The least and the greatest result.
     pub range: Option<(i64, i64)>,

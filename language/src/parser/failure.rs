@@ -99,7 +99,7 @@ pub(super) struct Found<'t> {
     pub text: &'t str,
     /// The token's span.
     pub span: Span,
-    /// The span of the token in front of it.
+    /// The span of the token before this one.
     pub after: Span,
     /// Whether the token is the first of its line.
     pub first_of_line: bool,

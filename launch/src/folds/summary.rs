@@ -56,7 +56,7 @@ pub struct TaskSummary {
 pub struct PortSummary {
     /// The port's name.
     pub name: String,
-    /// What the port's owner does with it.
+    /// What the owner does with the port.
     pub usage: &'static str,
     /// Messages sent; of a waitfor, arrivals.
     pub sent: u64,

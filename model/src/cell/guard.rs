@@ -79,7 +79,7 @@ impl AddAssign for Agreement {
 pub struct Disagreement {
     /// What differs between the two, in words.
     pub what: String,
-    /// The moves that lead to it.
+    /// The moves that lead to the difference.
     pub moves: Vec<CellMove>,
 }
 

@@ -314,7 +314,7 @@ impl Part {
         !self.nodes
     }
 
-    /// Whether a fault of this hypothesis can happen in it.
+    /// Whether a fault of this hypothesis can happen in the part.
     pub fn is_touched_by(&self, plan: &CellPlan, faults: &CellFaults) -> bool {
         let cell = plan.table.cell();
         let links = faults.cut.iter().filter_map(|&link| cell.links.get(link));

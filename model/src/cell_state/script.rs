@@ -11,7 +11,7 @@ use std::sync::Arc;
 /// An action of a script that has begun.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Running {
-    /// The level of the script that waits for it.
+    /// The level of the script that waits for the action.
     pub level: u8,
     /// The action.
     pub action: u16,

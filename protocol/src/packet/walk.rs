@@ -172,7 +172,7 @@ mod tests {
 
     const HOME: (Round, Seq24) = (Frame::ROUND, Frame::SEQUENCE);
 
-    /// A pass that moves all ids of a source, and all rounds of a port.
+    /// A pass that moves all ids of a source, and all rounds of a port, by the same number.
     struct Shift(u16);
 
     impl Walk for Shift {

@@ -40,10 +40,10 @@ impl Avoid {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Hop {
     pub next: NodeId,
-    /// The summed bounds of its links.
+    /// The summed bounds of the route's links.
     pub bound: Ticks,
     pub(super) links: u8,
-    /// How many avoided links and relays are on it.
+    /// How many avoided links and relays are on the route.
     avoided: u16,
 }
 

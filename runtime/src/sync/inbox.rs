@@ -10,7 +10,7 @@ const ROOM: usize = 64;
 /// How many inputs at most wait for a running thread: it works them off whatever it enters for (D130).
 const FOR_A_RUNNER: usize = 32;
 
-/// In cache lines of its own, because both ends write to it.
+/// An inbox has cache lines of its own, because both ends write to it.
 #[repr(align(64))]
 pub(crate) struct Inbox<I> {
     inputs: Mutex<Vec<I>>,

@@ -51,11 +51,11 @@ pub struct Count {
 pub struct LinkView {
     /// The neighbour at the other end of the link.
     pub peer: NodeId,
-    /// Time since the last datagram from it, in microseconds; `None` before the first one.
+    /// Time since the last datagram from the neighbour, in microseconds; `None` before the first one.
     pub heard_us: Option<u64>,
-    /// Packets sent to it.
+    /// Packets sent to the neighbour.
     pub sent: u64,
-    /// Packets accepted from it.
+    /// Packets accepted from the neighbour.
     pub received: u64,
 }
 

@@ -183,10 +183,10 @@ pub enum Rendezvous {
     Released {
         /// The round, the same for all tasks that this meeting releases.
         round: Round,
-        /// How this task learned of it.
+        /// How this task learned of the release.
         by: ReleasedBy,
     },
-    /// The time_out ended first.
+    /// The task's time_out ended before the rendezvous was complete.
     GaveUp {
         /// The round in which the task waited.
         round: Round,
