@@ -253,8 +253,7 @@ impl History {
                 Some(waits) => {
                     let one = &mut buffer.waiting[waits];
                     one.reject(&listed.order, port, steps);
-                    // `compare` reads the message's back-off after the step. Until then the message must not go
-                    // before others.
+                    // `compare` reads the back-off after the step; until then the message goes before no other.
                     one.not_before = now + 1;
                 }
                 None => listed.rejected = Some((peer, number, steps)),
