@@ -8,7 +8,7 @@ use crate::output::Output;
 use crate::token;
 use crate::{cell_file, demo, replay};
 use imrs_launch::cells;
-use imrs_monitor::config::{Config, EXAMPLE};
+use imrs_monitor::config::{Config, EXAMPLE, memory};
 use imrs_monitor::judge::{FollowSession, Judge};
 use imrs_monitor::query::Filter;
 use imrs_monitor::theme::Theme;
@@ -61,12 +61,8 @@ fn options(
     color: Color,
     base: Option<PathBuf>,
 ) -> Result<Options, Failure> {
-    let theme = match args.theme.as_deref().or(config.theme.as_deref()) {
-        None => None,
-        Some(name) => Some(Theme::named(name).ok_or_else(|| {
-            Failure::Usage(format!("no theme `{name}`: there are {}", Theme::names().join(", ")))
-        })?),
-    };
+    let given = args.theme.as_deref().map(str::parse::<Theme>).transpose().map_err(Failure::Usage)?;
+    let theme = given.or_else(|| config.theme.as_ref().map(|theme| theme.0));
     if let Some(filter) = &args.filter {
         Filter::parse(filter).map_err(|error| Failure::Usage(format!("--filter {filter}: {error}")))?;
     }
@@ -78,7 +74,7 @@ fn options(
         base,
         cell: args.cell.or_else(|| config.cell.clone()),
         judge: Some(validator(args.judge.as_deref())?),
-        filter: args.filter.or_else(|| config.filter.clone()),
+        filter: args.filter.or_else(|| config.filter.as_ref().map(|filter| filter.0.0.clone())),
         once: args.once,
         watch: args.watch,
         text: args.text,
@@ -93,6 +89,10 @@ fn options(
         },
         ascii: args.ascii,
         theme,
+        remember: memory(|name| std::env::var(name).ok()),
+        palette: config.palette,
+        keys: config.keys.clone(),
+        columns: config.columns.iter().map(|column| column.0).collect(),
         mouse: !args.no_mouse && config.mouse.unwrap_or(true),
         reduced_motion: args.reduced_motion || config.reduced_motion.unwrap_or(false),
         replay: args.replay,

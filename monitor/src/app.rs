@@ -7,17 +7,19 @@ mod jump;
 pub mod lanes;
 mod mouse;
 mod problems;
+mod settings;
 mod shown;
 mod steer;
 
 pub use command::COMMANDS;
 pub use complete::{Completion, fuzzy};
 pub use entry::{Entry, Kind};
+pub use settings::Setting;
 
 use crate::clock::Moment;
 use crate::drawn::Drawn;
 use crate::history::History;
-use crate::keys;
+use crate::keymap::Keymap;
 use crate::name::Name;
 use crate::options::Endpoint;
 use crate::problems::ProblemKey;
@@ -33,6 +35,7 @@ use crossterm::event::{KeyEvent, KeyEventKind, MouseEvent};
 use imrs_protocol::{MessageId, PortId, TaskId};
 use imrs_wire::obs::Token;
 use lanes::Lanes;
+use std::path::PathBuf;
 use std::time::Duration;
 
 /// With more ports than this, the app subscribes only to the queues that are on the screen.
@@ -72,6 +75,10 @@ pub enum Effect {
     Copy(String),
     /// Attach to this node too.
     Connect(Endpoint),
+    /// Take the mouse, or leave it to the terminal.
+    Mouse(bool),
+    /// Draw in the theme that was chosen, and remember it.
+    Theme,
     /// Release the terminal until the user returns.
     Suspend,
     /// End the monitor.
@@ -111,6 +118,12 @@ pub struct App {
     before: Screen,
     /// The theme.
     pub theme: Theme,
+    /// The file that remembers the chosen theme.
+    pub remember: Option<PathBuf>,
+    /// The keys.
+    pub keymap: Keymap,
+    /// The cells of the overview that the user chose, in this order; none for those that have room.
+    pub columns: Vec<usize>,
     cell: Option<Name>,
     only: Option<String>,
     /// The rows of the overview.
@@ -146,6 +159,8 @@ pub struct App {
     /// The code whose page is shown, and the screen on which it was chosen.
     explained: Option<&'static str>,
     explained_on: Screen,
+    /// The screen over which the settings are shown, and its position.
+    settings_over: (Screen, usize),
     lanes: Lanes,
     /// The user's mark: moment and store to compare with.
     mark: Option<Box<(Moment, Store)>>,
@@ -178,6 +193,9 @@ impl App {
             screen: Screen::Overview,
             before: Screen::Overview,
             theme,
+            remember: None,
+            keymap: Keymap::default(),
+            columns: Vec::new(),
             cell: None,
             only,
             shape: Shape::default(),
@@ -198,6 +216,7 @@ impl App {
             problem: None,
             explained: None,
             explained_on: Screen::Problems,
+            settings_over: (Screen::Overview, 0),
             lanes: Lanes::default(),
             mark: None,
             since_mark: false,
@@ -352,7 +371,7 @@ impl App {
             Msg::Key(event) if self.entry_line.is_some() => self.typed(&event, now),
             Msg::Key(event) => {
                 let told = self.told.take().is_some();
-                let effect = keys::action(&event, self.screen).map(|action| self.act(action, now));
+                let effect = self.keymap.action(&event, self.screen).map(|action| self.act(action, now));
                 let nothing = if told { Effect::Draw } else { Effect::Nothing };
                 effect.unwrap_or(nothing)
             }

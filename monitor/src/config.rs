@@ -1,11 +1,14 @@
 //! The user's configuration file, `$XDG_CONFIG_HOME/imrs/monitor.toml`. Options on the command line take precedence.
 
+use crate::checked::{Checked, FilterText};
+use crate::column::OverviewColumn;
+use crate::keymap::Keymap;
 use crate::options::Endpoint;
-use crate::query::Filter;
-use crate::theme::Theme;
+use crate::theme::{Own, Theme};
 use imrs_wire::files::{self, FileError};
 use schemars::JsonSchema;
 use serde::Deserialize;
+use std::collections::BTreeMap;
 use std::io;
 use std::path::{Path, PathBuf};
 use thiserror::Error;
@@ -16,24 +19,38 @@ pub const EXAMPLE: &str = include_str!("config.toml");
 /// Longest accepted file, in bytes.
 const LONGEST: u64 = 1 << 20;
 
-/// The contents of the file. An unknown key is an error, so that a typing error is noticed.
+/// The contents of the file. An unknown key is an error, so that a typing error is noticed. Each value is checked while
+/// it is read, so that an error names its line.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Config {
     /// The theme: `colour`, `light`, `contrast`, `mono`, `ascii`, `colour-ascii`. Default: by the abilities of the terminal.
-    pub theme: Option<String>,
+    #[schemars(with = "Option<String>")]
+    pub theme: Option<Checked<Theme>>,
+    /// Colours of roles instead of the theme's: `head`, `dim`, `good`, `warn`, `bad`, `alarm`, `bar`.
+    #[schemars(with = "BTreeMap<String, String>")]
+    pub palette: Own,
     /// Whether the mouse is used. Without it the terminal's own selection works.
     pub mouse: Option<bool>,
     /// Whether the screen is redrawn only once a second, and after input.
     pub reduced_motion: Option<bool>,
+    /// Actions, each with its keys instead of its usual ones.
+    #[schemars(with = "BTreeMap<String, Vec<String>>")]
+    pub keys: Keymap,
+    /// The columns of the overview after the names: `state`, `queue`, `slack`, `rate`, `expired`, `overflow`, `rejected`,
+    /// `resent`, `timed_out`, `health`. Default: those that have room.
+    #[schemars(with = "Vec<String>")]
+    pub columns: Vec<Checked<OverviewColumn>>,
     /// The nodes to attach to: `unix:PATH` or `tcp:HOST:PORT`. Default: all on this machine.
-    pub connect: Vec<String>,
+    #[schemars(with = "Vec<String>")]
+    pub connect: Vec<Checked<Endpoint>>,
     /// The file with the token for nodes that require one.
     pub token: Option<PathBuf>,
     /// The cell to show if there are several.
     pub cell: Option<String>,
     /// The initial filter, as typed after `/`.
-    pub filter: Option<String>,
+    #[schemars(with = "Option<String>")]
+    pub filter: Option<Checked<FilterText>>,
 }
 
 /// Why the file cannot be used.
@@ -78,29 +95,13 @@ impl Config {
     /// # Errors
     /// The place and the reason of an error.
     pub fn parse(text: &str) -> Result<Self, String> {
-        let config: Self = toml::from_str(text).map_err(|error| error.to_string().trim_end().to_owned())?;
-        if let Some(theme) = &config.theme
-            && Theme::named(theme).is_none()
-        {
-            return Err(format!(
-                "no theme `{}`: there are {}",
-                crate::name::shown(theme),
-                Theme::names().join(", ")
-            ));
-        }
-        for endpoint in &config.connect {
-            endpoint.parse::<Endpoint>().map_err(|error| format!("connect: {error}"))?;
-        }
-        if let Some(filter) = &config.filter {
-            Filter::parse(filter).map_err(|error| format!("filter: {error}"))?;
-        }
-        Ok(config)
+        toml::from_str(text).map_err(|error| error.to_string().trim_end().to_owned())
     }
 
     /// The nodes to attach to.
     #[must_use]
     pub fn endpoints(&self) -> Vec<Endpoint> {
-        self.connect.iter().filter_map(|endpoint| endpoint.parse().ok()).collect()
+        self.connect.iter().map(|endpoint| endpoint.0.clone()).collect()
     }
 
     /// The schema of the file, as JSON Schema.
@@ -118,6 +119,31 @@ pub fn place(var: impl Fn(&str) -> Option<String>) -> Option<PathBuf> {
     Some(base.join("imrs/monitor.toml"))
 }
 
+/// The file that remembers the chosen theme: `$XDG_STATE_HOME/imrs/monitor-theme`.
+#[must_use]
+pub fn memory(var: impl Fn(&str) -> Option<String>) -> Option<PathBuf> {
+    let set = |name: &str| var(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+    let base = set("XDG_STATE_HOME").or_else(|| Some(set("HOME")?.join(".local/state")))?;
+    Some(base.join("imrs/monitor-theme"))
+}
+
+/// The theme in such a file. A file without a theme counts as none.
+#[must_use]
+pub fn remembered(path: &Path) -> Option<Theme> {
+    Theme::named(files::text(path, 64).ok()?.trim())
+}
+
+/// Writes the name of a theme into such a file.
+///
+/// # Errors
+/// That of the file or its folder.
+pub fn remember(path: &Path, theme: &Theme) -> io::Result<()> {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder)?;
+    }
+    std::fs::write(path, theme.name)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -133,26 +159,61 @@ mod tests {
             .map(|line| format!("{line}\n"))
             .collect();
         let config = Config::parse(&set).unwrap_or_else(|why| panic!("{why}\n{set}"));
-        let Config { theme, mouse, reduced_motion, connect, token, cell, filter } = config;
+        let Config { theme, palette, mouse, reduced_motion, keys, columns, connect, token, cell, filter } =
+            config;
         assert!(theme.is_some() && mouse.is_some() && reduced_motion.is_some() && !connect.is_empty());
         assert!(token.is_some() && cell.is_some() && filter.is_some());
+        assert!(palette != Own::default() && keys != Keymap::default() && !columns.is_empty());
         let schema = Config::schema();
-        let keys = schema["properties"].as_object().expect("properties");
+        let known = schema["properties"].as_object().expect("properties");
         for line in set.lines() {
             let key = line.split(" = ").next().unwrap_or_default().trim();
-            assert!(keys.contains_key(key), "{key}: {schema}");
+            let key = key.split('.').next().unwrap_or_default();
+            assert!(known.contains_key(key), "{key}: {schema}");
         }
-        assert_eq!(keys.len(), set.lines().count());
+        assert_eq!(known.len(), set.lines().count());
     }
 
     #[test]
     fn what_is_wrong_is_told_with_its_place() {
         let wrong = |text: &str| Config::parse(text).unwrap_err();
-        let unknown = wrong("theme = \"mono\"\ncolour = 3\n");
-        assert!(unknown.contains("line 2") && unknown.contains("unknown field `colour`"), "{unknown}");
-        assert!(wrong("theme = \"pink\"").contains("there are colour"), "{}", wrong("theme = \"pink\""));
-        assert!(wrong("connect = [\"here\"]").contains("write unix:PATH or tcp:HOST:PORT"));
-        assert!(wrong("filter = \"slak<3ms\"").contains("did you mean `slack`"));
+        // Of a list, the line is that of its beginning.
+        let cases = [
+            ("theme = \"mono\"\ncolour = 3\n", 2, "unknown field `colour`"),
+            ("\n\ntheme = \"pink\"", 3, "there are colour"),
+            (
+                "\nconnect = [\n\"tcp:a:1\",\n\"here\"]",
+                2,
+                "`here` names no endpoint: write unix:PATH or tcp:HOST:PORT",
+            ),
+            ("mouse = true\nfilter = \"slak<3ms\"", 2, "did you mean `slack`"),
+            ("mouse = true\n[keys]\npaus = \"p\"", 3, "no action `paus`: did you mean `pause`?"),
+            ("[keys]\npause = \"p\"\ntheme = \"hyper\"", 3, "no key `hyper`"),
+            ("[keys]\npause = [\"p\",\n\"hyper\"]", 2, "no key `hyper`"),
+            ("[keys]\npause = \"p\"\ntheme = \"p\"", 1, "`p` cannot be both `pause` and `theme`"),
+            ("\ncolumns = [\"state\", \"heath\"]", 2, "no column `heath`: did you mean `health`?"),
+            ("palette.bad = \"#d55e00\"\npalette.god = \"red\"", 2, "did you mean `good`"),
+            ("\npalette.bad = \"reddish\"", 2, "no colour `reddish`"),
+            ("mouse = \"yes\"", 1, "expected a boolean"),
+        ];
+        for (text, line, said) in cases {
+            let error = wrong(text);
+            assert!(error.contains(&format!("line {line},")) && error.contains(said), "{text}: {error}");
+        }
+    }
+
+    #[test]
+    fn the_chosen_theme_is_remembered() {
+        let folder = tempfile::tempdir().unwrap();
+        let home = folder.path().to_str().unwrap().to_owned();
+        let path = memory(|name| (name == "HOME").then(|| home.clone())).unwrap();
+        assert!(path.ends_with(".local/state/imrs/monitor-theme"));
+        assert_eq!(remembered(&path), None);
+        remember(&path, &Theme::CONTRAST).unwrap();
+        assert_eq!(remembered(&path), Some(Theme::CONTRAST));
+        std::fs::write(&path, "pink").unwrap();
+        assert_eq!(remembered(&path), None);
+        assert_eq!(memory(|_| None), None);
     }
 
     #[test]

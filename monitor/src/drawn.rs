@@ -61,6 +61,11 @@ impl Drawn {
         self.hits.iter().find(|(area, _)| area.contains(at)).map(|(_, hit)| *hit)
     }
 
+    /// Drops all targets, because a window is drawn over them.
+    pub(crate) fn forget(&mut self) {
+        self.hits.clear();
+    }
+
     /// Makes an area of the terminal a target.
     pub(crate) fn target(&mut self, area: Rect, hit: Hit) {
         self.hits.push((area, hit));

@@ -1,7 +1,7 @@
 //! The key bindings, in one table: input handling and help use the same entries, so they cannot differ.
 
 use crate::screen::Screen;
-use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use crossterm::event::KeyCode;
 
 /// The action of a key.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -84,6 +84,8 @@ pub enum Action {
     Explain,
     /// Goes to what blocks the cell.
     Culprit,
+    /// Shows the settings, or closes them.
+    Settings,
     /// The next theme.
     Theme,
     /// Suspends the monitor until `fg`.
@@ -247,21 +249,15 @@ pub const BINDINGS: &[Binding] = &[
     everywhere(&[key(':')], Action::Command, "a command: connect, port, node, theme, quit"),
     everywhere(&[key('r')], Action::Record, "start a recording, or end it"),
     everywhere(&[key('C')], Action::Cell, "next cell"),
+    on(&[Screen::Settings], &[code(KeyCode::Enter)], Action::Enter, "change this setting"),
+    everywhere(&[key('o')], Action::Settings, "settings of the running monitor"),
     everywhere(&[key('t')], Action::Theme, "next theme"),
     everywhere(&[ctrl('z')], Action::Suspend, "to the shell; `fg` returns"),
     everywhere(&[key('q'), ctrl('c')], Action::Quit, "quit"),
 ];
 
-/// The action of `event` on `screen`.
-#[must_use]
-pub fn action(event: &KeyEvent, screen: Screen) -> Option<Action> {
-    let pressed = Key { code: event.code, ctrl: event.modifiers.contains(KeyModifiers::CONTROL) };
-    let fits = |b: &&Binding| b.keys.contains(&pressed) && b.is_on(screen);
-    BINDINGS.iter().find(fits).map(|b| b.action)
-}
-
 /// The actions that a screen's bottom line names, most useful first.
-const fn hinted(screen: Screen) -> &'static [(Action, &'static str)] {
+pub(crate) const fn hinted(screen: Screen) -> &'static [(Action, &'static str)] {
     match screen {
         Screen::Overview => &[
             (Action::Enter, "open"),
@@ -273,6 +269,7 @@ const fn hinted(screen: Screen) -> &'static [(Action, &'static str)] {
         Screen::Port => {
             &[(Action::Enter, "history"), (Action::Left, "previous"), (Action::Right, "next port")]
         }
+        Screen::Settings => &[(Action::Enter, "change"), (Action::Back, "close"), (Action::Down, "down")],
         Screen::Message | Screen::Explain | Screen::Help => &[(Action::Back, "back"), (Action::Down, "down")],
         Screen::Rendezvous => {
             &[(Action::Enter, "go there"), (Action::Culprit, "culprit"), (Action::Cycles, "cycles")]
@@ -295,37 +292,18 @@ const fn hinted(screen: Screen) -> &'static [(Action, &'static str)] {
     }
 }
 
-/// The key hints of a screen, the help first: `? help`, `Enter open`, each with its action.
-pub fn hints(screen: Screen) -> impl Iterator<Item = (String, Action)> {
-    let help = [(Action::Show(Screen::Help), "help")];
-    let all = help.into_iter().chain(hinted(screen).iter().copied()).chain([(Action::Quit, "quit")]);
-    all.filter_map(move |(action, word)| {
-        let binding = BINDINGS.iter().find(|binding| binding.action == action && binding.is_on(screen))?;
-        // A special key says more than a letter that does the same.
-        let is_letter = |key: &Key| matches!(key.code, KeyCode::Char('a'..='z'));
-        let key = binding.keys.iter().find(|key| !is_letter(key)).or_else(|| binding.keys.first())?;
-        let key = if action == Action::Quit { binding.keys.first()? } else { key };
-        Some((format!("{} {word}", key.label()), action))
-    })
-}
-
 impl Binding {
     /// Whether the binding applies on `screen`.
     #[must_use]
     pub fn is_on(&self, screen: Screen) -> bool {
         self.on.is_empty() || self.on.contains(&screen)
     }
-
-    /// The keys, as the help shows them.
-    #[must_use]
-    pub fn label(&self) -> String {
-        let names: Vec<_> = self.keys.iter().map(|k| k.label()).collect();
-        names.join(" ")
-    }
 }
 
 impl Key {
-    fn label(self) -> String {
+    /// Its name, as the help shows it.
+    #[must_use]
+    pub fn label(self) -> String {
         let name = match self.code {
             KeyCode::Char(' ') => "space".to_owned(),
             KeyCode::Char(c) => c.to_string(),

@@ -10,7 +10,10 @@
 #![forbid(unsafe_code)]
 
 pub mod app;
+mod background;
+mod checked;
 pub mod clock;
+pub mod column;
 pub mod config;
 mod conformance;
 mod drawn;
@@ -18,6 +21,7 @@ mod error;
 pub mod export;
 pub mod history;
 pub mod judge;
+pub mod keymap;
 pub mod keys;
 pub mod name;
 mod options;
@@ -39,6 +43,7 @@ mod ui;
 mod verdicts;
 pub mod view;
 
+pub use checked::Checked;
 pub use error::MonitorError;
 pub use options::{ColorChoice, Endpoint, EndpointError, Format, Options, Verdict};
 pub use plain::Watch;
@@ -91,7 +96,7 @@ pub fn run(options: &Options) -> Result<Verdict, MonitorError> {
     {
         return Err(MonitorError::NothingFound { looked: Some(base.clone()), failed: Vec::new() });
     }
-    let theme = theme_for(options, |name| std::env::var(name).ok());
+    let theme = first_theme(options);
     let (clock, tape) = (Clock::start(), Arc::new(Tape::default()));
     let mut app = app(options, theme);
     if let Some(path) = &options.record {
@@ -119,7 +124,7 @@ fn replay_on_screen(options: &Options, mut player: Player) -> Result<Verdict, Mo
         None if player.film().story.is_none() => player.toggle(clock.now()),
         None => {}
     }
-    let theme = theme_for(options, |name| std::env::var(name).ok());
+    let theme = first_theme(options);
     let app = app(options, theme).replaying(player);
     ui::show(Memory::default(), clock, app, &Arc::default(), RECORDING.into(), None)?;
     Ok(Verdict::Healthy)
@@ -127,8 +132,13 @@ fn replay_on_screen(options: &Options, mut player: Player) -> Result<Verdict, Mo
 
 /// The initial screen for these options.
 fn app(options: &Options, theme: Theme) -> app::App {
-    let mut app = app::App::new(options.theme.unwrap_or(theme), options.cell.clone());
+    let theme = options.theme.unwrap_or(theme).with(options.palette);
+    let mut app = app::App::new(theme, options.cell.clone());
+    app.keymap = options.keys.clone();
+    app.columns = options.columns.iter().map(|column| column.cell()).collect();
     app.token = options.token.clone();
+    // A theme that is given each time needs no memory.
+    app.remember = options.remember.clone().filter(|_| options.theme.is_none());
     app.mouse = options.mouse;
     app.reduced_motion = options.reduced_motion;
     app.shape.filter = options.filter.clone().unwrap_or_default();
@@ -156,8 +166,26 @@ fn which(options: &Options) -> Which {
     }
 }
 
-/// The theme for the options and the environment variables that `var` returns.
-fn theme_for(options: &Options, var: impl Fn(&str) -> Option<String>) -> Theme {
+/// The theme to begin with: the one that was chosen last, if the terminal can show it, otherwise the one that fits.
+fn first_theme(options: &Options) -> Theme {
+    let var = |name: &str| std::env::var(name).ok();
+    if let Some(theme) = options.theme {
+        return theme;
+    }
+    let chosen = options.remember.as_deref().and_then(config::remembered);
+    // With a remembered theme the answer of the terminal would change nothing.
+    let ask = || if chosen.is_some() { None } else { background::is_light() };
+    let fitting = theme_for(options, var, ask);
+    chosen.filter(|chosen| chosen.needs_no_more_than(&fitting)).unwrap_or(fitting)
+}
+
+/// The theme for the options and the environment variables that `var` returns. `is_light` asks the terminal for its
+/// background; it is only asked if the answer matters.
+fn theme_for(
+    options: &Options,
+    var: impl Fn(&str) -> Option<String>,
+    is_light: impl FnOnce() -> Option<bool>,
+) -> Theme {
     let set = |name: &str| var(name).filter(|value| !value.is_empty());
     let dumb = set("TERM").is_none_or(|term| term == "dumb");
     let colour = match options.color {
@@ -171,8 +199,12 @@ fn theme_for(options: &Options, var: impl Fn(&str) -> Option<String>) -> Theme {
     let utf8 = locale.contains("utf-8") || locale.contains("utf8");
     // Some terminals name their colours of text and background, by their numbers among the first sixteen: `15;0`.
     let background = set("COLORFGBG").and_then(|colours| colours.rsplit(';').next()?.parse::<u8>().ok());
-    let light = matches!(background, Some(7 | 9..=15));
-    Theme::fitting(colour, utf8 && !options.ascii && !dumb, light)
+    let utf8 = utf8 && !options.ascii && !dumb;
+    let light = match background {
+        Some(background) => matches!(background, 7 | 9..=15),
+        None => colour && utf8 && is_light().unwrap_or(false),
+    };
+    Theme::fitting(colour, utf8, light)
 }
 
 #[cfg(test)]
@@ -182,7 +214,8 @@ mod tests {
     #[test]
     fn the_theme_follows_the_environment_and_the_options() {
         let theme = |options: &Options, vars: &[(&str, &str)]| {
-            theme_for(options, |name| vars.iter().find(|(n, _)| *n == name).map(|(_, v)| (*v).to_owned()))
+            let var = |name: &str| vars.iter().find(|(n, _)| *n == name).map(|(_, v)| (*v).to_owned());
+            theme_for(options, var, || None)
         };
         let utf8 = [("TERM", "xterm"), ("LANG", "en_US.UTF-8")];
         let auto = Options::default();
@@ -202,6 +235,24 @@ mod tests {
             assert_eq!(theme(&auto, &[utf8[0], utf8[1], ("COLORFGBG", colours)]), fits, "{colours}");
         }
         assert_eq!(theme(&auto, &[utf8[0], ("COLORFGBG", "0;15")]), Theme::ASCII);
+        // The terminal is asked only if no variable tells, and if the answer matters.
+        let asked = |options: &Options, vars: &[(&str, &str)], says| {
+            let var = |name: &str| vars.iter().find(|(n, _)| *n == name).map(|(_, v)| (*v).to_owned());
+            let mut is_asked = false;
+            let theme = theme_for(options, var, || {
+                is_asked = true;
+                says
+            });
+            (theme, is_asked)
+        };
+        assert_eq!(asked(&auto, &utf8, Some(true)), (Theme::LIGHT, true));
+        assert_eq!(asked(&auto, &utf8, Some(false)), (Theme::COLOUR, true));
+        assert_eq!(asked(&auto, &utf8, None), (Theme::COLOUR, true));
+        let known = [utf8[0], utf8[1], ("COLORFGBG", "15;0")];
+        assert_eq!(asked(&auto, &known, Some(true)), (Theme::COLOUR, false));
+        let none = [utf8[0], utf8[1], ("NO_COLOR", "1")];
+        assert_eq!(asked(&auto, &none, Some(true)), (Theme::MONO, false));
+        assert_eq!(asked(&auto, &[("TERM", "dumb")], Some(true)), (Theme::ASCII, false));
         let never = Options { color: ColorChoice::Never, ascii: true, ..Options::default() };
         assert_eq!(theme(&never, &utf8), Theme::ASCII);
         let always = Options { color: ColorChoice::Always, ..Options::default() };

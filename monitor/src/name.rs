@@ -73,6 +73,18 @@ fn cut(text: &str, longest: usize) -> String {
     out
 }
 
+/// What an error says of a name that does not exist: the nearest one, or all.
+#[must_use]
+pub fn unknown(what: &str, name: &str, names: &[&str]) -> String {
+    let written = shown(name);
+    let near = |known: &&&str| strsim::jaro_winkler(name, known);
+    let best = names.iter().max_by(|a, b| near(a).total_cmp(&near(b))).filter(|best| near(best) > 0.7);
+    match best {
+        Some(best) => format!("no {what} `{written}`: did you mean `{best}`?"),
+        None => format!("no {what} `{written}`: there are {}", names.join(", ")),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

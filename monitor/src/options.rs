@@ -1,9 +1,11 @@
 //! The options of the monitor.
 
+use crate::column::OverviewColumn;
 use crate::judge::Judge;
+use crate::keymap::Keymap;
 use crate::query::Assertion;
 use crate::replay::At;
-use crate::theme::Theme;
+use crate::theme::{Own, Theme};
 use imrs_wire::obs::Token;
 use std::fmt;
 use std::path::PathBuf;
@@ -113,6 +115,14 @@ pub struct Options {
     pub ascii: bool,
     /// The theme, regardless of the terminal.
     pub theme: Option<Theme>,
+    /// The file that remembers the theme that was chosen last.
+    pub remember: Option<PathBuf>,
+    /// The user's own colours.
+    pub palette: Own,
+    /// The user's own keys.
+    pub keys: Keymap,
+    /// The columns of the overview; none for those that have room.
+    pub columns: Vec<OverviewColumn>,
     /// Use the mouse.
     pub mouse: bool,
     /// Redraw only once a second, and after input.

@@ -24,13 +24,15 @@ pub enum Screen {
     Problems,
     /// The page about the code of a finding.
     Explain,
+    /// The settings of the running monitor, over another screen.
+    Settings,
     /// The keys and signs.
     Help,
 }
 
 impl Screen {
     /// All of them.
-    pub const ALL: [Self; 11] = [
+    pub const ALL: [Self; 12] = [
         Self::Overview,
         Self::Port,
         Self::Message,
@@ -41,6 +43,7 @@ impl Screen {
         Self::Model,
         Self::Problems,
         Self::Explain,
+        Self::Settings,
         Self::Help,
     ];
 }

@@ -69,6 +69,20 @@ impl Borrowed {
         execute!(io::stdout(), CopyToClipboard::to_clipboard_from(text)).map_err(MonitorError::Terminal)
     }
 
+    /// Takes the mouse, or leaves it to the terminal.
+    ///
+    /// # Errors
+    /// [`MonitorError::Terminal`].
+    pub fn use_mouse(&mut self, mouse: bool) -> Result<(), MonitorError> {
+        self.mouse = mouse;
+        let done = if mouse {
+            execute!(io::stdout(), EnableMouseCapture)
+        } else {
+            execute!(io::stdout(), DisableMouseCapture)
+        };
+        done.map_err(MonitorError::Terminal)
+    }
+
     /// Draws one frame with `view`.
     ///
     /// # Errors

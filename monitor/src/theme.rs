@@ -1,6 +1,7 @@
 //! The themes. A glyph or a word always carries the meaning too; colour alone never does.
 
 use ratatui::style::{Color, Modifier, Style};
+use std::str::FromStr;
 
 /// The role of a piece of the screen, which determines its style.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -116,6 +117,38 @@ pub struct Theme {
     /// The signs.
     pub glyphs: Glyphs,
     palette: Palette,
+    own: Own,
+}
+
+/// The user's own colours, which replace those of a theme with colours.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Own([Option<Color>; Self::ROLES.len()]);
+
+impl Own {
+    /// No colours.
+    const NONE: Self = Self([None; Self::ROLES.len()]);
+    /// The roles that may have another colour, and their names in the settings file.
+    pub const ROLES: [(Ink, &'static str); 7] = [
+        (Ink::Head, "head"),
+        (Ink::Dim, "dim"),
+        (Ink::Good, "good"),
+        (Ink::Warn, "warn"),
+        (Ink::Bad, "bad"),
+        (Ink::Alarm, "alarm"),
+        (Ink::Bar, "bar"),
+    ];
+
+    /// Gives a role a colour. An alarm has it as its background.
+    pub fn set(&mut self, ink: Ink, colour: Color) {
+        if let Some(at) = Self::ROLES.iter().position(|(role, _)| *role == ink) {
+            self.0[at] = Some(colour);
+        }
+    }
+
+    fn of(&self, ink: Ink) -> Option<Color> {
+        let at = Self::ROLES.iter().position(|(role, _)| *role == ink)?;
+        self.0[at]
+    }
 }
 
 /// The colours.
@@ -139,17 +172,19 @@ const ALARM: u8 = 160;
 
 impl Theme {
     /// Colours that people with any colour vision can distinguish (Okabe and Ito), from the terminal's 256.
-    pub const COLOUR: Self = Self { name: "colour", glyphs: UNICODE, palette: Palette::Dark };
+    pub const COLOUR: Self = Self { name: "colour", glyphs: UNICODE, palette: Palette::Dark, own: Own::NONE };
     /// No colour: bold, dim, underlined and reversed only.
-    pub const MONO: Self = Self { name: "mono", glyphs: UNICODE, palette: Palette::None };
+    pub const MONO: Self = Self { name: "mono", glyphs: UNICODE, palette: Palette::None, own: Own::NONE };
     /// No colour and nothing but ASCII.
-    pub const ASCII: Self = Self { name: "ascii", glyphs: ASCII, palette: Palette::None };
+    pub const ASCII: Self = Self { name: "ascii", glyphs: ASCII, palette: Palette::None, own: Own::NONE };
     /// Colour, and nothing but ASCII.
-    pub const COLOUR_ASCII: Self = Self { name: "colour-ascii", glyphs: ASCII, palette: Palette::Dark };
+    pub const COLOUR_ASCII: Self =
+        Self { name: "colour-ascii", glyphs: ASCII, palette: Palette::Dark, own: Own::NONE };
     /// The same colours, darker, for a light background.
-    pub const LIGHT: Self = Self { name: "light", glyphs: UNICODE, palette: Palette::Light };
+    pub const LIGHT: Self = Self { name: "light", glyphs: UNICODE, palette: Palette::Light, own: Own::NONE };
     /// The strongest colours and nothing dim, for poor eyesight or light.
-    pub const CONTRAST: Self = Self { name: "contrast", glyphs: UNICODE, palette: Palette::Contrast };
+    pub const CONTRAST: Self =
+        Self { name: "contrast", glyphs: UNICODE, palette: Palette::Contrast, own: Own::NONE };
     /// All themes, in the order of the theme key.
     pub const ALL: [Self; 6] =
         [Self::COLOUR, Self::LIGHT, Self::CONTRAST, Self::MONO, Self::ASCII, Self::COLOUR_ASCII];
@@ -169,8 +204,20 @@ impl Theme {
     /// The theme after this one.
     #[must_use]
     pub fn next(self) -> Self {
-        let at = Self::ALL.iter().position(|t| *t == self).unwrap_or(0);
-        Self::ALL[(at + 1) % Self::ALL.len()]
+        let at = Self::ALL.iter().position(|theme| theme.name == self.name).unwrap_or(0);
+        Self::ALL[(at + 1) % Self::ALL.len()].with(self.own)
+    }
+
+    /// This theme with the user's own colours.
+    #[must_use]
+    pub const fn with(self, own: Own) -> Self {
+        Self { own, ..self }
+    }
+
+    /// Another theme with the same own colours.
+    #[must_use]
+    pub const fn changed_to(self, other: Self) -> Self {
+        other.with(self.own)
     }
 
     /// The theme for a terminal with or without colour and UTF-8, and with a light or a dark background.
@@ -186,9 +233,26 @@ impl Theme {
         }
     }
 
-    /// The style of `ink`.
+    /// Whether a terminal that can show `other` can show this theme: no colours and no signs beyond it.
+    #[must_use]
+    pub fn needs_no_more_than(&self, other: &Self) -> bool {
+        let has_colour = |theme: &Self| theme.palette != Palette::None;
+        let has_signs = |theme: &Self| theme.glyphs == UNICODE;
+        (!has_colour(self) || has_colour(other)) && (!has_signs(self) || has_signs(other))
+    }
+
+    /// The style of `ink`: in the user's own colour if there is one, unless the theme has no colours.
     #[must_use]
     pub fn style(&self, ink: Ink) -> Style {
+        let style = self.plain_style(ink);
+        match self.own.of(ink).filter(|_| self.palette != Palette::None) {
+            Some(colour) if ink == Ink::Alarm => style.bg(colour),
+            Some(colour) => style.fg(colour),
+            None => style,
+        }
+    }
+
+    fn plain_style(&self, ink: Ink) -> Style {
         let plain = Style::new();
         let modifier = |m: Modifier| plain.add_modifier(m);
         let colour = |index: u8| plain.fg(Color::Indexed(index));
@@ -231,6 +295,15 @@ impl Theme {
     }
 }
 
+impl FromStr for Theme {
+    type Err = String;
+
+    fn from_str(name: &str) -> Result<Self, String> {
+        let names = Self::names().join(", ");
+        Self::named(name).ok_or_else(|| format!("no theme `{}`: there are {names}", crate::name::shown(name)))
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -270,11 +343,38 @@ mod tests {
     }
 
     #[test]
+    fn own_colours_replace_those_of_themes_with_colours() {
+        let mut own = Own::default();
+        own.set(Ink::Warn, Color::Rgb(1, 2, 3));
+        own.set(Ink::Alarm, Color::Indexed(20));
+        let theme = Theme::COLOUR.with(own);
+        assert_eq!(theme.style(Ink::Warn).fg, Some(Color::Rgb(1, 2, 3)));
+        assert_eq!(theme.style(Ink::Alarm).bg, Some(Color::Indexed(20)));
+        assert_eq!(theme.style(Ink::Bad), Theme::COLOUR.style(Ink::Bad));
+        assert_eq!(theme.next().style(Ink::Warn).fg, Some(Color::Rgb(1, 2, 3)));
+        assert_eq!(Theme::MONO.with(own).style(Ink::Warn), Theme::MONO.style(Ink::Warn));
+    }
+
+    #[test]
     fn every_theme_is_found_by_its_name() {
         for (name, theme) in Theme::names().into_iter().zip(Theme::ALL) {
             assert_eq!(Theme::named(name), Some(theme));
         }
         assert_eq!(Theme::named("Colour"), None);
+    }
+
+    #[test]
+    fn a_theme_is_shown_only_where_the_terminal_can() {
+        for (theme, on, can) in [
+            (Theme::LIGHT, Theme::COLOUR, true),
+            (Theme::MONO, Theme::COLOUR, true),
+            (Theme::COLOUR, Theme::MONO, false),
+            (Theme::COLOUR, Theme::COLOUR_ASCII, false),
+            (Theme::COLOUR_ASCII, Theme::ASCII, false),
+            (Theme::ASCII, Theme::ASCII, true),
+        ] {
+            assert_eq!(theme.needs_no_more_than(&on), can, "{} on {}", theme.name, on.name);
+        }
     }
 
     #[test]

@@ -1,7 +1,9 @@
 //! The main loop of the screen: it handles messages and draws at most thirty frames a second.
 
 use crate::app::{App, Effect, Msg};
+use crate::background::LateAnswer;
 use crate::clock::{Clock, Moment};
+use crate::config;
 use crate::error::MonitorError;
 use crate::judge::{ConformanceWorker, Judge};
 use crate::name::shown_line;
@@ -198,6 +200,19 @@ impl Loop<'_> {
                 }
                 self.due = Some(Duration::ZERO);
             }
+            Effect::Mouse(mouse) => {
+                terminal.use_mouse(mouse)?;
+                self.due = Some(Duration::ZERO);
+            }
+            Effect::Theme => {
+                if let Some(path) = &self.app.remember
+                    && let Err(error) = config::remember(path, &self.app.theme)
+                {
+                    let path = shown_line(&path.display().to_string());
+                    self.tell(format!("the theme is not remembered: {path}: {error}"));
+                }
+                self.due = Some(Duration::ZERO);
+            }
             Effect::Suspend => {
                 // The keyboard thread must end first, or it would take input meant for the shell.
                 self.keys = None;
@@ -297,8 +312,10 @@ impl Keys {
         let stop = Arc::new(AtomicBool::new(false));
         let stopped = stop.clone();
         let read = move || {
+            let mut late = LateAnswer::default();
             while !stopped.load(Ordering::Relaxed) {
                 let input = match event::poll(LOOK).and_then(|ready| ready.then(event::read).transpose()) {
+                    Ok(Some(Event::Key(key))) if late.has(&key) => continue,
                     Ok(Some(Event::Key(key))) => Input::Msg(Msg::Key(key)),
                     Ok(Some(Event::Mouse(mouse))) => Input::Msg(Msg::Mouse(mouse)),
                     Ok(Some(Event::Resize(..))) => Input::Msg(Msg::Resize),

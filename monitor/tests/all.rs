@@ -20,6 +20,7 @@ mod query;
 mod reduce;
 mod replay;
 mod screens;
+mod settings;
 mod steer;
 mod timeline;
 mod typing;

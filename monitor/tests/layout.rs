@@ -2,7 +2,8 @@
 
 use crate::common::{NODES, Stage, identity, ms, snapshot, table, text};
 use imrs_monitor::app::Screen;
-use imrs_monitor::keys;
+use imrs_monitor::keymap::Keymap;
+use imrs_monitor::keys::BINDINGS;
 use imrs_monitor::rows::Sort;
 use imrs_monitor::source::Feed;
 use imrs_monitor::theme::Theme;
@@ -218,6 +219,7 @@ fn no_title_is_overwritten() {
 /// Findings, a pause, a recording and a trouble share the bottom line with the keys of the screen.
 #[test]
 fn key_hints_are_on_every_screen_whatever_is_wrong() {
+    let keymap = Keymap::default();
     for screen in Screen::ALL {
         for (width, height) in [(40, 12), (64, 20), (80, 24), (120, 40), (200, 60)] {
             let mut stage = warned();
@@ -225,17 +227,17 @@ fn key_hints_are_on_every_screen_whatever_is_wrong() {
             let shown = stage.draw(NOW, width, height);
             let foot = text(&shown).lines().last().unwrap().to_owned();
             assert!(foot.contains("? help"), "{screen:?} {width}: {foot}");
-            let named = keys::hints(screen).filter(|(hint, _)| foot.contains(hint.as_str())).count();
+            let named = keymap.hints(screen).filter(|(hint, _)| foot.contains(hint.as_str())).count();
             assert!(width < 80 || named > 1, "{screen:?} {width}: {foot}");
             assert!(width < 64 || foot.starts_with(" paused at"), "{screen:?} {width}: {foot}");
         }
         // Every hint names a key that does what the help says.
-        let all = keys::hints(screen).count();
+        let all = keymap.hints(screen).count();
         assert!(all >= 4, "{screen:?}");
-        for (hint, action) in keys::hints(screen) {
+        for (hint, action) in keymap.hints(screen) {
             let label = hint.split(' ').next().unwrap();
             let binding =
-                keys::BINDINGS.iter().find(|b| b.is_on(screen) && b.label().split(' ').any(|l| l == label));
+                BINDINGS.iter().find(|b| b.is_on(screen) && keymap.label(b).split(' ').any(|l| l == label));
             assert_eq!(binding.map(|binding| binding.action), Some(action), "{screen:?}: {hint}");
         }
     }
@@ -266,5 +268,18 @@ fn the_help_of_a_screen_explains_each_of_its_columns() {
             let is_key = |line: &&str| line.get(..16).unwrap_or(line).contains(title);
             assert!(explained.iter().any(is_key), "{keys}: {title} in {explained:#?}");
         }
+    }
+}
+
+/// Figures since the node's start and since the monitor attached stand in rows that say so: no two are mistaken for each other.
+#[test]
+fn figures_of_the_port_say_since_when_they_count() {
+    for (keys, most) in [("2l", 200), ("2l", 80)] {
+        let shown = Stage::busy(Theme::ASCII).typed(NOW, (most, 30), keys);
+        let start =
+            shown.lines().find(|line| line.contains(" served 28 ")).unwrap_or_else(|| panic!("{shown}"));
+        assert!(start.starts_with(" since start: "), "{start}");
+        let attached = shown.lines().find(|line| line.contains("service p50")).unwrap();
+        assert!(attached.starts_with(" since attached: ") && !attached.contains("since start"), "{attached}");
     }
 }

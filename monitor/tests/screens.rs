@@ -3,7 +3,8 @@
 use crate::common::{BEAT, HALT, LIFT, Stage, at, events, left, ms, observed, snapshot, styles, text};
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use imrs_monitor::app::{Effect, Msg, Screen};
-use imrs_monitor::keys::{self, Action, BINDINGS};
+use imrs_monitor::keymap::Keymap;
+use imrs_monitor::keys::{Action, BINDINGS};
 use imrs_monitor::source::Feed;
 use imrs_monitor::theme::Theme;
 use imrs_protocol::{Event, MeetingState, Reason, TaskId, TaskState, Ticks};
@@ -105,7 +106,7 @@ fn cycle(theme: Theme) -> Stage {
     stage
 }
 
-const SCENES: [Scene; 27] = [
+const SCENES: [Scene; 28] = [
     ("overview", stage, ""),
     ("overview_dead", dead, "jjjj"),
     ("overview_filter", stage, "/bea"),
@@ -131,6 +132,7 @@ const SCENES: [Scene; 27] = [
     ("problems", Stage::busy, "8"),
     ("problems_dead", dead, "8j"),
     ("explain", dead, "8x"),
+    ("settings", Stage::busy, "5oj"),
     ("command", stage, ":port be"),
     ("overview_held_back", held_back, ""),
 ];
@@ -221,14 +223,15 @@ fn the_help_lists_every_key_and_every_key_does_something_where_it_says() {
     let mut stage = stage(Theme::ASCII);
     stage.keys(NOW, "?");
     let text = stage.text(NOW, 120, 150);
+    let keymap = Keymap::default();
     for binding in BINDINGS {
-        let told = |line: &str| line.contains(binding.help) && line.contains(&binding.label());
-        assert!(text.lines().any(told), "{} {}", binding.label(), binding.help);
+        let told = |line: &str| line.contains(binding.help) && line.contains(&keymap.label(binding));
+        assert!(text.lines().any(told), "{} {}", keymap.label(binding), binding.help);
         for screen in Screen::ALL.into_iter().filter(|s| binding.is_on(*s)) {
             for key in binding.keys {
                 let modifiers = if key.ctrl { KeyModifiers::CONTROL } else { KeyModifiers::NONE };
                 let event = KeyEvent::new(key.code, modifiers);
-                assert_eq!(keys::action(&event, screen), Some(binding.action), "{key:?} on {screen:?}");
+                assert_eq!(keymap.action(&event, screen), Some(binding.action), "{key:?} on {screen:?}");
                 press(&event, screen, binding.action);
             }
         }
@@ -240,6 +243,8 @@ fn press(event: &KeyEvent, screen: Screen, action: Action) {
     let mut stage = Stage::busy(Theme::ASCII);
     if screen == Screen::Message {
         stage.keys(NOW, "2l\n");
+    } else if screen == Screen::Settings {
+        stage.keys(NOW, "o");
     } else if screen == Screen::Explain {
         stage.keys(NOW, "8x");
     } else if let Some(show) = BINDINGS.iter().find(|b| b.action == Action::Show(screen)) {

@@ -80,8 +80,9 @@ impl Terminal {
     pub fn type_monitor(&self, environment: &str, flags: &str) {
         let folder = self.folder.display();
         let program = env!("CARGO_BIN_EXE_imrs");
-        let line =
-            format!("XDG_RUNTIME_DIR={folder} {environment} {program} monitor {flags}; echo \"ended: $?\"");
+        let line = format!(
+            "XDG_RUNTIME_DIR={folder} XDG_STATE_HOME={folder}/state {environment} {program} monitor {flags}; echo \"ended: $?\""
+        );
         self.keys(&[&line, "Enter"]);
     }
 

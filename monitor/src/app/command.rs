@@ -37,8 +37,8 @@ impl App {
             ("explain", word) => self.explain_word(word),
             ("theme", name) => match Theme::named(name) {
                 Some(theme) => {
-                    self.theme = theme;
-                    None
+                    (self.theme, self.told) = (self.theme.changed_to(theme), None);
+                    return Effect::Theme;
                 }
                 None => Some(no_theme()),
             },
@@ -48,6 +48,20 @@ impl App {
             }
         };
         Effect::Draw
+    }
+
+    /// The words that may follow `before` in a command.
+    pub(super) fn words_of_command(&self, before: &str) -> Vec<String> {
+        match before.split_whitespace().next() {
+            None => {
+                COMMANDS.iter().filter_map(|(usage, _)| usage.split(' ').next()).map(str::to_owned).collect()
+            }
+            Some("port") => self.names_of_ports(),
+            Some("node" | "task") => self.names_of_places(),
+            Some("explain") => self.words_explained(),
+            Some("theme") => Theme::names().into_iter().map(str::to_owned).collect(),
+            Some(_) => Vec::new(),
+        }
     }
 
     /// What is wrong with a command so far, while it is typed.

@@ -1,9 +1,7 @@
 //! Completions of what is typed, and names that are only nearly right.
 
 use super::App;
-use super::command::COMMANDS;
 use crate::query::FIELDS;
-use crate::theme::Theme;
 use nucleo_matcher::pattern::{AtomKind, CaseMatching, Normalization, Pattern};
 use nucleo_matcher::{Config, Matcher};
 
@@ -71,20 +69,6 @@ impl App {
         let mut seen = std::collections::HashSet::new();
         all.retain(|name| seen.insert(name.clone()));
         all
-    }
-
-    /// The words that may follow `before` in a command.
-    pub(super) fn words_of_command(&self, before: &str) -> Vec<String> {
-        match before.split_whitespace().next() {
-            None => {
-                COMMANDS.iter().filter_map(|(usage, _)| usage.split(' ').next()).map(str::to_owned).collect()
-            }
-            Some("port") => self.names_of_ports(),
-            Some("node" | "task") => self.names_of_places(),
-            Some("explain") => self.words_explained(),
-            Some("theme") => Theme::names().into_iter().map(str::to_owned).collect(),
-            Some(_) => Vec::new(),
-        }
     }
 
     /// The words of a condition: fields, and names.

@@ -68,6 +68,7 @@ impl App {
             | Screen::Model
             | Screen::Problems
             | Screen::Explain
+            | Screen::Settings
             | Screen::Help => {}
         }
     }

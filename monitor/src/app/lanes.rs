@@ -142,9 +142,9 @@ impl App {
         let zoom = ZOOMS.get(self.lanes.zoom).copied().flatten();
         let count = room.clamp(1, lanes.len().max(1));
         let first = (lane + 1).saturating_sub(count);
-        let in_sight: BTreeSet<TaskId> = lanes.iter().copied().skip(first).take(count).collect();
+        let visible: BTreeSet<TaskId> = lanes.iter().copied().skip(first).take(count).collect();
         let rows = slices(&timeline, wanted, zoom);
-        let rows = folded(rows, |at| in_sight.contains(&timeline.marks[at].task));
+        let rows = folded(rows, |at| visible.contains(&timeline.marks[at].task));
         let last = rows.len().saturating_sub(1);
         let is_held = |row: &Slice| {
             row.marks().iter().any(|&at| Some(Anchor::of(&timeline.marks[at])) == self.lanes.held)
@@ -266,6 +266,10 @@ impl App {
         self.lanes.held = None;
     }
 
+    pub(super) const fn is_chart_thin(&self) -> bool {
+        self.lanes.sparse
+    }
+
     pub(super) fn follow_chart(&mut self) {
         self.lanes.held = None;
     }
@@ -315,14 +319,14 @@ fn busiest(timeline: &Timeline) -> Vec<TaskId> {
 }
 
 /// The rows, where those without a mark in sight are folded into one as long as they follow each other.
-fn folded(rows: Vec<Slice>, is_in_sight: impl Fn(usize) -> bool) -> Vec<Slice> {
+fn folded(rows: Vec<Slice>, is_visible: impl Fn(usize) -> bool) -> Vec<Slice> {
     let mut out: Vec<Slice> = Vec::with_capacity(rows.len());
     for row in rows {
         let Slice::Marks(marks) = row else {
             out.push(row);
             continue;
         };
-        if marks.is_empty() || marks.iter().any(|&at| is_in_sight(at)) {
+        if marks.is_empty() || marks.iter().any(|&at| is_visible(at)) {
             out.push(Slice::Marks(marks));
             continue;
         }

@@ -122,6 +122,7 @@ impl App {
             | Screen::Model
             | Screen::Problems
             | Screen::Explain
+            | Screen::Settings
             | Screen::Help => "",
         }
     }
@@ -139,6 +140,12 @@ impl App {
     #[must_use]
     pub const fn helped(&self) -> Screen {
         self.before
+    }
+
+    /// The screen over which the settings are shown.
+    #[must_use]
+    pub const fn settings_over(&self) -> Screen {
+        self.settings_over.0
     }
 
     /// The code whose page is shown.

@@ -47,7 +47,7 @@ impl App {
             Action::Newest => self.step(isize::MAX, now),
             Action::Culprit => self.go_to_culprit(now),
             Action::Pause => self.pause(now),
-            Action::Theme => self.theme = self.theme.next(),
+            Action::Theme => return self.next_theme(),
             Action::Cell => self.next_cell(),
             Action::Filter => self.open_entry(Kind::Filter),
             Action::Sort => self.sort(self.shape.sort.next(), false),
@@ -60,7 +60,9 @@ impl App {
             }
             Action::Discards => self.hide_discards(),
             Action::NextError | Action::PreviousError => self.jump_to_error(action == Action::NextError),
+            Action::Settings => self.toggle_settings(),
             Action::Back => self.back(),
+            Action::Enter if self.screen == Screen::Settings => return self.change_setting(now),
             Action::Enter if self.screen == Screen::Problems => self.enter_problem(now),
             Action::Enter => self.enter(now),
             Action::Explain => self.explain(now),
@@ -76,12 +78,15 @@ impl App {
             Action::PageUp => self.step(-self.page(), now),
             Action::PageDown => self.step(self.page(), now),
             Action::First => self.step(isize::MIN, now),
-            Action::Last => {
-                self.step(isize::MAX, now);
-                self.follow_chart();
-            }
+            Action::Last => self.go_to_last(now),
         }
         Effect::Draw
+    }
+
+    /// Goes to the last row, and follows new ones.
+    fn go_to_last(&mut self, now: Moment) {
+        self.step(isize::MAX, now);
+        self.follow_chart();
     }
 
     /// Pauses the screen, or resumes it.
@@ -178,7 +183,9 @@ impl App {
     }
 
     fn back(&mut self) {
-        if !self.filter().is_empty() {
+        if self.screen == Screen::Settings {
+            self.toggle_settings();
+        } else if !self.filter().is_empty() {
             self.filter_mut().clear();
         } else if self.screen != Screen::Overview {
             self.screen = match self.screen {
@@ -277,6 +284,7 @@ impl App {
             | Screen::Model
             | Screen::Problems
             | Screen::Explain
+            | Screen::Settings
             | Screen::Help => None,
         }
     }
@@ -309,7 +317,7 @@ impl App {
         Effect::Copy(text)
     }
 
-    fn set_mark(&mut self, now: Moment) {
+    pub(super) fn set_mark(&mut self, now: Moment) {
         let at = self.moment(now);
         self.mark = Some(Box::new((at, self.store().clone())));
         self.told = Some(format!("marked at {}; d shows what has changed since", Span(at)));
@@ -348,6 +356,7 @@ impl App {
             | Screen::Timers
             | Screen::Model
             | Screen::Explain
+            | Screen::Settings
             | Screen::Help => {
                 // Before the screen was drawn its length is unknown; drawing then limits the position. Of a text the
                 // first line moves, of a list the selected one.

@@ -1,8 +1,7 @@
 //! What the health cell of a row says, and how a block shows in the overview.
 
-use super::columns::HEALTH_CELL;
+use super::columns::{Cells, HEALTH_CELL};
 use super::mark;
-use super::overview::Cells;
 use crate::app::App;
 use crate::rows::Row;
 use crate::store::blocked::Blocker;

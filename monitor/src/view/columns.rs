@@ -2,16 +2,23 @@
 
 use super::canvas::Column;
 use crate::rows::Sort;
+use crate::theme::Ink;
+
+/// Name, state, queue, slack, rate, expired, overflow, rejected, re-sent, timed out, health.
+pub(super) type Cells = [(String, Ink); 11];
 
 /// The index of the health cell.
 pub(super) const HEALTH_CELL: usize = 10;
 
+/// The least width of a column that shares the remaining width.
+const OPEN: u16 = 12;
 /// The least width of the names.
 const NAME: u16 = 14;
 
 /// The columns for a width, and the indices of the cells that they show. `longest` are the longest name and the longest
 /// queue on the screen: what they do not need is for the health, and no number is cut.
-pub(super) fn columns(width: u16, longest: (u16, u16)) -> (Vec<Column>, &'static [usize]) {
+/// `chosen` are the user's own cells; those at the end that have no room are left out.
+pub(super) fn columns(width: u16, longest: (u16, u16), chosen: &[usize]) -> (Vec<Column>, Vec<usize>) {
     let (name, state, queue, cells): (u16, u16, u16, &[usize]) = match width {
         0..60 => (0, 0, 5, &[0, 2, 3, HEALTH_CELL]),
         60..80 => (18, 14, 5, &[0, 1, 2, 3, HEALTH_CELL]),
@@ -37,6 +44,18 @@ pub(super) fn columns(width: u16, longest: (u16, u16)) -> (Vec<Column>, &'static
         _ if width < 60 => Column::left("", 2),
         _ => Column::left("HEALTH", 0),
     };
+    if chosen.is_empty() || width < 60 {
+        return (cells.iter().map(column).collect(), cells.to_vec());
+    }
+    let mut cells: Vec<usize> = std::iter::once(0).chain(chosen.iter().copied()).collect();
+    let taken = |cells: &[usize]| {
+        let widths =
+            cells.iter().map(column).map(|column| if column.width == 0 { OPEN } else { column.width });
+        widths.map(|width| width + 1).fold(0, u16::saturating_add)
+    };
+    while taken(&cells) > width && cells.len() > 1 {
+        cells.pop();
+    }
     (cells.iter().map(column).collect(), cells)
 }
 

@@ -120,7 +120,7 @@ pub(crate) fn column(screen: Screen, title: &str) -> Option<String> {
 /// Explanations of a screen's columns.
 pub(crate) const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
     match screen {
-        Screen::Overview | Screen::Help => OVERVIEW,
+        Screen::Overview | Screen::Settings | Screen::Help => OVERVIEW,
         Screen::Port => PORT,
         Screen::Message => MESSAGE,
         Screen::Rendezvous => RENDEZVOUS,

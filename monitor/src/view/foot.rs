@@ -2,10 +2,10 @@
 
 use super::canvas::{Canvas, columns};
 use super::{before_pause, mark, overview};
-use crate::app::{App, Entry, Kind, Screen};
+use crate::app::{App, Entry, Kind};
 use crate::clock::{Moment, Span};
 use crate::drawn::Hit;
-use crate::keys::{self, Action};
+use crate::keys::Action;
 use crate::store::blocked::Blocker;
 use crate::store::health::Finding;
 use crate::store::journal::Severity;
@@ -31,7 +31,7 @@ pub(super) fn draw(
     }
     let pieces = pieces(app, findings, blockers, now);
     let width = canvas.area.width;
-    let hints = hints(app.screen, if pieces.is_empty() { width } else { width / 5 * 2 });
+    let hints = hints(app, if pieces.is_empty() { width } else { width / 5 * 2 });
     let taken = hints.iter().map(|(hint, _)| columns(hint) + 2).sum::<u16>();
     let room = width.saturating_sub(taken);
     let mut x = room + 1;
@@ -82,10 +82,10 @@ fn line_typed(app: &App, entry: &Entry, y: u16, canvas: &mut Canvas<'_>) {
 }
 
 /// As many key hints as fit; the help always.
-fn hints(screen: Screen, width: u16) -> Vec<(String, Action)> {
+fn hints(app: &App, width: u16) -> Vec<(String, Action)> {
     let mut chosen: Vec<(String, Action)> = Vec::new();
     let mut used = 0;
-    for (hint, action) in keys::hints(screen) {
+    for (hint, action) in app.keymap.hints(app.screen) {
         let gap = if chosen.is_empty() { 0 } else { 2 };
         if chosen.is_empty() || used + gap + columns(&hint) < width {
             used += gap + columns(&hint);

@@ -38,10 +38,10 @@ fn lines(app: &App) -> Vec<Line> {
     let mut lines = vec![heading(&format!("KEYS: {}", title(screen)))];
     let here = |b: &&Binding| b.on.contains(&screen);
     let elsewhere = |b: &&Binding| !b.on.is_empty() && !b.on.contains(&screen);
-    lines.extend(BINDINGS.iter().filter(here).map(|b| (b.label(), b.help.to_owned(), Ink::Plain)));
+    lines.extend(BINDINGS.iter().filter(here).map(|b| (app.keymap.label(b), b.help.to_owned(), Ink::Plain)));
     lines.push(heading("KEYS EVERYWHERE"));
     let everywhere = BINDINGS.iter().filter(|b| b.on.is_empty());
-    lines.extend(everywhere.map(|b| (b.label(), b.help.to_owned(), Ink::Plain)));
+    lines.extend(everywhere.map(|b| (app.keymap.label(b), b.help.to_owned(), Ink::Plain)));
     lines.push(heading("COMMANDS, after a colon"));
     lines.extend(COMMANDS.iter().map(|(usage, help)| {
         let (word, rest) = usage.split_once(' ').map_or((*usage, ""), |(word, rest)| (word, rest));
@@ -62,7 +62,7 @@ fn lines(app: &App) -> Vec<Line> {
     lines.push(heading("KEYS ON OTHER SCREENS"));
     lines.extend(BINDINGS.iter().filter(elsewhere).map(|b| {
         let on: Vec<_> = b.on.iter().map(|screen| title(*screen)).collect();
-        (b.label(), format!("{}  ({})", b.help, on.join(", ")), Ink::Dim)
+        (app.keymap.label(b), format!("{}  ({})", b.help, on.join(", ")), Ink::Dim)
     }));
     lines
 }
@@ -83,6 +83,7 @@ const fn title(screen: Screen) -> &'static str {
         Screen::Model => "model",
         Screen::Problems => "problems",
         Screen::Explain => "explanation",
+        Screen::Settings => "settings",
         Screen::Help => "help",
     }
 }

@@ -1,6 +1,6 @@
 //! Screen 2b: the history of one message, stage by stage, with the time that each stage cost.
 
-use super::canvas::{Canvas, Column, bar};
+use super::canvas::{Canvas, Column, bar, columns};
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::store::Names;
@@ -41,7 +41,7 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let rows = u16::try_from(stages.len()).unwrap_or(u16::MAX);
     table(app, &names, &stages, whole_us, &mut canvas.below(2));
     let mut rest = canvas.below(rows.saturating_add(4).max(4));
-    let mut lines = sentence(&stages, usize::from(rest.area.width));
+    let mut lines = sentence(&stages, rest.area.width);
     lines.extend(waiting(app, &names, key, now));
     for (y, (text, ink)) in (0..).zip(&lines) {
         rest.line(y, &[(text, *ink)]);
@@ -164,7 +164,7 @@ const fn word(event: Event) -> &'static str {
 }
 
 /// The whole history as one sentence, wrapped at `width`.
-fn sentence(stages: &[Stage], width: usize) -> Vec<(String, Ink)> {
+fn sentence(stages: &[Stage], width: u16) -> Vec<(String, Ink)> {
     let part = |stage: &Stage| {
         let event = word(stage.mark.seen.what.event);
         let left = Span::micros(stage.left_us);
@@ -179,7 +179,7 @@ fn sentence(stages: &[Stage], width: usize) -> Vec<(String, Ink)> {
     for (i, stage) in stages.iter().enumerate() {
         let text = part(stage) + if i + 1 < stages.len() { "; " } else { "." };
         let last = lines.len() - 1;
-        if lines[last].0.len() + text.len() > width && lines[last].0.len() > 1 {
+        if columns(&lines[last].0).saturating_add(columns(&text)) > width && lines[last].0.len() > 1 {
             lines.push((format!(" {text}"), Ink::Plain));
         } else {
             lines[last].0 += &text;

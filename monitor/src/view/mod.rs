@@ -20,6 +20,7 @@ mod problems;
 mod rendezvous;
 mod replay;
 mod scrub;
+mod settings;
 mod sums;
 mod timeline;
 mod timers;
@@ -75,7 +76,7 @@ fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
         replay::draw(player, &mut canvas.part(panel));
     }
     let mut canvas = canvas.part(middle);
-    match app.screen {
+    match below_window(app) {
         Screen::Help => help::draw(app, &mut canvas),
         _ if app.cell().is_none() => nothing(app, &mut canvas),
         Screen::Overview => overview::draw(app, &findings, &blockers, now, &mut canvas),
@@ -88,7 +89,16 @@ fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
         Screen::Model => model::draw(app, now, &mut canvas),
         Screen::Problems => problems::draw(app, &findings, &blockers, now, &mut canvas),
         Screen::Explain => explain::draw(app, &mut canvas),
+        Screen::Settings => {}
     }
+    if app.screen == Screen::Settings {
+        settings::draw(app, &mut canvas);
+    }
+}
+
+/// The screen that is shown, also if the window of the settings is over it.
+fn below_window(app: &App) -> Screen {
+    if app.screen == Screen::Settings { app.settings_over() } else { app.screen }
 }
 
 /// An area without its last `rows` rows, and these.
@@ -144,6 +154,7 @@ fn head(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
 }
 
 fn pieces(app: &App, width: u16, now: Moment) -> Vec<Piece> {
+    let screen = below_window(app);
     let narrow = width < 60;
     let mut glance = vec![(" imrs ".to_owned(), Ink::Head)];
     if let Some(cell) = app.cell() {
@@ -153,18 +164,17 @@ fn pieces(app: &App, width: u16, now: Moment) -> Vec<Piece> {
     if narrow {
         // The end of the line is cut first, so the tab precedes the less important pieces.
         let at = pieces.len().min(4);
-        pieces.insert(at, only_tab(app.screen));
+        pieces.insert(at, only_tab(screen));
         return pieces;
     }
     let long = |pieces: &[Piece]| pieces.iter().map(|(text, ..)| columns(text)).fold(0, u16::saturating_add);
-    let short = tabs(app.screen, &SHORTEST);
+    let short = tabs(screen, &SHORTEST);
     // The tabs are always whole: without room the last warnings give way.
     while long(&pieces).saturating_add(long(&short)) > width && pieces.len() > 4 {
         pieces.pop();
     }
     let room = width.saturating_sub(long(&pieces));
-    let mut forms =
-        FORMS.iter().filter(|form| width >= 110 || !form.names).map(|form| tabs(app.screen, form));
+    let mut forms = FORMS.iter().filter(|form| width >= 110 || !form.names).map(|form| tabs(screen, form));
     pieces.extend(forms.find(|form| long(form) <= room).unwrap_or(short));
     pieces
 }
@@ -214,6 +224,7 @@ fn tab_of(screen: Screen) -> Screen {
     match screen {
         Screen::Message => Screen::Port,
         Screen::Explain => Screen::Problems,
+        Screen::Settings => Screen::Overview,
         _ => screen,
     }
 }

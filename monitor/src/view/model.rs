@@ -185,9 +185,9 @@ fn wrapped(
 ) {
     let mut text = String::new();
     let mut head = title.to_owned();
-    let room = usize::from(width).saturating_sub(title.len());
+    let room = width.saturating_sub(columns(title));
     for word in words {
-        if !text.is_empty() && text.len() + word.len() + between.len() > room {
+        if !text.is_empty() && columns(&text) + columns(&word) + columns(between) > room {
             lines.push(vec![(std::mem::replace(&mut head, " ".repeat(title.len())), Ink::Dim), (text, ink)]);
             text = String::new();
         }
@@ -198,5 +198,25 @@ fn wrapped(
     }
     if !text.is_empty() {
         lines.push(vec![(head, Ink::Dim), (text, ink)]);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Characters of two columns: what fits is what a terminal has room for, not what has few bytes.
+    #[test]
+    fn lines_are_as_long_as_the_screen_is_wide() {
+        let wrap = |words: &[&str]| {
+            let mut lines = Vec::new();
+            wrapped("", words.iter().map(|word| (*word).to_owned()), " ", Ink::Plain, 10, &mut lines);
+            lines.into_iter().map(|line| line[1].0.clone()).collect::<Vec<_>>()
+        };
+        assert_eq!(
+            wrap(&["\u{5de6}\u{8155}", "\u{5de6}\u{8155}", "ab"]),
+            ["\u{5de6}\u{8155} \u{5de6}\u{8155}", "ab"]
+        );
+        assert_eq!(wrap(&["abcd", "efghij"]), ["abcd", "efghij"]);
     }
 }

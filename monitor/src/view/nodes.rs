@@ -1,7 +1,7 @@
 //! The cells of a node's row, and of the row that stands for the healthy nodes.
 
 use super::canvas::Canvas;
-use super::overview::{Cells, fold_sign};
+use super::columns::Cells;
 use super::sums::Sum;
 use crate::app::App;
 use crate::clock::{Moment, Span};
@@ -10,6 +10,15 @@ use crate::store::{Condition, IncarnationId, NodeIncarnation, Presence};
 use crate::theme::Ink;
 use imrs_wire::obs::RealTime;
 use std::time::Duration;
+
+/// The sign of a row with rows within it.
+pub(super) fn fold_sign(app: &App, row: &Row) -> &'static str {
+    match (row.parent, row.open) {
+        (true, true) => app.theme.glyphs.open,
+        (true, false) => app.theme.glyphs.closed,
+        (false, _) => " ",
+    }
+}
 
 /// The cells of a node.
 pub(super) fn node(app: &App, incarnation: &NodeIncarnation, row: &Row, now: Moment, cells: &mut Cells) {

@@ -2,7 +2,7 @@
 
 use super::accused::{accuse, health};
 use super::canvas::{self, Canvas, Column, bar, first_row};
-use super::columns::{HEALTH_CELL, columns, sort_of};
+use super::columns::{Cells, HEALTH_CELL, columns, sort_of};
 use super::lists::Window;
 use super::sums::{Counts, Sum, per_second};
 use super::{Hit, below, nodes};
@@ -17,9 +17,6 @@ use crate::theme::Ink;
 use imrs_protocol::{PortView, Usage};
 use imrs_wire::obs::{Liveness, TaskSnapshot};
 use ratatui::layout::Rect;
-
-/// Name, state, queue, slack, rate, expired, overflow, rejected, re-sent, timed out, health.
-pub(super) type Cells = [(String, Ink); 11];
 
 pub(super) fn draw(
     app: &App,
@@ -48,7 +45,7 @@ pub(super) fn draw(
         .collect();
     let longest =
         |cell: usize| shown.iter().map(|(.., cells)| canvas::columns(&cells[cell].0)).max().unwrap_or(0);
-    let (columns, of) = columns(width, (longest(0), longest(2)));
+    let (columns, of) = columns(width, (longest(0), longest(2)), &app.columns);
     let widths = canvas.part(inner).widths(&columns);
     titles(app, (&columns, &widths), &window.position(selected), &mut canvas.part(inner));
     for (y, (i, row, cells)) in (1..).zip(&shown) {
@@ -58,10 +55,12 @@ pub(super) fn draw(
         }
         let mut inner = canvas.part(inner);
         inner.row(y, &columns, &widths, &texts);
-        if row.depth == 0 && of.contains(&1) {
-            let x = widths[0] + 1;
-            let taken = canvas::columns(&cells[1].0).min(widths[1]);
-            nodes::sparklines(app, row, (x + taken, x + widths[1]), y, &mut inner);
+        if row.depth == 0
+            && let Some(at) = of.iter().position(|cell| *cell == 1)
+        {
+            let x = widths[..at].iter().map(|width| width + 1).sum::<u16>();
+            let taken = canvas::columns(&cells[1].0).min(widths[at]);
+            nodes::sparklines(app, row, (x + taken, x + widths[at]), y, &mut inner);
         }
         let mut line = canvas.part(Rect { width, ..whole });
         if *i == selected {
@@ -189,15 +188,6 @@ fn is_gone(app: &App, id: IncarnationId, now: Moment) -> bool {
     app.store().incarnation(id).is_some_and(|incarnation| incarnation.presence(now).is_gone())
 }
 
-/// The sign of a row with rows within it.
-pub(super) fn fold_sign(app: &App, row: &Row) -> &'static str {
-    match (row.parent, row.open) {
-        (true, true) => app.theme.glyphs.open,
-        (true, false) => app.theme.glyphs.closed,
-        (false, _) => " ",
-    }
-}
-
 fn task(
     app: &App,
     incarnation: &NodeIncarnation,
@@ -206,7 +196,8 @@ fn task(
     now: Moment,
     cells: &mut Cells,
 ) {
-    cells[0] = (format!("  {} {}", fold_sign(app, row), incarnation.names.task(task.view.task)), Ink::Plain);
+    cells[0] =
+        (format!("  {} {}", nodes::fold_sign(app, row), incarnation.names.task(task.view.task)), Ink::Plain);
     cells[1] = match task.liveness {
         Liveness::Crashed => ("CRASHED".to_owned(), Ink::Bad),
         Liveness::Ended => ("ended".to_owned(), Ink::Dim),

@@ -1,6 +1,6 @@
 //! The figures of a row of the overview: a port's, or the sums over the ports of tasks.
 
-use super::overview::Cells;
+use super::columns::Cells;
 use crate::app::App;
 use crate::clock::Moment;
 use crate::store::recent::WINDOW;

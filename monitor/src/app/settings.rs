@@ -1,0 +1,113 @@
+//! The settings of the running monitor: one line each, which Enter changes.
+
+use super::{App, Effect, Screen};
+use crate::clock::Moment;
+
+/// A setting.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Setting {
+    /// How the screen looks.
+    Theme,
+    /// Whether clicks and the wheel act.
+    Mouse,
+    /// Whether countdowns move once a second only.
+    ReducedMotion,
+    /// Whether the overview shows earlier incarnations.
+    Earlier,
+    /// Whether the overview counts since the mark.
+    SinceMark,
+    /// Whether the events contain routine ones.
+    Everything,
+    /// Whether the events contain discards.
+    Discards,
+    /// Whether the timeline contains ordinary messages.
+    Messages,
+    /// Whether the rendezvous screen shows only cycles.
+    OnlyCycles,
+}
+
+impl Setting {
+    /// All of them, in the order of the screen.
+    pub const ALL: [Self; 9] = [
+        Self::Theme,
+        Self::Mouse,
+        Self::ReducedMotion,
+        Self::Earlier,
+        Self::SinceMark,
+        Self::Everything,
+        Self::Discards,
+        Self::Messages,
+        Self::OnlyCycles,
+    ];
+
+    /// What it is about, and its key in the settings file if it has one.
+    #[must_use]
+    pub const fn about(self) -> (&'static str, &'static str) {
+        match self {
+            Self::Theme => ("how the screen looks; remembered", "theme"),
+            Self::Mouse => ("clicks and the wheel act, and do not select text", "mouse"),
+            Self::ReducedMotion => ("redraw only once a second, and after input", "reduced_motion"),
+            Self::Earlier => ("overview: earlier incarnations of the nodes, too", ""),
+            Self::SinceMark => ("overview: counters since the mark (m)", ""),
+            Self::Everything => ("events: every event, repeated copies, too", ""),
+            Self::Discards => ("events: discards", ""),
+            Self::Messages => ("timeline: ordinary messages", ""),
+            Self::OnlyCycles => ("rendezvous: only what waits in a cycle", ""),
+        }
+    }
+}
+
+impl App {
+    /// What a setting is now.
+    #[must_use]
+    pub fn setting(&self, setting: Setting) -> &'static str {
+        let is_on = match setting {
+            Setting::Theme => return self.theme.name,
+            Setting::Mouse => self.mouse,
+            Setting::ReducedMotion => self.reduced_motion,
+            Setting::Earlier => self.shape.earlier,
+            Setting::SinceMark => self.since_mark,
+            Setting::Everything => self.everything,
+            Setting::Discards => !self.discards_hidden,
+            Setting::Messages => !self.is_chart_thin(),
+            Setting::OnlyCycles => self.only_cycles,
+        };
+        if is_on { "on" } else { "off" }
+    }
+
+    /// Changes the selected setting.
+    pub(super) fn change_setting(&mut self, now: Moment) -> Effect {
+        let Some(setting) = Setting::ALL.get(self.scroll).copied() else { return Effect::Draw };
+        match setting {
+            Setting::Theme => return self.next_theme(),
+            Setting::Mouse => {
+                self.mouse = !self.mouse;
+                return Effect::Mouse(self.mouse);
+            }
+            Setting::ReducedMotion => self.reduced_motion = !self.reduced_motion,
+            Setting::Earlier => self.shape.earlier = !self.shape.earlier,
+            Setting::SinceMark if self.mark.is_none() => self.set_mark(now),
+            Setting::SinceMark => self.since_mark = !self.since_mark,
+            Setting::Everything => (self.everything, self.held) = (!self.everything, None),
+            Setting::Discards => self.hide_discards(),
+            Setting::Messages => self.thin_chart(),
+            Setting::OnlyCycles => self.only_cycles = !self.only_cycles,
+        }
+        Effect::Draw
+    }
+
+    pub(super) fn next_theme(&mut self) -> Effect {
+        self.theme = self.theme.next();
+        Effect::Theme
+    }
+
+    /// Opens the settings, or goes back to where they were opened.
+    pub(super) fn toggle_settings(&mut self) {
+        if self.screen == Screen::Settings {
+            (self.screen, self.scroll) = self.settings_over;
+        } else {
+            self.settings_over = (self.screen, self.scroll);
+            (self.screen, self.scroll) = (Screen::Settings, 0);
+        }
+    }
+}

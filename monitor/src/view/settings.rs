@@ -1,0 +1,62 @@
+//! The settings of the running monitor, over the screen from which they were opened.
+
+use super::canvas::Canvas;
+use crate::app::{App, Setting};
+use crate::theme::Ink;
+use ratatui::layout::Rect;
+use ratatui::symbols::border;
+use ratatui::widgets::{Block, Clear, Widget};
+
+/// The width of the window, if it has room.
+const WIDTH: u16 = 76;
+/// The columns of the names and of the values.
+const VALUE: u16 = 14;
+
+/// The border of the window without signs beyond ASCII.
+const ASCII: border::Set<'static> = border::Set {
+    top_left: "+",
+    top_right: "+",
+    bottom_left: "+",
+    bottom_right: "+",
+    vertical_left: "|",
+    vertical_right: "|",
+    horizontal_top: "-",
+    horizontal_bottom: "-",
+};
+
+pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
+    let whole = canvas.area;
+    let lines = Setting::ALL.len();
+    let wanted = u16::try_from(lines).unwrap_or(u16::MAX).saturating_add(2);
+    let (width, height) = (whole.width.min(WIDTH), whole.height.min(wanted));
+    let area = Rect {
+        x: whole.x + (whole.width - width) / 2,
+        y: whole.y + (whole.height - height) / 2,
+        width,
+        height,
+    };
+    let style = canvas.theme.style(Ink::Plain);
+    Clear.render(area, canvas.buffer);
+    canvas.buffer.set_style(area, style);
+    let title = " settings: Enter changes, Esc closes ";
+    let set = if canvas.theme.glyphs.full.is_ascii() { ASCII } else { border::PLAIN };
+    Block::bordered().border_set(set).title(title).style(style).render(area, canvas.buffer);
+    if width < 4 || height < 3 {
+        return;
+    }
+    // Nothing behind the window takes a click.
+    canvas.drawn.forget();
+    let mut inner = canvas.part(Rect { x: area.x + 1, y: area.y + 1, width: width - 2, height: height - 2 });
+    let room = usize::from(inner.height());
+    let (window, selected) = inner.chosen(app.scroll, room, vec![None; lines]);
+    for (y, (at, setting)) in (0..).zip(Setting::ALL.iter().enumerate().skip(window.first).take(room)) {
+        let (about, key) = setting.about();
+        let value = app.setting(*setting);
+        let ink = if value == "off" { Ink::Dim } else { Ink::Head };
+        inner.at(2, y, VALUE - 2, value, ink);
+        let file = if key.is_empty() { String::new() } else { format!("  ({key})") };
+        let end = inner.at(VALUE + 1, y, u16::MAX, about, Ink::Plain);
+        inner.at(end, y, u16::MAX, &file, Ink::Dim);
+        inner.line_of(y, at, selected);
+    }
+}
