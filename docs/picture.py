@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Makes the pictures of the monitor from a real run of docs/pictures.cell: a cell under load that loses packets and a node.
+"""Makes the pictures of the monitor from a real run of src/demo/assembly.cell: a cell under load that loses packets and a node.
 The terminal is a tmux, and each screen becomes an SVG. The run takes half a minute.
 
 Usage: docs/picture.py [path of the imrs command; default target/debug/imrs]
@@ -163,7 +163,7 @@ class Screen:
         sys.exit(f"never showed {showing}:\n{shown}")
 
 
-CELL = str(HERE / "pictures.cell")
+CELL = str(HERE.parent / "src/demo/assembly.cell")
 # Before that the pictures of the living cell are made, with time to spare.
 KILLED_AT = 30
 

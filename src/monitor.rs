@@ -131,19 +131,24 @@ impl Judge for Validator {
     }
 }
 
-/// The nodes of `--demo`: three arms and a belt that lift together. One after another is killed and restarted, so that the
-/// others wait for it. The nodes use a folder of their own, and stop when this value is dropped.
+/// The nodes of `--demo`: arms, a hoist, a camera and a press. The press gets more parts than it can take and rejects
+/// questions, packets are lost, and one node after another is killed and restarted. So each screen has something to show
+/// within ten seconds. The nodes use a folder of their own, and stop when this value is dropped.
 struct Stage {
     nodes: Child,
     folder: PathBuf,
 }
 
 /// The cell of these nodes.
-const CELL: &str = include_str!("../examples/carry.cell");
+const CELL: &str = include_str!("demo/assembly.cell");
+/// The number of its nodes.
+const NODES: usize = 5;
 /// The file name of the cell in their folder.
-const FILE: &str = "carry.cell";
+const FILE: &str = "assembly.cell";
 /// The tasks whose nodes are killed, in turn.
-const MORTALS: [&str; 3] = ["belt", "rear", "left"];
+const MORTALS: [&str; 3] = ["hoist", "vision", "armL"];
+/// How many of the packets are lost.
+const LOSS: &str = "8%";
 /// The time of the first kill, the time between kills, and how long each node stays down: long enough for the others to give up
 /// and wait again.
 const FAULTS: (Duration, Duration, Duration) =
@@ -160,24 +165,26 @@ impl Stage {
         let (cell, (first, apart, away)) = (folder.join(FILE), FAULTS);
         std::fs::write(&cell, CELL).map_err(failed)?;
         let mut command = Command::new(std::env::current_exe().map_err(failed)?);
-        command.arg("run").arg(&cell).args(["--for", "30m", "--seed", "1", "--format", "json"]);
+        command
+            .arg("run")
+            .arg(&cell)
+            .args(["--for", "30m", "--seed", "3", "--loss", LOSS, "--format", "json"]);
         for (death, who) in (0..DEATHS).zip(MORTALS.iter().cycle()) {
             let dies = (first + apart * death).as_secs();
             command.args(["--kill", &format!("{who}@{dies}s")]);
             command.args(["--restart", &format!("{who}@{}s", dies + away.as_secs())]);
         }
         // Recordings let the monitor judge whether the nodes conform to the verified machine.
-        command.arg("--record").arg(folder.join("carry"));
+        command.arg("--record").arg(folder.join("assembly"));
         command.env("XDG_RUNTIME_DIR", &folder).env("XDG_STATE_HOME", &folder);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
         let nodes = command.spawn().map_err(failed)?;
         let mut stage = Self { nodes, folder };
         let end = Instant::now() + READY_WITHIN;
-        while place::sockets_in(&stage.base()).map_or(0, |found| found.len()) < 4 {
+        while place::sockets_in(&stage.base()).map_or(0, |found| found.len()) < NODES {
             if stage.nodes.try_wait().is_ok_and(|ended| ended.is_some()) || Instant::now() > end {
                 return Err(Failure::Usage(
-                    "the nodes of the demonstration did not start: see what `imrs run` says of examples/carry.cell"
-                        .into(),
+                    "the nodes of the demonstration did not start: `imrs demo beam-lift` may say why".into(),
                 ));
             }
             thread::sleep(Duration::from_millis(20));

@@ -270,8 +270,8 @@ fn the_two_commands_come_first_and_stand_in_the_gate() {
 }
 
 #[test]
-fn the_cell_of_the_pictures_is_sound() {
-    let cell = format!("{ROOT}/docs/pictures.cell");
+fn the_cell_of_the_demonstration_and_the_pictures_is_sound() {
+    let cell = format!("{ROOT}/src/demo/assembly.cell");
     for said in [run(&["check", &cell]), run(&["fmt", "--check", &cell])] {
         assert_eq!(said.code, Some(0), "{said:?}");
         assert!(!said.out.contains("warn["), "{said:?}");

@@ -24,7 +24,7 @@ pub struct MonitorArgs {
     /// Judge what nodes record of their inputs by this cell's file [default: by the cells of the demos].
     #[arg(long, value_name = "CELL")]
     pub judge: Option<PathBuf>,
-    /// Start nodes to look at: arms that lift together, of which one after the other dies and comes back.
+    /// Start nodes to look at: an overloaded press, lost packets, and nodes of which one after the other dies and comes back.
     #[arg(long, conflicts_with_all = ["connect", "replay"])]
     pub demo: bool,
     /// Print one sample and end.

@@ -150,10 +150,23 @@ fn the_demonstration_names_who_is_awaited_and_leaves_nothing_behind() {
     let terminal = Terminal::open(dir.path());
     let start = std::time::Instant::now();
     terminal.type_monitor("", "--demo");
-    terminal.wait_for("who is awaited", |screen| {
-        screen.lines().any(|line| line.contains("BLOCKED BY belt@") || line.contains("waiting for belt@"))
-    });
+    terminal
+        .wait_for("who is awaited", |screen| screen.lines().any(|line| line.contains("BLOCKED BY hoist@")));
     println!("the awaited robot named after {:?}; goal 10 s", start.elapsed());
+    // Each screen has something to show.
+    for (key, shown) in [
+        ("2", "since attached: service"),
+        ("3", "GATHERING"),
+        ("4", "part#"),
+        ("5", "its handler begins"),
+        ("6", "expired"),
+        ("7", "transition kinds seen"),
+        ("8", "next deadline"),
+        ("1", "+"),
+    ] {
+        terminal.keys(&[key]);
+        terminal.wait_for(shown, |screen| screen.contains(shown));
+    }
     let monitor = terminal.monitor_pid();
     let folder = std::env::temp_dir().join(format!("imrs-demo-{monitor}"));
     assert!(folder.is_dir(), "{}", folder.display());
