@@ -156,7 +156,9 @@ class Screen:
         does = showing if callable(showing) else lambda shown: re.search(showing, shown)
         for _ in range(600):
             shown = self.tmux("capture-pane", "-p", "-e")
-            if does(shown):
+            # A terminal that draws half a frame shows another one a moment later.
+            time.sleep(0.015)
+            if does(shown) and shown == self.tmux("capture-pane", "-p", "-e"):
                 (HERE / name).write_text(svg(shown, title))
                 return print("made", HERE / name)
             time.sleep(0.05)
