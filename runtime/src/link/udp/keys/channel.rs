@@ -145,7 +145,8 @@ impl Channel {
         });
     }
 
-    /// Forgets sessions that no datagram under way can need.
+    /// Forgets sessions that no datagram can need any more. One that the neighbour has not used yet stays until a newer one is
+    /// used: the neighbour may have all it needs, and its first datagram may have been lost.
     fn retire(&mut self, now: u64) {
         let newest = self.sending().cloned();
         let is_over = |at: u64| now.saturating_sub(at) >= KEPT;
@@ -153,8 +154,7 @@ impl Channel {
             let is_newest = newest.as_ref().is_some_and(|newest| Arc::ptr_eq(newest, live));
             let replaced =
                 newest.as_ref().is_some_and(|newest| newest.born >= live.born && is_over(newest.born));
-            let unused = !live.confirmed.load(Ordering::Acquire) && is_over(live.born);
-            is_newest || !replaced && !unused
+            is_newest || !replaced
         });
     }
 
