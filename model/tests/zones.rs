@@ -2,11 +2,12 @@
 
 use crate::cells::{Text, within};
 use crate::guard::{number, random_cell};
-use imrs_model::cell::{CellFaults, Finding, Kind, Times, Verdicts, check_cell};
+use imrs_model::cell::{Budget, CellFaults, Finding, Kind, Phase, Times, Verdicts, check_cell};
 use std::collections::BTreeSet;
 use std::fmt::Debug;
 use std::path::Path;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// Most states of a search at every tick: larger ones are left out.
 fn states() -> u64 {
@@ -52,14 +53,38 @@ fn waiting(verdicts: &Verdicts) -> BTreeSet<String> {
     found.map(|found| format!("{:?} at {:?}", found.task, found.address)).collect()
 }
 
+/// Whether a task goes on for ever without progress.
+fn stands_still(verdicts: &Verdicts) -> bool {
+    verdicts.warnings.iter().any(|found| found.kind == Kind::Standstill)
+}
+
 /// How many searches were compared, and their states.
 #[derive(Debug, Default)]
 struct Compared {
     cells: u64,
     phases: u64,
     findings: u64,
+    still: u64,
+    missed: u64,
     every: u64,
     zones: u64,
+    /// The states of the searches by zones that were made without reductions, too, and those of these.
+    reduced: u64,
+    plain: u64,
+}
+
+impl Compared {
+    fn add(&mut self, other: &Self) {
+        self.cells += other.cells;
+        self.phases += other.phases;
+        self.findings += other.findings;
+        self.still += other.still;
+        self.missed += other.missed;
+        self.every += other.every;
+        self.zones += other.zones;
+        self.reduced += other.reduced;
+        self.plain += other.plain;
+    }
 }
 
 /// Compares the verdicts of the search by zones and of the search at every tick; `None` if the latter takes
@@ -81,9 +106,31 @@ fn compare(name: &str, cell: &mut Text, states: u64) -> Option<Compared> {
     assert!(more.is_superset(&fewer), "{name}: only {more:?} by zones, {fewer:?} at every tick");
     let is_pruned = more != fewer;
     assert_eq!(told(&zones, is_pruned), told(&every, is_pruned), "{name}, by zones and at every tick");
-    let all = |verdicts: &Verdicts| verdicts.phases.iter().map(|phase| phase.states).sum();
+    // Zones miss a standstill to which only some times of a zone lead.
+    assert!(stands_still(&every) || !stands_still(&zones), "{name}: a standstill only by zones");
+    let missed = u64::from(stands_still(&every) && !stands_still(&zones));
+    let (plain, reduced) = compare_plain(name, cell, &zones);
     let (phases, findings) = (zones.phases.len() as u64, zones.findings.len() as u64);
-    Some(Compared { cells: 1, phases, findings, every: all(&every), zones: all(&zones) })
+    let still = u64::from(stands_still(&zones));
+    let (every, zones) = (kept(&every), kept(&zones));
+    Some(Compared { cells: 1, phases, findings, still, missed, every, zones, reduced, plain })
+}
+
+fn kept(verdicts: &Verdicts) -> u64 {
+    verdicts.phases.iter().map(|phase| phase.states).sum()
+}
+
+/// Compares the verdict by zones with that of zones without reductions. Returns the states of both, or zeros if that takes too many.
+fn compare_plain(name: &str, cell: &mut Text, zones: &Verdicts) -> (u64, u64) {
+    cell.plan.everything = true;
+    let plain = check_cell(&Arc::new(cell.plan.clone()));
+    cell.plan.everything = false;
+    if !plain.is_complete() {
+        return (0, 0);
+    }
+    assert_eq!(waiting(zones), waiting(&plain), "{name}, with and without reductions");
+    assert_eq!(told(zones, false), told(&plain, false), "{name}, with and without reductions");
+    (kept(&plain), kept(zones))
 }
 
 fn covered(faults: &CellFaults) -> bool {
@@ -98,23 +145,53 @@ fn random_cells_are_found_the_same_by_zones() {
         let Some(mut cell) = random_cell(seed) else { continue };
         let name = format!("IMRS_SEED={seed} IMRS_CELLS=1");
         let Some(one) = compare(&name, &mut cell, states()) else { continue };
-        all.cells += 1;
-        all.phases += one.phases;
-        all.findings += one.findings;
-        all.every += one.every;
-        all.zones += one.zones;
+        all.add(&one);
     }
     println!("{all:?}");
     assert!(all.cells * 2 > cells && all.findings > cells, "{all:?}");
+    assert!(all.still > 0 && all.missed * 100 <= cells, "{all:?}");
+    assert!(all.zones < all.every && all.reduced < all.plain, "{all:?}");
+}
+
+/// Prints a line of a table for each search of a cell: its states, its seconds, and the most memory that this process has used.
+fn measure(name: &str, cell: &mut Text, seconds: u64) {
+    cell.plan.faults.retain(covered);
+    cell.plan.budget = Budget { seconds: Duration::from_secs(seconds).as_secs_f64(), ..Budget::default() };
+    for times in [Times::Zones, Times::Every] {
+        cell.plan.times = times;
+        let verdicts = check_cell(&Arc::new(cell.plan.clone()));
+        let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+        let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap_or("?").trim();
+        for phase in &verdicts.phases {
+            let faults = match phase.phase {
+                Phase::FaultFree => "none".into(),
+                Phase::Faults => format!("{}", phase.hypothesis + 1),
+            };
+            let ended = phase.ended_by.as_deref().unwrap_or("complete");
+            println!(
+                "| {name} | {faults} | {times:?} | {} | {:.2} | {ended} | {peak} |",
+                phase.states, phase.seconds
+            );
+        }
+    }
 }
 
 #[test]
 fn examples_are_found_the_same_by_zones() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples");
+    let one = std::env::var("IMRS_CELL").ok();
     let mut compared = 0;
     for entry in std::fs::read_dir(folder).expect("the examples") {
         let path = entry.expect("an entry").path();
         if path.extension().is_none_or(|extension| extension != "cell") {
+            continue;
+        }
+        if let Some(one) = &one {
+            if path.file_stem().is_some_and(|stem| stem == one.as_str()) {
+                let text = std::fs::read_to_string(&path).expect("a cell");
+                measure(one, &mut Text::new(&text), number("IMRS_SECONDS", 30));
+                return;
+            }
             continue;
         }
         let text = std::fs::read_to_string(&path).expect("a cell");

@@ -114,24 +114,21 @@ impl Dbm {
 
     /// The union of two sets over the same variables, if it can be described so: if it equals the [hull](Self::hull).
     pub fn merged(&self, other: &Self) -> Option<Self> {
-        let hull = self.hull(other);
-        let mut rest = hull.clone();
-        // The hull without the first set, piece by piece: each piece breaks one bound and keeps those before it.
-        for (i, j) in (0..self.len).flat_map(|i| (0..self.len).map(move |j| (i, j))) {
-            let bound = self.at(i, j);
-            if bound >= rest.at(i, j) {
-                continue;
-            }
-            let mut piece = rest.clone();
-            if piece.constrain(j, i, -bound - 1).is_ok() && !piece.is_in(other) {
-                return None;
-            }
-            // Nothing is left once the bound contradicts: then the pieces were all.
-            if rest.constrain(i, j, bound).is_err() {
-                break;
-            }
+        let hull = |i: usize, j: usize| self.at(i, j).max(other.at(i, j));
+        let tighter = |one: &Self, than: &Self| -> Vec<(usize, usize, i64)> {
+            let pairs = (0..self.len).flat_map(|i| (0..self.len).map(move |j| (i, j)));
+            pairs.filter(|&(i, j)| one.at(i, j) < than.at(i, j)).map(|(i, j)| (i, j, one.at(i, j))).collect()
+        };
+        let others = tighter(other, self);
+        // The hull without the first set is the points of the hull that break one of its tighter bounds. With such a bound broken,
+        // each other bound is the hull's own or that of the path over the broken one: all must be within the second set.
+        let is_outside = |(i, j, mine): (usize, usize, i64)| {
+            others.iter().any(|&(k, l, bound)| plus(plus(hull(k, j), hull(i, l)), -mine - 1) > bound)
+        };
+        if tighter(self, other).into_iter().any(is_outside) {
+            return None;
         }
-        Some(hull)
+        Some(self.hull(other))
     }
 
     /// A point of the set, the value of zero first.

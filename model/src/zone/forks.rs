@@ -5,7 +5,8 @@
 
 use super::dbm::{Dbm, Empty};
 use super::times::Times;
-use imrs_protocol::symbolic::{self, Symbol, Time, Zone};
+use imrs_protocol::Ticks;
+use imrs_protocol::symbolic::{self, START, Symbol, Time, Zone};
 use std::cell::{RefCell, RefMut};
 use std::rc::Rc;
 
@@ -66,6 +67,15 @@ pub(crate) fn again<R>(zone: &Dbm, answers: &[u16], run: impl FnOnce(&Forks) -> 
     (result, zone)
 }
 
+/// Runs `run` if the zone decides all its comparisons, and if nothing in it is inexact. Returns the times of the state that it packs,
+/// too.
+pub(crate) fn decided<R>(zone: &Dbm, run: impl FnOnce() -> R) -> Option<(R, Dbm)> {
+    let forks = Forks::new(zone.clone(), Vec::new());
+    let result = forks.within(run);
+    let cut = forks.0.borrow();
+    (cut.used == 0 && cut.is_exact).then(|| (result, cut.state()))
+}
+
 impl Forks {
     fn new(zone: Dbm, answers: Vec<Answer>) -> Self {
         Self(Rc::new(RefCell::new(Cut::new(zone, answers))))
@@ -96,9 +106,40 @@ impl Cut {
         &self.times
     }
 
-    /// The part of the zone that gives the answers so far.
-    pub const fn zone(&self) -> &Dbm {
-        &self.zone
+    /// The times of the state that was packed last, as a zone of its own.
+    pub fn state(&self) -> Dbm {
+        self.zone.project(&self.times.terms())
+    }
+
+    /// Whether one time is at most another one at all points. False also if that takes more than two variables.
+    pub fn is_surely_at_most(&self, one: Ticks, other: Ticks) -> bool {
+        let [one, other] = [one, other].map(symbol_of);
+        match (one, other) {
+            (_, None) => true,
+            (None, Some(_)) => false,
+            (Some(one), Some(other)) => Self::between(one, other)
+                .is_some_and(|(i, j, offset)| self.zone.entails(i.into(), j.into(), -offset)),
+        }
+    }
+
+    /// Two variables and an offset that make the difference of two symbols.
+    const fn between(one: Symbol, other: Symbol) -> Option<(u8, u8, i64)> {
+        let offset = one.offset - other.offset;
+        match (one, other) {
+            _ if one.second == other.second => Some((one.first, other.first, offset)),
+            _ if one.first == other.first => Some((other.second, one.second, offset)),
+            _ if one.first == one.second => Some((other.second, other.first, offset)),
+            _ if other.first == other.second => Some((one.first, one.second, offset)),
+            _ => None,
+        }
+    }
+
+    /// Keeps the points at which one time is at most another one; false if that takes more than two variables.
+    pub fn keep_at_most(&mut self, one: Symbol, other: Symbol) -> Result<bool, Empty> {
+        let Some((i, j, offset)) = Self::between(one, other) else { return Ok(false) };
+        self.decides(i);
+        self.decides(j);
+        self.zone.constrain(i.into(), j.into(), -offset).map(|()| true)
     }
 
     /// The answers so far: with these, [`again`] runs the same.
@@ -182,6 +223,12 @@ impl Cut {
         let by = |way: [usize; 3]| plus.iter().zip(way).map(|(&i, j)| self.zone.bound(i, less[j])).sum();
         WAYS.into_iter().filter_map(by).min()
     }
+}
+
+/// A time as a symbol; `None`: never.
+pub(crate) fn symbol_of(time: Ticks) -> Option<Symbol> {
+    let plain = || Symbol { first: START, second: START, offset: time.0.cast_signed() };
+    (time != Ticks::FAR).then(|| symbolic::symbol(time.0).unwrap_or_else(plain))
 }
 
 impl Cut {
@@ -274,8 +321,8 @@ mod tests {
             |facts, cut| {
                 runs += 1;
                 // A variable that stands for a sum of three comes after these.
-                let only = cut.zone().project(&[(0, 0), (1, 0), (2, 0), (3, 0)]);
-                assert!(cut.is_exact() || cut.zone().len() > 4);
+                let only = cut.zone.project(&[(0, 0), (1, 0), (2, 0), (3, 0)]);
+                assert!(cut.is_exact() || cut.zone.len() > 4);
                 parts.push((only, facts));
             },
         );
@@ -304,7 +351,7 @@ mod tests {
         };
         each(&boxed([4, 1, 1]), run, |result, cut| {
             let (same, zone) = again(&boxed([4, 1, 1]), &cut.answers(), run);
-            assert_eq!((same, &zone), (result, cut.zone()));
+            assert_eq!((same, &zone), (result, &cut.zone));
             assert!(cut.is_exact());
             all.push(result);
         });
@@ -328,8 +375,8 @@ mod tests {
         );
         let values = || (1..=9).flat_map(|x| (1..=9).flat_map(move |y| (1..=9).map(move |z| [0, x, y, z])));
         for [zero, x, y, z] in values().filter(|point| zone.has(point)) {
-            assert!(cut.zone().has(&[zero, x, y, z, x - y + z]), "{x} {y} {z}");
-            assert!(!cut.zone().has(&[zero, x, y, z, x - y + z + 2]), "{x} {y} {z}");
+            assert!(cut.zone.has(&[zero, x, y, z, x - y + z]), "{x} {y} {z}");
+            assert!(!cut.zone.has(&[zero, x, y, z, x - y + z + 2]), "{x} {y} {z}");
         }
         assert!(!cut.is_negative(Symbol { offset: 9, ..sum }) && cut.is_exact(), "that was known");
         cut.is_negative(Symbol { offset: -3, ..sum });

@@ -2,6 +2,7 @@
 
 use super::runner::{From, Run};
 use super::search::{Hit, Search, is_sampled};
+use crate::cell::judge::Shown;
 use crate::cell::plan::{CellFaults, CellPlan, Times};
 use crate::cell::run_state::CellMove;
 use crate::cell::unpacked::Unpacked;
@@ -26,41 +27,65 @@ pub fn told(
     search: &mut Search,
     hit: &Hit,
 ) -> Option<Finding> {
-    let legs = legs(search, hit)?;
-    let plan = &Arc::new(CellPlan { times: Times::Every, ..CellPlan::clone(plan) });
-    let moves = replayed(plan, (phase, faults), &legs, hit)?;
+    let (mut run, zone, _) = rerun(search, hit.state, &hit.answers)?;
+    run.moves.truncate(hit.moves);
+    run.silent_until = None;
+    let mut legs = vec![Leg::of(&mut run, &zone.point())?];
+    legs.extend(legs_to(search, hit.state, zone.point())?);
+    legs.reverse();
+    let plan = &at_every_tick(plan);
+    let replay = Replay::of(plan, (phase, faults), &legs)?;
+    let moves = replay.shows(&hit.shown).then_some(replay.moves)?;
     let shown = starve::decided(plan, &moves, hit.shown.clone());
     Some(story::finding(plan, (phase, hypothesis), faults, moves, &shown))
 }
 
-/// The legs from the start to a finding, at times picked from its zone backwards.
-fn legs(search: &mut Search, hit: &Hit) -> Option<Vec<Leg>> {
-    let (mut run, mut zone, _) = rerun(search, hit.state, &hit.answers)?;
-    run.moves.truncate(hit.moves);
-    run.silent_until = None;
-    let mut at = hit.state;
-    let mut legs = Vec::new();
-    loop {
-        let point = zone.point();
+/// The same plan with plain ticks.
+pub fn at_every_tick(plan: &Arc<CellPlan>) -> Arc<CellPlan> {
+    Arc::new(CellPlan { times: Times::Every, ..CellPlan::clone(plan) })
+}
+
+/// Moves on plain ticks that lead to a kept state, at some of its times.
+pub fn moves_to(
+    plan: &Arc<CellPlan>,
+    of: (Phase, &CellFaults),
+    search: &mut Search,
+    state: u32,
+) -> Option<Vec<CellMove>> {
+    let point = search.store.states[state as usize].zone.as_ref()?.point();
+    let mut legs = legs_to(search, Some(state), point)?;
+    legs.reverse();
+    Some(Replay::of(plan, of, &legs)?.moves)
+}
+
+impl Leg {
+    /// The leg of a run, at a point of its zone. Takes the moves of the run.
+    fn of(run: &mut Run, point: &[i64]) -> Option<Self> {
         let silent = run.silent_until.map_or(0, |until| point[usize::from(until)] - run.now);
-        legs.push(Leg { moves: std::mem::take(&mut run.moves), silent: u64::try_from(silent).ok()? });
-        let Some(state) = at else { break };
+        Some(Self { moves: std::mem::take(&mut run.moves), silent: u64::try_from(silent).ok()? })
+    }
+}
+
+/// The legs from the start to a state at these times, the last one first: times are picked backwards.
+fn legs_to(search: &mut Search, mut at: Option<u32>, mut point: Vec<i64>) -> Option<Vec<Leg>> {
+    let mut legs = Vec::new();
+    while let Some(state) = at {
         // The times of the state from which this leg began.
         let control = &search.store.states[state as usize];
         let times = &point[..control.zone.as_ref()?.len()];
         let origin = control.origins.iter().find(|origin| origin.zone.has(times))?;
         let (parent, answers) = (origin.parent, origin.answers.clone());
-        let terms;
-        (run, zone, terms) = rerun(search, parent, &answers)?;
+        let (mut run, mut zone, terms) = rerun(search, parent, &answers)?;
         let (&(now, moved), others) = terms.split_first()?;
         for (&(variable, offset), &value) in others.iter().zip(&times[1..]) {
             let apart = value - offset + moved;
             zone.constrain(variable, now, apart).ok()?;
             zone.constrain(now, variable, -apart).ok()?;
         }
+        point = zone.point();
+        legs.push(Leg::of(&mut run, &point)?);
         at = parent;
     }
-    legs.reverse();
     Some(legs)
 }
 
@@ -86,32 +111,6 @@ fn rerun(search: &mut Search, state: Option<u32>, answers: &[u16]) -> Option<(Ru
     Some((run, zone, terms))
 }
 
-/// The moves on plain ticks, if the last of them shows the finding.
-fn replayed(
-    plan: &Arc<CellPlan>,
-    (phase, faults): (Phase, &CellFaults),
-    legs: &[Leg],
-    hit: &Hit,
-) -> Option<Vec<CellMove>> {
-    let mut replay =
-        Replay { cell: Unpacked::new(plan, phase, faults), moves: Vec::new(), until: 0, last: Vec::new() };
-    replay.last = replay.cell.shown();
-    for leg in legs {
-        for &step in &leg.moves {
-            if step == CellMove::Pass {
-                replay.until += 1;
-                replay.wait()?;
-            } else {
-                replay.take(step)?;
-            }
-        }
-        replay.until += leg.silent;
-    }
-    let run_state = &replay.cell.run_state;
-    replay.last.extend([false, true].into_iter().filter_map(|goes_on| for_ever(run_state, goes_on)));
-    replay.last.iter().any(|shown| shown.is_same(&hit.shown)).then_some(replay.moves)
-}
-
 /// A replay on plain ticks.
 struct Replay {
     cell: Unpacked,
@@ -119,10 +118,34 @@ struct Replay {
     /// The tick until which time has passed on the path.
     until: u64,
     /// What the last move showed.
-    last: Vec<crate::cell::judge::Shown>,
+    last: Vec<Shown>,
 }
 
 impl Replay {
+    /// Replays the legs; `None` if some move is not possible.
+    fn of(plan: &Arc<CellPlan>, (phase, faults): (Phase, &CellFaults), legs: &[Leg]) -> Option<Self> {
+        let mut cell = Unpacked::new(plan, phase, faults);
+        let mut replay = Self { last: cell.shown(), cell, moves: Vec::new(), until: 0 };
+        for leg in legs {
+            for &step in &leg.moves {
+                if step == CellMove::Pass {
+                    replay.until += 1;
+                    replay.wait()?;
+                } else {
+                    replay.take(step)?;
+                }
+            }
+            replay.until += leg.silent;
+        }
+        Some(replay)
+    }
+
+    /// Whether the last move shows this.
+    fn shows(&self, shown: &Shown) -> bool {
+        let waits = [false, true].into_iter().filter_map(|goes_on| for_ever(&self.cell.run_state, goes_on));
+        self.last.iter().cloned().chain(waits).any(|last| last.is_same(shown))
+    }
+
     /// Makes a move, if it is possible.
     fn take(&mut self, step: CellMove) -> Option<()> {
         let mut moves = Vec::new();

@@ -3,10 +3,11 @@
 use super::concrete;
 use super::runner::Runner;
 use super::search::Search;
-use super::store::Store;
 use crate::cell::done::Done;
 use crate::cell::plan::{CellFaults, CellPlan, Times};
+use crate::cell::standstill::{MOST_TOLD, tell};
 use crate::cell::verdict::{Coverage, Finding, Kind, Phase};
+use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -18,8 +19,7 @@ pub(in crate::cell) fn explore(
 ) -> Done {
     let start = Instant::now();
     let runner = Runner::new(plan, phase, faults);
-    let mut search =
-        Search { runner, store: Store::default(), hits: Vec::new(), inexact: 0, outgrown: false, longest: 0 };
+    let mut search = Search::new(runner);
     let mut ended_by = search.run(plan, start);
     if search.outgrown {
         ended_by
@@ -44,6 +44,9 @@ pub(in crate::cell) fn explore(
             }
         }
     }
+    if ended_by.is_none() {
+        told.extend(standstill(plan, (phase, hypothesis), faults, &mut search));
+    }
     let (warnings, findings) = told.into_iter().partition(|found| found.kind.is_warning());
     let Search { runner, store, longest, .. } = search;
     let depth = store.states.iter().map(|state| u64::from(state.depth)).max().unwrap_or(0);
@@ -65,4 +68,20 @@ pub(in crate::cell) fn explore(
         seconds: start.elapsed().as_secs_f64(),
     };
     Done { coverage, findings, warnings, reached: runner.reached, mattered: runner.mattered }
+}
+
+/// The first standstill that is found again on plain ticks.
+fn standstill(
+    plan: &Arc<CellPlan>,
+    (phase, hypothesis): (Phase, usize),
+    faults: &CellFaults,
+    search: &mut Search,
+) -> Option<Finding> {
+    let still = search.walks.still(&search.store);
+    let every = &concrete::at_every_tick(plan);
+    let mut idle = HashSet::new();
+    still.into_iter().take(MOST_TOLD).find_map(|state| {
+        let moves = concrete::moves_to(every, (phase, faults), search, state)?;
+        tell(every, (phase, hypothesis), faults, moves, &mut idle)
+    })
 }

@@ -2,8 +2,10 @@
 //!
 //! ```text
 //!   runner    runs the moves of a cell on symbolic times, from one kept state to the next, once for each way that its times allow
+//!   reduce    what these runs leave out, and how the zones that are kept grow (D194)
 //!   store     the kept states: for each control, the zones that were reached
 //!   search    expands kept states, breadth first
+//!   still     finds standstills among the kept states
 //!   concrete  picks times for a path, and replays it on plain ticks
 //!   explore   tells what a search found
 //! ```
@@ -18,8 +20,10 @@
 
 mod concrete;
 mod explore;
+mod reduce;
 mod runner;
 mod search;
+mod still;
 mod store;
 
 pub(super) use explore::explore;
@@ -33,7 +37,6 @@ pub(super) fn uncovered(plan: &CellPlan, faults: &CellFaults) -> Option<&'static
         (!faults.pause.is_empty(), "pauses"),
         (faults.drift > 0, "drift"),
         (!faults.crash.is_empty(), "crashes"),
-        (plan.everything, "a search without reductions"),
         (plan.step > 1, "ticks of the model that are longer than those of the cell"),
         (plan.table.cell().rules != Rules::default(), "variants of the rules"),
     ];

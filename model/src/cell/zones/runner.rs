@@ -2,7 +2,9 @@
 
 use crate::cell::judge::{Reached, Shown, judge, nothing_reached};
 use crate::cell::plan::{CellFaults, CellPlan};
+use crate::cell::run_state::canon::Left;
 use crate::cell::run_state::{CellMove, RunState};
+use crate::cell::standstill::is_outside;
 use crate::cell::verdict::{Kind, Phase};
 use crate::cell::waiting::for_ever;
 use crate::state::Violation;
@@ -39,6 +41,9 @@ pub struct Run {
     /// The instant of its last move, and the variable of the instant until which nothing happens then.
     pub now: i64,
     pub silent_until: Option<u8>,
+    /// Whether it had a fault or a restart, and whether it made progress or came to an end.
+    pub takes_fault: bool,
+    pub gets_on: bool,
     /// Whether a state had no packed form.
     pub outgrown: bool,
 }
@@ -49,6 +54,17 @@ impl Run {
         let new = shown.filter(|new| !self.hits.iter().any(|(known, _)| known.is_same(new)));
         self.hits.extend(new.map(|shown| (shown, at)));
     }
+
+    /// Whether one time has passed, and nothing else has happened.
+    fn is_untouched(&self) -> bool {
+        let mut later = self.moves.iter().skip(1);
+        self.moves.first() == Some(&CellMove::Pass) && later.all(|&step| puts_off(step))
+    }
+}
+
+/// Whether a move puts off the end of an action or the arrival of a packet: it is no event.
+const fn puts_off(step: CellMove) -> bool {
+    matches!(step, CellMove::GoOn(..) | CellMove::Stay(_))
 }
 
 /// Runs a cell.
@@ -56,7 +72,13 @@ pub struct Runner {
     phase: Phase,
     /// The cell at its start, without symbols.
     start: RunState,
-    run_state: RunState,
+    pub(super) run_state: RunState,
+    /// For states beside the run.
+    pub(super) other: RunState,
+    /// Whether no reduction is made that only a search by zones makes.
+    pub(super) is_plain: bool,
+    /// The bounds on the time that may pass, in the state in which a run begins with the passing of time.
+    limits: Vec<Ticks>,
     pub reached: Reached,
     pub mattered: Vec<bool>,
     pub moves: u64,
@@ -71,7 +93,10 @@ impl Runner {
         Self {
             phase,
             run_state: start.clone(),
+            other: start.clone(),
             start,
+            is_plain: plan.everything,
+            limits: Vec::new(),
             reached,
             mattered: vec![false; plan.checks.len()],
             moves: 0,
@@ -79,7 +104,7 @@ impl Runner {
     }
 
     /// The remaining faults of a control, and the rest of it.
-    pub fn split<'a>(&self, control: &'a [u8]) -> (crate::cell::run_state::canon::Left, &'a [u8]) {
+    pub fn split<'a>(&self, control: &'a [u8]) -> (Left, &'a [u8]) {
         self.start.split(control.get(1..).unwrap_or_default())
     }
 
@@ -88,8 +113,8 @@ impl Runner {
         // Nothing of an earlier run stays: its symbols mean something else now.
         self.run_state.clone_from(&self.start);
         self.run_state.cell.is_sampled = is_sampled;
+        self.limits.clear();
         let mut run = Run::default();
-        let mut may_choose = false;
         let mut step = None;
         match from {
             From::Start => self.look(&mut run),
@@ -98,11 +123,15 @@ impl Runner {
                 if control.first() == Some(&QUIET) {
                     step = Some(CellMove::Pass);
                     run.now = 1;
-                } else {
-                    may_choose = true;
+                    self.limits.extend(self.run_state.limits());
                 }
             }
         }
+        // A choice of the state in which the run begins is made in the run. A state with another choice is kept.
+        let may_choose = match from {
+            From::Start => false,
+            From::Kept(_) => step.is_none() || !self.is_plain,
+        };
         self.go(forks, step, may_choose, &mut run);
         self.mattered.iter_mut().zip(&self.run_state.mattered).for_each(|(all, one)| *all |= one);
         run
@@ -113,17 +142,18 @@ impl Runner {
         let mut moves = Vec::new();
         loop {
             if let Some(step) = step.take() {
-                run.moves.push(step);
-                self.apply(step);
+                self.apply(step, run);
                 self.look(run);
             }
             if run.hits.iter().any(|(shown, _)| shown.last) {
+                run.gets_on = true;
                 return;
             }
             moves.clear();
             self.run_state.moves(&mut moves);
             if !moves.iter().any(|step| !matches!(step, CellMove::Crash(_) | CellMove::Restart(_))) {
                 run.note(for_ever(&self.run_state, false));
+                run.gets_on = true;
                 if moves.is_empty() {
                     return;
                 }
@@ -131,10 +161,18 @@ impl Runner {
             if !run.moves.is_empty() {
                 run.note(for_ever(&self.run_state, true));
             }
+            if moves.len() > 1 {
+                self.leave_out(forks, (START, run.now), &mut moves);
+            }
             let taken = match moves[..] {
                 [CellMove::Pass] => CellMove::Pass,
                 [only] if run.moves.len() < WALK => only,
-                _ if std::mem::take(&mut may_choose) => moves[forks.choose(moves.len())],
+                _ if may_choose => {
+                    let taken = moves[forks.choose(moves.len())];
+                    // Nothing happens where something is put off: such a state is not worth keeping.
+                    may_choose = !self.is_plain && puts_off(taken);
+                    taken
+                }
                 _ => return self.keep(forks, CHOICE, (START, run.now), run),
             };
             if taken == CellMove::Pass {
@@ -144,9 +182,13 @@ impl Runner {
         }
     }
 
-    fn apply(&mut self, step: CellMove) {
+    fn apply(&mut self, step: CellMove, run: &mut Run) {
         self.moves += 1;
-        if !self.run_state.survives(step) {
+        run.moves.push(step);
+        run.takes_fault |= is_outside(step);
+        let further = self.run_state.progresses(step);
+        run.gets_on |= further != Some(false);
+        if further.is_none() {
             self.run_state.clone_from(&self.start);
             self.run_state.cell.violation = Some(Violation::Panic);
         }
@@ -160,6 +202,9 @@ impl Runner {
 
     /// Lets all ticks pass before the next one in which something may happen.
     fn be_silent(&mut self, forks: &Forks, run: &mut Run) {
+        if !self.is_plain && self.goes_round(forks, run) {
+            return;
+        }
         self.run_state.end_instant();
         self.run_state.next_step();
         let limits: Vec<Ticks> = self.run_state.limits().collect();
@@ -187,8 +232,21 @@ impl Runner {
         self.keep(forks, QUIET, (until, 0), run);
     }
 
+    /// Whether only a tick has passed since a state that was kept, and no bound of that state is reached. Then that state has the times
+    /// now, too: it was kept with all numbers of ticks in which nothing happens.
+    fn goes_round(&self, forks: &Forks, run: &Run) -> bool {
+        let is_left = |limit: &Ticks| forks.cut().is_surely_at_most(Ticks(2), *limit);
+        !self.limits.is_empty()
+            && run.is_untouched()
+            && self.run_state.beside.acted == 0
+            && self.limits.iter().all(is_left)
+    }
+
     /// Packs the state to be kept.
     fn keep(&mut self, forks: &Forks, kind: u8, now: (u8, i64), run: &mut Run) {
+        if !self.is_plain {
+            self.loosen(forks, now.0);
+        }
         forks.cut().begin_to_pack(now);
         match self.run_state.pack() {
             Ok(()) => {

@@ -1,9 +1,11 @@
 //! Expands kept states, breadth first.
 
 use super::runner::{From, Run, Runner};
+use super::still::Walks;
 use super::store::{Origin, Store};
 use crate::cell::judge::Shown;
 use crate::cell::plan::CellPlan;
+use crate::cell::run_state::canon::Left;
 use crate::explore::resident_bytes;
 use crate::zone::dbm::Dbm;
 use crate::zone::forks::{Cut, each};
@@ -29,6 +31,7 @@ pub(super) struct Search {
     pub runner: Runner,
     pub store: Store,
     pub hits: Vec<Hit>,
+    pub walks: Walks,
     /// Runs whose times were not all exact.
     pub inexact: u64,
     pub outgrown: bool,
@@ -36,6 +39,11 @@ pub(super) struct Search {
 }
 
 impl Search {
+    pub fn new(runner: Runner) -> Self {
+        let (store, walks) = (Store::default(), Walks::default());
+        Self { runner, store, hits: Vec::new(), walks, inexact: 0, outgrown: false, longest: 0 }
+    }
+
     /// Searches until no state is left, or returns the budget that ended the search.
     pub fn run(&mut self, plan: &CellPlan, start: Instant) -> Option<String> {
         let budget = plan.budget;
@@ -76,7 +84,7 @@ impl Search {
             &zone,
             |forks| runner.run(forks, from, is_sampled(at)),
             |run, cut: &Cut| {
-                let zone = run.control.is_some().then(|| cut.zone().project(&cut.times().terms()));
+                let zone = run.control.is_some().then(|| cut.state());
                 runs.push((run, Way { answers: cut.answers().into(), zone, is_exact: cut.is_exact() }));
             },
         );
@@ -94,10 +102,16 @@ impl Search {
                 self.hits.push(Hit { shown, state: parent, answers: answers.clone(), moves });
             }
         }
+        let mut to = Vec::new();
         if let (Some(control), Some(zone)) = (run.control, zone) {
             self.longest = self.longest.max(control.len());
             let core = core(&self.runner, &control);
-            self.store.insert(control, core, Origin { parent, answers, zone }, depth);
+            to = self.store.insert(control, core, Origin { parent, answers, zone }, depth);
+        }
+        // A run in which only time has passed leads to its own state.
+        let leads = run.gets_on || !to.is_empty();
+        if let Some(from) = parent.filter(|_| leads && !run.takes_fault) {
+            self.walks.note(from, if run.gets_on { &[] } else { &to });
         }
     }
 }
@@ -116,7 +130,7 @@ pub(super) fn is_sampled(at: Option<u32>) -> bool {
 }
 
 /// The remaining faults of a control, and the rest of it.
-fn core(runner: &Runner, control: &[u8]) -> (crate::cell::run_state::canon::Left, Box<[u8]>) {
+fn core(runner: &Runner, control: &[u8]) -> (Left, Box<[u8]>) {
     let (left, core) = runner.split(control);
     (left, [control.get(..1).unwrap_or_default(), core].concat().into())
 }

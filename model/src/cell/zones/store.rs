@@ -15,8 +15,10 @@ pub struct Origin {
 pub struct State {
     /// The number of its control.
     pub control: u32,
-    /// Empty: other states have its times.
+    /// Empty: another state has its times, too.
     pub zone: Option<Dbm>,
+    /// That other state.
+    heir: Option<u32>,
     pub origins: Vec<Origin>,
     pub depth: u32,
 }
@@ -27,6 +29,8 @@ struct Known {
     zone: Dbm,
     /// The state that is still to be expanded with these times; `None`: they were expanded.
     state: Option<u32>,
+    /// The states that have these times.
+    states: Vec<u32>,
 }
 
 /// All kept states.
@@ -42,25 +46,35 @@ pub struct Store {
 }
 
 impl Store {
-    /// Keeps a state unless kept ones cover its times. `core`: the control without its remaining faults.
+    /// The state that has the times of this one now.
+    pub fn heir(&self, mut state: u32) -> u32 {
+        while let Some(heir) = self.states[state as usize].heir {
+            state = heir;
+        }
+        state
+    }
+
+    /// Keeps a state unless kept ones cover its times. `core`: the control without its remaining faults. Returns the states that have
+    /// its times then.
     pub fn insert(
         &mut self,
         control: Box<[u8]>,
         (left, core): (Left, Box<[u8]>),
         origin: Origin,
         depth: u32,
-    ) {
+    ) -> Vec<u32> {
         let known = self.known.entry(core).or_default();
-        if known.iter().any(|known| known.left.covers(left) && origin.zone.is_in(&known.zone)) {
-            return;
+        if let Some(covering) = covering(known, left, &origin.zone) {
+            return covering.states.clone();
         }
+        let number = u32::try_from(self.states.len()).unwrap_or(u32::MAX);
         let mut zone = origin.zone.clone();
         let mut origins = vec![origin];
         let states = &mut self.states;
         known.retain(|old| {
             let covers = left.covers(old.left) && old.zone.is_in(&zone);
             if covers && let Some(at) = old.state {
-                states[at as usize].zone = None;
+                states[at as usize].pass_to(number);
             }
             !covers
         });
@@ -71,18 +85,18 @@ impl Store {
         }) {
             let old = known.swap_remove(at);
             let state = &mut states[old.state.unwrap_or(0) as usize];
-            state.zone = None;
+            state.pass_to(number);
             origins.append(&mut state.origins);
             zone = merged;
         }
-        let number = u32::try_from(states.len()).unwrap_or(u32::MAX);
-        known.push(Known { left, zone: zone.clone(), state: Some(number) });
+        known.push(Known { left, zone: zone.clone(), state: Some(number), states: vec![number] });
         let next = u32::try_from(self.controls.len()).unwrap_or(u32::MAX);
         let control = *self.numbers.entry(control).or_insert_with_key(|control| {
             self.controls.push(control.clone());
             next
         });
-        states.push(State { control, zone: Some(zone), origins, depth });
+        states.push(State { control, zone: Some(zone), heir: None, origins, depth });
+        vec![number]
     }
 
     /// The next state to be expanded. From then on no other one merges with it.
@@ -95,12 +109,11 @@ impl Store {
                 continue;
             }
             let known = self.known.get_mut(&core(&self.controls[state.control as usize]));
-            if let Some(known) = known {
-                known
-                    .iter_mut()
-                    .filter(|known| known.state == Some(number))
-                    .for_each(|known| known.state = None);
-                merge_expanded(known);
+            if let Some(known) = known
+                && let Some(at) = known.iter().position(|known| known.state == Some(number))
+            {
+                known[at].state = None;
+                merge_expanded(known, at);
             }
             return Some(number);
         }
@@ -118,17 +131,31 @@ impl Store {
     }
 }
 
-/// Joins the zones that were expanded, where their union is a zone.
-fn merge_expanded(known: &mut Vec<Known>) {
-    let may =
-        |one: &Known, other: &Known| one.state.is_none() && other.state.is_none() && one.left == other.left;
+/// The first zone that covers these times.
+fn covering<'a>(known: &'a [Known], left: Left, zone: &Dbm) -> Option<&'a Known> {
+    known.iter().find(|known| known.left.covers(left) && zone.is_in(&known.zone))
+}
+
+impl State {
+    fn pass_to(&mut self, heir: u32) {
+        (self.zone, self.heir) = (None, Some(heir));
+    }
+}
+
+/// Joins an expanded zone with others that were expanded, where their union is a zone.
+fn merge_expanded(known: &mut Vec<Known>, mut at: usize) {
     loop {
-        let pairs = (0..known.len()).flat_map(|i| (0..i).map(move |j| (i, j)));
-        let mut merged = pairs
-            .filter(|&(i, j)| may(&known[i], &known[j]))
-            .filter_map(|(i, j)| Some((i, j, known[i].zone.merged(&known[j].zone)?)));
-        let Some((i, j, zone)) = merged.next() else { return };
-        known[j].zone = zone;
-        known.swap_remove(i);
+        let one = &known[at];
+        let mut merged = known.iter().enumerate().filter_map(|(j, other)| {
+            let may = j != at && other.state.is_none() && one.left == other.left;
+            may.then(|| one.zone.merged(&other.zone)).flatten().map(|zone| (j, zone))
+        });
+        let Some((j, zone)) = merged.next() else { return };
+        known[at].zone = zone;
+        let states = std::mem::take(&mut known[j].states);
+        known[at].states.extend(states);
+        known.swap_remove(j);
+        // The last one has taken the place of the removed one.
+        at = if at == known.len() { j } else { at };
     }
 }

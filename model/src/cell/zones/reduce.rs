@@ -1,0 +1,100 @@
+//! What a search by zones leaves out, beside what every search of a cell does.
+
+use super::runner::Runner;
+use crate::cell::run_state::CellMove;
+use crate::cell_state::script::Running;
+use crate::zone::forks::{Forks, decided, symbol_of};
+use imrs_protocol::Ticks;
+use imrs_protocol::symbolic::{self, START, Symbol};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
+impl Runner {
+    /// Drops the moves that lose a packet whose arrival changes nothing, as the search at every tick does: the arrival leads to the
+    /// same control and the same times, with more faults left. Where the times decide what an arrival does, the moves stay.
+    pub(super) fn leave_out(&mut self, forks: &Forks, now: (u8, i64), moves: &mut Vec<CellMove>) {
+        let mut taken: Vec<u8> = moves.iter().filter_map(|&step| takes_away(step)).collect();
+        taken.dedup();
+        if self.is_plain || taken.is_empty() {
+            return;
+        }
+        // To pack a state clears what is dead, and leaves what follows from it as it was: then no run goes on with it.
+        let other = &mut self.other;
+        other.clone_from(&self.run_state);
+        forks.cut().begin_to_pack(now);
+        if other.pack().is_err() {
+            return;
+        }
+        let control: Box<[u8]> = other.packed().into();
+        let zone = forks.cut().state();
+        let beside = &self.run_state.beside;
+        let waits = !beside.stays.is_empty() || beside.slow != 0 || !beside.crashed.is_empty();
+        other.cell.is_sampled = false;
+        for &i in &taken {
+            let comes =
+                |step: &&CellMove| matches!(**step, CellMove::Deliver(at) | CellMove::Mend(at, _) if at == i);
+            let Some(&arrives) = moves.iter().find(comes) else { continue };
+            let without = decided(&zone, || {
+                other.load(&control);
+                Some(other.without(i))
+            });
+            let with = decided(&zone, || {
+                catch_unwind(AssertUnwindSafe(|| other.after(&control, arrives))).unwrap_or_default()
+            });
+            if without.is_none() || with != without {
+                continue;
+            }
+            let cut = moves.contains(&CellMove::Vanish(i));
+            moves.retain(|&step| match step {
+                CellMove::Lose(at) | CellMove::Cut(at, _) => at != i,
+                CellMove::Mend(at, _) => at != i || !cut || waits,
+                _ => true,
+            });
+        }
+    }
+
+    /// Adds states that can do nothing that this one cannot: those in which an action must end earlier. Then one zone covers what
+    /// would else be a zone for each time since the action began.
+    /// `now`: the variable of the present.
+    pub(super) fn loosen(&mut self, forks: &Forks, now: u8) {
+        for task in 0..self.run_state.cell.bodies.len() {
+            let Some(actor) = &mut self.run_state.cell.bodies[task].actor else { continue };
+            for action in &mut actor.running {
+                loosen(forks, now, action);
+            }
+        }
+    }
+}
+
+/// Replaces the most time of an action by any time from its least one on, at least a tick.
+fn loosen(forks: &Forks, now: u8, action: &mut Running) {
+    if action.most == Running::FOREVER {
+        return;
+    }
+    let mut cut = forks.cut();
+    if cut.is_surely_at_most(action.least, Ticks::ZERO) {
+        // How long ago makes no difference.
+        action.least = Ticks::ZERO;
+    }
+    if !cut.is_surely_at_most(Ticks(1), action.most) || cut.is_surely_at_most(action.most, action.least) {
+        return;
+    }
+    let [least, most] = [action.least, action.most].map(symbol_of);
+    let (Some(least), Some(most)) = (least, most) else { return };
+    let new = cut.add();
+    let left = Symbol { first: new, second: now, offset: 0 };
+    let tick = Symbol { first: START, second: START, offset: 1 };
+    for (one, other) in [(tick, left), (least, left), (left, most)] {
+        if cut.keep_at_most(one, other) != Ok(true) {
+            return;
+        }
+    }
+    action.most = symbolic::between(new, now);
+}
+
+/// The packet that a move removes from its link without an arrival.
+const fn takes_away(step: CellMove) -> Option<u8> {
+    match step {
+        CellMove::Lose(_) | CellMove::Cut(..) | CellMove::Vanish(_) => step.packet(),
+        _ => None,
+    }
+}
