@@ -2,8 +2,7 @@
 
 use crate::failure::Failure;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped};
-use imrs_model::compared;
-use imrs_model::{Outcome, Report, Verdict};
+use imrs_model::{Compared, Outcome, Report, Verdict, compared};
 use std::collections::BTreeSet;
 use std::time::Duration;
 
