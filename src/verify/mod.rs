@@ -3,6 +3,7 @@
 mod advice;
 mod answer;
 mod cell;
+mod covered;
 mod limits;
 mod progress;
 mod report;
@@ -10,7 +11,6 @@ mod save;
 mod search_lines;
 mod subject;
 mod tell;
-mod unfinished;
 
 pub use answer::{FindingAnswer, NotChecked, Place, Rounded};
 pub use subject::{Subject, conduct, faults};

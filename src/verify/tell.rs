@@ -1,15 +1,15 @@
 //! Prints the result of checking a cell, for people.
 
 use super::advice::help;
+use super::covered;
 use super::limits::{not_looked_for, values_tried};
 use super::subject::Subject;
-use super::unfinished;
 use crate::args::{self, CellFaultArgs, VerifyVerb};
 use crate::cell_file;
 use crate::failure::Failure;
 use crate::kept::nothing_kept;
-use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped};
-use imrs_model::cell::{CellPlan, Concerned, Coverage, Finding, Kind, Phase, Times, Verdicts};
+use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count};
+use imrs_model::cell::{CellPlan, Concerned, Finding, Kind, Phase, Times, Verdicts};
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
 use std::fmt::Write as _;
@@ -78,8 +78,8 @@ impl Telling<'_> {
         unkept.into_iter().try_for_each(|said| out.line(Styled(NOTE, said)))?;
         for phase in &verdicts.phases {
             out.line(Styled(HEAD, bounds(self.plan, (phase.phase, phase.hypothesis), phase.times)))?;
-            out.line(format!("  {}", looked_at(phase)))?;
-            for said in unfinished::explained(self.subject, self.plan, phase) {
+            out.line(format!("  {}", covered::looked_at(phase)))?;
+            for said in covered::explained(self.subject, self.plan, phase) {
                 out.line(Styled(NOTE, format!("  {said}")))?;
             }
         }
@@ -392,26 +392,4 @@ fn faults(plan: &CellPlan, hypothesis: usize) -> String {
         parts.push(format!("the link {} -- {} cut once", node(link.a.index()), node(link.b.index())));
     }
     parts.join(", ")
-}
-
-fn looked_at(phase: &Coverage) -> String {
-    let whole = match (&phase.ended_by, phase.pruned) {
-        (Some(by), _) => {
-            let whole = grouped(phase.whole_depth);
-            let share = unfinished::share(phase);
-            format!("cut short, {by}: {share}every order of events was looked at up to its choice {whole}")
-        }
-        (None, true) => "everything up to the findings".into(),
-        (None, false) => "everything within the bounds".into(),
-    };
-    let parts = match phase.parts {
-        0 | 1 => String::new(),
-        parts => format!("{parts} independent parts, each by itself: "),
-    };
-    format!(
-        "{parts}{}, {}, {:.1} s; {whole}",
-        count(phase.states, "state"),
-        count(phase.moves, "step"),
-        phase.seconds
-    )
 }

@@ -1,14 +1,37 @@
-//! What is said of a search that a budget ended: how far it came, what makes it large, and what would let it end.
+//! How far a search came: what it covered and, if a budget ended it, what makes it large and what would let it end.
 
 use super::subject::Subject;
-use crate::output::grouped;
+use crate::output::{count, grouped};
 use imrs_model::cell::{CellPlan, Coverage, Phase};
 
 /// So many states for each that differs in something other than times make times worth naming.
 const MANY_TIMES: u64 = 3;
 
+/// What a phase covered, in one line.
+pub(super) fn looked_at(phase: &Coverage) -> String {
+    let whole = match (&phase.ended_by, phase.pruned) {
+        (Some(by), _) => {
+            let whole = grouped(phase.whole_depth);
+            let share = share(phase);
+            format!("cut short, {by}: {share}every order of events was looked at up to its choice {whole}")
+        }
+        (None, true) => "everything up to the findings".into(),
+        (None, false) => "everything within the bounds".into(),
+    };
+    let parts = match phase.parts {
+        0 | 1 => String::new(),
+        parts => format!("{parts} independent parts, each by itself: "),
+    };
+    format!(
+        "{parts}{}, {}, {:.1} s; {whole}",
+        count(phase.states, "state"),
+        count(phase.moves, "step"),
+        phase.seconds
+    )
+}
+
 /// How many of the states that were found were looked at, too: the beginning of a sentence, empty if all were.
-pub(super) fn share(phase: &Coverage) -> String {
+fn share(phase: &Coverage) -> String {
     let Some(left) = &phase.unfinished else { return String::new() };
     let done = phase.states.saturating_sub(left.open);
     let percent = (done * 100).checked_div(phase.states).unwrap_or(0);
