@@ -3,7 +3,7 @@
 use crate::error::LaunchError;
 use crate::host::Host;
 use crate::node::{self, NodeError};
-use crate::pipe::{Order, Setup, Word, hear, say};
+use crate::pipe::{Order, Setup, Word, hear, say, say_setup};
 use imrs_protocol::NodeId;
 use imrs_runtime::link::in_process::Network;
 use rustix::process::{Pid, Signal, kill_process};
@@ -99,7 +99,7 @@ impl Children {
         }
         .map_err(LaunchError::Start)?;
         // If the node has already exited, writing fails; the end of its pipe reports that.
-        let _ = say(&mut orders, setup);
+        let _ = say_setup(&mut orders, setup);
         let messages = self.messages.clone();
         let reader = thread::Builder::new().name(format!("imrs {}", setup.node));
         reader.spawn(move || listen((node, incarnation), words, &messages)).map_err(LaunchError::Start)?;

@@ -14,8 +14,9 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use zeroize::Zeroizing;
 
-/// Room for a line.
-const LINE_BYTES: usize = 1 << 15;
+/// Room for most setups: a buffer that grows leaves a copy of the keys behind. Other lines have none, and erasing so much for each
+/// of them would take longer than to write it.
+const SETUP_BYTES: usize = 1 << 15;
 
 /// The first line to a node: its identity and how it runs.
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
@@ -282,11 +283,21 @@ impl Figures {
 /// # Errors
 /// The pipe failed: most likely the other process has exited.
 pub fn say(pipe: &mut impl Write, line: &impl Serialize) -> io::Result<()> {
-    // The line may have keys in it. The room is enough for most lines, so that few copies of them are left behind.
-    let mut text = Zeroizing::new(Vec::with_capacity(LINE_BYTES));
+    write_line(pipe, line, &mut Vec::new())
+}
+
+/// Writes a setup, which may have keys in it, as one line: what was written of it is erased from memory.
+///
+/// # Errors
+/// As of [`say`].
+pub fn say_setup(pipe: &mut impl Write, setup: &Setup) -> io::Result<()> {
+    write_line(pipe, setup, &mut Zeroizing::new(Vec::with_capacity(SETUP_BYTES)))
+}
+
+fn write_line(pipe: &mut impl Write, line: &impl Serialize, text: &mut Vec<u8>) -> io::Result<()> {
     serde_json::to_writer(&mut *text, line)?;
     text.push(b'\n');
-    pipe.write_all(&text)?;
+    pipe.write_all(text)?;
     pipe.flush()
 }
 
@@ -295,12 +306,26 @@ pub fn say(pipe: &mut impl Write, line: &impl Serialize) -> io::Result<()> {
 /// # Errors
 /// The pipe failed, or the line does not parse.
 pub fn hear<T: for<'de> Deserialize<'de>>(pipe: &mut impl BufRead) -> io::Result<Option<T>> {
-    let mut text = Zeroizing::new(String::with_capacity(LINE_BYTES));
-    pipe.read_line(&mut text)?;
+    read_line(pipe, &mut String::new())
+}
+
+/// Reads a setup as [`hear`] does: what was read is erased from memory.
+///
+/// # Errors
+/// As of `hear`.
+pub fn hear_setup(pipe: &mut impl BufRead) -> io::Result<Option<Setup>> {
+    read_line(pipe, &mut Zeroizing::new(String::with_capacity(SETUP_BYTES)))
+}
+
+fn read_line<T: for<'de> Deserialize<'de>>(
+    pipe: &mut impl BufRead,
+    text: &mut String,
+) -> io::Result<Option<T>> {
+    pipe.read_line(text)?;
     if !text.ends_with('\n') {
         return Ok(None);
     }
-    Ok(Some(serde_json::from_str(&text)?))
+    Ok(Some(serde_json::from_str(text)?))
 }
 
 #[cfg(test)]

@@ -138,7 +138,7 @@ struct Searched<'a> {
     pruned: bool,
     /// The budget that ended the search; null if none did.
     ended_by: Option<&'a str>,
-    /// What is left of a search that the budget ended; null if nothing is.
+    /// The states that the search had found and not looked at when a budget ended it; null if it had looked at all.
     unfinished: Option<Left<'a>>,
     seconds: f64,
 }

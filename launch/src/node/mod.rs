@@ -12,7 +12,7 @@ pub use error::NodeError;
 
 use crate::cells::{self, Loaded};
 use crate::host::Host;
-use crate::pipe::{Order, Setup, Word, hear};
+use crate::pipe::{Order, Setup, Word, hear, hear_setup};
 use imrs_client::incarnation;
 use imrs_protocol::{Incarnation, NodeId, NodeTable};
 use imrs_runtime::guard::{GuardProgram, Notices};
@@ -99,7 +99,7 @@ pub fn run(
     out: Words,
     network: Option<&Arc<Network>>,
 ) -> Result<(), NodeError> {
-    let Some(mut setup) = hear::<Setup>(&mut input)? else { return Ok(()) };
+    let Some(mut setup) = hear_setup(&mut input)? else { return Ok(()) };
     let (orders, ordered) = mpsc::channel();
     let mut node = Process::start(host, &mut setup, out, network)?;
     let address = node.link.inner().udp().map(UdpLink::local_address);

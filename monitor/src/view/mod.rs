@@ -256,7 +256,7 @@ fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &
     let insecure =
         app.store().incarnations_of(cell).filter_map(|l| l.last.as_ref()).any(|s| s.snapshot.insecure);
     if insecure {
-        pieces.push(("  INSECURE".to_owned(), Ink::Warn));
+        pieces.push(("  INSECURE".to_owned(), Ink::Bad));
     }
     let lost: u64 = app.store().incarnations_of(cell).map(|l| l.lost).sum();
     if lost > 0 {
