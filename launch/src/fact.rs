@@ -19,6 +19,8 @@ pub enum Fact {
     Died(NodeId),
     /// The pipe of a node's current incarnation has ended: it reports nothing more.
     Gone(NodeId),
+    /// The launcher ends before the node has reported everything.
+    Unheard(NodeId),
     /// A node or a guard has reported something about the command of an action.
     Noticed(Notice),
     /// A check of the cell does not hold.

@@ -22,6 +22,8 @@ pub struct Gatherer {
     kills: Vec<(NodeId, u64)>,
     after_kill: Vec<AfterKill>,
     ended: Vec<TaskSummary>,
+    /// The nodes whose last reports are missing.
+    unheard: Vec<NodeId>,
     /// When the run was over. Events after that, while the nodes stop, do not count: a stopped task leaves its waitfor, and
     /// the others move on to another round, which is not a fault.
     end: u64,
@@ -38,6 +40,7 @@ impl Fold for Gatherer {
             }
             Fact::Fault(Fault::Kill(node)) | Fact::Died(node) => self.killed(*node, at),
             Fact::Fault(Fault::Restart(node)) => self.revived(*node, at),
+            Fact::Unheard(node) => self.unheard(*node),
             Fact::Over => self.end = at,
             _ => {}
         }
@@ -61,6 +64,7 @@ impl Gatherer {
             kills: Vec::new(),
             after_kill: Vec::new(),
             ended: Vec::new(),
+            unheard: Vec::new(),
             end: u64::MAX,
         }
     }
@@ -88,6 +92,12 @@ impl Gatherer {
         {
             kept.clone_from(figures);
         }
+    }
+
+    /// Notes that the last reports of a node are missing.
+    fn unheard(&mut self, node: NodeId) {
+        self.for_tasks_on(node, Tally::untold);
+        self.unheard.push(node);
     }
 
     /// Notes the restart of a killed node, at this instant of the clock that all processes of one machine share.
@@ -148,7 +158,7 @@ impl Gatherer {
             tasks: self.ended.clone(),
             nodes: exits.iter().map(node).collect(),
             checks: Settlement::default(),
-            incomplete: self.untold().chain(self.unrecorded()).collect(),
+            incomplete: self.untold().chain(self.cut_short()).chain(self.unrecorded()).collect(),
             rt: false,
             outcome: None,
         }
@@ -161,6 +171,12 @@ impl Gatherer {
             let times = count(untold, "happening");
             (untold > 0).then(|| format!("node {} could not report {times}: too many at once", node.name))
         })
+    }
+
+    /// The nodes that were not heard to their end, one line each.
+    fn cut_short(&self) -> impl Iterator<Item = String> {
+        let name = |node: &NodeId| &self.table.cell().nodes[node.index()].name;
+        self.unheard.iter().map(move |node| format!("node {} was not heard to its end", name(node)))
     }
 
     /// What recordings lack, one line each.

@@ -43,6 +43,11 @@ impl<'a> Standing<'a> {
         self.gone.len() == self.here.len()
     }
 
+    /// The nodes that may still have something to report.
+    pub fn unheard(&self) -> Vec<NodeId> {
+        self.here.iter().copied().filter(|node| !self.gone.contains(node)).collect()
+    }
+
     /// Whether tasks ran here, and none is left.
     pub fn has_ended(&self) -> bool {
         self.tasks().next().is_some() && self.left().next().is_none()

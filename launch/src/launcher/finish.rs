@@ -125,7 +125,17 @@ impl<'a> Launcher<'a> {
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => break,
             }
         }
-        self.children.wait(deadline.saturating_duration_since(Instant::now()) + EXIT_WITHIN)
+        let ends = self.children.wait(deadline.saturating_duration_since(Instant::now()) + EXIT_WITHIN);
+        while !self.log.standing.is_gone()
+            && let Ok(message) = self.messages.try_recv()
+        {
+            self.take(message);
+        }
+        // A second Ctrl-C may leave reports in the pipes. A release is then not called false because an announcement is missing.
+        for node in self.log.standing.unheard() {
+            self.log.note(now_us(), &Fact::Unheard(node));
+        }
+        ends
     }
 }
 
@@ -135,7 +145,8 @@ mod tests {
     use crate::cells::tests::beam_lift;
     use crate::fact::Fold;
     use crate::folds::gatherer::Gatherer;
-    use crate::pipe::{Figures, Word};
+    use crate::pipe::{Event, Figures, What, Word};
+    use imrs_protocol::{Round, TaskId, Usage};
     use std::sync::Arc;
 
     #[test]
@@ -161,5 +172,22 @@ mod tests {
         gatherer.take(2, &figures(0, Figures::default()));
         gatherer.take(3, &figures(1, Figures { unrecorded: unrecorded.clone(), ..Figures::default() }));
         assert_eq!(ended(&gatherer, &[]).summary.incomplete, unrecorded);
+    }
+
+    #[test]
+    fn a_node_that_was_not_heard_to_its_end_makes_no_release_false() {
+        let loaded = beam_lift();
+        let mut gatherer = Gatherer::new(Arc::clone(&loaded.table), [0, 1, 2].map(NodeId).to_vec());
+        let lift =
+            loaded.table.ports().iter().find(|port| port.decl.usage == Usage::Waitfor).expect("a waitfor");
+        for (task, what) in [(0, What::Announced), (1, What::Announced), (0, What::Released)] {
+            let event = Event { at: 5, task: TaskId(task), port: lift.id, round: Round(1), what };
+            gatherer.take(5, &Fact::Said(NodeId(0), Word::Event(event)));
+        }
+        let summary = |gatherer: &Gatherer| gatherer.summary(1.0, 7, 0.0, &[]);
+        assert_eq!(summary(&gatherer).rendezvous[0].false_releases, Some(1), "the hoist has not arrived");
+        gatherer.take(6, &Fact::Unheard(NodeId(2)));
+        assert_eq!(summary(&gatherer).rendezvous[0].false_releases, Some(0), "or that was not heard");
+        assert_eq!(summary(&gatherer).incomplete, ["node nh was not heard to its end"]);
     }
 }
