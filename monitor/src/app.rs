@@ -122,7 +122,7 @@ pub struct App {
     pub remember: Option<PathBuf>,
     /// The keys.
     pub keymap: Keymap,
-    /// The cells of the overview that the user chose, in this order; none for those that have room.
+    /// The overview's columns that the user chose, in this order, as positions in a row of it. Empty: the terminal's width decides.
     pub columns: Vec<usize>,
     cell: Option<Name>,
     only: Option<String>,

@@ -121,7 +121,7 @@ pub struct Options {
     pub palette: Own,
     /// The user's own keys.
     pub keys: Keymap,
-    /// The columns of the overview; none for those that have room.
+    /// The columns of the overview, as the user chose them. Empty: the terminal's width decides which are shown.
     pub columns: Vec<OverviewColumn>,
     /// Use the mouse.
     pub mouse: bool,

@@ -54,7 +54,8 @@ impl Work {
                 w.byte(&mut id.incarnation.0);
                 w.sequence(task, &mut id.sequence);
             }
-            // The turn need not be packed: `file` drops time-outs of earlier starts.
+            // `turn` is the number of the timer's start, and is not packed: `Node::file` has dropped the time-outs of earlier starts,
+            // so a queued time-out always belongs to the last one.
             Self::Task(_, Input::TimeOut { id, turn: _ }) => w.byte(&mut id.0),
             Self::Task(_, Input::PeerRestarted(node)) => w.small(&mut node.0),
             Self::Task(_, Input::Time | Input::Request(_))

@@ -289,7 +289,8 @@ impl Compiler<'_> {
         }
     }
 
-    /// Up to two operands, a function of them, and where its value goes.
+    /// Joins the operations from `at` on that compute one value: up to two operands, a function, and a store or a conditional jump
+    /// if one follows. Otherwise the value is pushed. Returns the act, and how many operations it replaces; `None` if nothing joins.
     fn compute(&self, at: usize) -> Option<(Act, u8)> {
         use Operand::Stack;
         let function = |at: usize| match *self.program.code.get(at)? {

@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 pub enum Notice {
     /// A node starts the command. The notice comes before anything runs.
     Began {
-        /// The key of the command in later lines.
+        /// Identifies the command in its later notices, such as `1-0-4`.
         key: String,
         /// The task to which the action belongs.
         task: String,
@@ -23,14 +23,14 @@ pub enum Notice {
     },
     /// The command and all that it started have ended.
     Ended {
-        /// The key of the command.
+        /// Identifies the command: the key that [`Began`](Self::Began) gave.
         key: String,
         /// The instant of the end.
         at: u64,
     },
     /// The guard died first, so it is not known whether everything that the command started has ended.
     Lost {
-        /// The key of the command.
+        /// Identifies the command: the key that [`Began`](Self::Began) gave.
         key: String,
         /// The instant at which this was noticed.
         at: u64,

@@ -32,8 +32,9 @@ impl Inlet {
 
 impl Sink for Inlet {
     fn packets(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Instant) {
-        // In this order, a preemption between the two readings makes the packets too old, never too young. A later one does so,
-        // too, because the machines are told this instant, not when they take the packets.
+        // The clock is read first, so that packets never count as too young. If this thread is preempted between the two readings,
+        // that time is charged twice, and the packets count as too old. If it is preempted later, that time is charged once: the
+        // machines are told `now`, and not the instant at which they take the packets.
         let now = clock::now();
         let charge = charge + Ticks(clock::micros(at.elapsed()));
         if let Some(peer) = self.node.peer(from) {

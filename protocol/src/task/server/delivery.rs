@@ -176,8 +176,8 @@ impl Server {
         queue.len() < queue.capacity()
     }
 
-    /// [`hear`](Self::hear) in a fused step, for a message that waits in a port that [`has_room`](Self::has_room) and no
-    /// handler, and that [`takes_fused`](Self::takes_fused) allows.
+    /// Stores a message in its port's buffer in a fused step, as [`hear`](Self::hear) does. The caller has checked that the port has
+    /// no handler, that its buffer [has room](Self::has_room), and that [`takes_fused`](Self::takes_fused) allows the message.
     pub fn store_fused(
         &mut self,
         own: &Own,
