@@ -20,14 +20,19 @@ struct Line {
     bar: ProgressBar,
 }
 
+/// The place of progress lines: standard error, if it is a terminal and the answer is text.
+pub(super) fn display(format: Format) -> MultiProgress {
+    let target = match format {
+        Format::Text => ProgressDrawTarget::stderr_with_hz(5),
+        Format::Json => ProgressDrawTarget::hidden(),
+    };
+    MultiProgress::with_draw_target(target)
+}
+
 impl Lines {
     /// A display without lines.
     pub fn new(format: Format) -> Self {
-        let target = match format {
-            Format::Text => ProgressDrawTarget::stderr_with_hz(5),
-            Format::Json => ProgressDrawTarget::hidden(),
-        };
-        Self { all: MultiProgress::with_draw_target(target), running: Mutex::default() }
+        Self { all: display(format), running: Mutex::default() }
     }
 
     /// Removes all lines.

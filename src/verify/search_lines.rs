@@ -1,11 +1,12 @@
 //! The progress display while a cell is searched: a line on standard error for each phase, and one for each kind of finding so far.
 
+use super::progress::display;
 use super::subject::Subject;
 use super::tell::bounds;
 use crate::args::Format;
 use crate::output::grouped;
 use imrs_model::cell::{CellPlan, Coverage, FoundSoFar, Phase, SearchProgress, SoFar, Times};
-use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use std::cell::RefCell;
 use std::collections::VecDeque;
 use std::time::Duration;
@@ -54,12 +55,7 @@ impl Pace {
 impl<'a> SearchLines<'a> {
     /// A display without lines.
     pub fn new(subject: &'a Subject, plan: &'a CellPlan, format: Format) -> Self {
-        let target = match format {
-            Format::Text => ProgressDrawTarget::stderr_with_hz(5),
-            Format::Json => ProgressDrawTarget::hidden(),
-        };
-        let all = MultiProgress::with_draw_target(target);
-        Self { subject, plan, all, running: RefCell::default(), found: RefCell::default() }
+        Self { subject, plan, all: display(format), running: RefCell::default(), found: RefCell::default() }
     }
 
     /// Removes all lines.

@@ -111,16 +111,22 @@ fn look(
     progress: &dyn SearchProgress,
 ) -> Done {
     let explore = |plan: &Arc<CellPlan>| search(plan, phase, faults, progress).1;
+    // Only a result that is told says what its search left, because to find that out takes time.
+    let explore_and_say = |plan: &Arc<CellPlan>| {
+        let (search, mut done) = search(plan, phase, faults, progress);
+        done.coverage.unfinished = unfinished::of(plan, faults, &search.sample, search.queue.len());
+        done
+    };
     if plan.times == Times::Zones {
         progress.started(phase, Times::Zones);
         return zones::explore(plan, phase, faults);
     }
     if plan.times != Times::Auto {
-        return explore(plan);
+        return explore_and_say(plan);
     }
     // If each action and packet takes one time only, the ends are all times. Pauses change that, because they end at any time.
     if plan.is_exact() && faults.pause.is_empty() {
-        let mut done = explore(&timed(plan, Times::Ends));
+        let mut done = explore_and_say(&timed(plan, Times::Ends));
         done.coverage.times = Times::Every;
         return done;
     }
@@ -141,7 +147,7 @@ fn look(
         }
         tried = Some(done);
     }
-    explore(&timed(plan, Times::Ends)).with(tried)
+    explore_and_say(&timed(plan, Times::Ends)).with(tried)
 }
 
 /// What one search can hold: a bit for each node and each direction of a link, a byte for a task.
@@ -245,8 +251,7 @@ fn search(
         // The search does not explore what tasks in a deadlock would have done either.
         pruned: search.hits.iter().any(|hit| hit.shown.last || hit.shown.kind == Kind::Deadlock),
         ended_by,
-        unfinished: (!search.queue.is_empty())
-            .then(|| unfinished::of(plan, faults, &search.sample, search.queue.len())),
+        unfinished: None,
         longest_state: search.longest as u64,
         seconds: start.elapsed().as_secs_f64(),
     };

@@ -63,8 +63,16 @@ impl Sample {
     }
 }
 
-/// Describes a search with so many open states.
-pub(super) fn of(plan: &Arc<CellPlan>, faults: &CellFaults, sample: &Sample, open: usize) -> Unfinished {
+/// Describes a search with so many open states; `None` if there are none, because it has ended by itself.
+pub(super) fn of(
+    plan: &Arc<CellPlan>,
+    faults: &CellFaults,
+    sample: &Sample,
+    open: usize,
+) -> Option<Unfinished> {
+    if open == 0 {
+        return None;
+    }
     let mut run_state = RunState::new(plan, faults);
     let mut values: Vec<Vec<HashSet<i64>>> = (0..plan.tasks.len())
         .map(|task| vec![HashSet::new(); program(&run_state, task).map_or(0, |of| of.variables.len())])
@@ -94,5 +102,5 @@ pub(super) fn of(plan: &Arc<CellPlan>, faults: &CellFaults, sample: &Sample, ope
     variables.sort_by_key(|variable| std::cmp::Reverse(variable.values));
     variables.truncate(NAMED);
     let (sampled, apart_from_times) = (sample.states.len() as u64, controls.len() as u64);
-    Unfinished { open: open as u64, sampled, apart_from_times, variables }
+    Some(Unfinished { open: open as u64, sampled, apart_from_times, variables })
 }
