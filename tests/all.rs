@@ -19,6 +19,7 @@ mod faults_seen;
 mod front_door;
 mod guide;
 mod hostile;
+mod kept_out;
 mod monitor;
 mod observe;
 mod path_of_the_model;

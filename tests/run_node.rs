@@ -216,38 +216,6 @@ fn nodes_of_two_cell_files_say_so_on_both_sides() {
     }
 }
 
-#[test]
-fn nodes_that_do_not_close_their_datagrams_alike_say_so_on_both_sides() {
-    let bench = Bench::new();
-    let cell = placed(&bench, None);
-    let others = bench.0.path().join("others");
-    let others = others.to_str().expect("UTF-8");
-    let made = run_in(bench.0.path(), &["keygen", &cell, "--out", others]);
-    assert_eq!(made.code, Some(0), "{made:?}");
-    for (how, words) in [
-        (&["--insecure"][..], "one of them has keys and the other has none"),
-        (&["--keys", others], "their keys differ"),
-    ] {
-        let start = |node: &'static str, how: &[&str]| {
-            let args = [&["run", &cell, "--node", node, "--for", "10m"], how].concat();
-            Program::start(imrs(bench.0.path(), &args))
-        };
-        let (mut b, mut a) = (start("nb", how), start("na", &[]));
-        for node in [&mut b, &mut a] {
-            let mut refusal = String::new();
-            node.read_until(|line| {
-                refusal = line.to_owned();
-                line.contains("do not talk")
-            });
-            assert!(refusal.contains(words), "{refusal}");
-        }
-        for node in [b, a] {
-            node.interrupt();
-            assert_eq!(node.finish().code, Some(1));
-        }
-    }
-}
-
 /// Two nodes with `--insecure` meet, and say what they are; the header of a recording has it, too.
 #[test]
 fn nodes_without_keys_run_only_if_asked_to_and_say_so_everywhere() {

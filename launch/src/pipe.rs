@@ -184,7 +184,7 @@ pub struct Figures {
     pub lost_on_purpose: u64,
     /// Packets that the node's link dropped because of a cut.
     pub cut_off: u64,
-    /// The neighbours that it refuses, because their cells or keys differ.
+    /// The neighbours that it refuses, because their cells, keys or versions differ.
     pub refusals: Vec<RefusalFigures>,
     /// How many events were not reported: they came too fast, or the launcher did not read its pipe fast enough.
     pub untold: u64,
@@ -192,12 +192,12 @@ pub struct Figures {
     pub unrecorded: Vec<String>,
 }
 
-/// A neighbour whose cell or keys differ, so that the two nodes do not communicate. Digests are hexadecimal.
+/// A neighbour whose cell, keys or version differ, so that the two nodes do not communicate. Digests are hexadecimal.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RefusalFigures {
     /// The neighbour whose datagrams the node refused.
     pub neighbour: String,
-    /// `other_cell`, `other_statements`, `other_keys` or `other_mode`.
+    /// `other_cell`, `other_statements`, `other_keys`, `other_mode` or `other_version`.
     pub reason: String,
     /// This node's digest, which differs from the neighbour's.
     pub ours: String,
@@ -218,6 +218,11 @@ impl RefusalFigures {
             "other_mode" => {
                 return format!(
                     "node {node} and node {neighbour} do not talk: one of them has keys and the other has none; start both with keys (`imrs keygen`), or both with --insecure"
+                );
+            }
+            "other_version" => {
+                return format!(
+                    "node {node} and node {neighbour} do not talk: their programs have different versions of the protocol between nodes; run the same version of imrs on both"
                 );
             }
             "other_cell" => "declarations",

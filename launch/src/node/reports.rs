@@ -53,7 +53,8 @@ impl Process {
                 Refused::OtherStatements
                 | Refused::Misdelivered
                 | Refused::OtherKeys
-                | Refused::OtherMode => (link.digests().statements, refusal.theirs.statements),
+                | Refused::OtherMode
+                | Refused::OtherVersion => (link.digests().statements, refusal.theirs.statements),
             };
             RefusalFigures {
                 neighbour: self.table.cell().nodes[refusal.node.index()].name.clone(),

@@ -11,16 +11,15 @@ use crate::node::{Inlet, Node};
 use crate::sync::lead::Led;
 use crate::sync::park::Park;
 use crate::sync::ready::ReadyFutures;
-use futures_util::FutureExt;
 use imrs_wire::obs::Liveness;
 use std::cell::RefCell;
-use std::future::Future;
-use std::panic::AssertUnwindSafe;
-use std::pin::Pin;
+use std::future::{Future, poll_fn};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::pin::{Pin, pin};
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
-use std::task::{Context, Wake, Waker};
+use std::task::{Context, Poll, Wake, Waker};
 use std::thread::JoinHandle;
 
 /// After so many waits in a row that the link did not end, the thread stops leading until the link brings something: being called
@@ -204,8 +203,12 @@ async fn to_its_end(
     answers: &Rc<RefCell<Answers>>,
 ) -> TaskEnd {
     let (node, answers) = (Arc::clone(node), Rc::clone(answers));
-    let whole = async move { body(Caller::of_a_future(node, place, answers)).await };
-    match AssertUnwindSafe(whole).catch_unwind().await {
+    let mut whole = pin!(async move { body(Caller::of_a_future(node, place, answers)).await });
+    let end = poll_fn(|context| {
+        let polled = catch_unwind(AssertUnwindSafe(|| whole.as_mut().poll(context)));
+        polled.map_or_else(|panic| Poll::Ready(Err(panic)), |polled| polled.map(Ok))
+    });
+    match end.await {
         Ok(Ok(()) | Err(TaskError::Stopped)) => TaskEnd::Returned,
         Ok(Err(error)) => TaskEnd::Failed(error),
         Err(panic) => TaskEnd::Panicked(message(panic.as_ref())),

@@ -10,6 +10,7 @@ use imrs_runtime::link::udp::keys::{NodeKeys, draw_cell_key, draw_node_keys};
 use imrs_runtime::link::udp::{UdpCount, UdpError, UdpLink, UdpOptions};
 use imrs_runtime::link::{Link, LinkDiscard};
 use imrs_wire::envelope::Refused;
+use imrs_wire::envelope::keyed::{self, Keyed};
 use std::collections::BTreeMap;
 
 /// The keys of the three nodes of a cell.
@@ -93,6 +94,38 @@ fn a_node_that_starts_again_is_heard() {
     assert_eq!(*at_b.peers.lock().unwrap(), [(A, Incarnation(1), true)]);
     raw_socket().send_to(&old, b.local_address()).unwrap();
     assert_eq!(at_b.take_discards(&b, 1), [LinkDiscard::StaleSession]);
+}
+
+/// The neighbour goes on in the session with the node's earlier start until it has a datagram of the new one.
+#[test]
+fn a_node_that_only_listens_is_spoken_to_though_its_first_greeting_was_lost() {
+    let keys = keys();
+    let (a, b) = pair(&keys);
+    carried(&a, &b, 1..2);
+    drop(b);
+    let (b, between) = (link(B).with_keys(&keys[1]).unwrap(), raw_socket());
+    between.set_nonblocking(true).unwrap();
+    a.set_address(B, Some(b.local_address())).unwrap();
+    b.set_address(A, Some(between.local_addr().unwrap())).unwrap();
+    b.greet();
+    let (at_a, at_b, mut lost, mut number) = (Memory::default(), Memory::default(), 0, 1);
+    drive(&[(&a, &at_a), (&b, &at_b)], || {
+        let mut bytes = [0; 2_000];
+        while let Ok(length) = between.recv(&mut bytes) {
+            let bytes = &bytes[..length];
+            if lost == 0 && matches!(keyed::read(bytes), Ok(Keyed::Transport { .. })) {
+                lost += 1;
+            } else {
+                between.send_to(bytes, a.local_address()).unwrap();
+            }
+        }
+        number += 1;
+        // Nothing listened at the address for a moment.
+        let _ = a.send(B, &[packet(number)]);
+        at_b.delivered() > 0
+    });
+    assert_eq!(lost, 1);
+    assert_eq!(*at_a.peers.lock().unwrap(), [(B, Incarnation(1), true)]);
 }
 
 #[test]

@@ -167,11 +167,19 @@ pub enum Refused {
     OtherKeys,
     /// One of the two has keys, and the other has none.
     OtherMode,
+    /// Their envelopes have different versions.
+    OtherVersion,
 }
 
 impl Refused {
-    const ALL: [Self; 5] =
-        [Self::OtherCell, Self::OtherStatements, Self::Misdelivered, Self::OtherKeys, Self::OtherMode];
+    const ALL: [Self; 6] = [
+        Self::OtherCell,
+        Self::OtherStatements,
+        Self::Misdelivered,
+        Self::OtherKeys,
+        Self::OtherMode,
+        Self::OtherVersion,
+    ];
 
     /// The reason with this number on the wire.
     #[must_use]
@@ -188,6 +196,7 @@ impl Refused {
             Self::Misdelivered => "misdelivered",
             Self::OtherKeys => "other_keys",
             Self::OtherMode => "other_mode",
+            Self::OtherVersion => "other_version",
         }
     }
 }

@@ -6,7 +6,7 @@ use super::statistics::UdpCount;
 use super::{NotANeighbour, UdpLink};
 use crate::link::{Link, LinkBusy, LinkDiscard, Sink};
 use crate::lock::lock;
-use imrs_protocol::{Incarnation, NodeId, Packet, Ticks};
+use imrs_protocol::{Incarnation, Kind, NodeId, Packet, Ticks};
 use imrs_wire::envelope::{
     Datagram, Digests, Envelope, EnvelopeError, Greeting, Opened, Purpose, Refused, without_packets,
 };
@@ -66,7 +66,9 @@ impl UdpLink {
         let end = Instant::now() + within;
         let is_silent = |peer: &&Peer| {
             // Who has no keys can claim that the keys differ.
-            let hint = |refusal: Refusal| matches!(refusal.why, Refused::OtherKeys | Refused::OtherMode);
+            let hint = |refusal: Refusal| {
+                matches!(refusal.why, Refused::OtherKeys | Refused::OtherMode | Refused::OtherVersion)
+            };
             let talks = lock(&peer.refusal).is_none_or(hint);
             lock(&peer.route).is_some() && lock(&peer.remembers).is_none() && talks
         };
@@ -209,6 +211,17 @@ impl UdpLink {
         if peer.is_refused.load(Ordering::Acquire) {
             peer.is_refused.store(false, Ordering::Release);
             *lock(&peer.refusal) = None;
+        }
+    }
+
+    /// Learns a neighbour's incarnation from a packet that another node relays for it.
+    pub(super) fn remember_source(&self, sender: NodeId, packet: &Packet) {
+        if !matches!(packet.kind, Kind::Send | Kind::Query | Kind::Arrive) {
+            return;
+        }
+        let source = self.table.location(packet.source).filter(|&source| source != sender);
+        if let Some((_, peer)) = source.and_then(|source| self.peer(source)) {
+            peer.remember(packet.id.incarnation);
         }
     }
 }

@@ -10,6 +10,7 @@ use crate::lock::lock;
 use imrs_protocol::NodeId;
 use imrs_wire::envelope::keyed::{self, Handshake, Keyed};
 use imrs_wire::envelope::{Digests, Envelope, Greeting, Opened, Refused};
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
@@ -84,7 +85,7 @@ impl UdpLink {
         session.map(Closing::Keys)
     }
 
-    /// Repeats the questions for sessions that were not answered. Returns when to do so again, if any is left. Called by the
+    /// Repeats the questions for sessions, and the greetings in them, that were not answered. Returns when to do so again, if any is left. Called by the
     /// polling thread.
     pub(super) fn knock(&self) -> Option<Instant> {
         if !self.knocks.swap(false, Ordering::AcqRel) {
@@ -95,11 +96,27 @@ impl UdpLink {
             if let Some(route) = lock(&peer.route).as_mut() {
                 is_left |= self.asked_closing(peer, route, 0).is_none();
             }
+            is_left |= self.greet_again(peer);
         }
         if is_left {
             self.knocks.store(true, Ordering::Release);
         }
         is_left.then(|| Instant::now() + LOOK_EVERY)
+    }
+
+    /// Repeats the greeting in a new session until the neighbour has sent something in it: if the first one was lost, the neighbour does
+    /// not know of the session. Returns whether it is still to be repeated.
+    fn greet_again(&self, peer: &Peer) -> bool {
+        let now = self.micros(Instant::now());
+        let (waits, is_due) = match &mut *lock(&peer.channel) {
+            Some(channel) => (channel.is_unanswered(), channel.greets_again(now)),
+            None => return false,
+        };
+        if is_due {
+            let heard = *lock(&peer.heard);
+            self.say(peer, Greeting { wants_answer: true, ..Greeting::default() }, heard);
+        }
+        waits && lock(&peer.route).is_some()
     }
 
     /// The datagram in `bytes`, if it is one that a session has closed; opened into `room`. `None` if it was one of a handshake:
@@ -125,7 +142,8 @@ impl UdpLink {
         let live = lock(&peer.channel).as_ref().and_then(|channel| channel.find(index).cloned());
         let live = live.ok_or(LinkDiscard::StaleSession)?;
         let opened = live.open(counter, closed, room)?;
-        let is_news = lock(&peer.channel).as_mut().is_some_and(|channel| channel.confirm(&live));
+        let now = self.micros(Instant::now());
+        let is_news = lock(&peer.channel).as_mut().is_some_and(|channel| channel.confirm(&live, now));
         if is_news {
             self.session_made();
         }
@@ -152,8 +170,9 @@ impl UdpLink {
             }
             Answer::Made => {
                 self.statistics.add(UdpCount::SessionsMade, 1);
-                self.session_made();
                 // The neighbour uses the session once it has a datagram of it.
+                self.knocks.store(true, Ordering::Release);
+                self.session_made();
                 let heard = *lock(&peer.heard);
                 self.say(peer, Greeting { wants_answer: true, ..Greeting::default() }, heard);
                 Ok(())
@@ -217,6 +236,25 @@ impl UdpLink {
         }
     }
 
+    /// Something of another version came from the address of a neighbour with which this node has not talked. Nothing more can be read
+    /// of it. Says so to people, and the first time shows the neighbour at once which version this node has.
+    pub(super) fn hint_at_version(&self, from: SocketAddr) {
+        let is_it = |peer: &&Peer| {
+            let is_there = lock(&peer.route).as_ref().is_some_and(|route| route.address == from);
+            is_there && !peer.met.load(Ordering::Relaxed)
+        };
+        let Some(peer) = self.peers.iter().find(is_it) else { return };
+        let is_known = lock(&peer.refusal).is_some_and(|refusal| refusal.why == Refused::OtherVersion);
+        if is_known {
+            return;
+        }
+        self.note_refusal(peer, Refused::OtherVersion, self.digests(), true);
+        if let Some(channel) = &mut *lock(&peer.channel) {
+            channel.ask_now();
+        }
+        self.say(peer, Greeting { wants_answer: true, ..Greeting::default() }, None);
+    }
+
     fn hint_at_mode(&self, sender: NodeId, theirs: Digests) {
         if let Some((_, peer)) = self.peer(sender).filter(|(_, peer)| !peer.met.load(Ordering::Relaxed)) {
             self.note_refusal(peer, Refused::OtherMode, theirs, true);
@@ -233,5 +271,6 @@ const fn discard(why: Refused, here: bool) -> LinkDiscard {
         Refused::Misdelivered => LinkDiscard::Misdelivered,
         Refused::OtherKeys => LinkDiscard::OtherKeys,
         Refused::OtherMode => LinkDiscard::Mode,
+        Refused::OtherVersion => LinkDiscard::Version,
     }
 }

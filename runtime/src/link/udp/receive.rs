@@ -13,10 +13,11 @@ use crate::clock;
 use crate::link::residency::{Evidence, Reading, residency};
 use crate::link::{LinkDiscard, Sink};
 use crate::lock::lock;
-use imrs_protocol::{Kind, NodeId, Packet, Ticks};
+use imrs_protocol::{NodeId, Packet, Ticks};
 use imrs_wire::envelope::keyed::MAX_KEYED_BYTES;
 use imrs_wire::envelope::{self, Envelope, Greeting, MAX_PACKETS, Opened, Purpose};
 use std::io;
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -125,6 +126,7 @@ impl UdpLink {
                     let waited = self.waited(&received, &now, &queue.empty);
                     let together = Together {
                         link: self,
+                        from: inbound.from,
                         now,
                         waited,
                         decoded,
@@ -190,6 +192,8 @@ impl UdpLink {
 /// The datagrams that one receive call brought, before the instant `now`.
 struct Together<'a> {
     link: &'a UdpLink,
+    /// The address of the neighbour from which they came, if the socket is connected to one.
+    from: Option<SocketAddr>,
     now: Reading,
     /// How long they waited in the kernel, by the one stamp of the call.
     waited: Ticks,
@@ -216,6 +220,9 @@ impl Together<'_> {
         for bytes in received.datagrams() {
             count += 1;
             if let Err(reason) = self.take(bytes) {
+                if let (LinkDiscard::Version, Some(from)) = (reason, self.from) {
+                    self.link.hint_at_version(from);
+                }
                 self.sink.discarded(reason);
             }
         }
@@ -383,17 +390,4 @@ impl Together<'_> {
 /// The sender's clock, as a datagram shows it.
 const fn heard(envelope: &Envelope, at: u64) -> Heard {
     Heard { session: envelope.session, tx_mono: envelope.tx_mono, at }
-}
-
-impl UdpLink {
-    /// Learns a neighbour's incarnation from a packet that another node relays for it.
-    fn remember_source(&self, sender: NodeId, packet: &Packet) {
-        if !matches!(packet.kind, Kind::Send | Kind::Query | Kind::Arrive) {
-            return;
-        }
-        let source = self.table.location(packet.source).filter(|&source| source != sender);
-        if let Some((_, peer)) = source.and_then(|source| self.peer(source)) {
-            peer.remember(packet.id.incarnation);
-        }
-    }
 }

@@ -1,6 +1,7 @@
 //! The sessions of a node with one neighbour, and how they are made.
 
-use super::{KEY_BYTES, Live, NoRandom, NodeKeys, PATTERN, SecretKey, is_tag, tag};
+use super::sessions::Sessions;
+use super::{KEY_BYTES, Live, NoRandom, NodeKeys, SecretKey, is_tag, primitives, tag};
 use crate::link::LinkDiscard;
 use imrs_protocol::NodeId;
 use imrs_wire::envelope::keyed::{
@@ -10,7 +11,6 @@ use imrs_wire::envelope::{Digests, Refused, Session};
 use snow::HandshakeState;
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 
 /// After how long the first attempt at a session is given up, in microseconds. Each further one gets twice as long.
 const RETRY: u64 = 50_000;
@@ -18,10 +18,6 @@ const RETRY: u64 = 50_000;
 const LONGEST_RETRY: u64 = 1_600_000;
 /// A cookie is valid in the span in which it was made, and in the next one.
 const COOKIE_SPAN: u64 = 10_000_000;
-/// How long a session is kept beside a newer one, for datagrams that are under way.
-const KEPT: u64 = 10_000_000;
-/// How many sessions are kept, at most.
-const SESSIONS: usize = 8;
 /// How many answered initiations are kept, at most, to answer copies alike.
 const ANSWERED: usize = 64;
 
@@ -44,12 +40,14 @@ pub(in crate::link::udp) struct Channel {
     cookies: SecretKey,
     /// The upper half of each index of this node.
     place: u16,
+    /// The lower half of the last one. The first is drawn, so that an index of an earlier start is most likely none of this one.
     indices: u16,
-    /// All sessions, as they were made.
-    pub(super) sessions: Vec<Arc<Live>>,
+    pub(super) sessions: Sessions,
     pub(super) making: Option<Making>,
     /// When the present attempt began, and how long it may take.
     pub(super) tried: Option<(u64, u64)>,
+    /// When the neighbour was last greeted again, and after how long the next greeting is due.
+    greeted: Option<(u64, u64)>,
     pub(super) answered: VecDeque<(Nonce, HandshakeBytes)>,
 }
 
@@ -87,6 +85,8 @@ impl Channel {
         place: u16,
     ) -> Result<Option<Self>, NoRandom> {
         let Some(&public) = keys.0.publics.get(&peer) else { return Ok(None) };
+        let mut indices = [0; 2];
+        getrandom::fill(&mut indices).map_err(|_| NoRandom)?;
         let mut closing = SecretKey::default();
         let halves = closing.as_chunks_mut::<TAG_BYTES>().0;
         for (half, label) in halves.iter_mut().zip([&b"imrs handshake 0"[..], b"imrs handshake 1"]) {
@@ -102,17 +102,18 @@ impl Channel {
             closing,
             cookies: super::draw_cell_key()?,
             place,
-            indices: 0,
-            sessions: Vec::with_capacity(SESSIONS),
+            indices: u16::from_le_bytes(indices),
+            sessions: Sessions::new(),
             making: None,
             tried: None,
+            greeted: None,
             answered: VecDeque::with_capacity(ANSWERED),
         }))
     }
 
     /// The session that closes what this node sends: the newest one that the neighbour has.
     pub(in crate::link::udp) fn sending(&self) -> Option<&Arc<Live>> {
-        self.sessions.iter().rev().find(|live| live.confirmed.load(Ordering::Acquire))
+        self.sessions.sending()
     }
 
     /// The session with this index.
@@ -122,48 +123,43 @@ impl Channel {
 
     /// Whether a session is still one of this channel's.
     pub(in crate::link::udp) fn has(&self, live: &Arc<Live>) -> bool {
-        self.sessions.iter().any(|one| Arc::ptr_eq(one, live))
+        self.sessions.has(live)
     }
 
-    /// The neighbour has the keys of this session, because it closed a datagram with them. Returns whether that is news.
-    pub(in crate::link::udp) fn confirm(&mut self, live: &Arc<Live>) -> bool {
-        if live.confirmed.swap(true, Ordering::AcqRel) || !self.has(live) {
-            return false;
+    /// The neighbour has closed a datagram with this session. Returns whether that is news.
+    pub(in crate::link::udp) fn confirm(&mut self, live: &Arc<Live>, now: u64) -> bool {
+        let is_news = self.sessions.confirm(live, now);
+        if is_news {
+            self.tried = None;
         }
-        self.tried = None;
-        self.end_others(live);
-        true
+        is_news
     }
 
-    /// A node runs once at a time: sessions with an earlier start of the neighbour are over.
-    fn end_others(&mut self, live: &Arc<Live>) {
-        let made = self.sessions.iter().position(|one| Arc::ptr_eq(one, live)).unwrap_or(0);
-        let mut at = 0;
-        self.sessions.retain(|one| {
-            at += 1;
-            at > made || one.bound.sender == live.bound.sender
-        });
+    /// Whether the neighbour may not know of the session in which this node sends, because it has sent nothing in it.
+    pub(in crate::link::udp) fn is_unanswered(&self) -> bool {
+        self.sending().is_some_and(|live| live.is_unanswered())
     }
 
-    /// Forgets sessions that no datagram can need any more. One that the neighbour has not used yet stays until a newer one is
-    /// used: the neighbour may have all it needs, and its first datagram may have been lost.
-    fn retire(&mut self, now: u64) {
-        let newest = self.sending().cloned();
-        let is_over = |at: u64| now.saturating_sub(at) >= KEPT;
-        self.sessions.retain(|live| {
-            let is_newest = newest.as_ref().is_some_and(|newest| Arc::ptr_eq(newest, live));
-            let replaced =
-                newest.as_ref().is_some_and(|newest| newest.born >= live.born && is_over(newest.born));
-            is_newest || !replaced
-        });
+    /// Whether it is time to greet the neighbour again, because it may not know of the session.
+    pub(in crate::link::udp) fn greets_again(&mut self, now: u64) -> bool {
+        let Some(live) = self.sending().filter(|live| live.is_unanswered()) else { return false };
+        let (at, within) = self.greeted.unwrap_or((live.born, RETRY));
+        let is_due = now.saturating_sub(at) >= within;
+        if is_due {
+            self.greeted = Some((now, (within * 2).min(LONGEST_RETRY)));
+        }
+        is_due
     }
 
     /// Whether a new session is wanted before the datagram with this counter.
     pub(in crate::link::udp) fn wants(&mut self, now: u64, counter: u64) -> bool {
-        if self.sessions.len() > 1 {
-            self.retire(now);
-        }
+        self.sessions.retire(now);
         self.sending().is_none_or(|live| live.is_old(now, counter))
+    }
+
+    /// Ends the wait for an answer to the present attempt.
+    pub(in crate::link::udp) const fn ask_now(&mut self) {
+        self.tried = None;
     }
 
     /// Begins an attempt at a session, unless one is under way.
@@ -297,9 +293,8 @@ impl Channel {
             return Err(LinkDiscard::StaleSession);
         };
         let started = read(&mut noise, second).map_err(|_| LinkDiscard::OtherKeys)?;
-        let live = self.enter(*noise, (index, responder), started, now)?;
-        self.tried = None;
-        self.end_others(&live);
+        self.enter(*noise, (index, responder), started, now)?;
+        (self.tried, self.greeted) = (None, None);
         Ok(Answer::Made)
     }
 
@@ -310,19 +305,12 @@ impl Channel {
         indices: (u32, u32),
         started: Session,
         now: u64,
-    ) -> Result<Arc<Live>, LinkDiscard> {
+    ) -> Result<(), LinkDiscard> {
         let bound =
             Bound { digests: self.digests, sender: (self.peer, started), receiver: (self.me, self.session) };
         let transport = noise.into_stateless_transport_mode().map_err(|_| LinkDiscard::OtherKeys)?;
-        if self.sessions.len() == SESSIONS {
-            let newest = self.sending().cloned();
-            let oldest =
-                self.sessions.iter().position(|live| newest.as_ref().is_none_or(|n| !Arc::ptr_eq(n, live)));
-            self.sessions.remove(oldest.unwrap_or(0));
-        }
-        let live = Arc::new(Live::new(indices, bound, transport, now));
-        self.sessions.push(Arc::clone(&live));
-        Ok(live)
+        self.sessions.add(Live::new(indices, bound, transport, now));
+        Ok(())
     }
 
     /// A Noise handshake of the two nodes, the initiator first.
@@ -338,7 +326,7 @@ impl Channel {
         prologue[17..19].copy_from_slice(&responder.0.to_le_bytes());
         let secrets = &self.keys.0;
         let made = || {
-            let builder = snow::Builder::new(PATTERN.parse()?)
+            let builder = primitives::builder()?
                 .prologue(&prologue)?
                 .local_private_key(&*secrets.private)?
                 .remote_public_key(&self.public)?

@@ -7,7 +7,7 @@ use imrs_wire::envelope::{Datagram, Envelope, Opened, ReplayWindow};
 use snow::StatelessTransportState;
 use std::fmt;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// After how long a session is replaced, in microseconds: by its initiator.
 const REPLACE_AFTER: u64 = 3_600_000_000;
@@ -15,6 +15,10 @@ const REPLACE_AFTER: u64 = 3_600_000_000;
 const PATIENCE: u64 = 60_000_000;
 /// After how many datagrams.
 const REPLACE_AFTER_DATAGRAMS: u64 = 1 << 32;
+/// After how long its initiator replaces a session in which the neighbour has sent nothing.
+const ANSWERED_WITHIN: u64 = 10_000_000;
+/// For something that has not happened.
+const NEVER: u64 = u64::MAX;
 
 /// A session whose keys both sides can have.
 pub(in crate::link::udp) struct Live {
@@ -28,9 +32,9 @@ pub(in crate::link::udp) struct Live {
     is_initiator: bool,
     /// When it was made.
     pub(super) born: u64,
-    /// Whether the neighbour is known to have the keys.
-    pub(super) confirmed: AtomicBool,
-    /// The counter of the first datagram that this node closed with it; `u64::MAX` before.
+    /// When the first datagram of the neighbour was opened with it; [`NEVER`] before.
+    heard: AtomicU64,
+    /// The counter of the first datagram that this node closed with it; [`NEVER`] before.
     first: AtomicU64,
 }
 
@@ -44,7 +48,7 @@ impl fmt::Debug for Live {
 }
 
 impl Live {
-    /// A session whose handshake was finished at `born`. The initiator knows that the responder has the keys.
+    /// A session whose handshake was finished at `born`.
     pub(super) fn new(
         (index, theirs): (u32, u32),
         bound: Bound,
@@ -60,8 +64,8 @@ impl Live {
             window: Mutex::default(),
             is_initiator,
             born,
-            confirmed: AtomicBool::new(is_initiator),
-            first: AtomicU64::new(u64::MAX),
+            heard: AtomicU64::new(NEVER),
+            first: AtomicU64::new(NEVER),
         }
     }
 
@@ -102,14 +106,63 @@ impl Live {
     }
 
     #[cfg(test)]
-    pub(super) fn state(&self) -> (bool, ReplayWindow) {
-        (self.confirmed.load(Ordering::Acquire), lock(&self.window).clone())
+    pub(super) fn state(&self) -> (u64, ReplayWindow) {
+        (self.heard.load(Ordering::Acquire), lock(&self.window).clone())
+    }
+
+    /// The neighbour has closed a datagram with it. Returns whether that is news.
+    pub(super) fn hear(&self, now: u64) -> bool {
+        self.heard.compare_exchange(NEVER, now, Ordering::AcqRel, Ordering::Acquire).is_ok()
+    }
+
+    /// When the neighbour was heard in it first.
+    pub(super) fn heard(&self) -> Option<u64> {
+        Some(self.heard.load(Ordering::Acquire)).filter(|&at| at != NEVER)
+    }
+
+    /// Whether the neighbour is known to have the keys. The initiator knows it from the response.
+    pub(super) fn is_confirmed(&self) -> bool {
+        self.is_initiator || self.heard().is_some()
+    }
+
+    /// Whether this node made it and the neighbour may not know that.
+    pub(super) fn is_unanswered(&self) -> bool {
+        self.is_initiator && self.heard().is_none()
+    }
+
+    /// This node's number of it, and the neighbour's: each node counts its own part in the handshakes of its start.
+    const fn numbers(&self) -> (u16, u16) {
+        (self.index as u16, self.theirs as u16)
+    }
+
+    /// Whether this node had its part in the handshake after its part in that of `other`.
+    pub(super) fn is_begun_after(&self, other: &Self) -> bool {
+        is_later(self.numbers().0, other.numbers().0)
+    }
+
+    /// Whether it counts as made after `other`, which has the same starts of both nodes. If both nodes ask at once, each does its
+    /// part in its own question first, so the two disagree on which session is the newer one. The sum of both numbers is the same at
+    /// both, and a session that is later for both has the greater one.
+    pub(super) fn is_after(&self, other: &Self) -> bool {
+        let sum = |(own, theirs): (u16, u16)| own.wrapping_add(theirs);
+        let of_lower = |live: &Self| {
+            let (own, theirs) = live.numbers();
+            if live.bound.receiver.0 < live.bound.sender.0 { own } else { theirs }
+        };
+        let (one, two) = (sum(self.numbers()), sum(other.numbers()));
+        if one == two { is_later(of_lower(self), of_lower(other)) } else { is_later(one, two) }
     }
 
     /// Whether it is time for another one, when the next datagram has this counter.
     pub(super) fn is_old(&self, now: u64, counter: u64) -> bool {
         let after = if self.is_initiator { REPLACE_AFTER } else { REPLACE_AFTER + PATIENCE };
         let first = self.first.load(Ordering::Relaxed);
+        let after = if self.is_unanswered() { ANSWERED_WITHIN } else { after };
         now.saturating_sub(self.born) >= after || counter.saturating_sub(first) >= REPLACE_AFTER_DATAGRAMS
     }
+}
+
+/// Whether a number comes after another one. They wrap around.
+const fn is_later(number: u16, than: u16) -> bool {
+    number.wrapping_sub(than).cast_signed() > 0
 }

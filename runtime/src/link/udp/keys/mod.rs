@@ -19,9 +19,13 @@
 #[cfg(any(test, feature = "fuzzing"))]
 pub mod bytes;
 mod channel;
+#[cfg(test)]
+mod lasting;
 mod live;
+mod primitives;
 #[cfg(any(test, feature = "fuzzing"))]
 mod rig;
+mod sessions;
 #[cfg(test)]
 mod tests;
 
@@ -97,7 +101,7 @@ pub fn draw_cell_key() -> Result<SecretKey, NoRandom> {
 /// # Errors
 /// [`NoRandom`].
 pub fn draw_node_keys() -> Result<(SecretKey, [u8; KEY_BYTES]), NoRandom> {
-    let noise = snow::Builder::new(PATTERN.parse().map_err(|_| NoRandom)?);
+    let noise = primitives::builder().map_err(|_| NoRandom)?;
     let pair = noise.generate_keypair().map_err(|_| NoRandom)?;
     let drawn = Zeroizing::new(pair.private);
     let mut private = SecretKey::default();

@@ -69,7 +69,7 @@ impl End {
                 let mut room = [0; MAX_KEYED_BYTES];
                 let opened = live.open(counter, closed, &mut room)?;
                 assert_eq!((opened.envelope.sender, opened.packets), (ENDS[1 - self.me], &[[9; 32]][..]));
-                self.channel.confirm(&live);
+                self.channel.confirm(&live, now);
                 self.opened.push(counter);
                 Ok(None)
             }
@@ -81,6 +81,11 @@ impl End {
                 Answer::Refused { reply, .. } => reply.map(|reply| reply.to_vec()),
             }),
         }
+    }
+
+    /// What the polling thread repeats until the neighbour has answered.
+    pub(super) fn greeting(&mut self, now: u64) -> Option<Vec<u8>> {
+        self.channel.greets_again(now).then(|| self.datagram()).flatten()
     }
 
     pub(super) fn knock(&mut self, now: u64) -> Option<Vec<u8>> {

@@ -255,52 +255,6 @@ fn a_forger_with_the_format_changes_nothing() {
 }
 
 #[test]
-fn a_neighbour_that_starts_again_ends_its_earlier_session_and_no_old_one_comes_back() {
-    let keys = keys();
-    let mut ends = ends(&keys);
-    acquainted(&mut ends, 0);
-    let [old, late] = [0, 1].map(|_| ends[0].datagram().unwrap());
-    ends[1].take(&old, MS).unwrap();
-    // An attempt of the first start, whose answer is under way when it ends.
-    let hello = ends[0].channel.knock(MS).unwrap();
-    let cookie = ends[1].take(&hello, MS).unwrap().unwrap();
-    let initiation = ends[0].take(&cookie, MS).unwrap().unwrap();
-    ends[0] = end(&keys, 0, 77, DIGESTS);
-    acquainted(&mut ends, 2 * MS);
-    assert_eq!(ends[1].take(&late, 3 * MS), Err(LinkDiscard::StaleSession));
-    let now = ends[1].channel.sending().unwrap().index;
-    // Its answer comes to nothing: the first start is over, and the second has not asked for it.
-    let response = ends[1].take(&initiation, 3 * MS).unwrap().unwrap();
-    assert_eq!(ends[0].take(&response, 3 * MS), Err(LinkDiscard::StaleSession));
-    assert_eq!(ends[1].channel.sending().unwrap().index, now);
-}
-
-/// Otherwise the one would go on in the session with the neighbour's earlier start, and the other in one that is forgotten.
-#[test]
-fn a_session_is_used_however_late_its_first_datagram_comes() {
-    let keys = keys();
-    let mut ends = ends(&keys);
-    acquainted(&mut ends, 0);
-    ends[1] = end(&keys, 1, 77, DIGESTS);
-    let hello = ends[1].knock(MS).unwrap();
-    let cookie = ends[0].take(&hello, MS).unwrap().unwrap();
-    let initiation = ends[1].take(&cookie, MS).unwrap().unwrap();
-    let response = ends[0].take(&initiation, MS).unwrap().unwrap();
-    let _lost = ends[1].take(&response, MS).unwrap().unwrap();
-    for minute in 1..50 {
-        let now = minute * 60_000 * MS;
-        assert_eq!(ends[0].knock(now).or(ends[1].knock(now)), None, "both have a session");
-        let into_the_void = ends[0].datagram().unwrap();
-        assert!(ends[1].take(&into_the_void, now).is_err());
-    }
-    let now = 51 * 60_000 * MS;
-    let late = ends[1].datagram().unwrap();
-    ends[0].take(&late, now).unwrap();
-    let answer = ends[0].datagram().unwrap();
-    ends[1].take(&answer, now).unwrap();
-}
-
-#[test]
 fn other_cells_and_other_keys_are_refused_by_name_on_both_sides() {
     let refused = |a: &mut End, b: &mut End| {
         let hello = a.channel.knock(0).unwrap();
