@@ -103,17 +103,37 @@ fn heavy_libraries_stay_in_their_rooms() {
     }
 }
 
-/// All packages from which a package with these features is built; `known` must be among them.
+/// The names of all packages from which a package with these features is built; `known` must be among them.
 fn tree_of(package: &str, features: &str, known: &str) -> Vec<String> {
+    let tree = versions_of(package, features, known);
+    tree.into_iter().map(|(name, _)| name).collect()
+}
+
+/// The same, with their versions, on one kind of processor.
+fn versions_of(package: &str, features: &str, known: &str) -> Vec<(String, String)> {
     let output = Command::new(env!("CARGO"))
         .args(["tree", "-p", package, "-e", "normal,build", "--prefix", "none", "--offline"])
-        .args(["--features", features])
+        .args(["--features", features, "--target", "x86_64-unknown-linux-gnu"])
         .current_dir(ROOT)
         .output()
         .expect("cargo tree");
     let tree = String::from_utf8_lossy(&output.stdout);
     assert!(output.status.success() && tree.contains(known), "{}", String::from_utf8_lossy(&output.stderr));
-    tree.lines().map(|line| line.split(' ').next().unwrap_or_default().to_owned()).collect()
+    let words = tree.lines().map(|line| line.split(' '));
+    words.filter_map(|mut words| Some((words.next()?.to_owned(), words.next()?.to_owned()))).collect()
+}
+
+/// Each package takes time when a robot's program is built, and must be trusted. One that is built in two versions is listed twice.
+#[test]
+fn a_robots_program_is_built_from_the_packages_that_are_listed() {
+    let packages: BTreeSet<_> = versions_of("imrs-client", "", "imrs-protocol").into_iter().collect();
+    let names: String = packages.iter().map(|(name, _)| format!("{name}\n")).collect();
+    let list = Path::new(ROOT).join("client/packages.txt");
+    if std::env::var_os("IMRS_BLESS").is_some() {
+        fs::write(&list, &names).expect("the list is written");
+    }
+    let listed = fs::read_to_string(&list).expect("the list");
+    assert_eq!(names, listed, "{}: IMRS_BLESS=1 writes what is built now", list.display());
 }
 
 #[test]

@@ -1,102 +1,56 @@
 //! The lexer: turns text into tokens. It keeps comments aside for the formatter. It reports and skips characters that
 //! form no token.
 
+mod scanner;
+
 use crate::codes::{NUMBER, OPERATOR, UNCLOSED_TEXT, UNKNOWN};
 use crate::diagnostic::Diagnostic;
 use crate::report::Report;
 use crate::span::Span;
 use crate::words::Word;
-use logos::Logos;
+use scanner::Scanner;
 
 /// The kind of a token.
-#[derive(Logos, Clone, Copy, Debug, PartialEq, Eq, Hash)]
-#[logos(skip r"[ \t\r\n\x0C]+")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) enum Kind {
-    #[regex(r"[A-Za-z_][A-Za-z0-9_]*")]
     Name,
     /// A keyword of the language.
     Word(Word),
-    #[regex(r"[0-9](_?[0-9])*", priority = 10)]
     Int,
-    #[regex(r"[0-9](_?[0-9])*\.[0-9](_?[0-9])*([eE][+-]?[0-9]+)?", priority = 20)]
-    #[regex(r"[0-9](_?[0-9])*[eE][+-]?[0-9]+", priority = 20)]
     Real,
     /// Digits followed by letters, as in `12ab`.
-    #[regex(r"[0-9][0-9_]*[A-Za-z_][A-Za-z0-9_]*", priority = 1)]
-    #[regex(r"[0-9][0-9_]*\.[0-9][0-9_]*[A-Za-z_][A-Za-z0-9_]*", priority = 1)]
     BadNumber,
-    #[regex(r#""[^"\n]*""#)]
     Text,
-    #[regex(r#""[^"\n]*"#)]
     OpenText,
-    #[regex(r"'[^'\n]*'?")]
     SingleQuotes,
-    #[token(";")]
     Semicolon,
-    #[token(":")]
     Colon,
-    #[token(",")]
     Comma,
-    #[token(".")]
     Dot,
-    #[token("..")]
     DotDot,
-    #[token(":=")]
     Assign,
-    #[token("->")]
     Arrow,
-    #[token("<->")]
     BothWays,
-    #[token("--")]
     Link,
-    #[token("=")]
     Equal,
-    #[token("<>")]
     NotEqual,
-    #[token("<")]
     Less,
-    #[token("<=")]
     LessOrEqual,
-    #[token(">")]
     Greater,
-    #[token(">=")]
     GreaterOrEqual,
-    #[token("+")]
     Plus,
-    #[token("-")]
     Minus,
-    #[token("*")]
     Times,
-    #[token("/")]
     Slash,
-    #[token("(")]
     ParenOpen,
-    #[token(")")]
     ParenClose,
-    #[token("{")]
     BraceOpen,
-    #[token("}")]
     BraceClose,
-    #[token("[")]
     BracketOpen,
-    #[token("]")]
     BracketClose,
     /// An operator of another language.
-    #[token("==")]
-    #[token("!=")]
-    #[token("&&")]
-    #[token("||")]
-    #[token("!")]
-    #[token("%")]
-    #[token("+=")]
-    #[token("-=")]
-    #[token("*=")]
-    #[token("/=")]
     Foreign,
-    #[regex(r"//[^\n]*", allow_greedy = true)]
     LineComment,
-    #[token("(*")]
-    #[token("/*")]
     OpenComment,
 }
 
@@ -183,11 +137,11 @@ pub(crate) const LONGEST_NAME: usize = 64;
 /// Splits a text into tokens.
 pub(crate) fn lex(text: &str, report: &mut Report) -> Lexed {
     let mut lexed = Lexed { tokens: Vec::new(), comments: Vec::new(), open_ended: false };
-    let mut lexer = Kind::lexer(text);
+    let mut lexer = Scanner::new(text);
     let mut unknown: Option<Span> = None;
-    while let Some(kind) = lexer.next() {
+    while let Some(kind) = lexer.next_token() {
         let span = Span::new(lexer.span().start, lexer.span().end);
-        let Ok(kind) = kind else {
+        let Some(kind) = kind else {
             match &mut unknown {
                 Some(run) if run.end == span.start => run.end = span.end,
                 _ => {

@@ -11,13 +11,14 @@ use crate::words::Word;
 use chumsky::prelude::*;
 use imrs_protocol::script::Binary;
 
-/// A parser for a part of the grammar.
+/// A parser for a part of the grammar. Parts that stand in many others are boxed: the types of the others would contain theirs, and take
+/// longer to compile.
 pub(super) trait Part<'t, O>: Parser<'t, Tokens<'t>, O, Extra> + Clone + 't {}
 impl<'t, O, P: Parser<'t, Tokens<'t>, O, Extra> + Clone + 't> Part<'t, O> for P {}
 
 /// The keyword `word`.
 pub(super) fn word<'t>(word: Word) -> impl Part<'t, Span> {
-    just(Kind::Word(word)).map_with(|_, extra| extra.span())
+    just(Kind::Word(word)).map_with(|_, extra| extra.span()).boxed()
 }
 
 /// The token `kind`.
@@ -38,6 +39,7 @@ pub(super) fn name<'t>(text: &'t str) -> impl Part<'t, Name> {
             Name { text: text[span.range()].to_owned(), span }
         })
         .labelled(NAME)
+        .boxed()
 }
 
 /// An entry of an `order`: a name, `self`, or `timer` for all timers of the task.
@@ -59,6 +61,7 @@ pub(super) fn number<'t>(text: &'t str) -> impl Part<'t, Number> {
             Number { value, span }
         })
         .labelled("a number")
+        .boxed()
 }
 
 /// Removes the `_` between groups of digits.
@@ -74,7 +77,7 @@ fn too_large(span: Span, most: u64) -> Failure {
 
 /// The span of a number, with a fraction or not.
 fn amount<'t>() -> impl Part<'t, Span> {
-    choice((sign(Kind::Int), sign(Kind::Real))).labelled("a number")
+    choice((sign(Kind::Int), sign(Kind::Real))).labelled("a number").boxed()
 }
 
 /// A unit of time, as its length in microseconds.
@@ -85,7 +88,7 @@ fn unit<'t>(text: &'t str) -> impl Part<'t, u64> {
         emitter.emit(Failure::Said(Box::new(unknown_unit(&text[span.range()], span))));
         1
     });
-    known.or(unknown).labelled("a unit (`usec`, `msec`, `sec`)")
+    known.or(unknown).labelled("a unit (`usec`, `msec`, `sec`)").boxed()
 }
 
 fn unknown_unit(text: &str, span: Span) -> Diagnostic {
@@ -105,13 +108,14 @@ fn unknown_unit(text: &str, span: Span) -> Diagnostic {
 
 /// `20 msec`
 pub(super) fn duration<'t>(text: &'t str) -> impl Part<'t, Duration> {
-    amount().then(unit(text)).validate(move |(number, usec), extra, emitter| {
+    let duration = amount().then(unit(text)).validate(move |(number, usec), extra, emitter| {
         let span: Span = extra.span();
         length(&text[number.range()], usec, span).unwrap_or_else(|found| {
             emitter.emit(Failure::Said(found));
             Duration { usec: 0, span }
         })
-    })
+    });
+    duration.boxed()
 }
 
 /// `1..4 sec`, `200 msec..1 sec`; `5 msec` stands for `5..5 msec`.
@@ -177,6 +181,7 @@ pub(super) fn place<'t>(text: &'t str) -> impl Part<'t, Place> {
         .at_least(1)
         .collect()
         .map_with(|path, extra| Place { path, span: extra.span() })
+        .boxed()
 }
 
 /// An expression: `or` binds least, then `and`, `not`, comparisons, sums, products, signs.
@@ -207,6 +212,7 @@ pub(super) fn expr<'t>(text: &'t str) -> impl Part<'t, Expr> {
         let both = chain(negated, just(Kind::Word(Word::And)).to(Binary::And)).boxed();
         chain(both, just(Kind::Word(Word::Or)).to(Binary::Or)).boxed().labelled("an expression")
     })
+    .boxed()
 }
 
 /// A left-associative chain: `a + b + c`.

@@ -90,7 +90,7 @@ fn item<'t>(source: &'t str) -> impl Part<'t, Item> {
 /// A list of names in braces.
 fn set<'t>(source: &'t str) -> impl Part<'t, Vec<Name>> {
     let names = name(source).separated_by(just(Kind::Comma)).at_least(1).collect();
-    names.delimited_by(just(Kind::BraceOpen), just(Kind::BraceClose))
+    names.delimited_by(just(Kind::BraceOpen), just(Kind::BraceClose)).boxed()
 }
 
 fn couple<'t>(source: &'t str) -> impl Part<'t, Item> {
@@ -172,7 +172,7 @@ fn type_name<'t>(source: &'t str) -> impl Part<'t, TypeName> {
         plain(Word::Real, Type::Real),
     ));
     let timer = word(Word::Timer).map(TypeName::Timer);
-    choice((plain.boxed(), timer, name(source).map(TypeName::Record))).labelled(TYPE)
+    choice((plain.boxed(), timer, name(source).map(TypeName::Record))).labelled(TYPE).boxed()
 }
 
 /// `speed: real`; Figure 1 has a field without the colon.
@@ -264,7 +264,7 @@ fn variables<'t>(source: &'t str) -> impl Part<'t, VarDecl> {
 
 /// Places, separated by commas.
 pub(super) fn places<'t>(source: &'t str) -> impl Part<'t, Vec<Place>> {
-    place(source).separated_by(just(Kind::Comma)).at_least(1).collect()
+    place(source).separated_by(just(Kind::Comma)).at_least(1).collect().boxed()
 }
 
 /// The entries of an `order`, between `>`.

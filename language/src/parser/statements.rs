@@ -53,17 +53,17 @@ impl<'t> Statements<'t> {
 /// Expressions in parentheses.
 fn arguments<'t>(source: &'t str) -> impl Part<'t, Vec<Expr>> {
     let list = expr(source).separated_by(just(Kind::Comma)).collect();
-    list.delimited_by(just(Kind::ParenOpen), just(Kind::ParenClose))
+    list.delimited_by(just(Kind::ParenOpen), just(Kind::ParenClose)).boxed()
 }
 
 /// `within 3 msec`
 fn within<'t>(source: &'t str) -> impl Part<'t, Option<Duration>> {
-    word(Word::Within).ignore_then(duration(source)).or_not()
+    word(Word::Within).ignore_then(duration(source)).or_not().boxed()
 }
 
 /// `-> a, b.c`
 fn into<'t>(source: &'t str) -> impl Part<'t, Vec<Place>> {
-    just(Kind::Arrow).ignore_then(places(source)).or_not().map(Option::unwrap_or_default)
+    just(Kind::Arrow).ignore_then(places(source)).or_not().map(Option::unwrap_or_default).boxed()
 }
 
 fn send<'t>(source: &'t str) -> impl Part<'t, StatementKind> {
