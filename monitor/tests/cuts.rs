@@ -85,16 +85,23 @@ fn a_quiet_link_and_packets_on_their_route_are_no_cut() {
 
 #[test]
 fn a_node_that_drops_or_was_stopped_has_no_cut_link() {
-    let mut stage = Stage::cell(Theme::ASCII);
-    for at in (0..7_000).step_by(100) {
-        for node in 0..2 {
-            let (sent, silent) = cut(node, at);
-            let mut state = state(node, at, sent, silent);
-            state.link_discards = vec![Count { name: "other_statements".into(), count: at }];
-            stage.frame(ms(1_000 + at), node, ServerFrame::Snapshot(state));
+    // What a node could not send says nothing of what arrives at it.
+    for name in ["other_statements", "send_refused"] {
+        let mut stage = Stage::cell(Theme::ASCII);
+        for at in (0..7_000).step_by(100) {
+            for node in 0..2 {
+                let (sent, silent) = cut(node, at);
+                let mut state = state(node, at, sent, silent);
+                state.link_discards = vec![Count { name: name.into(), count: at }];
+                stage.frame(ms(1_000 + at), node, ServerFrame::Snapshot(state));
+            }
         }
+        assert_eq!(
+            cuts(stage.app.store(), &beam(), ms(8_000)).len(),
+            usize::from(name == "send_refused"),
+            "{name}"
+        );
     }
-    assert_eq!(cuts(stage.app.store(), &beam(), ms(8_000)).len(), 0, "the datagrams arrive and are dropped");
     // The right arm's node stands still from 1 s on, and goes on at 6 s.
     let mut stage = Stage::cell(Theme::ASCII);
     for at in (0..6_000).step_by(100) {
