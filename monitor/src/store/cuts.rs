@@ -16,6 +16,10 @@ const PACKETS: u64 = 5;
 /// The most directions of links that are followed.
 const MOST: usize = 4096;
 
+/// Packets of a neighbour's previous incarnation, which still arrive after a restart, are routine. So are answers in handshakes
+/// that came too late, on a busy machine.
+pub(super) const ORDINARY: &[&str] = &["stale_incarnation", "unproven_session", "stale_session"];
+
 /// What is known of one direction of a link since something last arrived.
 #[derive(Clone, Copy, Debug)]
 struct Silence {
@@ -126,8 +130,10 @@ fn is_awake(incarnation: &NodeIncarnation, now: Moment) -> bool {
 fn drops(incarnation: &NodeIncarnation) -> bool {
     let count = |sample: &Option<super::Sample>| {
         let drops = sample.as_ref().map_or(&[][..], |sample| &sample.snapshot.link_discards);
-        // What could not be sent says nothing of what arrives.
-        let arrived = drops.iter().filter(|drop| !drop.name.starts_with("send_"));
+        // What could not be sent says nothing of what arrives. And what is dropped after a restart is followed by what is
+        // accepted, unless the two ends do not find a common session.
+        let is_other = |name: &str| name.starts_with("send_") || ORDINARY.contains(&name);
+        let arrived = drops.iter().filter(|drop| !is_other(&drop.name));
         arrived.map(|drop| drop.count).fold(0, u64::saturating_add)
     };
     count(&incarnation.last) > count(&incarnation.base)

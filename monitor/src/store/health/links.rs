@@ -4,7 +4,7 @@ use super::codes::{self, Lint};
 use super::{Finding, Lately, Place};
 use crate::clock::{Moment, Span};
 use crate::name::Name;
-use crate::store::cuts::cuts;
+use crate::store::cuts::{ORDINARY, cuts};
 use crate::store::{NodeIncarnation, Store};
 
 /// The link counters (`runtime/src/link`) with a lint of their own, and what the dropped datagrams are. Any other counter is
@@ -30,10 +30,6 @@ const SIGNS: &[(&str, &Lint, &str)] = &[
     ("kernel_dropped", &codes::KERNEL_RESIDENCY, "the node reads too slowly"),
 ];
 
-/// Packets of a neighbour's previous incarnation, which still arrive after a restart, are routine. So are answers in handshakes
-/// that came too late, on a busy machine.
-const ORDINARY: &[&str] = &["stale_incarnation", "unproven_session", "stale_session"];
-
 pub(super) fn look(incarnation: &NodeIncarnation, lately: &Lately<'_>, found: &mut Vec<Finding>) {
     let place = Place::node(incarnation);
     for (name, more) in lately.link_discards() {
@@ -57,7 +53,7 @@ pub(super) fn look(incarnation: &NodeIncarnation, lately: &Lately<'_>, found: &m
 pub(super) fn cut(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Finding>) {
     for cut in cuts(store, cell, now) {
         let text = format!(
-            "link from {} is cut: {} packets sent, none arrived for {}",
+            "link from {} is cut: {} packets sent, none accepted for {}",
             cut.from.node,
             cut.sent,
             Span(cut.silent)
