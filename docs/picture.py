@@ -202,6 +202,10 @@ def alive(cell):
     # Rejected questions, parts that expired, a queue that is neither empty nor full, and a meeting.
     screen.save("monitor-overview.svg", "The overview: ports with messages, what expired and what was rejected",
                 r"(?s)waitfor lift r\d.*part +\x1b.*[3-7]/8 .*grab .*[12]/2 ")
+    for _ in range(4):
+        cell.type("Tab")
+    screen.save("monitor-title.svg", "A selected title: the bottom line says what the column shows", r"SLACK: remaining time")
+    cell.type("Escape")
     cell.type(":")
     cell.type("port press.part", "Enter")
     screen.save("monitor-port.svg", "A port's queue in the order of service: which messages will be served in time, and which will not",

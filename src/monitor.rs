@@ -8,7 +8,7 @@ use crate::output::Output;
 use crate::token;
 use crate::{cell_file, demo, replay};
 use imrs_launch::cells;
-use imrs_monitor::config::{Config, EXAMPLE, memory};
+use imrs_monitor::config::{self, Config, EXAMPLE};
 use imrs_monitor::judge::{FollowSession, Judge};
 use imrs_monitor::query::Filter;
 use imrs_monitor::theme::Theme;
@@ -89,7 +89,8 @@ fn options(
         },
         ascii: args.ascii,
         theme,
-        remember: memory(|name| std::env::var(name).ok()),
+        remember: config::memory(|name| std::env::var(name).ok()),
+        lines: config::lines(|name| std::env::var(name).ok()),
         palette: config.palette,
         keys: config.keys.clone(),
         columns: config.columns.iter().map(|column| column.0).collect(),

@@ -1,5 +1,6 @@
 //! The result of one measurement of a case.
 
+use rustix::time::{ClockId, clock_gettime};
 use std::time::{Duration, Instant};
 
 /// The distribution of the measured times, in nanoseconds.
@@ -76,6 +77,14 @@ pub fn laps(times: u32, group: u32, operation: &mut impl FnMut()) -> Vec<u64> {
         before = after;
     }
     nanos
+}
+
+/// The processor time of this thread, in nanoseconds.
+#[must_use]
+pub fn worked() -> u64 {
+    let now = clock_gettime(ClockId::ThreadCPUTime);
+    let nanos = i128::from(now.tv_sec) * 1_000_000_000 + i128::from(now.tv_nsec);
+    u64::try_from(nanos).unwrap_or(0)
 }
 
 /// A duration in nanoseconds.

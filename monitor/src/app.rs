@@ -9,11 +9,13 @@ mod mouse;
 mod problems;
 mod settings;
 mod shown;
+mod slices;
 mod steer;
+mod titles;
 
 pub use command::COMMANDS;
 pub use complete::{Completion, fuzzy};
-pub use entry::{Entry, Kind};
+pub use entry::Entry;
 pub use settings::Setting;
 
 use crate::clock::Moment;
@@ -31,6 +33,8 @@ use crate::store::health::Place;
 use crate::store::message::MessageKey;
 use crate::store::{Condition, IncarnationId, Store};
 use crate::theme::Theme;
+pub use crate::typed::Kind;
+use crate::typed::Typed;
 use crossterm::event::{KeyEvent, KeyEventKind, MouseEvent};
 use imrs_protocol::{MessageId, PortId, TaskId};
 use imrs_wire::obs::Token;
@@ -145,9 +149,13 @@ pub struct App {
     /// The line that is typed: a filter or a command.
     pub entry_line: Option<Entry>,
     /// The lines that were typed before.
-    typed_before: entry::Typed,
+    typed_before: Typed,
+    /// Whether a line was entered that is not in the file yet.
+    is_line_new: bool,
     /// The text on the bottom line; the next key removes it.
     pub told: Option<String>,
+    /// The selected title of a column or figure, which the bottom line explains.
+    title: Option<&'static str>,
     /// The message whose history is shown.
     message: Option<MessageKey>,
     /// The screen on which that message was selected.
@@ -208,8 +216,10 @@ impl App {
             event_filter: String::new(),
             lane_filter: String::new(),
             entry_line: None,
-            typed_before: entry::Typed::default(),
+            typed_before: Typed::default(),
+            is_line_new: false,
             told: None,
+            title: None,
             message: None,
             chosen_on: Screen::Port,
             entry: None,
@@ -371,7 +381,7 @@ impl App {
             Msg::Key(event) if self.entry_line.is_some() => self.typed(&event, now),
             Msg::Key(event) => {
                 let told = self.told.take().is_some();
-                let effect = self.keymap.action(&event, self.screen).map(|action| self.act(action, now));
+                let effect = self.keymap.action(&event, self.screen).map(|action| self.press(action, now));
                 let nothing = if told { Effect::Draw } else { Effect::Nothing };
                 effect.unwrap_or(nothing)
             }

@@ -122,9 +122,19 @@ pub fn place(var: impl Fn(&str) -> Option<String>) -> Option<PathBuf> {
 /// The file that remembers the chosen theme: `$XDG_STATE_HOME/imrs/monitor-theme`.
 #[must_use]
 pub fn memory(var: impl Fn(&str) -> Option<String>) -> Option<PathBuf> {
+    Some(state_folder(var)?.join("monitor-theme"))
+}
+
+/// The file that keeps the typed lines: `$XDG_STATE_HOME/imrs/monitor-lines`.
+#[must_use]
+pub fn lines(var: impl Fn(&str) -> Option<String>) -> Option<PathBuf> {
+    Some(state_folder(var)?.join("monitor-lines"))
+}
+
+fn state_folder(var: impl Fn(&str) -> Option<String>) -> Option<PathBuf> {
     let set = |name: &str| var(name).filter(|value| !value.is_empty()).map(PathBuf::from);
     let base = set("XDG_STATE_HOME").or_else(|| Some(set("HOME")?.join(".local/state")))?;
-    Some(base.join("imrs/monitor-theme"))
+    Some(base.join("imrs"))
 }
 
 /// The theme in such a file. A file without a theme counts as none.

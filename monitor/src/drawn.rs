@@ -29,12 +29,22 @@ pub enum Hit {
     Scroll(usize),
     /// A lane of the timeline.
     Lane(TaskId),
-    /// The title of a column, to be explained.
+    /// The title of a column or a figure, to be explained.
     Column(&'static str),
     /// A key that the bottom line names.
     Key(Action),
     /// A message of a queue: its source and its id.
     Entry(TaskId, MessageId),
+}
+
+impl Hit {
+    /// The title that it explains.
+    const fn title(&self) -> Option<&'static str> {
+        match self {
+            Self::Title(_, title) | Self::Column(title) => Some(title),
+            _ => None,
+        }
+    }
 }
 
 /// The layout of a drawn frame. Keys and clicks act on what the user saw, so they use this instead of a second layout.
@@ -59,6 +69,30 @@ impl Drawn {
     pub fn hit(&self, column: u16, row: u16) -> Option<Hit> {
         let at = Position::new(column, row);
         self.hits.iter().find(|(area, _)| area.contains(at)).map(|(_, hit)| *hit)
+    }
+
+    /// The titles of columns and figures, in reading order.
+    #[must_use]
+    pub fn titles(&self) -> Vec<&'static str> {
+        let mut found: Vec<_> =
+            self.hits.iter().filter_map(|(area, hit)| Some((*area, hit.title()?))).collect();
+        found.sort_by_key(|(area, _)| (area.y, area.x));
+        let mut titles = Vec::with_capacity(found.len());
+        for (_, title) in found {
+            if !titles.contains(&title) {
+                titles.push(title);
+            }
+        }
+        titles
+    }
+
+    /// Where a title is.
+    pub(crate) fn title(&self, title: &str) -> Option<Rect> {
+        self.hits.iter().find(|(_, hit)| hit.title() == Some(title)).map(|(area, _)| *area)
+    }
+
+    pub(crate) fn has_title(&self, title: &str) -> bool {
+        self.title(title).is_some()
     }
 
     /// Drops all targets, because a window is drawn over them.

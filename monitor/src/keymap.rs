@@ -104,6 +104,8 @@ const NAMES: &[(Action, &str)] = &[
     (Action::Last, "last"),
     (Action::Left, "left"),
     (Action::Right, "right"),
+    (Action::NextTitle, "next_title"),
+    (Action::PreviousTitle, "previous_title"),
     (Action::Enter, "enter"),
     (Action::Back, "back"),
     (Action::Filter, "filter"),
@@ -157,11 +159,12 @@ impl FromStr for Action {
 }
 
 /// The keys that have names, as they are written.
-const SPECIAL: [(&str, KeyCode); 14] = [
+const SPECIAL: [(&str, KeyCode); 15] = [
     ("space", KeyCode::Char(' ')),
     ("enter", KeyCode::Enter),
     ("esc", KeyCode::Esc),
     ("tab", KeyCode::Tab),
+    ("shift-tab", KeyCode::BackTab),
     ("backspace", KeyCode::Backspace),
     ("insert", KeyCode::Insert),
     ("delete", KeyCode::Delete),

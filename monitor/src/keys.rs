@@ -24,6 +24,10 @@ pub enum Action {
     Left,
     /// Shows the children; to the next port.
     Right,
+    /// Selects the next title of a column or figure, and explains it.
+    NextTitle,
+    /// Selects the previous one.
+    PreviousTitle,
     /// Opens the selected row.
     Enter,
     /// Goes back, clears the filter.
@@ -153,7 +157,9 @@ pub const BINDINGS: &[Binding] = &[
         Action::Show(Screen::Problems),
         "what needs attention, and the nearest deadlines",
     ),
-    everywhere(&[key('?')], Action::Show(Screen::Help), "this help"),
+    everywhere(&[key('?')], Action::Show(Screen::Help), "this help; it begins with the selected title"),
+    everywhere(&[code(KeyCode::Tab)], Action::NextTitle, "select the next title or figure: what it shows"),
+    everywhere(&[code(KeyCode::BackTab)], Action::PreviousTitle, "the title or figure before it"),
     everywhere(&[key('k'), code(KeyCode::Up)], Action::Up, "up"),
     everywhere(&[key('j'), code(KeyCode::Down)], Action::Down, "down"),
     everywhere(&[code(KeyCode::PageUp), ctrl('b')], Action::PageUp, "a page up"),
@@ -309,6 +315,7 @@ impl Key {
             KeyCode::Char(c) => c.to_string(),
             KeyCode::PageUp => "PgUp".to_owned(),
             KeyCode::PageDown => "PgDn".to_owned(),
+            KeyCode::BackTab => "Shift-Tab".to_owned(),
             other => format!("{other}"),
         };
         if self.ctrl { format!("^{}", name.to_uppercase()) } else { name }

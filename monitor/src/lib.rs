@@ -21,6 +21,7 @@ mod error;
 pub mod export;
 pub mod history;
 pub mod judge;
+mod keeper;
 pub mod keymap;
 pub mod keys;
 pub mod name;
@@ -39,6 +40,7 @@ pub mod specimen;
 pub mod store;
 mod terminal;
 pub mod theme;
+pub mod typed;
 mod ui;
 mod verdicts;
 pub mod view;
@@ -105,7 +107,8 @@ pub fn run(options: &Options) -> Result<Verdict, MonitorError> {
         app.recording = Some(name::shown_line(&path.display().to_string()));
     }
     let file = options.record.clone().unwrap_or_else(|| RECORDING.into());
-    let shown = ui::show(live(options, which, &tape), clock, app, &tape, file, options.judge.clone());
+    let files = ui::Files { record: file, lines: options.lines.clone() };
+    let shown = ui::show(live(options, which, &tape), clock, app, &tape, files, options.judge.clone());
     let recorded = tape.stop();
     shown?;
     match recorded {
@@ -126,7 +129,8 @@ fn replay_on_screen(options: &Options, mut player: Player) -> Result<Verdict, Mo
     }
     let theme = first_theme(options);
     let app = app(options, theme).replaying(player);
-    ui::show(Memory::default(), clock, app, &Arc::default(), RECORDING.into(), None)?;
+    let files = ui::Files { record: RECORDING.into(), lines: options.lines.clone() };
+    ui::show(Memory::default(), clock, app, &Arc::default(), files, None)?;
     Ok(Verdict::Healthy)
 }
 
@@ -139,6 +143,15 @@ fn app(options: &Options, theme: Theme) -> app::App {
     app.token = options.token.clone();
     // A theme that is given each time needs no memory.
     app.remember = options.remember.clone().filter(|_| options.theme.is_none());
+    if let Some(path) = &options.lines {
+        match typed::load(path) {
+            Ok(typed) => app.remember_typed(typed),
+            Err(error) => {
+                let path = name::shown_line(&path.display().to_string());
+                app.told = Some(format!("earlier typed lines are not known: {error}: {path}"));
+            }
+        }
+    }
     app.mouse = options.mouse;
     app.reduced_motion = options.reduced_motion;
     app.shape.filter = options.filter.clone().unwrap_or_default();

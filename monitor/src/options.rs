@@ -117,6 +117,8 @@ pub struct Options {
     pub theme: Option<Theme>,
     /// The file that remembers the theme that was chosen last.
     pub remember: Option<PathBuf>,
+    /// The file that keeps the typed lines between runs.
+    pub lines: Option<PathBuf>,
     /// The user's own colours.
     pub palette: Own,
     /// The user's own keys.

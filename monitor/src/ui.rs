@@ -6,6 +6,7 @@ use crate::clock::{Clock, Moment};
 use crate::config;
 use crate::error::MonitorError;
 use crate::judge::{ConformanceWorker, Judge};
+use crate::keeper::Keeper;
 use crate::name::shown_line;
 use crate::options::Endpoint;
 use crate::record::{Tape, free_name};
@@ -13,9 +14,8 @@ use crate::signals::{self, Call, Listener};
 use crate::source::live::{Live, Which};
 use crate::source::{Sink, Source};
 use crate::terminal::{self, Borrowed};
-use crate::view::{self, text};
+use crate::view;
 use crossterm::event::{self, Event};
-use ratatui::buffer::Buffer;
 use signal_hook::consts::SIGINT;
 use std::fs::File;
 use std::io::Write as _;
@@ -42,6 +42,14 @@ const EACH: u32 = 256;
 /// The file name of a written screen; a number makes it unique.
 const FRAME_FILE: &str = "monitor-screen.txt";
 
+/// The files that the screen writes.
+pub struct Files {
+    /// The file of the record key.
+    pub record: PathBuf,
+    /// The file of the typed lines, if they are kept.
+    pub lines: Option<PathBuf>,
+}
+
 enum Input {
     Msg(Msg),
     Call(Call),
@@ -49,8 +57,7 @@ enum Input {
     NoKeys,
 }
 
-/// Shows `source` on the terminal until the user quits. Every arrival passes through `tape`; `record` is the file of
-/// the record key.
+/// Shows `source` on the terminal until the user quits. Every arrival passes through `tape`.
 ///
 /// # Errors
 /// [`MonitorError`].
@@ -59,7 +66,7 @@ pub fn show(
     clock: Clock,
     mut app: App,
     tape: &Arc<Tape>,
-    record: PathBuf,
+    files: Files,
     judge: Option<Arc<dyn Judge>>,
 ) -> Result<(), MonitorError> {
     let (sender, inputs) = sync_channel(QUEUE);
@@ -79,6 +86,10 @@ pub fn show(
         for_feeds.send(Input::Msg(Msg::Feed(arrival))).is_ok()
     }))?;
     let keys = Some(Keys::start(sender.clone())?);
+    let told = sender.clone();
+    // The screen may be gone by then, and with it the reader of this.
+    let tell = move |text| drop(told.try_send(Input::Msg(Msg::Told(text))));
+    let keeper = files.lines.map(|path| Keeper::start(path, tell));
     let mut screen = Loop {
         app: &mut app,
         clock,
@@ -86,9 +97,10 @@ pub fn show(
         due: Some(Duration::ZERO),
         drawn: None,
         tape,
-        record,
+        record: files.record,
         sender,
         keys,
+        keeper,
         more: Vec::new(),
         worker,
         gaps: 0,
@@ -117,6 +129,8 @@ struct Loop<'a> {
     sender: SyncSender<Input>,
     /// The keyboard thread, unless the terminal is released.
     keys: Option<Keys>,
+    /// Writes the typed lines, if they are kept.
+    keeper: Option<Keeper>,
     /// The sources that the user added.
     more: Vec<Live>,
     /// Judges the recordings that nodes announce.
@@ -176,6 +190,9 @@ impl Loop<'_> {
             }
             Input::NoKeys => return Ok(Next::Quit),
         };
+        if let (Some(typed), Some(keeper)) = (self.app.take_typed(), &self.keeper) {
+            keeper.keep(typed);
+        }
         match effect {
             Effect::Nothing => {}
             Effect::Draw => {
@@ -265,9 +282,8 @@ impl Loop<'_> {
     fn write(&self, terminal: &Borrowed) -> String {
         let path = free_name(Path::new(FRAME_FILE));
         let written = terminal.area().and_then(|area| {
-            let mut buffer = Buffer::empty(area);
-            view::view(self.app, self.clock.now(), area, &mut buffer);
-            File::create_new(&path)?.write_all(text(&buffer).as_bytes())
+            let page = view::page(self.app, self.clock.now(), (area.width, area.height));
+            File::create_new(&path)?.write_all(page.as_bytes())
         });
         match written {
             Ok(()) => format!("this screen is in {}", shown_line(&path.display().to_string())),

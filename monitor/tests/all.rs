@@ -6,6 +6,7 @@ mod common;
 mod counting;
 mod crowd;
 mod cursor;
+mod cuts;
 mod events;
 mod export;
 mod history;
@@ -23,6 +24,7 @@ mod screens;
 mod settings;
 mod steer;
 mod timeline;
+mod titles;
 mod typing;
 mod waits;
 

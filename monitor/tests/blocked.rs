@@ -1,5 +1,6 @@
 //! Tests of the banner: what blocks the cell is named on every screen, neither too early nor too loudly.
 
+use crate::common::crowd::CROWD_DEATH;
 use crate::common::{BEAT, LIFT, Stage, at, beam, left, ms, snapshot};
 use crossterm::event::{KeyCode, KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
 use imrs_monitor::app::{Msg, Screen};
@@ -133,14 +134,32 @@ fn a_cycle_is_named_as_a_cycle() {
     assert!(shown.starts_with(" WAIT CYCLE armL@nl, armR@nr - only a time_out ends it"), "{shown}");
 }
 
+/// The keys to every screen, to a selected title, and to lines that are typed.
+const EVERYWHERE: [&str; 16] =
+    ["1", "2l", "2l\n", "3", "4", "5", "6", "7", "8", "8x", "?", "o", "6o", "1:po", "6/exp", "1/armL\n"];
+
+/// The same in a cell of twelve nodes and 108 ports, of which none waits for the dead one.
+#[test]
+fn ten_seconds_after_a_death_every_screen_of_a_large_cell_names_it() {
+    let stage = Stage::crowd_for(Theme::MONO, 152);
+    for (width, height) in SIZES {
+        for keys in EVERYWHERE {
+            let mut stage = Stage { app: stage.app.clone() };
+            stage.typed(CROWD_DEATH, (width, height), keys);
+            let shown = stage.text(CROWD_DEATH + ms(10_000), width, height);
+            let named = |line: &str| line.contains("LOST node3") && line.contains("DEAD 10s");
+            assert!(shown.lines().any(named), "{keys} at {width}x{height}: {shown}");
+        }
+    }
+}
+
 /// Ten seconds after a death, whichever screen is shown at whichever size: the culprit and its state are in words.
 #[test]
 fn ten_seconds_after_a_death_every_screen_names_the_culprit() {
     let dead = ms(1_500);
-    let keys = ["1", "2l", "2l\n", "3", "4", "5", "6", "7", "8", "8x", "?"];
     for theme in Theme::ALL {
         for (width, height) in SIZES {
-            for keys in keys {
+            for keys in EVERYWHERE {
                 let mut stage = Stage::busy(theme);
                 stage.lose(dead, 2);
                 stage.typed(dead, (width, height), keys);

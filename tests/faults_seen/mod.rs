@@ -1,12 +1,15 @@
 //! The fault matrix of the monitor (M15): each fault that is injected into running nodes raises its own finding and no
 //! unrelated one. Nodes without a fault raise none. The cells are slow, so that a busy machine causes no finding.
 
+mod cells;
+mod named;
 mod scene;
 mod starved;
 mod told;
 
 use crate::support::live::{Seen, figure, named};
 use crate::support::{Said, bound, look_until, own_address, side_by_side, signal};
+use cells::{CIRCLE, CRASH, FLOOD, LATE, LIGHT, NO_SPACE, SLOW, STARVED, WATCHED, two_texts};
 use imrs_wire::envelope::VERSION;
 use rustix::process::Signal;
 use scene::Scene;
@@ -15,66 +18,6 @@ use std::collections::BTreeSet;
 use std::net::UdpSocket;
 use std::sync::mpsc::{self, RecvTimeoutError};
 use std::time::{Duration, Instant};
-
-/// A cell of three tasks that meet, and exchange queries and statuses. All time_outs are far longer than needed.
-const WATCHED: &str = "\
-cell watched;
-tick 50 msec;
-node na;  node nb;  node nc;
-link na -- nb delay 50 msec;  link nb -- nc delay 50 msec;  link na -- nc delay 50 msec;
-task a on na
-  port ask(n: int16) -> int16  usage = query  user_list = {b}  time_out = 20 sec  class = 2;
-  port news(n: int16)  usage = send  user_list = {c}  time_out = 40 sec  class = 1  bounded_buffer[8];
-  port meet()  usage = waitfor  user_list = {b, c}  time_out = 20 sec  class = 2  retry = 4  resend = 100 msec;
-  var n: int16;
-begin
-  loop
-    query ask(n) -> n on time_out do n := 0; end on refused do n := 0; end;
-    send news(n);
-    waitfor meet() on time_out do skip; end;
-    delay 200 msec;
-  end;
-end a;
-task b on nb
-  use_port ask(n: int16) -> int16  usage = response;
-  use_port meet()  usage = waitfor  time_out = 20 sec;
-begin
-  order ask > self;
-  on query ask(n) do response(n); end;
-  loop
-    waitfor meet() on time_out do skip; end;
-    delay 200 msec;
-  end;
-end b;
-task c on nc
-  use_port news(n: int16)  usage = receive;
-  use_port meet()  usage = waitfor  time_out = 20 sec;
-begin
-  order news > self;
-  on receive news(n) do skip; end;
-  loop
-    waitfor meet() on time_out do skip; end;
-    delay 200 msec;
-  end;
-end c;
-";
-
-/// A further task on the node of `b`. It sends statuses and waits for nothing.
-const LIGHT: &str = "\
-task d on nb
-  port light(n: int16)  usage = send  user_list = {c}  time_out = 4 sec  class = 1  bounded_buffer[8];
-  var n: int16;
-begin
-  loop send light(n); delay 200 msec; end;
-end d;
-";
-
-/// A cell with two nodes and these tasks.
-macro_rules! two_nodes {
-    ($tasks:literal) => {
-        concat!("cell two;\ntick 50 msec;\nnode na;  node nb;\nlink na -- nb delay 50 msec;\n", $tasks)
-    };
-}
 
 #[test]
 fn a_healthy_run_raises_nothing() {
@@ -164,52 +107,14 @@ fn a_stopped_node_is_silent_until_it_goes_on() {
 
 #[test]
 fn more_news_than_are_taken_are_a_flood() {
-    let text = two_nodes!(
-        "task camera on na
-  port pose(n: int16)  usage = send  user_list = {picker}  time_out = 10 sec  class = 1  bounded_buffer[2];
-  var n: int16;
-begin
-  delay 2 sec;
-  loop send pose(n); delay 50 msec; end;
-end camera;
-task picker on nb
-  use_port pose(n: int16)  usage = receive;
-  var n: int16;
-begin
-  loop receive pose(n); run follow n takes 1 sec; end;
-end picker;
-"
-    );
-    let mut scene = Scene::start(text, &[]);
+    let mut scene = Scene::start(FLOOD, &[]);
     let since = scene.started + Duration::from_secs(2);
     scene.raises(since, "status-flood", &["refused"]);
 }
 
 #[test]
 fn commands_without_space_are_refused() {
-    let text = two_nodes!(
-        "task press on nb
-  port put(n: int16)  usage = receive  user_list = {p, q}  time_out = 20 sec  class = 2  bounded_buffer[1];
-  var n: int16;
-begin
-  run work n takes 600 sec;
-  receive put(n); reply();
-end press;
-task p on na
-  use_port put(n: int16)  usage = send;
-begin
-  run go takes 0..60 sec;
-  use_send put(1) on time_out do skip; end on refused do skip; end;
-end p;
-task q on na
-  use_port put(n: int16)  usage = send;
-begin
-  run go takes 0..60 sec;
-  use_send put(2) on time_out do skip; end on refused do skip; end;
-end q;
-"
-    );
-    let mut scene = Scene::waiting(text);
+    let mut scene = Scene::waiting(NO_SPACE);
     let since = scene.go();
     // The command that was sent first is more urgent. If it arrives second, it evicts the other one.
     scene.raises(since, "refused", &["command-evicted"]);
@@ -217,24 +122,7 @@ end q;
 
 #[test]
 fn a_message_that_waits_too_long_is_at_risk_and_then_expired() {
-    let text = two_nodes!(
-        "task a on na
-  port news(n: int16)  usage = send  user_list = {b}  time_out = 6 sec  class = 1  bounded_buffer[4];
-begin
-  run go takes 0..60 sec;
-  send news(1);
-  delay 100 sec;
-end a;
-task b on nb
-  use_port news(n: int16)  usage = receive;
-  var n: int16;
-begin
-  run dig n takes 600 sec;
-  receive news(n);
-end b;
-"
-    );
-    let mut scene = Scene::waiting(text);
+    let mut scene = Scene::waiting(SLOW);
     let sent = scene.go();
     // A tenth of the message's TTL remains at this time.
     let since = sent + Duration::from_millis(5400);
@@ -246,21 +134,7 @@ end b;
 
 #[test]
 fn a_rendezvous_whose_patience_ends_is_stuck() {
-    let text = two_nodes!(
-        "task a on na
-  port meet()  usage = waitfor  user_list = {b}  time_out = 12 sec  class = 2  retry = 4  resend = 200 msec;
-begin
-  waitfor meet() on time_out do skip; end;
-end a;
-task b on nb
-  use_port meet()  usage = waitfor  time_out = 12 sec;
-begin
-  run dig takes 60 sec;
-  waitfor meet() on time_out do skip; end;
-end b;
-"
-    );
-    let mut scene = Scene::start(text, &[]);
+    let mut scene = Scene::start(LATE, &[]);
     // A quarter of the task's time_out remains at this time.
     let since = scene.started + Duration::from_secs(9);
     scene.raises_before(since, "rendezvous-stuck", "time-outs", "na");
@@ -268,64 +142,14 @@ end b;
 
 #[test]
 fn tasks_that_ask_each_other_wait_in_a_circle() {
-    let text = two_nodes!(
-        "task left on na
-  port free() -> bool  usage = query  user_list = {right}  time_out = 30 sec;
-  use_port clear() -> bool  usage = response;
-  var ok: bool;
-begin
-  order clear > self;
-  on query clear() do response(not ok); end;
-  atomic run look takes 2 sec; query free() -> ok on time_out do ok := false; end; end;
-end left;
-task right on nb
-  port clear() -> bool  usage = query  user_list = {left}  time_out = 30 sec;
-  use_port free() -> bool  usage = response;
-  var ok: bool;
-begin
-  order free > self;
-  on query free() do response(not ok); end;
-  atomic run look takes 2 sec; query clear() -> ok on time_out do ok := false; end; end;
-end right;
-"
-    );
-    let mut scene = Scene::start(text, &[]);
+    let mut scene = Scene::start(CIRCLE, &[]);
     let since = scene.started + Duration::from_secs(2);
     scene.raises(since, "wait-cycle", &[]);
 }
 
 #[test]
 fn a_question_that_is_rejected_again_and_again_starves() {
-    let text = two_nodes!(
-        "task inspector on na
-  port weld()  usage = send  user_list = {arm}  time_out = 10 sec  class = 1;
-  port stop()  usage = send  user_list = {arm}  time_out = 10 sec  class = 1;
-  port halt()  usage = send  user_list = {arm}  time_out = 10 sec  class = 1;
-  port look() -> bool  usage = query  user_list = {arm}  time_out = 30 sec  penalty = 200 msec;
-  var ok: bool;
-begin
-  delay 1 sec;
-  send weld();
-  delay 1 sec;
-  query look() -> ok on time_out do ok := false; end on refused do ok := false; end;
-  if ok then send stop(); send halt(); end;
-end inspector;
-task arm on nb
-  use_port weld()  usage = receive;
-  use_port stop()  usage = receive;
-  use_port halt()  usage = receive;
-  use_port look() -> bool  usage = response;
-begin
-  order weld > stop > halt > self > look;
-  on receive weld() do run weld_it takes 20 sec; end;
-  on receive stop() do skip; end;
-  on receive halt() do skip; end;
-  on query look() do response(true); end;
-  loop delay 20 sec; end;
-end arm;
-"
-    );
-    let mut scene = Scene::start(text, &[]);
+    let mut scene = Scene::start(STARVED, &[]);
     // By this time there were three rejections, with the penalty between them.
     let since = scene.started + Duration::from_millis(2600);
     scene.raises(since, "starving", &[]);
@@ -336,7 +160,10 @@ fn questions_over_a_cut_link_time_out() {
     let text = WATCHED.replace("user_list = {b}  time_out = 20 sec", "user_list = {b}  time_out = 2 sec");
     let mut scene = Scene::start(&text, &["--cut", "na--nb@2s+60s"]);
     // While the link is cut, `a` waits for the answer of `b`, and `b` waits for `a` at the rendezvous: a cycle.
-    scene.raises(scene.started + Duration::from_secs(4), "time-outs", &["wait-cycle"]);
+    let consequences = ["time-outs", "wait-cycle", "rendezvous-stuck"];
+    scene.raises(scene.started + Duration::from_secs(4), "time-outs", &["wait-cycle", "link-cut"]);
+    // Packets go on being sent, and none has arrived for two seconds.
+    scene.raises(scene.started + Duration::from_secs(6), "link-cut", &consequences);
 }
 
 #[test]
@@ -380,27 +207,8 @@ fn more_datagrams_than_the_kernel_keeps_are_told() {
 
 #[test]
 fn nodes_of_two_texts_of_a_cell_are_told_apart() {
-    let (host, [a, b]) = own_address();
-    let text = |buffer: u8| {
-        format!(
-            "cell texts;\ntick 50 msec;\nnode na at \"{host}\" port {a};  node nb at \"{host}\" port {b};\nlink na -- nb delay 50 msec;
-task a on na
-  port news(n: int16)  usage = send  user_list = {{b}}  time_out = 2 sec  class = 1  bounded_buffer[{buffer}];
-  var n: int16;
-begin
-  loop send news(n); delay 500 msec; end;
-end a;
-task b on nb
-  use_port news(n: int16)  usage = receive;
-begin
-  order news > self;
-  on receive news(n) do skip; end;
-  loop delay 1 sec; end;
-end b;
-"
-        )
-    };
-    let mut scene = Scene::of(&[(&text(4), &["--node", "na"]), (&text(5), &["--node", "nb"])]);
+    let [one, other] = two_texts();
+    let mut scene = Scene::of(&[(&one, &["--node", "na"]), (&other, &["--node", "nb"])]);
     let since = scene.started;
     // The first node sends before the second one has started.
     scene.raises(since, "digest-mismatch", &["link-discards"]);
@@ -421,23 +229,7 @@ fn real_time_that_is_refused_is_noted() {
 
 #[test]
 fn a_task_that_runs_on_and_on_has_crashed() {
-    let text = two_nodes!(
-        "task a on na
-  port news(n: int16)  usage = send  user_list = {b}  time_out = 2 sec  class = 1  bounded_buffer[4];
-  var n: int16;
-begin
-  delay 2 sec;
-  loop send news(n); end;
-end a;
-task b on na
-  use_port news(n: int16)  usage = receive;
-  var n: int16;
-begin
-  loop receive news(n); end;
-end b;
-"
-    );
-    let mut scene = Scene::start(text, &[]);
+    let mut scene = Scene::start(CRASH, &[]);
     let since = scene.started + Duration::from_secs(2);
     scene.raises(since, "task-crashed", &["refused", "status-flood", "events-lost"]);
 }

@@ -3,7 +3,7 @@
 use super::starved::Starved;
 use crate::support::live::{Live, Node};
 use crate::support::program::Program;
-use crate::support::stub::Stub;
+use crate::support::stub::{Stub, Tells};
 use crate::support::{PATIENCE, excused, imrs, is_quiet, runtime_dir, signal};
 use rustix::process::Signal;
 use serde_json::Value;
@@ -42,6 +42,7 @@ pub struct Scene {
     /// The launchers of the cells, dropped after the monitor.
     cells: Vec<Live>,
     starved: Starved,
+    stub: Option<Stub>,
     /// When the nodes of the last cell had started.
     pub started: Instant,
     dir: TempDir,
@@ -110,15 +111,23 @@ impl Scene {
     }
 
     /// Watches a stub node in this folder.
-    pub fn watching(dir: TempDir, stub: &Stub) -> Self {
+    pub fn watching(dir: TempDir, stub: Stub) -> Self {
         let mut scene = Self::seen(dir, Vec::new(), Instant::now(), 1);
         scene.starved.stub = Some(stub.beat.clone());
-        scene
+        Self { stub: Some(stub), ..scene }
+    }
+
+    /// Changes what the stub node reports: the change also gets the stub's clock. Returns the instant of the change.
+    pub fn tell(&self, change: impl FnOnce(&mut Tells, u64)) -> Instant {
+        let stub = self.stub.as_ref().expect("a stub node");
+        let (since, now) = (Instant::now(), stub.mono_us());
+        stub.change(|tells| change(tells, now));
+        since
     }
 
     fn seen(dir: TempDir, cells: Vec<Live>, started: Instant, all: usize) -> Self {
         let monitor = Program::start(imrs(dir.path(), &["monitor", "--watch", EVERY, "--format", "json"]));
-        let mut scene = Self { monitor, cells, starved: Starved::default(), started, dir };
+        let mut scene = Self { monitor, cells, starved: Starved::default(), stub: None, started, dir };
         let end = Instant::now() + LONG;
         let up = |report: Value| {
             report["nodes"].as_array().map_or(0, |nodes| nodes.iter().filter(|n| n["up"] == true).count())

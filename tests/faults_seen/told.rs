@@ -8,7 +8,7 @@ use imrs_protocol::{
     PortCounters, PortDecl, PortId, PortView, Round, TaskId, TaskState, TaskView, Ticks, TransitView, Usage,
 };
 use imrs_wire::obs::{Count, Liveness, NodeIdentity, Snapshot, Table, TaskSnapshot, TimedEvent};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 const LEFT: TaskId = TaskId(0);
 const RIGHT: TaskId = TaskId(1);
@@ -61,8 +61,8 @@ fn healthy() -> Snapshot {
     }
 }
 
-/// Reports this fault after a second without faults. It must raise `lint` and nothing else.
-fn raises(lint: &str, fault: impl FnOnce(&mut Tells, u64)) {
+/// A stub node without faults, and a monitor that watches it.
+pub fn scene() -> Scene {
     let dir = runtime_dir();
     let identity = NodeIdentity {
         cell: "told".into(),
@@ -74,10 +74,14 @@ fn raises(lint: &str, fault: impl FnOnce(&mut Tells, u64)) {
     };
     let tells = Tells { snapshot: healthy(), ..Tells::default() };
     let stub = Stub::start(dir.path(), identity, cell(), tells);
-    let mut scene = Scene::watching(dir, &stub);
+    Scene::watching(dir, stub)
+}
+
+/// Reports this fault after a second without faults. It must raise `lint` and nothing else.
+fn raises(lint: &str, fault: impl FnOnce(&mut Tells, u64)) {
+    let mut scene = scene();
     scene.is_calm_for(Duration::from_secs(1));
-    let (since, now) = (Instant::now(), stub.mono_us());
-    stub.change(|tells| fault(tells, now));
+    let since = scene.tell(fault);
     scene.raises(since, lint, &[]);
 }
 
@@ -108,24 +112,26 @@ fn a_round_that_one_member_left_and_the_other_did_not_is_divergent() {
     });
 }
 
+/// All have arrived, but a confirmation is lost, and one member is too late to be released by itself.
+pub fn lost_confirmation(tells: &mut Tells, _: u64) {
+    for task in &mut tells.snapshot.tasks {
+        let remaining = Some(Ticks(40_000_000));
+        task.view.state = TaskState::Waiting { port: MEET, round: Round(4), remaining: Ticks(40_000_000) };
+        let meeting = &mut task.view.meetings[0];
+        (meeting.state, meeting.remaining) = (MeetingState::Gathering, remaining);
+        for member in &mut meeting.members {
+            (member.arrived, member.remaining) = (true, remaining);
+        }
+    }
+    // The left member is about to be released, but the right one must still learn of its arrival.
+    let meeting = &mut tells.snapshot.tasks[LEFT.index()].view.meetings[0];
+    meeting.state = MeetingState::WithinMargin;
+    meeting.members[RIGHT.index()].arrived = false;
+}
+
 #[test]
 fn who_can_only_be_confirmed_is_within_the_margin() {
-    raises("within-margin", |tells, _| {
-        for task in &mut tells.snapshot.tasks {
-            let remaining = Some(Ticks(40_000_000));
-            task.view.state =
-                TaskState::Waiting { port: MEET, round: Round(4), remaining: Ticks(40_000_000) };
-            let meeting = &mut task.view.meetings[0];
-            (meeting.state, meeting.remaining) = (MeetingState::Gathering, remaining);
-            for member in &mut meeting.members {
-                (member.arrived, member.remaining) = (true, remaining);
-            }
-        }
-        // The left member is about to be released, but the right one must still learn of its arrival.
-        let meeting = &mut tells.snapshot.tasks[LEFT.index()].view.meetings[0];
-        meeting.state = MeetingState::WithinMargin;
-        meeting.members[RIGHT.index()].arrived = false;
-    });
+    raises("within-margin", lost_confirmation);
 }
 
 #[test]
@@ -140,12 +146,14 @@ fn datagrams_that_cannot_be_used_are_told() {
     });
 }
 
+/// Of thirty timers, twenty ended late.
+pub fn late_timers(tells: &mut Tells, _: u64) {
+    let timer = &mut tells.vitals.timer;
+    (timer.count, timer.late, timer.p50_us) = (30, 20, 70_000);
+}
+
 /// A single late timer raises nothing; many late timers do.
 #[test]
 fn timers_that_are_late_as_a_rule_are_told() {
-    let of = |count, late, tells: &mut Tells| {
-        let timer = &mut tells.vitals.timer;
-        (timer.count, timer.late, timer.p50_us) = (count, late, 70_000);
-    };
-    raises("timer-late", |tells, _| of(30, 20, tells));
+    raises("timer-late", late_timers);
 }

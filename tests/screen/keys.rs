@@ -109,6 +109,30 @@ fn commands_are_typed_and_unknown_ones_told() {
     terminal.assert_restored();
 }
 
+/// What was typed in one run comes back in the next one; a file that is not the monitor's is reported and costs nothing.
+#[test]
+fn typed_lines_outlast_the_monitor() {
+    let Some((demo, terminal)) = watched("") else { return };
+    let file = demo.dir().join("state/imrs/monitor-lines");
+    terminal.keys(&["-l", ":port halt"]);
+    terminal.press(&["Enter"], "[2 Port]");
+    terminal.leave();
+    assert_eq!(std::fs::read_to_string(&file).expect("the lines"), ":port halt\n");
+    terminal.start_monitor("");
+    terminal.keys(&[":"]);
+    terminal.press(&["Up"], ":port halt");
+    terminal.press(&["Enter"], "[2 Port]");
+    terminal.leave();
+    std::fs::write(&file, "no lines").expect("the file");
+    terminal.type_monitor("", "");
+    let reason = "earlier typed lines are not known: line 1 is neither a filter nor a command";
+    terminal.wait_for("the reason", |screen| screen.contains(reason));
+    terminal.keys(&["-l", ":port beat"]);
+    terminal.press(&["Enter"], "[2 Port]");
+    terminal.leave();
+    assert_eq!(std::fs::read_to_string(&file).expect("the lines"), ":port beat\n");
+}
+
 #[test]
 fn a_screen_is_written_as_text_and_a_recording_exported() {
     if !tmux_is_here() {

@@ -1,9 +1,8 @@
 //! The time of a frame of the monitor (M1): every screen, for 100 nodes with 10,000 ports, on a large terminal.
 
-use crate::sample::Sample;
+use crate::sample::{Sample, worked};
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
 use imrs_monitor::specimen::{Shown, Specimen};
-use rustix::time::{ClockId, clock_gettime};
 
 /// Columns and rows.
 const SIZE: (u16, u16) = (200, 60);
@@ -65,11 +64,4 @@ fn frames(effort: Effort, cell: Specimen, keys: &str) -> Sample {
         nanos.push(worked().saturating_sub(begins));
     }
     Sample::of(nanos, 1)
-}
-
-/// The processor time of this thread, in nanoseconds.
-fn worked() -> u64 {
-    let now = clock_gettime(ClockId::ThreadCPUTime);
-    let nanos = i128::from(now.tv_sec) * 1_000_000_000 + i128::from(now.tv_nsec);
-    u64::try_from(nanos).unwrap_or(0)
 }

@@ -5,21 +5,10 @@ use super::complete::{Completion, word_at};
 use super::{App, Effect};
 use crate::clock::Moment;
 use crate::query::Filter;
+use crate::typed::{Kind, Typed};
 use crossterm::event::{Event, KeyCode, KeyEvent, KeyModifiers};
 use tui_input::Input;
 use tui_input::backend::crossterm::EventHandler as _;
-
-/// How many lines of each kind are remembered.
-const REMEMBERED: usize = 50;
-
-/// What a line is for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
-    /// Rows are shown only if they match it.
-    Filter,
-    /// It is carried out when it is complete.
-    Command,
-}
 
 /// The line that is typed.
 #[derive(Clone, Debug)]
@@ -34,33 +23,17 @@ pub struct Entry {
     tried: Option<(Completion, usize)>,
 }
 
-/// The lines that were typed before, latest last.
-#[derive(Clone, Debug, Default)]
-pub struct Typed {
-    filters: Vec<String>,
-    commands: Vec<String>,
-}
-
-impl Typed {
-    const fn of(&mut self, kind: Kind) -> &mut Vec<String> {
-        match kind {
-            Kind::Filter => &mut self.filters,
-            Kind::Command => &mut self.commands,
-        }
-    }
-
-    fn remember(&mut self, kind: Kind, text: &str) {
-        let lines = self.of(kind);
-        lines.retain(|line| line != text);
-        if !text.trim().is_empty() {
-            lines.push(text.to_owned());
-        }
-        let surplus = lines.len().saturating_sub(REMEMBERED);
-        lines.drain(..surplus);
-    }
-}
-
 impl App {
+    /// Begins with the lines that were typed in an earlier run.
+    pub fn remember_typed(&mut self, typed: Typed) {
+        self.typed_before = typed;
+    }
+
+    /// The lines to be kept for the next run, if one was entered since the last call.
+    pub fn take_typed(&mut self) -> Option<Typed> {
+        std::mem::take(&mut self.is_line_new).then(|| self.typed_before.clone())
+    }
+
     /// Opens a line. A filter begins with what it is.
     pub(super) fn open_entry(&mut self, kind: Kind) {
         let text = if kind == Kind::Filter { self.filter().to_owned() } else { String::new() };
@@ -111,6 +84,7 @@ impl App {
         let Some(entry) = self.entry_line.take() else { return Effect::Nothing };
         let text = entry.input.value();
         self.typed_before.remember(entry.kind, text);
+        self.is_line_new |= !text.trim().is_empty();
         match entry.kind {
             Kind::Command => self.run(text.trim(), now),
             Kind::Filter => {

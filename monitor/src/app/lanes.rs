@@ -1,8 +1,10 @@
 //! The user's settings for the timeline: lanes, zoom and position.
 
+pub use super::slices::Slice;
+use super::slices::{folded, slices};
 use super::{App, Screen};
 use crate::name::Name;
-use crate::store::timeline::{Gap, Mark, Timeline, timeline};
+use crate::store::timeline::{Mark, Timeline, timeline};
 use crate::store::{IncarnationId, NodeIncarnation};
 use imrs_protocol::{Event, NodeId, PortId, TaskId};
 use std::cmp::Reverse;
@@ -12,9 +14,6 @@ use std::time::Duration;
 
 /// How many marks a frame orders at most.
 const MOST: usize = 4096;
-/// Up to this many empty rows are drawn one by one; a longer run takes one row.
-const QUIET: u128 = 2;
-
 /// The time that one row covers; `None` gives every mark its own row.
 pub const ZOOMS: [Option<Duration>; 8] = [
     None,
@@ -62,30 +61,6 @@ pub struct Lanes {
     sparse: bool,
 }
 
-/// A row of the timeline.
-#[derive(Clone, Debug)]
-pub enum Slice {
-    /// Events: their positions in [`Timeline::marks`].
-    Marks(Vec<usize>),
-    /// The monitor lost events here.
-    Lost(Gap),
-    /// Nothing happened for this long.
-    Quiet(Duration),
-    /// Several rows of lanes that have no room: their marks.
-    Elsewhere(Vec<usize>),
-}
-
-impl Slice {
-    /// The positions of its marks.
-    #[must_use]
-    pub fn marks(&self) -> &[usize] {
-        match self {
-            Self::Marks(marks) | Self::Elsewhere(marks) => marks,
-            Self::Lost(_) | Self::Quiet(_) => &[],
-        }
-    }
-}
-
 /// The timeline in rows.
 #[derive(Clone, Debug, Default)]
 pub struct Chart {
@@ -93,6 +68,8 @@ pub struct Chart {
     pub timeline: Timeline,
     /// The lanes, in the order of the cell. Without room for all, the busiest come before the others.
     pub lanes: Vec<TaskId>,
+    /// For each task, by its index: the index of its lane.
+    lane_of: Vec<Option<usize>>,
     /// The lanes that have room.
     pub shown: Range<usize>,
     /// The index of the selected lane.
@@ -110,6 +87,12 @@ pub struct Chart {
 }
 
 impl Chart {
+    /// The index of a task's lane.
+    #[must_use]
+    pub fn lane_of(&self, task: TaskId) -> Option<usize> {
+        self.lane_of.get(task.index()).copied().flatten()
+    }
+
     /// The last mark of a row, if it has any.
     #[must_use]
     pub fn mark(&self, row: usize) -> Option<&Mark> {
@@ -131,10 +114,14 @@ impl App {
         let timeline = timeline(self.store(), &cell, MOST);
         let lanes = self.ordered(self.wanted_lanes(&cell), &timeline, room);
         let ports = self.wanted_ports(&cell);
-        let shown: BTreeSet<TaskId> = lanes.iter().copied().collect();
+        let mut lane_of = vec![None; lanes.iter().map(|task| task.index() + 1).max().unwrap_or(0)];
+        for (lane, task) in lanes.iter().enumerate() {
+            lane_of[task.index()] = Some(lane);
+        }
+        let place = |task: TaskId| lane_of.get(task.index()).copied().flatten();
         let wanted = |mark: &Mark| {
             let what = mark.seen.what;
-            shown.contains(&mark.task)
+            place(mark.task).is_some()
                 && ports.as_ref().is_none_or(|ports| ports.contains(&what.port))
                 && !(self.lanes.sparse && is_traffic(what.event))
         };
@@ -142,9 +129,10 @@ impl App {
         let zoom = ZOOMS.get(self.lanes.zoom).copied().flatten();
         let count = room.clamp(1, lanes.len().max(1));
         let first = (lane + 1).saturating_sub(count);
-        let visible: BTreeSet<TaskId> = lanes.iter().copied().skip(first).take(count).collect();
-        let rows = slices(&timeline, wanted, zoom);
-        let rows = folded(rows, |at| visible.contains(&timeline.marks[at].task));
+        let visible = first..first + count;
+        let is_visible =
+            |at: usize| place(timeline.marks[at].task).is_some_and(|lane| visible.contains(&lane));
+        let rows = folded(slices(&timeline, wanted, is_visible, zoom), is_visible);
         let last = rows.len().saturating_sub(1);
         let is_held = |row: &Slice| {
             row.marks().iter().any(|&at| Some(Anchor::of(&timeline.marks[at])) == self.lanes.held)
@@ -154,7 +142,8 @@ impl App {
         Chart {
             timeline,
             lanes,
-            shown: first..first + count,
+            lane_of,
+            shown: visible,
             lane,
             rows,
             bottom,
@@ -316,64 +305,4 @@ fn busiest(timeline: &Timeline) -> Vec<TaskId> {
     let mut tasks: Vec<_> = counts.into_iter().collect();
     tasks.sort_by_key(|(task, count)| (Reverse(*count), *task));
     tasks.into_iter().map(|(task, _)| task).collect()
-}
-
-/// The rows, where those without a mark in sight are folded into one as long as they follow each other.
-fn folded(rows: Vec<Slice>, is_visible: impl Fn(usize) -> bool) -> Vec<Slice> {
-    let mut out: Vec<Slice> = Vec::with_capacity(rows.len());
-    for row in rows {
-        let Slice::Marks(marks) = row else {
-            out.push(row);
-            continue;
-        };
-        if marks.is_empty() || marks.iter().any(|&at| is_visible(at)) {
-            out.push(Slice::Marks(marks));
-            continue;
-        }
-        // Of the quiet time between two such rows nothing is in sight either.
-        let is_quiet =
-            |row: &Slice| matches!(row, Slice::Quiet(_)) || matches!(row, Slice::Marks(m) if m.is_empty());
-        let before = out.iter().rposition(|row| !is_quiet(row));
-        match before.map(|at| (at, &mut out[at])) {
-            Some((at, Slice::Elsewhere(earlier))) => {
-                earlier.extend(marks);
-                out.truncate(at + 1);
-            }
-            _ => out.push(Slice::Elsewhere(marks)),
-        }
-    }
-    out
-}
-
-fn slices(timeline: &Timeline, wanted: impl Fn(&Mark) -> bool, zoom: Option<Duration>) -> Vec<Slice> {
-    let mut rows = Vec::new();
-    let mut gaps = timeline.gaps.iter().peekable();
-    let mut before: Option<u128> = None;
-    let marks = timeline.marks.iter().enumerate().filter(|(_, mark)| wanted(mark));
-    for (at, mark) in marks {
-        while let Some(gap) = gaps.next_if(|gap| gap.order <= mark.order) {
-            rows.push(Slice::Lost(*gap));
-            before = None;
-        }
-        let Some(zoom) = zoom else {
-            rows.push(Slice::Marks(vec![at]));
-            continue;
-        };
-        let bucket = mark.order.as_micros() / zoom.as_micros().max(1);
-        match (before, rows.last_mut()) {
-            (Some(same), Some(Slice::Marks(marks))) if same == bucket => marks.push(at),
-            (earlier, _) => {
-                let quiet = earlier.map_or(0, |earlier| bucket.saturating_sub(earlier).saturating_sub(1));
-                if quiet > QUIET {
-                    rows.push(Slice::Quiet(zoom.saturating_mul(u32::try_from(quiet).unwrap_or(u32::MAX))));
-                } else {
-                    rows.extend((0..quiet).map(|_| Slice::Marks(Vec::new())));
-                }
-                rows.push(Slice::Marks(vec![at]));
-            }
-        }
-        before = Some(bucket);
-    }
-    rows.extend(gaps.map(|gap| Slice::Lost(*gap)));
-    rows
 }

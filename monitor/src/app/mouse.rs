@@ -56,11 +56,11 @@ impl App {
                 }
                 Some(Hit::Title(sort, title)) => {
                     self.sort(sort, self.shape.sort == sort && !self.shape.inverted);
-                    self.told = crate::view::explain_column(self.screen, title);
+                    self.title = Some(title);
                     Effect::Draw
                 }
                 Some(Hit::Column(title)) => {
-                    self.told = crate::view::explain_column(self.screen, title);
+                    self.title = Some(title);
                     Effect::Draw
                 }
                 Some(Hit::Key(action)) => self.act(action, now),

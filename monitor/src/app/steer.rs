@@ -43,7 +43,8 @@ impl App {
             Action::NextMatch | Action::PreviousMatch => {
                 self.jump_to_match(action == Action::NextMatch, now);
             }
-            Action::Oldest => self.step(isize::MIN, now),
+            Action::NextTitle | Action::PreviousTitle => self.next_title(action == Action::NextTitle),
+            Action::Oldest | Action::First => self.step(isize::MIN, now),
             Action::Newest => self.step(isize::MAX, now),
             Action::Culprit => self.go_to_culprit(now),
             Action::Pause => self.pause(now),
@@ -77,7 +78,6 @@ impl App {
             Action::Down => self.step(1, now),
             Action::PageUp => self.step(-self.page(), now),
             Action::PageDown => self.step(self.page(), now),
-            Action::First => self.step(isize::MIN, now),
             Action::Last => self.go_to_last(now),
         }
         Effect::Draw
@@ -174,6 +174,9 @@ impl App {
             if screen == Screen::Port && self.before == Screen::Overview {
                 self.port = self.selected.and_then(port_end);
             }
+        }
+        if self.screen != Screen::Help && screen != Screen::Help {
+            self.title = None;
         }
         if screen == Screen::Timeline {
             self.choose_lanes();

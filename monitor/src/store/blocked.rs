@@ -1,6 +1,7 @@
 //! What blocks a cell: the awaited tasks, the wait-for cycles and the dead nodes, most severe first. It also tells which
 //! findings are only consequences of a block.
 
+use super::cuts::cuts;
 use super::health::{Finding, Place};
 use super::journal::Severity;
 use super::meeting::doing;
@@ -30,6 +31,8 @@ pub enum Kind {
     Cycle,
     /// A node or a task is gone, and no task waits for it at the moment.
     Lost,
+    /// What a node sends does not arrive at another one.
+    Cut,
 }
 
 /// A block: the tasks that cause it, and the tasks that it holds.
@@ -73,13 +76,16 @@ impl Blocker {
     /// Whether it holds the task of a place.
     #[must_use]
     pub fn holds(&self, place: &Place) -> bool {
-        self.kind == Kind::Awaited && place.task.is_some_and(|task| self.by.contains(&task))
+        matches!(self.kind, Kind::Awaited | Kind::Cut)
+            && place.task.is_some_and(|task| self.by.contains(&task))
     }
 
     /// Whether a finding is only a consequence of it.
     #[must_use]
     pub fn explains(&self, finding: &Finding) -> bool {
-        self.is_alarming() && self.holds(&finding.place) && CONSEQUENCES.contains(&finding.code)
+        let follows =
+            CONSEQUENCES.contains(&finding.code) || (self.kind == Kind::Cut && finding.code == "wait-cycle");
+        self.is_alarming() && self.holds(&finding.place) && follows
     }
 }
 
@@ -104,7 +110,13 @@ pub fn blockers(store: &Store, cell: &Name, now: Moment) -> Vec<Blocker> {
     }
     let lost = look.lost(&found);
     found.extend(lost);
-    found.sort_by_key(|one| std::cmp::Reverse((one.level, one.by.len())));
+    let cuts = look.cuts();
+    // Tasks that wait for each other over a cut link are no cycle: each sent what the other one waits for.
+    found.retain(|one| {
+        one.kind != Kind::Cycle || !cuts.iter().any(|cut| one.by.iter().all(|task| cut.by.contains(task)))
+    });
+    found.extend(cuts);
+    found.sort_by_key(|one| std::cmp::Reverse((one.level, one.kind == Kind::Cut, one.by.len())));
     found
 }
 
@@ -194,6 +206,33 @@ impl Look<'_> {
             waited_us: wait.waited_us,
             usual_us,
         })
+    }
+
+    /// The cut links, one for both directions.
+    fn cuts(&self) -> Vec<Blocker> {
+        let mut found: Vec<Blocker> = Vec::new();
+        for cut in cuts(self.store, self.cell, self.now) {
+            let ends = [cut.from.node_id, cut.to.node_id];
+            let all = (0..self.names.tasks.len()).map(TaskId::from_index);
+            let by: Vec<_> =
+                all.filter(|task| self.names.home(*task).is_some_and(|home| ends.contains(&home))).collect();
+            if found.iter().any(|other| other.by == by) {
+                continue;
+            }
+            found.push(Blocker {
+                kind: Kind::Cut,
+                level: Severity::Bad,
+                tasks: Vec::new(),
+                place: self.place(cut.to.node_id, None),
+                name: format!("{}-{}", cut.from.node, cut.to.node),
+                state: format!("nothing passes for {}s", cut.silent.as_secs()),
+                by,
+                why: "link".to_owned(),
+                waited_us: Some(micros(cut.silent)),
+                usual_us: None,
+            });
+        }
+        found
     }
 
     fn task_place(&self, task: TaskId) -> Place {

@@ -138,6 +138,8 @@ pub struct NodeIncarnation {
     pub condition: Condition,
     /// The moment of its last frame.
     pub heard: Moment,
+    /// When its frames began again: when it was attached, or after the last silence.
+    pub(super) resumed: Moment,
     /// The names of its cell.
     pub names: Arc<Names>,
     /// Its last state.
@@ -396,8 +398,6 @@ impl NodeIncarnation {
             self.base = std::mem::replace(&mut self.next_base, self.last.clone());
             self.lost_before = (self.lost_before.1, self.lost);
         }
-        if self.base.is_none() {
-            self.base = self.next_base.clone();
-        }
+        self.base = self.base.take().or_else(|| self.next_base.clone());
     }
 }

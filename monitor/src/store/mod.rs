@@ -3,6 +3,7 @@
 pub mod blocked;
 pub mod conformance;
 pub mod coverage;
+pub mod cuts;
 mod earlier;
 pub mod health;
 mod incarnation;
@@ -56,6 +57,7 @@ pub struct Store {
     histories: rounds::Histories,
     judged: conformance::Judged,
     trail: Trail,
+    silences: cuts::Silences,
     /// For each source that cannot attach, the reason.
     troubles: BTreeMap<SourceId, String>,
     /// Cells and nodes, as file names, that left their sockets behind.
@@ -195,7 +197,7 @@ impl Store {
         };
         if let Some(incarnation) = self.incarnations.iter_mut().find(same) {
             incarnation.condition = Condition::Attached;
-            incarnation.heard = at;
+            (incarnation.heard, incarnation.resumed) = (at, at);
             // A node found through two sources keeps only the newer one, because deltas continue one connection.
             let id = incarnation.id;
             self.of_source.retain(|_, other| *other != id);
@@ -217,6 +219,7 @@ impl Store {
             tick_us: identity.tick_us,
             condition: Condition::Attached,
             heard: at,
+            resumed: at,
             names,
             last: None,
             base: None,
@@ -240,14 +243,8 @@ impl Store {
         // A node of the checker has no process.
         let process = if pid == 0 { String::new() } else { format!("pid {pid}, ") };
         let detail = format!("incarnation {}, {process}{}", incarnation.number, incarnation.build);
-        self.notice(
-            at,
-            &incarnation,
-            Severity::Note,
-            if again { "restart" } else { "attached" },
-            String::new(),
-            detail,
-        );
+        let kind = if again { "restart" } else { "attached" };
+        self.notice(at, &incarnation, Severity::Note, kind, String::new(), detail);
         self.of_source.insert(source, id);
         self.incarnations.push(incarnation);
         self.incarnations
@@ -257,8 +254,12 @@ impl Store {
 
     fn frame(&mut self, at: Moment, source: SourceId, frame: ServerFrame) {
         let Some(index) = self.index_of(source) else { return };
-        self.incarnations[index].heard = at;
-        self.incarnations[index].looked.forget();
+        let incarnation = &mut self.incarnations[index];
+        if at.saturating_sub(incarnation.heard) > SILENT / 2 {
+            incarnation.resumed = at;
+        }
+        incarnation.heard = at;
+        incarnation.looked.forget();
         match frame {
             ServerFrame::Table(table) => self.table(index, table),
             ServerFrame::Snapshot(snapshot) => self.state(at, index, |incarnation| {
@@ -309,6 +310,9 @@ impl Store {
             if let Some(last) = &incarnation.last {
                 self.services.sampled(incarnation.id, incarnation.tick_us, &last.snapshot);
             }
+            let mut silences = std::mem::take(&mut self.silences);
+            silences.sampled(self, incarnation);
+            self.silences = silences;
             self.compare(at, index, before);
         } else {
             self.gaps += 1;
@@ -341,13 +345,8 @@ impl Store {
         for Count { name, count } in &after.link_discards {
             let more = count.saturating_sub(old(name));
             if more > 0 {
-                found.push((
-                    Severity::Warn,
-                    "discard",
-                    "on a link".to_owned(),
-                    crate::name::shown(name),
-                    more,
-                ));
+                let object = "on a link".to_owned();
+                found.push((Severity::Warn, "discard", object, crate::name::shown(name), more));
             }
         }
         let incarnation = &self.incarnations[index];

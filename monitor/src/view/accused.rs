@@ -4,7 +4,7 @@ use super::columns::{Cells, HEALTH_CELL};
 use super::mark;
 use crate::app::App;
 use crate::rows::Row;
-use crate::store::blocked::Blocker;
+use crate::store::blocked::{Blocker, Kind};
 use crate::store::health::{Finding, Place};
 use crate::store::journal::Severity;
 use crate::theme::Ink;
@@ -33,7 +33,8 @@ pub(super) fn accuse(
         let all = names.map_or(0, |names| names.tasks.len());
         // A finding of its own says more than the number of tasks that wait.
         let is_innermost = row.depth == 1 || row.depth == 0 && !row.open;
-        if width >= 60 && !blocker.by.is_empty() && is_innermost {
+        let holds = !blocker.by.is_empty() && blocker.kind != Kind::Cut;
+        if width >= 60 && holds && is_innermost {
             let own = findings.iter().find(|f| row.place.holds(&f.place) && !blocker.explains(f));
             let own = own.map_or_else(String::new, |f| format!("; {}", f.text));
             let task = if row.depth == 0 { format!("{} ", blocker.name) } else { String::new() };

@@ -63,10 +63,19 @@ fn forms(blocker: &Blocker, names: &Names, others: usize) -> Vec<String> {
     let title = match (blocker.kind, blocker.is_alarming()) {
         (Kind::Cycle, _) => "WAIT CYCLE",
         (Kind::Lost, _) => "LOST",
+        (Kind::Cut, _) => "LINK CUT",
         (Kind::Awaited, true) => "BLOCKED BY",
         (Kind::Awaited, false) => "waiting for",
     };
     let more = if others > 0 { format!("  +{others} more") } else { String::new() };
+    if blocker.kind == Kind::Cut {
+        let lead = format!(" {title} {name} - {state}");
+        return vec![
+            format!("{lead}, though packets are sent{more}  b: go there"),
+            format!("{lead}{more}"),
+            lead,
+        ];
+    }
     if blocker.kind == Kind::Lost {
         return vec![
             format!(" {title} {name} - {state} - holds no task now{more}  b: go there"),

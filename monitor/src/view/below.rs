@@ -6,6 +6,7 @@ use crate::clock::{Moment, Span};
 use crate::drawn::Hit;
 use crate::name::Name;
 use crate::store::conformance::{Verdict, conformance};
+use crate::store::cuts::cuts;
 use crate::theme::Ink;
 use imrs_protocol::NodeId;
 
@@ -23,9 +24,12 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     let room = canvas.area.width.saturating_sub(width);
     let mut x = 0;
     for (text, ink) in links(app, &cell, now) {
+        canvas.explain(x, 0, &text);
         x = canvas.at(x, 0, room.saturating_sub(x), &text, ink);
     }
     let start = x;
+    // The label explains itself, and the verdict leads to its screen.
+    canvas.explain(x, 0, "  model: ");
     for (text, ink) in verdict {
         x = canvas.at(x, 0, u16::MAX, &text, ink);
     }
@@ -37,6 +41,8 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
     let store = app.store();
     let Some(names) = store.names(cell) else { return Vec::new() };
     let gone = |node| store.latest(cell, node).is_some_and(|incarnation| incarnation.presence(now).is_gone());
+    let cuts = cuts(store, cell, now);
+    let is_cut = |a, b| cuts.iter().any(|cut| [(a, b), (b, a)].contains(&(cut.from.node_id, cut.to.node_id)));
     let mut pieces = vec![(" links".to_owned(), Ink::Dim)];
     let mut unknown = 0;
     for link in names.links.iter().take(SHOWN) {
@@ -44,6 +50,7 @@ fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
         let heard = [(link.a, link.b), (link.b, link.a)].map(|(at, peer)| heard(app, cell, at, peer, now));
         match heard.into_iter().flatten().min() {
             _ if gone(link.a) || gone(link.b) => pieces.push((format!("{name}DOWN"), Ink::Warn)),
+            _ if is_cut(link.a, link.b) => pieces.push((format!("{name}CUT"), Ink::Bad)),
             Some(us) if us <= LATELY_US => pieces.push((format!("{name}ok"), Ink::Plain)),
             // A cell without traffic leaves its links quiet, which is no fault.
             Some(us) => pieces.push((format!("{name}quiet {}", Span::micros(us)), Ink::Dim)),

@@ -10,6 +10,8 @@ pub(super) struct Canvas<'a> {
     pub buffer: &'a mut Buffer,
     pub area: Rect,
     pub theme: &'a Theme,
+    /// The explained words of the screen: a piece of a line that begins with one is a title.
+    pub words: &'static [(&'static str, &'static str)],
     /// The layout of the frame, to be filled while drawing.
     pub drawn: &'a mut Drawn,
 }
@@ -48,14 +50,17 @@ impl Canvas<'_> {
 
     /// Another part of the same buffer.
     pub(super) fn part(&mut self, area: Rect) -> Canvas<'_> {
-        Canvas { buffer: self.buffer, area, theme: self.theme, drawn: self.drawn }
+        Canvas { buffer: self.buffer, area, theme: self.theme, words: self.words, drawn: self.drawn }
     }
 
     /// Makes `width` columns of a row a target of the mouse.
     pub(super) fn target(&mut self, x: u16, y: u16, width: u16, hit: Hit) {
         let area =
             Rect { x: self.area.x.saturating_add(x), y: self.area.y.saturating_add(y), width, height: 1 };
-        self.drawn.target(area.intersection(self.area), hit);
+        let visible = area.intersection(self.area);
+        if !visible.is_empty() {
+            self.drawn.target(visible, hit);
+        }
     }
 
     /// Notes that a list of `lines` shows `page` of them.
@@ -81,11 +86,26 @@ impl Canvas<'_> {
         end - self.area.x
     }
 
-    /// Writes pieces in sequence.
+    /// Writes pieces in sequence. A piece that begins with an explained word is a target that explains it.
     pub(super) fn line(&mut self, y: u16, pieces: &[(&str, Ink)]) {
         let mut x = 0;
         for (text, ink) in pieces {
-            x = self.at(x, y, u16::MAX, text, *ink);
+            let end = self.at(x, y, u16::MAX, text, *ink);
+            self.explain(x, y, text);
+            x = end;
+        }
+    }
+
+    /// Makes a text that was written at a column and row a title, if it begins with an explained word that has none yet.
+    pub(super) fn explain(&mut self, x: u16, y: u16, text: &str) {
+        let begun = text.trim_start();
+        let is_word = |word: &str| {
+            begun.strip_prefix(word).is_some_and(|rest| !rest.starts_with(|c: char| c.is_alphanumeric()))
+        };
+        let Some((word, _)) = self.words.iter().find(|(word, _)| is_word(word)) else { return };
+        if !self.drawn.has_title(word) {
+            let indent = columns(text).saturating_sub(columns(begun));
+            self.target(x.saturating_add(indent), y, columns(word), Hit::Column(word));
         }
     }
 
@@ -107,7 +127,9 @@ impl Canvas<'_> {
         let free = end - (0..end).rev().take_while(|&x| is_free(x)).last().unwrap_or(end);
         // One column stays free before the text.
         if let Some(text) = texts.iter().find(|text| columns(text) < free) {
-            self.at(end - columns(text), y, u16::MAX, text, ink);
+            let x = end - columns(text);
+            self.at(x, y, u16::MAX, text, ink);
+            self.explain(x, y, text);
         }
     }
 

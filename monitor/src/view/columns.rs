@@ -41,7 +41,7 @@ pub(super) fn columns(width: u16, longest: (u16, u16), chosen: &[usize]) -> (Vec
         8 => Column::right("RES", 4),
         9 => Column::right("T/O", 4),
         // On the narrowest screens only a sign has room.
-        _ if width < 60 => Column::left("", 2),
+        _ if width < 60 => Column::left("!", 2),
         _ => Column::left("HEALTH", 0),
     };
     if chosen.is_empty() || width < 60 {

@@ -10,7 +10,7 @@ use crate::theme::Ink;
 use std::time::Duration;
 
 fn columns(width: u16) -> Vec<Column> {
-    let mut columns = vec![Column::right("AGO", 6), Column::left("", 2)];
+    let mut columns = vec![Column::right("AGO", 6), Column::left("!", 2)];
     if width >= 60 {
         columns.push(Column::left("NODE", 10));
     }

@@ -1,8 +1,8 @@
 //! The bottom line: what is unusual at the left, and the keys of the screen at the right. Findings never displace them.
 
 use super::canvas::{Canvas, columns};
-use super::{before_pause, mark, overview};
-use crate::app::{App, Entry, Kind};
+use super::{before_pause, explain_column, mark, overview};
+use crate::app::{App, Entry, Kind, Screen};
 use crate::clock::{Moment, Span};
 use crate::drawn::Hit;
 use crate::keys::Action;
@@ -27,6 +27,16 @@ pub(super) fn draw(
     // The next key removes an answer, so it may take the whole row.
     if let Some(told) = &app.told {
         canvas.line(y, &[(" ", Ink::Head), (told, Ink::Head)]);
+        return;
+    }
+    let title = app.title().filter(|_| app.screen != Screen::Help);
+    if let Some(text) = title.and_then(|title| explain_column(app.screen, title)) {
+        let end = canvas.at(0, y, u16::MAX, &format!(" {text} "), Ink::Head);
+        canvas.part(Rect { x: canvas.area.x + end, width: canvas.area.width - end, ..canvas.area }).corner(
+            y,
+            &["? in the help, Esc ".to_owned(), "? help ".to_owned()],
+            Ink::Dim,
+        );
         return;
     }
     let pieces = pieces(app, findings, blockers, now);

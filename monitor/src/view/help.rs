@@ -1,8 +1,8 @@
 //! The help, generated from the table of key bindings, so that it cannot be wrong. It starts with the bindings of the
 //! screen from which it was opened.
 
-use super::canvas::Canvas;
-use super::explained::{BANNER, columns};
+use super::canvas::{self, Canvas};
+use super::explained::{BANNER, HEADER, columns};
 use super::lists::Window;
 use crate::app::{App, COMMANDS, Screen};
 use crate::keys::{BINDINGS, Binding};
@@ -12,17 +12,24 @@ use crate::theme::{Ink, Theme};
 type Line = (String, String, Ink);
 
 pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
-    let lines = lines(app);
+    let left_width = if canvas.area.width < 60 { 11 } else { 15 };
+    // The scrollbar takes a column.
+    let width = canvas.area.width.saturating_sub(left_width + 2);
+    let asked = asked(app).map(|line| wrapped(line, width)).unwrap_or_default();
+    let lines: Vec<Line> =
+        asked.iter().cloned().chain(lines(app).into_iter().flat_map(|line| wrapped(line, width))).collect();
     let room = usize::from(canvas.height());
     let first = canvas.scrolled(app.scroll, room, lines.len());
     let canvas = &mut canvas.beside_scrollbar(0, Window { first, page: room, lines: lines.len() });
-    let left_width = if canvas.area.width < 60 { 11 } else { 15 };
-    for (y, (left, right, ink)) in (0..).zip(lines.iter().skip(first).take(room)) {
+    for (y, (at, (left, right, ink))) in (0..).zip(lines.iter().enumerate().skip(first).take(room)) {
         if right.is_empty() {
             canvas.at(1, y, u16::MAX, left, *ink);
         } else {
             canvas.at(1, y, left_width - 1, left, if *ink == Ink::Head { Ink::Head } else { Ink::Plain });
             canvas.at(left_width + 1, y, u16::MAX, right, *ink);
+        }
+        if at < asked.len() {
+            canvas.select(y);
         }
     }
     let rest = lines.len().saturating_sub(first + room);
@@ -30,6 +37,31 @@ pub(super) fn draw(app: &App, canvas: &mut Canvas<'_>) {
         let texts = [format!("{rest} more lines: j, PgDn "), format!("{rest} more ")];
         canvas.corner(0, &texts, Ink::Head);
     }
+}
+
+/// The line about the title that is selected on the screen from which the help was opened.
+fn asked(app: &App) -> Option<Line> {
+    let title = app.title()?;
+    let (name, text) = columns(app.helped()).iter().find(|(name, _)| *name == title)?;
+    Some(((*name).to_owned(), (*text).to_owned(), Ink::Head))
+}
+
+/// A line, continued where its right text needs more than `width` columns.
+fn wrapped((left, right, ink): Line, width: u16) -> Vec<Line> {
+    let mut lines = vec![(left, String::new(), ink)];
+    for word in right.split(' ') {
+        let last = lines.last_mut().expect("a line was begun");
+        let needed = canvas::columns(&last.1).saturating_add(canvas::columns(word)).saturating_add(1);
+        if !last.1.is_empty() && needed > width {
+            lines.push((String::new(), word.to_owned(), ink));
+            continue;
+        }
+        if !last.1.is_empty() {
+            last.1.push(' ');
+        }
+        last.1.push_str(word);
+    }
+    lines
 }
 
 /// All lines of the help.
@@ -57,7 +89,9 @@ fn lines(app: &App) -> Vec<Line> {
         lines.push(heading(&format!("COLUMNS AND FIGURES: {}", title(screen))));
         lines.extend(columns.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned(), Ink::Plain)));
     }
-    lines.push(heading("THE BANNER BELOW THE HEADER"));
+    lines.push(heading("THE HEADER"));
+    lines.extend(HEADER.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned(), Ink::Plain)));
+    lines.push(heading("THE BANNER BELOW THE HEADER, AND THE BOTTOM LINE"));
     lines.extend(BANNER.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned(), Ink::Plain)));
     lines.push(heading("KEYS ON OTHER SCREENS"));
     lines.extend(BINDINGS.iter().filter(elsewhere).map(|b| {

@@ -43,7 +43,11 @@ pub fn view(app: &App, now: Moment, area: Rect, buffer: &mut Buffer) -> Drawn {
     let area = area.intersection(buffer.area);
     let mut drawn = Drawn { screen: app.screen, ..Drawn::default() };
     if !area.is_empty() {
-        draw(app, now, &mut Canvas { buffer, area, theme: &app.theme, drawn: &mut drawn });
+        draw(app, now, &mut Canvas { buffer, area, theme: &app.theme, words: &[], drawn: &mut drawn });
+        // The selected title looks like a selected row.
+        if let Some(at) = app.title().and_then(|title| drawn.title(title)) {
+            buffer.set_style(at, app.theme.style(Ink::Selected));
+        }
     }
     drawn
 }
@@ -76,6 +80,7 @@ fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
         replay::draw(player, &mut canvas.part(panel));
     }
     let mut canvas = canvas.part(middle);
+    canvas.words = explained::columns(below_window(app));
     match below_window(app) {
         Screen::Help => help::draw(app, &mut canvas),
         _ if app.cell().is_none() => nothing(app, &mut canvas),
@@ -108,8 +113,17 @@ const fn split(area: Rect, rows: u16) -> (Rect, Rect) {
     (Rect { height: above, ..area }, Rect { y: area.y + above, height: rows, ..area })
 }
 
-pub(crate) use explained::{column as explain_column, columns as explained_columns};
+pub use explained::column as explain_column;
+pub(crate) use explained::columns as explained_columns;
 pub(crate) use overview::label;
+
+/// The screen of `app` at the moment `now` as text, at this width and height.
+#[must_use]
+pub fn page(app: &App, now: Moment, (width, height): (u16, u16)) -> String {
+    let mut buffer = Buffer::empty(Rect::new(0, 0, width, height));
+    view(app, now, buffer.area, &mut buffer);
+    text(&buffer)
+}
 
 /// A buffer as text, line by line, without trailing spaces.
 #[must_use]
@@ -244,7 +258,7 @@ fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &
     } else {
         let (word, ink) = match (app.paused().is_some(), up) {
             (true, _) => ("PAUSED", Ink::Warn),
-            (false, 0) => ("NOBODY THERE", Ink::Bad),
+            (false, 0) => ("NO NODE UP", Ink::Bad),
             (false, _) => ("LIVE", Ink::Good),
         };
         let before = before_pause(app, now).map_or_else(String::new, |before| format!(" -{}", Span(before)));

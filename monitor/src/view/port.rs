@@ -46,16 +46,16 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
 }
 
 /// Before figures that the monitor counts itself. The line above has those that the node counts since its start.
-const SINCE_ATTACHED: &str = " since attached: service ";
+const SINCE_ATTACHED: &str = " since attached: ";
 
 /// Draws the service times and the shares of the sources.
 fn shares(incarnation: &NodeIncarnation, served: Option<&Service>, canvas: &mut Canvas<'_>) {
     let Some(served) = served else {
-        canvas.line(2, &[(SINCE_ATTACHED, Ink::Dim), ("nothing seen of it yet", Ink::Dim)]);
+        canvas.line(2, &[(SINCE_ATTACHED, Ink::Dim), ("service nothing seen of it yet", Ink::Dim)]);
         return;
     };
     let time = |us: Option<u64>| us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
-    let svc = format!("p50 {} p99 {}", time(served.p50_us), time(served.outlook.p99_us));
+    let svc = format!("service p50 {} p99 {}", time(served.p50_us), time(served.outlook.p99_us));
     let samples = format!(" of {}", served.samples);
     let mut pieces = vec![(SINCE_ATTACHED.to_owned(), Ink::Dim), (svc, Ink::Plain), (samples, Ink::Dim)];
     pieces.push(("  by source: ".to_owned(), Ink::Dim));
@@ -126,7 +126,9 @@ fn about(
     let time_out = time_out.map_or_else(String::new, |t| format!("  time_out {t}"));
     let users: Vec<_> = info.map_or(&[][..], |i| &i.parties).iter().filter(|p| p.task != task).collect();
     let users: Vec<_> = users.iter().map(|p| incarnation.names.task(p.task).to_string()).collect();
-    let with = format!("  usage {}  class {class}  with {}{time_out}", view.usage, users.join(","));
+    let usage = format!("  usage {}", view.usage);
+    let class = format!("  class {class}");
+    let with = format!("  with {}", users.join(","));
     let name = format!(" {}", incarnation.names.port_name(view.port));
     let fill = format!("  buffer {}/{}", view.len, view.capacity);
     let gone = if presence.is_gone() { format!("  {presence}: last state") } else { String::new() };
@@ -137,7 +139,10 @@ fn about(
             (&place, Ink::Plain),
             (&gone, Ink::Bad),
             (&fill, Ink::Plain),
+            (&usage, Ink::Dim),
+            (&class, Ink::Dim),
             (&with, Ink::Dim),
+            (&time_out, Ink::Dim),
             ("  port ", Ink::Dim),
             (at, Ink::Dim),
         ],
@@ -160,8 +165,10 @@ fn counters(view: &PortView, canvas: &mut Canvas<'_>) {
         ("timed out", c.timed_out),
     ];
     let shown = all.iter().enumerate().filter(|(i, (_, n))| *i < 3 || *n > 0);
-    let text: Vec<_> = shown.map(|(_, (name, n))| format!("{name} {n}")).collect();
-    canvas.line(1, &[(" since start: ", Ink::Dim), (&text.join("  "), Ink::Plain)]);
+    let texts: Vec<_> = shown.map(|(_, (name, n))| format!("{name} {n}  ")).collect();
+    let figures = texts.iter().map(|text| (text.as_str(), Ink::Plain));
+    let pieces: Vec<_> = std::iter::once((" since start: ", Ink::Dim)).chain(figures).collect();
+    canvas.line(1, &pieces);
 }
 
 /// The queue of a port, with the data for its verdicts.

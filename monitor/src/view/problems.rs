@@ -21,7 +21,7 @@ fn columns(width: u16) -> Vec<Column> {
         60..100 => 20,
         _ => 30,
     };
-    let mut columns = vec![Column::left("", 2), Column::left("PLACE", place), Column::left("PROBLEM", 0)];
+    let mut columns = vec![Column::left("!", 2), Column::left("PLACE", place), Column::left("PROBLEM", 0)];
     if width >= 80 {
         columns.push(Column::left("CODE", 22));
     }

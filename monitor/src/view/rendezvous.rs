@@ -148,14 +148,12 @@ fn heading(app: &App, meeting: &Meeting, width: u16) -> Line {
 }
 
 fn titles(meeting: &Meeting, matrix: bool) -> Line {
-    let mut text = format!("   {:16} {:18} ", "MEMBER", "ARRIVED");
+    let mut texts = vec![format!("   {:16} ", "MEMBER"), format!("{:18} ", "ARRIVED")];
     if matrix {
-        for member in &meeting.members {
-            text += &(fit(member.name.shown(), 4) + " ");
-        }
+        texts.extend(meeting.members.iter().map(|member| fit(member.name.shown(), 4) + " "));
     }
-    text += "CONFIRMS WAITS FOR";
-    vec![(text, Ink::Dim)]
+    texts.extend(["CONFIRMS ", "WAITS FOR"].map(str::to_owned));
+    texts.into_iter().map(|text| (text, Ink::Dim)).collect()
 }
 
 fn row(app: &App, meeting: &Meeting, at: usize, member: &Member, narrow: bool, matrix: bool) -> Line {

@@ -56,7 +56,7 @@ fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
     let canvas = &mut canvas.beside_scrollbar(1, window);
     let sheet = Sheet::new(chart, whole.width - u16::from(whole.width > 1));
     if list {
-        canvas.line(0, &[("     TIME  TASK       WHAT", Ink::Dim)]);
+        canvas.line(0, &[("     TIME  ", Ink::Dim), ("TASK       ", Ink::Dim), ("WHAT", Ink::Dim)]);
     } else {
         sheet.heads(app, chart, canvas);
     }
@@ -75,15 +75,15 @@ fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
                 let quiet = format!("{text:AXIS$} nothing", AXIS = usize::from(AXIS));
                 canvas.line(y, &[(&quiet, Ink::Dim)]);
             }
-            Slice::Marks(marks) | Slice::Elsewhere(marks) => {
-                let marks: Vec<&Mark> = marks.iter().map(|&i| &chart.timeline.marks[i]).collect();
+            Slice::Marks(places) | Slice::Elsewhere(places) => {
+                let marks: Vec<&Mark> = places.iter().map(|&i| &chart.timeline.marks[i]).collect();
                 if let Some(time) = time {
                     canvas.at(0, y, AXIS, &time.to_string(), if time.exact { Ink::Plain } else { Ink::Dim });
                 }
-                if list {
-                    narrow(app, &marks, y, canvas);
-                } else {
-                    sheet.row(app, chart, &marks, y, canvas);
+                match row {
+                    _ if list => narrow(app, &marks, y, canvas),
+                    Slice::Elsewhere(_) => sheet.elsewhere(app, chart, &marks, y, canvas),
+                    _ => sheet.row(app, chart, &marks, y, canvas),
                 }
             }
         }
@@ -99,7 +99,8 @@ fn lanes(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
 
 /// Shows above the lanes the zoom, and whether the screen follows new rows.
 fn corner(app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
-    let incarnations = chart.lanes.iter().filter_map(|task| app.incarnation_of_task(*task));
+    let cell = app.cell();
+    let incarnations = cell.iter().flat_map(|cell| app.store().present(cell));
     let error = incarnations.filter_map(|incarnation| incarnation.clock).map(|clock| clock.error_us).max();
     let zoom = chart.zoom.map_or_else(|| "each event".to_owned(), |zoom| format!("{} a row", Span(zoom)));
     let zoom = if chart.sparse { format!("no ordinary messages, {zoom}") } else { zoom };
@@ -195,18 +196,17 @@ impl Sheet {
     }
 
     fn heads(&self, app: &App, chart: &Chart, canvas: &mut Canvas<'_>) {
-        canvas.at(0, 0, AXIS, "     TIME", Ink::Dim);
+        canvas.line(0, &[("     TIME", Ink::Dim)]);
         let after = chart.lanes.len().saturating_sub(self.first + self.count);
         let more = format!(" {}{after}", app.theme.glyphs.arrow);
+        let names = app.cell().and_then(|cell| app.store().names(&cell).cloned());
         for (at, task) in chart.lanes.iter().enumerate().skip(self.first).take(self.count) {
             let (x, _) = self.x(at);
             // The last head leaves room for the number of lanes to the right.
             let last = after > 0 && at + 1 == self.first + self.count;
             let width = if last { self.width.saturating_sub(columns(&more)) } else { self.width };
             let incarnation = app.incarnation_of_task(*task);
-            let cell = app.cell();
-            let names = cell.and_then(|cell| app.store().names(&cell).cloned());
-            let name = names.map_or_else(String::new, |names| names.task(*task).to_string());
+            let name = names.as_ref().map_or_else(String::new, |names| names.task(*task).to_string());
             let node = incarnation.map_or_else(String::new, |incarnation| format!("@{}", incarnation.node));
             let sign = if at == chart.lane { app.theme.glyphs.selected } else { " " };
             let inkling = if at == chart.lane { Ink::Head } else { Ink::Plain };
@@ -224,10 +224,8 @@ impl Sheet {
 
     fn row(&self, app: &App, chart: &Chart, marks: &[&Mark], y: u16, canvas: &mut Canvas<'_>) {
         let mut taken = vec![false; usize::from(canvas.area.width)];
-        for lane in self.first..self.first + self.count {
-            canvas.at(self.x(lane).0, y, 1, app.theme.glyphs.lane, Ink::Dim);
-        }
-        let lane_of = |mark: &Mark| chart.lanes.iter().position(|task| *task == mark.task);
+        self.lines(app, y, canvas);
+        let lane_of = |mark: &Mark| chart.lane_of(mark.task);
         for lane in self.first..self.first + self.count {
             let here: Vec<_> = marks.iter().filter(|mark| lane_of(mark) == Some(lane)).collect();
             let Some(mark) = here.first() else { continue };
@@ -243,12 +241,7 @@ impl Sheet {
             let end = canvas.at(x + 2, y, room, &text, worst.unwrap_or(Ink::Plain));
             mark_taken(&mut taken, x, end + 1);
         }
-        if marks.iter().any(|mark| lane_of(mark).is_some_and(|lane| self.x(lane).1)) {
-            self.beside(app, chart, marks, y, canvas);
-        } else {
-            self.hidden(app, chart, marks, y, canvas);
-            return;
-        }
+        self.beside(app, chart, marks, y, canvas);
         for mark in marks {
             let cause = mark.cause.and_then(|cause| chart.timeline.marks.get(cause));
             if let (Some(to), Some(cause)) = (lane_of(mark), cause)
@@ -267,8 +260,7 @@ impl Sheet {
 
     /// How many of the marks are in lanes to the left and to the right of those in sight.
     fn sides(&self, chart: &Chart, marks: &[&Mark]) -> (usize, usize) {
-        let lane_of = |mark: &&&Mark| chart.lanes.iter().position(|task| *task == mark.task);
-        let lanes = || marks.iter().filter_map(|mark| lane_of(&mark));
+        let lanes = || marks.iter().filter_map(|mark| chart.lane_of(mark.task));
         let left = lanes().filter(|lane| *lane < self.first).count();
         (left, lanes().filter(|lane| *lane >= self.first + self.count).count())
     }
@@ -284,9 +276,17 @@ impl Sheet {
         }
     }
 
+    /// Draws the lines of the lanes in a row.
+    fn lines(&self, app: &App, y: u16, canvas: &mut Canvas<'_>) {
+        for lane in self.first..self.first + self.count {
+            canvas.at(self.x(lane).0, y, 1, app.theme.glyphs.lane, Ink::Dim);
+        }
+    }
+
     /// Shows a row without marks in the lanes in sight: the worst of its events and its task, how many more there are,
     /// and at which side their lanes are.
-    fn hidden(&self, app: &App, chart: &Chart, marks: &[&Mark], y: u16, canvas: &mut Canvas<'_>) {
+    fn elsewhere(&self, app: &App, chart: &Chart, marks: &[&Mark], y: u16, canvas: &mut Canvas<'_>) {
+        self.lines(app, y, canvas);
         let worst = marks.iter().rev().max_by_key(|mark| level_of(mark.seen.what.event));
         let Some((mark, incarnation)) =
             worst.and_then(|mark| Some((mark, app.store().incarnation(mark.incarnation)?)))

@@ -23,7 +23,8 @@ struct Entry {
 
 /// A line of the screen.
 pub(super) enum Line {
-    Node(String, Ink),
+    /// A node and its timers; how late they are.
+    Node(String, String, Ink),
     Entry(Box<[(String, Ink); 6]>, Left, Option<u64>),
     Note(&'static str),
 }
@@ -34,7 +35,7 @@ const COLUMNS: [Column; 7] = [
     Column::left("KIND", 8),
     Column::right("LENGTH", 7),
     Column::right("LEFT", 7),
-    Column::left("", 22),
+    Column::left("TIME LEFT", 22),
     Column::left("WHAT", 0),
 ];
 
@@ -53,8 +54,8 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     for column in &mut columns {
         column.width = match (column.title, width) {
             ("OWNER", 0..60) => 10,
-            ("", 60..100) => 0,
-            ("", 160..) => 42,
+            ("TIME LEFT", 60..100) => 0,
+            ("TIME LEFT", 160..) => 42,
             _ => column.width,
         };
     }
@@ -65,7 +66,7 @@ pub(super) fn draw(app: &App, now: Moment, canvas: &mut Canvas<'_>) {
     for (y, (at, line)) in (1..).zip(lines.iter().enumerate().skip(window.first).take(room)) {
         let mut inner = canvas.part(indented);
         match line {
-            Line::Node(text, ink) => inner.line(y, &[(text, *ink)]),
+            Line::Node(text, late, ink) => inner.line(y, &[(text, *ink), (late, *ink)]),
             Line::Note(text) => inner.line(y, &[("  ", Ink::Plain), (text, Ink::Dim)]),
             Line::Entry(cells, left, length) => {
                 let at = shown.iter().position(|&i| i == 5);
@@ -103,8 +104,8 @@ fn lines(app: &App, now: Moment) -> Vec<(Line, Option<Place>)> {
             (false, false) => Ink::Head,
         };
         let place = Place { node: Ok(incarnation.id), task: None, port: None };
-        let text = format!("{}{presence}  Timer: {timers} running  {late}", incarnation.node);
-        lines.push((Line::Node(text, ink), Some(place)));
+        let text = format!("{}{presence}  Timer: {timers} running", incarnation.node);
+        lines.push((Line::Node(text, format!("  {late}"), ink), Some(place)));
         let mut entries = entries(incarnation, store.trail(), now);
         entries.sort_by_key(|entry| (entry.left.us, entry.owner));
         if entries.is_empty() {

@@ -12,6 +12,8 @@ use std::time::Duration;
 /// Twelve nodes with three tasks each, which have three ports each.
 pub const CROWD: Specimen = Specimen { nodes: 12, tasks: 3, ports: 3, queue_limit: 6 };
 
+/// When a node of the crowd dies.
+pub const CROWD_DEATH: Duration = ms(6_200);
 /// When the last states of the crowd arrive.
 pub const CROWD_NOW: Duration = ms(9_000);
 
@@ -39,12 +41,17 @@ fn go_on(state: &mut Snapshot, node: u16, period: u64) {
 impl Stage {
     /// The crowd after eight seconds. At the end, node 3 is dead, and messages expire and are refused at node 5.
     pub fn crowd(theme: Theme) -> Self {
+        Self::crowd_for(theme, 80)
+    }
+
+    /// The same after so many tenths of a second. Node 3 dies at [`CROWD_DEATH`].
+    pub fn crowd_for(theme: Theme, tenths: u64) -> Self {
         let mut stage = Self::new(theme);
         for arrival in CROWD.arrivals(ms(1_000)) {
             stage.app.update(Msg::Feed(arrival), ms(1_000));
         }
         let mut states: Vec<_> = (0..CROWD.nodes).map(calm).collect();
-        for period in 0..80 {
+        for period in 0..tenths {
             let now = ms(1_100 + 100 * period);
             for (node, state) in (0..CROWD.nodes).zip(&mut states) {
                 if node == 3 && period >= 50 {
@@ -58,7 +65,7 @@ impl Stage {
                 stage.frame(now, node.into(), ServerFrame::Snapshot(state.clone()));
             }
         }
-        stage.lose(ms(6_200), 3);
+        stage.lose(CROWD_DEATH, 3);
         for node in [1, 5, 8] {
             stage.frame(CROWD_NOW, node.into(), ServerFrame::Events(happened(node)));
         }

@@ -38,6 +38,7 @@ lints! {
     DIVERGENT Bad "divergent-rendezvous" "a rendezvous ended differently for its members";
     COMMAND_EVICTED Bad "command-evicted" "a command was dropped for space";
     MODEL_VIOLATION Bad "model-violation" "a node does not do what was verified";
+    LINK_CUT Bad "link-cut" "what one node sends does not arrive at another one";
     DIGEST_MISMATCH Bad "digest-mismatch" "nodes run different cells under one name";
     VERSION_MISMATCH Warn "version-mismatch" "nodes of different releases";
     RENDEZVOUS_STUCK Warn "rendezvous-stuck" "a rendezvous will soon be given up";

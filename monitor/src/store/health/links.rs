@@ -1,35 +1,34 @@
-//! Findings between nodes: damaged or foreign datagrams, kernel drops, and a full transit buffer.
+//! Findings between nodes: cut links, damaged or foreign datagrams, kernel drops, and a full transit buffer.
 
 use super::codes::{self, Lint};
 use super::{Finding, Lately, Place};
-use crate::store::NodeIncarnation;
+use crate::clock::{Moment, Span};
+use crate::name::Name;
+use crate::store::cuts::{ORDINARY, cuts};
+use crate::store::{NodeIncarnation, Store};
 
-/// The link counters (`runtime/src/link`) with a lint of their own. Any other counter is [`codes::LINK_DISCARDS`],
-/// unless it is routine.
-const SIGNS: &[(&str, &Lint)] = &[
-    ("checksum", &codes::INTEGRITY),
-    ("length", &codes::INTEGRITY),
-    ("too_short", &codes::INTEGRITY),
-    ("not_imrs", &codes::INTEGRITY),
-    ("replayed", &codes::INTEGRITY),
-    ("forged", &codes::INTEGRITY),
-    ("packet_checksum", &codes::INTEGRITY),
-    ("packet_malformed", &codes::INTEGRITY),
-    ("packet_port", &codes::INTEGRITY),
-    ("version", &codes::VERSION_MISMATCH),
-    ("mode", &codes::VERSION_MISMATCH),
-    ("packet_version", &codes::VERSION_MISMATCH),
-    ("other_cell", &codes::DIGEST_MISMATCH),
-    ("other_statements", &codes::DIGEST_MISMATCH),
-    ("refused_by_peer", &codes::DIGEST_MISMATCH),
-    ("misdelivered", &codes::INTEGRITY),
-    ("purpose", &codes::INTEGRITY),
-    ("kernel_dropped", &codes::KERNEL_RESIDENCY),
+/// The link counters (`runtime/src/link`) with a lint of their own, and what the dropped datagrams are. Any other counter is
+/// [`codes::LINK_DISCARDS`], unless it is routine.
+const SIGNS: &[(&str, &Lint, &str)] = &[
+    ("checksum", &codes::INTEGRITY, "damaged datagrams"),
+    ("length", &codes::INTEGRITY, "damaged datagrams"),
+    ("too_short", &codes::INTEGRITY, "damaged datagrams"),
+    ("not_imrs", &codes::INTEGRITY, "foreign datagrams"),
+    ("replayed", &codes::INTEGRITY, "repeated datagrams"),
+    ("forged", &codes::INTEGRITY, "forged datagrams"),
+    ("packet_checksum", &codes::INTEGRITY, "damaged packets"),
+    ("packet_malformed", &codes::INTEGRITY, "damaged packets"),
+    ("packet_port", &codes::INTEGRITY, "damaged packets"),
+    ("version", &codes::VERSION_MISMATCH, "another release sends"),
+    ("mode", &codes::VERSION_MISMATCH, "keys at one end only"),
+    ("packet_version", &codes::VERSION_MISMATCH, "another release sends"),
+    ("other_cell", &codes::DIGEST_MISMATCH, "another cell sends"),
+    ("other_statements", &codes::DIGEST_MISMATCH, "another text of the cell sends"),
+    ("refused_by_peer", &codes::DIGEST_MISMATCH, "the peer runs another text of the cell"),
+    ("misdelivered", &codes::INTEGRITY, "datagrams for another node"),
+    ("purpose", &codes::INTEGRITY, "datagrams for another purpose"),
+    ("kernel_dropped", &codes::KERNEL_RESIDENCY, "the node reads too slowly"),
 ];
-
-/// Packets of a neighbour's previous incarnation, which still arrive after a restart, are routine. So are answers in handshakes
-/// that came too late, on a busy machine.
-const ORDINARY: &[&str] = &["stale_incarnation", "unproven_session", "stale_session"];
 
 pub(super) fn look(incarnation: &NodeIncarnation, lately: &Lately<'_>, found: &mut Vec<Finding>) {
     let place = Place::node(incarnation);
@@ -37,15 +36,29 @@ pub(super) fn look(incarnation: &NodeIncarnation, lately: &Lately<'_>, found: &m
         if ORDINARY.contains(&name) {
             continue;
         }
-        let sign = SIGNS.iter().find(|(known, _)| *known == name);
-        let lint = sign.map_or(&codes::LINK_DISCARDS, |(_, lint)| *lint);
-        let text = format!("link drops: {} (+{more})", crate::name::shown(name));
+        let sign = SIGNS.iter().find(|(known, ..)| *known == name);
+        let lint = sign.map_or(&codes::LINK_DISCARDS, |(_, lint, _)| *lint);
+        let words = sign.map_or_else(String::new, |(.., words)| format!("{words}, "));
+        let text = format!("link drops: {words}{} (+{more})", crate::name::shown(name));
         found.push(Finding::new(lint, place, text));
     }
     let transit = &lately.after.transit;
     if transit.capacity > 0 && u32::from(transit.len) * 10 >= u32::from(transit.capacity) * 9 {
         let text = format!("transit buffer {} of {}", transit.len, transit.capacity);
         found.push(Finding::new(&codes::TRANSIT_FULL, place, text));
+    }
+}
+
+/// Reports the links over which nothing arrives, at the node that hears nothing.
+pub(super) fn cut(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Finding>) {
+    for cut in cuts(store, cell, now) {
+        let text = format!(
+            "link from {} is cut: {} packets sent, none accepted for {}",
+            cut.from.node,
+            cut.sent,
+            Span(cut.silent)
+        );
+        found.push(Finding::new(&codes::LINK_CUT, Place::node(cut.to), text));
     }
 }
 

@@ -52,7 +52,7 @@ fn waiting(store: &Store, cell: &Name, names: &Names, meeting: &Meeting, found: 
             let text = format!("lost {}: waits in vain", lost.join(", "));
             found.push(Finding::new(&codes::LOST_MEMBER, place, text));
         } else if member.within_margin {
-            let text = "too late: all arrived, only a CONFIRM can help".to_owned();
+            let text = "a CONFIRM is missing: all arrived, too late to go on alone".to_owned();
             found.push(Finding::new(&codes::WITHIN_MARGIN, place, text));
         } else if spent && !missing.is_empty() {
             let left = member.left.map_or_else(String::new, |left| format!(", {left} left"));

@@ -90,6 +90,7 @@ pub fn findings(store: &Store, cell: &Name, now: Moment) -> Vec<Finding> {
     }
     node::never_seen(store, cell, &mut found);
     node::unlike(store, cell, now, &mut found);
+    links::cut(store, cell, now, &mut found);
     meetings::look(store, cell, now, &mut found);
     found.sort_by(|a, b| (b.level, a.place).cmp(&(a.level, b.place)));
     found

@@ -5,6 +5,7 @@ use super::codes::{self, Lint};
 use super::{Finding, Lately, Place};
 use crate::clock::Span;
 use crate::store::incarnation::port_of;
+use crate::store::meeting::state;
 use crate::store::service::outlook;
 use crate::store::{NodeIncarnation, Store};
 use imrs_protocol::{Class, PortCounters, PortView};
@@ -23,12 +24,23 @@ pub(super) fn look(
     found: &mut Vec<Finding>,
 ) {
     let earlier = lately.before.and_then(|s| s.tasks.iter().find(|t| t.view.task == task.view.task));
+    let state = || state(incarnation, &task.view.state);
     for (at, port) in task.view.ports.iter().enumerate() {
         let place = Place { task: Some(task.view.task), port: Some(port.port), ..Place::node(incarnation) };
         // A node lists its ports in the same order every time.
         let there = earlier.and_then(|task| task.view.ports.get(at)).filter(|there| there.port == port.port);
         let earlier = there.or_else(|| port_of(earlier?, port.port));
         if let Some((lint, text)) = earlier.and_then(|e| grown(port.class, &e.counters, &port.counters)) {
+            // The cause of a loss at a receiver is what it does meanwhile, or the sender of too much.
+            let text = match lint.code {
+                "refused" | "expired" | "evicted" | "command-evicted" if port.capacity > 0 => {
+                    format!("{text}: {}/{} wait, task: {}", port.len, port.capacity, state())
+                }
+                "status-flood" => {
+                    text.replacen("flood", &format!("flood from {}", senders(incarnation, task, port)), 1)
+                }
+                _ => text,
+            };
             found.push(Finding::new(lint, place, text));
         }
         if port.len > 0
@@ -37,6 +49,14 @@ pub(super) fn look(
             found.push(Finding::new(lint, place, text));
         }
     }
+}
+
+/// The tasks that send at a port.
+fn senders(incarnation: &NodeIncarnation, task: &TaskSnapshot, port: &PortView) -> String {
+    let parties = incarnation.names.port(port.port).map_or(&[][..], |info| &info.parties);
+    let others = parties.iter().filter(|party| party.task != task.view.task);
+    let names: Vec<_> = others.take(3).map(|party| incarnation.names.task(party.task).to_string()).collect();
+    names.join(", ")
 }
 
 /// The recent losses of a port; only the most significant one.
@@ -75,7 +95,7 @@ fn waiting(
         && waits(source, number)
     {
         let from = incarnation.names.task(source);
-        return Some((&codes::STARVING, format!("starving: #{number} of {from} was rejected {times} times")));
+        return Some((&codes::STARVING, format!("starving, rejected {times} times: #{number} of {from}")));
     }
     // Use the node's own sample: counted down here, a message that was taken since the snapshot would raise an alarm.
     for (position, entry) in port.queue.iter().enumerate() {

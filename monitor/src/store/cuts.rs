@@ -1,0 +1,140 @@
+//! Links over which nothing arrives, though packets are sent. The two ends share no clock, so the packets are counted that
+//! one node sent after the other one last heard of it.
+
+use super::{IncarnationId, NodeIncarnation, Presence, Store};
+use crate::clock::Moment;
+use crate::name::Name;
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// A packet is not delayed for so long.
+const SILENCE: Duration = Duration::from_secs(2);
+/// Packets that were sent so soon after the last arrival may be those that arrived.
+const SETTLED: Duration = Duration::from_millis(500);
+/// Fewer packets than this may all be lost by chance.
+const PACKETS: u64 = 5;
+/// The most directions of links that are followed.
+const MOST: usize = 4096;
+
+/// Packets of a neighbour's previous incarnation, which still arrive after a restart, are routine. So are answers in handshakes
+/// that came too late, on a busy machine.
+pub(super) const ORDINARY: &[&str] = &["stale_incarnation", "unproven_session", "stale_session"];
+
+/// What is known of one direction of a link since something last arrived.
+#[derive(Clone, Copy, Debug)]
+struct Silence {
+    /// The last arrival, on the clock of the node that receives, in microseconds.
+    heard_us: u64,
+    /// The same on the monitor's clock.
+    heard: Moment,
+    /// How many packets the other node had sent soon after that.
+    before: u64,
+    /// When enough packets had been sent since.
+    enough: Option<Moment>,
+}
+
+/// The directions of all links.
+#[derive(Clone, Debug, Default)]
+pub struct Silences {
+    /// By the incarnations that receive and send.
+    known: BTreeMap<(IncarnationId, IncarnationId), Silence>,
+}
+
+impl Silences {
+    /// Takes note of a new state of an incarnation.
+    pub fn sampled(&mut self, store: &Store, incarnation: &NodeIncarnation) {
+        let Some(last) = &incarnation.last else { return };
+        for link in &last.snapshot.links {
+            let Some(peer) = store.latest(&incarnation.names.cell, link.peer) else { continue };
+            // Of a link over which nothing ever arrived, the silence is as long as the node runs.
+            let silent_us = link.heard_us.unwrap_or(last.snapshot.uptime_us);
+            let heard_us = last.snapshot.mono_us.saturating_sub(silent_us);
+            let to_here = (incarnation.id, peer.id);
+            // A node knows its clock to the microsecond; a thousand is for what it computes between two readings.
+            if self.known.get(&to_here).is_none_or(|known| heard_us > known.heard_us.saturating_add(1_000)) {
+                let heard = last.at.saturating_sub(Duration::from_micros(silent_us));
+                let before = sent(peer, incarnation);
+                self.known.insert(to_here, Silence { heard_us, heard, before, enough: None });
+            }
+            if let Some(silence) = self.known.get_mut(&(peer.id, incarnation.id)) {
+                silence.has_sent(last.at, link.sent);
+            }
+        }
+        if self.known.len() > MOST {
+            self.known.pop_first();
+        }
+    }
+
+    fn of(&self, to: &NodeIncarnation, from: &NodeIncarnation) -> Option<&Silence> {
+        self.known.get(&(to.id, from.id))
+    }
+}
+
+impl Silence {
+    /// The other node has sent so many packets.
+    fn has_sent(&mut self, at: Moment, count: u64) {
+        if at.saturating_sub(self.heard) < SETTLED {
+            self.before = count;
+        } else if self.enough.is_none() && count >= self.before.saturating_add(PACKETS) {
+            self.enough = Some(at);
+        }
+    }
+}
+
+/// How many packets a node has sent to another one.
+fn sent(from: &NodeIncarnation, to: &NodeIncarnation) -> u64 {
+    let links = from.last.as_ref().map_or(&[][..], |last| &last.snapshot.links);
+    links.iter().find(|link| link.peer == to.node_id).map_or(0, |link| link.sent)
+}
+
+/// A direction of a link in which nothing arrives.
+#[derive(Clone, Copy, Debug)]
+pub struct Cut<'a> {
+    /// The node that sends.
+    pub from: &'a NodeIncarnation,
+    /// The node at which nothing arrives.
+    pub to: &'a NodeIncarnation,
+    /// How many packets were sent since the last arrival.
+    pub sent: u64,
+    /// How long ago that was.
+    pub silent: Duration,
+}
+
+/// The cut links of a cell: between nodes that both report, where one sends and the other hears nothing.
+#[must_use]
+pub fn cuts<'a>(store: &'a Store, cell: &Name, now: Moment) -> Vec<Cut<'a>> {
+    let mut found = Vec::new();
+    for to in store.incarnations_of(cell).filter(|to| store.is_present(to) && is_awake(to, now)) {
+        let Some(last) = &to.last else { continue };
+        for link in &last.snapshot.links {
+            let Some(from) = store.latest(cell, link.peer) else { continue };
+            let Some(silence) = store.silences.of(to, from) else { continue };
+            // Packets that are on their route when the states are taken arrive a moment later.
+            let is_long = silence.enough.is_some_and(|enough| last.at.saturating_sub(enough) >= SILENCE);
+            // A node that drops datagrams receives them.
+            if is_long && is_awake(from, now) && !drops(to) {
+                let sent = sent(from, to).saturating_sub(silence.before);
+                found.push(Cut { from, to, sent, silent: now.saturating_sub(silence.heard) });
+            }
+        }
+    }
+    found
+}
+
+/// Whether a node reports and has done so for long enough: a process that was stopped has heard nothing either.
+fn is_awake(incarnation: &NodeIncarnation, now: Moment) -> bool {
+    incarnation.presence(now) == Presence::Up && now.saturating_sub(incarnation.resumed) >= SILENCE
+}
+
+/// Whether the links of a node have dropped a datagram that arrived, within the last seconds.
+fn drops(incarnation: &NodeIncarnation) -> bool {
+    let count = |sample: &Option<super::Sample>| {
+        let drops = sample.as_ref().map_or(&[][..], |sample| &sample.snapshot.link_discards);
+        // What could not be sent says nothing of what arrives. And what is dropped after a restart is followed by what is
+        // accepted, unless the two ends do not find a common session.
+        let is_other = |name: &str| name.starts_with("send_") || ORDINARY.contains(&name);
+        let arrived = drops.iter().filter(|drop| !is_other(&drop.name));
+        arrived.map(|drop| drop.count).fold(0, u64::saturating_add)
+    };
+    count(&incarnation.last) > count(&incarnation.base)
+}
